@@ -1,0 +1,147 @@
+"""Every number of the protocol, once.
+
+What flows out: plain integers and strings with the specification's names. The C header, the tables
+of the documentation and both Python implementations take them from here; `TABLE` is the list that
+the generator prints, so a constant that is missing there is missing everywhere.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+SPEC_VERSION: Final = "1.1"
+"""Version of this specification, the value of the property `j2a.spec`."""
+
+# Framing (thesis 7.1.1; SOS is not in the text, it is what the 2014 firmware sends).
+SOF: Final = 0x12
+SOS: Final = 0xED
+ESC: Final = 0x7D
+MARKERS: Final = frozenset({SOF, SOS})
+STUFFED: Final = frozenset({SOF, SOS, ESC})
+
+# Checksum (thesis 7.1.3).
+CHK_OPCODE: Final = 11
+CHK_LENGTH: Final = 97
+
+# Sizes, in bytes.
+MAX_PAYLOAD: Final = 255
+HEADER: Final = 3
+MAX_WIRE: Final = 1 + 2 * (1 + 1 + MAX_PAYLOAD + 1) + 1
+MANY_HEADER: Final = 6
+MANY_DATA: Final = MAX_PAYLOAD - MANY_HEADER
+MAX_MAPPING: Final = MAX_PAYLOAD
+
+# Flags of the a2jMany header.
+FLAG_LAST: Final = 0x01
+FLAG_WRITE: Final = 0x02
+
+# Opcode field of a reply.
+ERR_OPCODE: Final = 0xF0
+ERR_TIMEOUT: Final = 0xF2
+ERR_CHECKSUM: Final = 0xF3
+ERR_FRAMING: Final = 0xF4
+ERRORS: Final = frozenset({ERR_OPCODE, ERR_TIMEOUT, ERR_CHECKSUM, ERR_FRAMING})
+RET_OK: Final = 0x00
+RET_MAX: Final = 0xEF
+RET_FAILED: Final = 0xFF
+
+# Return values of built-in functions.
+ECHO: Final = 0xBA
+ECHO_MANY: Final = 0xBE
+DEBUG_MORE: Final = 0x01
+DEBUG_LOST: Final = 0x02
+
+# Times, in milliseconds.
+BYTE_TIMEOUT_MS: Final = 10
+BYTE_TIMEOUT_MIN_MS: Final = 9
+BYTE_TIMEOUT_MAX_MS: Final = 20
+
+# Site ids: the two payload bytes of our error replies say which check refused the frame.
+SITE_OPCODE: Final = 1
+SITE_KIND: Final = 2
+SITE_TIMEOUT: Final = 3
+SITE_CHECKSUM: Final = 4
+SITE_MARKER: Final = 5
+SITE_ESCAPE: Final = 6
+SITE_LOST: Final = 7
+
+# Built-in functions in opcode order; those in brackets of the thesis are build options.
+GET_MAPPING: Final = "a2jGetMapping"
+MANY: Final = "a2jMany"
+GET_PROPERTIES: Final = "a2jGetProperties"
+GET_DEBUG: Final = "a2jDebug"
+GET_ECHO: Final = "a2jEcho"
+GET_ECHO_MANY: Final = "a2jEchoMany"
+BUILTINS: Final = (GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO, GET_ECHO_MANY)
+OPTIONAL_BUILTINS: Final = frozenset({GET_MAPPING, GET_PROPERTIES, GET_DEBUG})
+
+# Property keys that the specification gives a meaning.
+PROP_SPEC: Final = "j2a.spec"
+PROP_RXBUF: Final = "j2a.rxbuf"
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A row of the table of constants: C and documentation name, value, meaning and group."""
+
+    name: str
+    value: int
+    meaning: str
+    group: str
+
+
+def _rows(group: str, *rows: tuple[str, int, str]) -> tuple[Constant, ...]:
+    return tuple(Constant(name, value, meaning, group) for name, value, meaning in rows)
+
+
+TABLE: Final = (
+    *_rows(
+        "Framing",
+        ("SOF", SOF, "starts a request and a reply"),
+        ("SOS", SOS, "starts a server-initiated frame (SIF)"),
+        ("ESC", ESC, "escape: the byte that follows is sent one too small"),
+        ("CHK_OPCODE", CHK_OPCODE, "added to the opcode in the checksum"),
+        ("CHK_LENGTH", CHK_LENGTH, "added to the length in the checksum"),
+    ),
+    *_rows(
+        "Sizes in bytes",
+        ("MAX_PAYLOAD", MAX_PAYLOAD, "largest payload"),
+        ("MAX_WIRE", MAX_WIRE, "largest frame on the wire"),
+        ("MANY_HEADER", MANY_HEADER, "header of an a2jMany request or reply"),
+        ("MANY_DATA", MANY_DATA, "largest a2jMany chunk"),
+    ),
+    *_rows(
+        "a2jMany flags",
+        ("FLAG_LAST", FLAG_LAST, "isLast: the chunk is the last one"),
+        ("FLAG_WRITE", FLAG_WRITE, "isWrite: the chunk goes to the device"),
+    ),
+    *_rows(
+        "Opcode field of a reply",
+        ("RET_OK", RET_OK, "success, by convention"),
+        ("RET_MAX", RET_MAX, "largest value that a function may return freely"),
+        ("RET_FAILED", RET_FAILED, "the function failed"),
+        ("ERR_OPCODE", ERR_OPCODE, "no such function, or not callable this way"),
+        ("ERR_TIMEOUT", ERR_TIMEOUT, "the rest of the request did not come in time"),
+        ("ERR_CHECKSUM", ERR_CHECKSUM, "the request's checksum is wrong"),
+        ("ERR_FRAMING", ERR_FRAMING, "the request was broken by a marker, an escape or lost bytes"),
+        ("ECHO", ECHO, "what a2jEcho returns"),
+        ("ECHO_MANY", ECHO_MANY, "what a2jEchoMany returns"),
+        ("DEBUG_MORE", DEBUG_MORE, "bit of a2jDebug: more text is pending"),
+        ("DEBUG_LOST", DEBUG_LOST, "bit of a2jDebug: text was lost since the last call"),
+    ),
+    *_rows(
+        "Times in milliseconds",
+        ("BYTE_TIMEOUT_MS", BYTE_TIMEOUT_MS, "nominal longest pause inside a frame"),
+        ("BYTE_TIMEOUT_MIN_MS", BYTE_TIMEOUT_MIN_MS, "a pause up to this is always accepted"),
+        ("BYTE_TIMEOUT_MAX_MS", BYTE_TIMEOUT_MAX_MS, "a pause of this ends the frame"),
+    ),
+    *_rows(
+        "Site ids of error payloads",
+        ("SITE_OPCODE", SITE_OPCODE, "opcode or function index out of range"),
+        ("SITE_KIND", SITE_KIND, "function of the other kind"),
+        ("SITE_TIMEOUT", SITE_TIMEOUT, "byte timeout"),
+        ("SITE_CHECKSUM", SITE_CHECKSUM, "checksum"),
+        ("SITE_MARKER", SITE_MARKER, "marker inside a frame"),
+        ("SITE_ESCAPE", SITE_ESCAPE, "ESC 0xFF"),
+        ("SITE_LOST", SITE_LOST, "received bytes were lost to an overrun"),
+    ),
+)

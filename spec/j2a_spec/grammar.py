@@ -1,0 +1,109 @@
+"""The grammars: what stands between the start byte and the end of a frame, declared with construct.
+
+What flows in and out: bytes after unstuffing, and the fields by the specification's names. Each
+field carries its meaning, so the figures and tables of the documentation are drawn from the same
+declaration that parses and builds. Stuffing is not a grammar; it is in `oracle.py`.
+"""
+
+from functools import reduce
+from operator import xor
+from typing import Any
+
+import construct as cs
+
+from j2a_spec import constants as c
+
+
+def checksum(seq: int, opcode: int, payload: bytes) -> int:
+    """Return the checksum of a frame, 0..255 (J2A-SUM-001, thesis 7.1.3).
+
+    Args:
+        seq: sequence number, 0..255.
+        opcode: opcode, return value or error code, 0..255.
+        payload: 0 to 255 bytes, before stuffing.
+    """
+    fields = (seq, opcode + c.CHK_OPCODE, len(payload) + c.CHK_LENGTH)
+    return reduce(xor, payload, reduce(xor, fields)) & 0xFF
+
+
+def _checksum_of(context: Any) -> int:
+    return checksum(context.seq, context.opcode, context.payload)
+
+
+def _check_checksum(value: int, context: Any) -> bool:
+    # Building fills the field in, so only parsing can see another value.
+    return bool(value == _checksum_of(context))
+
+
+def _non_empty(text: str, _context: Any) -> bool:
+    return text != ""
+
+
+PACKET = cs.Struct(
+    "seq" / cs.Byte * "sequence number; a reply repeats its request's",
+    "opcode" / cs.Byte * "function to call; in a reply its return value or an error code",
+    "length" / cs.Rebuild(cs.Byte, cs.len_(cs.this.payload)) * "number of payload bytes",
+    "payload" / cs.Bytes(cs.this.length) * "arguments or results, 0 to 255 bytes",
+    "checksum"
+    / cs.Validator(cs.Rebuild(cs.Byte, _checksum_of), _check_checksum)
+    * "seq, opcode + 11, length + 97 and the payload, combined by XOR",
+    cs.Terminated,
+)
+"""A frame without its start byte, before stuffing (thesis figure 7.1)."""
+
+ERROR_PAYLOAD = cs.Struct(
+    "site" / cs.Int16ul * "which check refused the request; opaque to the host",
+    cs.Terminated,
+)
+"""The payload of an error reply."""
+
+_NAME = cs.Validator(cs.CString("ascii"), _non_empty)
+
+MAPPING = cs.FocusedSeq(
+    "names",
+    "names" / cs.GreedyRange(_NAME) * "NUL-terminated function names in opcode order",
+    cs.Terminated,
+)
+"""The payload of the reply of a2jGetMapping: a list of names."""
+
+PROPERTIES = cs.FocusedSeq(
+    "pairs",
+    "pairs"
+    / cs.GreedyRange(
+        cs.Struct(
+            "key" / _NAME * "NUL-terminated key",
+            "value" / cs.Validator(cs.CString("utf8"), _non_empty) * "NUL-terminated value",
+        )
+    )
+    * "key and value, repeated",
+    cs.Terminated,
+)
+"""All that a2jGetProperties returns through a2jMany: key and value pairs."""
+
+_FLAGS = cs.FlagsEnum(cs.Byte, is_last=c.FLAG_LAST, is_write=c.FLAG_WRITE)
+
+MANY_REQUEST = cs.Struct(
+    "func" / cs.Byte * "opcode of the function that the chunk is for",
+    "flags" / _FLAGS * "bit 0 isLast, bit 1 isWrite",
+    "offset" / cs.Int32ul * "position of the chunk in the whole",
+    "data" / cs.GreedyBytes * "the chunk, 0 to 249 bytes; none when reading",
+)
+"""The payload of a request to a2jMany (thesis bytefield 7.1)."""
+
+MANY_REPLY = cs.Struct(
+    "code" / cs.Byte * "return value of the function",
+    "flags" / _FLAGS * "bit 0 isLast",
+    "offset" / cs.Int32ul * "position of the chunk in the whole",
+    "data" / cs.GreedyBytes * "the chunk, 0 to 249 bytes",
+)
+"""The payload of a reply of a2jMany."""
+
+GRAMMARS = {
+    "packet": PACKET,
+    "error-payload": ERROR_PAYLOAD,
+    "mapping": MAPPING,
+    "properties": PROPERTIES,
+    "many-request": MANY_REQUEST,
+    "many-reply": MANY_REPLY,
+}
+"""Every grammar by the name that the documentation uses."""
