@@ -26,13 +26,8 @@ def checksum(seq: int, opcode: int, payload: bytes) -> int:
     return reduce(xor, payload, reduce(xor, fields)) & 0xFF
 
 
-def _checksum_of(context: Any) -> int:
-    return checksum(context.seq, context.opcode, context.payload)
-
-
-def _check_checksum(value: int, context: Any) -> bool:
-    # Building fills the field in, so only parsing can see another value.
-    return bool(value == _checksum_of(context))
+def _fields(context: Any) -> tuple[int, int, bytes]:
+    return context.seq, context.opcode, context.payload
 
 
 def _non_empty(text: str, _context: Any) -> bool:
@@ -45,7 +40,7 @@ PACKET = cs.Struct(
     "length" / cs.Rebuild(cs.Byte, cs.len_(cs.this.payload)) * "number of payload bytes",
     "payload" / cs.Bytes(cs.this.length) * "arguments or results, 0 to 255 bytes",
     "checksum"
-    / cs.Validator(cs.Rebuild(cs.Byte, _checksum_of), _check_checksum)
+    / cs.Checksum(cs.Byte, lambda fields: checksum(*fields), _fields)
     * "seq, opcode + 11, length + 97 and the payload, combined by XOR",
     cs.Terminated,
 )
@@ -57,7 +52,7 @@ ERROR_PAYLOAD = cs.Struct(
 )
 """The payload of an error reply."""
 
-_NAME = cs.Validator(cs.CString("ascii"), _non_empty)
+_NAME = cs.ExprValidator(cs.CString("ascii"), _non_empty)
 
 MAPPING = cs.FocusedSeq(
     "names",
@@ -72,7 +67,7 @@ PROPERTIES = cs.FocusedSeq(
     / cs.GreedyRange(
         cs.Struct(
             "key" / _NAME * "NUL-terminated key",
-            "value" / cs.Validator(cs.CString("utf8"), _non_empty) * "NUL-terminated value",
+            "value" / cs.ExprValidator(cs.CString("utf8"), _non_empty) * "NUL-terminated value",
         )
     )
     * "key and value, repeated",

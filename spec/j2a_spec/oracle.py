@@ -143,6 +143,6 @@ def _decode(stream: bytes) -> Iterator[Event]:
 def _frame(start: int, body: bytes) -> Event:
     try:
         packet = PACKET.parse(body)
-    except cs.ValidationError:
+    except cs.ChecksumError:
         return FrameError("checksum", start, body[0])
     return Frame(start, packet.seq, packet.opcode, packet.payload)
