@@ -1,0 +1,58 @@
+# The development tasks of J2A. `make help` lists them.
+# Set-up is part of every task that needs it: system packages by apt-get (tools/system.sh), then
+# .venv with the packages that constraints.txt pins (tools/venv.sh).
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test lint docs bench firmware venv constraints clean distclean
+
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+# PYTHON= names the interpreter for a new .venv.
+export PYTHON
+
+help:  ## list the tasks
+	@sed -n 's/^\([a-z][a-z-]*\):.*##  */\1\t/p' $(MAKEFILE_LIST) | expand -t 14
+
+demo: $(INSTALLED)  ## a host program, firmware in the AVR simulator, a conformance run
+	@sh tools/system.sh demo
+	@$(BIN)/python tools/demo.py
+
+test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these steps
+	@sh tools/system.sh test
+	@bash tools/check.sh
+
+lint: $(INSTALLED)  ## lint, layout, types and import arrows
+	@CHECK=ruff,format,mypy,imports bash tools/check.sh
+
+docs: $(INSTALLED)  ## the documentation, into docs/_build/html
+	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+bench: $(INSTALLED)  ## speed of decode and encode against other codecs
+	@$(BIN)/python -m pytest -o testpaths= --benchmark-only bench
+
+firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
+	@sh tools/system.sh demo
+	@PATH="$(CURDIR)/$(BIN):$$PATH" $(MAKE) --no-print-directory -C firmware PORT=posix APP=demo
+	@PATH="$(CURDIR)/$(BIN):$$PATH" $(MAKE) --no-print-directory -C firmware budget
+
+venv: $(INSTALLED)  ## the virtual environment .venv
+
+$(INSTALLED): constraints.txt pyproject.toml tools/venv.sh
+	@sh tools/venv.sh $(VENV)
+	@touch $@
+
+constraints:  ## pin the newest packages that pyproject.toml allows (needs uv)
+	@uv pip compile pyproject.toml --extra dev --no-emit-package j2a --universal \
+	    --python-version 3.11 --fork-strategy fewest --generate-hashes --no-emit-index-url \
+	    --no-annotate --no-header --upgrade --quiet --output-file constraints.txt
+
+clean:  ## remove what was built
+	@rm -rf build dist docs/_build firmware/build .coverage .coverage.* .benchmarks
+	@rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	@find . -path ./$(VENV) -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
+
+distclean: clean  ## also remove .venv
+	@rm -rf $(VENV)

@@ -1,0 +1,54 @@
+#!/usr/bin/env bash
+# check.sh: everything that has to hold, step by step; `make test` runs it. The tests come last, so
+# pytest's closing line ends a good run. A step that fails does not keep the others from running,
+# but it fails the whole. CHECK=name,name runs only these steps.
+set -uo pipefail
+cd "$(dirname "$0")/.."
+PATH="$PWD/.venv/bin:$PATH"
+export PATH
+if [ "${CI:-}" = true ]; then
+    # Tests that need the AVR toolchain or the simulator fail without them instead of being skipped.
+    export J2A_REQUIRE_AVR=1
+fi
+
+failed=()
+
+step() {
+    local name=$1 title=$2 start=$SECONDS status=0
+    shift 2
+    if [[ -n "${CHECK:-}" && ",$CHECK," != *",$name,"* ]]; then
+        return
+    fi
+    printf '\n==> %s: %s\n' "$name" "$title"
+    "$@" </dev/null || status=$?
+    if ((status)); then
+        failed+=("$name")
+        printf '==> %s FAILED with status %d after %d s\n' "$name" "$status" $((SECONDS - start))
+    elif [[ $name != pytest ]]; then
+        printf '==> %s: ok, %d s\n' "$name" $((SECONDS - start))
+    fi
+}
+
+step generate "generated files are up to date" python -m j2a_spec.generate --check
+step ruff "lint" ruff check --quiet .
+step format "layout of the Python files" ruff format --check --quiet .
+step mypy "types" mypy
+step imports "arrows between the packages" lint-imports --no-cache
+step firmware "the posix firmware" make --no-print-directory -C firmware PORT=posix APP=demo
+if command -v avr-gcc >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
+    step budget "the AVR firmware, and its size against the budget" \
+        make --no-print-directory -C firmware budget
+else
+    printf '\n==> budget: SKIPPED, there is no avr-gcc\n'
+fi
+step docs "documentation, warnings are errors" make --no-print-directory docs
+step dist "wheel and sdist hold the four packages" python tools/check_dist.py
+if ((${#failed[@]})); then
+    printf '\n==> failed so far: %s\n' "${failed[*]}"
+fi
+step pytest "tests" python -m pytest --cov --cov-report=term
+
+if ((${#failed[@]})); then
+    printf '\n==> FAILED steps: %s\n' "${failed[*]}"
+    exit 1
+fi

@@ -1,0 +1,83 @@
+"""Builds the wheel and the sdist, and compares what they hold with the source tree.
+
+What flows in: the repository, and hatchling from the environment. What flows out: exit status 0, or
+a list of what is missing. Rules: everything that the four packages need at run time is in both
+archives, nothing beside the four packages is in the wheel, and both console commands are declared.
+"""
+
+import subprocess
+import sys
+import tarfile
+import tempfile
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = {
+    "j2a": ROOT,
+    "j2a_spec": ROOT / "spec",
+    "j2a_transports": ROOT / "transports",
+    "j2a_conformance": ROOT / "conformance",
+}
+COMMANDS = {"j2a", "j2a-conform"}
+
+
+def sources() -> set[str]:
+    """Return the files of the four packages as git knows them, by their name in a wheel."""
+    found = set()
+    for name, folder in PACKAGES.items():
+        listing = subprocess.run(
+            ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", name],
+            cwd=folder,
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        found |= {file for file in listing.stdout.split("\0") if file and (folder / file).is_file()}
+    return found
+
+
+def build(folder: Path) -> tuple[Path, Path]:
+    """Build both archives into an empty folder and return (wheel, sdist)."""
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-t", "sdist", "-d", folder],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    return next(folder.glob("*.whl")), next(folder.glob("*.tar.gz"))
+
+
+def faults(wheel: Path, sdist: Path) -> list[str]:
+    """Return a line for each thing that is wrong with the archives."""
+    wanted = sources()
+    with zipfile.ZipFile(wheel) as archive:
+        in_wheel = {name for name in archive.namelist() if ".dist-info/" not in name}
+        entry_points = next(n for n in archive.namelist() if n.endswith("/entry_points.txt"))
+        declared = archive.read(entry_points).decode()
+    with tarfile.open(sdist) as archive_tar:
+        in_sdist = {name.partition("/")[2] for name in archive_tar.getnames()}
+    lines = [f"not in the wheel: {name}" for name in sorted(wanted - in_wheel)]
+    lines += [f"in the wheel, not in the source: {name}" for name in sorted(in_wheel - wanted)]
+    for name in sorted(wanted):
+        path = PACKAGES[name.partition("/")[0]] / name
+        if str(path.relative_to(ROOT)) not in in_sdist:
+            lines.append(f"not in the sdist: {path.relative_to(ROOT)}")
+    commands = {line.partition(" = ")[0] for line in declared.splitlines() if " = " in line}
+    lines += [f"console command not declared: {name}" for name in sorted(COMMANDS - commands)]
+    return lines
+
+
+def main() -> int:
+    """Run the check; return the exit status."""
+    with tempfile.TemporaryDirectory() as folder:
+        wheel, sdist = build(Path(folder))
+        lines = faults(wheel, sdist)
+        print(f"{wheel.name} {wheel.stat().st_size} B, {sdist.name} {sdist.stat().st_size} B")
+    for line in lines:
+        print(line, file=sys.stderr)
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

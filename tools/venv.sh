@@ -1,0 +1,66 @@
+#!/bin/sh
+# venv.sh DIR: makes the virtual environment DIR with the packages that constraints.txt pins and the
+# project itself, editable. Takes uv where it is there, else pip. PYTHON= in the environment names
+# the interpreter; without it, the first Python of at least 3.11 on the machine is taken.
+set -eu
+cd "$(dirname "$0")/.."
+venv=${1:?"say where: a folder"}
+
+recent() { "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; }
+bundled() { "$1" -c 'import venv, ensurepip' >/dev/null 2>&1; }
+
+find_python() {
+    for name in "${PYTHON:-python3}" ${PYTHON:+-} python3.14 python3.13 python3.12 python3.11 /usr/bin/python3; do
+        # A PYTHON that was asked for is taken or refused, never replaced.
+        [ "$name" = - ] && return 1
+        recent "$name" && command -v "$name" && return 0
+    done
+    return 1
+}
+
+# Debian and Ubuntu keep ensurepip in a package of its own, named after the interpreter.
+get_ensurepip() {
+    version=$("$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+    sh tools/apt.sh "python$version-venv" && bundled "$1"
+}
+
+if ! recent "$venv/bin/python"; then
+    rm -rf "$venv"
+    if ! python=$(find_python); then
+        if [ -n "${PYTHON:-}" ]; then
+            echo "venv.sh: PYTHON=$PYTHON is no Python of at least 3.11" >&2
+            exit 1
+        fi
+        sh tools/apt.sh python3 python3-venv || true
+        recent python3 || sh tools/apt.sh python3.11 python3.11-venv || true
+        python=$(find_python) || {
+            echo "venv.sh: no Python of at least 3.11 here; name one with PYTHON=" >&2
+            exit 1
+        }
+    fi
+    echo "making $venv with $python ($("$python" -V))"
+    if bundled "$python" || { ! command -v uv >/dev/null && get_ensurepip "$python"; }; then
+        "$python" -m venv "$venv"
+    elif command -v uv >/dev/null; then
+        uv venv --quiet --python "$python" "$venv"
+    else
+        echo "venv.sh: $python has no ensurepip; install its venv package, or uv" >&2
+        exit 1
+    fi
+fi
+
+with_uv() {
+    command -v uv >/dev/null || return 1
+    echo "installing the packages of constraints.txt with uv"
+    export UV_LINK_MODE="${UV_LINK_MODE:-copy}"
+    uv pip install --quiet --python "$venv/bin/python" --require-hashes -r constraints.txt &&
+        uv pip install --quiet --python "$venv/bin/python" --no-deps --no-build-isolation -e .
+}
+with_pip() {
+    echo "installing the packages of constraints.txt with pip"
+    pip="$venv/bin/python -m pip --quiet --disable-pip-version-check --no-input"
+    $pip install --require-hashes -r constraints.txt &&
+        $pip install --no-deps --no-build-isolation -e .
+}
+# uv may be there and yet know no way to the packages that pip has been told of.
+with_uv || with_pip
