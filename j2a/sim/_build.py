@@ -1,0 +1,173 @@
+"""Compiles and loads the C half of the simulator on first use.
+
+In: the C files next to this module, the system's C compiler, simavr's headers and library.
+Out: the loaded library with its functions typed, shared by all simulators of the process.
+The result is kept per user, named by a hash of the sources, the compiler command, and simavr's
+version and headers: any change compiles anew, and processes that start at the same time each
+write their own file and rename it into place, so none ever loads half a library.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from j2a.sim._errors import SimError, ToolMissing
+
+COUNTERS = (
+    "bytes_in",
+    "bytes_out",
+    "overruns",
+    "unheard",
+    "rx_framing_errors",
+    "tx_framing_errors",
+    "tx_ignored",
+    "queued",
+)
+STOP_OUTPUT, STOP_SPAN = 1, 2
+STATES = ("limbo", "stopped", "running", "sleeping", "step", "step", "done", "crashed")
+
+_HERE = Path(__file__).parent
+_SOURCES = ("simavr_shim.c", "usart.c", "usart.h")
+_PACKAGES = "on Debian and Ubuntu: apt install gcc libc6-dev libsimavr-dev"
+
+
+def cache_directory() -> Path:
+    """The folder that keeps the compiled library: `$XDG_CACHE_HOME/j2a`, or `~/.cache/j2a`."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "j2a"
+
+
+def _pkg_config() -> tuple[list[str], str]:
+    """Compiler flags and version of simavr; the plain places when pkg-config is not installed."""
+    tool = shutil.which("pkg-config")
+    if tool:
+        found = subprocess.run(
+            [tool, "--cflags", "--libs", "simavr"], capture_output=True, text=True, check=False
+        )
+        version = subprocess.run(
+            [tool, "--modversion", "simavr"], capture_output=True, text=True, check=False
+        )
+        if found.returncode == 0 and version.returncode == 0:
+            return shlex.split(found.stdout), version.stdout.strip()
+    return ["-I/usr/include/simavr", "-I/usr/local/include/simavr", "-lsimavr"], "unknown"
+
+
+def _header_stamp(flags: list[str]) -> str:
+    """Contents of the headers whose structures the shim was compiled with."""
+    places = [flag[2:] for flag in flags if flag.startswith("-I")]
+    stamps = []
+    for place in places:
+        header = Path(place) / "sim_avr.h"
+        if header.is_file():
+            stamps.append(hashlib.sha256(header.read_bytes()).hexdigest())
+            stamps.append(hashlib.sha256((header.parent / "avr_uart.h").read_bytes()).hexdigest())
+    if not stamps:
+        raise ToolMissing(f"simavr's header sim_avr.h is not installed; {_PACKAGES}")
+    return "".join(stamps)
+
+
+def build() -> Path:
+    """Compile the shim unless an up-to-date one is cached.
+
+    Returns:
+        The path of the shared library.
+
+    Raises:
+        ToolMissing: no compiler, or no simavr development files.
+        SimError: the compiler failed for another reason; its messages are in the text.
+    """
+    compiler = shlex.split(os.environ.get("CC", "")) or ["cc"]
+    command = [*compiler, "-std=gnu11", "-O2", "-shared", "-fPIC"]
+    flags, version = _pkg_config()
+    digest = hashlib.sha256(repr((command, flags, version, platform.machine())).encode())
+    digest.update(_header_stamp(flags).encode())
+    for name in _SOURCES:
+        digest.update((_HERE / name).read_bytes())
+    target = cache_directory() / f"simavr-shim-{digest.hexdigest()[:24]}.so"
+    if target.is_file():
+        return target
+    if shutil.which(compiler[0]) is None:
+        raise ToolMissing(f"no C compiler {compiler[0]!r} to build the simulator; {_PACKAGES}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        workplace = tempfile.TemporaryDirectory(prefix="build-", dir=target.parent)
+    except OSError as error:
+        raise SimError(
+            f"cannot write to {target.parent}: {error.strerror}; set XDG_CACHE_HOME"
+        ) from None
+    with workplace as folder:
+        made = Path(folder) / target.name
+        sources = [str(_HERE / name) for name in _SOURCES if name.endswith(".c")]
+        result = subprocess.run(
+            [*command, *sources, *flags, "-lm", "-o", str(made)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if result.returncode:
+            missing = "sim_avr.h" in result.stderr or "-lsimavr" in result.stderr
+            kind = ToolMissing if missing else SimError
+            hint = f"; {_PACKAGES}" if missing else ""
+            raise kind(f"cannot compile the simulator's shim{hint}:\n{result.stderr.strip()}")
+        made.replace(target)
+    return target
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """Load the shim, compiling it when needed.
+
+    Returns:
+        The library with argument and result types set.
+
+    Raises:
+        ToolMissing: no compiler, or no simavr.
+        SimError: it does not compile or load.
+    """
+    path = build()
+    try:
+        lib = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise SimError(f"cannot load the simulator's shim {path}: {error}; {_PACKAGES}") from None
+    pointer, u8, u32, u64 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint32, ctypes.c_uint64
+    u8s, u64s = ctypes.POINTER(u8), ctypes.POINTER(u64)
+    text = ctypes.c_char_p
+    types: dict[str, tuple[object, list[object]]] = {
+        "sim_new": (
+            pointer,
+            [text, u32, ctypes.c_char, ctypes.c_double, text, u32, u32, text, ctypes.c_size_t],
+        ),
+        "sim_free": (None, [pointer]),
+        "sim_reset": (None, [pointer]),
+        "sim_run": (ctypes.c_int, [pointer, u64, ctypes.c_int]),
+        "sim_cycle": (u64, [pointer]),
+        "sim_pc": (u32, [pointer]),
+        "sim_illegal": (ctypes.c_int, [pointer]),
+        "sim_spans_on": (ctypes.c_int, [pointer]),
+        "sim_data": (pointer, [pointer]),
+        "sim_data_size": (u32, [pointer]),
+        "sim_log": (text, [pointer]),
+        "sim_feed": (ctypes.c_int, [pointer, text, u32]),
+        "sim_bit_cycles": (ctypes.c_double, [pointer]),
+        "sim_char_bits": (ctypes.c_uint, [pointer]),
+        "sim_receiver_on": (ctypes.c_int, [pointer]),
+        "sim_counters": (None, [pointer, u64s]),
+        "sim_out_count": (u32, [pointer]),
+        "sim_span_count": (u32, [pointer]),
+        "sim_take_out": (None, [pointer, u32, u8s, u64s]),
+        "sim_take_spans": (None, [pointer, u8s, u64s, u64s]),
+    }
+    for name, (result, arguments) in types.items():
+        function = getattr(lib, name)
+        function.restype = result
+        function.argtypes = arguments
+    return lib

@@ -1,0 +1,280 @@
+/* The C half of j2a.sim: one simulated AVR behind a few plain functions, called by ctypes.
+ *
+ * In:  a flash image, bytes for the UART, a number of cycles to run.
+ * Out: bytes of the UART with the cycle of their arrival, cycle spans, what simavr logs.
+ * Nothing is printed, no signal is touched, no wall clock is read. One thread at a time may use a
+ * sim_t; different ones are independent.
+ *
+ * Compiled on the user's machine and linked with the libsimavr found there (see _build.py).
+ */
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "sim_avr.h"
+#include "sim_core.h"
+#include "usart.h"
+
+enum { STOP_OUTPUT = 1, STOP_SPAN = 2 };                     /* what sim_run may stop for */
+enum { LOG_SIZE = 8192, GPIOR0 = 0x3e };
+
+typedef struct { uint64_t cycle; uint8_t byte, framing_error; } out_t;
+typedef struct { uint64_t start, cycles; uint8_t mark; } span_t;
+
+typedef struct {
+    avr_t *avr;
+    usart_t usart;
+    int stop_mask, stopped;
+    out_t *out;
+    uint32_t out_count, out_size;
+    span_t *spans;
+    uint32_t span_count, span_size;
+    uint64_t span_start;
+    uint8_t span_mark, spans_on, illegal;
+    uint32_t illegal_pc;
+    char log[LOG_SIZE];
+    uint32_t log_length;
+} sim_t;
+
+/* ---- simavr's log ---- */
+
+static _Thread_local char early_log[512]; /* messages that name no AVR, for sim_new's error */
+
+static void log_message(struct avr_t *avr, const int level, const char *text, va_list arguments)
+{
+    char line[256];
+    if (level > LOG_WARNING)
+        return;
+    vsnprintf(line, sizeof line, text, arguments);
+    sim_t *s = avr ? avr->custom.data : NULL;
+    if (!s) {
+        snprintf(early_log, sizeof early_log, "%s", line);
+        return;
+    }
+    if (strstr(line, "Invalid Opcode")) {
+        s->illegal = 1;
+        s->illegal_pc = avr->pc;
+        s->stopped = 1;
+        avr->run_cycle_count = 0;
+    }
+    size_t length = strlen(line);
+    if (s->log_length + length < LOG_SIZE) { /* the first messages tell the cause */
+        memcpy(s->log + s->log_length, line, length);
+        s->log_length += length;
+    }
+}
+
+static void no_sleep(avr_t *avr, avr_cycle_count_t cycles)
+{
+    (void)avr; /* a sleeping core only skips simulated time */
+    (void)cycles;
+}
+
+/* ---- what the firmware does ---- */
+
+static void *grown(void *items, uint32_t count, uint32_t *size, size_t item)
+{
+    if (count < *size)
+        return items;
+    *size = *size ? 2 * *size : 256;
+    items = realloc(items, *size * item);
+    if (!items)
+        abort(); /* a simulation that silently lost bytes would be worse */
+    return items;
+}
+
+static void stop_for(sim_t *s, int reason)
+{
+    if (s->stop_mask & reason) {
+        s->stopped = 1;
+        s->avr->run_cycle_count = 0; /* leaves the core's inner loop after this instruction */
+    }
+}
+
+static void on_byte(void *param, uint8_t byte, int framing_error)
+{
+    sim_t *s = param;
+    s->out = grown(s->out, s->out_count, &s->out_size, sizeof *s->out);
+    s->out[s->out_count++] = (out_t){s->avr->cycle, byte, (uint8_t)framing_error};
+    stop_for(s, STOP_OUTPUT);
+}
+
+static void on_mark(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    sim_t *s = param;
+    avr->data[address] = value;
+    if (s->span_mark) {
+        s->spans = grown(s->spans, s->span_count, &s->span_size, sizeof *s->spans);
+        s->spans[s->span_count++] =
+            (span_t){s->span_start, avr->cycle - s->span_start, s->span_mark};
+        stop_for(s, STOP_SPAN);
+    }
+    s->span_mark = value;
+    s->span_start = avr->cycle;
+}
+
+/* ---- life ---- */
+
+static avr_uart_t *find_uart(avr_t *avr, char name)
+{
+    for (avr_io_t *io = avr->io_port; io; io = io->next)
+        if (io->kind && !strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == name)
+            return (avr_uart_t *)io;
+    return NULL;
+}
+
+void sim_free(sim_t *s)
+{
+    if (!s)
+        return;
+    if (s->avr) {
+        if (s->avr->data)
+            avr_terminate(s->avr);
+        free(s->avr);
+    }
+    free(s->usart.queue);
+    free(s->out);
+    free(s->spans);
+    free(s);
+}
+
+static sim_t *failed(sim_t *s, char *error, size_t size, const char *text)
+{
+    snprintf(error, size, "%s%s%s", text, early_log[0] ? ": " : "", early_log);
+    sim_free(s);
+    return NULL;
+}
+
+/* Returns NULL with a text in `error` when the MCU is unknown, too small or without that UART. */
+sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bit, uint8_t *flash,
+               uint32_t flash_size, uint32_t ram_end, char *error, size_t error_size)
+{
+    avr_global_logger_set(log_message);
+    early_log[0] = 0;
+    sim_t *s = calloc(1, sizeof *s);
+    if (!s)
+        return failed(NULL, error, error_size, "out of memory");
+    s->avr = avr_make_mcu_by_name(mcu);
+    if (!s->avr)
+        return failed(s, error, error_size, "simavr does not know this MCU");
+    avr_t *avr = s->avr;
+    char text[128];
+    if (flash_size > avr->flashend + 1 || ram_end > avr->ramend + 1u) {
+        snprintf(text, sizeof text, "the program needs %u bytes of flash and RAM up to 0x%x, "
+                 "the MCU has %u and 0x%x", flash_size, ram_end, avr->flashend + 1,
+                 avr->ramend + 1u);
+        free(avr);
+        s->avr = NULL;
+        return failed(s, error, error_size, text);
+    }
+    avr_init(avr);
+    avr->custom.data = s;
+    avr->log = LOG_WARNING;
+    avr->frequency = frequency_hz;
+    avr->sleep = no_sleep;
+    avr->run_cycle_limit = frequency_hz / 100;
+    avr_loadcode(avr, flash, flash_size, 0);
+    avr->codeend = flash_size;
+
+    avr_uart_t *port = find_uart(avr, uart);
+    if (!port)
+        return failed(s, error, error_size, "the MCU has no such UART");
+    s->usart.host_bit = host_bit;
+    s->usart.on_byte = on_byte;
+    s->usart.param = s;
+    if (usart_attach(&s->usart, avr, port))
+        return failed(s, error, error_size, "this MCU's kind of UART is not modelled");
+    if (!avr->io[AVR_DATA_TO_IO(GPIOR0)].w.c) { /* else another register lives there */
+        avr_register_io_write(avr, GPIOR0, on_mark, s);
+        s->spans_on = 1;
+    }
+    return s;
+}
+
+void sim_reset(sim_t *s)
+{
+    s->illegal = 0;
+    s->span_mark = 0;
+    avr_reset(s->avr);
+    s->avr->state = cpu_Running;
+}
+
+static avr_cycle_count_t end_of_run(avr_t *avr, avr_cycle_count_t when, void *param)
+{
+    (void)avr;
+    (void)when;
+    ((sim_t *)param)->stopped = 1;
+    return 0;
+}
+
+/* Runs `cycles` cycles, or less if one of the `stop_mask` events comes; returns simavr's state. */
+int sim_run(sim_t *s, uint64_t cycles, int stop_mask)
+{
+    avr_t *avr = s->avr;
+    uint64_t end = avr->cycle + cycles;
+    int state = avr->state;
+    if (!cycles || s->illegal)
+        return state;
+    s->stop_mask = stop_mask;
+    s->stopped = 0;
+    /* Without this timer a sleeping core would skip to its next event, however late. */
+    avr_cycle_timer_register(avr, cycles, end_of_run, s);
+    while (!s->stopped && avr->cycle < end) {
+        state = avr_run(avr);
+        if (state == cpu_Done || state == cpu_Crashed)
+            break;
+    }
+    avr_cycle_timer_cancel(avr, end_of_run, s);
+    return state;
+}
+
+/* ---- what the host sees ---- */
+
+uint64_t sim_cycle(const sim_t *s) { return s->avr->cycle; }
+uint32_t sim_pc(const sim_t *s) { return s->illegal ? s->illegal_pc : s->avr->pc; }
+int sim_illegal(const sim_t *s) { return s->illegal; }
+int sim_spans_on(const sim_t *s) { return s->spans_on; }
+uint8_t *sim_data(const sim_t *s) { return s->avr->data; }
+uint32_t sim_data_size(const sim_t *s) { return s->avr->ramend + 1u; }
+const char *sim_log(const sim_t *s) { return s->log; }
+
+int sim_feed(sim_t *s, const uint8_t *data, uint32_t n) { return usart_feed(&s->usart, data, n); }
+double sim_bit_cycles(const sim_t *s) { return usart_bit_cycles(&s->usart); }
+unsigned sim_char_bits(const sim_t *s) { return usart_char_bits(&s->usart); }
+int sim_receiver_on(const sim_t *s) { return usart_receiver_on(&s->usart); }
+
+/* Copies the counters in the order of _build.COUNTERS. */
+void sim_counters(const sim_t *s, uint64_t *to)
+{
+    const usart_t *u = &s->usart;
+    uint64_t all[] = {u->bytes_in, u->bytes_out, u->overruns, u->unheard, u->rx_framing_errors,
+                      u->tx_framing_errors, u->tx_ignored, u->queue_count};
+    memcpy(to, all, sizeof all);
+}
+
+uint32_t sim_out_count(const sim_t *s) { return s->out_count; }
+uint32_t sim_span_count(const sim_t *s) { return s->span_count; }
+
+/* Takes the first `n` received bytes away. */
+void sim_take_out(sim_t *s, uint32_t n, uint8_t *bytes, uint64_t *cycles)
+{
+    for (uint32_t i = 0; i < n; i++) {
+        bytes[i] = s->out[i].byte;
+        if (cycles)
+            cycles[i] = s->out[i].cycle;
+    }
+    s->out_count -= n;
+    memmove(s->out, s->out + n, s->out_count * sizeof *s->out);
+}
+
+/* Takes all closed spans away; the arrays hold sim_span_count() items. */
+void sim_take_spans(sim_t *s, uint8_t *marks, uint64_t *starts, uint64_t *cycles)
+{
+    for (uint32_t i = 0; i < s->span_count; i++) {
+        marks[i] = s->spans[i].mark;
+        starts[i] = s->spans[i].start;
+        cycles[i] = s->spans[i].cycles;
+    }
+    s->span_count = 0;
+}
