@@ -1,0 +1,67 @@
+/* What an application uses. Requests of the host come in through j2a_task(), which calls the
+ * application's functions (listed in its functions.def) and sends what they leave behind.
+ * Rules: one context calls j2a_task() and j2a_send_sif(); functions run to their end, and do not
+ * call j2a_task() themselves. */
+#ifndef J2A_H
+#define J2A_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "j2a_options.h"
+#include "j2a_port.h"
+#include "j2a_progmem.h"
+
+/* A function of kind "call", J2A_CALL(name, function) in functions.def.
+ * length: in the bytes of the request's payload, out those of the reply's, 0..255.
+ * payload: where they are. The reply may be written over the request (255 bytes of room), or
+ * *payload may be pointed at memory that stays valid after the return.
+ * Returns the return value, 0x00..J2A_RET_MAX, or J2A_RET_FAILED; anything else is sent as
+ * J2A_RET_FAILED. */
+typedef uint8_t j2a_call_fn(uint8_t *const length, uint8_t **const payload);
+
+/* A function of kind "many", J2A_MANY(name, function) in functions.def, called once for each chunk.
+ * is_last: in the host's mark of the last chunk, out the same for the reply.
+ * is_write: the host writes *length bytes at *offset; else it reads from *offset, any number up to
+ * J2A_MANY_DATA.
+ * offset: bytes from the start of the data; what is left here goes back to the host.
+ * length, data: as for a call, with at most J2A_MANY_DATA bytes; *data may be pointed at memory
+ * outside the request.
+ * Returns as a call does. */
+typedef uint8_t j2a_many_fn(bool *is_last, bool is_write, uint32_t *const offset,
+                            uint8_t *const length, uint8_t **const data);
+
+/* Receives and answers: j2a_poll(), then j2a_process(). Called in each turn of the main loop, at
+ * least every 5 ms while frames arrive, or byte timeouts come late. */
+void j2a_task(void);
+
+/* The first half of j2a_task(): takes received bytes from the port, and watches the byte timeout. */
+void j2a_poll(void);
+
+/* The second half: calls the function that a complete frame asks for and sends the reply, or
+ * sends the pending error frame. */
+void j2a_process(void);
+
+#if J2A_WITH_SIF
+/* Sends a server-initiated frame, opcode 0..255, length 0..255 bytes of payload. From within a
+ * function it goes out at once, before the reply. Returns true when it was sent and false when a
+ * frame is just being sent (the caller is an interrupt): try again later. */
+bool j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
+#endif
+
+/* Adds text (NUL-terminated, in RAM) to what a2jDebug gives the host. What does not fit is dropped
+ * and reported to the host as lost. */
+#if J2A_WITH_DEBUG
+void j2a_debug(const char *text);
+#else
+#define j2a_debug(text) ((void)(text))
+#endif
+
+/* Little-endian numbers of the payload. */
+uint32_t j2a_get_u32(const uint8_t *bytes);
+void j2a_put_u32(uint8_t *bytes, uint32_t value);
+
+/* The application implements: its share of the main loop; must return soon. */
+void j2a_app_task(void);
+
+#endif

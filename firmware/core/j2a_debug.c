@@ -1,0 +1,39 @@
+/* Debug text: the application's text flows into a ring, the host takes it out with a2jDebug.
+ * Rule: text that does not fit is dropped, and the host is told. */
+#include "j2a_internal.h"
+
+#if J2A_WITH_DEBUG
+
+enum { MORE = 1, LOST = 2 }; /* bits of the return value of a2jDebug */
+
+static char ring[J2A_DEBUGBUF];
+static uint16_t first, used;
+static bool lost;
+
+void j2a_debug(const char *text) {
+    for (; *text; text++) {
+        if (used == J2A_DEBUGBUF) {
+            lost = true;
+            return;
+        }
+        ring[(first + used) % J2A_DEBUGBUF] = *text;
+        used++;
+    }
+}
+
+uint8_t j2a_get_debug(uint8_t *const length, uint8_t **const payload) {
+    uint8_t n = 0;
+    uint8_t code = lost ? LOST : 0;
+    lost = false;
+    while (used != 0 && n < J2A_MAX_PAYLOAD) {
+        (*payload)[n++] = (uint8_t)ring[first];
+        first = (uint16_t)((first + 1) % J2A_DEBUGBUF);
+        used--;
+    }
+    if (used != 0)
+        code |= MORE;
+    *length = n;
+    return code;
+}
+
+#endif

@@ -1,0 +1,42 @@
+/* What the files of the core share. */
+#ifndef J2A_INTERNAL_H
+#define J2A_INTERNAL_H
+
+#include "j2a_table.h"
+
+/* What waits for j2a_process(): nothing, a frame, or the error code to be sent (0xF0 and up). */
+enum { J2A_EVENT_NONE, J2A_EVENT_FRAME };
+
+/* The parser's state; bytes are refused while an event waits, so the frame stays as it is. */
+typedef struct {
+    volatile uint8_t event;
+    uint8_t site;        /* of the error, for its payload */
+    volatile bool fed;   /* a byte came since j2a_poll() last looked */
+    uint8_t state;       /* what the next byte is */
+    bool escaped;        /* the last byte was ESC */
+    uint8_t checksum;    /* over the bytes so far */
+    uint8_t count;       /* payload bytes so far */
+    uint8_t seq;
+    uint8_t opcode;
+    uint8_t length;
+    uint8_t payload[J2A_MAX_PAYLOAD];
+} j2a_rx_t;
+extern j2a_rx_t j2a_rx;
+
+/* Is a frame being received? */
+bool j2a_rx_busy(void);
+
+/* Ends a frame whose next byte did not come. */
+void j2a_rx_timeout(void);
+
+/* Sends one frame. start: J2A_SOF or J2A_SOS. */
+void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload);
+
+/* Looks an opcode up. Returns 0 and the function when it is of this kind (a call may be the
+ * router), else the site for the error payload. */
+uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function);
+
+/* Makes an error reply: writes the site into the payload. Returns code. */
+uint8_t j2a_error(uint8_t code, uint8_t site, uint8_t *length, uint8_t *payload);
+
+#endif

@@ -1,0 +1,46 @@
+/* Build options of the firmware. Each is a -D of the compiler; the Makefile passes them
+ * (OPTIONS="-DJ2A_WITH_SIF=0", RXBUF=64, TXBUF=16). Rules: 1 is on and 0 is off, so that a misspelt
+ * name cannot switch anything; every object file of one image sees the same values. */
+#ifndef J2A_OPTIONS_H
+#define J2A_OPTIONS_H
+
+#include "j2a_const.h"
+
+/* Function map: a2jGetMapping and the names in flash. Off: opcode 0 is answered with 0xF0. */
+#ifndef J2A_WITH_MAPPING
+#define J2A_WITH_MAPPING 1
+#endif
+
+/* Properties: a2jGetProperties. Off: the opcodes after it move down by one. */
+#ifndef J2A_WITH_PROPERTIES
+#define J2A_WITH_PROPERTIES 1
+#endif
+
+/* Server-initiated frames: j2a_send_sif(). Off: it is not declared. */
+#ifndef J2A_WITH_SIF
+#define J2A_WITH_SIF 1
+#endif
+
+/* Debug text: a2jDebug and j2a_debug(). Off: the opcodes after it move down by one, j2a_debug()
+ * does nothing. Costs J2A_DEBUGBUF + 5 bytes of RAM. */
+#ifndef J2A_WITH_DEBUG
+#define J2A_WITH_DEBUG 1
+#endif
+
+/* Bytes of debug text kept until the host takes them, 1..32767. */
+#ifndef J2A_DEBUGBUF
+#define J2A_DEBUGBUF 64
+#endif
+
+/* Received bytes that a port holds while a function runs; the property j2a.rxbuf announces this
+ * number. On avr-serial 1..255, and it costs J2A_RXBUF + 1 bytes of RAM. */
+#ifndef J2A_RXBUF
+#define J2A_RXBUF 32
+#endif
+
+/* Bytes that a port holds until they are sent. On avr-serial 1..255, costs J2A_TXBUF + 1 bytes. */
+#ifndef J2A_TXBUF
+#define J2A_TXBUF 8
+#endif
+
+#endif

@@ -1,0 +1,52 @@
+/* THE contract between the core and a port: link-time functions, no pointers to register.
+ * Bytes of the link flow in through j2a_port_rx() (or are pushed with j2a_rx_byte()) and flow out
+ * through j2a_port_tx(). Rules: the core calls these only from j2a_poll(), j2a_process() and
+ * j2a_send_sif(), so from the one context in which the application calls those. */
+#ifndef J2A_PORT_H
+#define J2A_PORT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "j2a_options.h"
+
+/* ------------------------------------------------------------------ the port implements ------ */
+
+/* Gives J2A_TICKS_PER_MS: ticks of j2a_port_ticks() in a millisecond, at most 3000, so that the
+ * byte timeout fits into 16 bits. */
+#include "j2a_port_config.h"
+
+/* Sets the link and the clocks up. A port without a command line ignores the arguments. */
+void j2a_port_init(int argc, char **argv);
+
+/* Takes the oldest received byte. Returns false when there is none. Never waits. Before it first
+ * returns a byte that arrived after a loss, it calls j2a_rx_lost(). */
+bool j2a_port_rx(uint8_t *byte);
+
+/* Sends one byte; waits while the transmit buffer is full. */
+void j2a_port_tx(uint8_t byte);
+
+/* Time in ticks, free-running, wrapping at 65536. */
+uint16_t j2a_port_ticks(void);
+
+/* Time since the start in microseconds, monotonic, without steps. */
+uint64_t j2a_port_time_us(void);
+
+/* Times that received bytes were lost because the device was too slow, since the start. */
+uint16_t j2a_port_overruns(void);
+
+/* Called in each turn of the main loop: may sleep for about a millisecond when nothing has been
+ * received, may end the program where programs end. */
+void j2a_port_idle(void);
+
+/* ------------------------------------------------------------------ the port calls ----------- */
+
+/* Pushes one received byte into the parser. Never waits and sends nothing, so any context will do
+ * as long as it is always the same one. Returns false, and takes no byte, while a frame or an error
+ * waits for j2a_process(): offer the byte again later, or drop it and call j2a_rx_lost(). */
+bool j2a_rx_byte(uint8_t byte);
+
+/* Says that bytes were lost between the last byte pushed and the next one. */
+void j2a_rx_lost(void);
+
+#endif

@@ -1,0 +1,22 @@
+/* Constants in flash. In: the address of an object declared J2A_FLASH. Out: its bytes. On a
+ * Harvard machine (AVR) such objects need their own load instruction; elsewhere they are plain
+ * constants. */
+#ifndef J2A_PROGMEM_H
+#define J2A_PROGMEM_H
+
+#include <stdint.h>
+
+#ifdef __AVR__
+#include <avr/pgmspace.h>
+#define J2A_FLASH PROGMEM
+#define j2a_flash_u8(address) pgm_read_byte(address)
+#define j2a_flash_pointer(address) ((const char *)pgm_read_word(address))
+#define j2a_flash_function(address) ((void (*)(void))pgm_read_word(address))
+#else
+#define J2A_FLASH
+#define j2a_flash_u8(address) (*(const uint8_t *)(address))
+#define j2a_flash_pointer(address) (*(address))
+#define j2a_flash_function(address) (*(address))
+#endif
+
+#endif

@@ -1,0 +1,48 @@
+/* Builds the function table and the properties of an application from its functions.def and
+ * properties.def, lists of
+ *   J2A_CALL(name on the wire, C function)     J2A_MANY(name on the wire, C function)
+ *   J2A_PROPERTY("key", "value") */
+#include "j2a_table.h"
+
+#define J2A_CALL(name, function) j2a_call_fn function;
+#define J2A_MANY(name, function) j2a_many_fn function;
+#include "functions.def"
+#undef J2A_CALL
+#undef J2A_MANY
+
+#if J2A_WITH_MAPPING
+/* The map must fit into one frame: a negative array size stops the build when it does not. */
+#define J2A_CALL(name, function) + sizeof #name
+#define J2A_MANY(name, function) + sizeof #name
+typedef char j2a_names_longer_than_255_bytes[
+    sizeof "a2jGetMapping" + sizeof "a2jMany" + sizeof "a2jEcho" + sizeof "a2jEchoMany"
+    + (J2A_WITH_PROPERTIES ? sizeof "a2jGetProperties" : 0) + (J2A_WITH_DEBUG ? sizeof "a2jDebug" : 0)
+#include "functions.def"
+    <= J2A_MAX_PAYLOAD ? 1 : -1];
+#undef J2A_CALL
+#undef J2A_MANY
+#endif
+
+J2A_BUILTIN_NAMES
+#define J2A_CALL(name, function) J2A_NAME(function, #name)
+#define J2A_MANY(name, function) J2A_NAME(function, #name)
+#include "functions.def"
+#undef J2A_CALL
+#undef J2A_MANY
+
+const j2a_entry J2A_FLASH j2a_functions[] = {
+    J2A_BUILTIN_ENTRIES
+#define J2A_CALL(name, function) , J2A_ENTRY(function, J2A_KIND_CALL)
+#define J2A_MANY(name, function) , J2A_ENTRY(function, J2A_KIND_MANY)
+#include "functions.def"
+};
+const uint8_t J2A_FLASH j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0];
+
+#if J2A_WITH_PROPERTIES
+#define J2A_TEXT_(value) #value
+#define J2A_TEXT(value) J2A_TEXT_(value)
+#define J2A_PROPERTY(key, value) key "\0" value "\0"
+const unsigned char J2A_FLASH j2a_properties[] =
+#include "properties.def"
+    "";
+#endif

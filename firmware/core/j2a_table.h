@@ -1,0 +1,78 @@
+/* The function table in flash: one entry for each opcode, built-ins first. It is built from
+ * functions.def by j2a_table.c, or by the macros of a2j.h. The order of the built-ins is the
+ * protocol's; an option that is off moves the later ones down, except that opcode 0 stays reserved. */
+#ifndef J2A_TABLE_H
+#define J2A_TABLE_H
+
+#include "j2a.h"
+
+enum {
+    J2A_KIND_CALL,
+    J2A_KIND_MANY,
+    J2A_KIND_ROUTER, /* a2jMany: a call that may return error codes of the protocol */
+    J2A_KIND_NONE    /* opcode 0 without the map */
+};
+
+/* C99 allows no other common type for both kinds of functions; they are cast back before use. */
+typedef void (*j2a_function)(void);
+
+typedef struct {
+    j2a_function function;
+#if J2A_WITH_MAPPING
+    const char *name;
+#endif
+    uint8_t kind;
+} j2a_entry;
+
+extern const j2a_entry j2a_functions[];
+extern const uint8_t j2a_function_count;
+
+/* key NUL value NUL ..., and one more NUL (an empty key) at the end */
+extern const unsigned char j2a_properties[];
+
+j2a_call_fn j2a_get_mapping, j2a_many, j2a_get_debug, j2a_echo;
+j2a_many_fn j2a_get_properties, j2a_echo_many;
+
+#if J2A_WITH_MAPPING
+#define J2A_NAME(function, text) static const char J2A_FLASH function##_map[] = text;
+#define J2A_ENTRY(function, kind) {(j2a_function)(function), function##_map, kind}
+#define J2A_ENTRY_0 J2A_ENTRY(j2a_get_mapping, J2A_KIND_CALL)
+#else
+#define J2A_NAME(function, text)
+#define J2A_ENTRY(function, kind) {(j2a_function)(function), kind}
+#define J2A_ENTRY_0 {0, J2A_KIND_NONE}
+#endif
+
+#if J2A_WITH_PROPERTIES
+#define J2A_NAME_PROPERTIES J2A_NAME(j2a_get_properties, "a2jGetProperties")
+#define J2A_ENTRY_PROPERTIES , J2A_ENTRY(j2a_get_properties, J2A_KIND_MANY)
+#else
+#define J2A_NAME_PROPERTIES
+#define J2A_ENTRY_PROPERTIES
+#endif
+
+#if J2A_WITH_DEBUG
+#define J2A_NAME_DEBUG J2A_NAME(j2a_get_debug, "a2jDebug")
+#define J2A_ENTRY_DEBUG , J2A_ENTRY(j2a_get_debug, J2A_KIND_CALL)
+#else
+#define J2A_NAME_DEBUG
+#define J2A_ENTRY_DEBUG
+#endif
+
+#define J2A_BUILTIN_NAMES \
+    J2A_NAME(j2a_get_mapping, "a2jGetMapping") \
+    J2A_NAME(j2a_many, "a2jMany") \
+    J2A_NAME_PROPERTIES \
+    J2A_NAME_DEBUG \
+    J2A_NAME(j2a_echo, "a2jEcho") \
+    J2A_NAME(j2a_echo_many, "a2jEchoMany")
+
+#define J2A_BUILTIN_ENTRIES \
+    J2A_ENTRY_0, \
+    J2A_ENTRY(j2a_many, J2A_KIND_ROUTER) \
+    J2A_ENTRY_PROPERTIES \
+    J2A_ENTRY_DEBUG, \
+    J2A_ENTRY(j2a_echo, J2A_KIND_CALL), \
+    J2A_ENTRY(j2a_echo_many, J2A_KIND_MANY)
+
+#endif

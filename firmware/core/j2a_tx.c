@@ -1,0 +1,44 @@
+/* The sender. A frame flows in as its fields, out go its wire bytes through j2a_port_tx().
+ * Rule: one frame at a time, whole. */
+#include "j2a_internal.h"
+
+#if J2A_WITH_SIF
+static volatile bool sending;
+#endif
+
+static uint8_t put(uint8_t byte) {
+    uint8_t wire = byte;
+    if (byte == J2A_SOF || byte == J2A_SOS || byte == J2A_ESC) {
+        j2a_port_tx(J2A_ESC);
+        wire--;
+    }
+    j2a_port_tx(wire);
+    return byte;
+}
+
+void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload) {
+    uint8_t checksum;
+#if J2A_WITH_SIF
+    sending = true;
+#endif
+    j2a_port_tx(start);
+    checksum = put(seq);
+    checksum ^= (uint8_t)(put(opcode) + J2A_CHK_OPCODE);
+    checksum ^= (uint8_t)(put(length) + J2A_CHK_LENGTH);
+    while (length--)
+        checksum ^= put(*payload++);
+    put(checksum);
+#if J2A_WITH_SIF
+    sending = false;
+#endif
+}
+
+#if J2A_WITH_SIF
+bool j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
+    static uint8_t seq;
+    if (sending)
+        return false;
+    j2a_send(J2A_SOS, seq++, opcode, length, payload);
+    return true;
+}
+#endif
