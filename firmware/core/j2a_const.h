@@ -5,7 +5,7 @@
 /* Framing */
 #define J2A_SOF 0x12u /* starts a request and a reply */
 #define J2A_SOS 0xEDu /* starts a server-initiated frame (SIF) */
-#define J2A_ESC 0x7Du /* escape: the byte that follows is sent one too small */
+#define J2A_ESC 0x7Du /* escape: the byte after it is sent as its value minus one */
 #define J2A_CHK_OPCODE 11u /* added to the opcode in the checksum */
 #define J2A_CHK_LENGTH 97u /* added to the length in the checksum */
 

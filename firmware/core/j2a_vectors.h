@@ -2181,7 +2181,7 @@
     "\x12\x41\x05\x04\x12\x61\x62\x63" \
   )
 
-/* Each row: name, the frame as start, seq, opcode, length, payload, and its wire bytes. */
+/* Each row: name, frame as start, seq, opcode, length, payload, and its wire bytes. */
 #define J2A_ENCODE_VECTORS(X) \
   X("frame-001", 8, \
     "\x12\x02\x11\x04\x12\x12\x13\x7d" \

@@ -98,7 +98,7 @@ TABLE: Final = (
         "Framing",
         ("SOF", SOF, "starts a request and a reply"),
         ("SOS", SOS, "starts a server-initiated frame (SIF)"),
-        ("ESC", ESC, "escape: the byte that follows is sent one too small"),
+        ("ESC", ESC, "escape: the byte after it is sent as its value minus one"),
         ("CHK_OPCODE", CHK_OPCODE, "added to the opcode in the checksum"),
         ("CHK_LENGTH", CHK_LENGTH, "added to the length in the checksum"),
     ),

@@ -1,0 +1,35 @@
+"""The generator: writes every file that repeats a fact of this package, or checks it.
+
+What flows in: constants, grammars, requirements and the cases in `frames.py`, `streams.py`,
+`payloads.py` and `scenarios.py`. What flows out: a mapping from path to text. Rules: outputs are a
+function of this package alone, so two runs on two machines give the same bytes; each generated
+file says so in its first lines.
+"""
+
+from pathlib import Path
+
+from j2a_spec.generate import c_files, spec_text, vector_files
+
+__all__ = ["outputs", "stale"]
+
+
+def outputs(root: Path) -> dict[Path, str]:
+    """Return the text of every generated file below the repository's `root`."""
+    vectors = vector_files.outputs()
+    return {
+        **{root / path: text for path, text in vectors.items()},
+        root / "firmware/core/j2a_const.h": c_files.constants(),
+        root / "firmware/core/j2a_vectors.h": c_files.vectors(),
+        root / "spec/SPEC.md": spec_text.fill(
+            (root / "spec/SPEC.md").read_text("utf-8"),
+        ),
+    }
+
+
+def stale(root: Path) -> list[Path]:
+    """Return the generated files below `root` that are missing or differ from what they are due."""
+    return [
+        path
+        for path, text in outputs(root).items()
+        if not path.exists() or path.read_text("utf-8") != text
+    ]

@@ -1,0 +1,124 @@
+"""Payload vectors: bytes that each payload grammar takes or refuses, with their meaning."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from j2a_spec import constants as c
+from j2a_spec.grammar import GRAMMARS
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadVector:
+    """The payload of a frame, or all that a transfer carried.
+
+    Attributes:
+        id: stable name.
+        comment: what is special.
+        requirements: ids that it exercises.
+        grammar: name in `j2a_spec.grammar.GRAMMARS`.
+        data: the bytes.
+        value: plain JSON value that the bytes mean, None when they are invalid.
+        canonical: whether building `value` gives exactly `data`.
+    """
+
+    id: str
+    comment: str
+    requirements: tuple[str, ...]
+    grammar: str
+    data: bytes
+    value: Any
+    canonical: bool = True
+
+
+def payload_vectors() -> list[PayloadVector]:
+    """Return every payload vector, in a fixed order."""
+    groups = (_errors(), _mappings(), _properties(), _many())
+    return [
+        PayloadVector(f"payload-{n:03}", comment, tuple(f"J2A-{i}" for i in ids.split()), *rest)
+        for n, (comment, ids, *rest) in enumerate((row for group in groups for row in group), 1)
+    ]
+
+
+_Row = tuple[Any, ...]
+
+
+def _built(comment: str, ids: str, grammar: str, value: Any) -> _Row:
+    return comment, ids, grammar, GRAMMARS[grammar].build(_to_construct(value)), value
+
+
+def _to_construct(value: Any) -> Any:
+    """Turn the hex string of `data` back into bytes."""
+    if isinstance(value, dict) and "data" in value:
+        return {**value, "data": bytes.fromhex(value["data"])}
+    return value
+
+
+def _invalid(comment: str, ids: str, grammar: str, data: bytes) -> _Row:
+    return comment, ids, grammar, data, None
+
+
+def _errors() -> Iterator[_Row]:
+    yield _built("site 1", "ERR-006", "error-payload", {"site": 1})
+    yield _built("site 0x7D12", "ERR-006 STUFF-005", "error-payload", {"site": 0x7D12})
+    yield _invalid("one byte", "ERR-006", "error-payload", b"\x01")
+    yield _invalid("three bytes", "ERR-006", "error-payload", b"\x01\x00\x00")
+
+
+def _mappings() -> Iterator[_Row]:
+    ids = "MAP-001 MAP-003"
+    full = list(c.BUILTINS)
+    yield _built("all built-in functions", ids + " DISP-006", "mapping", full)
+    small = [name for name in full if name not in c.OPTIONAL_BUILTINS or name == c.GET_MAPPING]
+    yield _built("without properties and debug", ids + " DISP-006", "mapping", small)
+    yield _built("with functions of an application", ids, "mapping", [*full, "getTime", "add"])
+    longest = [*full, "x" * (c.MAX_MAPPING - len(GRAMMARS["mapping"].build(full)) - 1)]
+    yield _built("the longest: 255 bytes", "MAP-001 MAP-002", "mapping", longest)
+    yield _invalid("last name without its NUL", ids, "mapping", b"a2jGetMapping\0a2jMany")
+    yield _invalid("an empty name", ids, "mapping", b"a2jGetMapping\0\0a2jEcho\0")
+    yield _invalid("not ASCII", ids, "mapping", b"a2jGetMapping\0\xff\0")
+
+
+def _properties() -> Iterator[_Row]:
+    ids = "PROP-001 PROP-002"
+    one = [{"key": "j2a.spec", "value": c.SPEC_VERSION}]
+    yield _built("the version only", ids + " PROP-004", "properties", one)
+    serial = {"key": "serial", "value": "0x012F0B04"}
+    macro = {"key": "MACRO", "value": "13"}
+    yield _built("the example of the thesis, listing 7.4", ids, "properties", [serial, macro])
+    yield _built("a value that is not ASCII", ids, "properties", [{"key": "unit", "value": "µs"}])
+    many = [{"key": f"key{n}", "value": f"value {n}" * 4} for n in range(20)]
+    yield _built("more than a chunk holds", ids, "properties", many)
+    yield _built("none", ids, "properties", [])
+    yield _invalid("a key without a value", ids, "properties", b"name\0")
+    yield _invalid("an empty value", ids, "properties", b"name\0\0")
+    yield _invalid("an empty key", ids, "properties", b"\0value\0")
+    yield _invalid("last value without its NUL", ids, "properties", b"name\0value")
+
+
+def _many() -> Iterator[_Row]:
+    none = {"is_last": False, "is_write": False}
+    last = {"is_last": True, "is_write": False}
+    write = {"is_last": False, "is_write": True}
+    both = {"is_last": True, "is_write": True}
+    for grammar, first, ids in (
+        ("many-request", "func", "MANY-001"),
+        ("many-reply", "code", "MANY-002"),
+    ):
+        empty = {first: 5, "flags": none, "offset": 0, "data": ""}
+        yield _built("header only", ids, grammar, empty)
+        yield _built("isLast", ids, grammar, {**empty, "flags": last, "data": "00"})
+        if grammar == "many-request":
+            yield _built("isWrite", ids, grammar, {**empty, "flags": write, "data": "12ed7d"})
+            yield _built("isWrite and isLast", ids, grammar, {**empty, "flags": both})
+        for offset in (1, 0x100, 0x10000, 0x1000000, 0x78563412, 0xFFFFFFFF, 0x12ED7D12):
+            comment = f"offset 0x{offset:08X}"
+            yield _built(comment, ids + " MANY-007", grammar, {**empty, "offset": offset})
+        full = {**empty, "offset": 249, "data": bytes(range(c.MANY_DATA)).hex()}
+        yield _built("the largest chunk", ids, grammar, full)
+        oddity = bytes((5, 0xFC | c.FLAG_LAST, 1, 0, 0, 0))
+        value = {**empty, "flags": last, "offset": 1}
+        yield "unknown flag bits", ids + " MANY-009", grammar, oddity, value, False
+        for length in range(c.MANY_HEADER):
+            comment = f"header of {length} bytes"
+            yield _invalid(comment, ids + " MANY-003", grammar, bytes(length))

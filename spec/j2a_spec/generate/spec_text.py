@@ -1,0 +1,60 @@
+"""SPEC.md: puts the texts of `requirements.toml` and the tables of constants into their places.
+
+A normative paragraph of SPEC.md starts with the id in bold and the generator writes all that
+follows in it. Between `<!-- table: NAME -->` and `<!-- end -->` it writes the table of that name.
+"""
+
+import re
+from itertools import groupby
+
+from j2a_spec import constants as c
+from j2a_spec.requirements import Requirement, load
+
+_PARAGRAPH = re.compile(r"^\*\*(J2A-[A-Z]+-\d{3})\*\*.*?(?=\n\n|\n?\Z)", re.MULTILINE | re.DOTALL)
+_TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def fill(text: str) -> str:
+    """Return SPEC.md with every normative paragraph and table written anew.
+
+    Raises:
+        ValueError: a requirement has no paragraph, several, or a paragraph no requirement, or they
+            stand in another order than in requirements.toml.
+    """
+    requirements = load()
+    ids = [match[1] for match in _PARAGRAPH.finditer(text)]
+    if ids != list(requirements):
+        missing = [name for name in requirements if name not in ids]
+        unknown = [name for name in ids if name not in requirements]
+        raise ValueError(
+            "SPEC.md and requirements.toml disagree: "
+            f"missing {missing}, unknown {unknown}, or another order"
+        )
+    text = _PARAGRAPH.sub(lambda match: _paragraph(requirements[match[1]]), text)
+    return _TABLE.sub(lambda match: match[1] + _tables()[match[2]] + match[3], text)
+
+
+def _paragraph(requirement: Requirement) -> str:
+    note = f" *(Not observable: {requirement.exception})*" if requirement.exception else ""
+    return f"**{requirement.id}** ({requirement.role}) {requirement.text}{note}"
+
+
+def _tables() -> dict[str, str]:
+    return {"constants": _constants(), "requirements": _requirements()}
+
+
+def _constants() -> str:
+    blocks = []
+    for group, rows in groupby(c.TABLE, key=lambda row: row.group):
+        lines = [f"| {group} | value | meaning |", "|---|---|---|"]
+        for row in rows:
+            number = f"{row.value} (0x{row.value:02X})" if row.value <= 0xFF else str(row.value)
+            lines.append(f"| {row.name} | {number} | {row.meaning} |")
+        blocks.append("\n".join(lines) + "\n")
+    return "\n".join(blocks)
+
+
+def _requirements() -> str:
+    lines = ["| id | level | binds | from |", "|---|---|---|---|"]
+    lines += [f"| {r.id} | {r.level} | {r.role} | {r.source} |" for r in load().values()]
+    return "\n".join(lines) + "\n"

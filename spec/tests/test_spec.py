@@ -1,0 +1,197 @@
+"""The specification as code: grammars, oracle, requirements, vectors and generated files."""
+
+import json
+from pathlib import Path
+
+import construct
+import jsonschema
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from j2a_spec import constants as c
+from j2a_spec import vectors
+from j2a_spec.generate import outputs, spec_text, stale
+from j2a_spec.generate.frames import SPECIAL
+from j2a_spec.grammar import GRAMMARS
+from j2a_spec.oracle import Frame, FrameError, Incomplete, Skipped, decode, encode, stuff
+from j2a_spec.requirements import load
+
+ROOT = Path(__file__).parents[2]
+
+FRAMES = st.builds(
+    Frame,
+    start=st.sampled_from(sorted(c.MARKERS)),
+    seq=st.integers(0, 255),
+    opcode=st.integers(0, 255),
+    payload=st.binary(max_size=255),
+)
+
+
+def test_the_example_of_the_thesis_has_the_corrected_checksum() -> None:
+    frame = Frame(c.SOF, 0x02, 0x11, bytes((0x12, 0x12, 0x13, 0x7D)))
+    assert encode(frame) == bytes.fromhex("12 02 11 04 7D 11 7D 11 13 7D 7C 15")
+
+
+def test_the_largest_frame_has_518_bytes() -> None:
+    wire = encode(Frame(c.SOF, 0x12, 0x12, b"\x12" * 255))
+    assert len(wire) == c.MAX_WIRE == 518
+
+
+@given(FRAMES)
+def test_what_is_encoded_decodes_to_itself(frame: Frame) -> None:
+    assert decode(encode(frame)) == [frame]
+    assert not c.MARKERS & set(encode(frame)[1:])
+    assert len(encode(frame)) <= c.MAX_WIRE
+
+
+@given(FRAMES, st.data())
+def test_one_flipped_bit_is_never_a_good_frame(frame: Frame, data: st.DataObject) -> None:
+    # The flip is made before stuffing: on the wire it may also hit an escape.
+    body = bytearray(GRAMMARS["packet"].build(vars_of(frame)))
+    index = data.draw(st.integers(0, len(body) - 1))
+    body[index] ^= 1 << data.draw(st.integers(0, 7))
+    events = decode(bytes((frame.start,)) + stuff(bytes(body)))
+    if index != 2:  # a flipped length moves the checksum to another place
+        assert events == [FrameError("checksum", frame.start, body[0])]
+    assert frame not in events
+
+
+def vars_of(frame: Frame) -> dict[str, object]:
+    return {"seq": frame.seq, "opcode": frame.opcode, "payload": frame.payload}
+
+
+@given(st.binary(max_size=600), FRAMES)
+def test_a_good_frame_after_anything_that_ends_is_found(noise: bytes, frame: Frame) -> None:
+    assert decode(noise + encode(frame))[-1] == frame
+
+
+@given(st.lists(st.one_of(st.binary(max_size=30), FRAMES.map(encode)), max_size=8).map(b"".join))
+def test_events_account_for_every_start_byte(stream: bytes) -> None:
+    begun = [e for e in decode(stream) if not isinstance(e, Skipped)]
+    assert len(begun) == sum(byte in c.MARKERS for byte in stream)
+    assert all(not isinstance(e, Incomplete) for e in begun[:-1])
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [Frame(0x13, 0, 0), Frame(c.SOF, 256, 0), Frame(c.SOF, 0, -1), Frame(c.SOF, 0, 0, b"x" * 256)],
+)
+def test_impossible_frames_cannot_be_encoded(frame: Frame) -> None:
+    with pytest.raises(ValueError):
+        encode(frame)
+
+
+def test_generated_files_are_current() -> None:
+    assert stale(ROOT) == []
+
+
+def test_generation_is_deterministic() -> None:
+    assert outputs(ROOT) == outputs(ROOT)
+
+
+@pytest.mark.parametrize("kind", vectors.KINDS)
+def test_vector_files_obey_the_schema(kind: vectors.Kind) -> None:
+    parsed = json.loads((ROOT / f"spec/j2a_spec/vectors/{kind}.json").read_text("utf-8"))
+    validator = jsonschema.Draft202012Validator(vectors.schema())
+    assert not list(validator.iter_errors(parsed))
+    tests = parsed["tests"]
+    assert parsed["count"] == len(tests) == len({test["id"] for test in tests})
+    named = {name for test in tests for name in test["requirements"]}
+    assert named <= set(load())
+
+
+def test_the_schema_refuses_a_broken_file() -> None:
+    parsed = json.loads((ROOT / "spec/j2a_spec/vectors/frame.json").read_text("utf-8"))
+    parsed["tests"][0]["wire"] = "1z"
+    validator = jsonschema.Draft202012Validator(vectors.schema())
+    assert list(validator.iter_errors(parsed))
+
+
+def test_frame_vectors_mean_what_the_oracle_says() -> None:
+    for test in vectors.load("frame"):
+        wire = bytes.fromhex(test["wire"])
+        if test["result"] == "invalid":
+            assert test["frame"] is None
+            assert not any(isinstance(e, Frame) for e in decode(wire)), test["id"]
+            continue
+        frame = Frame(**{**test["frame"], "payload": bytes.fromhex(test["frame"]["payload"])})
+        assert decode(wire) == [frame], test["id"]
+        assert (encode(frame) == wire) == (test["result"] == "valid"), test["id"]
+
+
+def test_payload_vectors_mean_what_the_grammars_say() -> None:
+    for test in vectors.load("payload"):
+        grammar, data = GRAMMARS[test["grammar"]], bytes.fromhex(test["data"])
+        if test["result"] == "invalid":
+            with pytest.raises(construct.ConstructError):
+                grammar.parse(data)
+            continue
+        parsed = grammar.parse(data)
+        assert plain(parsed) == test["value"], test["id"]
+        assert (grammar.build(parsed) == data) == (test["result"] == "valid"), test["id"]
+
+
+def plain(value: object) -> object:
+    """Turn what construct parsed into plain JSON values."""
+    if isinstance(value, dict):
+        return {
+            key: plain(item)
+            for key, item in value.items()
+            if not key.startswith("_") and not isinstance(key, int)
+        }
+    if isinstance(value, list):
+        return [plain(item) for item in value]
+    return value.hex() if isinstance(value, bytes) else value
+
+
+def test_every_frame_level_requirement_has_vectors_both_ways() -> None:
+    """Both ways: something that must be taken or sent, and something that must be refused."""
+    frame_level = {r.id for r in load().values() if r.level == "frame"}
+    assert frame_level <= {name for kind in vectors.KINDS for name in named_by(kind)}
+    taken = {
+        name
+        for t in vectors.load("frame")
+        if t["result"] != "invalid"
+        for name in t["requirements"]
+    }
+    refused = {
+        name
+        for t in vectors.load("frame")
+        if t["result"] == "invalid"
+        for name in t["requirements"]
+    }
+    assert {"J2A-SUM-001", "J2A-SUM-002"} <= taken & refused
+    assert {"J2A-STUFF-004", "J2A-SUM-003"} <= refused
+
+
+def named_by(kind: vectors.Kind) -> set[str]:
+    return {name for test in vectors.load(kind) for name in test["requirements"]}
+
+
+def test_every_special_value_stands_in_every_field() -> None:
+    """Marker values, their neighbours and the ends, in requests and in SIFs, in each field."""
+    valid = [t for t in vectors.load("frame") if t["result"] == "valid"]
+    for start in c.MARKERS:
+        frames = [
+            Frame(**{**t["frame"], "payload": bytes.fromhex(t["frame"]["payload"])})
+            for t in valid
+            if t["frame"]["start"] == start
+        ]
+        bodies = [GRAMMARS["packet"].build(vars_of(frame)) for frame in frames]
+        for value in SPECIAL:
+            for field in (0, 1, 2, -1):
+                assert any(body[field] == value for body in bodies), (start, value, field)
+            assert any(value in frame.payload for frame in frames), (start, value)
+
+
+def test_requirements_stand_in_the_specification_in_order() -> None:
+    text = (ROOT / "spec/SPEC.md").read_text("utf-8")
+    assert spec_text.fill(text) == text
+    for requirement in load().values():
+        assert requirement.text in text
+
+
+def test_a_specification_without_a_requirement_is_refused() -> None:
+    text = (ROOT / "spec/SPEC.md").read_text("utf-8")
+    with pytest.raises(ValueError, match="J2A-SUM-001"):
+        spec_text.fill(text.replace("**J2A-SUM-001**", "J2A-SUM-001"))
