@@ -1,0 +1,154 @@
+"""What a transport is, and how one fails.
+
+In: nothing.  Out: the abstract classes `Transport` and `Listener`, and the errors of every driver.
+Rules: a transport is a pair of byte streams and knows no packet; every wait can be ended by
+`close()` from another thread; for a fault of the link a driver raises a `TransportError`, nothing
+else.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Final, Self
+
+DEFAULT_WRITE_TIMEOUT_S: Final = 5.0
+
+
+class TransportError(Exception):
+    """Base of every error that a transport raises."""
+
+
+class LinkLost(TransportError):  # noqa: N818 - the name says what happened to the link
+    """The other side is gone: end of stream, unplugged, connection reset, child process ended."""
+
+
+class LinkClosed(TransportError):  # noqa: N818
+    """This side has closed the transport, before the call or while it waited."""
+
+
+class WriteTimeout(TransportError):  # noqa: N818
+    """The peer took no byte for `Transport.write_timeout_s` seconds; a part may have been sent."""
+
+
+class OpenFailed(TransportError):  # noqa: N818
+    """The URL is well formed, but what it names cannot be opened; the message says what to do."""
+
+
+class BadUrl(TransportError, ValueError):  # noqa: N818
+    """The URL or one of its options is wrong; the message names what is allowed."""
+
+
+class MissingExtra(OpenFailed):
+    """A Python package that this transport needs is not installed.
+
+    Args:
+        what: the URL that was to be opened.
+        package: the missing package.
+        extra: the extra of the `j2a` distribution that brings it.
+    """
+
+    def __init__(self, what: str, package: str, extra: str) -> None:
+        super().__init__(f"{what} needs the package {package}: pip install j2a[{extra}]")
+        self.extra = extra
+
+
+class Transport(ABC):
+    """A byte stream in each direction.
+
+    One thread may read while others write and another closes; calls of `write` do not interleave.
+    A transport is a context manager: leaving the block closes it.
+
+    Attributes:
+        url: what was opened, for messages.
+        write_timeout_s: seconds without any progress after which `write` gives up; None is never.
+    """
+
+    def __init__(self, url: str, write_timeout_s: float | None = DEFAULT_WRITE_TIMEOUT_S) -> None:
+        self.url = url
+        self.write_timeout_s = write_timeout_s
+
+    @abstractmethod
+    def read(self, timeout_s: float | None) -> bytes:
+        """Return the bytes that have arrived, waiting for the first one if there is none.
+
+        Chunks say nothing about how the peer wrote them.
+
+        Args:
+            timeout_s: how long to wait, in seconds; 0 does not wait, None waits for ever.
+
+        Returns:
+            At least one byte, or `b""` when the time ran out.
+
+        Raises:
+            LinkLost: the peer is gone, and everything it had sent has been returned.
+            LinkClosed: this side is closed, also when that happens during the wait.
+        """
+
+    @abstractmethod
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Hand all of `data` to the link; returning does not mean that the peer has read it.
+
+        Args:
+            data: the bytes, any number.
+
+        Raises:
+            LinkLost: the peer is gone.
+            LinkClosed: this side is closed, also when that happens during the wait.
+            WriteTimeout: the peer took nothing for `write_timeout_s` seconds.
+        """
+
+    @property
+    @abstractmethod
+    def closed(self) -> bool:
+        """Whether this side has been closed; a lost link is not closed until `close` is called."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the link; may be called again and from any thread, and wakes blocked calls."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.url}>"
+
+
+class Listener(ABC):
+    """A place where peers arrive, each as a `Transport`; a context manager like a transport.
+
+    Attributes:
+        url: what a client opens to get here, with the real port or device name.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+
+    @abstractmethod
+    def accept(self, timeout_s: float | None) -> Transport | None:
+        """Wait for the next peer.
+
+        Args:
+            timeout_s: how long to wait, in seconds; 0 does not wait, None waits for ever.
+
+        Returns:
+            The transport to that peer, or None when the time ran out.
+
+        Raises:
+            LinkClosed: the listener is closed, also when that happens during the wait.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop listening; idempotent, from any thread. Transports already accepted stay open."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.url}>"

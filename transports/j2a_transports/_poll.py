@@ -1,0 +1,203 @@
+"""Transports on file descriptors and sockets, with waits that `close()` can end.
+
+In: descriptors that never block.  Out: `PolledTransport`, on which TCP, processes, pseudo terminals
+and POSIX serial ports are built, and `Waker` and `Readiness` for listeners.
+Rules: a descriptor is released only after the reader and the writer have left it, because its
+number could be given to another file meanwhile. Windows can wait for sockets only.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import threading
+import time
+from typing import Final
+
+from ._base import LinkClosed, LinkLost, Transport, WriteTimeout
+
+CHUNK: Final = 65536
+
+READY: Final = 1
+BROKEN: Final = 2
+WOKEN: Final = 4
+
+
+class Waker:
+    """A switch that ends all present and future waits."""
+
+    def __init__(self) -> None:
+        self._receiver, self._sender = socket.socketpair()
+        self._sender.setblocking(False)
+
+    def fileno(self) -> int:
+        """Return the descriptor that becomes readable, and stays so, once `wake` was called."""
+        return self._receiver.fileno()
+
+    def wake(self) -> None:
+        """End the waits."""
+        try:
+            self._sender.send(b"\0")
+        except OSError:
+            # Full or closed: whoever waited is awake already.
+            return
+
+    def close(self) -> None:
+        """Free the descriptors."""
+        self._sender.close()
+        self._receiver.close()
+
+
+class Readiness:
+    """Waits for one direction of one descriptor, or for a waker. For one thread at a time."""
+
+    def __init__(self, fd: int, waker: Waker, *, write: bool) -> None:
+        self._fd = fd
+        self._waker = waker
+        self._write = write
+        self._poll = None
+        if hasattr(select, "poll"):
+            self._poll = select.poll()
+            self._poll.register(fd, select.POLLOUT if write else select.POLLIN)
+            self._poll.register(waker.fileno(), select.POLLIN)
+
+    def wait(self, timeout_s: float | None) -> int:
+        """Return a set of READY, BROKEN (the peer hung up) and WOKEN; 0 when the time ran out."""
+        if self._poll is None:
+            return self._select(timeout_s)
+        result = 0
+        for fd, mask in self._poll.poll(None if timeout_s is None else max(timeout_s, 0) * 1000):
+            if fd != self._fd:
+                result |= WOKEN
+                continue
+            if mask & (select.POLLIN | select.POLLOUT):
+                result |= READY
+            if mask & ~(select.POLLIN | select.POLLOUT):
+                result |= BROKEN
+        return result
+
+    def _select(self, timeout_s: float | None) -> int:
+        wait = None if timeout_s is None else max(timeout_s, 0)
+        readers = [self._waker.fileno()] + ([] if self._write else [self._fd])
+        writers = [self._fd] if self._write else []
+        readable, writable, _ = select.select(readers, writers, [], wait)
+        result = 0
+        if self._waker.fileno() in readable:
+            result |= WOKEN
+        if self._fd in readable or writable:
+            result |= READY
+        return result
+
+
+class PolledTransport(Transport):
+    """A transport on one or two descriptors; a subclass says how to receive, send and release.
+
+    Args:
+        url: for messages.
+        read_fd: descriptor to read from, not blocking.
+        write_fd: descriptor to write to, not blocking; may be the same.
+        write_timeout_s: see `Transport`.
+    """
+
+    def __init__(
+        self, url: str, read_fd: int, write_fd: int, write_timeout_s: float | None
+    ) -> None:
+        super().__init__(url, write_timeout_s)
+        self._read_fd = read_fd
+        self._write_fd = write_fd
+        self._waker = Waker()
+        self._readable = Readiness(read_fd, self._waker, write=False)
+        self._writable = Readiness(write_fd, self._waker, write=True)
+        # Re-entrant, so that a signal handler may close what its own thread is reading.
+        self._reading = threading.RLock()
+        self._writing = threading.RLock()
+        self._closed = False
+        self._released = False
+
+    def read(self, timeout_s: float | None) -> bytes:
+        """See `Transport.read`."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        with self._reading:
+            while True:
+                if self._closed:
+                    raise LinkClosed(f"{self.url} is closed")
+                state = self._readable.wait(timeout_s)
+                if self._closed:
+                    raise LinkClosed(f"{self.url} was closed during a read")
+                if not state:
+                    return b""
+                try:
+                    data = self._receive()
+                except (BlockingIOError, InterruptedError):
+                    # Ready and yet nothing there: wait for what is left of the time.
+                    if deadline is not None:
+                        timeout_s = max(0.0, deadline - time.monotonic())
+                    continue
+                except OSError as error:
+                    raise self._lost(error) from error
+                if not data:
+                    raise self._lost(None)
+                return data
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """See `Transport.write`."""
+        with self._writing:
+            rest = memoryview(data).cast("B")
+            if self._closed:
+                raise LinkClosed(f"{self.url} is closed")
+            while rest:
+                try:
+                    sent = self._send(rest)
+                except (BlockingIOError, InterruptedError):
+                    sent = 0
+                except OSError as error:
+                    raise self._lost(error) from error
+                rest = rest[sent:]
+                if rest and not sent:
+                    self._await_room(len(rest), len(data))
+
+    def _await_room(self, missing: int, total: int) -> None:
+        state = self._writable.wait(self.write_timeout_s)
+        if self._closed:
+            raise LinkClosed(f"{self.url} was closed during a write")
+        if not state:
+            raise WriteTimeout(
+                f"{self.url} took no byte for {self.write_timeout_s} s "
+                f"({missing} of {total} bytes not sent): the peer does not read"
+            )
+        if state & BROKEN and not state & READY:
+            raise self._lost(None)
+
+    @property
+    def closed(self) -> bool:
+        """See `Transport.closed`."""
+        return self._closed
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._closed = True
+        self._waker.wake()
+        with self._reading, self._writing:
+            if not self._released:
+                self._released = True
+                self._release()
+                self._waker.close()
+
+    def _receive(self) -> bytes:
+        """Return what is there, b"" at the end; BlockingIOError when there is nothing."""
+        return os.read(self._read_fd, CHUNK)
+
+    def _send(self, data: memoryview) -> int:
+        """Return how many bytes were taken; BlockingIOError when none can be."""
+        return os.write(self._write_fd, data)
+
+    def _lost(self, error: OSError | None) -> LinkLost:
+        """Say how the link was lost; `error` is None at the end of the stream."""
+        reason = "the peer closed it" if error is None else error.strerror or str(error)
+        return LinkLost(f"{self.url} is lost: {reason}")
+
+    def _release(self) -> None:
+        """Free the descriptors; called once, when nobody uses them."""
+        for fd in {self._read_fd, self._write_fd}:
+            os.close(fd)

@@ -1,0 +1,157 @@
+"""Pseudo terminals: `pty:command` runs a child on one; listening on `pty:` offers one to others.
+
+In: a command line as for `exec:`, or, to listen, nothing or the path of a symbolic link to make.
+Out: bytes in raw mode, nothing is echoed or translated.
+Rules: the listener's terminal lives as long as the listener, through any number of openings; each
+opening is one accepted transport, which is lost when the other program closes the terminal.
+POSIX only; the hang-up of a terminal nobody has open is seen as Linux reports it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Final
+
+from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport
+from ._poll import BROKEN, CHUNK, READY, PolledTransport, Readiness, Waker
+from ._process import Child, ProcessTransport, parse_command
+from ._url import Url
+
+if sys.platform != "win32":
+    import pty
+    import termios
+    import tty
+
+# A terminal that is opened by another program raises no event; it has to be looked at.
+LOOK_S: Final = 0.02
+
+
+def _open_raw(url: Url) -> tuple[int, int]:
+    """Return master and slave of a new pseudo terminal in raw mode."""
+    if sys.platform == "win32":
+        raise OpenFailed(f"{url.text}: there are no pseudo terminals on this system; use exec:")
+    try:
+        master, slave = pty.openpty()
+    except OSError as error:
+        raise OpenFailed(f"{url.text}: no pseudo terminal: {error.strerror}") from error
+    tty.setraw(slave, termios.TCSANOW)
+    return master, slave
+
+
+def open_url(url: Url) -> Transport:
+    """Start the child of `pty:command args` with a pseudo terminal as its stdin and stdout."""
+    command, options = parse_command(url)
+    master, slave = _open_raw(url)
+    try:
+        child = Child(url.text, command, options.get("cwd"), slave, slave)
+    except OpenFailed:
+        os.close(master)
+        raise
+    finally:
+        os.close(slave)
+    return ProcessTransport(url.text, child, master, master, options["write_timeout"])
+
+
+class PtyTransport(PolledTransport):
+    """One opening of a listener's pseudo terminal, from the listener's side."""
+
+    def _lost(self, error: OSError | None) -> LinkLost:
+        return LinkLost(f"{self.url} is lost: the other program closed the terminal")
+
+    def _release(self) -> None:
+        # What the two sides have not read must not reach the next ones.
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError, termios.error):
+                termios.tcflush(self._write_fd, termios.TCIOFLUSH)
+            with contextlib.suppress(OSError):
+                while os.read(self._read_fd, CHUNK):
+                    pass
+        super()._release()
+
+
+class PtyListener(Listener):
+    """A pseudo terminal for other programs to open as a serial port.
+
+    Args:
+        master: the master side; the listener owns it from now on.
+        path: the device, or the link to it, that others open.
+        link: the symbolic link to remove in the end.
+        write_timeout_s: given to the transports that are accepted.
+    """
+
+    def __init__(
+        self, master: int, path: str, link: Path | None, write_timeout_s: float | None
+    ) -> None:
+        super().__init__(f"serial://{path}")
+        os.set_blocking(master, False)
+        self.path = path
+        self._master = master
+        self._link = link
+        self._write_timeout_s = write_timeout_s
+        self._waker = Waker()
+        self._readable = Readiness(master, self._waker, write=False)
+        self._accepting = threading.RLock()
+        self._current: Transport | None = None
+        self._closed = threading.Event()
+        self._released = False
+
+    def accept(self, timeout_s: float | None) -> Transport | None:
+        """See `Listener.accept`; waits while the transport accepted before is not closed."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        with self._accepting:
+            while True:
+                if self._closed.is_set():
+                    raise LinkClosed(f"{self.url} is closed")
+                if (self._current is None or self._current.closed) and self._occupied():
+                    fd = os.dup(self._master)
+                    self._current = PtyTransport(self.url, fd, fd, self._write_timeout_s)
+                    return self._current
+                wait_s = LOOK_S
+                if deadline is not None:
+                    wait_s = min(LOOK_S, deadline - time.monotonic())
+                    if wait_s <= 0:
+                        return None
+                self._closed.wait(wait_s)
+
+    def _occupied(self) -> bool:
+        """Whether somebody has the terminal open, or has left bytes in it."""
+        state = self._readable.wait(0)
+        return bool(state & READY) or not state & BROKEN
+
+    def close(self) -> None:
+        """See `Listener.close`."""
+        self._closed.set()
+        with self._accepting:
+            if self._released:
+                return
+            self._released = True
+            os.close(self._master)
+            self._waker.close()
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
+
+
+def listen_url(url: Url) -> Listener:
+    """Make a pseudo terminal, and for `pty:/some/path` a symbolic link to it."""
+    options = url.options([], {})
+    master, slave = _open_raw(url)
+    path = os.ttyname(slave)
+    # Closed, so that the master notices whether somebody else has it open; raw mode stays.
+    os.close(slave)
+    link = Path(url.rest).absolute() if url.rest else None
+    if link is not None:
+        try:
+            if link.is_symlink() and not link.exists():
+                # Left over from a program that was killed: the device it names is gone.
+                link.unlink()
+            link.symlink_to(path)
+        except OSError as error:
+            os.close(master)
+            raise OpenFailed(f"{url.text}: cannot make the link: {error.strerror}") from error
+        path = str(link)
+    return PtyListener(master, path, link, options["write_timeout"])

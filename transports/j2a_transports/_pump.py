@@ -1,0 +1,94 @@
+"""A transport on blocking calls, for what cannot be polled: Windows pipes and pyserial's own URLs.
+
+In: a blocking `source` and `sink`.  Out: `PumpedTransport`, a loopback end whose other end is moved
+by two threads.
+Rules: the threads are the only ones that touch source and sink; bytes written before `close()` are
+still handed to the sink when it takes them.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from ._base import LinkLost
+from ._loopback import Channel, LoopbackTransport
+
+JOIN_TIMEOUT_S: Final = 5.0
+
+
+class PumpedTransport(LoopbackTransport):
+    """A transport between a blocking source and a blocking sink.
+
+    Args:
+        url: for messages.
+        source: returns bytes, b"" when there are none yet; raises OSError or EOFError at the end.
+        sink: takes all bytes; raises OSError when it cannot.
+        interrupt: makes blocked calls of source and sink return or raise; called once, by `close`.
+        release: frees what source and sink use; called once, after both threads have ended.
+        reason: says why the link is lost, from the exception that ended the pump.
+        write_timeout_s: see `Transport`.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        source: Callable[[], bytes],
+        sink: Callable[[bytes], None],
+        interrupt: Callable[[], None],
+        release: Callable[[], None],
+        reason: Callable[[Exception], str],
+        write_timeout_s: float | None,
+    ) -> None:
+        super().__init__(url, Channel(), Channel(), write_timeout_s)
+        self._source = source
+        self._sink = sink
+        self._interrupt = interrupt
+        self._release = release
+        self._reason = reason
+        self._failure: Exception = EOFError()
+        self._ending = threading.Lock()
+        self._ended = False
+        self._threads = [
+            threading.Thread(target=target, name=f"{url} {name}", daemon=True)
+            for target, name in ((self._pump_out, "writer"), (self._pump_in, "reader"))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _pump_in(self) -> None:
+        try:
+            while not self._incoming.reader_closed:
+                rest = memoryview(self._source())
+                while rest and not self._incoming.reader_closed:
+                    rest = rest[self._incoming.put(rest, None) :]
+        except (OSError, EOFError) as error:
+            self._failure = error
+        self._incoming.close_writer()
+
+    def _pump_out(self) -> None:
+        try:
+            while data := self._outgoing.get(None):
+                self._sink(data)
+        except (OSError, EOFError) as error:
+            self._failure = error
+        self._outgoing.close_reader()
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        super().close()
+        with self._ending:
+            if self._ended:
+                return
+            self._ended = True
+            writer, reader = self._threads
+            writer.join(self.write_timeout_s)
+            self._interrupt()
+            writer.join(JOIN_TIMEOUT_S)
+            reader.join(JOIN_TIMEOUT_S)
+            self._release()
+
+    def _lost(self) -> LinkLost:
+        return LinkLost(f"{self.url} is lost: {self._reason(self._failure)}")

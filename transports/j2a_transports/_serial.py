@@ -1,0 +1,193 @@
+"""Serial ports through pyserial: `serial:///dev/ttyACM0?baud=115200`, `serial:COM3`, `serial:loop://`.
+
+In: a port or any URL that pyserial opens, and options.  Out: bytes.
+Rules: 115200 baud, 8 data bits, no parity, one stop bit unless told otherwise; a port is locked
+against other programs; control lines are set before opening, so that they do not move twice.
+On POSIX the driver polls pyserial's descriptor itself; other ports and pyserial's URLs go through
+threads, because pyserial cannot end a blocked call of theirs.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from ._base import BadUrl, LinkLost, Listener, MissingExtra, OpenFailed, Transport
+from ._poll import CHUNK, PolledTransport
+from ._pump import PumpedTransport
+from ._solo import SoloListener
+from ._url import Converter, Url, boolean, choice, integer, number
+
+if TYPE_CHECKING:
+    import serial
+
+DEFAULT_BAUD: Final = 115200
+# How long pyserial blocks in one read where it cannot be interrupted.
+SLICE_S: Final = 0.05
+# pyserial's ports whose descriptor carries the plain bytes.
+POLLABLE: Final = ("serial.serialposix", "serial.urlhandler.protocol_socket")
+
+OPTIONS: Final[dict[str, Converter]] = {
+    "baud": integer(1, 50_000_000),
+    "bits": integer(5, 8),
+    "parity": choice({name: name for name in "NEOMS"}),
+    "stopbits": choice({"1": 1, "1.5": 1.5, "2": 2}),
+    "dtr": boolean,
+    "rts": boolean,
+    "boot": number(0, 60),
+    "xonxoff": boolean,
+    "rtscts": boolean,
+    "exclusive": boolean,
+}
+
+_ADVICE: Final = {
+    errno.ENOENT: "there is no such device; is it plugged in? "
+    "`python -m serial.tools.list_ports` lists the ports",
+    errno.ENXIO: "the device is gone; is it plugged in?",
+    errno.ENODEV: "the device is gone; is it plugged in?",
+    errno.EACCES: "not allowed; add yourself to the group that owns it, on most systems with "
+    "`sudo usermod -aG dialout $USER`, and log in again",
+    errno.EPERM: "not allowed; add yourself to the group that owns it, on most systems with "
+    "`sudo usermod -aG dialout $USER`, and log in again",
+    errno.EBUSY: "it is busy; close the other program that uses it",
+    errno.EAGAIN: "it is busy; close the other program that uses it, or share it with exclusive=0",
+}
+
+
+class SerialTransport(PolledTransport):
+    """A pyserial port on its own descriptor."""
+
+    def __init__(self, url: str, port: serial.SerialBase, write_timeout_s: float | None) -> None:
+        self._port = port
+        fd = port.fileno()
+        super().__init__(url, fd, fd, write_timeout_s)
+
+    def _lost(self, error: OSError | None) -> LinkLost:
+        return LinkLost(f"{self.url} is lost: {_reason(error)}")
+
+    def _release(self) -> None:
+        self._port.close()
+
+
+def open_url(url: Url) -> Transport:
+    """Open a port and, with `boot`, wait for the board to start and discard what it says."""
+    name, options = _parse(url)
+    port = _open_port(url, name, options)
+    transport: Transport
+    if os.name == "posix" and type(port).__module__ in POLLABLE:
+        transport = SerialTransport(url.text, port, options["write_timeout"])
+    else:
+        transport = _pumped(url.text, port, options["write_timeout"])
+    try:
+        _discard(transport, options.get("boot", 0.0))
+    except LinkLost as error:
+        transport.close()
+        raise OpenFailed(f"{url.text}: the port went away while the board started") from error
+    except BaseException:
+        transport.close()
+        raise
+    return transport
+
+
+def listen_url(url: Url) -> Listener:
+    """Serve at a serial port, for a device that is this program."""
+    return SoloListener(url.text, lambda: open_url(url), again=True)
+
+
+def _parse(url: Url) -> tuple[str, dict[str, Any]]:
+    name, parts = url.split_query()
+    if re.match(r"[A-Za-z0-9]+://", name):
+        # One of pyserial's URLs, which may have parameters of its own.
+        foreign = [part for part in parts if part.partition("=")[0] not in OPTIONS]
+        foreign = [part for part in foreign if not part.startswith("write_timeout=")]
+        parts = [part for part in parts if part not in foreign]
+        if foreign:
+            name += "?" + "&".join(foreign)
+    else:
+        name = name.removeprefix("//")
+    if not name:
+        raise BadUrl(
+            f"{url.text}: name a port, such as serial:///dev/ttyACM0 or serial:COM3; "
+            "`python -m serial.tools.list_ports` lists them"
+        )
+    return name, url.options(parts, OPTIONS)
+
+
+def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBase:
+    try:
+        import serial  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise MissingExtra(url.text, "pyserial", "serial") from None
+    if not hasattr(serial, "serial_for_url"):
+        raise OpenFailed(
+            f"{url.text}: another package named serial hides pyserial: "
+            "pip uninstall serial, then pip install j2a[serial]"
+        )
+    try:
+        port = serial.serial_for_url(
+            name,
+            do_not_open=True,
+            baudrate=options.get("baud", DEFAULT_BAUD),
+            bytesize=options.get("bits", 8),
+            parity=options.get("parity", "N"),
+            stopbits=options.get("stopbits", 1),
+            timeout=SLICE_S,
+            xonxoff=options.get("xonxoff", False),
+            rtscts=options.get("rtscts", False),
+            exclusive=options.get("exclusive", True) or None,
+        )
+        if "dtr" in options:
+            port.dtr = options["dtr"]
+        if "rts" in options:
+            port.rts = options["rts"]
+        port.open()
+    except (ValueError, KeyError) as error:
+        # KeyError: pyserial 3.5 trips over its own message for an unknown loop:// parameter.
+        own = ", ".join(sorted(OPTIONS))
+        raise BadUrl(
+            f"{url.text}: pyserial refuses it ({error}); our options are: {own}"
+        ) from error
+    except OSError as error:
+        advice = _ADVICE.get(error.errno or 0, f"{error}; is it a serial port, and free?")
+        raise OpenFailed(f"{url.text}: {advice}") from error
+    return port
+
+
+def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
+    def source() -> bytes:
+        first = port.read(1)
+        return first + port.read(min(port.in_waiting, CHUNK)) if first else b""
+
+    def sink(data: bytes) -> None:
+        port.write(data)
+
+    def interrupt() -> None:
+        for name in ("cancel_write", "cancel_read"):
+            if hasattr(port, name):
+                getattr(port, name)()
+        port.reset_output_buffer()
+
+    return PumpedTransport(
+        url,
+        source=source,
+        sink=sink,
+        interrupt=interrupt,
+        release=port.close,
+        reason=_reason,
+        write_timeout_s=write_timeout_s,
+    )
+
+
+def _reason(error: Exception | None) -> str:
+    if error is None or isinstance(error, EOFError):
+        return "the device was unplugged or the other side closed"
+    return f"the device was unplugged or failed: {getattr(error, 'strerror', None) or error}"
+
+
+def _discard(transport: Transport, duration_s: float) -> None:
+    deadline = time.monotonic() + duration_s
+    while (left_s := deadline - time.monotonic()) > 0:
+        transport.read(left_s)

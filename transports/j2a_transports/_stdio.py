@@ -1,0 +1,118 @@
+"""`stdio:`: standard input and output of this process as a transport, for programs that are tested.
+
+In: bytes from standard input.  Out: bytes to standard output.
+Rules: while it is open, `print()` goes to standard error and `input()` finds nothing, so that stray
+text cannot get between the bytes. The descriptors stay in blocking mode, because they may be
+shared with other programs; a write is therefore done in pieces that fit once there is room.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from typing import Any
+
+from ._base import BadUrl, Listener, OpenFailed, Transport
+from ._poll import CHUNK, READY, PolledTransport
+from ._pump import PumpedTransport
+from ._solo import SoloListener
+from ._url import Url
+
+if sys.platform != "win32":
+    import termios
+    import tty
+
+
+class StandardStreams:
+    """Takes standard input and output away from the rest of the process.
+
+    Attributes:
+        read_fd: what was standard input.
+        write_fd: what was standard output.
+    """
+
+    def __init__(self) -> None:
+        sys.stdout.flush()
+        self.read_fd, self.write_fd = os.dup(0), os.dup(1)
+        self._terminal: Any = None
+        if sys.platform == "win32":
+            import msvcrt  # noqa: PLC0415 - exists there only
+
+            for fd in (self.read_fd, self.write_fd):
+                msvcrt.setmode(fd, os.O_BINARY)
+        elif os.isatty(self.read_fd):
+            self._terminal = termios.tcgetattr(self.read_fd)
+            tty.setraw(self.read_fd, termios.TCSANOW)
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        os.close(nothing)
+        os.dup2(2, 1)
+
+    def give_back(self) -> None:
+        """Undo everything."""
+        sys.stdout.flush()
+        if sys.platform != "win32" and self._terminal is not None:
+            termios.tcsetattr(self.read_fd, termios.TCSADRAIN, self._terminal)
+        for own, standard in ((self.read_fd, 0), (self.write_fd, 1)):
+            os.dup2(own, standard)
+            os.close(own)
+
+
+class StdioTransport(PolledTransport):
+    """Standard input and output on descriptors that can be polled."""
+
+    def __init__(self, url: str, streams: StandardStreams, write_timeout_s: float | None) -> None:
+        self._streams = streams
+        super().__init__(url, streams.read_fd, streams.write_fd, write_timeout_s)
+
+    def _send(self, data: memoryview) -> int:
+        # A pipe that is ready for writing has room for PIPE_BUF bytes.
+        if not self._writable.wait(0) & READY:
+            raise BlockingIOError
+        return os.write(self._write_fd, data[: select.PIPE_BUF])
+
+    def _release(self) -> None:
+        self._streams.give_back()
+
+
+def open_url(url: Url) -> Transport:
+    """Take over standard input and output."""
+    options = url.options([], {})
+    if url.rest:
+        raise BadUrl(f"{url.text}: write stdio: with nothing after the colon")
+    try:
+        streams = StandardStreams()
+    except OSError as error:
+        raise OpenFailed(f"{url.text}: standard input or output is closed") from error
+    if os.name == "posix":
+        return StdioTransport(url.text, streams, options["write_timeout"])
+    return _pumped(url.text, streams, options["write_timeout"])
+
+
+def listen_url(url: Url) -> Listener:
+    """Return a listener whose only peer is the one at standard input and output."""
+    return SoloListener(url.text, lambda: open_url(url), again=False)
+
+
+def _pumped(url: str, streams: StandardStreams, write_timeout_s: float | None) -> Transport:
+    def source() -> bytes:
+        data = os.read(streams.read_fd, CHUNK)
+        if not data:
+            raise EOFError
+        return data
+
+    def sink(data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[os.write(streams.write_fd, rest) :]
+
+    return PumpedTransport(
+        url,
+        source=source,
+        sink=sink,
+        interrupt=lambda: None,
+        release=streams.give_back,
+        reason=lambda _: "the peer closed it",
+        write_timeout_s=write_timeout_s,
+    )
