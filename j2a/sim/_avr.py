@@ -10,6 +10,7 @@ firmware that reads too slowly loses them as on the chip.
 from __future__ import annotations
 
 import ctypes
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ from j2a.sim import _build
 from j2a.sim._elf import Program, read_program
 from j2a.sim._errors import BadProgram, FirmwareStopped, SimError
 
-_PAINT = 0xC5  # fills the RAM between static data and stack, to see how deep the stack went
+_PAINT = 0xC5  # what the shim fills the RAM above the static data with at each reset
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +134,6 @@ class AvrSim:
             text = error.value.decode("utf-8", "replace").strip()
             kind = BadProgram if "needs" in text else SimError
             raise kind(f"{self.program.path} on {mcu}, UART {uart}: {text}")
-        self._paint()
 
     def close(self) -> None:
         """Free the simulator; nothing else may be called afterwards. Idempotent."""
@@ -249,7 +250,6 @@ class AvrSim:
         """Pull the reset line: registers, UART and RAM start anew, the cycle count goes on."""
         with self._lock:
             self._lib.sim_reset(self._handle)
-            self._paint()
 
     def _run(self, cycles: int, stop: int) -> int:
         with self._lock:
@@ -339,7 +339,7 @@ class AvrSim:
     def log(self) -> str:
         """What simavr had to say (errors and warnings; the first 8 KiB)."""
         text: bytes = self._lib.sim_log(self._handle)
-        return text.decode("utf-8", "replace")
+        return _COLOURS.sub("", text.decode("utf-8", "replace"))
 
     # -- memory -------------------------------------------------------------------------------
 
@@ -386,18 +386,7 @@ class AvrSim:
 
         Seen by a pattern that fills the free RAM: bytes that a function reserved and never wrote
         at the far end are not counted.
-
-        Raises:
-            SimError: the program does not say where its static data ends.
         """
         start = self.program.ram_end
-        if not start:
-            raise SimError(f"{self.program.path} has no RAM segment to tell stack from data")
         free = self.read_memory(start, int(self._lib.sim_data_size(self._handle)) - start)
         return len(free.lstrip(bytes([_PAINT])))
-
-    def _paint(self) -> None:
-        start = self.program.ram_end
-        if start:
-            size = int(self._lib.sim_data_size(self._handle)) - start
-            self.write_memory(start, bytes([_PAINT]) * size)

@@ -17,7 +17,7 @@
 #include "usart.h"
 
 enum { STOP_OUTPUT = 1, STOP_SPAN = 2 };                     /* what sim_run may stop for */
-enum { LOG_SIZE = 8192, GPIOR0 = 0x3e };
+enum { LOG_SIZE = 8192, GPIOR0 = 0x3e, PAINT = 0xc5 };
 
 typedef struct { uint64_t cycle; uint8_t byte, framing_error; } out_t;
 typedef struct { uint64_t start, cycles; uint8_t mark; } span_t;
@@ -32,7 +32,7 @@ typedef struct {
     uint32_t span_count, span_size;
     uint64_t span_start;
     uint8_t span_mark, spans_on, illegal;
-    uint32_t illegal_pc;
+    uint32_t illegal_pc, ram_end;
     char log[LOG_SIZE];
     uint32_t log_length;
 } sim_t;
@@ -69,6 +69,23 @@ static void no_sleep(avr_t *avr, avr_cycle_count_t cycles)
 {
     (void)avr; /* a sleeping core only skips simulated time */
     (void)cycles;
+}
+
+/* The chip takes 4 cycles (5 with a 3-byte program counter) to enter an interrupt handler, which
+ * simavr leaves out. */
+static void on_interrupt(struct avr_irq_t *irq, uint32_t entered, void *param)
+{
+    avr_t *avr = param;
+    (void)irq;
+    if (entered)
+        avr->cycle += 2u + avr->address_size;
+}
+
+/* Fills the RAM above the static data, so that one can see how deep the stack went. */
+static void on_reset(void *param)
+{
+    sim_t *s = param;
+    memset(s->avr->data + s->ram_end, PAINT, s->avr->ramend + 1u - s->ram_end);
 }
 
 /* ---- what the firmware does ---- */
@@ -180,11 +197,16 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     avr_uart_t *port = find_uart(avr, uart);
     if (!port)
         return failed(s, error, error_size, "the MCU has no such UART");
+    s->ram_end = ram_end;
     s->usart.host_bit = host_bit;
     s->usart.on_byte = on_byte;
+    s->usart.on_reset = on_reset;
     s->usart.param = s;
     if (usart_attach(&s->usart, avr, port))
         return failed(s, error, error_size, "this MCU's kind of UART is not modelled");
+    for (int i = 0; i < avr->interrupts.vector_count; i++)
+        avr_irq_register_notify(avr->interrupts.vector[i]->irq + AVR_INT_IRQ_RUNNING,
+                                on_interrupt, avr);
     if (!avr->io[AVR_DATA_TO_IO(GPIOR0)].w.c) { /* else another register lives there */
         avr_register_io_write(avr, GPIOR0, on_mark, s);
         s->spans_on = 1;

@@ -401,6 +401,7 @@ static void reset(struct avr_io_t *io)
         avr_cycle_timer_cancel(u->avr, wire_event, &u->rx);
         u->rx.state = WIRE_IDLE;
     }
+    u->on_reset(u->param);
 }
 
 int usart_attach(usart_t *u, avr_t *avr, avr_uart_t *port)

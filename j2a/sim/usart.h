@@ -42,6 +42,7 @@ typedef struct usart {
     avr_uart_t *port;
     double host_bit;                    /* cycles per bit of the host; 0: the firmware's own rate */
     void (*on_byte)(void *param, uint8_t byte, int framing_error);
+    void (*on_reset)(void *param);      /* the chip was reset, by its watchdog perhaps */
     void *param;
 
     wire_t rx, tx;
