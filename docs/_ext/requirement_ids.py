@@ -1,0 +1,129 @@
+"""Sphinx extension: requirement ids are links, wherever they are written.
+
+What flows in: the doctree of each page. What flows out: the paragraph of SPEC.md that starts with
+an id in bold is a target; the same id anywhere else, in prose or in a docstring, links to it; an id
+that does not exist is a warning. The directive `requirements-table` lists all of them, and the
+comment `<!-- figure: NAME -->` in a Markdown file draws that packet figure, in the place of a table
+that follows it directly.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+from docutils import nodes
+from j2a_spec.requirements import load
+from packet_figure import figure
+from sphinx import addnodes
+from sphinx.application import Sphinx
+from sphinx.transforms import SphinxTransform
+from sphinx.util.docutils import SphinxDirective
+
+ID = re.compile(r"\bJ2A-[A-Z]+-\d{3}\b")
+FIGURE = re.compile(r"<!-- figure: (\S+) -->")
+KEPT = (nodes.strong, nodes.reference, addnodes.pending_xref, nodes.literal_block, nodes.title)
+HEADS = ("id", "level", "binds", "text", "source")
+
+
+def link(name: str) -> addnodes.pending_xref:
+    """Return a link to the requirement `name`."""
+    reference = addnodes.pending_xref(
+        "", refdomain="std", reftype="req", reftarget=name, refexplicit=False, refwarn=True
+    )
+    reference += nodes.literal("", name, classes=["requirement"])
+    return reference
+
+
+def linked(text: str) -> Iterator[nodes.Node]:
+    """Yield the text with each requirement id in it replaced by a link."""
+    end = 0
+    for match in ID.finditer(text):
+        if match.start() > end:
+            yield nodes.Text(text[end : match.start()])
+        yield link(match[0])
+        end = match.end()
+    if end < len(text):
+        yield nodes.Text(text[end:])
+
+
+class Targets(SphinxTransform):
+    """Makes targets of the normative paragraphs and links of all other ids."""
+
+    default_priority = 400
+
+    def apply(self, **_kwargs: Any) -> None:
+        """Change the doctree of the page in place."""
+        for paragraph in list(self.document.findall(nodes.paragraph)):
+            first = next((child for child in paragraph.children if child.astext()), None)
+            if isinstance(first, nodes.strong) and ID.fullmatch(first.astext()):
+                self._target(paragraph, first.astext())
+        for text in list(self.document.findall(nodes.Text)):
+            place = text.parent if isinstance(text.parent, nodes.literal) else text
+            if ID.search(text) and not isinstance(place.parent, KEPT):
+                place.parent.replace(place, list(linked(text)))
+
+    def _target(self, paragraph: nodes.paragraph, name: str) -> None:
+        anchor = name.lower()
+        paragraph["ids"].append(anchor)
+        paragraph["classes"].append("requirement")
+        self.document.note_explicit_target(paragraph, paragraph)
+        self.env.domains.standard_domain.note_object("req", name, anchor, location=paragraph)
+
+
+class Figures(SphinxTransform):
+    """Draws the packet figures that comments in Markdown files ask for."""
+
+    default_priority = 390
+
+    def apply(self, **_kwargs: Any) -> None:
+        """Change the doctree of the page in place."""
+        comments = [*self.document.findall(nodes.raw), *self.document.findall(nodes.comment)]
+        for comment in comments:
+            match = FIGURE.search(comment.rawsource or comment.astext())
+            if match:
+                parent = comment.parent
+                after = parent.index(comment) + 1
+                if after < len(parent) and isinstance(parent[after], nodes.table):
+                    del parent[after]
+                parent.replace(comment, figure(match[1], start=match[1] == "packet"))
+
+
+class RequirementsTable(SphinxDirective):
+    """The directive `requirements-table`: every requirement with its level, role and source."""
+
+    option_spec: ClassVar[dict[str, Any]] = {}
+
+    def run(self) -> list[nodes.Node]:
+        """Return the table, level after level in the order in which they first appear."""
+        levels: dict[str, list[nodes.Node]] = {}
+        for r in load().values():
+            note = f" Not observable on the wire: {r.exception}" if r.exception else ""
+            cells = (r.id, r.level, r.role, r.text + note, r.source)
+            row = nodes.row("", *(_entry(cell) for cell in cells))
+            levels.setdefault(r.level, []).append(row)
+        return [_table([row for rows in levels.values() for row in rows])]
+
+
+def _entry(text: str) -> nodes.entry:
+    return nodes.entry("", nodes.paragraph("", "", *linked(text)))
+
+
+def _table(rows: list[nodes.Node]) -> nodes.table:
+    head = nodes.row("", *(nodes.entry("", nodes.paragraph("", text)) for text in HEADS))
+    group = nodes.tgroup(
+        "",
+        *(nodes.colspec(colwidth=width) for width in (16, 10, 8, 50, 16)),
+        nodes.thead("", head),
+        nodes.tbody("", *rows),
+        cols=len(HEADS),
+    )
+    return nodes.table("", group, classes=["requirements"])
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register object type, transforms and directive with Sphinx."""
+    app.add_object_type("req", "req", objname="requirement")
+    app.add_transform(Figures)
+    app.add_transform(Targets)
+    app.add_directive("requirements-table", RequirementsTable)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

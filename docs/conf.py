@@ -1,0 +1,53 @@
+"""Configuration of Sphinx. Warnings are errors in the build that `make docs` runs."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+project = "J2A"
+author = "the authors of J2A"
+copyright = "the authors of J2A"
+version = release = "0.1.0"
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "packet_figure",
+    "requirement_ids",
+]
+exclude_patterns = ["_build", "_ext", "tests", "examples"]
+
+# Docstrings mark code with single backticks.
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+autodoc_class_signature = "mixed"
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_preprocess_types = False
+
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 3
+
+nitpicky = True
+# The documentation is built without a network, so there are no links to Python's own.
+nitpick_ignore_regex = [
+    (
+        r"py:.*",
+        r"(asyncio|collections|concurrent|construct|enum|pathlib|threading|types|typing)\..*",
+    ),
+]
+
+html_theme = "furo"
+html_title = "J2A"
+html_show_sourcelink = False
+html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["j2a.css"]
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#0b5d7a", "color-brand-content": "#0b5d7a"},
+    "dark_css_variables": {"color-brand-primary": "#6cc5e0", "color-brand-content": "#6cc5e0"},
+}
