@@ -7,6 +7,8 @@ listener in real time or faster. Needs a C compiler and simavr's library, and no
 
 from j2a.sim._avr import AvrSim, Counters, OutByte, Span
 from j2a.sim._errors import BadProgram, FirmwareStopped, SimError, ToolMissing
+from j2a.sim._link import SimLink
+from j2a.sim._runner import Runner, run
 
 __all__ = [
     "AvrSim",
@@ -14,7 +16,10 @@ __all__ = [
     "Counters",
     "FirmwareStopped",
     "OutByte",
+    "Runner",
     "SimError",
+    "SimLink",
     "Span",
     "ToolMissing",
+    "run",
 ]

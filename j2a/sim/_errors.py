@@ -7,15 +7,15 @@ class SimError(Exception):
     """The simulation cannot be set up or go on; the text says what to do."""
 
 
-class ToolMissing(SimError):
+class ToolMissing(SimError):  # noqa: N818 - the name says what happened
     """The C compiler, simavr's headers or its library are not installed."""
 
 
-class BadProgram(SimError):
+class BadProgram(SimError):  # noqa: N818
     """The ELF file is missing, not for AVR, damaged, or does not fit the MCU."""
 
 
-class FirmwareStopped(SimError):
+class FirmwareStopped(SimError):  # noqa: N818
     """The firmware can go no further: illegal instruction, crash, or sleep without interrupts.
 
     Args:

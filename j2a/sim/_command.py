@@ -1,0 +1,89 @@
+"""The command line of the simulator: `j2a sim avr ELF --listen URL`.
+
+In: arguments. Out: exit code 0 (stopped as asked), 1 (simulator, firmware or listener failed).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from j2a_transports import TransportError
+
+from j2a.sim._errors import SimError
+from j2a.sim._runner import run
+
+
+def _speed(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float("inf"):
+        raise ValueError
+    return value
+
+
+def _frequency(text: str) -> int:
+    value = int(float(text))
+    if not 1 <= value <= 100_000_000:
+        raise ValueError
+    return value
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the sub-commands and options of `sim` to a parser."""
+    kinds = parser.add_subparsers(dest="sim_kind", required=True, metavar="KIND")
+    avr = kinds.add_parser(
+        "avr",
+        help="firmware for an AVR, exact to the cycle",
+        description="Run AVR firmware in simavr and serve its UART.",
+    )
+    avr.add_argument("elf", metavar="ELF", help="the firmware as avr-gcc linked it")
+    avr.add_argument(
+        "--listen",
+        default="tcp://127.0.0.1:0",
+        metavar="URL",
+        help="where clients connect: tcp://HOST:PORT (port 0: any), pty:, stdio: (%(default)s)",
+    )
+    avr.add_argument(
+        "--speed",
+        type=_speed,
+        default=1.0,
+        metavar="N",
+        help="1: real time (default); 0: traffic as fast as possible; or simulated s per s",
+    )
+    avr.add_argument("--mcu", default="atmega328p", help="as simavr names it (%(default)s)")
+    avr.add_argument(
+        "--freq",
+        type=_frequency,
+        default=16_000_000,
+        metavar="HZ",
+        help="clock of the MCU (%(default)s)",
+    )
+    avr.add_argument("--uart", default="0", choices="0123", help="which UART (%(default)s)")
+    avr.add_argument(
+        "--baud",
+        type=float,
+        metavar="N",
+        help="bit rate of the host's end, to see a mismatch (the firmware's)",
+    )
+    avr.add_argument("--once", action="store_true", help="end when the first client has gone")
+    avr.add_argument("--reset", action="store_true", help="reset the MCU for each client")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run what `add_arguments` parsed; the exit code."""
+    try:
+        run(
+            args.elf,
+            args.listen,
+            args.speed,
+            mcu=args.mcu,
+            frequency_hz=args.freq,
+            uart=args.uart,
+            host_baud=args.baud,
+            once=args.once,
+            reset=args.reset,
+        )
+    except (SimError, TransportError) as error:
+        print(f"j2a sim: {error}", file=sys.stderr)
+        return 1
+    return 0

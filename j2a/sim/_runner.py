@@ -1,0 +1,233 @@
+"""Puts the UART of a simulated AVR on a transport listener.
+
+In: bytes of one client at a time. Out: what the firmware sends, to that client.
+Rules: what has arrived is taken before each slice of simulated time, and one read of the
+transport goes onto the simulated wire without gaps; simulated time never runs ahead of the wall
+clock times the speed; speed 0 is as fast as possible while bytes are on the way, and real time
+while nothing happens, so that a pause of the client lasts as long for the firmware as for the
+client and an idle simulator costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Final, TextIO
+
+from j2a_transports import LinkLost, Listener, Transport, TransportError, listen
+
+from j2a.sim._avr import AvrSim
+from j2a.sim._errors import FirmwareStopped, SimError
+from j2a.sim._pace import Pacer
+
+SLICE_S: Final = 0.001
+# At speed 0, simulated time after the last byte that still passes at full speed: enough for a
+# reply, and well below the 9 ms between two bytes that end a frame.
+ACTIVE_S: Final = 0.005
+
+
+class Runner:
+    """Runs a simulator and serves its UART to one client after the other.
+
+    Args:
+        sim: the simulator; its firmware should be listening (see AvrSim.boot).
+        listener: where clients arrive.
+        speed: simulated seconds per second, or 0 (see the module's rules).
+        once: end when the first client has gone.
+        reset: reset the chip when a client arrives.
+        say: called with a line of text when a client is dropped for a fault.
+
+    Raises:
+        SimError: the speed is negative.
+    """
+
+    def __init__(
+        self,
+        sim: AvrSim,
+        listener: Listener,
+        *,
+        speed: float = 1.0,
+        once: bool = False,
+        reset: bool = False,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        if not 0 <= speed < float("inf"):
+            raise SimError(f"speed {speed} is out of range: 0, or simulated seconds per second")
+        self.sim, self._listener, self._speed = sim, listener, speed
+        self._once, self._reset, self._say = once, reset, say
+        self._pacer = Pacer(speed or 1.0)
+        self._slice = sim.cycles(SLICE_S)
+        self._active_until = 0
+        self._client: Transport | None = None
+
+    def serve(self, stop: threading.Event) -> None:
+        """Run until `stop` is set, or with `once` until the first client has gone.
+
+        Args:
+            stop: may be set from a signal handler or another thread; seen within milliseconds.
+
+        Raises:
+            FirmwareStopped: the firmware can go no further.
+            TransportError: the listener failed.
+        """
+        self._pacer.restart(self.sim.time_s)
+        had_client = False
+        try:
+            while not stop.is_set():
+                if self._client is None:
+                    if self._once and had_client:
+                        return
+                    self._accept()
+                    had_client = had_client or self._client is not None
+                else:
+                    self._receive(self._client)
+                self.sim.run(self._slice)
+                self._send()
+        finally:
+            if self._client is not None:
+                self._client.close()
+                self._client = None
+
+    def _wait_s(self) -> float:
+        """How long to wait for input before the next slice."""
+        sim = self.sim
+        if self._speed == 0:
+            if sim.counters.queued:
+                self._stay_active()
+            if sim.cycle < self._active_until:
+                self._pacer.restart(sim.time_s)
+                return 0.0
+        return self._pacer.wait_s(sim.time_s)
+
+    def _stay_active(self) -> None:
+        self._active_until = self.sim.cycle + self.sim.cycles(ACTIVE_S)
+
+    def _accept(self) -> None:
+        self._client = self._listener.accept(self._wait_s())
+        if self._client is None:
+            return
+        if self._reset:
+            self.sim.reset()
+            self.sim.boot()
+        self.sim.uart_read()  # sent before this client was there
+
+    def _receive(self, client: Transport) -> None:
+        try:
+            while data := client.read(self._wait_s()):
+                self.sim.uart_write(data)
+                self._stay_active()
+                if self._speed == 0:
+                    return
+        except TransportError as error:
+            self._drop(client, error)
+
+    def _send(self) -> None:
+        data = self.sim.uart_read()
+        if not data:
+            return
+        self._stay_active()
+        if self._client is not None:
+            try:
+                self._client.write(data)
+            except TransportError as error:
+                self._drop(self._client, error)
+
+    def _drop(self, client: Transport, error: TransportError) -> None:
+        if not isinstance(error, LinkLost):  # a client that leaves is nothing to talk about
+            self._say(f"dropped {client.url}: {error}")
+        client.close()
+        self._client = None
+
+
+@contextmanager
+def _stopped_by_signals(stop: threading.Event) -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM set `stop`; only the main thread may handle signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    before = {
+        number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def summary(sim: AvrSim, wall_s: float) -> str:
+    """One line with the exact figures of a run, as `name=value` words."""
+    c = sim.counters
+    return (
+        f"cycles={sim.cycle} simulated_s={sim.time_s:.6f} wall_s={wall_s:.3f} "
+        f"bytes_in={c.bytes_in} bytes_out={c.bytes_out} overruns={c.overruns} "
+        f"unheard={c.unheard} rx_framing_errors={c.rx_framing_errors} "
+        f"tx_framing_errors={c.tx_framing_errors} stack_bytes={sim.stack_bytes}"
+    )
+
+
+def run(
+    elf: Path | str,
+    listen_url: str,
+    speed: float = 1.0,
+    *,
+    mcu: str = "atmega328p",
+    frequency_hz: int = 16_000_000,
+    uart: str = "0",
+    host_baud: float | None = None,
+    once: bool = False,
+    reset: bool = False,
+    stop: threading.Event | None = None,
+    out: TextIO | None = None,
+    err: TextIO | None = None,
+) -> None:
+    """Serve firmware in a simulated AVR until Ctrl-C, SIGTERM, `stop`, or `once` ends it.
+
+    Prints `listening on URL` to `out` when the firmware listens and a client may come, and the
+    figures of the run (see `summary`) to `err` at the end.
+
+    Args:
+        elf: the firmware.
+        listen_url: `tcp://127.0.0.1:0`, `pty:`, `stdio:` or another that j2a_transports listens on.
+        speed: simulated seconds per second; 0: as fast as possible (see the module's rules).
+        mcu: as simavr names it.
+        frequency_hz: the clock.
+        uart: "0" to "3".
+        host_baud: bit rate of the host; None: the firmware's.
+        once: end when the first client has gone.
+        reset: reset the chip when a client arrives.
+        stop: ends the run when set.
+        out: standard output when None.
+        err: standard error when None.
+
+    Raises:
+        SimError: see AvrSim; FirmwareStopped when the firmware crashed.
+        TransportError: the listener cannot be opened, or failed.
+    """
+    stop = stop or threading.Event()
+    began_s = time.monotonic()
+    with AvrSim(elf, mcu, frequency_hz, uart, host_baud) as sim, _stopped_by_signals(stop):
+        try:
+            sim.boot()
+            with listen(listen_url) as listener:
+
+                def say(text: str) -> None:
+                    print(text, file=err or sys.stderr, flush=True)
+
+                runner = Runner(sim, listener, speed=speed, once=once, reset=reset, say=say)
+                print(f"listening on {listener.url}", file=out or sys.stdout, flush=True)
+                runner.serve(stop)
+        except FirmwareStopped:
+            print(summary(sim, time.monotonic() - began_s), file=err or sys.stderr, flush=True)
+            raise
+        print(summary(sim, time.monotonic() - began_s), file=err or sys.stderr, flush=True)
