@@ -44,8 +44,8 @@ void j2a_process(void);
 
 #if J2A_WITH_SIF
 /* Sends a server-initiated frame, opcode 0..255, length 0..255 bytes of payload. From within a
- * function it goes out at once, before the reply. Returns true when it was sent and false when a
- * frame is just being sent (the caller is an interrupt): try again later. */
+ * function it goes out at once, before the reply. Returns true when it was sent. Returns false, having
+ * sent nothing, when the caller is an interrupt that came while another frame was being sent. */
 bool j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
 #endif
 

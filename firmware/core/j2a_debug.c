@@ -4,8 +4,6 @@
 
 #if J2A_WITH_DEBUG
 
-enum { MORE = 1, LOST = 2 }; /* bits of the return value of a2jDebug */
-
 static char ring[J2A_DEBUGBUF];
 static uint16_t first, used;
 static bool lost;
@@ -23,7 +21,7 @@ void j2a_debug(const char *text) {
 
 uint8_t j2a_get_debug(uint8_t *const length, uint8_t **const payload) {
     uint8_t n = 0;
-    uint8_t code = lost ? LOST : 0;
+    uint8_t code = lost ? J2A_DEBUG_LOST : 0;
     lost = false;
     while (used != 0 && n < J2A_MAX_PAYLOAD) {
         (*payload)[n++] = (uint8_t)ring[first];
@@ -31,7 +29,7 @@ uint8_t j2a_get_debug(uint8_t *const length, uint8_t **const payload) {
         used--;
     }
     if (used != 0)
-        code |= MORE;
+        code |= J2A_DEBUG_MORE;
     *length = n;
     return code;
 }

@@ -38,6 +38,14 @@
 #define J2A_RXBUF 32
 #endif
 
+/* Longest accepted pause between two bytes of a frame in milliseconds. */
+#ifndef J2A_PAUSE_MS
+#define J2A_PAUSE_MS J2A_BYTE_TIMEOUT_MS
+#endif
+#if J2A_PAUSE_MS < J2A_BYTE_TIMEOUT_MIN_MS || J2A_PAUSE_MS >= J2A_BYTE_TIMEOUT_MAX_MS
+#error "J2A_PAUSE_MS must be 9..19 (J2A-TIME-001, J2A-TIME-002)"
+#endif
+
 /* Bytes that a port holds until they are sent. On avr-serial 1..255, costs J2A_TXBUF + 1 bytes. */
 #ifndef J2A_TXBUF
 #define J2A_TXBUF 8

@@ -19,9 +19,9 @@
 /* Sets the link and the clocks up. A port without a command line ignores the arguments. */
 void j2a_port_init(int argc, char **argv);
 
-/* Takes the oldest received byte. Returns false when there is none. Never waits. Before it first
- * returns a byte that arrived after a loss, it calls j2a_rx_lost(). */
-bool j2a_port_rx(uint8_t *byte);
+/* Takes and returns the oldest received byte, or returns -1 when there is none. Never waits. Before
+ * it first returns a byte that arrived after a loss, it calls j2a_rx_lost(). */
+int16_t j2a_port_rx(void);
 
 /* Sends one byte; waits while the transmit buffer is full. */
 void j2a_port_tx(uint8_t byte);

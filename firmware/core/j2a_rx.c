@@ -8,57 +8,65 @@ enum { IDLE, SEQ, OPCODE, LENGTH, PAYLOAD, CHECKSUM };
 
 j2a_rx_t j2a_rx;
 
-static void abandon(uint8_t code, uint8_t site) {
-    if (j2a_rx.state > SEQ) {
+/* Reports that the frame ended before it was complete. state: what was due next. Returns true. */
+static bool ended(uint8_t state, uint8_t code, uint8_t site) {
+    if (state > SEQ) {
         j2a_rx.site = site;
         j2a_rx.event = code;
     }
-    j2a_rx.state = IDLE;
+    return true;
 }
 
+static bool abandon(uint8_t code, uint8_t site) {
+    const uint8_t state = j2a_rx.state;
+    j2a_rx.state = IDLE;
+    return ended(state, code, site);
+}
+
+/* Half of the time that an AVR has for a byte at 1 Mbaud is spent here. So the usual case comes
+ * first, and other functions are called only as the last act: then no registers need saving. */
 bool j2a_rx_byte(uint8_t byte) {
     uint8_t state = j2a_rx.state;
 
-    if (j2a_rx.event != J2A_EVENT_NONE)
-        return false;
+    if (state <= SEQ) { /* only then can an event wait */
+        if (j2a_rx.event != J2A_EVENT_NONE)
+            return false;
+        if (state == IDLE && byte != J2A_SOF)
+            return true;
+    }
     j2a_rx.fed = true;
 
     if (byte == J2A_SOF || byte == J2A_SOS) {
-        abandon(J2A_ERR_FRAMING, J2A_SITE_MARKER);
         j2a_rx.escaped = false;
         j2a_rx.checksum = 0;
         j2a_rx.count = 0;
-        if (byte == J2A_SOF)
-            j2a_rx.state = SEQ;
-        return true;
+        j2a_rx.state = byte == J2A_SOF ? SEQ : IDLE;
+        return ended(state, J2A_ERR_FRAMING, J2A_SITE_MARKER);
     }
-    if (state == IDLE)
-        return true;
     if (j2a_rx.escaped) {
         j2a_rx.escaped = false;
-        if (byte++ == 0xFF) {
-            abandon(J2A_ERR_FRAMING, J2A_SITE_ESCAPE);
-            return true;
-        }
+        if (byte == 0xFF)
+            return abandon(J2A_ERR_FRAMING, J2A_SITE_ESCAPE);
+        byte++;
     } else if (byte == J2A_ESC) {
         j2a_rx.escaped = true;
         return true;
     }
 
     if (state == PAYLOAD) {
+        const uint8_t count = j2a_rx.count;
         j2a_rx.checksum ^= byte;
-        j2a_rx.payload[j2a_rx.count++] = byte;
+        j2a_rx.payload[count] = byte;
+        j2a_rx.count = (uint8_t)(count + 1);
         if (j2a_rx.count == j2a_rx.length)
             j2a_rx.state = CHECKSUM;
         return true;
     }
     if (state == CHECKSUM) {
-        if (byte == j2a_rx.checksum) {
-            j2a_rx.state = IDLE;
-            j2a_rx.event = J2A_EVENT_FRAME;
-        } else {
-            abandon(J2A_ERR_CHECKSUM, J2A_SITE_CHECKSUM);
-        }
+        if (byte != j2a_rx.checksum)
+            return abandon(J2A_ERR_CHECKSUM, J2A_SITE_CHECKSUM);
+        j2a_rx.state = IDLE;
+        j2a_rx.event = J2A_EVENT_FRAME;
         return true;
     }
     if (state == SEQ) {

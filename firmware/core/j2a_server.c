@@ -3,23 +3,24 @@
  * here, so after the checksum; one reply for each frame, in order. */
 #include "j2a_internal.h"
 
-#define TIMEOUT_TICKS ((uint16_t)(J2A_BYTE_TIMEOUT_MS * J2A_TICKS_PER_MS))
+/* One more, because the first tick of a pause may be cut short. */
+#define PAUSE_TICKS ((uint16_t)(J2A_PAUSE_MS * J2A_TICKS_PER_MS + 1))
 
 void j2a_poll(void) {
     static uint16_t last_ticks;
     /* Read before the bytes are taken: only then does "no byte" mean that none came before now. */
     const uint16_t now_ticks = j2a_port_ticks();
     uint8_t turns = 255; /* bounded, so that endless noise does not keep the application waiting */
-    uint8_t byte;
+    int16_t byte;
 
-    while (turns-- && j2a_rx.event == J2A_EVENT_NONE && j2a_port_rx(&byte))
-        j2a_rx_byte(byte);
+    while (turns-- && j2a_rx.event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0)
+        j2a_rx_byte((uint8_t)byte);
     if (j2a_rx.event != J2A_EVENT_NONE)
         return; /* fed stays set: a function may take long, the clock starts again after it */
     if (j2a_rx.fed) {
         j2a_rx.fed = false;
         last_ticks = now_ticks;
-    } else if (j2a_rx_busy() && (uint16_t)(now_ticks - last_ticks) >= TIMEOUT_TICKS) {
+    } else if (j2a_rx_busy() && (uint16_t)(now_ticks - last_ticks) >= PAUSE_TICKS) {
         j2a_rx_timeout();
     }
 }

@@ -26,7 +26,7 @@
 static volatile uint8_t rx[J2A_RXBUF + 1], tx[J2A_TXBUF + 1];
 static volatile uint8_t rx_head, rx_tail, tx_head, tx_tail;
 static volatile bool lost;
-static volatile uint16_t overruns;
+static uint16_t overruns;
 static volatile uint32_t timer_overflows; /* each 32.768 ms: enough for 4.4 years */
 
 static inline uint8_t after(uint8_t index, uint8_t last) {
@@ -45,37 +45,36 @@ void j2a_port_init(int argc, char **argv) {
 }
 
 ISR(USART_RX_vect) {
-    const uint8_t status = UCSR0A; /* reading the byte clears it */
+    const uint8_t status = UCSR0A; /* before the byte: reading that moves the flags on */
     const uint8_t byte = UDR0;
-    const uint8_t head = rx_head;
-    const uint8_t next = after(head, J2A_RXBUF);
 
-    if (lost)
-        return;
-    if ((status & _BV(DOR0)) || next == rx_tail) {
-        lost = true;
-        overruns++;
-    } else {
-        rx[head] = byte;
-        rx_head = next;
+    if (!lost) {
+        const uint8_t head = rx_head;
+        const uint8_t next = after(head, J2A_RXBUF);
+        if ((status & _BV(DOR0)) || next == rx_tail) {
+            lost = true;
+        } else {
+            rx[head] = byte;
+            rx_head = next;
+        }
     }
 }
 
-bool j2a_port_rx(uint8_t *byte) {
+int16_t j2a_port_rx(void) {
     /* Read first: once it is set the ring gets no more bytes, so "empty" stays true. */
     const bool after_loss = lost;
     const uint8_t tail = rx_tail;
 
-    if (tail == rx_head) {
-        if (after_loss) {
-            j2a_rx_lost();
-            lost = false;
-        }
-        return false;
+    if (tail != rx_head) {
+        rx_tail = after(tail, J2A_RXBUF);
+        return rx[tail];
     }
-    *byte = rx[tail];
-    rx_tail = after(tail, J2A_RXBUF);
-    return true;
+    if (after_loss) {
+        j2a_rx_lost();
+        overruns++;
+        lost = false;
+    }
+    return -1;
 }
 
 ISR(USART_UDRE_vect) {
@@ -123,11 +122,7 @@ uint64_t j2a_port_time_us(void) {
 }
 
 uint16_t j2a_port_overruns(void) {
-    uint16_t count;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        count = overruns;
-    }
-    return count;
+    return overruns;
 }
 
 void j2a_port_idle(void) {

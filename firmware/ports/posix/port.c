@@ -98,13 +98,10 @@ static void receive(int timeout_ms) {
     rx_used = n > 0 ? (size_t)n : 0;
 }
 
-bool j2a_port_rx(uint8_t *byte) {
+int16_t j2a_port_rx(void) {
     if (rx_next == rx_used)
         receive(0);
-    if (rx_next == rx_used)
-        return false;
-    *byte = rx[rx_next++];
-    return true;
+    return rx_next == rx_used ? -1 : rx[rx_next++];
 }
 
 void j2a_port_tx(uint8_t byte) {
