@@ -9,8 +9,8 @@
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-# PYTHON= names the interpreter for a new .venv.
-export PYTHON
+# PYTHON= names the interpreter for a new .venv; all else runs with the one in .venv.
+FIRMWARE := $(MAKE) --no-print-directory -C firmware PYTHON=../$(BIN)/python
 
 help:  ## list the tasks
 	@sed -n 's/^\([a-z][a-z-]*\):.*##  */\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -24,10 +24,10 @@ test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these
 	@bash tools/check.sh
 
 lint: $(INSTALLED)  ## lint, layout, types and import arrows
-	@CHECK=ruff,format,mypy,imports bash tools/check.sh
+	@CHECK=ruff,format,mypy,mypy-tools,imports bash tools/check.sh
 
 docs: $(INSTALLED)  ## the documentation, into docs/_build/html
-	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
 bench: $(INSTALLED)  ## speed of decode and encode against other codecs
@@ -35,13 +35,15 @@ bench: $(INSTALLED)  ## speed of decode and encode against other codecs
 
 firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo
-	@PATH="$(CURDIR)/$(BIN):$$PATH" $(MAKE) --no-print-directory -C firmware PORT=posix APP=demo
-	@PATH="$(CURDIR)/$(BIN):$$PATH" $(MAKE) --no-print-directory -C firmware budget
+	@$(FIRMWARE) PORT=posix APP=demo
+	@$(FIRMWARE) PORT=avr-serial APP=demo
+	@$(FIRMWARE) budget
 
-venv: $(INSTALLED)  ## the virtual environment .venv
+venv: $(INSTALLED)  ## the virtual environment .venv; PYTHON= names the interpreter for it
+	@echo "$(VENV) is ready"
 
 $(INSTALLED): constraints.txt pyproject.toml tools/venv.sh
-	@sh tools/venv.sh $(VENV)
+	@PYTHON='$(PYTHON)' sh tools/venv.sh $(VENV)
 	@touch $@
 
 constraints:  ## pin the newest packages that pyproject.toml allows (needs uv)

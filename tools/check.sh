@@ -6,6 +6,8 @@ set -uo pipefail
 cd "$(dirname "$0")/.."
 PATH="$PWD/.venv/bin:$PATH"
 export PATH
+# What the user gave to make is not meant for the builds that happen in here.
+unset MAKEFLAGS MAKEOVERRIDES MFLAGS MAKELEVEL PYTHON
 if [ "${CI:-}" = true ]; then
     # Tests that need the AVR toolchain or the simulator fail without them instead of being skipped.
     export J2A_REQUIRE_AVR=1
@@ -32,7 +34,9 @@ step() {
 step generate "generated files are up to date" python -m j2a_spec.generate --check
 step ruff "lint" ruff check --quiet .
 step format "layout of the Python files" ruff format --check --quiet .
-step mypy "types" mypy
+step mypy "types of the packages" mypy
+step mypy-tools "types of the tools and of the extensions of the documentation" \
+    mypy tools/*.py docs/conf.py docs/_ext/*.py
 step imports "arrows between the packages" lint-imports --no-cache
 step firmware "the posix firmware" make --no-print-directory -C firmware PORT=posix APP=demo
 if command -v avr-gcc >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
@@ -41,7 +45,8 @@ if command -v avr-gcc >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
 else
     printf '\n==> budget: SKIPPED, there is no avr-gcc\n'
 fi
-step docs "documentation, warnings are errors" make --no-print-directory docs
+step docs "documentation, warnings are errors" \
+    python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 step dist "wheel and sdist hold the four packages" python tools/check_dist.py
 if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
