@@ -1,0 +1,66 @@
+"""J2A: call functions of a microcontroller, over any byte stream.
+
+`connect(url)` gives a blocking `Client`, `aconnect(url)` an `AsyncClient`, and a `Device` is the
+other side in Python. Importing this loads no driver.
+"""
+
+from j2a._functions import ManyReply, ManyRequest, read_chunk
+from j2a._handlers import Subscription
+from j2a._trace import Trace
+from j2a.client import Client, connect
+from j2a.device import Device
+from j2a.errors import (
+    BadUrl,
+    CallTimeout,
+    ChecksumRefused,
+    FramingRefused,
+    FunctionFailed,
+    J2AError,
+    LegacyLimit,
+    LinkClosed,
+    LinkError,
+    LinkLost,
+    LocalError,
+    OpcodeRefused,
+    OpenFailed,
+    PauseRefused,
+    ProtocolError,
+    RegistrationError,
+    RemoteError,
+    UnknownFunction,
+)
+from j2a.events import Counters, Frame, FrameError, Reply, Sif
+
+__all__ = [
+    "BadUrl",
+    "CallTimeout",
+    "ChecksumRefused",
+    "Client",
+    "Counters",
+    "Device",
+    "Frame",
+    "FrameError",
+    "FramingRefused",
+    "FunctionFailed",
+    "J2AError",
+    "LegacyLimit",
+    "LinkClosed",
+    "LinkError",
+    "LinkLost",
+    "LocalError",
+    "ManyReply",
+    "ManyRequest",
+    "OpcodeRefused",
+    "OpenFailed",
+    "PauseRefused",
+    "ProtocolError",
+    "RegistrationError",
+    "RemoteError",
+    "Reply",
+    "Sif",
+    "Subscription",
+    "Trace",
+    "UnknownFunction",
+    "connect",
+    "read_chunk",
+]

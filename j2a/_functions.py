@@ -1,0 +1,267 @@
+"""The function table of a device: what a request means.
+
+What flows in: functions at registration, then opcode and payload of each request. What flows out:
+the reply.
+Rules: no input raises; a function that raises or returns what it may not has failed (0xFF).
+Mistakes at registration raise `RegistrationError` at once.
+"""
+
+import logging
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from j2a_spec.constants import (
+    DEBUG_LOST,
+    DEBUG_MORE,
+    ECHO,
+    ECHO_MANY,
+    ERR_OPCODE,
+    FLAG_LAST,
+    FLAG_WRITE,
+    GET_DEBUG,
+    GET_ECHO,
+    GET_ECHO_MANY,
+    GET_MAPPING,
+    GET_PROPERTIES,
+    MANY,
+    MANY_DATA,
+    MANY_HEADER,
+    MAX_MAPPING,
+    MAX_PAYLOAD,
+    RET_FAILED,
+    RET_MAX,
+    RET_OK,
+    SITE_KIND,
+    SITE_OPCODE,
+)
+
+from j2a._server import site
+from j2a.errors import RegistrationError
+from j2a.events import Reply
+
+__all__ = [
+    "CallFunction",
+    "FunctionTable",
+    "ManyFunction",
+    "ManyReply",
+    "ManyRequest",
+    "Result",
+    "read_chunk",
+]
+
+Result = bytes | int | tuple[int, bytes] | None
+"""What a call function returns: a payload (code 0), a code (empty payload), both, or nothing."""
+
+_HEADER: Final = struct.Struct("<BBL")
+_logger = logging.getLogger("j2a")
+
+
+@dataclass(frozen=True, slots=True)
+class ManyRequest:
+    """One chunk of a transfer, as the host asks for it.
+
+    Attributes:
+        is_write: the host sends data; otherwise it asks for data.
+        is_last: the host sends nothing after this chunk.
+        offset: where the chunk stands in the whole, in bytes, 0..2**32-1.
+        data: 0 to 249 bytes.
+    """
+
+    is_write: bool
+    is_last: bool
+    offset: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class ManyReply:
+    """The answer to one chunk.
+
+    Attributes:
+        code: return value, 0..0xEF; 0xFF is failure and ends the transfer.
+        is_last: nothing comes after this chunk.
+        data: 0 to 249 bytes.
+        offset: of this chunk; None is that of the request.
+    """
+
+    code: int = RET_OK
+    is_last: bool = False
+    data: bytes = b""
+    offset: int | None = None
+
+
+CallFunction = Callable[[bytes], Result]
+ManyFunction = Callable[[ManyRequest], ManyReply]
+
+
+def read_chunk(content: bytes | bytearray | memoryview, request: ManyRequest) -> ManyReply:
+    """Return the part of `content` that a read asks for, empty and last behind its end."""
+    end = request.offset + MANY_DATA
+    return ManyReply(is_last=end >= len(content), data=bytes(content[request.offset : end]))
+
+
+class DebugText:
+    """Text that waits for `a2jDebug`, at most `limit` bytes; more is lost from its old end."""
+
+    def __init__(self, limit: int = 4096) -> None:
+        self._limit = limit
+        self._chars: deque[bytes] = deque()
+        self._size = 0
+        self._is_lost = False
+
+    def write(self, text: str) -> None:
+        """Append text."""
+        for char in text:
+            encoded = char.encode("utf-8", "replace")
+            self._chars.append(encoded)
+            self._size += len(encoded)
+            while self._size > self._limit:
+                self._size -= len(self._chars.popleft())
+                self._is_lost = True
+
+    def take(self) -> tuple[int, bytes]:
+        """Return the oldest text, as many whole characters as a frame holds (J2A-DEBUG-001)."""
+        taken = bytearray()
+        while self._chars and len(taken) + len(self._chars[0]) <= MAX_PAYLOAD:
+            taken += self._chars.popleft()
+        self._size -= len(taken)
+        code = (DEBUG_MORE if self._chars else 0) | (DEBUG_LOST if self._is_lost else 0)
+        self._is_lost = False
+        return code, bytes(taken)
+
+
+class FunctionTable:
+    """Functions by opcode, the built-in ones first.
+
+    Args:
+        properties: keys and values that `a2jGetProperties` tells, in this order.
+        debug: executes `a2jDebug`.
+    """
+
+    def __init__(self, properties: Mapping[str, str], debug: CallFunction) -> None:
+        content = pack_properties(properties)
+        self._calls: dict[int, CallFunction] = {}
+        self._manys: dict[int, ManyFunction] = {}
+        self.names: list[str] = []
+        self.add_call(GET_MAPPING, lambda _payload: self._mapping)
+        self.add_call(MANY, lambda _payload: RET_FAILED)  # is never called: see `execute`
+        self._many_opcode = len(self.names) - 1
+        self.add_many(
+            GET_PROPERTIES,
+            lambda request: (
+                ManyReply(RET_FAILED) if request.is_write else read_chunk(content, request)
+            ),
+        )
+        self.add_call(GET_DEBUG, debug)
+        self.add_call(GET_ECHO, lambda payload: (ECHO, payload))
+        self.add_many(
+            GET_ECHO_MANY,
+            lambda request: ManyReply(ECHO_MANY, request.is_last, request.data, request.offset),
+        )
+
+    def add_call(self, name: str, function: CallFunction) -> None:
+        """Append a function that is called directly."""
+        self._calls[self._add(name)] = function
+
+    def add_many(self, name: str, function: ManyFunction) -> None:
+        """Append a function that is called through a2jMany."""
+        self._manys[self._add(name)] = function
+
+    def _add(self, name: str) -> int:
+        if not isinstance(name, str) or not name:
+            raise RegistrationError(f"the name of a function is a text of 1 or more, not {name!r}")
+        if any(not "!" <= char <= "~" for char in name):
+            raise RegistrationError(
+                f"function name {name!r}: only printable ASCII without spaces can be sent"
+            )
+        if name in self.names:
+            raise RegistrationError(f"there is a function named {name!r} already; use another name")
+        mapping = b"".join(name.encode("ascii") + b"\0" for name in [*self.names, name])
+        if len(mapping) > MAX_MAPPING:
+            raise RegistrationError(
+                f"with {name!r} the function map takes {len(mapping)} of {MAX_MAPPING} bytes; "
+                "use shorter names or fewer functions"
+            )
+        self._mapping = mapping
+        self.names.append(name)
+        return len(self.names) - 1
+
+    def execute(self, opcode: int, payload: bytes) -> Reply:
+        """Return the reply to a request, error replies included."""
+        if opcode == self._many_opcode:
+            return self._execute_many(payload)
+        function = self._calls.get(opcode)
+        if function is None:
+            return _refuse(SITE_KIND if opcode in self._manys else SITE_OPCODE)
+        try:
+            code, data = _split(function(payload))
+            _check(code, data, MAX_PAYLOAD)
+        except Exception:
+            _logger.exception("function %s failed", self.names[opcode])
+            return Reply(RET_FAILED, b"")
+        return Reply(code if code <= RET_MAX else RET_FAILED, data)
+
+    def _execute_many(self, payload: bytes) -> Reply:
+        if len(payload) < MANY_HEADER:
+            return Reply(RET_FAILED, b"")
+        opcode, flags, offset = _HEADER.unpack_from(payload)
+        function = self._manys.get(opcode)
+        if function is None:
+            is_call = opcode in self._calls
+            return _refuse(SITE_KIND if is_call else SITE_OPCODE)
+        request = ManyRequest(
+            bool(flags & FLAG_WRITE), bool(flags & FLAG_LAST), offset, payload[MANY_HEADER:]
+        )
+        try:
+            reply = function(request)
+            _check(reply.code, reply.data, MANY_DATA)
+            code = reply.code if reply.code <= RET_MAX else RET_FAILED
+            if reply.offset is not None:
+                offset = reply.offset
+            header = _HEADER.pack(code, FLAG_LAST if reply.is_last else 0, offset)
+        except Exception:
+            _logger.exception("function %s failed", self.names[opcode])
+            return Reply(RET_OK, _HEADER.pack(RET_FAILED, 0, offset))
+        return Reply(RET_OK, header + reply.data)
+
+
+def pack_properties(properties: Mapping[str, str]) -> bytes:
+    """Return properties as they are sent: key NUL value NUL ... (J2A-PROP-001).
+
+    Raises:
+        RegistrationError: a key or value is empty, no text, or holds NUL.
+    """
+    parts = []
+    for part in (part for item in properties.items() for part in item):
+        if not isinstance(part, str) or not part or "\0" in part:
+            raise RegistrationError(
+                f"keys and values of properties are texts of 1 or more without NUL, not {part!r}"
+            )
+        parts.append(part.encode("utf-8") + b"\0")
+    return b"".join(parts)
+
+
+def _refuse(site_id: int) -> Reply:
+    return Reply(ERR_OPCODE, site(site_id))
+
+
+def _split(result: Result) -> tuple[int, bytes]:
+    if result is None:
+        return RET_OK, b""
+    if isinstance(result, int):
+        return result, b""
+    if isinstance(result, tuple):
+        return result
+    return RET_OK, result
+
+
+def _check(code: int, data: bytes, limit: int) -> None:
+    if not isinstance(code, int) or not 0 <= code <= 0xFF:
+        raise ValueError(f"returned the code {code!r}; it must be 0..0xEF, or 0xFF for failure")
+    if not isinstance(data, bytes):
+        raise TypeError(f"returned {type(data).__name__} as payload; it must be bytes")
+    if len(data) > limit:
+        raise ValueError(f"returned {len(data)} bytes of payload; a frame holds {limit}")

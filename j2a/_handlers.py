@@ -1,0 +1,83 @@
+"""Who wants which SIF.
+
+What flows in: handlers with the opcodes they are for. What flows out: the handlers of a SIF, in the
+order of their registration.
+Rules: several handlers may have one opcode and one handler several opcodes; registering and
+cancelling are safe from any thread and from inside handlers.
+"""
+
+import threading
+from collections.abc import Callable, Iterable
+from typing import Generic, TypeVar
+
+from j2a._arguments import check_opcode
+from j2a.errors import LocalError
+
+__all__ = ["Handlers", "Opcodes", "Subscription"]
+
+Opcodes = int | Iterable[int] | None
+"""One opcode, several, or None for all."""
+
+_Handler = TypeVar("_Handler", bound=Callable[..., object])
+
+
+class Subscription(Generic[_Handler]):
+    """A registered handler; `cancel` ends it."""
+
+    __slots__ = ("_cancel", "handler", "opcodes")
+
+    def __init__(
+        self,
+        handler: _Handler,
+        opcodes: frozenset[int] | None,
+        cancel: Callable[["Subscription[_Handler]"], None],
+    ) -> None:
+        self.handler = handler
+        self.opcodes = opcodes
+        self._cancel = cancel
+
+    def cancel(self) -> None:
+        """Call the handler no more; may be called twice. A call that is running goes on."""
+        self._cancel(self)
+
+
+class Handlers(Generic[_Handler]):
+    """The handlers of one link."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        # Replaced, never changed: whoever walks through it keeps what it has.
+        self._subscriptions: tuple[Subscription[_Handler], ...] = ()
+
+    def add(self, opcodes: Opcodes, handler: _Handler) -> Subscription[_Handler]:
+        """Register a handler.
+
+        Raises:
+            LocalError: an opcode is out of range, or the handler cannot be called.
+        """
+        if not callable(handler):
+            raise LocalError(f"a handler is called with each SIF, which {handler!r} cannot be")
+        if isinstance(opcodes, str | bytes):
+            raise LocalError(f"SIFs have opcodes from 0 to 255 and no names, not {opcodes!r}")
+        if opcodes is None:
+            wanted = None
+        elif isinstance(opcodes, Iterable):
+            wanted = frozenset(check_opcode(opcode) for opcode in opcodes)
+        else:
+            wanted = frozenset({check_opcode(opcodes)})
+        subscription = Subscription(handler, wanted, self._remove)
+        with self._lock:
+            self._subscriptions = (*self._subscriptions, subscription)
+        return subscription
+
+    def of(self, opcode: int) -> list[_Handler]:
+        """Return the handlers of an opcode."""
+        return [
+            subscription.handler
+            for subscription in self._subscriptions
+            if subscription.opcodes is None or opcode in subscription.opcodes
+        ]
+
+    def _remove(self, gone: Subscription[_Handler]) -> None:
+        with self._lock:
+            self._subscriptions = tuple(s for s in self._subscriptions if s is not gone)

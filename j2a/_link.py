@@ -1,0 +1,42 @@
+"""Where the library meets the transports: opens them and turns their errors into ours.
+
+What flows in: URLs and transport errors. What flows out: transports and `LinkError`s.
+"""
+
+from typing import Final
+
+import j2a_transports
+
+from j2a.errors import BadUrl, LinkClosed, LinkError, LinkLost, LocalError, OpenFailed
+
+__all__ = ["TRANSPORT_ERRORS", "link_error", "open_transport"]
+
+TRANSPORT_ERRORS: Final = (j2a_transports.TransportError, OSError)
+
+
+def link_error(error: Exception) -> LinkError | LocalError:
+    """Return our error for one that a transport raised."""
+    match error:
+        case j2a_transports.BadUrl():
+            return BadUrl(str(error))
+        case j2a_transports.OpenFailed():
+            return OpenFailed(str(error))
+        case j2a_transports.LinkClosed():
+            return LinkClosed(str(error))
+        case j2a_transports.TransportError():
+            return LinkLost(str(error))
+        case _:
+            return LinkLost(f"the transport failed: {type(error).__name__}: {error}")
+
+
+def open_transport(url: str, options: dict[str, object]) -> j2a_transports.Transport:
+    """Open a transport.
+
+    Raises:
+        BadUrl: the URL or an option is wrong.
+        OpenFailed: it cannot be opened.
+    """
+    try:
+        return j2a_transports.open(url, **options)
+    except TRANSPORT_ERRORS as error:
+        raise link_error(error) from error

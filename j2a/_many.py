@@ -1,0 +1,193 @@
+"""Transfers of any size in chunks (a2jMany), without the link.
+
+What flows in: data to send, replies. What flows out: payloads for a2jMany, one at a time, and the
+result.
+Rules: each transfer is a generator that yields a payload, is sent the reply, and returns its
+result; whoever drives it owns the waiting. Chunks follow each other without gap or overlap;
+anything else that a device answers is an error, never a silent loss.
+"""
+
+import struct
+from collections.abc import Callable, Generator, Iterator
+from typing import Final, NamedTuple, TypeVar
+
+from j2a_spec.constants import (
+    ECHO_MANY,
+    FLAG_LAST,
+    FLAG_WRITE,
+    MANY_DATA,
+    MANY_HEADER,
+    RET_MAX,
+    RET_OK,
+)
+
+from j2a.errors import LegacyLimit, ProtocolError, remote_error
+from j2a.events import Reply
+
+__all__ = ["Chunk", "Guard", "Progress", "Steps", "echo_chunks", "read_chunks", "write_chunks"]
+
+Progress = Callable[[int, int | None], None]
+"""Called after each chunk with the bytes done and the bytes in all, None where nobody knows."""
+
+MAX_OFFSET: Final = 2**32 - 1
+LEGACY_OFFSET: Final = 255
+_HEADER: Final = struct.Struct("<BBL")
+
+
+class Chunk(NamedTuple):
+    """One reply of a2jMany: return value, isLast, offset in bytes, 0 to 249 bytes of data."""
+
+    code: int
+    is_last: bool
+    offset: int
+    data: bytes
+
+
+_Result = TypeVar("_Result")
+Steps = Generator[bytes, Reply, _Result]
+"""A transfer under way: yields payloads for a2jMany, is sent replies, returns its result."""
+
+Guard = Callable[[bytes, Chunk], Steps[None]]
+"""Asked before an offset above 255 is used; gets what has been read and the first chunk, and
+raises `LegacyLimit` when the device cannot be trusted with it."""
+
+
+def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> Steps[Chunk]:
+    """Send one chunk and return the reply, checked as far as every transfer needs it."""
+    reply = yield _HEADER.pack(opcode, flags, offset) + data
+    if reply.code != RET_OK:
+        raise remote_error(f"{what} (a2jMany itself)", reply.code, reply.payload)
+    if len(reply.payload) < MANY_HEADER:
+        raise ProtocolError(
+            f"{what}: a2jMany sent {len(reply.payload)} bytes; its header alone is {MANY_HEADER}"
+        )
+    code, reply_flags, reply_offset = _HEADER.unpack_from(reply.payload)
+    if code > RET_MAX:
+        raise remote_error(f"{what} at offset {offset}", code, reply.payload[MANY_HEADER:])
+    if reply_offset != offset:
+        raise ProtocolError(
+            f"{what}: the device answered offset {reply_offset} instead of {offset}"
+        )
+    return Chunk(code, bool(reply_flags & FLAG_LAST), offset, reply.payload[MANY_HEADER:])
+
+
+def read_chunks(
+    what: str, opcode: int, *, max_bytes: int, guard: Guard, progress: Progress | None = None
+) -> Steps[bytes]:
+    """Read until the device says that a chunk is the last (J2A-MANY-011).
+
+    Args:
+        what: how messages name the transfer.
+        opcode: of the function that is read, 0..255.
+        max_bytes: the most to accept, so that a device without an end cannot fill the memory.
+        guard: see `Guard`.
+        progress: see `Progress`.
+
+    Returns: all data.
+
+    Raises:
+        RemoteError: the device refused or failed.
+        ProtocolError: the chunks do not fit together, or are more than `max_bytes`.
+    """
+    content = bytearray()
+    first: Chunk | None = None
+    while True:
+        offset = len(content)
+        if offset > LEGACY_OFFSET and first is not None:
+            yield from guard(bytes(content), first)
+        chunk = yield from exchange(what, opcode, 0, offset, b"")
+        first = first or chunk
+        content += chunk.data
+        if len(content) > max_bytes:
+            raise ProtocolError(
+                f"{what}: the device sends more than {max_bytes} bytes; "
+                "pass a larger max_bytes if that is right"
+            )
+        if progress is not None:
+            progress(len(content), len(content) if chunk.is_last else None)
+        if chunk.is_last:
+            return bytes(content)
+        if not chunk.data:
+            raise ProtocolError(
+                f"{what}: an empty chunk at offset {offset} is not the last; this would never end"
+            )
+
+
+def write_chunks(
+    what: str, opcode: int, data: bytes, *, progress: Progress | None = None
+) -> Steps[int]:
+    """Write all data in chunks of 249 bytes; no data is one empty chunk (J2A-MANY-013).
+
+    Args:
+        what: how messages name the transfer.
+        opcode: of the function that is written to, 0..255.
+        data: up to 2**32-1 bytes.
+        progress: see `Progress`.
+
+    Returns: the return value of the function for the last chunk, 0..0xEF.
+
+    Raises:
+        RemoteError: the device refused or failed.
+        ProtocolError: the device answered another offset.
+    """
+    code = RET_OK
+    for offset, part, flags in _split(data):
+        chunk = yield from exchange(what, opcode, flags | FLAG_WRITE, offset, part)
+        code = chunk.code
+        if progress is not None:
+            progress(offset + len(part), len(data))
+    return code
+
+
+def echo_chunks(
+    what: str, opcode: int, data: bytes, *, progress: Progress | None = None
+) -> Steps[bytes]:
+    """Send data through a2jEchoMany and check that each chunk comes back as it was (J2A-ECHO-002).
+
+    Args and raises: as `write_chunks`. Returns: what came back.
+    """
+    content = bytearray()
+    for offset, part, flags in _split(data):
+        chunk = yield from exchange(what, opcode, flags | FLAG_WRITE, offset, part)
+        if chunk != (ECHO_MANY, bool(flags & FLAG_LAST), offset, part):
+            raise ProtocolError(f"{what}: the chunk at offset {offset} came back changed")
+        content += chunk.data
+        if progress is not None:
+            progress(len(content), len(data))
+    return bytes(content)
+
+
+def probe_offsets(what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
+    """Find out whether a device of version 1.0 honours offsets above 255.
+
+    Old devices look at the lowest byte of the offset only, so offset 256 gives what offset 0 gave.
+
+    Args:
+        what: how messages name the transfer.
+        opcode: of a function that can be read without side effects.
+        content: what was read so far, from offset 0 on.
+        first: the chunk at offset 0.
+
+    Raises:
+        LegacyLimit: it does not, or nobody can tell.
+    """
+    probe = yield from exchange(f"{what} (probe)", opcode, 0, LEGACY_OFFSET + 1, b"")
+    common = min(len(first.data), len(probe.data))
+    if probe.data[:common] == first.data[:common] and (common or not first.data):
+        raise LegacyLimit(
+            f"{what} needs offsets above {LEGACY_OFFSET}, but this device is of version 1.0 "
+            "and sends its beginning again there, or looks as if it did"
+        )
+    known = content[LEGACY_OFFSET + 1 :]
+    if known[: len(probe.data)] != probe.data[: len(known)]:
+        raise LegacyLimit(
+            f"{what} needs offsets above {LEGACY_OFFSET}, but this device is of version 1.0 "
+            "and sends something else there than it sent before"
+        )
+
+
+def _split(data: bytes) -> Iterator[tuple[int, bytes, int]]:
+    """Return offset, data and flags of each chunk, at least one."""
+    starts = range(0, max(len(data), 1), MANY_DATA)
+    for start in starts:
+        yield start, data[start : start + MANY_DATA], FLAG_LAST if start == starts[-1] else 0

@@ -1,0 +1,207 @@
+"""What a host knows of its device: functions, properties, version.
+
+What flows in: replies to a2jGetMapping and a2jMany. What flows out: opcodes for names, and
+transfers as generators (see `_many`).
+Rules: no input and no output of its own; both clients drive the same object. What was learnt is
+kept until `forget`. Old devices are recognised by what they lack (J2A-PROP-005).
+"""
+
+from difflib import get_close_matches
+from typing import Final
+
+from j2a_spec.constants import (
+    GET_ECHO_MANY,
+    GET_PROPERTIES,
+    MANY,
+    MANY_DATA,
+    PROP_RXBUF,
+    PROP_SPEC,
+    RET_OK,
+)
+
+from j2a._arguments import check_bytes, check_opcode
+from j2a._many import (
+    LEGACY_OFFSET,
+    MAX_OFFSET,
+    Chunk,
+    Progress,
+    Steps,
+    echo_chunks,
+    exchange,
+    probe_offsets,
+    read_chunks,
+    write_chunks,
+)
+from j2a.errors import LocalError, ProtocolError, UnknownFunction
+from j2a.events import Reply
+
+__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "Peer"]
+
+DEFAULT_MAX_BYTES: Final = 64 * 2**20
+MANY_OPCODE: Final = 1
+"""Of a2jMany, in every function table (J2A-DISP-006)."""
+
+
+class Peer:
+    """The cache of what the device told about itself.
+
+    Attributes:
+        functions: names and opcodes; None until the map was fetched, empty when there is none.
+        properties: keys and values; None until they were read, empty when there are none.
+    """
+
+    def __init__(self) -> None:
+        self.functions: dict[str, int] | None = None
+        self.properties: dict[str, str] | None = None
+        self._no_map = "its function map was not fetched"
+        self._offsets_honoured = False
+
+    # ------------------------------------------------------------------ function map
+
+    def take_map(self, reply: Reply | None) -> None:
+        """Learn the functions from the reply of a2jGetMapping; None when opcode 0 was refused.
+
+        A map that cannot be used leaves the device callable by opcode (J2A-MAP-005).
+        """
+        self.functions = {}
+        self.properties = None
+        self._offsets_honoured = False
+        if reply is None:
+            self._no_map = "it has no function map"
+        elif reply.code != RET_OK:
+            self._no_map = f"its function map came with code 0x{reply.code:02X}, so it is damaged"
+        elif reply.payload and not reply.payload.endswith(b"\0"):
+            self._no_map = "its function map is cut off"
+        else:
+            self._no_map = ""
+            for opcode, name in enumerate(reply.payload.split(b"\0")[:-1]):
+                if name:
+                    self.functions.setdefault(name.decode("utf-8", "replace"), opcode)
+
+    def resolve(self, function: object) -> tuple[str, int]:
+        """Return how messages name a function, and its opcode.
+
+        Raises:
+            UnknownFunction: there is no function of that name.
+            LocalError: it is neither a name nor an opcode.
+        """
+        if not isinstance(function, str):
+            opcode = check_opcode(function)
+            return f"opcode {opcode}", opcode
+        known = self.functions or {}
+        opcode = known.get(function, -1)
+        if opcode >= 0:
+            return function, opcode
+        if self._no_map:
+            raise UnknownFunction(
+                f"the device cannot be asked for {function!r}: {self._no_map}; call it by opcode"
+            )
+        near = get_close_matches(function, known, n=3, cutoff=0.5)
+        hint = f"near it are: {', '.join(near)}" if near else f"it has: {', '.join(known)}"
+        raise UnknownFunction(f"the device has no function {function!r}; {hint}")
+
+    # ------------------------------------------------------------------ properties
+
+    def read_properties(self) -> Steps[dict[str, str]]:
+        """Read the properties unless they are known; a device without the function has none."""
+        if self.properties is None:
+            opcode = (self.functions or {}).get(GET_PROPERTIES)
+            content = b""
+            if opcode is not None:
+                content = yield from read_chunks(
+                    GET_PROPERTIES,
+                    opcode,
+                    max_bytes=DEFAULT_MAX_BYTES,
+                    guard=lambda content, first: self._guard_properties(opcode, content, first),
+                )
+            self.properties = unpack_properties(content)
+        return self.properties
+
+    @property
+    def rxbuf(self) -> int:
+        """How many wire bytes the device holds while it is busy; 0 when it does not say."""
+        text = (self.properties or {}).get(PROP_RXBUF, "")
+        return int(text) if text.isascii() and text.isdecimal() else 0
+
+    # ------------------------------------------------------------------ transfers
+
+    def read(self, function: object, max_bytes: object, progress: Progress | None) -> Steps[bytes]:
+        """Read all that a function has; see `read_chunks`."""
+        what, opcode = self.resolve(function)
+        if not isinstance(max_bytes, int) or max_bytes < 0:
+            raise LocalError(f"max_bytes is a number of bytes from 0 on, not {max_bytes!r}")
+        return read_chunks(
+            what,
+            opcode,
+            max_bytes=max_bytes,
+            guard=lambda content, first: self._guard_read(what, opcode, content, first),
+            progress=progress,
+        )
+
+    def write(self, function: object, data: object, progress: Progress | None) -> Steps[int]:
+        """Write data to a function; see `write_chunks`."""
+        what, opcode = self.resolve(function)
+        return self._write(what, opcode, _check_transfer(data), progress)
+
+    def echo(self, data: object, progress: Progress | None) -> Steps[bytes]:
+        """Send data through a2jEchoMany; see `echo_chunks`. Old devices do this right."""
+        what, opcode = self.resolve(GET_ECHO_MANY)
+        return echo_chunks(what, opcode, _check_transfer(data), progress=progress)
+
+    @property
+    def many_opcode(self) -> int:
+        """The opcode of a2jMany."""
+        return (self.functions or {}).get(MANY, MANY_OPCODE)
+
+    # ------------------------------------------------------------------ old devices
+
+    def _write(self, what: str, opcode: int, data: bytes, progress: Progress | None) -> Steps[int]:
+        last_offset = (max(len(data), 1) - 1) // MANY_DATA * MANY_DATA
+        if last_offset > LEGACY_OFFSET and not (yield from self._is_trusted()):
+            # Looking must change nothing, so the properties are looked at where there are any.
+            known = (self.functions or {}).get(GET_PROPERTIES, opcode)
+            first = yield from exchange(f"{what} (probe)", known, 0, 0, b"")
+            yield from self._probe(what, known, first.data, first)
+        return (yield from write_chunks(what, opcode, data, progress=progress))
+
+    def _guard_read(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
+        if not (yield from self._is_trusted()):
+            yield from self._probe(what, opcode, content, first)
+
+    def _guard_properties(self, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
+        if not self._offsets_honoured and PROP_SPEC.encode() not in content.split(b"\0")[:-1:2]:
+            yield from self._probe(GET_PROPERTIES, opcode, content, first)
+
+    def _is_trusted(self) -> Steps[bool]:
+        if self._offsets_honoured:
+            return True
+        properties = yield from self.read_properties()
+        return PROP_SPEC in properties
+
+    def _probe(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
+        yield from probe_offsets(what, opcode, content, first)
+        self._offsets_honoured = True
+
+
+def unpack_properties(content: bytes) -> dict[str, str]:
+    """Return keys and values from key NUL value NUL ... (J2A-PROP-001).
+
+    Raises:
+        ProtocolError: it does not come out even, or a key is empty or comes twice.
+    """
+    if not content:
+        return {}
+    texts = [part.decode("utf-8", "replace") for part in content.split(b"\0")]
+    keys, values = texts[:-1:2], texts[1:-1:2]
+    if texts[-1] or len(keys) != len(values) or "" in keys or len(set(keys)) != len(keys):
+        raise ProtocolError(
+            "the device's properties are not pairs of key and value, each ended by NUL"
+        )
+    return dict(zip(keys, values, strict=True))
+
+
+def _check_transfer(data: object) -> bytes:
+    content = check_bytes(data)
+    if len(content) > MAX_OFFSET:
+        raise LocalError(f"a transfer is {MAX_OFFSET} bytes at most, not {len(content)}")
+    return content

@@ -1,0 +1,470 @@
+"""The blocking client: a session, a transport and two threads.
+
+What flows in: calls from any thread, bytes from the transport. What flows out: replies to the
+callers, SIFs to their handlers.
+Rules: one thread reads, another runs the SIF handlers in order, so a handler may itself call. Each
+caller writes its own request and watches its own time limit. The reader never writes, so a device
+that does not read cannot keep its replies from being read.
+"""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Final, Self, TypeVar, overload
+
+from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, GET_DEBUG, GET_ECHO, GET_MAPPING, MANY
+
+from j2a._arguments import check_payload, check_timeout
+from j2a._handlers import Handlers, Opcodes, Subscription
+from j2a._link import TRANSPORT_ERRORS, link_error, open_transport
+from j2a._many import Progress, Steps
+from j2a._peer import DEFAULT_MAX_BYTES
+from j2a._session import Call
+from j2a._shell import MAX_SIFS_WAITING, Shell, boot_limits, check_echo, is_booting
+from j2a._trace import Trace
+from j2a.errors import (
+    CallTimeout,
+    J2AError,
+    LinkClosed,
+    LinkError,
+    LocalError,
+    OpcodeRefused,
+)
+from j2a.events import Reply, Sif
+
+if TYPE_CHECKING:
+    from j2a_transports import Transport
+
+__all__ = ["Client", "Handler", "connect"]
+
+Handler = Callable[[Sif], object]
+"""Called with each SIF that it is registered for, in a thread of the client."""
+
+_HandlerF = TypeVar("_HandlerF", bound=Handler)
+_Result = TypeVar("_Result")
+_JOIN_S: Final = 5.0
+_logger = logging.getLogger("j2a")
+
+
+class Client(Shell):
+    """The host's end of a link; use `j2a.connect` to get one.
+
+    All methods may be called from any thread, and from inside SIF handlers. A client is a context
+    manager: leaving the block closes it.
+
+    Args:
+        transport: an open byte stream from `j2a_transports`; the client closes it.
+        timeout: the time limit of a call that does not bring its own, in seconds.
+        window: how many calls may be on the wire at once, 1..64. More than one has an effect only
+            with a device that announces `j2a.rxbuf`, and never exceeds it.
+        trace: called with everything that passes; see `j2a.Trace`.
+        on_handler_error: called with an exception that a SIF handler raised, and the SIF. Without
+            it the exception is logged. Either way it is counted.
+
+    Raises:
+        LocalError: an argument is wrong.
+    """
+
+    def __init__(
+        self,
+        transport: "Transport",
+        *,
+        timeout: float = 1.0,
+        window: int = 1,
+        trace: Trace | None = None,
+        on_handler_error: Callable[[Exception, Sif], None] | None = None,
+    ) -> None:
+        super().__init__(transport.url, timeout, window, trace)
+        self._transport = transport
+        self._on_handler_error = on_handler_error
+        self._handlers: Handlers[Handler] = Handlers()
+        self._sifs: queue.SimpleQueue[Sif | None] = queue.SimpleQueue()
+        # Taken in this order. Bytes are fetched and written under the first, so requests keep
+        # their order; a write that waits for the device holds up nothing but other writes.
+        self._writing = threading.Lock()
+        self._state = threading.Lock()
+        self._reader = self._start(self._read, "reader")
+        self._dispatcher = self._start(self._dispatch, "handlers")
+
+    # ------------------------------------------------------------------ calls
+
+    def call(
+        self, function: str | int, payload: bytes = b"", timeout: float | None = None
+    ) -> Reply:
+        """Call a function of the device and wait for its reply.
+
+        Args:
+            function: its name in the function map, or its opcode 0..255.
+            payload: 0 to 255 bytes.
+            timeout: the time limit in seconds, from now until the reply is here; None takes the
+                client's, `math.inf` waits for ever.
+
+        Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
+
+        Raises:
+            LocalError: an argument is wrong; `UnknownFunction` if it is the name.
+            RemoteError: the device refused the request; the type says why.
+            CallTimeout: there was no reply in time.
+            LinkError: the link is lost or closed.
+        """
+        data = check_payload(payload)
+        limit_s = self._limit_s(timeout)
+        what, opcode = self._resolve(function)
+        return self._call(what, opcode, data, limit_s)
+
+    def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
+        """Send 0 to 255 bytes to a2jEcho and return what comes back, which is the same.
+
+        Raises: as `call`; ProtocolError when it is not the same.
+        """
+        return check_echo(self.call(GET_ECHO, payload, timeout), bytes(payload))
+
+    def read_debug(self, timeout: float | None = None) -> str:
+        """Take the debug text that waits in the device; where text was lost it begins with `[...]`.
+
+        Raises: as `call`.
+        """
+        text = b""
+        code = DEBUG_MORE
+        while code & DEBUG_MORE:
+            code, part = self.call(GET_DEBUG, timeout=timeout)
+            text += (b"[...]" if code & DEBUG_LOST else b"") + part
+            if not part:
+                break
+        return text.decode("utf-8", "replace")
+
+    # ------------------------------------------------------------------ transfers
+
+    def read_many(
+        self,
+        function: str | int,
+        *,
+        timeout: float | None = None,
+        max_bytes: int = DEFAULT_MAX_BYTES,
+        progress: Progress | None = None,
+    ) -> bytes:
+        """Read everything that a function made for a2jMany has.
+
+        Args:
+            function: its name or opcode.
+            timeout: the time limit of each chunk, in seconds.
+            max_bytes: the most to accept.
+            progress: called after each chunk with the bytes read and None, at the end with the
+                bytes read twice.
+
+        Raises: as `call`; FunctionFailed; ProtocolError when the chunks do not fit together;
+            LegacyLimit when a device of version 1.0 cannot do it.
+        """
+        self._resolve(function)
+        return self._drive(self._peer.read(function, max_bytes, progress), timeout)
+
+    def write_many(
+        self,
+        function: str | int,
+        data: bytes,
+        *,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+    ) -> int:
+        """Write data of any size to a function made for a2jMany.
+
+        Args:
+            function: its name or opcode.
+            data: up to 2**32-1 bytes.
+            timeout: the time limit of each chunk, in seconds.
+            progress: called after each chunk with the bytes done and the bytes in all.
+
+        Returns: the return value of the function for the last chunk.
+
+        Raises: as `read_many`.
+        """
+        self._resolve(function)
+        return self._drive(self._peer.write(function, data, progress), timeout)
+
+    def echo_many(
+        self, data: bytes, *, timeout: float | None = None, progress: Progress | None = None
+    ) -> bytes:
+        """Send data of any size through a2jEchoMany and return what comes back, which is the same.
+
+        Args and raises: as `write_many`; ProtocolError when it is not the same.
+        """
+        self._load_map()
+        return self._drive(self._peer.echo(data, progress), timeout)
+
+    # ------------------------------------------------------------------ what the device has
+
+    @property
+    def functions(self) -> dict[str, int]:
+        """Names and opcodes of the device's functions; empty when it has no function map.
+
+        Raises: as `call`, when the map is still to be fetched.
+        """
+        self._load_map()
+        return dict(self._peer.functions or {})
+
+    @property
+    def properties(self) -> dict[str, str]:
+        """The device's properties, read when first asked for; empty when it has none.
+
+        Raises: as `read_many`.
+        """
+        self._load_map()
+        return dict(self._drive(self._peer.read_properties(), None))
+
+    def refresh(self, boot_time: float | None = None) -> None:
+        """Fetch the function map anew and forget the properties.
+
+        Args:
+            boot_time: for how long to try again while the device does not answer, in seconds;
+                None tries once.
+
+        Raises: as `call`.
+        """
+        limits = (
+            [self._timeout] if boot_time is None else list(boot_limits(check_timeout(boot_time)))
+        )
+        for attempt, limit_s in enumerate(limits, start=1):
+            try:
+                self._peer.take_map(self._call(GET_MAPPING, 0, b"", limit_s))
+            except OpcodeRefused:
+                self._peer.take_map(None)
+            except J2AError as error:
+                if attempt == len(limits) or not is_booting(error):
+                    raise
+                continue
+            break
+        if self._window > 1:
+            self._drive(self._peer.read_properties(), None)
+            with self._state:
+                self._session.rxbuf = self._peer.rxbuf
+
+    # ------------------------------------------------------------------ SIFs
+
+    @overload
+    def on_sif(self, opcodes: Opcodes, handler: Handler) -> Subscription[Handler]: ...
+    @overload
+    def on_sif(self, opcodes: Opcodes = None) -> Callable[[_HandlerF], _HandlerF]: ...
+    def on_sif(self, opcodes: Opcodes = None, handler: Handler | None = None) -> object:
+        """Register a handler for server-initiated frames; without `handler` a decorator.
+
+        Handlers run in one thread of the client, in the order in which the SIFs came and the
+        handlers were registered; they may use the client.
+
+        Args:
+            opcodes: one opcode 0..255, several, or None for all.
+            handler: called with each `Sif`.
+
+        Returns: an object whose `cancel()` ends it.
+
+        Raises:
+            LocalError: an argument is wrong.
+        """
+        if handler is not None:
+            return self._handlers.add(opcodes, handler)
+
+        def decorate(function: _HandlerF) -> _HandlerF:
+            self._handlers.add(opcodes, function)
+            return function
+
+        return decorate
+
+    # ------------------------------------------------------------------ end
+
+    @property
+    def is_open(self) -> bool:
+        """The link is there: neither lost nor closed."""
+        return not self._session.is_closed
+
+    def close(self) -> None:
+        """Close the link; calls that wait raise `LinkClosed`. May be called twice."""
+        self._end(LinkClosed(f"{self._url} was closed by this program"))
+        for thread in (self._reader, self._dispatcher):
+            if thread is not threading.current_thread():
+                thread.join(_JOIN_S)
+                if thread.is_alive():
+                    _logger.warning("%s is still busy after close", thread.name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<j2a.Client {self._url} {'open' if self.is_open else 'closed'}>"
+
+    # ------------------------------------------------------------------ machinery
+
+    def _start(self, target: Callable[[], None], role: str) -> threading.Thread:
+        thread = threading.Thread(target=target, name=f"j2a {role} {self._url}", daemon=True)
+        thread.start()
+        return thread
+
+    def _load_map(self) -> None:
+        if self._peer.functions is None:
+            self.refresh()
+
+    def _resolve(self, function: str | int) -> tuple[str, int]:
+        if isinstance(function, str):
+            self._load_map()
+        return self._peer.resolve(function)
+
+    def _drive(self, steps: Steps[_Result], timeout: float | None) -> _Result:
+        limit_s = self._limit_s(timeout)
+        try:
+            payload = next(steps)
+            while True:
+                payload = steps.send(self._call(MANY, self._peer.many_opcode, payload, limit_s))
+        except StopIteration as end:
+            result: _Result = end.value
+            return result
+
+    def _call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
+        waiter = threading.Lock()
+        waiter.acquire()
+        with self._state:
+            call = self._session.start_call(
+                what, opcode, payload, now=time.monotonic(), timeout_s=limit_s, waiter=waiter
+            )
+        try:
+            self._wait(call, waiter)
+        except BaseException:
+            with self._state:
+                self._wake(self._session.cancel(call))
+            raise
+        if call.reply is None:
+            assert call.error is not None
+            raise call.error
+        return call.reply
+
+    def _wait(self, call: Call, waiter: threading.Lock) -> None:
+        while True:
+            self._flush()
+            if call.has_ended:
+                return
+            wait_s = -1.0
+            if call.deadline is not None:
+                wait_s = min(max(0.0, call.deadline - time.monotonic()), threading.TIMEOUT_MAX)
+            if not waiter.acquire(timeout=wait_s):
+                with self._state:
+                    self._wake(self._session.handle_timeout(time.monotonic()))
+
+    def _flush(self) -> None:
+        """Write what the session has to send; called by callers, never by the reader."""
+        try:
+            with self._writing:
+                with self._state:
+                    data = self._session.data_to_send()
+                if data:
+                    self._transport.write(data)
+        except TRANSPORT_ERRORS as error:
+            self._end(link_error(error))
+
+    def _wake(self, calls: Iterable[Call | Sif]) -> None:
+        """Tell callers that their call was sent or has ended; the state lock is held."""
+        for call in calls:
+            if isinstance(call, Call) and call.waiter.locked():
+                call.waiter.release()
+
+    def _read(self) -> None:
+        try:
+            while True:
+                data = self._transport.read(None)
+                with self._state:
+                    events = self._session.receive(data)
+                    self._wake(events)
+                    for event in events:
+                        if isinstance(event, Sif):
+                            self._queue_sif(event)
+        except TRANSPORT_ERRORS as error:
+            self._end(link_error(error))
+
+    def _queue_sif(self, sif: Sif) -> None:
+        if self._sifs.qsize() < MAX_SIFS_WAITING:
+            self._sifs.put(sif)
+        else:
+            self._session.count("sifs_dropped")
+
+    def _dispatch(self) -> None:
+        while (sif := self._sifs.get()) is not None:
+            for handler in self._handlers.of(sif.opcode):
+                try:
+                    handler(sif)
+                except Exception as error:
+                    self._report(error, sif)
+
+    def _report(self, error: Exception, sif: Sif) -> None:
+        with self._state:
+            self._session.count("handler_errors")
+        try:
+            if self._on_handler_error is not None:
+                self._on_handler_error(error, sif)
+                return
+        except Exception:
+            _logger.exception("on_handler_error itself failed")
+        _logger.error("a handler of SIF 0x%02X failed", sif.opcode, exc_info=error)
+
+    def _end(self, reason: LinkError | LocalError) -> None:
+        """End all calls with the reason and let both threads run out."""
+        with self._state:
+            if not self._session.is_closed:
+                self._wake(self._session.close(reason))
+                self._sifs.put(None)
+        self._transport.close()
+
+
+def connect(
+    url: str,
+    *,
+    timeout: float = 1.0,
+    boot_time: float = 5.0,
+    window: int = 1,
+    trace: Trace | None = None,
+    on_handler_error: Callable[[Exception, Sif], None] | None = None,
+    **transport_options: object,
+) -> Client:
+    """Open a link to a device and fetch its function map.
+
+    Args:
+        url: such as `serial:///dev/ttyACM0?baud=115200`, `tcp://127.0.0.1:5000`, `exec:./fw`.
+        timeout: the time limit of a call that does not bring its own, in seconds.
+        boot_time: for how long to try while the board does not answer, in seconds; many boards
+            reset and boot for 1 to 2 s when their port is opened.
+        window, trace, on_handler_error: see `Client`.
+        transport_options: options of the URL's scheme as keywords, such as `baud=57600`.
+
+    Returns: the client; close it, or use it in a `with` statement.
+
+    Raises:
+        LocalError: an argument, the URL or an option is wrong.
+        OpenFailed: the URL names nothing that can be opened.
+        CallTimeout: no device answered within `boot_time`.
+        LinkLost: the link broke meanwhile.
+    """
+    check_timeout(boot_time)
+    transport = open_transport(url, transport_options)
+    try:
+        client = Client(
+            transport,
+            timeout=timeout,
+            window=window,
+            trace=trace,
+            on_handler_error=on_handler_error,
+        )
+    except BaseException:
+        transport.close()
+        raise
+    try:
+        client.refresh(boot_time)
+    except CallTimeout as error:
+        client.close()
+        raise CallTimeout(
+            f"no device answered at {url} within {boot_time:g} s; see that the board runs J2A and "
+            "that speed and parity are the same at both ends"
+        ) from error
+    except BaseException:
+        client.close()
+        raise
+    return client

@@ -1,0 +1,310 @@
+"""A device in Python: functions that a host can call over any byte stream.
+
+What flows in: functions at registration, then transports to serve. What flows out: replies, SIFs
+and debug text.
+Rules: one function runs at a time, whatever the number of hosts, as on a microcontroller; each host
+has its own SIF counter. `send_sif` and `debug` may be called from any thread and from inside
+functions.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Final, Self, TypeVar, overload
+
+from j2a_spec.constants import BYTE_TIMEOUT_MS, PROP_RXBUF, PROP_SPEC, SPEC_VERSION
+
+from j2a._arguments import check_opcode, check_payload
+from j2a._functions import CallFunction, DebugText, FunctionTable, ManyFunction
+from j2a._link import TRANSPORT_ERRORS, link_error
+from j2a._server import Request, Server
+from j2a._trace import Trace
+from j2a.errors import LinkClosed, LocalError
+
+if TYPE_CHECKING:
+    from j2a_transports import Listener, Transport
+
+__all__ = ["Device"]
+
+_F = TypeVar("_F", bound=Callable[..., object])
+_CallF = TypeVar("_CallF", bound=CallFunction)
+_ManyF = TypeVar("_ManyF", bound=ManyFunction)
+_logger = logging.getLogger("j2a")
+_RXBUF: Final = 4096
+
+
+class Device:
+    """The server side of J2A.
+
+    Example::
+
+        device = j2a.Device({"name": "thermometer"})
+
+        @device.function
+        def read_celsius(payload: bytes) -> bytes:
+            return struct.pack("<f", 21.5)
+
+        with j2a_transports.listen("tcp://127.0.0.1:5000") as listener:
+            device.serve_forever(listener)
+
+    Args:
+        properties: keys and values that a host can read. `j2a.spec` and `j2a.rxbuf` are added
+            unless they are given.
+        byte_timeout_s: the longest pause between two bytes of a request, in seconds.
+        trace: called with everything that passes; see `j2a.Trace`.
+
+    Raises:
+        RegistrationError: a property is empty or holds NUL.
+    """
+
+    def __init__(
+        self,
+        properties: Mapping[str, str] | None = None,
+        *,
+        byte_timeout_s: float = BYTE_TIMEOUT_MS / 1000,
+        trace: Trace | None = None,
+    ) -> None:
+        self._debug_text = DebugText()
+        known = {PROP_SPEC: SPEC_VERSION, PROP_RXBUF: str(_RXBUF)}
+        self._table = FunctionTable({**known, **(properties or {})}, self._take_debug)
+        self._byte_timeout_s = byte_timeout_s
+        self._trace = trace
+        self._calling = threading.Lock()
+        self._lock = threading.Lock()
+        self._debug_lock = threading.Lock()
+        self._connections: set[_Connection] = set()
+        self._listeners: set[Listener] = set()
+        self._stopped = False
+
+    # ------------------------------------------------------------------ registration
+
+    @property
+    def functions(self) -> dict[str, int]:
+        """Names and opcodes of all functions, built-in ones first."""
+        return {name: opcode for opcode, name in enumerate(self._table.names)}
+
+    @overload
+    def function(self, name: _CallF) -> _CallF: ...
+    @overload
+    def function(self, name: str | None = None) -> Callable[[_CallF], _CallF]: ...
+    def function(self, name: CallFunction | str | None = None) -> object:
+        """Register a function that hosts call with up to 255 bytes; a decorator.
+
+        The function takes the payload of the request and returns the payload of the reply, a
+        return code 0..0xEF (0xFF is failure), a tuple of both, or None. An exception or any other
+        code becomes 0xFF.
+
+        Args:
+            name: what hosts call it, printable ASCII without spaces; without it the function's own.
+
+        Raises:
+            RegistrationError: the name is wrong or taken, or the function map is full.
+        """
+        return _decorator(self._table.add_call, name)
+
+    @overload
+    def many(self, name: _ManyF) -> _ManyF: ...
+    @overload
+    def many(self, name: str | None = None) -> Callable[[_ManyF], _ManyF]: ...
+    def many(self, name: ManyFunction | str | None = None) -> object:
+        """Register a function for transfers of any size in chunks (a2jMany); a decorator.
+
+        The function takes a `ManyRequest` and returns a `ManyReply`, once for each chunk;
+        `read_chunk` serves reads of content that is there as a whole.
+
+        Args:
+            name: what hosts call it, printable ASCII without spaces; without it the function's own.
+
+        Raises:
+            RegistrationError: the name is wrong or taken, or the function map is full.
+        """
+        return _decorator(self._table.add_many, name)
+
+    # ------------------------------------------------------------------ speaking unasked
+
+    def send_sif(self, opcode: int, payload: bytes = b"") -> int:
+        """Send a server-initiated frame to every connected host.
+
+        Args:
+            opcode: 0..255, what hosts register handlers for.
+            payload: 0 to 255 bytes.
+
+        Returns: how many hosts it was sent to.
+
+        Raises:
+            LocalError: an argument is wrong.
+        """
+        check_opcode(opcode)
+        data = check_payload(payload)
+        with self._lock:
+            connections = list(self._connections)
+        return sum(connection.send_sif(opcode, data) for connection in connections)
+
+    def debug(self, text: str) -> None:
+        """Append text to what hosts read through a2jDebug; the oldest is lost beyond 4 KiB."""
+        with self._debug_lock:
+            self._debug_text.write(text)
+
+    def _take_debug(self, _payload: bytes) -> tuple[int, bytes]:
+        with self._debug_lock:
+            return self._debug_text.take()
+
+    # ------------------------------------------------------------------ serving
+
+    def serve(self, transport: "Transport") -> None:
+        """Serve one host until the link ends or `stop` is called; closes the transport.
+
+        Args:
+            transport: an open byte stream from `j2a_transports`.
+
+        Raises:
+            LocalError: the device was stopped.
+        """
+        server = Server(byte_timeout_s=self._byte_timeout_s, trace=self._trace)
+        connection = _Connection(server, transport)
+        self._enter(self._connections, connection)
+        try:
+            connection.run(self._execute)
+        finally:
+            with self._lock:
+                self._connections.discard(connection)
+            transport.close()
+
+    def serve_forever(self, listener: "Listener") -> None:
+        """Serve every host that a listener accepts, each in a thread, until `stop` is called.
+
+        Args:
+            listener: from `j2a_transports.listen`; it is closed at the end.
+
+        Raises:
+            LocalError: the device was stopped.
+        """
+        self._enter(self._listeners, listener)
+        try:
+            while True:
+                transport = listener.accept(None)
+                if transport is not None:
+                    threading.Thread(
+                        target=self._serve_in_thread,
+                        args=(transport,),
+                        name=f"j2a device {transport.url}",
+                        daemon=True,
+                    ).start()
+        except TRANSPORT_ERRORS as error:
+            reason = link_error(error)
+            if not isinstance(reason, LinkClosed):
+                raise reason from error
+        finally:
+            with self._lock:
+                self._listeners.discard(listener)
+            listener.close()
+
+    def stop(self) -> None:
+        """End all `serve` and `serve_forever`, from any thread and from inside functions."""
+        with self._lock:
+            self._stopped = True
+            open_things = [connection.transport for connection in self._connections]
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener.close()
+        for transport in open_things:
+            transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.stop()
+
+    def _serve_in_thread(self, transport: "Transport") -> None:
+        try:
+            self.serve(transport)
+        except LocalError:
+            transport.close()  # stopped between accept and serve
+
+    def _enter(self, group: "set[_Connection] | set[Listener]", member: object) -> None:
+        with self._lock:
+            if self._stopped:
+                raise LocalError("this device was stopped; make a new one")
+            group.add(member)  # type: ignore[arg-type]
+
+    def _execute(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
+        with self._calling:
+            return self._table.execute(opcode, payload)
+
+
+class _Connection:
+    """One host: its server state and the transport to it."""
+
+    def __init__(self, server: Server, transport: "Transport") -> None:
+        self.transport = transport
+        self._server = server
+        # Taken in this order. Bytes are fetched and written under the first, so they keep their
+        # order; a write that waits for the host holds up nothing but other writes.
+        self._writing = threading.Lock()
+        self._state = threading.Lock()
+
+    def run(self, execute: Callable[[int, bytes], tuple[int, bytes]]) -> None:
+        """Serve until the link ends, whichever side ends it."""
+        try:
+            while True:
+                self._read()
+                while (request := self._next_request()) is not None:
+                    code, payload = execute(request.opcode, request.payload)
+                    with self._state:
+                        self._server.reply(request, code, payload)
+                    self._flush()
+                self._flush()
+        except TRANSPORT_ERRORS as error:
+            reason = link_error(error)
+            level = logging.DEBUG if isinstance(reason, LinkClosed) else logging.INFO
+            _logger.log(level, "the link to a host has ended: %s", reason)
+
+    def send_sif(self, opcode: int, payload: bytes) -> bool:
+        """Send a SIF; False when the link has ended."""
+        with self._state:
+            self._server.send_sif(opcode, payload)
+        try:
+            self._flush()
+        except TRANSPORT_ERRORS as error:
+            _logger.info("a SIF was not sent: %s", link_error(error))
+            return False
+        return True
+
+    def _read(self) -> None:
+        with self._state:
+            deadline = self._server.next_timeout()
+        wait_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+        data = self.transport.read(wait_s)
+        if not data:
+            # This thread may have been late itself: what has come by now came in time.
+            data = self.transport.read(0)
+        with self._state:
+            if data:
+                self._server.receive(data, time.monotonic())
+            else:
+                self._server.handle_timeout(time.monotonic())
+
+    def _next_request(self) -> Request | None:
+        with self._state:
+            return self._server.next_request()
+
+    def _flush(self) -> None:
+        with self._writing:
+            with self._state:
+                data = self._server.data_to_send()
+            if data:
+                self.transport.write(data)
+
+
+def _decorator(register: Callable[[str, _F], None], name: _F | str | None) -> object:
+    if name is None or isinstance(name, str):
+
+        def decorate(function: _F) -> _F:
+            register(function.__name__ if name is None else name, function)
+            return function
+
+        return decorate
+    register(name.__name__, name)
+    return name

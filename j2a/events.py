@@ -1,0 +1,110 @@
+"""What the library hands to its user.
+
+What flows out: values only, immutable, made by the deframer, the session and the clients. Frames
+are named tuples because one is made for every frame on the wire and a frozen dataclass costs three
+times as much to build; what is made less often is a dataclass.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from j2a_spec.constants import RET_MAX
+
+__all__ = ["Counters", "Frame", "FrameError", "Reason", "Reply", "Sif"]
+
+Reason = Literal["checksum", "marker", "escape", "timeout", "lost"]
+"""Why a frame was given up: wrong checksum; cut off by the marker of the next one; ESC 0xFF;
+the byte timeout; bytes known to be lost."""
+
+
+class Frame(NamedTuple):
+    """A frame whose checksum was right (J2A-FRAME-001)."""
+
+    start: int
+    """SOF (0x12) for requests and replies, SOS (0xED) for SIFs."""
+    seq: int
+    opcode: int
+    """The function called, the return value of a reply, or the handler id of a SIF."""
+    payload: bytes
+
+
+class FrameError(NamedTuple):
+    """A frame that was given up; `seq` is None when the frame broke before it was known."""
+
+    reason: Reason
+    start: int
+    seq: int | None
+
+
+class Reply(NamedTuple):
+    """What a function returned.
+
+    `code` is its return value: by convention 0 is success, 0xFF means that the function failed, and
+    the rest is the function's own. `payload` is 0 to 255 bytes.
+    """
+
+    code: int
+    payload: bytes
+
+    @property
+    def ok(self) -> bool:
+        """The function did not report failure: the code is a regular return value, 0..0xEF."""
+        return self.code <= RET_MAX
+
+
+@dataclass(frozen=True, slots=True)
+class Sif:
+    """A server-initiated frame.
+
+    Attributes:
+        opcode: 0..255, what handlers register for.
+        payload: 0..255 bytes.
+        seq: the device's SIF counter, 0..255.
+        missed: how many SIFs the counter skipped just before this one, 0..255.
+    """
+
+    opcode: int
+    payload: bytes
+    seq: int
+    missed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """The health of a link since it was opened; all are counts.
+
+    Attributes:
+        frames_sent: requests put on the wire.
+        frames_received: good frames, replies and SIFs.
+        bytes_sent: wire bytes, stuffing included.
+        bytes_received: wire bytes, rubbish included.
+        bytes_skipped: received bytes that belonged to no frame.
+        checksum_errors: frames given up because of their checksum.
+        framing_errors: frames cut off by a marker or broken by a bad escape.
+        resyncs: good frames that were the first after one or more broken ones.
+        timeouts: calls that ended without a reply.
+        late_replies: replies that came after their call had ended.
+        stray_replies: replies that no call was waiting for, duplicates included.
+        error_replies: replies that said the request was refused (F0, F2, F3, F4).
+        sifs: server-initiated frames received.
+        sif_gaps: times the SIF counter of the device jumped.
+        sifs_dropped: SIFs that no handler saw because the handlers fell too far behind.
+        handler_errors: exceptions that SIF handlers raised.
+    """
+
+    frames_sent: int = 0
+    frames_received: int = 0
+    bytes_sent: int = 0
+    bytes_received: int = 0
+    bytes_skipped: int = 0
+    checksum_errors: int = 0
+    framing_errors: int = 0
+    resyncs: int = 0
+    timeouts: int = 0
+    late_replies: int = 0
+    stray_replies: int = 0
+    error_replies: int = 0
+    sifs: int = 0
+    sif_gaps: int = 0
+    sifs_dropped: int = 0
+    handler_errors: int = 0
