@@ -77,6 +77,12 @@ class Readiness:
                 result |= BROKEN
         return result
 
+    def hung_up(self) -> bool:
+        """Whether the peer has hung up; bytes of it may still be there."""
+        return self._poll is not None and any(
+            fd == self._fd and mask & select.POLLHUP for fd, mask in self._poll.poll(0)
+        )
+
     def _select(self, timeout_s: float | None) -> int:
         wait = None if timeout_s is None else max(timeout_s, 0)
         readers = [self._waker.fileno()] + ([] if self._write else [self._fd])

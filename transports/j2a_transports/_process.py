@@ -174,16 +174,13 @@ def pumped(url: str, child: Child, write_timeout_s: float | None) -> Transport:
         while rest:
             rest = rest[os.write(in_fd, rest) :]
 
-    def release() -> None:
-        stdin.close()
-        stdout.close()
-
     return PumpedTransport(
         url,
         source=source,
         sink=sink,
         interrupt=child.stop,
-        release=release,
+        finish=stdin.close,
+        release=stdout.close,
         reason=lambda _: child.state(),
         write_timeout_s=write_timeout_s,
     )

@@ -64,13 +64,13 @@ class PtyTransport(PolledTransport):
         return LinkLost(f"{self.url} is lost: the other program closed the terminal")
 
     def _release(self) -> None:
-        # What the two sides have not read must not reach the next ones.
-        if sys.platform != "win32":
-            with contextlib.suppress(OSError, termios.error):
-                termios.tcflush(self._write_fd, termios.TCIOFLUSH)
+        if sys.platform != "win32" and self._readable.hung_up():
+            # What this peer has left behind, read or written, must not reach the next one.
             with contextlib.suppress(OSError):
                 while os.read(self._read_fd, CHUNK):
                     pass
+            with contextlib.suppress(OSError, termios.error):
+                termios.tcflush(self._write_fd, termios.TCIOFLUSH)
         super()._release()
 
 

@@ -8,6 +8,7 @@ still handed to the sink when it takes them.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable
 from typing import Final
@@ -23,9 +24,10 @@ class PumpedTransport(LoopbackTransport):
 
     Args:
         url: for messages.
-        source: returns bytes, b"" when there are none yet; raises OSError or EOFError at the end.
-        sink: takes all bytes; raises OSError when it cannot.
+        source: returns bytes, b"" when there are none yet; raises at the end.
+        sink: takes all bytes; raises when it cannot.
         interrupt: makes blocked calls of source and sink return or raise; called once, by `close`.
+        finish: called by the writing thread when nothing more will be written.
         release: frees what source and sink use; called once, after both threads have ended.
         reason: says why the link is lost, from the exception that ended the pump.
         write_timeout_s: see `Transport`.
@@ -38,6 +40,7 @@ class PumpedTransport(LoopbackTransport):
         source: Callable[[], bytes],
         sink: Callable[[bytes], None],
         interrupt: Callable[[], None],
+        finish: Callable[[], None],
         release: Callable[[], None],
         reason: Callable[[Exception], str],
         write_timeout_s: float | None,
@@ -46,6 +49,7 @@ class PumpedTransport(LoopbackTransport):
         self._source = source
         self._sink = sink
         self._interrupt = interrupt
+        self._finish = finish
         self._release = release
         self._reason = reason
         self._failure: Exception = EOFError()
@@ -64,7 +68,8 @@ class PumpedTransport(LoopbackTransport):
                 rest = memoryview(self._source())
                 while rest and not self._incoming.reader_closed:
                     rest = rest[self._incoming.put(rest, None) :]
-        except (OSError, EOFError) as error:
+        except Exception as error:
+            # A foreign driver may raise anything; whatever it is, this direction has ended.
             self._failure = error
         self._incoming.close_writer()
 
@@ -72,9 +77,11 @@ class PumpedTransport(LoopbackTransport):
         try:
             while data := self._outgoing.get(None):
                 self._sink(data)
-        except (OSError, EOFError) as error:
+        except Exception as error:
+            # A foreign driver may raise anything; whatever it is, this direction has ended.
             self._failure = error
         self._outgoing.close_reader()
+        self._finish()
 
     def close(self) -> None:
         """See `Transport.close`."""
@@ -85,7 +92,9 @@ class PumpedTransport(LoopbackTransport):
             self._ended = True
             writer, reader = self._threads
             writer.join(self.write_timeout_s)
-            self._interrupt()
+            with contextlib.suppress(Exception):
+                # A device that is gone refuses this, in many ways.
+                self._interrupt()
             writer.join(JOIN_TIMEOUT_S)
             reader.join(JOIN_TIMEOUT_S)
             self._release()

@@ -4,7 +4,8 @@ In: a port or any URL that pyserial opens, and options.  Out: bytes.
 Rules: 115200 baud, 8 data bits, no parity, one stop bit unless told otherwise; a port is locked
 against other programs; control lines are set before opening, so that they do not move twice.
 On POSIX the driver polls pyserial's descriptor itself; other ports and pyserial's URLs go through
-threads, because pyserial cannot end a blocked call of theirs.
+threads, because pyserial cannot end a blocked call of theirs. There a write that times out ends the
+link in the end, because pyserial does not say how much it has sent.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 DEFAULT_BAUD: Final = 115200
 # How long pyserial blocks in one read where it cannot be interrupted.
 SLICE_S: Final = 0.05
+PIECE: Final = 256
 # pyserial's ports whose descriptor carries the plain bytes.
 POLLABLE: Final = ("serial.serialposix", "serial.urlhandler.protocol_socket")
 
@@ -69,7 +71,7 @@ class SerialTransport(PolledTransport):
         return LinkLost(f"{self.url} is lost: {_reason(error)}")
 
     def _release(self) -> None:
-        self._port.close()
+        _close(self._port)
 
 
 def open_url(url: Url) -> Transport:
@@ -135,6 +137,7 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
             parity=options.get("parity", "N"),
             stopbits=options.get("stopbits", 1),
             timeout=SLICE_S,
+            write_timeout=options["write_timeout"],
             xonxoff=options.get("xonxoff", False),
             rtscts=options.get("rtscts", False),
             exclusive=options.get("exclusive", True) or None,
@@ -153,6 +156,9 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
     except OSError as error:
         advice = _ADVICE.get(error.errno or 0, f"{error}; is it a serial port, and free?")
         raise OpenFailed(f"{url.text}: {advice}") from error
+    except Exception as error:
+        # termios.error is no OSError.
+        raise OpenFailed(f"{url.text}: {error}; can the device do these settings?") from error
     return port
 
 
@@ -162,7 +168,9 @@ def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
         return first + port.read(min(port.in_waiting, CHUNK)) if first else b""
 
     def sink(data: bytes) -> None:
-        port.write(data)
+        # loop:// refuses at once what would take longer than the write timeout at its baud rate.
+        for at in range(0, len(data), PIECE):
+            port.write(data[at : at + PIECE])
 
     def interrupt() -> None:
         for name in ("cancel_write", "cancel_read"):
@@ -175,10 +183,19 @@ def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
         source=source,
         sink=sink,
         interrupt=interrupt,
-        release=port.close,
+        finish=lambda: None,
+        release=lambda: _close(port),
         reason=_reason,
         write_timeout_s=write_timeout_s,
     )
+
+
+def _close(port: Any) -> None:
+    sock = getattr(port, "_socket", None)
+    port.close()
+    # pyserial 3.5 leaves its socket open when the peer has hung up before.
+    if sock is not None:
+        sock.close()
 
 
 def _reason(error: Exception | None) -> str:

@@ -112,6 +112,7 @@ def _pumped(url: str, streams: StandardStreams, write_timeout_s: float | None) -
         source=source,
         sink=sink,
         interrupt=lambda: None,
+        finish=lambda: None,
         release=streams.give_back,
         reason=lambda _: "the peer closed it",
         write_timeout_s=write_timeout_s,

@@ -62,7 +62,7 @@ def choice(table: Mapping[str, Any]) -> Converter:
 
 
 def text(value: str) -> str:
-    """Any text."""
+    """any text."""
     return value
 
 
@@ -70,7 +70,7 @@ boolean = choice({"0": False, "1": True, "FALSE": False, "TRUE": True, "OFF": Fa
 
 
 def timeout(value: str) -> float | None:
-    """A number of seconds above 0, or none to wait for ever."""
+    """a number of seconds above 0, or none to wait for ever."""
     if value.lower() == "none":
         return None
     seconds = float(value)

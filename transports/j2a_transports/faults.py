@@ -298,7 +298,14 @@ def _parse(url: Url) -> tuple[str, Rates, Rates, int, dict[str, object]]:
     # Keywords of the call that are no fault options belong to the inner transport.
     own = {name: value for name, value in url.keywords.items() if name in OPTIONS}
     foreign = {name: value for name, value in url.keywords.items() if name not in OPTIONS}
-    values = replace(url, keywords=own).options(head.split(",") if head else [], OPTIONS)
+    parts = []
+    for part in head.split(",") if head else []:
+        name, _, value = part.partition("=")
+        if name == "write_timeout":
+            foreign[name] = value
+        else:
+            parts.append(part)
+    values = replace(url, keywords=own).options(parts, OPTIONS)
     return inner, _rates(values, "tx_"), _rates(values, "rx_"), values.get("seed", 0), foreign
 
 

@@ -1,0 +1,249 @@
+"""What every transport does, asked of two ends that are joined back to back.
+
+In: a subclass that says how two ends come into being.  Out: the same tests for each transport,
+each test once from either end.
+Rules: waits are bounded by `PATIENCE_S`, far above what a loaded machine needs; no test judges
+speed.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from typing import Any, ClassVar, NamedTuple
+
+import pytest
+from j2a_transports import LinkClosed, LinkLost, Transport, WriteTimeout
+
+PATIENCE_S = 60.0
+MEGABYTE = 1 << 20
+
+
+class Ends(NamedTuple):
+    """The end under test, the other one, and the other one's name."""
+
+    here: Transport
+    there: Transport
+    there_is: str
+
+
+class Background:
+    """A function in a thread; `result` hands over what it returned or raised."""
+
+    def __init__(self, function: Callable[[], Any]) -> None:
+        self._outcome: list[Any] = []
+        self._error: list[BaseException] = []
+
+        def run() -> None:
+            try:
+                self._outcome.append(function())
+            except BaseException as error:
+                self._error.append(error)
+
+        self.thread = threading.Thread(target=run, daemon=True)
+        self.thread.start()
+
+    def result(self) -> Any:
+        self.thread.join(PATIENCE_S)
+        assert not self.thread.is_alive(), "blocked"
+        if self._error:
+            raise self._error[0]
+        return self._outcome[0]
+
+
+def read_exactly(transport: Transport, count: int) -> bytes:
+    """Read until `count` bytes have come, or fail."""
+    data = bytearray()
+    while len(data) < count:
+        chunk = transport.read(PATIENCE_S)
+        assert chunk, f"only {len(data)} of {count} bytes came"
+        data += chunk
+    return bytes(data)
+
+
+def read_to_end(transport: Transport) -> bytes:
+    """Read until the link is lost."""
+    data = bytearray()
+    with pytest.raises(LinkLost):
+        while chunk := transport.read(PATIENCE_S):
+            data += chunk
+    return bytes(data)
+
+
+def fill(transport: Transport) -> None:
+    """Write until the write fails."""
+    for _ in range(256):
+        transport.write(bytes(MEGABYTE))
+    pytest.fail("256 MiB were written although nobody reads")
+
+
+class BackToBack:
+    """Subclass as Test...; `connect` yields two joined ends.
+
+    Attributes:
+        discards: ends ("near", "far") whose hang-up throws away what the other has not read yet.
+    """
+
+    discards: ClassVar[frozenset[str]] = frozenset()
+
+    def connect(self) -> AbstractContextManager[tuple[Transport, Transport]]:
+        raise NotImplementedError
+
+    def hang_up(self, end: str, transport: Transport) -> None:
+        """Make the other end lose the link."""
+        transport.close()
+
+    @pytest.fixture(params=["near", "far"])
+    def ends(self, request: pytest.FixtureRequest) -> Iterator[Ends]:
+        with self.connect() as (near, far), near, far:
+            yield Ends(near, far, "far") if request.param == "near" else Ends(far, near, "near")
+
+    def test_all_byte_values_arrive_unchanged(self, ends: Ends) -> None:
+        data = bytes(range(256)) * 3 + bytes(reversed(range(256)))
+        ends.here.write(data)
+        assert read_exactly(ends.there, len(data)) == data
+
+    def test_each_byte_value_alone(self, ends: Ends) -> None:
+        for value in range(256):
+            ends.here.write(bytes([value]))
+            assert read_exactly(ends.there, 1) == bytes([value])
+
+    def test_a_megabyte_both_ways_at_once(self, ends: Ends) -> None:
+        out, back = random.Random(1).randbytes(MEGABYTE), random.Random(2).randbytes(MEGABYTE)
+        tasks = [
+            Background(lambda: ends.here.write(out)),
+            Background(lambda: ends.there.write(back)),
+        ]
+        far_reader = Background(lambda: read_exactly(ends.there, MEGABYTE))
+        assert read_exactly(ends.here, MEGABYTE) == back
+        assert far_reader.result() == out
+        for task in tasks:
+            task.result()
+
+    def test_sizes_around_chunk_boundaries(self, ends: Ends) -> None:
+        sizes = [1, 2, 255, 256, 517, 518, 519, 4095, 4096, 4097, 65535, 65536, 65537]
+        blocks = [random.Random(size).randbytes(size) for size in sizes]
+        writer = Background(lambda: [ends.here.write(block) for block in blocks])
+        whole = b"".join(blocks)
+        assert read_exactly(ends.there, len(whole)) == whole
+        writer.result()
+
+    def test_any_buffer_can_be_written_also_an_empty_one(self, ends: Ends) -> None:
+        ends.here.write(b"")
+        ends.here.write(bytearray(b"ab"))
+        ends.here.write(memoryview(b"xcdx")[1:3])
+        assert read_exactly(ends.there, 4) == b"abcd"
+
+    def test_writes_of_several_threads_do_not_mix(self, ends: Ends) -> None:
+        blocks = [bytes([65 + index]) * 20_000 for index in range(4)]
+        writers = [Background(lambda block=block: ends.here.write(block)) for block in blocks]
+        data = read_exactly(ends.there, 80_000)
+        assert sorted(data[at : at + 20_000] for at in range(0, 80_000, 20_000)) == blocks
+        for writer in writers:
+            writer.result()
+
+    def test_read_without_waiting(self, ends: Ends) -> None:
+        assert ends.here.read(0) == b""
+        ends.there.write(b"x")
+        deadline = time.monotonic() + PATIENCE_S
+        while not (data := ends.here.read(0)) and time.monotonic() < deadline:
+            time.sleep(0.001)
+        assert data == b"x"
+
+    def test_read_waits_for_its_timeout(self, ends: Ends) -> None:
+        start = time.monotonic()
+        assert ends.here.read(0.1) == b""
+        assert time.monotonic() - start >= 0.09
+        ends.there.write(b"later")
+        assert read_exactly(ends.here, 5) == b"later"
+
+    @pytest.mark.parametrize("timeout_s", [None, PATIENCE_S])
+    def test_read_returns_as_soon_as_a_byte_comes(
+        self, ends: Ends, timeout_s: float | None
+    ) -> None:
+        reader = Background(lambda: ends.here.read(timeout_s))
+        time.sleep(0.05)
+        ends.there.write(b"!")
+        assert reader.result() == b"!"
+
+    def test_close_ends_a_blocked_read(self, ends: Ends) -> None:
+        reader = Background(lambda: ends.here.read(None))
+        time.sleep(0.1)
+        ends.here.close()
+        with pytest.raises(LinkClosed):
+            reader.result()
+
+    def test_close_ends_a_blocked_write(self, ends: Ends) -> None:
+        ends.here.write_timeout_s = None
+        writer = Background(lambda: fill(ends.here))
+        time.sleep(0.3)
+        # Where closing waits for a peer to take the rest, it waits this long.
+        ends.here.write_timeout_s = 0.2
+        ends.here.close()
+        with pytest.raises(LinkClosed):
+            writer.result()
+
+    def test_a_peer_that_does_not_read_is_a_write_timeout(self, ends: Ends) -> None:
+        ends.here.write_timeout_s = 0.3
+        with pytest.raises(WriteTimeout, match=r"took no byte for 0\.3 s"):
+            fill(ends.here)
+        assert not ends.here.closed
+        # The other direction is not affected.
+        ends.there.write(b"still here")
+        assert read_exactly(ends.here, 10) == b"still here"
+
+    def test_what_the_peer_sent_before_hanging_up_arrives_first(self, ends: Ends) -> None:
+        data = random.Random(3).randbytes(3000)
+        if ends.there_is in self.discards:
+            data = b""
+        ends.there.write(data)
+        self.hang_up(ends.there_is, ends.there)
+        assert read_to_end(ends.here) == data
+        with pytest.raises(LinkLost, match="lost"):
+            ends.here.read(0)
+        assert not ends.here.closed
+
+    def test_a_hang_up_ends_a_blocked_read(self, ends: Ends) -> None:
+        reader = Background(lambda: ends.here.read(None))
+        time.sleep(0.1)
+        self.hang_up(ends.there_is, ends.there)
+        with pytest.raises(LinkLost):
+            reader.result()
+
+    def test_writing_to_a_peer_that_hung_up_is_a_lost_link(self, ends: Ends) -> None:
+        self.hang_up(ends.there_is, ends.there)
+        deadline = time.monotonic() + PATIENCE_S
+        with pytest.raises(LinkLost):
+            # The kernel may take the first bytes before it knows.
+            while time.monotonic() < deadline:
+                ends.here.write(bytes(1000))
+
+    def test_close_is_idempotent_and_thread_safe(self, ends: Ends) -> None:
+        assert not ends.here.closed
+        closers = [Background(ends.here.close) for _ in range(4)]
+        ends.here.close()
+        for closer in closers:
+            closer.result()
+        ends.here.close()
+        assert ends.here.closed
+
+    def test_a_closed_transport_says_so(self, ends: Ends) -> None:
+        ends.there.write(b"never read")
+        ends.here.close()
+        for timeout_s in (0, 1, None):
+            with pytest.raises(LinkClosed):
+                ends.here.read(timeout_s)
+        for data in (b"x", b""):
+            with pytest.raises(LinkClosed):
+                ends.here.write(data)
+
+    def test_a_with_block_closes(self, ends: Ends) -> None:
+        with ends.here as transport:
+            assert transport is ends.here
+        assert ends.here.closed
+
+    def test_its_name_holds_the_url(self, ends: Ends) -> None:
+        assert ends.here.url in repr(ends.here)

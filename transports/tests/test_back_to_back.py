@@ -1,0 +1,135 @@
+"""Every transport of this package in the shared suite."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import j2a_transports
+import pytest
+from j2a_transports import Listener, Transport, faults
+from j2a_transports._process import Child, pumped
+
+from .suite import PATIENCE_S, BackToBack
+
+RELAY = [sys.executable, str(Path(__file__).with_name("relay.py"))]
+
+
+def accepted(listener: Listener) -> Transport:
+    transport = listener.accept(PATIENCE_S)
+    assert transport is not None
+    return transport
+
+
+@contextmanager
+def through_listener(
+    listen_url: str, open_url: str = "{}"
+) -> Iterator[tuple[Transport, Transport]]:
+    with j2a_transports.listen(listen_url) as listener:
+        near = j2a_transports.open(open_url.format(listener.url))
+        yield near, accepted(listener)
+
+
+@contextmanager
+def through_relay(start: Callable[[list[str]], Transport]) -> Iterator[tuple[Transport, Transport]]:
+    with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+        near = start([*RELAY, listener.url.rpartition(":")[2]])
+        yield near, accepted(listener)
+
+
+class TestPair(BackToBack):
+    @contextmanager
+    def connect(self) -> Iterator[tuple[Transport, Transport]]:
+        yield j2a_transports.pair()
+
+
+class TestLoopback(BackToBack):
+    def connect(self):
+        return through_listener("loopback:suite")
+
+
+class TestTcp(BackToBack):
+    def connect(self):
+        return through_listener("tcp://127.0.0.1:0")
+
+
+class TestExec(BackToBack):
+    def connect(self):
+        return through_relay(lambda command: j2a_transports.open(f"exec:{' '.join(command)}"))
+
+
+class TestExecByThreads(BackToBack):
+    """The way that Windows needs, run here too."""
+
+    def connect(self):
+        def start(command: list[str]) -> Transport:
+            child = Child("exec:relay", command, None, subprocess.PIPE, subprocess.PIPE)
+            return pumped("exec:relay", child, 5.0)
+
+        return through_relay(start)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
+class TestPtyChild(BackToBack):
+    # The kernel empties a terminal whose master is closed.
+    discards = frozenset({"near"})
+
+    def connect(self):
+        return through_relay(lambda command: j2a_transports.open(f"pty:{' '.join(command)}"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
+class TestSerialOnPty(BackToBack):
+    # The same: the far end is the master.
+    discards = frozenset({"far"})
+    write_timeout_s = 5.0
+
+    @contextmanager
+    def connect(self) -> Iterator[tuple[Transport, Transport]]:
+        with j2a_transports.listen("pty:") as self.listener:
+            near = j2a_transports.open(self.listener.url, write_timeout=self.write_timeout_s)
+            yield near, accepted(self.listener)
+
+    def hang_up(self, end: str, transport: Transport) -> None:
+        transport.close()
+        if end == "far":
+            self.listener.close()
+
+
+class TestSerialSocket(BackToBack):
+    """A pyserial URL with a descriptor."""
+
+    @contextmanager
+    def connect(self) -> Iterator[tuple[Transport, Transport]]:
+        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+            near = j2a_transports.open(listener.url.replace("tcp:", "serial:socket:"))
+            yield near, accepted(listener)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
+class TestSerialByThreads(TestSerialOnPty):
+    """The way of ports that cannot be polled, such as those of Windows and of `spy://`."""
+
+    # Closing while a write is stuck has to wait for pyserial to give up.
+    write_timeout_s = 3.0
+
+    @pytest.fixture(autouse=True)
+    def nothing_is_pollable(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("j2a_transports._serial.POLLABLE", ())
+
+
+class TestFaultsWithoutFaults(BackToBack):
+    def connect(self):
+        return through_listener("faults::tcp://127.0.0.1:0", "faults:seed=1:{}")
+
+
+class TestFaultsThatLoseNothing(BackToBack):
+    """Cuts and short delays change no byte."""
+
+    @contextmanager
+    def connect(self) -> Iterator[tuple[Transport, Transport]]:
+        near, far = j2a_transports.pair()
+        yield faults.wrap(near, seed=7, split=0.001, delay=0.0001, delay_ms=1), far

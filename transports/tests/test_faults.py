@@ -1,0 +1,180 @@
+"""Faults: what is injected, that it is counted, and that it depends on the seed alone."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import time
+
+import j2a_transports
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from j2a_transports import LinkClosed
+from j2a_transports.faults import Direction, Rates, wrap
+
+from .suite import PATIENCE_S, Background, read_exactly, read_to_end
+
+DATA = random.Random(4).randbytes(20_000)
+
+rates = st.builds(
+    Rates,
+    **{
+        name: st.sampled_from([0.0, 0.001, 0.05, 0.5, 1.0])
+        for name in ("drop", "flip", "dup", "split", "delay")
+    },
+)
+
+
+def joined(direction: Direction, chunks: list[bytes]) -> bytes:
+    return b"".join(piece.data for chunk in chunks for piece in direction.feed(chunk))
+
+
+@given(rates=rates, cuts=st.lists(st.integers(0, 300), max_size=20), seed=st.integers(0, 9))
+def test_chunking_changes_neither_bytes_nor_counts(
+    rates: Rates, cuts: list[int], seed: int
+) -> None:
+    data = DATA[:300]
+    edges = [0, *sorted(cuts), len(data)]
+    whole, cut = Direction(rates, str(seed)), Direction(rates, str(seed))
+    chunks = [data[a:b] for a, b in itertools.pairwise(edges)]
+    assert joined(whole, [data]) == joined(cut, chunks)
+    assert whole.counters == cut.counters
+
+
+@given(rates=rates, data=st.binary(max_size=300))
+def test_counts_explain_the_length(rates: Rates, data: bytes) -> None:
+    direction = Direction(rates, "x")
+    out = joined(direction, [data])
+    counters = direction.counters
+    assert counters.bytes == len(data)
+    if rates.drop in (0.0, 1.0) or rates.dup == 0:
+        doubled = 0 if rates.drop == 1 else counters.dup
+        assert len(out) == len(data) - counters.drop + doubled
+
+
+def test_no_rate_is_no_change() -> None:
+    direction = Direction(Rates(), "x")
+    assert joined(direction, [DATA]) == DATA
+
+
+def test_flips_change_one_bit_each() -> None:
+    direction = Direction(Rates(flip=0.01), "x")
+    out = joined(direction, [DATA])
+    changed = [a ^ b for a, b in zip(DATA, out, strict=True) if a != b]
+    assert len(changed) == direction.counters.flip
+    assert all(difference.bit_count() == 1 for difference in changed)
+    # Every bit has its turn.
+    assert len(set(changed)) == 8
+
+
+@pytest.mark.parametrize("kind", ["drop", "flip", "dup", "split", "delay"])
+def test_the_rate_is_what_was_asked_for(kind: str) -> None:
+    direction = Direction(Rates(**{kind: 0.02}), "x")
+    for at in range(0, len(DATA), 100):
+        direction.feed(DATA[at : at + 100])
+    # 400 expected, standard deviation 20; the seed makes this one fixed outcome.
+    assert 300 < getattr(direction.counters, kind) < 500
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_the_extreme_rates_are_exact(rate: float) -> None:
+    direction = Direction(Rates(dup=rate), "x")
+    expected = b"".join(bytes([value]) * (1 + int(rate)) for value in DATA)
+    assert joined(direction, [DATA]) == expected
+
+
+def test_kinds_do_not_disturb_each_other() -> None:
+    plain, busy = Direction(Rates(flip=0.01), "x"), Direction(Rates(flip=0.01, split=0.3), "x")
+    assert joined(plain, [DATA]) == joined(busy, [DATA])
+
+
+def test_seeds_and_directions_differ() -> None:
+    outcomes = set()
+    for seed in (1, 2):
+        near, far = j2a_transports.pair()
+        with wrap(near, seed=seed, drop=0.01) as faulty, far:
+            far.write(DATA)
+            faulty.write(DATA)
+            far.close()
+            received = read_to_end(faulty)
+            outcomes |= {received, joined(Direction(Rates(drop=0.01), f"{seed}/tx"), [DATA])}
+    assert len(outcomes) == 4
+
+
+def test_both_directions_through_a_url() -> None:
+    url = "faults:seed=3,tx_drop=1,rx_dup=1,rx_drop=0:loopback:directions"
+    with j2a_transports.listen("loopback:directions") as listener:
+        near = j2a_transports.open(url)
+        far = listener.accept(0)
+        assert far is not None
+        with near, far:
+            assert near.url == url
+            near.write(b"gone")
+            assert far.read(0) == b""
+            far.write(b"ab")
+            assert read_exactly(near, 4) == b"aabb"
+            assert near.tx.counters.drop == 4
+            assert near.rx.counters.dup == 2
+            assert near.rx.counters.drop == 0
+
+
+def test_a_listener_gives_each_peer_its_own_seed() -> None:
+    received = []
+    with j2a_transports.listen("faults:seed=3,rx_drop=0.1:tcp://127.0.0.1:0") as listener:
+        for _ in range(2):
+            with j2a_transports.open(listener.url) as near:
+                near.write(DATA)
+            far = listener.accept(PATIENCE_S)
+            assert far is not None
+            with far:
+                received.append(read_to_end(far))
+    assert received == [joined(Direction(Rates(drop=0.1), f"{n}/rx"), [DATA]) for n in (3, 4)]
+
+
+def test_cuts_make_chunks() -> None:
+    near, far = j2a_transports.pair()
+    with wrap(near, split=1) as faulty, far:
+        far.write(b"abc")
+        assert [faulty.read(PATIENCE_S) for _ in range(3)] == [b"a", b"b", b"c"]
+
+
+@pytest.mark.parametrize("side", ["rx", "tx"])
+def test_a_delay_takes_its_time(side: str) -> None:
+    near, far = j2a_transports.pair()
+    with wrap(near, **{side: Rates(delay=1, delay_ms=100)}) as faulty, far:
+        source, sink = (far, faulty) if side == "rx" else (faulty, far)
+        start = time.monotonic()
+        source.write(b"x")
+        assert sink.read(PATIENCE_S) == b"x"
+        assert time.monotonic() - start >= 0.09
+
+
+def test_a_read_times_out_within_a_delay() -> None:
+    near, far = j2a_transports.pair()
+    with wrap(near, rx=Rates(delay=1, delay_ms=300)) as faulty, far:
+        far.write(b"x")
+        assert faulty.read(0.01) == b""
+        assert faulty.read(PATIENCE_S) == b"x"
+
+
+def test_a_read_goes_on_when_everything_was_dropped() -> None:
+    near, far = j2a_transports.pair()
+    with wrap(near, rx=Rates(drop=1)) as faulty, far:
+        far.write(b"x")
+        assert faulty.read(0.05) == b""
+        assert faulty.rx.counters.drop == 1
+
+
+@pytest.mark.parametrize("side", ["rx", "tx"])
+def test_close_ends_a_delay(side: str) -> None:
+    near, far = j2a_transports.pair()
+    faulty = wrap(near, **{side: Rates(delay=1, delay_ms=60_000)})
+    far.write(b"x")
+    waiter = Background(
+        (lambda: faulty.read(None)) if side == "rx" else (lambda: faulty.write(b"x"))
+    )
+    time.sleep(0.1)
+    faulty.close()
+    with pytest.raises(LinkClosed):
+        waiter.result()
