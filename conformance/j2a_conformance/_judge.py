@@ -1,0 +1,38 @@
+"""How a case ends before its last line: by one of these three calls."""
+
+from typing import NoReturn
+
+from ._model import Verdict
+
+__all__ = ["Judged", "fail", "inform", "skip"]
+
+
+class Judged(Exception):  # noqa: N818 - a judgement, not always an error
+    """Ends a case.
+
+    Args:
+        verdict: the judgement.
+        reason: why, in words.
+        suspect: a stall of this machine could be the cause, so the case deserves another attempt.
+    """
+
+    def __init__(self, verdict: Verdict, reason: str, suspect: bool = False) -> None:
+        super().__init__(reason)
+        self.verdict = verdict
+        self.reason = reason
+        self.suspect = suspect
+
+
+def fail(reason: str, suspect: bool = False) -> NoReturn:
+    """The device is wrong; `suspect` when a stall of this machine could look the same."""
+    raise Judged(Verdict.FAILED, reason, suspect)
+
+
+def skip(reason: str) -> NoReturn:
+    """The device does not claim what the case needs."""
+    raise Judged(Verdict.UNIMPLEMENTED, reason)
+
+
+def inform(reason: str) -> NoReturn:
+    """Nothing was wrong, but what the case is about did not happen."""
+    raise Judged(Verdict.INFORMATIONAL, reason)

@@ -1,0 +1,128 @@
+"""What a run is, as data: every report is made from a `Run` and from nothing else.
+
+What flows in: the runner fills these classes. What flows out: console, JUnit and later reports.
+Rules: frozen; no report adds a judgement of its own.
+"""
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Literal
+
+from j2a_spec.requirements import Level
+
+__all__ = ["Claims", "Evidence", "HarnessError", "Kind", "Result", "Run", "Verdict"]
+
+Kind = Literal["sent", "received", "sif", "expected", "note"]
+
+
+class HarnessError(Exception):
+    """The harness or the link is wrong, so nothing can be said about the device."""
+
+
+class Verdict(Enum):
+    """The outcome of a case."""
+
+    OK = "ok"
+    INFORMATIONAL = "informational"
+    """What the case is about did not happen on this link; nothing was wrong."""
+    UNIMPLEMENTED = "unimplemented"
+    """The device does not claim what the case needs; it was not run or not finished."""
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """One line of what happened in a case.
+
+    Attributes:
+        kind: bytes sent, bytes received, a SIF received, what was expected, or a note.
+        at_ms: time since the case began.
+        data: the bytes on the wire, for the first three kinds.
+        text: words, for the last two kinds.
+    """
+
+    kind: Kind
+    at_ms: float
+    data: bytes = b""
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Claims:
+    """What the device says about itself, read from it before the cases.
+
+    Attributes:
+        mapped: a2jGetMapping works; without it the built-in functions were found by trying.
+        functions: names in opcode order; without a mapping only the built-in ones. A name that the
+            suite may not use is "".
+        properties: of a2jGetProperties; empty where the device has none or they cannot be read.
+        rtt_s: the shortest round trip of a small echo seen, in seconds.
+        fresh: the device was reset when the link was opened.
+    """
+
+    mapped: bool
+    functions: tuple[str, ...]
+    properties: dict[str, str] = field(default_factory=dict)
+    rtt_s: float = 0.0
+    fresh: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The outcome of one case.
+
+    Attributes:
+        case: id of the case.
+        description: what the case does.
+        expectation: what a conforming device does.
+        requirements: ids of the requirements that the case tests.
+        level: level of conformance that the case belongs to.
+        verdict: the judgement.
+        reason: why, in words; "" where the verdict is OK.
+        evidence: what was sent and received; of a long case the last part.
+        left_out: number of evidence entries before those in `evidence`.
+        attempts: how often the case was run; more than once where the machine may have stalled.
+        duration_s: of all attempts together.
+    """
+
+    case: str
+    description: str
+    expectation: str
+    requirements: tuple[str, ...]
+    level: Level
+    verdict: Verdict
+    reason: str = ""
+    evidence: tuple[Evidence, ...] = ()
+    left_out: int = 0
+    attempts: int = 1
+    duration_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A whole run against one device.
+
+    Attributes:
+        url: the link.
+        started: date and time, ISO 8601 with time zone.
+        duration_s: in seconds.
+        claims: what the device says about itself; None when it could not be read.
+        results: in the order in which the cases ran, the smoke step first.
+        stopped: why cases were left out at the end, or "".
+    """
+
+    url: str
+    started: str
+    duration_s: float
+    claims: Claims | None
+    results: tuple[Result, ...]
+    stopped: str = ""
+
+    def with_verdict(self, verdict: Verdict) -> tuple[Result, ...]:
+        """Return the results that have this verdict."""
+        return tuple(result for result in self.results if result.verdict is verdict)
+
+    @property
+    def conformant(self) -> bool:
+        """No case failed, and at least one passed."""
+        return not self.with_verdict(Verdict.FAILED) and bool(self.with_verdict(Verdict.OK))

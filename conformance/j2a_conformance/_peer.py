@@ -1,0 +1,311 @@
+"""The device as a case talks to it: requests with a seq of their own, and the answers they are due.
+
+What flows in: function names, payloads, raw streams. What flows out: frames that were received, or
+`Judged` when they are not what was expected. Rules: a seq is used again only after all others, so
+that a stale answer is recognised; the default seqs and the barrier hold no byte that needs
+stuffing, so that a fault in stuffing shows only where it is tested.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Event, Frame, FrameError, Skipped, checksum, encode
+
+from ._judge import Judged, fail, skip
+from ._model import Claims, Verdict
+from ._wire import Arrival, Link
+
+__all__ = ["Expected", "ManyReply", "Peer", "Request", "describe", "many_payload", "refusal"]
+
+_QUIET_S = 0.025  # longer than the longest byte timeout (J2A-TIME-002)
+_ATTEMPTS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """A reply that is due. None leaves a field open."""
+
+    seq: int
+    code: int | None = None
+    payload: bytes | None = None
+
+    def matches(self, frame: Frame) -> bool:
+        """Tell whether `frame` is this reply."""
+        return (
+            frame.start == c.SOF
+            and frame.seq == self.seq
+            and self.code in (None, frame.opcode)
+            and self.payload in (None, frame.payload)
+        )
+
+    def __str__(self) -> str:
+        code = "any code" if self.code is None else f"code 0x{self.code:02X}"
+        payload = "any payload" if self.payload is None else _payload(self.payload)
+        return f"a reply with seq 0x{self.seq:02X}, {code}, {payload}"
+
+
+def refusal(seq: int, code: int) -> Expected:
+    """The error reply `code` to the request `seq`; its payload is left open."""
+    return Expected(seq, code)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Wire bytes of a request and the reply that it is due."""
+
+    wire: bytes
+    expected: Expected
+    seq: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seq", self.expected.seq)
+
+
+@dataclass(frozen=True, slots=True)
+class ManyReply:
+    """The payload of a reply of a2jMany, taken apart; offset in bytes."""
+
+    code: int
+    flags: int
+    offset: int
+    data: bytes
+
+
+def many_payload(func: int, flags: int = 0, offset: int = 0, data: bytes = b"") -> bytes:
+    """Return the payload of a request to a2jMany; `flags` may hold any bits."""
+    return bytes((func, flags)) + offset.to_bytes(4, "little") + data
+
+
+def describe(event: Event) -> str:
+    """Return what an event is, in words."""
+    match event:
+        case Frame(start, seq, opcode, payload):
+            name = "SOF" if start == c.SOF else "SOS"
+            return f"a {name} frame with seq 0x{seq:02X}, code 0x{opcode:02X}, {_payload(payload)}"
+        case FrameError("checksum"):
+            return "a frame whose checksum is wrong"
+        case FrameError("marker"):
+            return "a frame that a raw start byte cuts short"
+        case FrameError():
+            return "a frame with ESC 0xFF in it"
+        case Skipped(count):
+            return f"{count} bytes outside a frame"
+        case _:
+            return "a frame without its end"
+
+
+def _payload(payload: bytes) -> str:
+    shown = payload[:16].hex(" ") + (" ..." if len(payload) > 16 else "")
+    return f"{len(payload)} payload bytes [{shown}]" if payload else "no payload"
+
+
+class Peer:
+    """The device, with what it claims.
+
+    Args:
+        link: the open link.
+        claims: what discovery found out.
+    """
+
+    def __init__(self, link: Link, claims: Claims) -> None:
+        self.link = link
+        self.claims = claims
+        self._seq = 0
+        self._barriers = 0
+
+    # What the device has
+
+    def has(self, name: str) -> bool:
+        """Tell whether the device claims the function."""
+        return name in self.claims.functions
+
+    def opcode(self, name: str) -> int:
+        """Return the opcode of a function, or end the case as unimplemented."""
+        if not self.has(name):
+            skip(f"the device has no function {name}")
+        return self.claims.functions.index(name)
+
+    def hide_application(self) -> None:
+        """Forget the names of the application's functions; their opcodes stay taken."""
+        names = tuple(n if n in c.BUILTINS else "" for n in self.claims.functions)
+        self.claims = replace(self.claims, functions=names)
+
+    def out_of_range(self) -> range:
+        """Return the opcodes that name no function; without a mapping only those at the top."""
+        return range(len(self.claims.functions) if self.claims.mapped else 0xF0, 256)
+
+    @property
+    def rxbuf(self) -> int:
+        """The property j2a.rxbuf in bytes, or 0 where the device does not announce it."""
+        value = self.claims.properties.get(c.PROP_RXBUF, "")
+        return int(value) if value.isascii() and value.isdigit() else 0
+
+    # Requests
+
+    def seq(self) -> int:
+        """Return the next seq that needs no stuffing."""
+        self._seq = (self._seq + 1) % 256
+        return self.seq() if self._seq in c.STUFFED else self._seq
+
+    def request(
+        self,
+        opcode: int,
+        payload: bytes = b"",
+        code: int | None = None,
+        answer: bytes | None = None,
+        seq: int | None = None,
+    ) -> Request:
+        """Return a request and its due reply; None for `code` or `answer` leaves them open."""
+        seq = self.seq() if seq is None else seq
+        wire = encode(Frame(c.SOF, seq, opcode, payload))
+        return Request(wire, Expected(seq, code, answer))
+
+    def echo(self, payload: bytes, seq: int | None = None) -> Request:
+        """Return a request to a2jEcho."""
+        return self.request(self.opcode(c.GET_ECHO), payload, c.ECHO, payload, seq)
+
+    def many(
+        self,
+        func: str | int,
+        flags: int = 0,
+        offset: int = 0,
+        data: bytes = b"",
+        *,
+        code: int | None = c.RET_OK,
+    ) -> Request:
+        """Return a request to a2jMany; `code` is that of the outer reply."""
+        index = self.opcode(func) if isinstance(func, str) else func
+        payload = many_payload(index, flags, offset, data)
+        return self.request(self.opcode(c.MANY), payload, code)
+
+    # Exchanges
+
+    def play(self, stream: bytes, *expected: Expected) -> list[Frame]:
+        """Send `stream` in one piece and return the replies, which are these and in this order."""
+        self.link.send(stream)
+        return self.expect(*expected)
+
+    def ask(self, *requests: Request) -> Frame:
+        """Send each request, wait for its due reply, and return the last."""
+        for request in requests:
+            frame = self.play(request.wire, request.expected)[0]
+        return frame
+
+    def call(self, name: str, payload: bytes = b"") -> Frame:
+        """Call a function by its name and return whatever it replies."""
+        return self.ask(self.request(self.opcode(name), payload))
+
+    def ask_many(self, request: Request) -> ManyReply:
+        """Send a request to a2jMany and return the payload of its reply, taken apart."""
+        payload = self.ask(request).payload
+        if len(payload) < c.MANY_HEADER:
+            fail(f"the reply of a2jMany has {len(payload)} payload bytes, its header takes 6")
+        return ManyReply(
+            payload[0], payload[1], int.from_bytes(payload[2:6], "little"), payload[6:]
+        )
+
+    def read_all(self, func: str, at_most: int = 65536) -> bytes:
+        """Read all that a function for a2jMany holds, up to `at_most` bytes (J2A-MANY-011)."""
+        data = b""
+        while True:
+            reply = self.ask_many(self.many(func, offset=len(data)))
+            if reply.code > c.RET_MAX or reply.offset != len(data):
+                fail(f"code 0x{reply.code:02X}, offset {reply.offset} in a read at {len(data)}")
+            data += reply.data
+            if reply.flags & c.FLAG_LAST:
+                return data
+            if not reply.data:
+                fail("an empty chunk without isLast in a read")
+            if len(data) > at_most:
+                fail(f"{func} has no end within {at_most} bytes")
+
+    def expect(self, *expected: Expected, wait_s: float = 0.0) -> list[Frame]:
+        """Receive exactly these replies, SIFs aside; `wait_s` is time that the device needs."""
+        return [self._receive(due, self.link.reply_timeout_s + wait_s) for due in expected]
+
+    def _receive(self, due: Expected, timeout_s: float) -> Frame:
+        arrival = self.next_frame(timeout_s)
+        if arrival is None:
+            tail = self.link.unfinished()
+            self.link.record("expected", text=str(due))
+            rest = f", only the unfinished {tail.hex(' ')}" if tail else ""
+            fail(f"no answer within {timeout_s:.1f} s{rest}")
+        event = arrival.event
+        if not isinstance(event, Frame) or not due.matches(event):
+            self.link.record("expected", text=str(due))
+            # An unasked 0xF2 may mean that this machine stalled in the middle of a frame.
+            stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
+            fail(f"{describe(event)} came instead of {due}", suspect=stalled)
+        return event
+
+    def next_frame(self, timeout_s: float) -> Arrival | None:
+        """Return the next arrival that is a frame, whole or broken, and no SIF."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            arrival = self.link.next(max(deadline_s - time.monotonic(), 0.0))
+            if arrival is None or not isinstance(arrival.event, Skipped):
+                return arrival
+
+    def next_sif(self, index: int) -> Frame:
+        """Return the SIF number `index` of this link, or fail."""
+        arrival = self.link.next_sif(index, self.link.reply_timeout_s)
+        if arrival is None or not isinstance(arrival.event, Frame):
+            fail("the SIF did not come")
+        return arrival.event
+
+    def barrier(self) -> None:
+        """Exchange an echo: whatever the device still had to say would come before its reply.
+
+        A device answers in order (J2A-DISP-001), so a barrier proves silence without waiting.
+        """
+        request = self.probe()
+        self.link.send(request.wire)
+        arrival = self.next_frame(self.link.reply_timeout_s)
+        if arrival is None:
+            self.link.record("expected", text=str(request.expected))
+            fail("a good request was not answered")
+        event = arrival.event
+        if not isinstance(event, Frame) or not request.expected.matches(event):
+            self.link.record("expected", text=f"nothing, and then {request.expected}")
+            stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
+            fail(f"{describe(event)} came where silence was due", suspect=stalled)
+
+    def probe(self) -> Request:
+        """Return a request to a2jEcho like no other before, without a byte that needs stuffing."""
+        while True:
+            self._barriers += 1
+            payload = b"%06d" % self._barriers
+            request = self.echo(payload)
+            sums = {checksum(request.seq, code, payload) for code in (c.ECHO, request.wire[2])}
+            if not sums & c.STUFFED:
+                return request
+
+    def resync(self) -> bool:
+        """Bring device and link to rest after a failure; tell whether the device answers again."""
+        for _ in range(3):
+            self.link.settle(_QUIET_S * self.link.scale, self.link.reply_timeout_s)
+            request = self.probe()
+            self.link.send(request.wire)
+            deadline_s = time.monotonic() + self.link.reply_timeout_s
+            while (arrival := self.link.next(max(deadline_s - time.monotonic(), 0))) is not None:
+                event = arrival.event
+                if isinstance(event, Frame) and request.expected.matches(event):
+                    return True
+        return False
+
+    def attempts(self, body: Callable[[], None]) -> None:
+        """Run `body` until it passes: a stall of this machine may spoil one attempt, not all.
+
+        Only failures that `body` marks as suspect are tried again.
+        """
+        for left in reversed(range(_ATTEMPTS)):
+            try:
+                return body()
+            except Judged as judged:
+                if judged.verdict is not Verdict.FAILED or not judged.suspect or not left:
+                    raise
+                self.link.note(f"another attempt: {judged.reason}")
+                self.resync()
+        return None

@@ -1,0 +1,174 @@
+"""Runs cases against a device and makes a `Run` of it.
+
+What flows in: a way to open the link, and cases. What flows out: a `Run`. Rules: a failed case
+never spoils the next one: device and link are brought to rest, and where the device is gone the
+link is opened anew; a failure that a stall of this machine may have caused is tried again.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from datetime import datetime
+
+from j2a_transports import Transport, TransportError
+
+from ._case import Case
+from ._judge import Judged
+from ._model import Claims, HarnessError, Result, Run, Verdict
+from ._peer import Peer
+from ._smoke import SMOKE
+from ._wire import Link
+
+__all__ = ["run"]
+
+_ATTEMPTS = 3
+
+
+def run(
+    opener: Callable[[], Transport],
+    cases: Iterable[Case],
+    *,
+    url: str = "",
+    timeout_scale: float = 1.0,
+    fresh: bool = False,
+    builtins_only: bool = False,
+    stop_on_failure: bool = False,
+    on_result: Callable[[Result], None] = lambda _: None,
+) -> Run:
+    """Judge the device that `opener` connects to.
+
+    Args:
+        opener: opens the link; called again when the link ends in mid run.
+        cases: the cases to run after the smoke step.
+        url: the link's name for the reports.
+        timeout_scale: factor for every wait, above 1 for slow links.
+        fresh: opening the link resets the device, so its first SIF has the seq 0.
+        builtins_only: do not use functions of the application, whatever their names.
+        stop_on_failure: leave out what comes after the first failed case.
+        on_result: called with each result as it comes.
+
+    Returns:
+        The run; also when it was interrupted from the keyboard or the device was lost.
+
+    Raises:
+        HarnessError: the link cannot be opened, or nothing answers.
+    """
+    began, began_s = datetime.now().astimezone(), time.monotonic()
+    try:
+        transport = opener()
+    except (TransportError, OSError) as error:
+        raise HarnessError(f"cannot open {url or 'the link'}: {error}") from error
+    session = _Session(opener, Link(transport, timeout_scale), fresh, builtins_only)
+    results: list[Result] = []
+    stopped = ""
+    try:
+        for case in (*SMOKE, *cases):
+            result, stopped = session.judge(case)
+            results.append(result)
+            on_result(result)
+            if result.verdict is Verdict.FAILED and stop_on_failure:
+                stopped = stopped or f"stopped at the first failed case, {result.case}"
+            if stopped:
+                break
+    except KeyboardInterrupt:
+        stopped = "interrupted from the keyboard"
+    finally:
+        session.close()
+    return Run(
+        url=url,
+        started=began.isoformat(timespec="seconds"),
+        duration_s=time.monotonic() - began_s,
+        claims=session.peer.claims if session.known else None,
+        results=tuple(results),
+        stopped=stopped,
+    )
+
+
+class _Session:
+    """The link and the peer while cases run."""
+
+    def __init__(
+        self,
+        opener: Callable[[], Transport],
+        link: Link,
+        fresh: bool,
+        builtins_only: bool,
+    ) -> None:
+        self.opener = opener
+        self.link = link
+        self.peer = Peer(link, Claims(mapped=False, functions=(), fresh=fresh))
+        self.builtins_only = builtins_only
+        self.known = False
+
+    def close(self) -> None:
+        self.link.transport.close()
+
+    def judge(self, case: Case) -> tuple[Result, str]:
+        """Run one case; return its result, and why the run cannot go on, or ""."""
+        smoke = case in SMOKE
+        began_s = time.monotonic()
+        self.link.begin()
+        verdict, reason, attempts = self._attempts(case, barrier=not smoke or case is SMOKE[-1])
+        evidence, left_out = self.link.evidence()
+        result = Result(
+            case=case.ID,
+            description=case.DESCRIPTION,
+            expectation=case.EXPECTATION,
+            requirements=case.REQUIREMENTS,
+            level=case.LEVEL,
+            verdict=verdict,
+            reason=reason,
+            evidence=evidence,
+            left_out=left_out,
+            attempts=attempts,
+            duration_s=time.monotonic() - began_s,
+        )
+        stopped = ""
+        if verdict is Verdict.FAILED and smoke:
+            stopped = f"{case.ID} failed, so nothing else can be judged"
+        elif verdict is Verdict.FAILED and not self._recover():
+            stopped = f"the device did not answer any more after {case.ID}"
+        if case is SMOKE[-1] and not stopped:
+            self.known = True
+            if self.builtins_only:
+                self.peer.hide_application()
+        return result, stopped
+
+    def _attempts(self, case: Case, barrier: bool) -> tuple[Verdict, str, int]:
+        for attempt in range(1, _ATTEMPTS + 1):
+            verdict, reason, suspect = self._once(case, barrier)
+            if not suspect or attempt == _ATTEMPTS or not self._recover():
+                break
+            self.link.note(f"another attempt: {reason}")
+        return verdict, reason, attempt
+
+    def _once(self, case: Case, barrier: bool) -> tuple[Verdict, str, bool]:
+        try:
+            case.run(self.peer)
+            if barrier:
+                self.peer.barrier()
+        except Judged as judged:
+            if judged.verdict is Verdict.FAILED:
+                return judged.verdict, judged.reason, judged.suspect
+            try:
+                if self.known:
+                    self.peer.barrier()
+            except Judged as late:
+                return late.verdict, late.reason, late.suspect
+            return judged.verdict, judged.reason, False
+        except TransportError as error:
+            if case is SMOKE[0]:
+                raise HarnessError(f"the link failed before anything answered: {error}") from error
+            return Verdict.FAILED, f"the link ended: {error}", False
+        return Verdict.OK, "", False
+
+    def _recover(self) -> bool:
+        """Bring the device to rest; reopen the link where that is the only way."""
+        for reopened in (False, True):
+            try:
+                if reopened:
+                    self.link.replace(self.opener())
+                if self.peer.resync():
+                    return True
+            except (TransportError, OSError) as error:
+                self.link.note(f"recovering: {error}")
+        return False

@@ -1,0 +1,170 @@
+"""The smoke step: is there a device at all, and what does it claim?
+
+What flows in: a peer without claims. What flows out: its claims. Rules: a silent link is a fault of
+the harness (`HarnessError`), an answer that is wrong is a fault of the device, and the reason names
+the requirement; when a smoke case fails nothing else is run, because nothing else could be judged.
+"""
+
+import time
+from dataclasses import replace
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Event, Frame, FrameError, Skipped
+
+from ._case import Case
+from ._judge import Judged, fail
+from ._model import HarnessError
+from ._peer import Peer, describe
+from ._wire import Arrival
+
+__all__ = ["SMOKE"]
+
+_TRIES = 5
+_WITHOUT_MAPPING = (
+    (),
+    (c.GET_PROPERTIES,),
+    (c.GET_DEBUG,),
+    (c.GET_PROPERTIES, c.GET_DEBUG),
+)
+
+
+class Answers(Case):
+    """Calls opcode 0 a few times."""
+
+    ID = "smoke.answer"
+    EXPECTATION = (
+        "A frame that starts with SOF, with the seq of the request and a right checksum, and with "
+        "the code 0x00 (the mapping) or 0xF0 (no mapping built in)."
+    )
+    REQUIREMENTS = (
+        "J2A-FRAME-001",
+        "J2A-FRAME-002",
+        "J2A-SUM-001",
+        "J2A-SEQ-001",
+        "J2A-DISP-005",
+    )
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        seen: list[Arrival] = []
+        for _ in range(_TRIES):
+            request = peer.request(0)
+            peer.link.send(request.wire)
+            while (arrival := peer.link.next(peer.link.reply_timeout_s)) is not None:
+                seen.append(arrival)
+                event = arrival.event
+                if isinstance(event, Frame) and request.expected.matches(event):
+                    if event.opcode in (c.RET_OK, c.ERR_OPCODE):
+                        return
+                    break
+                if not isinstance(event, Skipped):
+                    break
+        _diagnose(peer, seen)
+
+
+def _diagnose(peer: Peer, seen: list[Arrival]) -> None:
+    events = [a.event for a in seen if not isinstance(a.event, Skipped)]
+    tail = peer.link.unfinished()
+    for event in reversed(events):
+        fail(_fault(event))
+    if peer.link.sifs:
+        fail("the answer starts with SOS (J2A-FRAME-002)")
+    if tail[:1] == bytes((c.SOF,)) and len(tail) > 1:
+        fail(f"the answer has no end: {tail.hex(' ')} (J2A-FRAME-001, J2A-FRAME-004)")
+    if seen or tail:
+        noise = (b"".join(a.raw for a in seen) + tail)[:32].hex(" ")
+        raise HarnessError(
+            f"bytes arrive, but nothing like a J2A frame: {noise}. "
+            "Are baud rate, parity and stop bits those of the device?"
+        )
+    raise HarnessError(
+        "nothing answers. Is the URL right, the device powered, and no other program on the link? "
+        "A board that boots slowly needs the option boot=SECONDS in its URL, a slow link a larger "
+        "--timeout-scale."
+    )
+
+
+def _fault(event: Event) -> str:
+    match event:
+        case Frame(_, _, c.ERR_CHECKSUM):
+            return "the device finds the checksum of a good request wrong (J2A-SUM-001)"
+        case Frame(_, _, code, _) if code in c.ERRORS:
+            return f"the device refuses a good request by error 0x{code:02X} (J2A-FRAME-001)"
+        case Frame(_, _, code, _) if code == c.RET_OK:
+            return f"{describe(event)}: the seq is not that of the request (J2A-SEQ-001)"
+        case Frame():
+            return f"{describe(event)}: the code is neither 0x00 nor 0xF0 (J2A-DISP-005)"
+        case FrameError("checksum"):
+            return "the checksum of the answer is wrong (J2A-SUM-001)"
+        case _:
+            return f"the answer is {describe(event)} (J2A-STUFF-001)"
+
+
+class Mapping(Case):
+    """Takes the mapping; where there is none, looks for a2jEcho at the opcodes that it may have."""
+
+    ID = "smoke.mapping"
+    EXPECTATION = "Names that each end in NUL, among them the built-in functions."
+    REQUIREMENTS = ("J2A-MAP-001", "J2A-DISP-006")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        frame = peer.ask(peer.request(0))
+        if frame.opcode != c.RET_OK:
+            names = self._search(peer)
+        else:
+            if not frame.payload.endswith(b"\0"):
+                fail("the mapping does not end in NUL")
+            names = tuple(n.decode("latin-1") for n in frame.payload[:-1].split(b"\0"))
+        if missing := {c.GET_MAPPING, c.MANY, c.GET_ECHO, c.GET_ECHO_MANY} - set(names):
+            fail(f"the mapping lacks {', '.join(sorted(missing))}")
+        mapped = frame.opcode == c.RET_OK
+        peer.claims = replace(peer.claims, mapped=mapped, functions=names)
+
+    @staticmethod
+    def _search(peer: Peer) -> tuple[str, ...]:
+        """Return the built-in functions of a device without a mapping."""
+        codes = []
+        for opcode in range(2, 5):
+            frame = peer.ask(peer.request(opcode, b"j2a"))
+            codes.append(frame.opcode)
+            if (frame.opcode, frame.payload) == (c.ECHO, b"j2a"):
+                break
+        else:
+            fail("no mapping, and no a2jEcho at opcode 2, 3 or 4 (J2A-DISP-006)")
+        # A function for a2jMany refuses a direct call (J2A-MANY-006), a2jDebug does not.
+        between = [c.GET_PROPERTIES if code == c.ERR_OPCODE else c.GET_DEBUG for code in codes[:-1]]
+        if tuple(between) not in _WITHOUT_MAPPING:
+            fail("no mapping, and unknown functions before a2jEcho (J2A-DISP-006)")
+        return (c.GET_MAPPING, c.MANY, *between, c.GET_ECHO, c.GET_ECHO_MANY)
+
+
+class Echo(Case):
+    """Exchanges a few short echoes, and reads the properties as a claim."""
+
+    ID = "smoke.echo"
+    EXPECTATION = "Every echo comes back unchanged."
+    REQUIREMENTS = ("J2A-ECHO-001", "J2A-DISP-003")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        times = []
+        for _ in range(8):
+            before_s = time.monotonic()
+            peer.barrier()
+            times.append(time.monotonic() - before_s)
+        peer.claims = replace(peer.claims, rtt_s=min(times))
+        if not peer.has(c.GET_PROPERTIES):
+            return
+        try:
+            data = peer.read_all(c.GET_PROPERTIES)
+        except Judged as judged:
+            peer.link.note(f"the properties cannot be read: {judged.reason}")
+            peer.resync()
+            return
+        texts = [text.decode("utf-8", "replace") for text in data.split(b"\0")[:-1]]
+        properties = dict(zip(texts[::2], texts[1::2], strict=False))
+        peer.claims = replace(peer.claims, properties=properties)
+
+
+SMOKE: tuple[Case, ...] = (Answers(), Mapping(), Echo())

@@ -1,0 +1,190 @@
+"""The link as a case sees it: raw bytes out, pieces of the stream in, and a record of both.
+
+What flows in: bytes of the transport. What flows out: `Arrival`s, each the bytes of one event of
+the oracle. Rules: bytes to send come from the oracle, never from an implementation; SIFs may come
+at any time and are kept apart; everything is recorded as evidence.
+"""
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Event, Frame, FrameError, Incomplete, Skipped, decode
+from j2a_transports import LinkLost, Transport, TransportError
+
+from ._model import Evidence, Kind
+
+__all__ = ["Arrival", "Link", "Splitter"]
+
+_BEFORE_MARKER: Final = re.compile(rb"(?=[\x12\xed])")
+_EVIDENCE_KEPT: Final = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A piece of the received stream.
+
+    Attributes:
+        raw: its bytes on the wire.
+        event: what the oracle says that they are.
+        at_s: when its last byte was read, on the clock of `time.monotonic`.
+    """
+
+    raw: bytes
+    event: Event
+    at_s: float
+
+
+class Splitter:
+    """Cuts a stream that comes in chunks into arrivals.
+
+    Each raw marker begins a piece, because it begins a frame wherever it stands (J2A-FRAME-007).
+    The last piece waits for more bytes while the oracle calls it incomplete.
+    """
+
+    def __init__(self) -> None:
+        self.tail = b""
+
+    def feed(self, data: bytes, now_s: float) -> list[Arrival]:
+        """Take `data`, which was read at `now_s`, and return what it completes."""
+        pieces = [piece for piece in _BEFORE_MARKER.split(self.tail + data) if piece]
+        self.tail = b""
+        found = []
+        for index, piece in enumerate(pieces):
+            event = decode(piece)[0]
+            if isinstance(event, Incomplete):
+                if index == len(pieces) - 1:
+                    self.tail = piece
+                    break
+                event = FrameError("marker", event.start, event.seq)
+            size = _size(piece, event)
+            found.append(Arrival(piece[:size], event, now_s))
+            if rest := piece[size:]:
+                found.append(Arrival(rest, Skipped(len(rest)), now_s))
+        return found
+
+
+def _size(piece: bytes, event: Event) -> int:
+    """Return how many bytes of `piece` belong to its first event."""
+    skipped = sum(e.count for e in decode(piece)[1:] if isinstance(e, Skipped))
+    return len(piece) if isinstance(event, Skipped) else len(piece) - skipped
+
+
+class Link:
+    """A transport with evidence.
+
+    Args:
+        transport: an open byte stream to the device.
+        scale: factor for every wait; above 1 for slow links.
+
+    Attributes:
+        sifs: every SIF since the link was opened, in order.
+        reply_timeout_s: how long an answer may take.
+    """
+
+    def __init__(self, transport: Transport, scale: float = 1.0) -> None:
+        self.transport = transport
+        self.scale = scale
+        self.reply_timeout_s = 2.0 * scale
+        self.sifs: list[Arrival] = []
+        self._splitter = Splitter()
+        self._waiting: deque[Arrival] = deque()
+        self._evidence: deque[Evidence] = deque(maxlen=_EVIDENCE_KEPT)
+        self._entries = 0
+        self._began_s = time.monotonic()
+
+    # Evidence
+
+    def begin(self) -> None:
+        """Start the evidence of a new case."""
+        self._evidence.clear()
+        self._entries = 0
+        self._began_s = time.monotonic()
+
+    def record(self, kind: Kind, data: bytes = b"", text: str = "") -> None:
+        """Add a line to the evidence."""
+        self._entries += 1
+        at_ms = (time.monotonic() - self._began_s) * 1e3
+        self._evidence.append(Evidence(kind, at_ms, data, text))
+
+    def note(self, text: str) -> None:
+        """Add a note to the evidence."""
+        self.record("note", text=text)
+
+    def evidence(self) -> tuple[tuple[Evidence, ...], int]:
+        """Return the last lines of evidence, and the number of those before them."""
+        return tuple(self._evidence), self._entries - len(self._evidence)
+
+    # Bytes
+
+    def send(self, data: bytes) -> None:
+        """Write `data` to the link in one piece."""
+        self.record("sent", data)
+        self.transport.write(data)
+
+    def _read(self, timeout_s: float) -> None:
+        data = self.transport.read(timeout_s)
+        for arrival in self._splitter.feed(data, time.monotonic()) if data else ():
+            event = arrival.event
+            # A broken frame that begins with SOS is not kept apart: it is a fault of the device.
+            is_sif = isinstance(event, Frame) and event.start == c.SOS
+            self.record("sif" if is_sif else "received", arrival.raw)
+            (self.sifs if is_sif else self._waiting).append(arrival)
+
+    def next(self, timeout_s: float) -> Arrival | None:
+        """Return the next arrival that is no SIF, or None when none came in `timeout_s`."""
+        return self._until(timeout_s, self._take)
+
+    def next_sif(self, index: int, timeout_s: float) -> Arrival | None:
+        """Return `sifs[index]`, or None when it did not come in `timeout_s`."""
+        return self._until(timeout_s, lambda: self.sifs[index] if index < len(self.sifs) else None)
+
+    def _take(self) -> Arrival | None:
+        return self._waiting.popleft() if self._waiting else None
+
+    def _until(self, timeout_s: float, ready: Callable[[], Arrival | None]) -> Arrival | None:
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            if (found := ready()) is not None:
+                return found
+            left_s = deadline_s - time.monotonic()
+            self._read(max(left_s, 0.0))
+            if left_s <= 0:
+                return ready()
+
+    def unfinished(self) -> bytes:
+        """Return the bytes of a frame that has not come to its end."""
+        return self._splitter.tail
+
+    def settle(self, quiet_s: float, at_most_s: float) -> int:
+        """Read until nothing but SIFs came for `quiet_s`; return how many arrivals were dropped."""
+        deadline_s = time.monotonic() + at_most_s
+        dropped = 0
+        while time.monotonic() < deadline_s and self.next(quiet_s) is not None:
+            dropped += 1
+        self._splitter.tail = b""
+        return dropped
+
+    def replace(self, transport: Transport) -> None:
+        """Go on with a new transport to a device that starts anew."""
+        try:
+            self.transport.close()
+        except TransportError as error:
+            self.note(f"closing the old link: {error}")
+        self.transport = transport
+        self.sifs.clear()
+        self._waiting.clear()
+        self._splitter = Splitter()
+
+    @property
+    def alive(self) -> bool:
+        """False when the transport says that the other side is gone."""
+        try:
+            self._read(0.0)
+        except LinkLost:
+            return False
+        return True

@@ -1,0 +1,51 @@
+"""Every case, one module per area of the specification.
+
+What flows out: `load()`. Rules: a requirement that binds a device and can be observed has a case;
+a test proves it.
+"""
+
+from functools import cache
+
+from j2a_conformance._case import Case, of_module
+
+from . import (
+    debug,
+    dispatch,
+    errors,
+    frame,
+    limits,
+    many,
+    mapping,
+    properties,
+    scenario,
+    seq,
+    sif,
+    stuffing,
+    sums,
+    timing,
+)
+
+__all__ = ["load"]
+
+_MODULES = (
+    frame,
+    stuffing,
+    sums,
+    seq,
+    dispatch,
+    errors,
+    mapping,
+    many,
+    properties,
+    debug,
+    sif,
+    timing,
+    limits,
+)
+
+
+@cache
+def load() -> tuple[Case, ...]:
+    """Return every case but the smoke step, in the order in which they run."""
+    found = [case for module in _MODULES for case in of_module(module)]
+    return (*found, *scenario.load())

@@ -1,0 +1,150 @@
+"""Error replies (J2A-ERR); those of the checksum are in `sums`, those of time in `timing`."""
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import checksum
+
+from j2a_conformance._case import Case
+from j2a_conformance._judge import fail
+from j2a_conformance._peer import Expected, Peer, many_payload
+
+from .sums import with_sum
+
+
+class OutOfRange(Case):
+    """Calls every opcode that names no function, with and without payload."""
+
+    ID = "error.opcode-out-of-range"
+    EXPECTATION = "Error 0xF0 for each."
+    REQUIREMENTS = ("J2A-ERR-001", "J2A-DISP-001")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        for opcode in peer.out_of_range():
+            peer.ask(peer.request(opcode, b"", c.ERR_OPCODE))
+            peer.ask(peer.request(opcode, b"payload", c.ERR_OPCODE))
+        for opcode in peer.out_of_range()[-1:]:
+            peer.ask(peer.request(opcode, bytes(range(255)), c.ERR_OPCODE))
+
+
+class ChecksumFirst(Case):
+    """Calls opcodes out of range with a wrong checksum."""
+
+    ID = "error.checksum-before-opcode"
+    EXPECTATION = "Error 0xF3, not 0xF0: the opcode of a damaged frame means nothing."
+    REQUIREMENTS = ("J2A-ERR-001", "J2A-ERR-002", "J2A-ERR-009", "J2A-SUM-003")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        for opcode in (*peer.out_of_range()[:3], *peer.out_of_range()[-3:]):
+            for payload in (b"", b"damaged"):
+                seq = peer.seq()
+                wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x20)
+                peer.play(wire, Expected(seq, c.ERR_CHECKSUM))
+                peer.barrier()
+
+
+class NotEarly(Case):
+    """Sends a request with an opcode out of range, and interrupts it before its end."""
+
+    ID = "error.opcode-not-early"
+    EXPECTATION = "Error 0xF4 alone: 0xF0 is not due before the checksum was seen."
+    REQUIREMENTS = ("J2A-ERR-001", "J2A-ERR-003", "J2A-ERR-009")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        for opcode in peer.out_of_range()[-1:]:
+            for cut in range(3, 8):
+                broken = peer.request(opcode, b"abc")
+                request = peer.probe()
+                due = Expected(broken.seq, c.ERR_FRAMING)
+                peer.play(broken.wire[:cut] + request.wire, due, request.expected)
+
+
+class Payload(Case):
+    """Causes each kind of error reply and looks at its payload."""
+
+    ID = "error.payload"
+    EXPECTATION = "Two bytes, whatever they are."
+    REQUIREMENTS = ("J2A-ERR-006",)
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        free = peer.out_of_range()[-1:]
+        streams = [(seq := peer.seq(), c.ERR_OPCODE, peer.request(o, seq=seq).wire) for o in free]
+        seq, echo = peer.seq(), peer.opcode(c.GET_ECHO)
+        streams.append((seq, c.ERR_CHECKSUM, with_sum(seq, echo, b"a", checksum(seq, echo, b"b"))))
+        whole = peer.echo(b"abc")
+        streams.append((whole.seq, c.ERR_FRAMING, whole.wire[:4] + b"\x7d\xff"))
+        whole = peer.echo(b"abc")
+        streams.append((whole.seq, c.ERR_FRAMING, whole.wire[:4] + bytes((c.SOS,))))
+        many = peer.many(c.GET_ECHO, code=c.ERR_OPCODE)
+        streams.append((many.seq, c.ERR_OPCODE, many.wire))
+        for seq, code, stream in streams:
+            payload = peer.play(stream, Expected(seq, code))[0].payload
+            if len(payload) != 2:
+                fail(f"error 0x{code:02X} has {len(payload)} payload bytes, not 2")
+
+
+class SeqOfErrors(Case):
+    """Breaks requests with every seq, by a start byte, by ESC 0xFF and by the checksum."""
+
+    ID = "error.seq"
+    EXPECTATION = "The seq of the broken request in each error reply."
+    REQUIREMENTS = ("J2A-ERR-005", "J2A-SEQ-001")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        opcode = peer.opcode(c.GET_ECHO)
+        for seq in range(256):
+            good = peer.echo(b"abc", seq)
+            known = len(good.wire) - 6  # bytes up to and with seq
+            wrong = with_sum(seq, opcode, b"abc", checksum(seq, opcode, b"abc") ^ 0x40)
+            peer.play(wrong, Expected(seq, c.ERR_CHECKSUM))
+            peer.play(good.wire[: known + 2] + b"\x7d\xff", Expected(seq, c.ERR_FRAMING))
+            peer.play(good.wire[: known + 2] + bytes((c.SOS,)), Expected(seq, c.ERR_FRAMING))
+
+
+class SeqUnknown(Case):
+    """Breaks requests before their seq is complete, by start bytes and by ESC 0xFF."""
+
+    ID = "error.seq-unknown"
+    EXPECTATION = "No answer at all."
+    REQUIREMENTS = ("J2A-ERR-005", "J2A-FRAME-007", "J2A-STUFF-004")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        streams = (b"\x12", b"\x12\x7d", b"\x12\x7d\xff", b"\x12\x7d\xff\x11", b"\x12\xed")
+        # A request with a known seq goes before, so that a left over seq could be seen.
+        for stream in streams:
+            peer.ask(peer.probe())
+            peer.link.send(stream)
+            peer.barrier()
+
+
+class OnlyOnce(Case):
+    """Breaks a request in several ways at once, and sends what is left of it and more bytes that
+    start no frame.
+    """
+
+    ID = "error.only-once"
+    EXPECTATION = "One error reply, and then silence up to the next frame."
+    REQUIREMENTS = ("J2A-ERR-009", "J2A-FRAME-006", "J2A-DISP-001")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        good = peer.echo(b"abcdefgh")
+        rest = good.wire[5:]
+        tails = (
+            (c.ERR_FRAMING, b"\x7d\xff" + rest),
+            (c.ERR_FRAMING, b"\x7d\xff\x7d\xff" + rest),
+            (c.ERR_FRAMING, bytes((c.SOS,)) + rest),
+            (c.ERR_FRAMING, bytes((c.SOS,)) + b"\x7d\xff" + rest),
+        )
+        for code, tail in tails:
+            peer.play(good.wire[:5] + tail, Expected(good.seq, code))
+            peer.barrier()
+        seq, opcode = peer.seq(), peer.opcode(c.MANY)
+        payload = many_payload(0xFF)
+        wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x10)
+        peer.play(wire + b"abc" * 20, Expected(seq, c.ERR_CHECKSUM))
+        peer.barrier()

@@ -1,0 +1,276 @@
+"""Frames: layout, lengths, what is skipped, and what interrupts a frame (J2A-FRAME)."""
+
+import random
+from itertools import product
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, FrameError, Incomplete, checksum, decode, encode
+
+from j2a_conformance._case import Case
+from j2a_conformance._judge import fail
+from j2a_conformance._peer import Expected, Peer, refusal
+
+PATTERNS = (0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C)
+MARKED = bytes((0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C, 0x13, 0xEE, 0x7E, 0x00, 0xFF))
+CLEAN = bytes(b for b in range(256) if b not in c.MARKERS)
+
+
+def patterns(length: int) -> list[bytes]:
+    """Return the eight adversarial payloads of `length` bytes."""
+    noise = random.Random(length).randbytes(length)
+    return [*(bytes((v,)) * length for v in PATTERNS), bytes(range(length)), noise]
+
+
+class Layout(Case):
+    """Compares the bytes of some replies on the wire with those of the oracle."""
+
+    ID = "frame.layout"
+    EXPECTATION = (
+        "Each reply is SOF and the stuffed seq, opcode, length, payload and checksum, byte by byte."
+    )
+    REQUIREMENTS = (
+        "J2A-FRAME-001",
+        "J2A-FRAME-002",
+        "J2A-FRAME-004",
+        "J2A-STUFF-001",
+        "J2A-STUFF-002",
+        "J2A-SUM-001",
+    )
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        for payload in (b"", b"a", b"abc", MARKED, bytes(255), bytes(range(255))):
+            request = peer.echo(payload)
+            peer.link.send(request.wire)
+            arrival = peer.next_frame(peer.link.reply_timeout_s)
+            wanted = encode(Frame(c.SOF, request.seq, c.ECHO, payload))
+            if arrival is None or arrival.raw != wanted:
+                peer.link.record("expected", text=wanted.hex(" "))
+                fail("the bytes of the reply are not those of the oracle")
+
+
+class Lengths(Case):
+    """Echoes payloads of every length from 0 to 255 with eight patterns each: all 0x12, 0xED,
+    0x7D, 0x11, 0xEC, 0x7C, counting, random.
+    """
+
+    ID = "frame.lengths"
+    EXPECTATION = "2048 of 2048 echoes come back unchanged."
+    REQUIREMENTS = (
+        "J2A-FRAME-004",
+        "J2A-FRAME-005",
+        "J2A-STUFF-001",
+        "J2A-STUFF-003",
+        "J2A-SUM-001",
+        "J2A-SUM-002",
+        "J2A-ECHO-001",
+    )
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        for length in range(256):
+            peer.ask(*(peer.echo(payload) for payload in patterns(length)))
+
+
+class Largest(Case):
+    """Sends a request of 518 bytes, in which every byte is stuffed but the length and the start,
+    and asks for echoes of the largest size whose checksum is stuffed.
+    """
+
+    ID = "frame.largest"
+    EXPECTATION = "Each is answered; the 518-byte one by 0xF0 where opcode 0x12 has no function."
+    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-005", "J2A-SUM-002")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        if 0x12 in peer.out_of_range():
+            request = peer.request(0x12, b"\x12" * 255, c.ERR_OPCODE, seq=0x12)
+            assert len(request.wire) == c.MAX_WIRE
+            peer.ask(request)
+        opcode = peer.opcode(c.GET_ECHO)
+        for seq, code in product(sorted(c.STUFFED), (opcode, c.ECHO)):
+            # 255 bytes that need stuffing, with a checksum that does so too where there is one.
+            for first, second in product(range(0, 256, 5), repeat=2):
+                payload = b"\x12" * first + b"\xed" * second + b"\x7d" * (255 - first - second)
+                if first + second <= 255 and checksum(seq, code, payload) in c.STUFFED:
+                    peer.ask(peer.echo(payload, seq))
+                    break
+
+
+class Noise(Case):
+    """Sends bytes outside frames: each value but the start bytes alone and many times, all of them
+    in a row, a lonely ESC, and a frame without its start byte.
+    """
+
+    ID = "frame.noise"
+    EXPECTATION = "Nothing answers them, and a good frame directly behind them is answered."
+    REQUIREMENTS = ("J2A-FRAME-006", "J2A-FRAME-009")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        headless = peer.probe().wire[1:]
+        streams = [bytes((b,)) for b in CLEAN]
+        streams += [CLEAN, b"\x7d" * 7, headless, headless * 3, b"\x7d\xff", b"\x7d\x11\x04\x00"]
+        for stream in streams:
+            request = peer.probe()
+            peer.play(stream + request.wire, request.expected)
+        for stream in (b"\x11" * 600, bytes(random.Random(1).choices(CLEAN, k=1500))):
+            peer.link.send(stream)
+            peer.barrier()
+
+
+class NoiseBehind(Case):
+    """Sends a good frame with bytes directly behind it that start no frame."""
+
+    ID = "frame.noise-behind"
+    EXPECTATION = "The frame is answered once, the bytes are not."
+    REQUIREMENTS = ("J2A-FRAME-006", "J2A-DISP-001")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        for behind in (b"\0", b"\x7d", b"\xff" * 9, b"\x7d\xff", b"abc\x7d\x7d"):
+            request = peer.probe()
+            peer.play(request.wire + behind, request.expected)
+            peer.barrier()
+
+
+class Interrupted(Case):
+    """Cuts a frame with plain and stuffed bytes in every field after each of its bytes, and sends
+    a good frame directly behind the cut; also cuts it by SOS.
+    """
+
+    ID = "frame.interrupted"
+    EXPECTATION = (
+        "The good frame is answered. Before it comes error 0xF4 with the seq of the cut frame, if "
+        "its seq was complete."
+    )
+    REQUIREMENTS = (
+        "J2A-FRAME-007",
+        "J2A-FRAME-009",
+        "J2A-ERR-003",
+        "J2A-ERR-005",
+        "J2A-STUFF-005",
+    )
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        opcode = peer.opcode(c.GET_ECHO)
+        whole = [
+            encode(Frame(c.SOF, 0x51, opcode, b"abcd")),
+            encode(Frame(c.SOF, 0x7D, opcode, bytes((0x12, 0xED, 0x7D, 0x00)))),
+        ]
+        for frame in whole:
+            for cut in range(1, len(frame)):
+                for between in (b"", bytes((c.SOS,)), bytes((c.SOS, 0x20, 0x7D))):
+                    request = peer.probe()
+                    stream = frame[:cut] + between + request.wire
+                    peer.play(stream, *answers(stream[: -len(request.wire) + 1]), request.expected)
+
+
+class EscapedMarker(Case):
+    """Sends a good frame directly after an ESC in every field of another frame."""
+
+    ID = "frame.marker-after-escape"
+    EXPECTATION = "The good frame is answered, after error 0xF4 for the other if its seq came."
+    REQUIREMENTS = ("J2A-FRAME-007", "J2A-STUFF-003", "J2A-ERR-003")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        frame = encode(Frame(c.SOF, 0x52, peer.opcode(c.GET_ECHO), b"abcd"))
+        for cut in range(1, len(frame)):
+            request = peer.probe()
+            stream = frame[:cut] + bytes((c.ESC,)) + request.wire
+            peer.play(stream, *answers(stream[: -len(request.wire) + 1]), request.expected)
+
+
+class StartBytes(Case):
+    """Sends many start bytes in a row, SOF, SOS and mixed, and then a good frame."""
+
+    ID = "frame.start-bytes"
+    EXPECTATION = "Only the good frame is answered."
+    REQUIREMENTS = ("J2A-FRAME-007", "J2A-FRAME-008", "J2A-FRAME-009", "J2A-ERR-005")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        for starts in (b"\x12", b"\xed", b"\x12\xed", b"\xed\x12", b"\x12" * 20, b"\xed\x12" * 20):
+            request = peer.probe()
+            peer.play(starts + request.wire, request.expected)
+            peer.barrier()
+
+
+class FromHost(Case):
+    """Sends frames that start with SOS: good ones for a2jEcho and for no function, with a wrong
+    checksum, with ESC 0xFF, and cut short.
+    """
+
+    ID = "frame.sos-to-device"
+    EXPECTATION = "None of them is answered."
+    REQUIREMENTS = ("J2A-FRAME-008",)
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        opcode = peer.opcode(c.GET_ECHO)
+        good = encode(Frame(c.SOS, 0x53, opcode, b"abcd"))
+        streams = [
+            good,
+            encode(Frame(c.SOS, 0x53, opcode, MARKED)),
+            encode(Frame(c.SOS, 0x53, 0xFF)),
+            good[:-1] + bytes((good[-1] ^ 1,)),
+            good[:5] + b"\x7d\xff" + good[5:],
+            *(good[:cut] for cut in range(1, len(good))),
+        ]
+        for stream in streams:
+            peer.link.send(stream)
+            peer.barrier()
+
+
+class Garbage(Case):
+    """Sends 150 random streams, rich in start bytes, escapes and pieces of frames, each with a
+    good frame directly behind it.
+    """
+
+    ID = "frame.garbage"
+    EXPECTATION = "The error replies that the oracle derives, and the reply to the good frame."
+    REQUIREMENTS = (
+        "J2A-FRAME-006",
+        "J2A-FRAME-007",
+        "J2A-FRAME-009",
+        "J2A-STUFF-003",
+        "J2A-STUFF-004",
+        "J2A-ERR-003",
+        "J2A-ERR-004",
+        "J2A-ERR-009",
+    )
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        rng = random.Random(2)
+        piece = encode(Frame(c.SOF, 0x54, peer.opcode(c.GET_ECHO), MARKED))
+        done = 0
+        while done < 150:
+            stream = b"".join(_shred(rng, piece) for _ in range(rng.randint(1, 5)))
+            if any(isinstance(e, Frame) and e.start == c.SOF for e in decode(stream)):
+                continue  # a good frame by chance; what it would call is not known
+            request = peer.probe()
+            due = answers(stream + request.wire[:1])
+            peer.play(stream + request.wire, *due, request.expected)
+            done += 1
+
+
+def _shred(rng: random.Random, piece: bytes) -> bytes:
+    """Return some random bytes, or a part of `piece`."""
+    if rng.random() < 0.5:
+        return bytes(rng.choices(MARKED, k=rng.randint(1, 8)))
+    first = rng.randrange(len(piece))
+    return piece[first : first + rng.randint(1, 12)]
+
+
+def answers(stream: bytes) -> list[Expected]:
+    """Return the error replies that a device owes to `stream`, which holds no good request."""
+    codes = {"checksum": c.ERR_CHECKSUM, "marker": c.ERR_FRAMING, "escape": c.ERR_FRAMING}
+    due = []
+    for event in decode(stream):
+        assert isinstance(event, Incomplete) or not isinstance(event, Frame) or event.start == c.SOS
+        if isinstance(event, FrameError) and event.start == c.SOF and event.seq is not None:
+            due.append(refusal(event.seq, codes[event.reason]))
+    return due

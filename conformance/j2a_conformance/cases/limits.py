@@ -1,0 +1,103 @@
+"""Requests without waiting: what j2a.rxbuf promises, and what happens beyond (J2A-LIMIT)."""
+
+import struct
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame
+
+from j2a_conformance._case import Case
+from j2a_conformance._judge import fail, inform, skip
+from j2a_conformance._peer import Peer, Request, describe
+
+_DELAY_MS = 80
+
+
+def delay(peer: Peer, ms: int) -> list[Request]:
+    """Return a request that keeps the device busy, or none where it has no `delay`."""
+    if not peer.has("delay"):
+        return []
+    return [peer.request(peer.opcode("delay"), struct.pack("<H", ms), c.RET_OK)]
+
+
+class Window(Case):
+    """Sends as many requests without waiting as j2a.rxbuf allows: small ones, one large one with
+    small ones, stuffed ones; each also while `delay` keeps the device busy.
+    """
+
+    ID = "limits.window"
+    EXPECTATION = "Every request is answered, in order."
+    REQUIREMENTS = ("J2A-LIMIT-001", "J2A-DISP-001")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        if not peer.rxbuf:
+            skip(f"the device announces no {c.PROP_RXBUF}")
+        room = min(peer.rxbuf, 8192)
+        for busy in (False, True) if peer.has("delay") else (False,):
+            for kind in ("small", "large", "stuffed"):
+                requests = delay(peer, _DELAY_MS) if busy else []
+                if kind == "large":
+                    left = room - sum(len(r.wire) for r in requests)
+                    requests.append(peer.echo(b"L" * max(min(255, left - 20), 0)))
+                while True:
+                    payload = b"\x12\xed\x7d" if kind == "stuffed" else b"%02d" % len(requests)
+                    request = peer.echo(payload)
+                    if sum(len(r.wire) for r in (*requests, request)) > room:
+                        break
+                    if len(requests) == 200:
+                        break  # no seq stands for two requests
+                    requests.append(request)
+                peer.link.note(f"{len(requests)} requests, {kind}, busy: {busy}")
+                peer.link.send(b"".join(r.wire for r in requests))
+                peer.expect(*(r.expected for r in requests), wait_s=_DELAY_MS / 1e3)
+        peer.barrier()
+
+
+class Overrun(Case):
+    """Sends 60 requests of many sizes without waiting, far more than a small device can hold,
+    while `delay` keeps it busy.
+    """
+
+    ID = "limits.overrun"
+    EXPECTATION = (
+        "Each answer is the right echo or error 0xF4 for the frame that was cut, in order; what is "
+        "lost is not answered, nothing is answered wrongly, and the device recovers."
+    )
+    REQUIREMENTS = ("J2A-LIMIT-002", "J2A-DISP-001")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        rounds = [self._flood(peer, first) for first in (1, 7, 60)]
+        if peer.has("overruns"):
+            peer.link.note(f"overruns: {int.from_bytes(peer.call('overruns').payload, 'little')}")
+        if not any(rounds):
+            inform("nothing was lost: device or link held all requests back")
+
+    @staticmethod
+    def _flood(peer: Peer, size: int) -> int:
+        """Send the requests; return how many were lost."""
+        requests = delay(peer, _DELAY_MS)
+        for index in range(60):
+            length = (size * (index + 1)) % 120
+            requests.append(peer.echo(b"%02d" % index + bytes((0x30 + index,)) * length))
+        peer.link.send(b"".join(r.wire for r in requests))
+        left = list(requests)
+        wait_s = (_DELAY_MS / 1e3 + 0.4) * peer.link.scale
+        answered = 0
+        while left and (arrival := peer.next_frame(wait_s)) is not None:
+            event = arrival.event
+            if not isinstance(event, Frame):
+                fail(f"{describe(event)} came")
+            skipped = [r for r in left if r.seq == event.seq]
+            if not skipped:
+                fail(f"{describe(event)} answers no request that is still open, or out of order")
+            request = skipped[0]
+            if request.expected.matches(event):
+                answered += 1
+            elif event.opcode != c.ERR_FRAMING:
+                peer.link.record("expected", text=f"{request.expected}, or error 0xF4")
+                fail(f"{describe(event)} came", suspect=event.opcode == c.ERR_TIMEOUT)
+            del left[: left.index(request) + 1]
+        if not peer.resync():
+            fail("the device does not recover from an overrun")
+        return len(requests) - answered

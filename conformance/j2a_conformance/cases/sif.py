@@ -1,0 +1,172 @@
+"""Server-initiated frames (J2A-SIF), caused by the demo functions `sif` and `sifPeriod`."""
+
+import random
+import struct
+import time
+from collections.abc import Sequence
+from itertools import pairwise
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, encode
+
+from j2a_conformance._case import Case
+from j2a_conformance._judge import fail, inform
+from j2a_conformance._peer import Peer
+from j2a_conformance._wire import Arrival
+
+from .frame import patterns
+
+PERIODIC = 0x20
+
+
+def period(peer: Peer, ms: int) -> None:
+    """Have the device send a SIF every `ms` milliseconds; 0 stops."""
+    peer.ask(peer.request(peer.opcode("sifPeriod"), struct.pack("<H", ms), c.RET_OK))
+
+
+def frames(arrivals: Sequence[Arrival]) -> list[Frame]:
+    """Return the SIFs as frames."""
+    return [a.event for a in arrivals if isinstance(a.event, Frame)]
+
+
+def check_counter(peer: Peer) -> None:
+    """Fail when the seqs of all SIFs of this link do not count up by one."""
+    seqs = [sif.seq for sif in frames(peer.link.sifs)]
+    for before, after in pairwise(seqs):
+        if after != (before + 1) % 256:
+            fail(f"a SIF with seq 0x{after:02X} follows one with seq 0x{before:02X}")
+
+
+class Start(Case):
+    """Asks for SIFs and compares their bytes on the wire with the oracle."""
+
+    ID = "sif.start"
+    EXPECTATION = (
+        "Each starts with SOS and is stuffed like any frame; the reply of the request that asked "
+        "for it starts with SOF."
+    )
+    REQUIREMENTS = ("J2A-FRAME-003", "J2A-FRAME-002", "J2A-STUFF-001", "J2A-SUM-001")
+    LEVEL = "sif"
+    NEEDS = ("sif",)
+
+    def _run(self, peer: Peer) -> None:
+        for opcode, payload in ((0x21, b""), (0x12, b"abc"), (0xED, b"\x12\xed\x7d"), (0, b"\0")):
+            before = len(peer.link.sifs)
+            peer.ask(peer.request(peer.opcode("sif"), bytes((opcode,)) + payload, c.RET_OK, b""))
+            sif = peer.next_sif(before)
+            wanted = encode(Frame(c.SOS, sif.seq, opcode, payload))
+            if peer.link.sifs[before].raw != wanted:
+                peer.link.record("expected", text=wanted.hex(" "))
+                fail("the bytes of the SIF are not those of the oracle")
+
+
+class Counter(Case):
+    """Asks for 300 SIFs, with every opcode."""
+
+    ID = "sif.counter"
+    EXPECTATION = (
+        "Their seqs count up by one, over 255 to 0; the first one after a reset has the seq 0."
+    )
+    REQUIREMENTS = ("J2A-SIF-001",)
+    LEVEL = "sif"
+    NEEDS = ("sif",)
+
+    def _run(self, peer: Peer) -> None:
+        before = len(peer.link.sifs)
+        for n in range(300):
+            peer.ask(peer.request(peer.opcode("sif"), bytes((n % 256, n % 256)), c.RET_OK))
+            sif = peer.next_sif(before + n)
+            if (sif.opcode, sif.payload) != (n % 256, bytes((n % 256,))):
+                fail(f"opcode 0x{sif.opcode:02X} in the SIF, 0x{n % 256:02X} was asked for")
+        check_counter(peer)
+        first = frames(peer.link.sifs[:1])[0].seq
+        if peer.claims.fresh and first != 0:
+            fail(f"the first SIF after the reset has the seq 0x{first:02X}")
+        if not peer.claims.fresh:
+            peer.link.note("whether the device was reset before this run is not known")
+
+
+class Whole(Case):
+    """Has the device send a SIF each millisecond while it echoes payloads of up to 255 bytes, and
+    asks for SIFs of all lengths meanwhile.
+    """
+
+    ID = "sif.whole"
+    EXPECTATION = "Every SIF and every reply is whole: none begins inside another."
+    REQUIREMENTS = ("J2A-SIF-002", "J2A-SIF-001")
+    LEVEL = "sif"
+    NEEDS = ("sif", "sifPeriod")
+
+    def _run(self, peer: Peer) -> None:
+        before = len(peer.link.sifs)
+        rng = random.Random(4)
+        period(peer, 1)
+        try:
+            end_s = time.monotonic() + 0.3
+            while time.monotonic() < end_s or len(peer.link.sifs) < before + 20:
+                peer.ask(peer.echo(rng.choice(patterns(rng.choice((1, 30, 254, 255))))))
+                payload = rng.choice(patterns(rng.choice((0, 9, 254))))
+                peer.ask(peer.request(peer.opcode("sif"), b"\x44" + payload))
+                if time.monotonic() > end_s + 10 * peer.link.scale:
+                    fail("no SIFs come, though `sifPeriod` was asked for them")
+        finally:
+            period(peer, 0)
+        check_counter(peer)
+
+
+class DuringRequest(Case):
+    """Asks for SIFs of many lengths, each by a request that is still in work then."""
+
+    ID = "sif.during-request"
+    EXPECTATION = "The SIF comes if the function returned 0x00, and does not come if it did not."
+    REQUIREMENTS = ("J2A-SIF-006", "J2A-SIF-002")
+    LEVEL = "sif"
+    NEEDS = ("sif",)
+
+    def _run(self, peer: Peer) -> None:
+        refused = 0
+        for length in (0, 1, 2, 17, 60, 61, 62, 63, 64, 100, 253, 254):
+            for payload in patterns(length)[:8:3]:
+                before = len(peer.link.sifs)
+                reply = peer.call("sif", b"\x22" + payload)
+                if reply.opcode == c.RET_OK:
+                    sif = peer.next_sif(before)
+                    if (sif.opcode, sif.payload) != (0x22, payload):
+                        fail(f"the SIF with {length} payload bytes is not what was asked for")
+                else:
+                    refused += 1
+                peer.barrier()
+                if len(peer.link.sifs) != before + (reply.opcode == c.RET_OK):
+                    fail(f"{len(peer.link.sifs) - before} SIFs for code 0x{reply.opcode:02X}")
+        if refused:
+            inform(f"{refused} SIFs were refused to the application, which is allowed")
+
+
+class DuringDelay(Case):
+    """Has SIFs become due every 2 ms while a request is in work for 60 ms."""
+
+    ID = "sif.during-delay"
+    EXPECTATION = "No gap in the seqs: what became due was sent, kept or refused, not dropped."
+    REQUIREMENTS = ("J2A-SIF-006", "J2A-SIF-001")
+    LEVEL = "sif"
+    NEEDS = ("sifPeriod", "delay")
+
+    def _run(self, peer: Peer) -> None:
+        before = len(peer.link.sifs)
+        period(peer, 2)
+        try:
+            for _ in range(3):
+                delay = peer.request(peer.opcode("delay"), struct.pack("<H", 60), c.RET_OK)
+                peer.link.send(delay.wire)
+                peer.expect(delay.expected, wait_s=0.06)
+                peer.next_sif(len(peer.link.sifs))
+        finally:
+            period(peer, 0)
+        check_counter(peer)
+        counts = [
+            int.from_bytes(sif.payload, "little")
+            for sif in frames(peer.link.sifs[before:])
+            if sif.opcode == PERIODIC
+        ]
+        if counts != sorted(set(counts)):
+            fail("the counter in the periodic SIFs does not go up")

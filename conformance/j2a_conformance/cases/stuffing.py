@@ -1,0 +1,140 @@
+"""Byte stuffing, both ways (J2A-STUFF)."""
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, checksum, encode
+
+from j2a_conformance._case import Case
+from j2a_conformance._judge import fail
+from j2a_conformance._peer import Expected, Peer, refusal
+
+STUFFED = sorted(c.STUFFED)
+
+
+def escapable(value: int) -> bool:
+    """Tell whether ESC, value - 1 is a legal way to send `value`."""
+    return (value - 1) & 0xFF not in (c.SOF, c.SOS, 0xFF)
+
+
+def escaped(value: int) -> bytes:
+    """Return `value` as an escape pair."""
+    return bytes((c.ESC, value - 1))
+
+
+class Replies(Case):
+    """Echoes each byte value alone, and compares the reply on the wire with the oracle."""
+
+    ID = "stuff.replies"
+    EXPECTATION = "SOF, SOS and ESC come as ESC and the value minus one, every other value plain."
+    REQUIREMENTS = ("J2A-STUFF-001", "J2A-STUFF-002")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        for value in range(256):
+            payload = bytes((value, 0x41, value))
+            request = peer.echo(payload)
+            peer.link.send(request.wire)
+            arrival = peer.next_frame(peer.link.reply_timeout_s)
+            wanted = encode(Frame(c.SOF, request.seq, c.ECHO, payload))
+            if arrival is None or arrival.raw != wanted:
+                peer.link.record("expected", text=wanted.hex(" "))
+                fail(
+                    f"the reply with the value 0x{value:02X} is not stuffed like that of the oracle"
+                )
+
+
+class Fields(Case):
+    """Puts each of SOF, SOS and ESC into seq, length, payload and checksum of requests and of
+    replies, and into the opcode of requests where no function is there.
+    """
+
+    ID = "stuff.fields"
+    EXPECTATION = "Each request is taken for what it is, each reply is stuffed."
+    REQUIREMENTS = ("J2A-STUFF-001", "J2A-STUFF-005", "J2A-SUM-002")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        opcode = peer.opcode(c.GET_ECHO)
+        for value in STUFFED:
+            peer.ask(peer.echo(b"seq", seq=value), peer.echo(b"", seq=value))
+            peer.ask(peer.echo(b"l" * value))
+            peer.ask(peer.echo(bytes((value,))), peer.echo(bytes((value, value, 0x11, value))))
+            if value in peer.out_of_range():
+                peer.ask(peer.request(value, b"opcode", c.ERR_OPCODE))
+            for code in (opcode, c.ECHO):  # the checksum of the request, then of its reply
+                request = peer.echo(b"")
+                filler = checksum(request.seq, code, b"\0") ^ value
+                peer.ask(peer.echo(bytes((filler,)), seq=request.seq))
+                assert checksum(request.seq, code, bytes((filler,))) == value
+
+
+class ReplyCodes(Case):
+    """Has a function return 0x12 and 0x7D."""
+
+    ID = "stuff.reply-code"
+    EXPECTATION = "The opcode field of the reply is stuffed."
+    REQUIREMENTS = ("J2A-STUFF-001", "J2A-DISP-003")
+    LEVEL = "frame"
+    NEEDS = ("ret",)
+
+    def _run(self, peer: Peer) -> None:
+        for value in (0x12, 0x7D, 0x11, 0x7C):
+            peer.ask(peer.request(peer.opcode("ret"), bytes((value,)), value, b""))
+
+
+class Needless(Case):
+    """Escapes every byte value for which that is legal, needed or not, in the payload, one by one
+    and all together, and then every byte of seq, opcode, length and checksum.
+    """
+
+    ID = "stuff.needless"
+    EXPECTATION = "ESC x is taken as x + 1; ESC ESC as 0x7E."
+    REQUIREMENTS = ("J2A-STUFF-003", "J2A-STUFF-005")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        opcode = peer.opcode(c.GET_ECHO)
+        values = [v for v in range(256) if escapable(v)]
+        for value in values:
+            self._exchange(peer, opcode, bytes((value,)), peer.seq(), {3})
+        many = bytes(values)[:255]
+        self._exchange(peer, opcode, many, peer.seq(), set(range(3, 3 + len(many))))
+        for field in (0, 1, 2, 4):
+            self._exchange(peer, opcode, b"x", peer.seq(), {field})
+        self._exchange(peer, opcode, b"x", peer.seq(), {0, 1, 2, 3, 4})
+
+    @staticmethod
+    def _exchange(peer: Peer, opcode: int, payload: bytes, seq: int, places: set[int]) -> None:
+        """Send an echo whose bytes at `places` (counted from seq) are escaped where legal."""
+        body = bytes((seq, opcode, len(payload))) + payload
+        body += bytes((checksum(seq, opcode, payload),))
+        wire = bytes((c.SOF,))
+        for place, value in enumerate(body):
+            forced = place in places and escapable(value)
+            wire += escaped(value) if forced or value in c.STUFFED else bytes((value,))
+        peer.play(wire, Expected(seq, c.ECHO, payload))
+
+
+class EscapeFf(Case):
+    """Puts ESC 0xFF into each place of a frame, waits for the answer before the rest of the frame
+    is sent, and then sends the rest.
+    """
+
+    ID = "stuff.escape-ff"
+    EXPECTATION = (
+        "Error 0xF4 at once if the seq was complete, else nothing; the rest is skipped in silence."
+    )
+    REQUIREMENTS = ("J2A-STUFF-004", "J2A-ERR-004", "J2A-ERR-005", "J2A-ERR-009")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        for place in range(1, 9):
+            peer.attempts(lambda place=place: self._at(peer, place))  # type: ignore[misc]
+
+    @staticmethod
+    def _at(peer: Peer, place: int) -> None:
+        request = peer.probe()
+        frame = request.wire
+        due = [refusal(request.seq, c.ERR_FRAMING)] if place > 1 else []
+        peer.play(frame[:place] + bytes((c.ESC, 0xFF)), *due)
+        peer.link.send(frame[place:])
+        peer.barrier()

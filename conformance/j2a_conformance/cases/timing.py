@@ -1,0 +1,228 @@
+"""Pauses inside frames and between them (J2A-TIME).
+
+Every pause is measured where it is made, from before the bytes in front of it are written to after
+the bytes behind it are written. A refused pause only counts when this measure was within the limit,
+and only when it is refused every time: a stall between here and the device cannot be seen.
+"""
+
+import time
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, encode
+
+from j2a_conformance._case import Case
+from j2a_conformance._judge import Judged, fail, inform
+from j2a_conformance._model import Verdict
+from j2a_conformance._peer import Expected, Peer
+
+_ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
+_GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
+_REFUSALS = 6
+_TRIES = 40
+_SPIN_S = 0.0015
+
+
+def wait_until(moment_s: float) -> None:
+    """Return at `moment_s` of `time.monotonic`, more exactly than a sleep does."""
+    rest_s = moment_s - time.monotonic() - _SPIN_S
+    if rest_s > 0:
+        time.sleep(rest_s)
+    while time.monotonic() < moment_s:
+        pass
+
+
+def send_paused(peer: Peer, pieces: list[bytes], pause_s: float) -> float:
+    """Send the pieces with pauses between them; return the longest pause in seconds, measured."""
+    longest_s = 0.0
+    before_s = time.monotonic()
+    peer.link.send(pieces[0])
+    for piece in pieces[1:]:
+        # From the start of the last write, so that no pause is longer than was asked for.
+        wait_until(before_s + pause_s)
+        again_s = time.monotonic()
+        peer.link.send(piece)
+        longest_s = max(longest_s, time.monotonic() - before_s)
+        before_s = again_s
+    return longest_s
+
+
+def accepts(peer: Peer, pieces: list[bytes], pause_s: float, due: Expected) -> None:
+    """Fail when the device refuses these pauses again and again."""
+    refused = 0
+    for _ in range(_TRIES):
+        longest_s = send_paused(peer, pieces, pause_s)
+        try:
+            peer.expect(due)
+        except Judged as judged:
+            refused += longest_s <= _ACCEPTED_S
+            peer.link.note(f"refused, the longest pause was {longest_s * 1e3:.2f} ms")
+            if refused >= _REFUSALS:
+                fail(f"{judged.reason}, in {refused} attempts, with pauses of {pause_s * 1e3} ms")
+            peer.resync()
+        else:
+            return
+    inform("this machine is too busy to make a pause of less than 9 ms")
+
+
+def awkward(peer: Peer) -> tuple[bytes, Expected]:
+    """Return an echo that has escapes in seq and payload, and its due reply."""
+    payload = bytes((0x12, 0x41, 0x7D))
+    wire = encode(Frame(c.SOF, 0xED, peer.opcode(c.GET_ECHO), payload))
+    return wire, Expected(0xED, c.ECHO, payload)
+
+
+def seq_known(wire: bytes, cut: int) -> bool:
+    """Tell whether the first `cut` bytes of a frame hold its seq."""
+    return cut >= (3 if wire[1] == c.ESC else 2)
+
+
+class ShortPause(Case):
+    """Pauses for 4 ms and for 8.5 ms after each byte of a frame, also inside escapes."""
+
+    ID = "timing.short-pause"
+    EXPECTATION = "The request is answered as if there was no pause."
+    REQUIREMENTS = ("J2A-TIME-001",)
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        for pause_s in (0.004, 0.0085):
+            wire, due = awkward(peer)
+            for cut in range(1, len(wire)):
+                accepts(peer, [wire[:cut], wire[cut:]], pause_s, due)
+
+
+class Trickle(Case):
+    """Sends a frame byte by byte with 7 ms between them, longer than 20 ms in all."""
+
+    ID = "timing.trickle"
+    EXPECTATION = "The request is answered: only the pause between two bytes counts."
+    REQUIREMENTS = ("J2A-TIME-001",)
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        wire, due = awkward(peer)
+        accepts(peer, [bytes((byte,)) for byte in wire], 0.007, due)
+
+
+class GivesUp(Case):
+    """Sends the beginning of a frame, up to each of its bytes, and no more."""
+
+    ID = "timing.gives-up"
+    EXPECTATION = "Error 0xF2 with the seq of the frame, not before 9 ms and within 20 ms."
+    REQUIREMENTS = ("J2A-TIME-002", "J2A-TIME-001", "J2A-ERR-005", "J2A-ERR-009")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        plain = peer.echo(b"abc")
+        for wire, seq in ((plain.wire, plain.seq), (awkward(peer)[0], 0xED)):
+            for cut in range(1, len(wire)):
+                if seq_known(wire, cut):
+                    peer.attempts(lambda w=wire, n=cut, s=seq: self._cut(peer, w[:n], s))  # type: ignore[misc]
+        peer.barrier()
+
+    @staticmethod
+    def _cut(peer: Peer, part: bytes, seq: int) -> None:
+        allowed_s = _GIVEN_UP_S + peer.claims.rtt_s + 0.002
+        before_s = time.monotonic()
+        peer.link.send(part)
+        sent_s = time.monotonic()
+        arrival = peer.next_frame(peer.link.reply_timeout_s)
+        due = Expected(seq, c.ERR_TIMEOUT)
+        if arrival is None or not isinstance(arrival.event, Frame):
+            peer.link.record("expected", text=str(due))
+            fail("a frame that stopped was not answered")
+        if not due.matches(arrival.event):
+            peer.link.record("expected", text=str(due))
+            fail(f"error 0xF2 was due, code 0x{arrival.event.opcode:02X} came")
+        if arrival.at_s - before_s < _ACCEPTED_S:
+            fail(f"given up after {(arrival.at_s - before_s) * 1e3:.1f} ms")
+        if arrival.at_s - sent_s > allowed_s:
+            fail(f"given up after {(arrival.at_s - sent_s) * 1e3:.1f} ms", suspect=True)
+
+
+class SeqUnknown(Case):
+    """Sends the beginning of a frame up to its seq, waits 30 ms and sends the rest."""
+
+    ID = "timing.seq-unknown"
+    EXPECTATION = "No answer: the seq of the frame is not known, and the rest is skipped."
+    REQUIREMENTS = ("J2A-ERR-005", "J2A-TIME-002", "J2A-TIME-003")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        plain = peer.echo(b"abc").wire
+        stuffed = awkward(peer)[0]
+        for first, rest in ((plain[:1], plain[1:]), (stuffed[:1], b""), (stuffed[:2], stuffed[2:])):
+            peer.attempts(lambda a=first, b=rest: self._late(peer, a, b))  # type: ignore[misc]
+
+    @staticmethod
+    def _late(peer: Peer, first: bytes, rest: bytes) -> None:
+        peer.link.send(first)
+        if peer.next_frame(0.03 * peer.link.scale) is not None:
+            fail("a frame whose seq was not received was answered")
+        if rest:
+            peer.link.send(rest)
+        try:
+            peer.barrier()
+        except Judged as judged:
+            # A device that was stalled for 30 ms takes both parts for one frame, rightly.
+            raise Judged(Verdict.FAILED, judged.reason, suspect=True) from judged
+
+
+class RestSkipped(Case):
+    """Has the device give up a frame, and then sends the rest of it."""
+
+    ID = "timing.rest-skipped"
+    EXPECTATION = "Error 0xF2 once; the rest is skipped, and the next frame is answered."
+    REQUIREMENTS = ("J2A-TIME-003", "J2A-TIME-002", "J2A-FRAME-006", "J2A-ERR-009")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        wire, due = awkward(peer)
+        for cut in range(3, len(wire)):
+            peer.play(wire[:cut], Expected(due.seq, c.ERR_TIMEOUT))
+            peer.link.send(wire[cut:])
+            peer.barrier()
+
+
+class LongLength(Case):
+    """Sends a frame whose length field is larger than the payload that follows."""
+
+    ID = "timing.long-length"
+    EXPECTATION = "Error 0xF2: the rest never comes."
+    REQUIREMENTS = ("J2A-TIME-002", "J2A-FRAME-004")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        for extra in (1, 2, 100):
+            request = peer.echo(b"0123456789")
+            wire = bytearray(request.wire)
+            wire[wire.index(b"0123456789") - 1] += extra
+            peer.play(bytes(wire), Expected(request.seq, c.ERR_TIMEOUT))
+
+
+class BetweenFrames(Case):
+    """Pauses for up to 200 ms after a good frame, after an error reply, after bytes that start no
+    frame, and after SOS.
+    """
+
+    ID = "timing.between-frames"
+    EXPECTATION = "Nothing comes in the pause, and the next frame is answered."
+    REQUIREMENTS = ("J2A-TIME-007", "J2A-FRAME-008")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        for pause_ms in (1, 5, 9, 11, 15, 25, 50, 200):
+            peer.ask(peer.probe())
+            self._quiet(peer, pause_ms)
+        wire, due = awkward(peer)
+        peer.play(wire[:5] + b"\x7d\xff", Expected(due.seq, c.ERR_FRAMING))
+        self._quiet(peer, 50)
+        for noise in (b"\x00\x7d", b"\xed", b"\xed\x01\x02\x03"):
+            peer.link.send(noise)
+            self._quiet(peer, 50)
+
+    @staticmethod
+    def _quiet(peer: Peer, pause_ms: int) -> None:
+        if peer.next_frame(pause_ms / 1e3) is not None:
+            fail(f"something came in a pause of {pause_ms} ms between two frames")
+        peer.barrier()

@@ -1,0 +1,165 @@
+"""`j2a-conform`: judge a device from the command line.
+
+What flows in: arguments. What flows out: a report, and an exit code: 0 conformant, 1 not, 3 when
+the harness, the link or the arguments are wrong, so that nothing can be said about the device.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import NoReturn, get_args
+
+import j2a_transports
+from j2a_spec.requirements import Level
+
+from . import _console, _junit
+from ._case import Case
+from ._coverage import coverage
+from ._model import HarnessError, Result, Verdict
+from ._runner import run
+from .cases import load
+
+__all__ = ["main"]
+
+_CONFORMANT, _FAILED, _HARNESS = 0, 1, 3
+
+
+class _Parser(argparse.ArgumentParser):
+    """Bad arguments say nothing about a device: exit code 3, not argparse's 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(_HARNESS, f"{self.prog}: {message}\n")
+
+
+def _parser() -> _Parser:
+    parser = _Parser(prog="j2a-conform", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    command = commands.add_parser(
+        "run",
+        help="run the cases against a device",
+        description="Runs the conformance cases against the device behind URL. "
+        "Exit code: 0 conformant, 1 not, 3 harness, link or arguments wrong.",
+        epilog="URL: " + ", ".join(f"{scheme}:" for scheme in j2a_transports.schemes()),
+    )
+    command.add_argument("url", nargs="?", metavar="URL", help="e.g. serial:///dev/ttyACM0?boot=2")
+    command.add_argument("--junit", type=Path, metavar="FILE", help="write a JUnit report")
+    command.add_argument(
+        "--level",
+        nargs="+",
+        action="extend",
+        choices=get_args(Level),
+        metavar="LEVEL",
+        help="only cases of these levels: " + ", ".join(get_args(Level)),
+    )
+    command.add_argument(
+        "--case",
+        nargs="+",
+        action="extend",
+        metavar="ID",
+        help="only these cases: ids, patterns like 'many.*', or ids of requirements",
+    )
+    command.add_argument(
+        "--list", action="store_true", help="show the cases and what they cover, and run nothing"
+    )
+    command.add_argument(
+        "--timeout-scale",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="multiply every wait for an answer, for slow links",
+    )
+    command.add_argument(
+        "--fresh",
+        action="store_true",
+        help="opening the link resets the device: its first SIF has seq 0 (known for exec:, pty:)",
+    )
+    command.add_argument(
+        "--builtins-only",
+        action="store_true",
+        help="do not use functions with the names of the demo application: they are something else",
+    )
+    command.add_argument("--stop-on-failure", action="store_true", help="stop at the first failure")
+    command.add_argument("-v", "--verbose", action="store_true", help="show each case as it ends")
+    return parser
+
+
+def select(levels: Sequence[str] | None, patterns: Sequence[str] | None) -> list[Case]:
+    """Return the cases of these levels that match one of these patterns; None means all.
+
+    Raises:
+        HarnessError: nothing matches.
+    """
+    found = [case for case in load() if levels is None or case.LEVEL in levels]
+    if patterns is not None:
+        found = [
+            case
+            for case in found
+            if any(fnmatchcase(name, p) for p in patterns for name in (case.ID, *case.REQUIREMENTS))
+        ]
+    if not found:
+        raise HarnessError("no case matches; `j2a-conform run --list` shows all")
+    return found
+
+
+def _list(cases: Sequence[Case]) -> None:
+    for case in cases:
+        print(f"{case.ID}  ({case.LEVEL})\n  {case.DESCRIPTION}\n  {' '.join(case.REQUIREMENTS)}")
+    print()
+    for name, by in coverage().items():
+        print(f"{name}  {by}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    parser = _parser()
+    args = parser.parse_args(argv)
+    try:
+        cases = select(args.level, args.case)
+        if args.list:
+            _list(cases)
+            return _CONFORMANT
+        if not args.url:
+            parser.error("a URL is needed, e.g. tcp://127.0.0.1:5000")
+        if not 0 < args.timeout_scale < 1000:
+            parser.error("--timeout-scale takes a number above 0 and below 1000")
+        return _run(args, cases)
+    except HarnessError as error:
+        print(f"j2a-conform: {error}", file=sys.stderr)
+        return _HARNESS
+    except KeyboardInterrupt:
+        print("j2a-conform: interrupted", file=sys.stderr)
+        return _HARNESS
+
+
+def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
+    def show(result: Result) -> None:
+        if args.verbose:
+            print(_console.line(result), flush=True)
+
+    found = run(
+        lambda: j2a_transports.open(args.url),
+        cases,
+        url=args.url,
+        timeout_scale=args.timeout_scale,
+        fresh=args.fresh or args.url.startswith(("exec:", "pty:")),
+        builtins_only=args.builtins_only,
+        stop_on_failure=args.stop_on_failure,
+        on_result=show,
+    )
+    print(_console.report(found))
+    if args.junit:
+        try:
+            _junit.write(found, args.junit)
+        except OSError as error:
+            raise HarnessError(f"cannot write the JUnit report: {error}") from error
+    if found.with_verdict(Verdict.FAILED):
+        return _FAILED
+    # An interrupted run has judged only a part, which is no proof of conformance.
+    return _HARNESS if found.stopped else _CONFORMANT
+
+
+if __name__ == "__main__":
+    sys.exit(main())
