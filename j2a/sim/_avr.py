@@ -21,6 +21,7 @@ from j2a.sim._elf import Program, read_program
 from j2a.sim._errors import BadProgram, FirmwareStopped, SimError
 
 _PAINT = 0xC5  # what the shim fills the RAM above the static data with at each reset
+_CRASHES_SIMAVR = {"atmega16m1"}  # avr_init() of simavr 1.6 ends the process
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -113,6 +114,8 @@ class AvrSim:
             raise SimError(f"host_baud {host_baud} is out of range 1..{frequency_hz // 2}")
         if len(uart) != 1 or uart not in "0123":
             raise SimError(f"uart {uart!r} is none of 0, 1, 2, 3")
+        if mcu in _CRASHES_SIMAVR:
+            raise SimError(f"simavr 1.6 cannot run an {mcu}")
         self.program: Program = read_program(elf)
         self.mcu, self.frequency_hz = mcu, frequency_hz
         self._lib = _build.library()

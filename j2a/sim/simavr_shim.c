@@ -65,20 +65,16 @@ static void log_message(struct avr_t *avr, const int level, const char *text, va
     }
 }
 
-static void no_sleep(avr_t *avr, avr_cycle_count_t cycles)
-{
-    (void)avr; /* a sleeping core only skips simulated time */
-    (void)cycles;
-}
-
 /* The chip takes 4 cycles (5 with a 3-byte program counter) to enter an interrupt handler, which
  * simavr leaves out. */
 static void on_interrupt(struct avr_irq_t *irq, uint32_t entered, void *param)
 {
     avr_t *avr = param;
     (void)irq;
-    if (entered)
-        avr->cycle += 2u + avr->address_size;
+    if (!entered)
+        return;
+    avr->cycle += 2u + avr->address_size;
+    avr->run_cycle_count = 0; /* the next event is nearer now: look after one instruction */
 }
 
 /* Fills the RAM above the static data, so that one can see how deep the stack went. */
@@ -133,6 +129,27 @@ static void on_mark(avr_t *avr, avr_io_addr_t address, uint8_t value, void *para
 
 /* ---- life ---- */
 
+/* As avr_callback_run_raw, but a sleeping core waits for nobody, wakes at the very cycle of the next
+ * event (simavr: one later, so the slices of a run would show in the cycles), and keeps its memory
+ * when it sleeps for ever. */
+static void run_burst(avr_t *avr)
+{
+    avr_flashaddr_t pc = avr->pc;
+    if (avr->state == cpu_Running)
+        pc = avr_run_one(avr); /* and those after it, up to the next event */
+    avr_cycle_count_t sleep = avr_cycle_timer_process(avr);
+    avr->pc = pc;
+    if (avr->state == cpu_Sleeping) {
+        if (!avr->sreg[S_I]) {
+            avr->state = cpu_Done;
+            return;
+        }
+        avr->cycle += sleep ? sleep : 1;
+    }
+    if ((avr->state == cpu_Running || avr->state == cpu_Sleeping) && avr->interrupt_state)
+        avr_service_interrupts(avr);
+}
+
 static avr_uart_t *find_uart(avr_t *avr, char name)
 {
     for (avr_io_t *io = avr->io_port; io; io = io->next)
@@ -146,8 +163,7 @@ void sim_free(sim_t *s)
     if (!s)
         return;
     if (s->avr) {
-        if (s->avr->data)
-            avr_terminate(s->avr);
+        avr_terminate(s->avr);
         free(s->avr);
     }
     free(s->usart.queue);
@@ -189,7 +205,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     avr->custom.data = s;
     avr->log = LOG_WARNING;
     avr->frequency = frequency_hz;
-    avr->sleep = no_sleep;
+    avr->run = run_burst;
     avr->run_cycle_limit = frequency_hz / 100;
     avr_loadcode(avr, flash, flash_size, 0);
     avr->codeend = flash_size;
@@ -236,7 +252,7 @@ int sim_run(sim_t *s, uint64_t cycles, int stop_mask)
     avr_t *avr = s->avr;
     uint64_t end = avr->cycle + cycles;
     int state = avr->state;
-    if (!cycles || s->illegal)
+    if (!cycles || s->illegal || state == cpu_Done || state == cpu_Crashed)
         return state;
     s->stop_mask = stop_mask;
     s->stopped = 0;

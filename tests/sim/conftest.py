@@ -1,0 +1,68 @@
+"""Builds the small test firmwares, once per session and set of definitions."""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from j2a.sim import AvrSim, ToolMissing
+from j2a.sim._build import build
+
+SOURCES = Path(__file__).parent / "firmware"
+Build = Callable[..., Path]
+Simulate = Callable[..., AvrSim]
+
+
+def _missing(what: str) -> None:
+    """Skip, naming the package; in CI a missing tool is a failure."""
+    if os.environ.get("J2A_REQUIRE_AVR") == "1":
+        pytest.fail(f"J2A_REQUIRE_AVR=1, but {what}")
+    pytest.skip(what)
+
+
+@pytest.fixture(scope="session")
+def firmware(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """firmware("echo", BAUD=115200) compiles echo.c for the ATmega328P and gives the ELF."""
+    if shutil.which("avr-gcc") is None:
+        _missing("avr-gcc is missing: install the packages gcc-avr and avr-libc")
+    try:
+        build()
+    except ToolMissing as error:
+        _missing(str(error))
+    folder = tmp_path_factory.mktemp("firmware")
+    made: dict[str, Path] = {}
+
+    def compile_(name: str, **defines: int) -> Path:
+        key = "-".join([name, *(f"{k}{v}" for k, v in sorted(defines.items()))])
+        if key not in made:
+            elf = folder / f"{key}.elf"
+            options = [f"-D{k}={v}" for k, v in {"F_CPU": "16000000UL", **defines}.items()]
+            command = ["avr-gcc", "-mmcu=atmega328p", "-std=gnu99", "-Os", "-Wall", "-Werror"]
+            command += [*options, str(SOURCES / f"{name}.c"), "-o", str(elf)]
+            result = subprocess.run(command, capture_output=True, text=True, check=False)
+            if "avr/io.h" in result.stderr or "crtatmega328p" in result.stderr:
+                _missing("avr-libc is missing: install the package avr-libc")
+            assert result.returncode == 0, result.stderr
+            made[key] = elf
+        return made[key]
+
+    return compile_
+
+
+@pytest.fixture
+def simulate(firmware: Build) -> Iterator[Simulate]:
+    """simulate("echo", BAUD=115200, host_baud=9600): capitals for avr-gcc, the rest for AvrSim."""
+    sims: list[AvrSim] = []
+
+    def start(name: str, **options: int) -> AvrSim:
+        defines = {k: v for k, v in options.items() if k.isupper()}
+        rest = {k: v for k, v in options.items() if not k.isupper()}
+        sims.append(AvrSim(firmware(name, **defines), **rest))
+        return sims[-1]
+
+    yield start
+    for sim in sims:
+        sim.close()

@@ -1,0 +1,226 @@
+"""The simulator on a listener, as a function and as a command."""
+
+import io
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from argparse import ArgumentParser
+
+import j2a_transports
+import pytest
+from j2a_transports import LinkLost, OpenFailed
+
+from j2a.sim import FirmwareStopped, Runner, SimError, run
+from j2a.sim._command import add_arguments, main
+
+pytestmark = pytest.mark.avr
+
+WAIT_S = 60
+
+
+class Served:
+    """run() in a thread."""
+
+    def __init__(self, elf, speed=0.0, **options):
+        self.out, self.err = io.StringIO(), io.StringIO()
+        self.stop = threading.Event()
+        self.error = None
+
+        def target():
+            try:
+                run(
+                    elf,
+                    "tcp://127.0.0.1:0",
+                    speed,
+                    stop=self.stop,
+                    out=self.out,
+                    err=self.err,
+                    **options,
+                )
+            except (SimError, j2a_transports.TransportError) as error:
+                self.error = error
+
+        self.thread = threading.Thread(target=target)
+        self.thread.start()
+        end = time.monotonic() + WAIT_S
+        while "\n" not in self.out.getvalue():
+            assert self.thread.is_alive(), self.error
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        self.url = self.out.getvalue().split()[-1]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop.set()
+        self.join()
+
+    def join(self):
+        self.thread.join(WAIT_S)
+        assert not self.thread.is_alive()
+
+
+def read_all(link, count):
+    data = b""
+    while len(data) < count:
+        more = link.read(WAIT_S)
+        assert more, f"{len(data)} of {count} bytes came"
+        data += more
+    return data
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5, 1.0, 8.0])
+def test_clients_one_after_the_other(firmware, speed):
+    data = bytes(range(256)) * 2
+    with Served(firmware("echo"), speed) as served:
+        assert served.out.getvalue() == f"listening on {served.url}\n"
+        for _ in range(2):
+            with j2a_transports.open(served.url) as link:
+                link.write(data)
+                assert read_all(link, len(data)) == data
+    assert served.error is None
+    figures = dict(re.findall(r"(\w+)=([\d.]+)", served.err.getvalue()))
+    assert (figures["bytes_in"], figures["bytes_out"], figures["overruns"]) == ("1024", "1024", "0")
+    assert int(figures["cycles"]) >= 1024 * 1360
+    assert float(figures["simulated_s"]) == pytest.approx(int(figures["cycles"]) / 16e6, abs=1e-6)
+
+
+def test_real_time_is_not_faster_than_the_clock(firmware):
+    with Served(firmware("echo"), 1.0) as served, j2a_transports.open(served.url) as link:
+        began_s = time.monotonic()
+        link.write(bytes(2000))
+        read_all(link, 2000)
+        # 85 us per byte
+        assert time.monotonic() - began_s > 0.16
+
+
+def test_a_pause_of_the_client_is_no_longer_for_the_firmware(firmware):
+    """At speed 0 only the traffic is fast."""
+    with Served(firmware("echo"), 0.0) as served:
+        began_s = time.monotonic()
+        with j2a_transports.open(served.url) as link:
+            for byte in b"pause":
+                link.write(bytes([byte]))
+                assert link.read(WAIT_S) == bytes([byte])
+                time.sleep(0.05)
+        served.stop.set()
+        served.join()
+        wall_s = time.monotonic() - began_s
+    simulated = re.search(r"simulated_s=([\d.]+)", served.err.getvalue())
+    # The start, and what passes at full speed around each byte, come on top.
+    assert float(simulated[1]) < wall_s + 0.2
+
+
+def test_once_ends_with_the_client(firmware):
+    served = Served(firmware("echo"), once=True)
+    with j2a_transports.open(served.url) as link:
+        link.write(b"x")
+        assert link.read(WAIT_S) == b"x"
+    served.join()
+    assert served.error is None
+    assert "bytes_in=1 " in served.err.getvalue()
+
+
+def test_reset_for_each_client(firmware):
+    with Served(firmware("stop"), reset=True) as served:
+        for _ in range(2):
+            with j2a_transports.open(served.url) as link:
+                assert link.read(WAIT_S) == b"0"
+
+
+def test_without_reset_the_firmware_goes_on(firmware):
+    with Served(firmware("stop")) as served:
+        time.sleep(0.05)
+        with j2a_transports.open(served.url) as link:
+            assert link.read(0.2) == b""
+
+
+def test_a_stopped_firmware_ends_the_run(firmware):
+    served = Served(firmware("stop"))
+    with j2a_transports.open(served.url) as link:
+        link.write(b"i")
+        with pytest.raises(LinkLost):
+            while True:
+                assert link.read(WAIT_S)
+    served.join()
+    assert isinstance(served.error, FirmwareStopped)
+    assert "cycles=" in served.err.getvalue()
+
+
+def test_a_place_that_is_taken(firmware):
+    with Served(firmware("echo")) as served, pytest.raises(OpenFailed):
+        run(firmware("echo"), served.url)
+
+
+def test_a_wrong_speed_is_refused(simulate):
+    sim = simulate("echo")
+    with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+        for speed in (-1.0, float("inf"), float("nan")):
+            with pytest.raises(SimError, match="speed"):
+                Runner(sim, listener, speed=speed)
+
+
+def command(*arguments, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "j2a.sim", "avr", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **options,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_command_ends_cleanly_by_signal(firmware, number):
+    with command(firmware("echo"), "--listen", "tcp://127.0.0.1:0", "--speed", "0") as process:
+        line = process.stdout.readline().decode()
+        url = re.fullmatch(r"listening on (tcp://127\.0\.0\.1:\d+)\n", line)[1]
+        with j2a_transports.open(url) as link:
+            link.write(b"hello")
+            assert read_all(link, 5) == b"hello"
+        process.send_signal(number)
+        out, err = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0
+    assert out == b""
+    assert re.fullmatch(rb"cycles=\d+ .*bytes_in=5 bytes_out=5 .*\n", err)
+
+
+def test_command_on_standard_streams(firmware):
+    options = ["--listen", "stdio:", "--speed", "0", "--once"]
+    with command(firmware("echo"), *options, stdin=subprocess.PIPE) as process:
+        process.stdin.write(b"through a pipe")
+        process.stdin.flush()
+        assert process.stdout.read(14) == b"through a pipe"
+        out, err = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0
+    assert out == b""
+    assert err.startswith(b"listening on stdio:")
+
+
+def test_command_explains_failures(tmp_path):
+    with command(tmp_path / "none.elf") as process:
+        out, err = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 1
+    assert out == b""
+    assert err.decode().startswith("j2a sim: cannot read ")
+    assert err.count(b"\n") == 1
+
+
+def test_command_options_reach_the_simulator(firmware, capsys):
+    parser = ArgumentParser()
+    add_arguments(parser)
+    elf = str(firmware("echo"))
+    for options, text in [
+        (["--mcu", "atmega9"], "does not know this MCU"),
+        (["--uart", "1"], "no such UART"),
+        (["--baud", "9e9"], "host_baud"),
+        (["--listen", "nowhere:"], "unknown scheme"),
+    ]:
+        assert main(parser.parse_args(["avr", elf, *options])) == 1
+        assert text in capsys.readouterr().err
+    for wrong in (["--speed", "-1"], ["--freq", "0"], ["--uart", "7"]):
+        with pytest.raises(SystemExit):
+            parser.parse_args(["avr", elf, *wrong])
