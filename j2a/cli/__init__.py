@@ -1,0 +1,124 @@
+"""The command line `j2a`.
+
+In: the arguments of the program. Out: its exit code; see `j2a.cli._exit`.
+Rules: each command is a module of its own that is imported when it is used; results go to standard
+output, everything else to standard error; nothing here knows more of J2A than the library tells.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Any, Final, NoReturn
+
+from j2a.cli._exit import (
+    EXIT_CODES,
+    INTERRUPTED,
+    OUTPUT_CLOSED,
+    USAGE,
+    UsageError,
+    exit_code,
+    exit_codes_help,
+)
+
+__all__ = ["EXIT_CODES", "main"]
+
+_COMMANDS: Final = {
+    "list": "serial ports of this computer, and which boards they probably are",
+    "info": "what a device is and can do",
+    "call": "call a function",
+    "read": "read from a function that transfers data of any size (a2jMany)",
+    "write": "write to a function that transfers data of any size (a2jMany)",
+    "props": "the properties of a device, or one of them",
+    "echo": "test a link: send bytes there and back, verify and time them",
+    "watch": "print the frames that a device sends unasked (SIFs)",
+    "debug": "print the debug text of a device",
+    "serve": "be a device: the demo, or one written in Python",
+    "sim": "run firmware for an AVR in the simulator",
+}
+_URLS: Final = """\
+a device is named by its URL:
+  serial:///dev/ttyACM0?baud=115200   a serial port; j2a list shows them
+  tcp://127.0.0.1:5000                a TCP connection
+  exec:./firmware                     a program, by its standard input and output
+  pty:./firmware                      a program, on a pseudo terminal"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says how to get help when it refuses."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the arguments."""
+        raise UsageError(f"{message}\ntry: {self.prog} --help")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program.
+
+    Args:
+        argv: the arguments without the program's name; those of the process if not given.
+
+    Returns: the exit code, one of `EXIT_CODES`.
+    """
+    try:
+        code = _run(sys.argv[1:] if argv is None else list(argv))
+        sys.stdout.flush()
+    except SystemExit as stop:  # of argparse, after --help
+        return stop.code if isinstance(stop.code, int) else USAGE
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        # What is still buffered would be written once more at exit, and complained about.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OUTPUT_CLOSED
+    except Exception as error:
+        known = exit_code(error)
+        if known is None:
+            raise
+        print(f"j2a: {error}", file=sys.stderr)
+        return known
+    return code
+
+
+def _run(argv: list[str]) -> int:
+    name = argv[0] if argv else "--help"
+    if name in _COMMANDS:
+        command: Any = import_module(f"j2a.cli._{name}")
+        parser = _Parser(
+            prog=f"j2a {name}",
+            description=command.__doc__.splitlines()[0].partition(": ")[2],
+            epilog=f"{getattr(command, 'NOTES', '')}\n\n{exit_codes_help()}".strip(),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        command.add_arguments(parser)
+        # Options may stand between the words of a payload, which only the second way takes.
+        parse = parser.parse_args if name == "sim" else parser.parse_intermixed_args
+        code: int = command.run(parse(argv[1:]))
+        return code
+    if name in ("-h", "--help", "help"):
+        print(_help())
+        return 0 if argv else USAGE
+    if name in ("-V", "--version"):
+        from importlib.metadata import version  # noqa: PLC0415 - slow to load, rarely used
+
+        print(f"j2a {version('j2a')}")
+        return 0
+    if name.startswith("-"):
+        raise UsageError(f"{name!r} comes after a command, as in: j2a info URL {name}")
+    near = get_close_matches(name, _COMMANDS, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"commands are: {', '.join(_COMMANDS)}"
+    raise UsageError(f"there is no command {name!r}; {hint}")
+
+
+def _help() -> str:
+    commands = "\n".join(f"  {name:<6} {what}" for name, what in _COMMANDS.items())
+    return (
+        "usage: j2a COMMAND ...      (j2a COMMAND --help says more; j2a --version)\n\n"
+        "Calls functions of microcontrollers, over any byte stream.\n\n"
+        f"commands:\n{commands}\n\n{_URLS}\n\n{exit_codes_help()}"
+    )

@@ -1,0 +1,109 @@
+"""`j2a call`: call a function of a device and print its reply.
+
+In: a function, the words of a payload. Out: the code that the function returned, and its payload.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+
+from j2a_spec.constants import MAX_PAYLOAD
+
+import j2a
+from j2a.cli._exit import FAILED, OK, REMOTE, UsageError
+from j2a.cli._link import add_link_arguments, connect, function_of
+from j2a.cli._values import PAYLOAD_HELP, Decoder, dump, payload_of, text_of
+
+NOTES = f"""\
+{PAYLOAD_HELP}
+
+examples:
+  j2a call tcp://127.0.0.1:5000 add i32:1 i32:2 --as i32
+  j2a call tcp://127.0.0.1:5000 7 01 00 00 00 02 00 00 00"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "--as",
+        dest="types",
+        type=Decoder,
+        metavar="TYPES",
+        help="decode the reply: types as above with commas, such as i32,u64; u16* to its end",
+    )
+    output = parser.add_mutually_exclusive_group()
+    output.add_argument("--json", action="store_true", help="print the reply as JSON")
+    output.add_argument("--raw", action="store_true", help="print the payload's bytes alone")
+    add_link_arguments(parser)
+    parser.add_argument("function", metavar="FUNCTION", help="its name, or its opcode 0..255")
+    parser.add_argument("payload", metavar="PAYLOAD", nargs="*", help="see below; none: no bytes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Call, print the reply; returns the exit code."""
+    payload = payload_of(args.payload)
+    if len(payload) > MAX_PAYLOAD:
+        raise UsageError(
+            f"the payload has {len(payload)} bytes, {MAX_PAYLOAD} is the most; "
+            "longer data goes through j2a write, if the function is made for it"
+        )
+    function = function_of(args.function)
+    with connect(args) as client:
+        start = time.monotonic()
+        try:
+            reply = client.call(function, payload)
+        except j2a.OpcodeRefused as error:
+            if function not in client.functions:
+                raise
+            # The function exists, so what the device refuses is the way of calling it.
+            print(f"j2a: {error}; try j2a read or j2a write", file=sys.stderr)
+            return REMOTE
+        round_trip_s = time.monotonic() - start
+    values = None
+    problem = ""
+    if args.types is not None:
+        try:
+            values = args.types.values(reply.payload)
+        except ValueError as error:
+            problem = str(error)
+    if args.raw:
+        sys.stdout.buffer.write(reply.payload)
+    elif args.json:
+        facts = {
+            "function": args.function,
+            "code": reply.code,
+            "ok": reply.ok,
+            "payload": reply.payload.hex(),
+            "text": text_of(reply.payload) and reply.payload.decode(),
+            "round_trip_s": round(round_trip_s, 6),
+        }
+        print(json.dumps(facts if values is None else {**facts, "values": values}))
+    else:
+        _print(reply, values)
+    if not reply.ok:
+        print(f"j2a: {args.function} failed (code 0x{reply.code:02X})", file=sys.stderr)
+        return FAILED
+    if problem:
+        print(f"j2a: {problem}", file=sys.stderr)
+        return FAILED
+    return OK
+
+
+def _print(reply: j2a.Reply, values: list[int | float | str] | None) -> None:
+    if values is not None:
+        for value in values:
+            print(value)
+        return
+    print(f"code     0x{reply.code:02X}")
+    if not reply.payload:
+        return
+    if len(reply.payload) <= 16:
+        text = text_of(reply.payload)
+        print(f"payload  {reply.payload.hex(' ')}{f'  {text}' if text else ''}")
+        return
+    print(f"payload  {len(reply.payload)} bytes")
+    for line in dump(reply.payload):
+        print(f"  {line}")

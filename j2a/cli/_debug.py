@@ -1,0 +1,37 @@
+"""`j2a debug`: print the debug text of a device.
+
+In: a link. Out: the text as the firmware wrote it; `[...]` stands where text was lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from j2a.cli._exit import OK
+from j2a.cli._link import add_link_arguments, connect, finite_seconds
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("-f", "--follow", action="store_true", help="go on printing until Ctrl-C")
+    parser.add_argument(
+        "--every",
+        type=finite_seconds,
+        default=0.2,
+        metavar="S",
+        help="with --follow: how often to ask the device, in seconds (0.2)",
+    )
+    add_link_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the text that waits; returns the exit code."""
+    with connect(args) as client:
+        while True:
+            sys.stdout.write(client.read_debug())
+            sys.stdout.flush()
+            if not args.follow:
+                return OK
+            time.sleep(args.every)

@@ -1,0 +1,59 @@
+"""How a command ends.
+
+In: what was raised. Out: an exit code.
+Rules: the table `EXIT_CODES` is what `--help` and the documentation print; an error of the user,
+the link or the device never shows a traceback.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import j2a_transports
+
+import j2a
+
+OK: Final = 0
+FAILED: Final = 1
+USAGE: Final = 2
+LINK: Final = 3
+TIMEOUT: Final = 4
+REMOTE: Final = 5
+INTERRUPTED: Final = 130
+OUTPUT_CLOSED: Final = 141
+
+EXIT_CODES: Final = {
+    OK: "done",
+    FAILED: "the function reported failure (code 0xFF), or data came back different",
+    USAGE: "the command line is wrong, or names what the device or this computer does not have",
+    LINK: "the link could not be opened, or was lost",
+    TIMEOUT: "no answer in time",
+    REMOTE: "the device refused the request, or broke the protocol",
+    INTERRUPTED: "stopped by Ctrl-C",
+    OUTPUT_CLOSED: "the reader of the output went away, as in: j2a watch URL | head -1",
+}
+_CODES: Final[tuple[tuple[type[Exception], int], ...]] = (
+    (j2a.LocalError, USAGE),
+    (j2a.LinkError, LINK),
+    (j2a.CallTimeout, TIMEOUT),
+    (j2a.FunctionFailed, FAILED),
+    (j2a.J2AError, REMOTE),
+    (j2a_transports.BadUrl, USAGE),
+    (j2a_transports.TransportError, LINK),
+)
+
+
+class UsageError(Exception):
+    """An argument of the command line is wrong; the text says how to write it."""
+
+
+def exit_code(error: Exception) -> int | None:
+    """Return the exit code for an error, None for one that should not have happened."""
+    if isinstance(error, UsageError):
+        return USAGE
+    return next((code for kind, code in _CODES if isinstance(error, kind)), None)
+
+
+def exit_codes_help() -> str:
+    """Return the table of exit codes as lines for `--help`."""
+    return "exit codes:\n" + "\n".join(f"  {code:>3}  {text}" for code, text in EXIT_CODES.items())

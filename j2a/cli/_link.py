@@ -1,0 +1,149 @@
+"""The arguments that every command with a device has, and the way to the device.
+
+In: parsed arguments. Out: a connected client.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import math
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+import j2a
+from j2a.cli._exit import UsageError
+from j2a.cli._trace import TracePrinter
+
+_Number = TypeVar("_Number", int, float)
+_OWN: Final = frozenset(inspect.signature(j2a.connect).parameters)
+
+
+def add_link_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the URL and the options of a link."""
+    parser.add_argument("url", metavar="URL", help="the device, such as tcp://127.0.0.1:5000")
+    group = parser.add_argument_group("link")
+    group.add_argument(
+        "--timeout",
+        type=seconds,
+        default=1.0,
+        metavar="S",
+        help="time limit of a call, or of each chunk of a transfer, in seconds, or inf (1)",
+    )
+    group.add_argument(
+        "--boot-time",
+        type=seconds,
+        default=5.0,
+        metavar="S",
+        help="for how long to try to reach a board that may still boot, in seconds (5)",
+    )
+    group.add_argument(
+        "--baud",
+        type=whole_number(1),
+        metavar="N",
+        help="speed of a serial port; the same as ?baud=N in its URL",
+    )
+    group.add_argument(
+        "-O",
+        "--option",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="an option of the URL's scheme; the same as ?NAME=VALUE in it",
+    )
+    add_verbose_argument(group)
+
+
+def add_verbose_argument(parser: argparse._ActionsContainer) -> None:
+    """Add `-v`."""
+    parser.add_argument(
+        "-v",
+        "--verbose",
+        action="count",
+        default=0,
+        help="show the frames on the wire, on standard error; -vv: their bytes too",
+    )
+
+
+def add_json_argument(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add `--json`."""
+    parser.add_argument("--json", action="store_true", help=f"print {what} as JSON")
+
+
+def add_progress_argument(parser: argparse.ArgumentParser) -> None:
+    """Add `--no-progress`."""
+    parser.add_argument(
+        "--no-progress",
+        action="store_true",
+        help="draw no progress bar; without a terminal there is none anyway",
+    )
+
+
+def connect(args: argparse.Namespace) -> j2a.Client:
+    """Open the link that the arguments describe.
+
+    Raises:
+        UsageError: an option is wrong.
+        J2AError: as `j2a.connect`.
+    """
+    options: dict[str, object] = {} if args.baud is None else {"baud": args.baud}
+    for option in args.option:
+        name, equals, value = option.partition("=")
+        if not equals or not name:
+            raise UsageError(f"-O {option}: an option is written NAME=VALUE, as in -O baud=57600")
+        if name in options:
+            raise UsageError(f"-O {option}: {name} is given twice")
+        if name in _OWN:
+            raise UsageError(f"-O {option}: {name} is no option of a URL; see --help")
+        options[name] = value
+    return j2a.connect(
+        args.url,
+        timeout=args.timeout,
+        boot_time=args.boot_time,
+        trace=TracePrinter(raw=args.verbose > 1) if args.verbose else None,
+        **options,  # type: ignore[arg-type]  # the names of other parameters were refused
+    )
+
+
+def function_of(text: str) -> str | int:
+    """Return the opcode that a text is, decimal or 0x.., or else the text, which is a name."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        return text
+
+
+def seconds(text: str) -> float:
+    """Read a time above 0, or inf."""
+    value = _read(float, text, "a number of seconds")
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def finite_seconds(text: str) -> float:
+    """Read a time above 0."""
+    value = seconds(text)
+    if value == math.inf:
+        raise argparse.ArgumentTypeError("the time must have an end")
+    return value
+
+
+def whole_number(low: int, high: float = math.inf) -> Callable[[str], int]:
+    """Make a reader of whole numbers from `low` to `high`, decimal or 0x..."""
+
+    def read(text: str) -> int:
+        value = _read(lambda digits: int(digits, 0), text, "a whole number")
+        if not low <= value <= high:
+            limit = f"from {low} up" if high == math.inf else f"from {low} to {high}"
+            raise argparse.ArgumentTypeError(f"{text} is not {limit}")
+        return value
+
+    return read
+
+
+def _read(convert: Callable[[str], _Number], text: str, what: str) -> _Number:
+    try:
+        return convert(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}") from None

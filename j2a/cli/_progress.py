@@ -1,0 +1,67 @@
+"""A progress bar on standard error.
+
+In: how many bytes are done. Out: one line that is drawn over itself, and wiped at the end.
+Rules: nothing is drawn when standard error is no terminal, when the user does not want it, or in
+the first moments of a transfer; numbers are of payload bytes.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Final, Self
+
+_FIRST_S: Final = 0.3
+_EVERY_S: Final = 0.1
+_WIDTH: Final = 30
+
+
+class Progress:
+    """Draws while a transfer runs; a context manager that leaves an empty line.
+
+    Args:
+        what: printed before the bar.
+        enabled: False draws nothing; neither does a standard error that is not a terminal.
+    """
+
+    def __init__(self, what: str, *, enabled: bool = True) -> None:
+        self._what = what
+        self._enabled = enabled and sys.stderr.isatty()
+        self._start = time.monotonic()
+        self._next = self._start + _FIRST_S
+        self._drawn = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        if self._drawn:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+    def __call__(self, done: int, total: int | None = None) -> None:
+        """Draw that `done` bytes of `total` (None when that is not known) are transferred."""
+        now = time.monotonic()
+        if not self._enabled or now < self._next:
+            return
+        self._next = now + _EVERY_S
+        self._drawn = True
+        rate = done / (now - self._start)
+        if total:
+            filled = min(_WIDTH, _WIDTH * done // total)
+            bar = f"[{'#' * filled}{'.' * (_WIDTH - filled)}] {100 * done // total:3d} %  "
+            left = f"  {(total - done) / rate:.0f} s left" if done else ""
+        else:
+            bar, left = "", ""
+        line = f"{self._what}  {bar}{size_text(done)}  {size_text(rate)}/s{left}"
+        sys.stderr.write(f"\r{line}\x1b[K")
+        sys.stderr.flush()
+
+
+def size_text(size: float) -> str:
+    """Return a number of bytes for people, such as 12.3 KiB."""
+    for unit in ("B", "KiB", "MiB"):
+        if size < 1024 or unit == "MiB":
+            break
+        size /= 1024
+    return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"

@@ -1,0 +1,38 @@
+"""`j2a props`: the properties of a device, or one of them.
+
+In: a link. Out: keys and values; for one key its value alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from j2a.cli._exit import OK, UsageError
+from j2a.cli._link import add_json_argument, add_link_arguments, connect
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    add_json_argument(parser, "an object of keys and values, or the value,")
+    add_link_arguments(parser)
+    parser.add_argument("key", metavar="KEY", nargs="?", help="print the value of this one only")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask the device and print; returns the exit code."""
+    with connect(args) as client:
+        properties = client.properties
+    if args.key is not None:
+        if args.key not in properties:
+            has = f"it has: {', '.join(properties)}" if properties else "it has none"
+            raise UsageError(f"the device has no property {args.key!r}; {has}")
+        print(json.dumps(properties[args.key]) if args.json else properties[args.key])
+        return OK
+    if args.json:
+        print(json.dumps(properties))
+        return OK
+    width = max(map(len, properties), default=0)
+    for key, value in properties.items():
+        print(f"{key:<{width}}  {value}")
+    return OK

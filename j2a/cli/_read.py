@@ -1,0 +1,72 @@
+"""`j2a read`: read from a function that transfers data of any size (a2jMany).
+
+In: a function. Out: its data, in a file or on standard output.
+Rules: a file is written when all data is there, so that a transfer that fails leaves the old one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from j2a.cli._exit import OK, UsageError
+from j2a.cli._link import (
+    add_link_arguments,
+    add_progress_argument,
+    connect,
+    function_of,
+    whole_number,
+)
+from j2a.cli._progress import Progress, size_text
+from j2a.cli._values import dump
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE",
+        default="-",
+        help="where to; without it or with - to standard output, on a terminal in hex",
+    )
+    parser.add_argument(
+        "--max-bytes",
+        type=whole_number(0),
+        default=64 * 2**20,
+        metavar="N",
+        help="give up when the device sends more than this (64 MiB)",
+    )
+    add_progress_argument(parser)
+    add_link_arguments(parser)
+    parser.add_argument("function", metavar="FUNCTION", help="its name, or its opcode 0..255")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, write to the file; returns the exit code."""
+    target = None if args.output == "-" else Path(args.output)
+    if target is not None and (target.is_dir() or not target.absolute().parent.is_dir()):
+        raise UsageError(f"cannot write to {args.output!r}: it is a folder, or is in none")
+    with connect(args) as client:
+        start = time.monotonic()
+        with Progress(f"read {args.function}", enabled=not args.no_progress) as progress:
+            data = client.read_many(
+                function_of(args.function), max_bytes=args.max_bytes, progress=progress
+            )
+        took_s = time.monotonic() - start
+    if target is None:
+        if sys.stdout.isatty():
+            for line in dump(data):
+                print(line)
+        else:
+            sys.stdout.buffer.write(data)
+        return OK
+    try:
+        target.write_bytes(data)
+    except OSError as error:
+        raise UsageError(f"cannot write to {args.output!r}: {error.strerror}") from None
+    rate = size_text(len(data) / took_s)
+    print(f"{len(data)} bytes read to {args.output} in {took_s:.2f} s ({rate}/s)", file=sys.stderr)
+    return OK

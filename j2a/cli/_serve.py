@@ -1,0 +1,104 @@
+"""`j2a serve`: be a device: the demo, or one written in Python.
+
+In: where hosts arrive. Out: `listening on URL`, and a device there until Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import traceback
+from importlib import import_module
+from pathlib import Path
+from types import FrameType
+
+import j2a_transports
+
+import j2a
+from j2a.cli._exit import LINK, OK, UsageError
+from j2a.cli._link import add_verbose_argument
+from j2a.cli._trace import TracePrinter
+
+NOTES = """\
+places to listen:
+  tcp://127.0.0.1:5000   that TCP port; 0 takes a free one
+  pty:                   a new pseudo terminal, which others open as a serial port
+  stdio:                 standard input and output
+  serial:///dev/ttyUSB0  a serial port
+
+examples:
+  j2a serve --listen tcp://127.0.0.1:5000
+  j2a serve --listen pty:/tmp/board --device thermometer:device"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "--listen",
+        default="tcp://127.0.0.1:0",
+        metavar="URL",
+        help="where hosts connect, see below (%(default)s: any free port)",
+    )
+    parser.add_argument(
+        "--device",
+        metavar="MODULE:ATTRIBUTE",
+        help="a j2a.Device of yours, or a function that makes one (the demo)",
+    )
+    parser.add_argument("--once", action="store_true", help="end when the first host has gone")
+    add_verbose_argument(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until the end; returns the exit code."""
+    device = _demo() if args.device is None else load_device(args.device)
+    if args.verbose:
+        # A Device takes its trace when it is made, which was before the command line was read.
+        device._trace = TracePrinter(raw=args.verbose > 1, is_device=True)
+    signal.signal(signal.SIGTERM, _on_sigterm)
+    with j2a_transports.listen(args.listen) as listener, device:
+        # Where standard output is the link, the text must not get between the bytes.
+        out = sys.stderr if listener.url.startswith("stdio:") else sys.stdout
+        print(f"listening on {listener.url}", file=out, flush=True)
+        if not args.once:
+            device.serve_forever(listener)
+            return OK
+        transport = listener.accept(None)
+        if transport is None:
+            return LINK
+        device.serve(transport)
+    return OK
+
+
+def load_device(name: str) -> j2a.Device:
+    """Import a device by `module:attribute`; modules in the current folder are found.
+
+    Raises:
+        UsageError: there is none of that name, or its module fails; the text says where.
+    """
+    module_name, colon, attribute = name.partition(":")
+    if not (module_name and colon and attribute):
+        raise UsageError(f"--device {name}: write MODULE:ATTRIBUTE, as in thermometer:device")
+    sys.path.insert(0, str(Path.cwd()))
+    try:
+        found = getattr(import_module(module_name), attribute)
+        device = found if isinstance(found, j2a.Device) else found()
+    except Exception as error:
+        # The first frames are ours and importlib's; the last one is where the user has to look.
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        raise UsageError(
+            f"--device {name}: {type(error).__name__}: {error} ({where.filename}:{where.lineno})"
+        ) from error
+    if not isinstance(device, j2a.Device):
+        raise UsageError(f"--device {name}: is {type(device).__name__}, not a j2a.Device")
+    return device
+
+
+def _demo() -> j2a.Device:
+    from j2a.demo import DemoDevice  # noqa: PLC0415 - only needed without --device
+
+    return DemoDevice()
+
+
+def _on_sigterm(number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(128 + number)  # leaves the listener, which removes what it made

@@ -1,0 +1,118 @@
+"""The wire, decoded for people (`-v`), and its raw bytes (`-vv`).
+
+In: what passes on a link, see `j2a.Trace`. Out: one line each on standard error: seconds since the
+start, `>` for what the host sends and `<` for what the device sends, and what it is.
+Rules: names of functions are learnt from the function map as it passes, so that a trace asks the
+device nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Final, TextIO
+
+from j2a_spec.constants import (
+    ERR_CHECKSUM,
+    ERR_FRAMING,
+    ERR_OPCODE,
+    ERR_TIMEOUT,
+    GET_MAPPING,
+    RET_FAILED,
+    SOS,
+)
+
+from j2a.cli._values import short_hex, text_of
+from j2a.events import Frame, FrameError
+
+_ERRORS: Final = {
+    ERR_OPCODE: "no such function, or not callable this way",
+    ERR_TIMEOUT: "the rest of the request did not come in time",
+    ERR_CHECKSUM: "wrong checksum",
+    ERR_FRAMING: "broken by a marker or an escape, or bytes lost",
+}
+_REASONS: Final = {
+    "checksum": "wrong checksum",
+    "marker": "cut off by the start of another",
+    "escape": "bad escape (ESC 0xFF)",
+    "timeout": "its bytes stopped coming",
+    "lost": "bytes of it were lost",
+}
+
+
+class TracePrinter:
+    """Prints what passes; an object of this class is a `j2a.Trace`.
+
+    Args:
+        raw: print the bytes too.
+        is_device: the trace is of a device: what it receives comes from the host.
+        stream: where to; standard error if it is not given.
+    """
+
+    def __init__(
+        self, *, raw: bool = False, is_device: bool = False, stream: TextIO | None = None
+    ) -> None:
+        self._raw = raw
+        self._to_device = "rx" if is_device else "tx"
+        self._stream = stream or sys.stderr
+        self._start = time.monotonic()
+        self._names = {0: GET_MAPPING}
+        self._asked: dict[int, int] = {}
+
+    def __call__(self, direction: str, item: Frame | FrameError | bytes) -> None:
+        """Print one item."""
+        to_device = direction == self._to_device
+        if isinstance(item, bytes):
+            if not self._raw:
+                return
+            text = f"bytes   {item.hex(' ')}"
+        elif isinstance(item, FrameError):
+            text = self._error(item)
+        elif item.start == SOS:
+            text = f"SIF     seq={item.seq:<3} opcode={item.opcode:<3} {_payload(item.payload)}"
+        elif to_device:
+            text = self._request(item)
+        else:
+            text = self._reply(item)
+        seconds = time.monotonic() - self._start
+        # One write, so that lines of several threads do not mix.
+        self._stream.write(f"{seconds:9.4f} {'>' if to_device else '<'} {text}\n")
+        self._stream.flush()
+
+    def _request(self, frame: Frame) -> str:
+        self._asked[frame.seq] = frame.opcode
+        return f"request seq={frame.seq:<3} {self._name(frame.opcode)} {_payload(frame.payload)}"
+
+    def _reply(self, frame: Frame) -> str:
+        opcode = self._asked.pop(frame.seq, None)
+        name = "(not asked)" if opcode is None else self._name(opcode)
+        if frame.opcode in _ERRORS:
+            meaning = _ERRORS[frame.opcode]
+            return (
+                f"error   seq={frame.seq:<3} {name} "
+                f"0x{frame.opcode:02X} {meaning}, details {_payload(frame.payload)}"
+            )
+        if opcode == 0 and frame.opcode == 0:
+            names = frame.payload.decode("ascii", "replace").split("\0")[:-1]
+            self._names.update(enumerate(names))
+        failed = " failed" if frame.opcode == RET_FAILED else ""
+        return (
+            f"reply   seq={frame.seq:<3} {name} "
+            f"code=0x{frame.opcode:02X}{failed} {_payload(frame.payload)}"
+        )
+
+    def _name(self, opcode: int) -> str:
+        return self._names.get(opcode, f"opcode {opcode}")
+
+    @staticmethod
+    def _error(error: FrameError) -> str:
+        kind = "SIF" if error.start == SOS else "frame"
+        seq = "" if error.seq is None else f"seq={error.seq:<3} "
+        return f"refused {seq}{kind}: {_REASONS[error.reason]}"
+
+
+def _payload(payload: bytes) -> str:
+    if not payload:
+        return "-"
+    text = text_of(payload[:24])
+    return f"{short_hex(payload)}  {text}" if text else short_hex(payload)

@@ -1,0 +1,199 @@
+"""Payloads as people write and read them.
+
+In: words such as `12 ed`, `u16:500`, `str:hello`, `@file`; and payloads. Out: bytes; and texts.
+Rules: numbers are little endian, as J2A's own fields are; a word that cannot be read is a
+`UsageError` that says what can be written instead.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from j2a.cli._exit import UsageError
+
+NUMBERS: Final = {
+    "u8": "B",
+    "i8": "b",
+    "u16": "H",
+    "i16": "h",
+    "u32": "I",
+    "i32": "i",
+    "u64": "Q",
+    "i64": "q",
+    "f32": "f",
+    "f64": "d",
+}
+PAYLOAD_HELP: Final = """\
+payload words, put one after the other:
+  12 ed  12ed  0x12ed    bytes in hex
+  u8: i8: u16: i16: u32: i32: u64: i64: f32: f64:
+                         a number, little endian; several with commas: u16:500,0x1f4
+  str:hello              text as UTF-8, without a zero at the end
+  hex:12ed               bytes in hex
+  @FILE                  the content of a file
+  -                      standard input, to its end"""
+
+_DECODED: Final = frozenset([*NUMBERS, *(f"{kind}*" for kind in NUMBERS), "str", "hex"])
+_TYPED: Final = re.compile(r"([A-Za-z][A-Za-z0-9]*):(.*)", re.DOTALL)
+_HEX_SEPARATORS: Final = re.compile(r"[\s,:_]+|0[xX]")
+_SHOWN_AS: Final = {0x5C: "\\\\", 0x0A: "\\n", 0x0D: "\\r", 0x09: "\\t", 0x00: "\\0"}
+
+
+def payload_of(words: Sequence[str]) -> bytes:
+    """Return the bytes that payload words stand for; see `PAYLOAD_HELP`.
+
+    Raises:
+        UsageError: a word cannot be read, or a number does not fit its type.
+    """
+    return b"".join(_bytes_of(word) for word in words)
+
+
+def _bytes_of(word: str) -> bytes:
+    if word == "-":
+        return sys.stdin.buffer.read()
+    if word.startswith("@"):
+        return file_content(word[1:])
+    typed = _TYPED.fullmatch(word)
+    if typed is None:
+        return _hex(word, word)
+    kind, value = typed[1].lower(), typed[2]
+    if kind == "str":
+        return value.encode("utf-8", "surrogateescape")
+    if kind == "hex":
+        return _hex(value, word)
+    if kind in NUMBERS:
+        return b"".join(_number(kind, text, word) for text in value.split(","))
+    known = ", ".join([*NUMBERS, "str", "hex"])
+    raise UsageError(f"{word!r}: unknown type {typed[1]!r}; known are: {known}")
+
+
+def file_content(name: str) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        UsageError: it cannot be read.
+    """
+    try:
+        return Path(name).read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"cannot read {name!r}: {reason}") from None
+
+
+def _hex(digits: str, word: str) -> bytes:
+    try:
+        return bytes.fromhex(_HEX_SEPARATORS.sub(" ", digits))
+    except ValueError:
+        if Path(word).is_file():
+            raise UsageError(f"{word!r}: for the content of the file write @{word}") from None
+        raise UsageError(
+            f"{word!r}: bytes in hex have two digits each, as in 12 ed; for anything else name "
+            "the type, as in u16:500, i32:-4, str:hello, @FILE"
+        ) from None
+
+
+def _number(kind: str, text: str, word: str) -> bytes:
+    code = NUMBERS[kind]
+    try:
+        if kind.startswith("f"):
+            return struct.pack("<" + code, float(text))
+        return struct.pack("<" + code, int(text, 0))
+    except (struct.error, OverflowError):
+        raise UsageError(f"{word!r}: {text} does not fit {_range(kind)}") from None
+    except ValueError:
+        what = "a number" if kind.startswith("f") else "a whole number (decimal, 0x, 0b or 0o)"
+        raise UsageError(f"{word!r}: {text!r} is not {what}") from None
+
+
+def _range(kind: str) -> str:
+    if kind.startswith("f"):
+        return kind
+    bits = int(kind[1:])
+    low, high = (0, 2**bits - 1) if kind[0] == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    return f"{kind}, which goes from {low} to {high}"
+
+
+class Decoder:
+    """Reads a payload as a row of typed values.
+
+    Args:
+        spec: types with commas, such as `i32,u64`; `str` and `hex` take all that is left; a type
+            followed by `*` is repeated to the end.
+
+    Raises:
+        UsageError: a type is unknown, or comes after one that takes everything.
+    """
+
+    def __init__(self, spec: str) -> None:
+        self._spec = spec
+        self._kinds = [kind.strip().lower() for kind in spec.split(",")]
+        for kind in self._kinds:
+            if kind not in _DECODED:
+                known = ", ".join([*NUMBERS, "str", "hex"])
+                raise UsageError(f"--as {spec}: unknown type {kind!r}; known are: {known}")
+        for kind in self._kinds[:-1]:
+            if kind not in NUMBERS:
+                raise UsageError(f"--as {spec}: nothing can follow {kind}, which takes the rest")
+
+    def values(self, payload: bytes) -> list[int | float | str]:
+        """Return the values; bytes in hex come as text.
+
+        Raises:
+            ValueError: the payload does not have the size of these types.
+        """
+        *kinds, last = self._kinds
+        layout = "<" + "".join(NUMBERS[kind] for kind in kinds)
+        size = struct.calcsize(layout)
+        rest = payload[size:]
+        try:
+            values: list[int | float | str] = list(struct.unpack(layout, payload[:size]))
+            if last == "str":
+                values.append(rest.decode("utf-8", "replace"))
+            elif last == "hex":
+                values.append(rest.hex())
+            else:
+                values += self._repeated(last, rest)
+        except struct.error:
+            raise ValueError(f"{len(payload)} bytes cannot be read as {self._spec}") from None
+        return values
+
+    @staticmethod
+    def _repeated(kind: str, rest: bytes) -> Iterable[int | float]:
+        item = "<" + NUMBERS[kind.rstrip("*")]
+        if kind.endswith("*"):
+            return [value for (value,) in struct.iter_unpack(item, rest)]
+        return struct.unpack(item, rest)
+
+
+def text_of(data: bytes) -> str:
+    """Return the bytes as a quoted text when they read as one, "" when they do not."""
+    # Numbers such as 41 00 00 00 are valid UTF-8 too; texts have single zeros, between or after.
+    if not data or data[0] == 0 or b"\0\0" in data:
+        return ""
+    try:
+        shown = data.decode("utf-8").translate(_SHOWN_AS)
+    except UnicodeDecodeError:
+        return ""
+    return f'"{shown}"' if shown.isprintable() else ""
+
+
+def dump(data: bytes) -> list[str]:
+    """Return lines of 16 bytes with offset, hex and ASCII."""
+    lines = []
+    for offset in range(0, len(data), 16):
+        row = data[offset : offset + 16]
+        ascii_ = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in row)
+        lines.append(f"{offset:06x}  {row.hex(' '):<47}  |{ascii_}|")
+    return lines
+
+
+def short_hex(data: bytes, limit: int = 24) -> str:
+    """Return the bytes in hex, cut after `limit` of them."""
+    if len(data) <= limit:
+        return data.hex(" ")
+    return f"{data[:limit].hex(' ')} ... ({len(data)} bytes)"

@@ -1,0 +1,133 @@
+"""`j2a watch`: print the frames that a device sends unasked (SIFs).
+
+In: a link. Out: a line for each SIF, and one for each gap in their numbers.
+Rules: the library's thread collects, this one prints, so that a slow reader of the output loses
+nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import queue
+import shlex
+import sys
+import time
+from datetime import datetime
+
+import j2a
+from j2a.cli._exit import FAILED, OK, TIMEOUT, UsageError
+from j2a.cli._link import (
+    add_json_argument,
+    add_link_arguments,
+    connect,
+    finite_seconds,
+    function_of,
+    whole_number,
+)
+from j2a.cli._values import Decoder, payload_of, short_hex, text_of
+
+NOTES = """\
+examples:
+  j2a watch tcp://127.0.0.1:5000 0x20 --as u32
+  j2a watch exec:./firmware --call 'sifPeriod u16:100' --count 10 --json"""
+_LOOK_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "--call",
+        action="append",
+        default=[],
+        metavar="'FUNCTION PAYLOAD'",
+        help="call this first, to start the device sending; words as for j2a call",
+    )
+    parser.add_argument("--count", type=whole_number(1), metavar="N", help="end after so many SIFs")
+    parser.add_argument(
+        "--duration",
+        type=finite_seconds,
+        metavar="S",
+        help="end after so many seconds; with --count, fail if they were not enough",
+    )
+    parser.add_argument(
+        "--as", dest="types", type=Decoder, metavar="TYPES", help="decode payloads, as j2a call"
+    )
+    add_json_argument(parser, "an object for each SIF, one per line,")
+    add_link_arguments(parser)
+    parser.add_argument(
+        "opcodes",
+        metavar="OPCODE",
+        nargs="*",
+        type=whole_number(0, 255),
+        help="watch these only, 0..255",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print SIFs until the end; returns the exit code."""
+    calls = [_parse_call(text) for text in args.call]
+    arrived: queue.SimpleQueue[tuple[float, j2a.Sif]] = queue.SimpleQueue()
+    with connect(args) as client:
+        client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), sif)))
+        for function, payload in calls:
+            reply = client.call(function, payload)
+            if not reply.ok:
+                print(f"j2a: {function} failed (code 0x{reply.code:02X})", file=sys.stderr)
+                return FAILED
+        end = None if args.duration is None else time.monotonic() + args.duration
+        seen = 0
+        while args.count is None or seen < args.count:
+            left_s = _LOOK_S if end is None else min(_LOOK_S, end - time.monotonic())
+            try:
+                at_s, sif = arrived.get(timeout=max(left_s, 0.0))
+            except queue.Empty:
+                if left_s <= 0:
+                    break
+                if not client.is_open:
+                    client.call(0)  # raises what ended the link
+                continue
+            seen += 1
+            _print(at_s, sif, args)
+    if args.count is not None and seen < args.count:
+        print(f"j2a: {seen} of {args.count} SIFs came within {args.duration:g} s", file=sys.stderr)
+        return TIMEOUT
+    return OK
+
+
+def _parse_call(text: str) -> tuple[str | int, bytes]:
+    try:
+        function, *words = shlex.split(text)
+    except ValueError:
+        raise UsageError(
+            f"--call {text!r}: write a function and its payload, as in --call 'sifPeriod u16:100'"
+        ) from None
+    return function_of(function), payload_of(words)
+
+
+def _print(at_s: float, sif: j2a.Sif, args: argparse.Namespace) -> None:
+    values = None
+    if args.types is not None:
+        try:
+            values = args.types.values(sif.payload)
+        except ValueError as error:
+            print(f"j2a: SIF {sif.seq}: {error}", file=sys.stderr)
+    if args.json:
+        facts = {
+            "time": round(at_s, 6),
+            "opcode": sif.opcode,
+            "seq": sif.seq,
+            "missed": sif.missed,
+            "payload": sif.payload.hex(),
+        }
+        print(json.dumps(facts if values is None else {**facts, "values": values}), flush=True)
+        return
+    if sif.missed:
+        print(f"              {sif.missed} SIFs missed")
+    clock = datetime.fromtimestamp(at_s).strftime("%H:%M:%S.%f")[:-3]
+    if values is None:
+        text = text_of(sif.payload)
+        what = f"{short_hex(sif.payload)}{f'  {text}' if text else ''}"
+    else:
+        what = " ".join(map(str, values))
+    print(f"{clock}  opcode {sif.opcode:>3}  seq {sif.seq:>3}  {what}".rstrip(), flush=True)

@@ -1,0 +1,66 @@
+"""`j2a write`: write to a function that transfers data of any size (a2jMany).
+
+In: a function, and the data as words, a file or standard input. Out: how much was written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from j2a_spec.constants import MANY_DATA
+
+from j2a.cli._exit import FAILED, OK
+from j2a.cli._link import add_link_arguments, add_progress_argument, connect, function_of
+from j2a.cli._progress import Progress, size_text
+from j2a.cli._values import PAYLOAD_HELP, payload_of
+
+NOTES = f"""\
+{PAYLOAD_HELP.replace("payload words", "data words")}
+
+examples:
+  j2a write tcp://127.0.0.1:5000 store @photo.jpg --verify
+  dmesg | j2a write tcp://127.0.0.1:5000 store -"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("--verify", action="store_true", help="read the data back and compare it")
+    add_progress_argument(parser)
+    add_link_arguments(parser)
+    parser.add_argument("function", metavar="FUNCTION", help="its name, or its opcode 0..255")
+    parser.add_argument("data", metavar="DATA", nargs="+", help="@FILE, - or words; see below")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write, perhaps verify; returns the exit code."""
+    data = payload_of(args.data)
+    function = function_of(args.function)
+    with connect(args) as client:
+        start = time.monotonic()
+        with Progress(f"write {args.function}", enabled=not args.no_progress) as progress:
+            client.write_many(function, data, progress=progress)
+        took_s = time.monotonic() - start
+        rate = size_text(len(data) / took_s)
+        print(
+            f"{len(data)} bytes written to {args.function} in {took_s:.2f} s ({rate}/s)",
+            file=sys.stderr,
+        )
+        if not args.verify:
+            return OK
+        with Progress(f"verify {args.function}", enabled=not args.no_progress) as progress:
+            found = client.read_many(
+                function,
+                # What is longer is wrong, and a little more shows that it is.
+                max_bytes=len(data) + MANY_DATA,
+                progress=lambda done, _: progress(done, len(data)),
+            )
+    if found != data:
+        pairs = zip(found, data, strict=False)
+        differing = (index for index, (a, b) in enumerate(pairs) if a != b)
+        where = next(differing, min(len(found), len(data)))
+        print(f"j2a: what was read back differs from byte {where} on", file=sys.stderr)
+        return FAILED
+    print("verified", file=sys.stderr)
+    return OK
