@@ -36,7 +36,7 @@ STOP_OUTPUT, STOP_SPAN = 1, 2
 STATES = ("limbo", "stopped", "running", "sleeping", "step", "step", "done", "crashed")
 
 _HERE = Path(__file__).parent
-_SOURCES = ("simavr_shim.c", "usart.c", "usart.h")
+_SOURCES = ("simavr_shim.c", "usart.c", "usart.h", "wire.c", "wire.h")
 _PACKAGES = "on Debian and Ubuntu: apt install gcc libc6-dev libsimavr-dev"
 
 

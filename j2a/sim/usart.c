@@ -11,20 +11,16 @@
 enum { FLAG_UPE = 1 << 2, FLAG_DOR = 1 << 3, FLAG_FE = 1 << 4, FLAGS_RX = 0x1c };
 enum { UCSRA_U2X = 1 << 1, UCSRA_MPCM = 1 << 0, UCSRA_TXC = 1 << 6 };
 
-typedef struct {
-    unsigned data, parity, stop; /* parity: 0 none, 2 even, 3 odd, as in UPM */
-} format_t;
-
 static avr_io_addr_t ucsra(const usart_t *u) { return u->port->rxc.raised.reg; }
 static avr_io_addr_t ucsrb(const usart_t *u) { return u->port->rxen.reg; }
 static uint8_t *flags(const usart_t *u) { return &u->avr->data[ucsra(u)]; }
 
-static format_t format(const usart_t *u)
+static wire_format_t format(const usart_t *u)
 {
     static const uint8_t data_bits[8] = {5, 6, 7, 8, 8, 8, 8, 9};
     uint8_t c = u->avr->data[u->port->usbs.reg];
     unsigned size = ((c >> 1) & 3) | (avr_regbit_get(u->avr, u->port->ucsz2) ? 4 : 0);
-    format_t f = {data_bits[size], (c >> 4) & 3, 1 + ((c >> 3) & 1)};
+    wire_format_t f = {data_bits[size], (c >> 4) & 3, 1 + ((c >> 3) & 1)};
     return f;
 }
 
@@ -37,8 +33,7 @@ double usart_bit_cycles(const usart_t *u)
 
 unsigned usart_char_bits(const usart_t *u)
 {
-    format_t f = format(u);
-    return 1 + f.data + (f.parity >= 2) + f.stop;
+    return wire_char_bits(format(u));
 }
 
 int usart_receiver_on(const usart_t *u) { return avr_regbit_get(u->avr, u->port->rxen) != 0; }
@@ -79,113 +74,15 @@ static void on_running(struct avr_irq_t *irq, uint32_t running, void *param)
         levels(param);
 }
 
-/* ---- the wire: levels over time, and a receiver that samples them by its own clock ---- */
+/* ---- what the wire asks ---- */
 
-static int wire_level(const wire_t *w, double t)
+static wire_format_t wire_format(void *param) { return format(param); }
+static double avr_bit(void *param) { return usart_bit_cycles(param); }
+
+static double host_bit(void *param)
 {
-    for (int i = 0; i < WIRE_RECENT; i++) {
-        const wire_char_t *c = &w->recent[i];
-        if (c->bits && t >= c->start && t < c->start + c->bits * c->bit)
-            return (c->levels >> (unsigned)((t - c->start) / c->bit)) & 1;
-    }
-    return 1;
-}
-
-static double receiver_bit(const wire_t *w)
-{
-    return w->to_avr || w->usart->host_bit == 0 ? usart_bit_cycles(w->usart) : w->usart->host_bit;
-}
-
-static avr_cycle_count_t wire_event(avr_t *avr, avr_cycle_count_t when, void *param);
-
-/* The next falling edge from `from` on, or -1: only characters that have begun are known. */
-static double next_edge(const wire_t *w, double from)
-{
-    for (int i = WIRE_RECENT - 1; i >= 0; i--) {
-        const wire_char_t *c = &w->recent[i];
-        for (unsigned bit = 0; bit < c->bits; bit++) {
-            double t = c->start + bit * c->bit;
-            if (t >= from && !((c->levels >> bit) & 1)
-                && wire_level(w, t - 0.25))
-                return t;
-        }
-    }
-    return -1;
-}
-
-static void receive_from(wire_t *w, double start)
-{
-    usart_t *u = w->usart;
-    double at = start;
-    if (ceil(start) > u->avr->cycle) {
-        w->state = WIRE_EDGE_AHEAD;
-    } else {
-        format_t f = format(u);
-        unsigned bits = 1 + f.data + (f.parity >= 2) + 1; /* a second stop bit is not looked at */
-        if (w->edge)
-            w->edge(u);
-        w->bit = receiver_bit(w);
-        w->state = WIRE_SAMPLING;
-        at += (bits - 0.5) * w->bit;
-    }
-    w->start = start;
-    double delay = ceil(at) - u->avr->cycle;
-    avr_cycle_timer_register(u->avr, delay < 1 ? 1 : (avr_cycle_count_t)delay, wire_event, w);
-}
-
-static avr_cycle_count_t wire_event(avr_t *avr, avr_cycle_count_t when, void *param)
-{
-    wire_t *w = param;
-    usart_t *u = w->usart;
-    (void)avr;
-    (void)when;
-    if (w->state == WIRE_EDGE_AHEAD) {
-        receive_from(w, w->start);
-        return 0;
-    }
-    format_t f = format(u);
-    unsigned bit = 0, byte = 0, ones = 0, parity_error = 0;
-#define SAMPLE() wire_level(w, w->start + (bit++ + 0.5) * w->bit)
-    int false_start = SAMPLE();
-    for (unsigned i = 0; i < f.data; i++) {
-        unsigned one = SAMPLE();
-        byte |= one << i;
-        ones += one;
-    }
-    if (f.parity >= 2)
-        parity_error = ((ones + SAMPLE()) & 1) != (f.parity & 1);
-    double stop_at = w->start + (bit + 0.5) * w->bit;
-    int framing_error = !SAMPLE();
-#undef SAMPLE
-    w->state = WIRE_IDLE;
-    if (!false_start)
-        w->deliver(u, byte, framing_error, parity_error);
-    double edge = next_edge(w, stop_at);
-    if (edge >= 0)
-        receive_from(w, edge);
-    return 0;
-}
-
-/* Puts a character on the wire; returns the time at which its last stop bit ends. */
-static double wire_send(wire_t *w, double start, double bit, uint8_t byte)
-{
-    format_t f = format(w->usart);
-    unsigned levels = 0, bits = 1, ones = 0;
-    for (unsigned i = 0; i < f.data; i++, bits++) {
-        unsigned one = i < 8 ? (byte >> i) & 1 : 0;
-        levels |= one << bits;
-        ones += one;
-    }
-    if (f.parity >= 2)
-        levels |= ((ones + f.parity) & 1) << bits++;
-    for (unsigned i = 0; i < f.stop; i++)
-        levels |= 1u << bits++;
-    memmove(&w->recent[1], &w->recent[0], sizeof w->recent - sizeof w->recent[0]);
-    wire_char_t c = {start, bit, levels, bits};
-    w->recent[0] = c;
-    if (w->state == WIRE_IDLE)
-        receive_from(w, start);
-    return start + bits * bit;
+    const usart_t *u = param;
+    return u->host_bit > 0 ? u->host_bit : usart_bit_cycles(u);
 }
 
 /* ---- host to AVR ---- */
@@ -204,8 +101,7 @@ static avr_cycle_count_t host_next(avr_t *avr, avr_cycle_count_t when, void *par
     u->bytes_in++;
     if (!usart_receiver_on(u))
         u->unheard++;
-    double bit = u->host_bit > 0 ? u->host_bit : usart_bit_cycles(u);
-    u->host_free = wire_send(&u->rx, u->host_free, bit, byte);
+    u->host_free = wire_send(&u->rx, u->host_free, host_bit(u), byte);
     avr_cycle_count_t next = (avr_cycle_count_t)ceil(u->host_free);
     return next > avr->cycle ? next : avr->cycle + 1;
 }
@@ -241,8 +137,9 @@ int usart_feed(usart_t *u, const uint8_t *data, uint32_t count)
 
 /* 20.7.4: the overrun comes when both buffers and the shift register are full and a new start bit
  * is seen; what waits in the shift register is overwritten. */
-static void rx_edge(usart_t *u)
+static void rx_edge(void *param)
 {
+    usart_t *u = param;
     if (u->shift_full) {
         u->shift_full = 0;
         u->overruns++;
@@ -263,8 +160,9 @@ static void rx_push(usart_t *u, uint8_t byte, uint8_t error)
     set_flag(u, &u->port->rxc);
 }
 
-static void rx_deliver(usart_t *u, uint8_t byte, int framing_error, int parity_error)
+static void rx_deliver(void *param, uint8_t byte, int framing_error, int parity_error)
 {
+    usart_t *u = param;
     if (!usart_receiver_on(u))
         return;
     uint8_t error = (framing_error ? FLAG_FE : 0) | (parity_error ? FLAG_UPE : 0);
@@ -334,8 +232,9 @@ static avr_cycle_count_t tx_done(avr_t *avr, avr_cycle_count_t when, void *param
     return 0;
 }
 
-static void tx_deliver(usart_t *u, uint8_t byte, int framing_error, int parity_error)
+static void tx_deliver(void *param, uint8_t byte, int framing_error, int parity_error)
 {
+    usart_t *u = param;
     (void)parity_error;
     u->bytes_out++;
     u->tx_framing_errors += framing_error;
@@ -385,9 +284,9 @@ static void reset(struct avr_io_t *io)
     /* simavr hands over the port, which is the first member of avr_uart_t; its data register's
      * hook knows us. */
     usart_t *u = io->avr->io[AVR_DATA_TO_IO(((avr_uart_t *)io)->r_udr)].w.param;
-    avr_cycle_timer_cancel(u->avr, wire_event, &u->tx);
     avr_cycle_timer_cancel(u->avr, tx_done, u);
-    u->tx.state = WIRE_IDLE;
+    wire_quiet(&u->rx);
+    wire_quiet(&u->tx);
     u->tx_buffered = u->tx_shifting = 0;
     rx_flush(u);
     clear_flag(u, &u->port->txc);
@@ -397,10 +296,6 @@ static void reset(struct avr_io_t *io)
     avr_regbit_set(u->avr, u->port->udrc.raised);
     if (u->host_sending) /* the host's transmitter knows of no reset; simavr drops all timers */
         host_start(u);
-    if (u->rx.state != WIRE_IDLE) {
-        avr_cycle_timer_cancel(u->avr, wire_event, &u->rx);
-        u->rx.state = WIRE_IDLE;
-    }
     u->on_reset(u->param);
 }
 
@@ -411,8 +306,10 @@ int usart_attach(usart_t *u, avr_t *avr, avr_uart_t *port)
     /* A LIN port has no UDRE; older chips keep UCSRC and UBRRH at one address. */
     if (!port->udrc.vector || !port->usbs.reg || port->usbs.reg == port->ubrrh.reg)
         return -1;
-    u->rx = (wire_t){.usart = u, .deliver = rx_deliver, .edge = rx_edge, .to_avr = 1};
-    u->tx = (wire_t){.usart = u, .deliver = tx_deliver};
+    u->rx = (wire_t){.avr = avr, .user = u, .format = wire_format, .receiver_bit = avr_bit,
+                     .edge = rx_edge, .deliver = rx_deliver};
+    u->tx = (wire_t){.avr = avr, .user = u, .format = wire_format, .receiver_bit = host_bit,
+                     .deliver = tx_deliver};
 
     /* simavr's own hooks must not run as well, so they are replaced and not added to. */
 #define HOOK(address, direction, function, user)                    \

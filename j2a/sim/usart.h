@@ -15,29 +15,11 @@
 
 #include "sim_avr.h"
 #include "avr_uart.h"
+#include "wire.h"
 
-enum { WIRE_RECENT = 4, RX_FIFO = 2 };
+enum { RX_FIFO = 2 };
 
-/* One character on the wire: bit 0 of `levels` is the start bit. Times are in cycles. */
 typedef struct {
-    double start, bit;
-    unsigned levels, bits;
-} wire_char_t;
-
-struct usart;
-
-/* One direction of the wire, with the receiver at its end. */
-typedef struct {
-    struct usart *usart;
-    void (*deliver)(struct usart *, uint8_t byte, int framing_error, int parity_error);
-    void (*edge)(struct usart *);       /* a start bit is seen; NULL when nobody cares */
-    int to_avr;
-    wire_char_t recent[WIRE_RECENT];    /* newest first */
-    enum { WIRE_IDLE, WIRE_EDGE_AHEAD, WIRE_SAMPLING } state;
-    double start, bit;                  /* of the character being received, on its own clock */
-} wire_t;
-
-typedef struct usart {
     avr_t *avr;
     avr_uart_t *port;
     double host_bit;                    /* cycles per bit of the host; 0: the firmware's own rate */

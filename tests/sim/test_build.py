@@ -11,6 +11,7 @@ from j2a.sim import AvrSim, BadProgram, SimError, ToolMissing, _build
 from j2a.sim._elf import read_program
 
 
+@pytest.mark.avr
 def test_program_of_an_elf_file(firmware):
     program = read_program(firmware("stop"))
     assert len(program.flash) < 1000
@@ -21,6 +22,7 @@ def test_program_of_an_elf_file(firmware):
     assert 0x100 + 4 <= program.ram_end <= 0x108
 
 
+@pytest.mark.avr
 def test_not_a_program(tmp_path, firmware):
     elf = firmware("echo").read_bytes()
     wrong = tmp_path / "wrong.elf"
@@ -42,6 +44,7 @@ def test_not_a_program(tmp_path, firmware):
             AvrSim(wrong)
 
 
+@pytest.mark.avr
 def test_no_damage_gets_past_the_reader(tmp_path, firmware):
     """Headers with any field broken give a program or BadProgram, nothing else."""
     elf = firmware("echo").read_bytes()
