@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
@@ -15,6 +16,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "packet_figure",
+    "program_help",
     "requirement_ids",
 ]
 exclude_patterns = ["_build", "_ext", "tests", "examples"]
@@ -35,6 +37,11 @@ myst_heading_anchors = 3
 nitpicky = True
 # The documentation is built without a network, so there are no links to Python's own.
 nitpick_ignore_regex = [
+    (r"py:.*", rf"({_ELSEWHERE})\..*"),
+    (r"py:class", r".*\._\w+"),  # private type variables of decorators
+    (r"py:class", r".*\.Piece"),  # what Direction deals in
+    (r"py:exc", r"Judged"),  # raised inside of the suite, never out of it
+]
     (
         r"py:.*",
         r"(asyncio|collections|concurrent|construct|enum|pathlib|threading|types|typing)\..*",
@@ -51,3 +58,24 @@ html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#0b5d7a", "color-brand-content": "#0b5d7a"},
     "dark_css_variables": {"color-brand-primary": "#6cc5e0", "color-brand-content": "#6cc5e0"},
 }
+
+
+class _Attributes:
+    """Keeps napoleon from taking what stands before a colon for the type of an attribute."""
+
+    def __init__(self, app: Any) -> None:
+        self._kept: list[str] = []
+        app.connect("autodoc-process-docstring", self._before, priority=100)
+        app.connect("autodoc-process-docstring", self._after, priority=900)
+
+    def _before(self, *event: Any) -> None:
+        self._kept = list(event[-1])
+
+    def _after(self, *event: Any) -> None:
+        if event[1] in {"attribute", "data", "property"}:
+            event[-1][:] = self._kept
+
+
+def setup(app: Any) -> None:
+    """Register the hooks."""
+    _Attributes(app)

@@ -6,6 +6,7 @@ missing the same firmware built for this machine, or where there is no C compile
 which one it is, is said. What this program starts it also ends.
 """
 
+import shlex
 import shutil
 import signal
 import struct
@@ -75,7 +76,7 @@ def avr() -> Iterator[str]:
 @contextmanager
 def posix() -> Iterator[str]:
     """The same firmware as a program of this machine."""
-    yield f"exec:{build('posix', 'make', 'cc') / 'demo'}"
+    yield f"exec:{shlex.quote(str(build('posix', 'make', 'cc') / 'demo'))}"
 
 
 @contextmanager
@@ -160,6 +161,7 @@ def tour(url: str) -> list[str]:
 
 def main() -> int:
     """Run the demo; return the exit status."""
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     # A request to end must pass through the `finally` clauses that end the device.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:

@@ -2,9 +2,9 @@
 
 What flows in: the doctree of each page. What flows out: the paragraph of SPEC.md that starts with
 an id in bold is a target; the same id anywhere else, in prose or in a docstring, links to it; an id
-that does not exist is a warning. The directive `requirements-table` lists all of them, and the
-comment `<!-- figure: NAME -->` in a Markdown file draws that packet figure, in the place of a table
-that follows it directly.
+that does not exist is a warning. The directive `requirements-table` lists all of them with the
+cases that prove them, and `conformance-cases` lists the cases. The comment `<!-- figure: NAME -->`
+in a Markdown file draws that packet figure, in the place of a table that follows it directly.
 """
 
 import re
@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from docutils import nodes
+from j2a_conformance import Case, coverage
+from j2a_conformance import load as load_cases
 from j2a_spec.requirements import load
 from packet_figure import figure
 from sphinx import addnodes
@@ -22,7 +24,7 @@ from sphinx.util.docutils import SphinxDirective
 ID = re.compile(r"\bJ2A-[A-Z]+-\d{3}\b")
 FIGURE = re.compile(r"<!-- figure: (\S+) -->")
 KEPT = (nodes.strong, nodes.reference, addnodes.pending_xref, nodes.literal_block, nodes.title)
-HEADS = ("id", "level", "binds", "text", "source")
+HEADS = ("id", "level", "binds", "text", "source", "cases")
 
 
 def link(name: str) -> addnodes.pending_xref:
@@ -95,13 +97,31 @@ class RequirementsTable(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the table, level after level in the order in which they first appear."""
+        cases = coverage()
         levels: dict[str, list[nodes.Node]] = {}
         for r in load().values():
-            note = f" Not observable on the wire: {r.exception}" if r.exception else ""
-            cells = (r.id, r.level, r.role, r.text + note, r.source)
+            cells = (r.id, r.level, r.role, r.text, r.source, cases[r.id])
             row = nodes.row("", *(_entry(cell) for cell in cells))
             levels.setdefault(r.level, []).append(row)
         return [_table([row for rows in levels.values() for row in rows])]
+
+
+class ConformanceCases(SphinxDirective):
+    """The directive `conformance-cases`: every case with what it does, expects and proves."""
+
+    option_spec: ClassVar[dict[str, Any]] = {}
+
+    def run(self) -> list[nodes.Node]:
+        """Return a definition list."""
+        return [nodes.definition_list("", *(_case(case) for case in load_cases()))]
+
+
+def _case(case: Case) -> nodes.definition_list_item:
+    term = nodes.term("", "", nodes.literal("", case.ID), nodes.Text(f" ({case.LEVEL})"))
+    proves = nodes.paragraph("", "", nodes.Text("Proves "), *linked(", ".join(case.REQUIREMENTS)))
+    texts = (case.DESCRIPTION, f"Expected: {case.EXPECTATION}")
+    lines = [nodes.paragraph("", "", *linked(text)) for text in texts]
+    return nodes.definition_list_item("", term, nodes.definition("", *lines, proves))
 
 
 def _entry(text: str) -> nodes.entry:
@@ -112,7 +132,7 @@ def _table(rows: list[nodes.Node]) -> nodes.table:
     head = nodes.row("", *(nodes.entry("", nodes.paragraph("", text)) for text in HEADS))
     group = nodes.tgroup(
         "",
-        *(nodes.colspec(colwidth=width) for width in (16, 10, 8, 50, 16)),
+        *(nodes.colspec(colwidth=width) for width in (16, 9, 7, 40, 13, 15)),
         nodes.thead("", head),
         nodes.tbody("", *rows),
         cols=len(HEADS),
@@ -126,4 +146,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_transform(Figures)
     app.add_transform(Targets)
     app.add_directive("requirements-table", RequirementsTable)
+    app.add_directive("conformance-cases", ConformanceCases)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

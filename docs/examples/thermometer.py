@@ -1,0 +1,27 @@
+"""A device in Python. Takes the URL to listen at, and serves until it is interrupted."""
+
+import struct
+import sys
+
+import j2a_transports
+
+import j2a
+
+device = j2a.Device({"name": "thermometer", "serial": "0042"})
+
+
+@device.function
+def read_celsius(payload: bytes) -> bytes:
+    """Return the temperature."""
+    return struct.pack("<f", 21.5)
+
+
+@device.many
+def history(request: j2a.ManyRequest) -> j2a.ManyReply:
+    """Return all temperatures so far, more than one frame holds."""
+    return j2a.read_chunk(struct.pack("<200f", *range(200)), request)
+
+
+with j2a_transports.listen(sys.argv[1]) as listener:
+    print("listening on", listener.url, flush=True)
+    device.serve_forever(listener)
