@@ -1,5 +1,6 @@
 /* What an application uses. Requests of the host come in through j2a_task(), which calls the
- * application's functions (listed in its functions.def) and sends what they leave behind.
+ * application's functions (listed in its functions.def, declared by j2a_functions.h) and sends what
+ * they leave behind.
  * Rules: one context calls j2a_task() and j2a_send_sif(); functions run to their end, and do not
  * call j2a_task() themselves. */
 #ifndef J2A_H

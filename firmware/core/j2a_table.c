@@ -1,14 +1,8 @@
-/* Builds the function table and the properties of an application from its functions.def and
- * properties.def, lists of
- *   J2A_CALL(name on the wire, C function)     J2A_MANY(name on the wire, C function)
+/* Builds the function table and the properties of an application from its functions.def (see
+ * j2a_functions.h) and its properties.def, lines of
  *   J2A_PROPERTY("key", "value") */
+#include "j2a_functions.h"
 #include "j2a_table.h"
-
-#define J2A_CALL(name, function) j2a_call_fn function;
-#define J2A_MANY(name, function) j2a_many_fn function;
-#include "functions.def"
-#undef J2A_CALL
-#undef J2A_MANY
 
 #if J2A_WITH_MAPPING
 /* The map must fit into one frame: a negative array size stops the build when it does not. */

@@ -1,13 +1,6 @@
 /* The demo: one function of each kind, and the tools that a conformance run asks for. Requests come
  * in as the functions' payloads (little-endian numbers); a wrong length returns J2A_RET_FAILED. */
-#include "j2a.h"
-
-j2a_call_fn demo_get_time, demo_add, demo_ret, demo_delay, demo_sif, demo_sif_period, demo_overruns;
-j2a_many_fn demo_store;
-
-enum { SIF_PERIODIC = 0x20 };
-
-static uint32_t period_us, next_us, counter;
+#include "j2a_functions.h"
 
 static uint16_t get_u16(const uint8_t *bytes) {
     return (uint16_t)(bytes[0] | (uint16_t)bytes[1] << 8);
@@ -91,36 +84,6 @@ uint8_t demo_delay(uint8_t *const length, uint8_t **const payload) {
     return 0;
 }
 
-/* Takes an opcode and a payload, and sends them as a SIF before it returns. */
-uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
-#if J2A_WITH_SIF
-    const uint8_t given = *length;
-    *length = 0;
-    if (given == 0 || !j2a_send_sif((*payload)[0], (uint8_t)(given - 1), *payload + 1))
-        return J2A_RET_FAILED;
-    return 0;
-#else
-    (void)payload;
-    return failed(length);
-#endif
-}
-
-/* Takes u16 milliseconds between SIFs that count from 0; 0 stops them. */
-uint8_t demo_sif_period(uint8_t *const length, uint8_t **const payload) {
-#if J2A_WITH_SIF
-    if (*length != 2)
-        return failed(length);
-    period_us = get_u16(*payload) * (uint32_t)1000;
-    next_us = (uint32_t)j2a_port_time_us() + period_us;
-    counter = 0;
-    *length = 0;
-    return 0;
-#else
-    (void)payload;
-    return failed(length);
-#endif
-}
-
 /* Replies u16: receive overruns since the start. */
 uint8_t demo_overruns(uint8_t *const length, uint8_t **const payload) {
     const uint16_t overruns = j2a_port_overruns();
@@ -130,8 +93,33 @@ uint8_t demo_overruns(uint8_t *const length, uint8_t **const payload) {
     return 0;
 }
 
-void j2a_app_task(void) {
 #if J2A_WITH_SIF
+
+enum { SIF_PERIODIC = 0x20 };
+
+static uint32_t period_us, next_us, counter;
+
+/* Takes an opcode and a payload, and sends them as a SIF before it returns. */
+uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
+    const uint8_t given = *length;
+    *length = 0;
+    if (given == 0 || !j2a_send_sif((*payload)[0], (uint8_t)(given - 1), *payload + 1))
+        return J2A_RET_FAILED;
+    return 0;
+}
+
+/* Takes u16 milliseconds between SIFs that count from 0; 0 stops them. */
+uint8_t demo_sif_period(uint8_t *const length, uint8_t **const payload) {
+    if (*length != 2)
+        return failed(length);
+    period_us = get_u16(*payload) * (uint32_t)1000;
+    next_us = (uint32_t)j2a_port_time_us() + period_us;
+    counter = 0;
+    *length = 0;
+    return 0;
+}
+
+void j2a_app_task(void) {
     uint8_t payload[4];
     /* The lower 32 bits will do for differences of up to 65 s. */
     if (period_us == 0 || (int32_t)((uint32_t)j2a_port_time_us() - next_us) < 0)
@@ -140,5 +128,21 @@ void j2a_app_task(void) {
     j2a_put_u32(payload, counter);
     if (j2a_send_sif(SIF_PERIODIC, sizeof payload, payload))
         counter++;
-#endif
 }
+
+#else /* the opcodes stay, and fail */
+
+uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
+    (void)payload;
+    return failed(length);
+}
+
+uint8_t demo_sif_period(uint8_t *const length, uint8_t **const payload) {
+    (void)payload;
+    return failed(length);
+}
+
+void j2a_app_task(void) {
+}
+
+#endif

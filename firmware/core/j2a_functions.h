@@ -1,0 +1,15 @@
+/* Declares the functions that the application lists in its functions.def, so that the compiler
+ * compares their types with the kinds given there. Lines of functions.def:
+ *   J2A_CALL(name on the wire, C function)     J2A_MANY(name on the wire, C function) */
+#ifndef J2A_FUNCTIONS_H
+#define J2A_FUNCTIONS_H
+
+#include "j2a.h"
+
+#define J2A_CALL(name, function) j2a_call_fn function;
+#define J2A_MANY(name, function) j2a_many_fn function;
+#include "functions.def"
+#undef J2A_CALL
+#undef J2A_MANY
+
+#endif

@@ -1,0 +1,126 @@
+"""What the firmware's tests share: building, asking by pipe, and what is expected.
+
+Expected bytes come from the oracle of the specification, never from the library.
+"""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from j2a_spec import constants as c
+from j2a_spec.oracle import Event, Frame, FrameError, decode
+
+FIRMWARE = Path(__file__).parents[1]
+SITES = {"checksum": c.SITE_CHECKSUM, "marker": c.SITE_MARKER, "escape": c.SITE_ESCAPE}
+Build = Callable[..., Path]
+
+
+def _need_avr() -> None:
+    """Skip, naming what is missing; where the AVR is required that is a failure."""
+    what = "avr-gcc is missing: install the packages gcc-avr and avr-libc"
+    if shutil.which("avr-gcc") is None:
+        if os.environ.get("J2A_REQUIRE_AVR") == "1":
+            pytest.fail(f"J2A_REQUIRE_AVR=1, but {what}")
+        pytest.skip(what)
+
+
+@pytest.fixture(scope="session")
+def avr() -> None:
+    """Ask for this where the AVR's compiler is needed."""
+    _need_avr()
+
+
+@pytest.fixture(scope="session")
+def make() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run make in firmware/ with targets and variables; returns what it printed and its status."""
+
+    def run(*targets: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        settings = [f"{name}={value}" for name, value in variables.items()]
+        return subprocess.run(
+            ["make", "-s", "-C", FIRMWARE, *targets, *settings],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={name: value for name, value in os.environ.items() if not name.startswith("MAKE")},
+        )
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def build(make, tmp_path_factory) -> Build:
+    """Build an app, each set of variables once and in a folder of its own; returns the program."""
+    done: dict[tuple, Path] = {}
+
+    def run(app: str = "demo", port: str = "posix", **variables: str) -> Path:
+        if port == "avr-serial":
+            _need_avr()
+        key = (app, port, *sorted(variables.items()))
+        if key not in done:
+            out = tmp_path_factory.mktemp(f"{port}-{app}")
+            result = make(APP=app, PORT=port, OUT=str(out), **variables)
+            assert result.returncode == 0, result.stderr
+            done[key] = out / (app + (".elf" if port == "avr-serial" else ""))
+        return done[key]
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def ask(tmp_path_factory) -> Callable[[Path, bytes], list[Event]]:
+    """Run a posix firmware on some bytes until its input ends; returns the events in its output.
+
+    The input is a file: a writer that is held up on a busy machine would cause byte timeouts.
+    """
+    source = tmp_path_factory.mktemp("input") / "bytes"
+
+    def run(program: Path, data: bytes) -> list[Event]:
+        source.write_bytes(data)
+        with source.open("rb") as stdin:
+            result = subprocess.run(
+                [program], stdin=stdin, capture_output=True, timeout=120, check=False
+            )
+        assert result.returncode == 0, result.stderr.decode()
+        assert result.stderr == b""
+        return decode(result.stdout)
+
+    return run
+
+
+def _error(seq: int, code: int, site: int) -> Frame:
+    return Frame(c.SOF, seq, code, bytes((site, 0)))
+
+
+@pytest.fixture(scope="session")
+def error() -> Callable[[int, int, int], Frame]:
+    """The error reply of this firmware for a seq, a code and a site."""
+    return _error
+
+
+@pytest.fixture(scope="session")
+def replies() -> Callable[..., list[Frame]]:
+    """What a device answers to a stream of bytes without pauses.
+
+    Takes the stream, and a table of functions by opcode: payload to return value and payload.
+    Every other opcode is out of range.
+    """
+
+    def expect(
+        stream: bytes, table: dict[int, Callable[[bytes], tuple[int, bytes]]]
+    ) -> list[Frame]:
+        answers = []
+        for event in decode(stream):
+            if isinstance(event, Frame) and event.start == c.SOF:
+                if event.opcode in table:
+                    answers.append(Frame(c.SOF, event.seq, *table[event.opcode](event.payload)))
+                else:
+                    answers.append(_error(event.seq, c.ERR_OPCODE, c.SITE_OPCODE))
+            elif isinstance(event, FrameError) and event.start == c.SOF and event.seq is not None:
+                code = c.ERR_CHECKSUM if event.reason == "checksum" else c.ERR_FRAMING
+                answers.append(_error(event.seq, code, SITES[event.reason]))
+        return answers
+
+    return expect

@@ -1,0 +1,85 @@
+/* A device written against the thesis: its function types (listing 7.1), jump table (listing 7.2)
+ * and properties (listing 7.4), with its macros, and the main loop that it describes. */
+#include "a2j.h"
+
+uint8_t getTime(uint8_t *const lenp, uint8_t* *const datap);
+uint8_t setTrigger(uint8_t *const lenp, uint8_t* *const datap);
+uint8_t a2j_set_servo(uint8_t *const lenp, uint8_t* *const datap);
+uint8_t squares(bool* isLastp, bool isWrite, uint32_t *const offsetp, uint8_t *const lenp,
+                uint8_t* *const datap);
+
+/* The types are the listing's, or these do not compile. */
+CMD_P checked_call = &getTime;
+CMD_P_MANY checked_many = &squares;
+
+static uint8_t servo;
+
+uint8_t getTime(uint8_t *const lenp, uint8_t* *const datap) {
+    uint64_t us = j2a_port_time_us();
+    for (*lenp = 0; *lenp < 8; us >>= 8)
+        (*datap)[(*lenp)++] = (uint8_t)us;
+    return 0;
+}
+
+/* Sends its payload back as a SIF. */
+uint8_t setTrigger(uint8_t *const lenp, uint8_t* *const datap) {
+    const uint8_t length = *lenp;
+    *lenp = 0;
+    return a2jSendSif(0x42, length, *datap);
+}
+
+/* Replies with the position before, from memory of its own. */
+uint8_t a2j_set_servo(uint8_t *const lenp, uint8_t* *const datap) {
+    static uint8_t before;
+    if (*lenp != 1)
+        return 1;
+    before = servo;
+    servo = **datap;
+    *datap = &before;
+    return 0;
+}
+
+/* 1000 bytes to read: the square of each offset. */
+uint8_t squares(bool* isLastp, bool isWrite, uint32_t *const offsetp, uint8_t *const lenp,
+                uint8_t* *const datap) {
+    uint32_t at = *offsetp;
+    *lenp = 0;
+    if (isWrite)
+        return 0xFF;
+    for (; at < 1000 && *lenp < 249; at++)
+        (*datap)[(*lenp)++] = (uint8_t)(at * at);
+    *isLastp = at >= 1000;
+    return 0;
+}
+
+/* Function mapping */
+FUNCMAP(getTime, getTime)
+FUNCMAP(setTrigger, setTrigger)
+FUNCMAP(a2j_set_servo, a2j_set_servo)
+FUNCMAP(squares, table)
+
+/* Jump table */
+#ifdef AS_IN_THE_TEXT
+STARTJT
+#else
+STARTJ
+#endif
+ADDJT(getTime)
+ADDJT(setTrigger)
+ADDJT(a2j_set_servo)
+ADDJT(squares)
+ENDJT
+
+#define MACRO 13
+STARTPROPS
+ADDPROP(serial, 0x012F0B04)
+ADDPROPEXP(MACRO, MACRO)
+ENDPROPS
+
+int main(void) {
+    a2jInit();
+    for (;;) {
+        a2jTask();
+        a2jProcess();
+    }
+}

@@ -1,0 +1,148 @@
+"""Every combination of build options compiles without a warning and keeps the order of opcodes."""
+
+import itertools
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from j2a_spec import constants as c
+from j2a_spec.grammar import MAPPING
+from j2a_spec.oracle import Frame, encode
+
+FIRMWARE = Path(__file__).parents[1]
+SWITCHES = ("MAPPING", "PROPERTIES", "SIF", "DEBUG")
+COMBINATIONS = list(itertools.product((1, 0), repeat=len(SWITCHES)))
+USER = re.findall(r"J2A_(?:CALL|MANY)\((\w+)", (FIRMWARE / "apps/demo/functions.def").read_text())
+
+
+def options(combination):
+    pairs = zip(SWITCHES, combination, strict=True)
+    return " ".join(f"-DJ2A_WITH_{switch}={value}" for switch, value in pairs)
+
+
+def table(combination):
+    """The names in opcode order with these options."""
+    on = dict(zip(SWITCHES, combination, strict=True))
+    left_out = {c.GET_PROPERTIES: not on["PROPERTIES"], c.GET_DEBUG: not on["DEBUG"]}
+    return [name for name in c.BUILTINS if not left_out.get(name)] + USER
+
+
+@pytest.mark.parametrize("combination", COMBINATIONS, ids=options)
+@pytest.mark.parametrize(("cc", "cflags"), [("gcc", "-O0"), ("clang", "-Os")])
+def test_posix_options(build, ask, error, combination, cc, cflags):
+    if shutil.which(cc) is None:
+        pytest.skip(f"{cc} is not installed")
+    program = build(CC=cc, CFLAGS=cflags, OPTIONS=options(combination))
+    names = table(combination)
+    requests = [
+        Frame(c.SOF, 0, 0),
+        Frame(c.SOF, 1, names.index(c.GET_ECHO), b"\x12\x7d\xed"),
+        Frame(c.SOF, 2, names.index("add"), bytes((1, 0, 0, 0, 2, 0, 0, 0))),
+        Frame(c.SOF, 3, names.index("sif"), b"\x07hello"),
+        Frame(c.SOF, 4, len(names)),
+    ]
+    mapping = MAPPING.build(names)
+    has_map, _, has_sif, _ = combination
+    expected = [
+        Frame(c.SOF, 0, 0, mapping) if has_map else error(0, c.ERR_OPCODE, c.SITE_KIND),
+        Frame(c.SOF, 1, c.ECHO, b"\x12\x7d\xed"),
+        Frame(c.SOF, 2, 0, bytes((3, 0, 0, 0))),
+        *([Frame(c.SOS, 0, 7, b"hello")] if has_sif else []),
+        Frame(c.SOF, 3, 0 if has_sif else c.RET_FAILED),
+        error(4, c.ERR_OPCODE, c.SITE_OPCODE),
+    ]
+    assert ask(program, b"".join(map(encode, requests))) == expected
+
+
+def test_builtins_on_posix(build, ask):
+    program = build("builtins")
+    builtins = [name for name in c.BUILTINS if name != c.GET_DEBUG]
+    expected = Frame(c.SOF, 9, 0, MAPPING.build(builtins))
+    assert ask(program, encode(Frame(c.SOF, 9, 0))) == [expected]
+
+
+@pytest.mark.avr
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"OPTIONS": options((0, 0, 0, 0))},
+        {"OPTIONS": options((1, 0, 1, 0))},
+        {"OPTIONS": options((0, 1, 0, 1)), "CFLAGS": "-O2"},
+        {"BAUD": "250000", "RXBUF": "255", "TXBUF": "255"},
+        {"BAUD": "9600", "RXBUF": "1", "TXBUF": "1"},
+    ],
+    ids=str,
+)
+def test_avr_options(build, settings):
+    assert build(port="avr-serial", **settings).exists()
+
+
+@pytest.mark.avr
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"BAUD": "230400"}, "off by more than"),
+        ({"BAUD": "300"}, "out of the USART's range"),
+        ({"RXBUF": "256"}, "must be 1..255"),
+        ({"OPTIONS": "-DJ2A_PAUSE_MS=20"}, "must be 9..19"),
+    ],
+    ids=str,
+)
+def test_avr_refuses(avr, make, tmp_path, settings, message):
+    result = make(PORT="avr-serial", OUT=str(tmp_path), **settings)
+    assert result.returncode != 0
+    assert message in result.stderr
+
+
+def app(folder, functions="", properties=""):
+    folder.mkdir()
+    (folder / "app.c").write_text(
+        '#include "j2a_functions.h"\nvoid j2a_app_task(void) {\n}\n'
+        "uint8_t f(uint8_t *const length, uint8_t **const payload) {\n"
+        "    (void)payload;\n    return *length;\n}\n"
+    )
+    (folder / "functions.def").write_text(functions)
+    (folder / "properties.def").write_text(properties)
+    return folder
+
+
+def test_map_too_long_for_a_frame(make, tmp_path):
+    room = c.MAX_PAYLOAD - len(MAPPING.build(c.BUILTINS)) - 1
+    for name, fits in (("n" * room, True), ("n" * (room + 1), False)):
+        folder = app(tmp_path / f"app{fits}", f"J2A_CALL({name}, f)\n")
+        result = make(APP="long", APP_DIR=str(folder), OUT=str(tmp_path))
+        assert (result.returncode == 0) is fits
+        assert fits or "j2a_names_longer_than_255_bytes" in result.stderr
+
+
+def test_function_of_the_wrong_kind_does_not_compile(make, tmp_path):
+    folder = app(tmp_path / "wrong.app", "J2A_MANY(f, f)\n")
+    result = make(APP="wrong", APP_DIR=str(folder), OUT=str(tmp_path))
+    assert result.returncode != 0
+    assert "conflicting types" in result.stderr
+
+
+def test_other_options_rebuild_and_the_same_do_not(make, tmp_path):
+    def built(**variables):
+        assert make(OUT=str(tmp_path), **variables).returncode == 0
+        program = tmp_path / "demo"
+        return program.stat().st_mtime_ns
+
+    first = built()
+    assert built() == first
+    other = built(OPTIONS="-DJ2A_WITH_DEBUG=0")
+    assert other != first
+    assert built(OPTIONS="-DJ2A_WITH_DEBUG=0") == other
+
+
+@pytest.mark.parametrize("settings", [{"PORT": "vax"}, {"APP": "nosuch"}], ids=str)
+def test_unknown_port_or_app(make, settings):
+    result = make(**settings)
+    assert result.returncode != 0
+    assert next(iter(settings)) in result.stderr
+
+
+@pytest.mark.parametrize("path", sorted(FIRMWARE.glob("ports/*/port.c")), ids=lambda p: p.parts[-2])
+def test_ports_are_small(path):
+    assert len(path.read_text().splitlines()) < 150
