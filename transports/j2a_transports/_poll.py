@@ -120,14 +120,15 @@ class PolledTransport(Transport):
         self._writing = threading.RLock()
         self._closed = False
         self._released = False
+        # Set once reading has met the end: the link stays lost, in both directions.
+        self._end: str | None = None
 
     def read(self, timeout_s: float | None) -> bytes:
         """See `Transport.read`."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._reading:
             while True:
-                if self._closed:
-                    raise LinkClosed(f"{self.url} is closed")
+                self._check()
                 state = self._readable.wait(timeout_s)
                 if self._closed:
                     raise LinkClosed(f"{self.url} was closed during a read")
@@ -141,17 +142,19 @@ class PolledTransport(Transport):
                         timeout_s = max(0.0, deadline - time.monotonic())
                     continue
                 except OSError as error:
-                    raise self._lost(error) from error
+                    lost = self._lost(error)
+                    self._end = str(lost)
+                    raise lost from error
                 if not data:
-                    raise self._lost(None)
+                    self._end = str(self._lost(None))
+                    continue
                 return data
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """See `Transport.write`."""
         with self._writing:
             rest = memoryview(data).cast("B")
-            if self._closed:
-                raise LinkClosed(f"{self.url} is closed")
+            self._check()
             while rest:
                 try:
                     sent = self._send(rest)
@@ -162,6 +165,12 @@ class PolledTransport(Transport):
                 rest = rest[sent:]
                 if rest and not sent:
                     self._await_room(len(rest), len(data))
+
+    def _check(self) -> None:
+        if self._closed:
+            raise LinkClosed(f"{self.url} is closed")
+        if self._end is not None:
+            raise LinkLost(self._end)
 
     def _await_room(self, missing: int, total: int) -> None:
         state = self._writable.wait(self.write_timeout_s)

@@ -178,7 +178,7 @@ def pumped(url: str, child: Child, write_timeout_s: float | None) -> Transport:
         url,
         source=source,
         sink=sink,
-        interrupt=child.stop,
+        interrupt=lambda _: child.stop(),
         finish=stdin.close,
         release=stdout.close,
         reason=lambda _: child.state(),

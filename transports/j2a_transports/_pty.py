@@ -58,20 +58,41 @@ def open_url(url: Url) -> Transport:
 
 
 class PtyTransport(PolledTransport):
-    """One opening of a listener's pseudo terminal, from the listener's side."""
+    """One opening of a listener's pseudo terminal, from the listener's side.
+
+    Args:
+        url: for messages.
+        master: descriptor of the master side; the transport owns it from now on.
+        device: path of the terminal itself.
+        write_timeout_s: see `Transport`.
+
+    Attributes:
+        finished: whether it is closed and the terminal is ready for the next peer.
+    """
+
+    def __init__(self, url: str, master: int, device: str, write_timeout_s: float | None) -> None:
+        super().__init__(url, master, master, write_timeout_s)
+        self._device = device
+        self.finished = False
 
     def _lost(self, error: OSError | None) -> LinkLost:
         return LinkLost(f"{self.url} is lost: the other program closed the terminal")
 
     def _release(self) -> None:
         if sys.platform != "win32" and self._readable.hung_up():
-            # What this peer has left behind, read or written, must not reach the next one.
+            # What this peer has left behind, unread by either side, must not reach the next one.
             with contextlib.suppress(OSError):
                 while os.read(self._read_fd, CHUNK):
                     pass
             with contextlib.suppress(OSError, termios.error):
-                termios.tcflush(self._write_fd, termios.TCIOFLUSH)
+                # Only the terminal itself can empty its input; from the master it cannot be done.
+                terminal = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                try:
+                    termios.tcflush(terminal, termios.TCIOFLUSH)
+                finally:
+                    os.close(terminal)
         super()._release()
+        self.finished = True
 
 
 class PtyListener(Listener):
@@ -79,24 +100,24 @@ class PtyListener(Listener):
 
     Args:
         master: the master side; the listener owns it from now on.
-        path: the device, or the link to it, that others open.
-        link: the symbolic link to remove in the end.
+        device: path of the terminal itself.
+        link: the symbolic link to it that others open, to be removed in the end; None for none.
         write_timeout_s: given to the transports that are accepted.
     """
 
     def __init__(
-        self, master: int, path: str, link: Path | None, write_timeout_s: float | None
+        self, master: int, device: str, link: Path | None, write_timeout_s: float | None
     ) -> None:
-        super().__init__(f"serial://{path}")
+        super().__init__(f"serial://{link or device}")
         os.set_blocking(master, False)
-        self.path = path
+        self._device = device
         self._master = master
         self._link = link
         self._write_timeout_s = write_timeout_s
         self._waker = Waker()
         self._readable = Readiness(master, self._waker, write=False)
         self._accepting = threading.RLock()
-        self._current: Transport | None = None
+        self._current: PtyTransport | None = None
         self._closed = threading.Event()
         self._released = False
 
@@ -107,9 +128,9 @@ class PtyListener(Listener):
             while True:
                 if self._closed.is_set():
                     raise LinkClosed(f"{self.url} is closed")
-                if (self._current is None or self._current.closed) and self._occupied():
+                if (self._current is None or self._current.finished) and self._occupied():
                     fd = os.dup(self._master)
-                    self._current = PtyTransport(self.url, fd, fd, self._write_timeout_s)
+                    self._current = PtyTransport(self.url, fd, self._device, self._write_timeout_s)
                     return self._current
                 wait_s = LOOK_S
                 if deadline is not None:
@@ -140,7 +161,7 @@ def listen_url(url: Url) -> Listener:
     """Make a pseudo terminal, and for `pty:/some/path` a symbolic link to it."""
     options = url.options([], {})
     master, slave = _open_raw(url)
-    path = os.ttyname(slave)
+    device = os.ttyname(slave)
     # Closed, so that the master notices whether somebody else has it open; raw mode stays.
     os.close(slave)
     link = Path(url.rest).absolute() if url.rest else None
@@ -149,9 +170,8 @@ def listen_url(url: Url) -> Listener:
             if link.is_symlink() and not link.exists():
                 # Left over from a program that was killed: the device it names is gone.
                 link.unlink()
-            link.symlink_to(path)
+            link.symlink_to(device)
         except OSError as error:
             os.close(master)
             raise OpenFailed(f"{url.text}: cannot make the link: {error.strerror}") from error
-        path = str(link)
-    return PtyListener(master, path, link, options["write_timeout"])
+    return PtyListener(master, device, link, options["write_timeout"])

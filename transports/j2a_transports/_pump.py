@@ -26,7 +26,8 @@ class PumpedTransport(LoopbackTransport):
         url: for messages.
         source: returns bytes, b"" when there are none yet; raises at the end.
         sink: takes all bytes; raises when it cannot.
-        interrupt: makes blocked calls of source and sink return or raise; called once, by `close`.
+        interrupt: makes blocked calls of source and sink return or raise; called once, by `close`,
+            with whether the sink is stuck.
         finish: called by the writing thread when nothing more will be written.
         release: frees what source and sink use; called once, after both threads have ended.
         reason: says why the link is lost, from the exception that ended the pump.
@@ -39,7 +40,7 @@ class PumpedTransport(LoopbackTransport):
         *,
         source: Callable[[], bytes],
         sink: Callable[[bytes], None],
-        interrupt: Callable[[], None],
+        interrupt: Callable[[bool], None],
         finish: Callable[[], None],
         release: Callable[[], None],
         reason: Callable[[Exception], str],
@@ -94,7 +95,7 @@ class PumpedTransport(LoopbackTransport):
             writer.join(self.write_timeout_s)
             with contextlib.suppress(Exception):
                 # A device that is gone refuses this, in many ways.
-                self._interrupt()
+                self._interrupt(writer.is_alive())
             writer.join(JOIN_TIMEOUT_S)
             reader.join(JOIN_TIMEOUT_S)
             self._release()

@@ -137,7 +137,8 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
             parity=options.get("parity", "N"),
             stopbits=options.get("stopbits", 1),
             timeout=SLICE_S,
-            write_timeout=options["write_timeout"],
+            # pyserial's RFC 2217 client knows none.
+            write_timeout=None if name.startswith("rfc2217:") else options["write_timeout"],
             xonxoff=options.get("xonxoff", False),
             rtscts=options.get("rtscts", False),
             exclusive=options.get("exclusive", True) or None,
@@ -172,11 +173,12 @@ def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
         for at in range(0, len(data), PIECE):
             port.write(data[at : at + PIECE])
 
-    def interrupt() -> None:
-        for name in ("cancel_write", "cancel_read"):
-            if hasattr(port, name):
-                getattr(port, name)()
-        port.reset_output_buffer()
+    def interrupt(stuck: bool) -> None:
+        # Reading ends by itself after a slice.
+        if stuck:
+            if hasattr(port, "cancel_write"):
+                port.cancel_write()
+            port.reset_output_buffer()
 
     return PumpedTransport(
         url,

@@ -111,7 +111,7 @@ def _pumped(url: str, streams: StandardStreams, write_timeout_s: float | None) -
         url,
         source=source,
         sink=sink,
-        interrupt=lambda: None,
+        interrupt=lambda _: None,
         finish=lambda: None,
         release=streams.give_back,
         reason=lambda _: "the peer closed it",

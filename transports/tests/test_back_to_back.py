@@ -99,16 +99,6 @@ class TestSerialOnPty(BackToBack):
             self.listener.close()
 
 
-class TestSerialSocket(BackToBack):
-    """A pyserial URL with a descriptor."""
-
-    @contextmanager
-    def connect(self) -> Iterator[tuple[Transport, Transport]]:
-        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
-            near = j2a_transports.open(listener.url.replace("tcp:", "serial:socket:"))
-            yield near, accepted(listener)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
 class TestSerialByThreads(TestSerialOnPty):
     """The way of ports that cannot be polled, such as those of Windows and of `spy://`."""

@@ -1,0 +1,264 @@
+"""Listeners: TCP, loopback names, pseudo terminals for others to open."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import sys
+import time
+from pathlib import Path
+
+import j2a_transports
+import pytest
+from j2a_transports import LinkClosed, LinkLost, Listener, OpenFailed, Transport
+
+from .suite import PATIENCE_S, Background, read_exactly, read_to_end
+
+URLS = ["tcp://127.0.0.1:0", "loopback:listeners"]
+if sys.platform != "win32":
+    URLS.append("pty:")
+
+
+def accepted(listener: Listener) -> Transport:
+    transport = listener.accept(PATIENCE_S)
+    assert transport is not None
+    return transport
+
+
+@pytest.mark.parametrize("url", URLS)
+class TestEveryListener:
+    def test_nobody_comes(self, url: str) -> None:
+        with j2a_transports.listen(url) as listener:
+            assert listener.accept(0) is None
+            start = time.monotonic()
+            assert listener.accept(0.1) is None
+            assert time.monotonic() - start >= 0.09
+
+    def test_its_url_leads_to_it(self, url: str) -> None:
+        with j2a_transports.listen(url) as listener:
+            assert listener.url in repr(listener)
+            waiting = Background(lambda: accepted(listener))
+            with j2a_transports.open(listener.url) as near, waiting.result() as far:
+                near.write(b"hello")
+                assert read_exactly(far, 5) == b"hello"
+
+    def test_close_ends_accept(self, url: str) -> None:
+        listener = j2a_transports.listen(url)
+        waiting = Background(lambda: listener.accept(None))
+        time.sleep(0.1)
+        listener.close()
+        with pytest.raises(LinkClosed):
+            waiting.result()
+        listener.close()
+        with pytest.raises(LinkClosed):
+            listener.accept(0)
+
+    def test_accepted_transports_outlive_it(self, url: str) -> None:
+        listener = j2a_transports.listen(url)
+        with j2a_transports.open(listener.url) as near, accepted(listener) as far:
+            listener.close()
+            near.write(b"a")
+            assert far.read(PATIENCE_S) == b"a"
+            far.write(b"b")
+            assert near.read(PATIENCE_S) == b"b"
+
+    def test_one_peer_after_the_other(self, url: str) -> None:
+        with j2a_transports.listen(url) as listener:
+            for word in (b"first", b"second", b"third"):
+                with j2a_transports.open(listener.url) as near:
+                    near.write(word)
+                    far = accepted(listener)
+                    assert read_exactly(far, len(word)) == word
+                    far.write(word)
+                    assert read_exactly(near, len(word)) == word
+                with pytest.raises(LinkLost):
+                    far.read(PATIENCE_S)
+                far.close()
+                assert listener.accept(0) is None
+
+
+class TestTcp:
+    def test_only_the_named_address_is_bound(self) -> None:
+        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+            port = int(listener.url.rpartition(":")[2])
+            # The same port of another local address is still free.
+            with socket.create_server(("127.0.0.2", port)):
+                pass
+
+    def test_small_packets_are_not_delayed(self) -> None:
+        with (
+            j2a_transports.listen("tcp://127.0.0.1:0") as listener,
+            j2a_transports.open(listener.url) as near,
+            accepted(listener) as far,
+        ):
+            for end in (near, far):
+                sock = socket.socket(fileno=os.dup(end._read_fd))
+                with sock:
+                    assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+    def test_several_peers_at_once(self) -> None:
+        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+            nears = [j2a_transports.open(listener.url) for _ in range(3)]
+            fars = [accepted(listener) for _ in range(3)]
+            for index, near in enumerate(nears):
+                near.write(bytes([index]))
+            assert [far.read(PATIENCE_S) for far in fars] == [b"\0", b"\1", b"\2"]
+            for end in nears + fars:
+                end.close()
+
+    def test_a_place_that_is_taken(self) -> None:
+        with (
+            j2a_transports.listen("tcp://127.0.0.1:0") as listener,
+            pytest.raises(OpenFailed, match="another program listens there"),
+        ):
+            j2a_transports.listen(listener.url)
+
+    def test_a_place_that_is_not_here(self) -> None:
+        with pytest.raises(OpenFailed, match="cannot listen"):
+            j2a_transports.listen("tcp://192.0.2.1:5000")
+
+    def test_nobody_listens(self) -> None:
+        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+            url = listener.url
+        with pytest.raises(OpenFailed, match="start the device first, or check the port"):
+            j2a_transports.open(url)
+
+    def test_a_server_that_does_not_answer(self) -> None:
+        with socket.socket() as full:
+            full.bind(("127.0.0.1", 0))
+            full.listen(0)
+            port = full.getsockname()[1]
+            fillers = []
+            try:
+                with pytest.raises(OpenFailed, match=r"no answer within 0\.2 s"):
+                    # The kernel answers for as many as wait to be accepted, and then no more.
+                    while len(fillers) < 100:
+                        url = f"tcp://127.0.0.1:{port}?connect_timeout=0.2"
+                        fillers.append(j2a_transports.open(url))
+            finally:
+                for filler in fillers:
+                    filler.close()
+
+    def test_a_reset_connection_is_a_lost_link(self) -> None:
+        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+            port = int(listener.url.rpartition(":")[2])
+            peer = socket.create_connection(("127.0.0.1", port))
+            with accepted(listener) as far:
+                far.write(b"never read")
+                assert peer.recv(1) == b"n"
+                peer.close()
+                with pytest.raises(LinkLost, match="reset"):
+                    far.read(PATIENCE_S)
+
+    def test_ipv6(self) -> None:
+        try:
+            socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+        except OSError:
+            pytest.skip("this machine has no IPv6")
+        with j2a_transports.listen("tcp://[::1]:0") as listener:
+            assert listener.url.startswith("tcp://[::1]:")
+            with j2a_transports.open(listener.url) as near, accepted(listener) as far:
+                near.write(b"six")
+                assert read_exactly(far, 3) == b"six"
+
+
+class TestLoopback:
+    def test_a_name_nobody_listens_at(self) -> None:
+        with pytest.raises(OpenFailed, match="make it first with listen"):
+            j2a_transports.open("loopback:nobody")
+
+    def test_a_name_that_is_taken(self) -> None:
+        with (
+            j2a_transports.listen("loopback:mine"),
+            pytest.raises(OpenFailed, match="this name is taken"),
+        ):
+            j2a_transports.listen("loopback:mine")
+        j2a_transports.listen("loopback:mine").close()
+
+    def test_a_peer_that_was_never_accepted_loses_its_link(self) -> None:
+        listener = j2a_transports.listen("loopback:late")
+        near = j2a_transports.open("loopback:late")
+        listener.close()
+        with pytest.raises(LinkLost):
+            near.read(None)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
+class TestPty:
+    @staticmethod
+    def device(listener: Listener) -> str:
+        return listener.url.removeprefix("serial://")
+
+    def test_it_is_a_raw_terminal_for_any_program(self) -> None:
+        with j2a_transports.listen("pty:") as listener:
+            path = self.device(listener)
+            assert stat.S_ISCHR(Path(path).stat().st_mode)
+            for _ in range(2):
+                # No program of ours: nothing sets the terminal up, nothing discards old input.
+                other = os.open(path, os.O_RDWR | os.O_NOCTTY)
+                far = accepted(listener)
+                os.write(other, bytes(range(256)))
+                assert read_exactly(far, 256) == bytes(range(256))
+                far.write(b"\x03\r\n\x04")
+                assert os.read(other, 10) == b"\x03\r\n\x04"
+                far.write(b"left unread")
+                os.write(other, b"last")
+                os.close(other)
+                assert read_to_end(far) == b"last"
+                far.close()
+
+    def test_what_one_peer_leaves_does_not_reach_the_next(self) -> None:
+        with j2a_transports.listen("pty:") as listener:
+            other = os.open(self.device(listener), os.O_RDWR | os.O_NOCTTY)
+            far = accepted(listener)
+            os.write(other, b"left unread by us")
+            far.write(b"left unread by them")
+            os.close(other)
+            far.close()
+            assert listener.accept(0.05) is None
+            other = os.open(self.device(listener), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            with accepted(listener) as far:
+                assert far.read(0.05) == b""
+                with pytest.raises(BlockingIOError):
+                    os.read(other, 100)
+                os.close(other)
+
+    def test_a_peer_that_comes_and_goes_leaves_its_bytes(self) -> None:
+        with j2a_transports.listen("pty:") as listener:
+            other = os.open(self.device(listener), os.O_RDWR | os.O_NOCTTY)
+            os.write(other, b"quick")
+            os.close(other)
+            with accepted(listener) as far:
+                assert read_to_end(far) == b"quick"
+
+    def test_the_next_peer_waits_until_the_transport_is_closed(self) -> None:
+        with (
+            j2a_transports.listen("pty:") as listener,
+            j2a_transports.open(listener.url) as near,
+        ):
+            far = accepted(listener)
+            assert listener.accept(0.05) is None
+            far.close()
+            # Still open over there: as with a real line, it is simply the next one.
+            with accepted(listener) as again:
+                near.write(b"x")
+                assert again.read(PATIENCE_S) == b"x"
+
+    def test_a_link_gives_it_a_name(self, tmp_path: Path) -> None:
+        link = tmp_path / "board"
+        with j2a_transports.listen(f"pty:{link}") as listener:
+            assert listener.url == f"serial://{link}"
+            with j2a_transports.open(listener.url) as near, accepted(listener) as far:
+                near.write(b"x")
+                assert far.read(PATIENCE_S) == b"x"
+        assert not link.is_symlink()
+
+    def test_a_stale_link_is_replaced_and_nothing_else(self, tmp_path: Path) -> None:
+        link = tmp_path / "board"
+        link.symlink_to("/dev/pts/no-such-terminal")
+        j2a_transports.listen(f"pty:{link}").close()
+        link.write_text("a file of the user")
+        with pytest.raises(OpenFailed, match="cannot make the link: File exists"):
+            j2a_transports.listen(f"pty:{link}")
+        assert link.read_text() == "a file of the user"

@@ -1,0 +1,226 @@
+"""Child processes, by pipes and on pseudo terminals, and the standard streams of a child."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import j2a_transports
+import pytest
+from j2a_transports import LinkLost, OpenFailed, Transport
+from j2a_transports._process import ProcessTransport
+
+from .suite import PATIENCE_S, read_exactly, read_to_end
+
+if sys.platform != "win32":
+    import pty
+    import termios
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the children are POSIX programs")
+
+both = pytest.mark.parametrize("scheme", ["exec", "pty"])
+
+
+def child_of(transport: Transport) -> subprocess.Popen[bytes]:
+    assert isinstance(transport, ProcessTransport)
+    return transport.child.process
+
+
+@both
+def test_the_command_line_is_split_as_a_shell_does(scheme: str) -> None:
+    with j2a_transports.open(f"{scheme}:printf '%s|' 'a b' \"c d\" e\\ f ? * $HOME") as child:
+        assert read_to_end(child) == b"a b|c d|e f|?|*|$HOME|"
+
+
+@both
+def test_nothing_is_translated_or_echoed(scheme: str) -> None:
+    data = bytes(range(256))
+    with j2a_transports.open(f"{scheme}:cat") as child:
+        child.write(data)
+        assert read_exactly(child, 256) == data
+        assert child.read(0.05) == b""
+
+
+@both
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("true", "true ended with exit code 0"),
+        ("sh -c 'printf bye; exit 3'", "sh ended with exit code 3"),
+        ("sh -c 'kill -SEGV $$'", "sh was killed by SIGSEGV"),
+    ],
+)
+def test_a_lost_link_tells_how_the_child_ended(scheme: str, command: str, says: str) -> None:
+    with j2a_transports.open(f"{scheme}:{command}") as child:
+        with pytest.raises(LinkLost, match=says):
+            while child.read(PATIENCE_S):
+                pass
+        with pytest.raises(LinkLost, match=says):
+            child.write(b"x")
+
+
+def test_a_child_that_only_closes_its_output() -> None:
+    with (
+        j2a_transports.open("exec:sh -c 'exec >&-; read line; exit 0'") as child,
+        pytest.raises(LinkLost, match="has closed its side but still runs"),
+    ):
+        child.read(PATIENCE_S)
+    assert child_of(child).returncode == 0
+
+
+@both
+def test_a_program_that_is_not_there(scheme: str) -> None:
+    with pytest.raises(OpenFailed, match=r"no program '\./no-such-fw': build it first"):
+        j2a_transports.open(f"{scheme}:./no-such-fw")
+
+
+@both
+def test_a_file_that_is_no_program(scheme: str, tmp_path: Path) -> None:
+    file = tmp_path / "fw"
+    file.write_text("data")
+    with pytest.raises(OpenFailed, match=r"chmod \+x"):
+        j2a_transports.open(f"{scheme}:{file}")
+    file.chmod(0o755)
+    with pytest.raises(OpenFailed, match=r"cannot be run: .*Exec format error"):
+        j2a_transports.open(f"{scheme}:{file}")
+
+
+@both
+def test_the_working_directory(scheme: str, tmp_path: Path) -> None:
+    with j2a_transports.open(f"{scheme}:pwd", cwd=tmp_path) as child:
+        assert read_to_end(child).strip() == bytes(tmp_path.resolve())
+    with pytest.raises(OpenFailed, match="no directory '/no/such/place'"):
+        j2a_transports.open(f"{scheme}:pwd", cwd="/no/such/place")
+
+
+def test_the_childs_standard_error_is_ours(capfd: pytest.CaptureFixture[str]) -> None:
+    with j2a_transports.open("exec:sh -c 'echo complaint >&2'") as child:
+        assert read_to_end(child) == b""
+    assert capfd.readouterr().err == "complaint\n"
+
+
+@both
+def test_close_lets_a_child_end_by_itself(scheme: str, tmp_path: Path) -> None:
+    note = tmp_path / "note"
+    child = j2a_transports.open(f"{scheme}:sh -c 'cat; echo done > \"{note}\"; exit 7'")
+    child.write(b"x")
+    assert child.read(PATIENCE_S) == b"x"
+    process = child_of(child)
+    child.close()
+    # On a terminal the hang-up may also arrive as a signal; with pipes there is none.
+    assert process.returncode == 7 or scheme == "pty"
+    if process.returncode == 7:
+        assert note.read_text() == "done\n"
+
+
+@both
+def test_close_terminates_a_child_that_does_not_end(scheme: str) -> None:
+    child = j2a_transports.open(f"{scheme}:sh -c 'echo up; exec sleep 1000'")
+    assert read_exactly(child, 3) == b"up\n"
+    process = child_of(child)
+    child.close()
+    assert process.returncode == -signal.SIGTERM
+
+
+def test_close_kills_a_child_that_will_not_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("j2a_transports._process.TERMINATE_GRACE_S", 0.2)
+    code = "import signal,time; signal.signal(15, signal.SIG_IGN); print(1, flush=True); "
+    child = j2a_transports.open(f"exec:{sys.executable} -c '{code}time.sleep(1000)'")
+    assert read_exactly(child, 2) == b"1\n"
+    process = child_of(child)
+    child.close()
+    assert process.returncode == -signal.SIGKILL
+
+
+def test_a_terminated_child_takes_its_children_along() -> None:
+    child = j2a_transports.open("exec:sh -c 'sleep 1000 & echo $!; wait'")
+    line = b""
+    while not line.endswith(b"\n"):
+        line += child.read(PATIENCE_S)
+    grandchild = int(line)
+    os.kill(grandchild, 0)
+    child.close()
+    deadline = time.monotonic() + PATIENCE_S
+    while alive(grandchild) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not alive(grandchild)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that ended and was not waited for does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+TESTEE = """
+import sys, j2a_transports
+with j2a_transports.listen("stdio:") as listener:
+    peer = listener.accept(None)
+    print("stray text")
+    peer.write(b"<" + sys.stdin.read().encode() + b">")
+    data = peer.read(None)
+    assert listener.accept(0) is None
+    peer.write(data.upper())
+    peer.close()
+    try:
+        listener.accept(None)
+    except j2a_transports.LinkClosed as error:
+        print(error)
+"""
+
+
+def test_standard_streams_are_the_transports_alone(tmp_path: Path) -> None:
+    script = tmp_path / "testee.py"
+    script.write_text(TESTEE)
+    with subprocess.Popen(
+        [sys.executable, str(script)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        out, error = process.communicate(b"quiet", timeout=PATIENCE_S)
+    # A print goes to stderr while the streams are in use and to stdout again afterwards.
+    assert out == b"<>QUIETstdio: has served its only peer\n"
+    assert error == b"stray text\n"
+    assert process.returncode == 0
+
+
+def test_a_terminal_is_raw_while_it_is_the_standard_stream(tmp_path: Path) -> None:
+    """A program on a terminal that is not raw: as when a tool starts the testee."""
+    script = tmp_path / "testee.py"
+    script.write_text(TESTEE)
+    master, slave = pty.openpty()
+    before = termios.tcgetattr(slave)
+    assert before[3] & termios.ECHO
+    with subprocess.Popen(
+        [sys.executable, str(script)], stdin=slave, stdout=slave, stderr=subprocess.DEVNULL
+    ) as process:
+        data = b""
+        while b">" not in data:
+            data += os.read(master, 100)
+        os.write(master, b"a\x03\r")
+        while b"A" not in data:
+            data += os.read(master, 100)
+        assert process.wait(PATIENCE_S) == 0
+    while b"peer" not in data:
+        data += os.read(master, 100)
+    assert data.startswith(b"<>A\x03\r")
+    assert termios.tcgetattr(slave)[3] == before[3]
+    os.close(master)
+    os.close(slave)
+
+
+def test_closed_standard_streams() -> None:
+    code = (
+        "import os, j2a_transports as t\nos.close(0)\n"
+        "try: t.open('stdio:')\nexcept t.OpenFailed as error: print(error)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "stdio:: standard input or output is closed\n"
