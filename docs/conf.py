@@ -42,11 +42,6 @@ nitpick_ignore_regex = [
     (r"py:class", r".*\.Piece"),  # what Direction deals in
     (r"py:exc", r"Judged"),  # raised inside of the suite, never out of it
 ]
-    (
-        r"py:.*",
-        r"(asyncio|collections|concurrent|construct|enum|pathlib|threading|types|typing)\..*",
-    ),
-]
 
 html_theme = "furo"
 html_title = "J2A"
