@@ -36,6 +36,7 @@ myst_heading_anchors = 3
 
 nitpicky = True
 # The documentation is built without a network, so there are no links to Python's own.
+_ELSEWHERE = "asyncio|collections|concurrent|construct|enum|pathlib|threading|types|typing"
 nitpick_ignore_regex = [
     (r"py:.*", rf"({_ELSEWHERE})\..*"),
     (r"py:class", r".*\._\w+"),  # private type variables of decorators
