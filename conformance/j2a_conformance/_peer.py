@@ -6,7 +6,6 @@ that a stale answer is recognised; the default seqs and the barrier hold no byte
 stuffing, so that a fault in stuffing shows only where it is tested.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -242,9 +241,9 @@ class Peer:
 
     def next_frame(self, timeout_s: float) -> Arrival | None:
         """Return the next arrival that is a frame, whole or broken, and no SIF."""
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = self.link.now_s() + timeout_s
         while True:
-            arrival = self.link.next(max(deadline_s - time.monotonic(), 0.0))
+            arrival = self.link.next(max(deadline_s - self.link.now_s(), 0.0))
             if arrival is None or not isinstance(arrival.event, Skipped):
                 return arrival
 
@@ -288,8 +287,8 @@ class Peer:
             self.link.settle(_QUIET_S * self.link.scale, self.link.reply_timeout_s)
             request = self.probe()
             self.link.send(request.wire)
-            deadline_s = time.monotonic() + self.link.reply_timeout_s
-            while (arrival := self.link.next(max(deadline_s - time.monotonic(), 0))) is not None:
+            deadline_s = self.link.now_s() + self.link.reply_timeout_s
+            while (arrival := self.link.next(max(deadline_s - self.link.now_s(), 0))) is not None:
                 event = arrival.event
                 if isinstance(event, Frame) and request.expected.matches(event):
                     return True

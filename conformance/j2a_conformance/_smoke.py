@@ -5,7 +5,6 @@ the harness (`HarnessError`), an answer that is wrong is a fault of the device, 
 the requirement; when a smoke case fails nothing else is run, because nothing else could be judged.
 """
 
-import time
 from dataclasses import replace
 
 from j2a_spec import constants as c
@@ -14,7 +13,7 @@ from j2a_spec.oracle import Event, Frame, FrameError, Skipped
 from ._case import Case
 from ._judge import Judged, fail
 from ._model import HarnessError
-from ._peer import Peer, describe
+from ._peer import Peer, Request, describe
 from ._wire import Arrival
 
 __all__ = ["SMOKE"]
@@ -39,8 +38,11 @@ class Answers(Case):
     REQUIREMENTS = (
         "J2A-FRAME-001",
         "J2A-FRAME-002",
+        "J2A-FRAME-004",
+        "J2A-STUFF-001",
         "J2A-SUM-001",
         "J2A-SEQ-001",
+        "J2A-DISP-001",
         "J2A-DISP-005",
     )
     LEVEL = "frame"
@@ -55,11 +57,20 @@ class Answers(Case):
                 event = arrival.event
                 if isinstance(event, Frame) and request.expected.matches(event):
                     if event.opcode in (c.RET_OK, c.ERR_OPCODE):
+                        self._once(peer, request)
                         return
                     break
                 if not isinstance(event, Skipped):
                     break
         _diagnose(peer, seen)
+
+    @staticmethod
+    def _once(peer: Peer, request: Request) -> None:
+        """Fail when the same request is answered again; late answers to others may come."""
+        while (arrival := peer.next_frame(0.03 * peer.link.scale)) is not None:
+            event = arrival.event
+            if isinstance(event, Frame) and event.seq == request.seq:
+                fail("one request was answered twice (J2A-DISP-001)")
 
 
 def _diagnose(peer: Peer, seen: list[Arrival]) -> None:
@@ -150,9 +161,9 @@ class Echo(Case):
     def _run(self, peer: Peer) -> None:
         times = []
         for _ in range(8):
-            before_s = time.monotonic()
+            before_s = peer.link.now_s()
             peer.barrier()
-            times.append(time.monotonic() - before_s)
+            times.append(peer.link.now_s() - before_s)
         peer.claims = replace(peer.claims, rtt_s=min(times))
         if not peer.has(c.GET_PROPERTIES):
             return

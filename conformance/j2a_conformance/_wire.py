@@ -14,7 +14,7 @@ from typing import Final
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, Incomplete, Skipped, decode
-from j2a_transports import LinkLost, Transport, TransportError
+from j2a_transports import Transport, TransportError
 
 from ._model import Evidence, Kind
 
@@ -22,6 +22,7 @@ __all__ = ["Arrival", "Link", "Splitter"]
 
 _BEFORE_MARKER: Final = re.compile(rb"(?=[\x12\xed])")
 _EVIDENCE_KEPT: Final = 40
+_SPIN_S: Final = 0.0015
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ class Arrival:
     Attributes:
         raw: its bytes on the wire.
         event: what the oracle says that they are.
-        at_s: when its last byte was read, on the clock of `time.monotonic`.
+        at_s: when its last byte was read, on the clock of the link.
     """
 
     raw: bytes
@@ -87,7 +88,6 @@ class Link:
     """
 
     def __init__(self, transport: Transport, scale: float = 1.0) -> None:
-        self.transport = transport
         self.scale = scale
         self.reply_timeout_s = 2.0 * scale
         self.sifs: list[Arrival] = []
@@ -95,7 +95,31 @@ class Link:
         self._waiting: deque[Arrival] = deque()
         self._evidence: deque[Evidence] = deque(maxlen=_EVIDENCE_KEPT)
         self._entries = 0
-        self._began_s = time.monotonic()
+        self._adopt(transport)
+        self._began_s = self.now_s()
+
+    # Time
+
+    def _adopt(self, transport: Transport) -> None:
+        """Take the transport, and its time where it has one of its own (a simulated device)."""
+        self.transport = transport
+        self._clock: Callable[[], float] = getattr(transport, "clock", time.monotonic)
+        self._sleep: Callable[[float], None] | None = getattr(transport, "sleep", None)
+
+    def now_s(self) -> float:
+        """Return the time in seconds; of a simulated device it is the simulated time."""
+        return self._clock()
+
+    def wait_until(self, moment_s: float) -> None:
+        """Return at `moment_s` of `now_s`, more exactly than a sleep alone does."""
+        rest_s = moment_s - self.now_s()
+        if self._sleep is not None:
+            self._sleep(max(rest_s, 0.0))
+            return
+        if rest_s > _SPIN_S:
+            time.sleep(rest_s - _SPIN_S)
+        while self.now_s() < moment_s:
+            pass
 
     # Evidence
 
@@ -103,12 +127,12 @@ class Link:
         """Start the evidence of a new case."""
         self._evidence.clear()
         self._entries = 0
-        self._began_s = time.monotonic()
+        self._began_s = self.now_s()
 
     def record(self, kind: Kind, data: bytes = b"", text: str = "") -> None:
         """Add a line to the evidence."""
         self._entries += 1
-        at_ms = (time.monotonic() - self._began_s) * 1e3
+        at_ms = (self.now_s() - self._began_s) * 1e3
         self._evidence.append(Evidence(kind, at_ms, data, text))
 
     def note(self, text: str) -> None:
@@ -128,7 +152,7 @@ class Link:
 
     def _read(self, timeout_s: float) -> None:
         data = self.transport.read(timeout_s)
-        for arrival in self._splitter.feed(data, time.monotonic()) if data else ():
+        for arrival in self._splitter.feed(data, self.now_s()) if data else ():
             event = arrival.event
             # A broken frame that begins with SOS is not kept apart: it is a fault of the device.
             is_sif = isinstance(event, Frame) and event.start == c.SOS
@@ -147,11 +171,11 @@ class Link:
         return self._waiting.popleft() if self._waiting else None
 
     def _until(self, timeout_s: float, ready: Callable[[], Arrival | None]) -> Arrival | None:
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = self.now_s() + timeout_s
         while True:
             if (found := ready()) is not None:
                 return found
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - self.now_s()
             self._read(max(left_s, 0.0))
             if left_s <= 0:
                 return ready()
@@ -162,9 +186,9 @@ class Link:
 
     def settle(self, quiet_s: float, at_most_s: float) -> int:
         """Read until nothing but SIFs came for `quiet_s`; return how many arrivals were dropped."""
-        deadline_s = time.monotonic() + at_most_s
+        deadline_s = self.now_s() + at_most_s
         dropped = 0
-        while time.monotonic() < deadline_s and self.next(quiet_s) is not None:
+        while self.now_s() < deadline_s and self.next(quiet_s) is not None:
             dropped += 1
         self._splitter.tail = b""
         return dropped
@@ -175,16 +199,7 @@ class Link:
             self.transport.close()
         except TransportError as error:
             self.note(f"closing the old link: {error}")
-        self.transport = transport
+        self._adopt(transport)
         self.sifs.clear()
         self._waiting.clear()
         self._splitter = Splitter()
-
-    @property
-    def alive(self) -> bool:
-        """False when the transport says that the other side is gone."""
-        try:
-            self._read(0.0)
-        except LinkLost:
-            return False
-        return True

@@ -173,8 +173,8 @@ class FourBytes(Case):
 
 
 class StoreLarge(Case):
-    """Writes 0, 1, 248, 249, 250, 498, 499, 600 and 70,000 bytes to `store`, as far as they fit,
-    and reads them back.
+    """Writes 100 bytes to `store` in chunks of 7 and reads them from several offsets; then writes
+    0, 1, 248, 249, 250, 498, 499, 600 and 70,000 bytes, as far as they fit, and reads them back.
     """
 
     ID = "many.store"
@@ -184,6 +184,12 @@ class StoreLarge(Case):
     NEEDS = ("store",)
 
     def _run(self, peer: Peer) -> None:
+        data = bytes(range(100))
+        self._write(peer, data, 7)
+        for offset in range(0, 100, 9):
+            reply = peer.ask_many(peer.many("store", offset=offset))
+            if not reply.data or not data.startswith(reply.data, offset):
+                fail(f"a read of `store` at offset {offset} returns {reply}")
         for size in (0, 1, 248, 249, 250, 498, 499, 600, 70_000):
             data = b"".join(n.to_bytes(4, "big") for n in range(size // 4 + 1))[:size]
             if not self._write(peer, data):
@@ -193,11 +199,12 @@ class StoreLarge(Case):
                 fail(f"`store` does not return the {size} bytes that were written")
 
     @staticmethod
-    def _write(peer: Peer, data: bytes) -> bool:
-        chunks = range(0, max(len(data), 1), c.MANY_DATA)
+    def _write(peer: Peer, data: bytes, chunk: int = c.MANY_DATA) -> bool:
+        """Write `data` in chunks; tell whether it fits. 128 bytes fit in any case."""
+        chunks = range(0, max(len(data), 1), chunk)
         for offset in chunks:
             flags = c.FLAG_WRITE | (c.FLAG_LAST if offset == chunks[-1] else 0)
-            part = data[offset : offset + c.MANY_DATA]
+            part = data[offset : offset + chunk]
             reply = peer.ask_many(peer.many("store", flags, offset, part))
             if reply.offset != offset:
                 fail(f"offset {reply.offset} in the reply, {offset} in the request")

@@ -5,7 +5,6 @@ what stands between two waits is sent in one piece, so that no stall makes a pau
 `null` as payload leaves it open.
 """
 
-import time
 from itertools import groupby
 from typing import Any
 
@@ -66,7 +65,7 @@ class Scenario(Case):
     @staticmethod
     def _wait(peer: Peer, step: dict[str, Any]) -> None:
         if "pause_ms" in step:
-            time.sleep(step["pause_ms"] / 1e3)
+            peer.link.wait_until(peer.link.now_s() + step["pause_ms"] / 1e3)
         elif "silence_ms" in step:
             if peer.next_frame(step["silence_ms"] / 1e3) is not None:
                 fail("something came where silence was due")

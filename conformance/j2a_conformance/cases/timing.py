@@ -5,8 +5,6 @@ the bytes behind it are written. A refused pause only counts when this measure w
 and only when it is refused every time: a stall between here and the device cannot be seen.
 """
 
-import time
-
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 
@@ -19,29 +17,19 @@ _ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
 _GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
 _REFUSALS = 6
 _TRIES = 40
-_SPIN_S = 0.0015
-
-
-def wait_until(moment_s: float) -> None:
-    """Return at `moment_s` of `time.monotonic`, more exactly than a sleep does."""
-    rest_s = moment_s - time.monotonic() - _SPIN_S
-    if rest_s > 0:
-        time.sleep(rest_s)
-    while time.monotonic() < moment_s:
-        pass
 
 
 def send_paused(peer: Peer, pieces: list[bytes], pause_s: float) -> float:
     """Send the pieces with pauses between them; return the longest pause in seconds, measured."""
     longest_s = 0.0
-    before_s = time.monotonic()
+    before_s = peer.link.now_s()
     peer.link.send(pieces[0])
     for piece in pieces[1:]:
         # From the start of the last write, so that no pause is longer than was asked for.
-        wait_until(before_s + pause_s)
-        again_s = time.monotonic()
+        peer.link.wait_until(before_s + pause_s)
+        again_s = peer.link.now_s()
         peer.link.send(piece)
-        longest_s = max(longest_s, time.monotonic() - before_s)
+        longest_s = max(longest_s, peer.link.now_s() - before_s)
         before_s = again_s
     return longest_s
 
@@ -123,9 +111,9 @@ class GivesUp(Case):
     @staticmethod
     def _cut(peer: Peer, part: bytes, seq: int) -> None:
         allowed_s = _GIVEN_UP_S + peer.claims.rtt_s + 0.002
-        before_s = time.monotonic()
+        before_s = peer.link.now_s()
         peer.link.send(part)
-        sent_s = time.monotonic()
+        sent_s = peer.link.now_s()
         arrival = peer.next_frame(peer.link.reply_timeout_s)
         due = Expected(seq, c.ERR_TIMEOUT)
         if arrival is None or not isinstance(arrival.event, Frame):

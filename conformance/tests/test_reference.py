@@ -1,0 +1,41 @@
+"""The suite passes a conforming device, and says what it tests."""
+
+from j2a_conformance import Verdict, coverage, load
+from j2a_conformance._coverage import HOST_SUITE
+from j2a_conformance._smoke import SMOKE
+from j2a_spec import requirements
+
+
+def test_the_reference_device_conforms(reference, judged):
+    run = judged(reference)
+    assert run.conformant
+    assert not run.stopped
+    assert {r.case: r.reason for r in run.results if r.verdict is not Verdict.OK} == {
+        "limits.overrun": "nothing was lost: device or link held all requests back"
+    }
+
+
+def test_every_requirement_of_a_device_has_a_case():
+    by = coverage()
+    for requirement in requirements.load().values():
+        if requirement.role == "host":
+            assert requirement.exception or by[requirement.id] == HOST_SUITE
+        else:
+            has_case = not by[requirement.id].startswith(("MISSING", "no case"))
+            assert has_case != bool(requirement.exception), requirement.id
+
+
+def test_cases_name_requirements_that_exist_and_bind_devices():
+    known = requirements.load()
+    for case in (*SMOKE, *load()):
+        assert case.REQUIREMENTS, case.ID
+        for name in case.REQUIREMENTS:
+            assert known[name].role in ("device", "both"), (case.ID, name)
+
+
+def test_cases_have_unique_ids_and_say_what_they_do():
+    cases = (*SMOKE, *load())
+    assert len({case.ID for case in cases}) == len(cases)
+    for case in cases:
+        assert case.DESCRIPTION.endswith("."), case.ID
+        assert case.EXPECTATION.endswith("."), case.ID
