@@ -41,9 +41,10 @@ void j2a_port_idle(void);
 
 /* ------------------------------------------------------------------ the port calls ----------- */
 
-/* Pushes one received byte into the parser. Never waits and sends nothing, so any context will do
- * as long as it is always the same one. Returns false, and takes no byte, while a frame or an error
- * waits for j2a_process(): offer the byte again later, or drop it and call j2a_rx_lost(). */
+/* Pushes one received byte into the parser; j2a_poll() does so with what j2a_port_rx() returns.
+ * Never waits and sends nothing, so a port may push from its interrupt instead: its j2a_port_rx()
+ * then returns -1, and j2a_poll() runs with that interrupt off. Returns false, and takes no byte,
+ * while a frame or an error waits for j2a_process(): offer the byte again, or call j2a_rx_lost(). */
 bool j2a_rx_byte(uint8_t byte);
 
 /* Says that bytes were lost between the last byte pushed and the next one. */

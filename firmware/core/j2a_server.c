@@ -13,16 +13,15 @@ void j2a_poll(void) {
     uint8_t turns = 255; /* bounded, so that endless noise does not keep the application waiting */
     int16_t byte;
 
-    while (turns-- && j2a_rx.event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0)
-        j2a_rx_byte((uint8_t)byte);
-    if (j2a_rx.event != J2A_EVENT_NONE)
-        return; /* fed stays set: a function may take long, the clock starts again after it */
-    if (j2a_rx.fed) {
+    if (j2a_rx.fed) { /* since the last call; taking bytes may have lasted until now */
         j2a_rx.fed = false;
         last_ticks = now_ticks;
-    } else if (j2a_rx_busy() && (uint16_t)(now_ticks - last_ticks) >= PAUSE_TICKS) {
-        j2a_rx_timeout();
     }
+    while (turns-- && j2a_rx.event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0)
+        j2a_rx_byte((uint8_t)byte);
+    if (j2a_rx.event == J2A_EVENT_NONE && !j2a_rx.fed && j2a_rx_busy()
+        && (uint16_t)(now_ticks - last_ticks) >= PAUSE_TICKS)
+        j2a_rx_timeout();
 }
 
 uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function) {
@@ -68,6 +67,7 @@ void j2a_process(void) {
         j2a_error(code, j2a_rx.site, &length, payload);
     }
     j2a_send(J2A_SOF, j2a_rx.seq, code, length, payload);
+    j2a_rx.fed = true; /* bytes had to wait meanwhile: the pause is measured from now on */
     j2a_rx.event = J2A_EVENT_NONE;
 }
 

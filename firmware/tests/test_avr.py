@@ -1,0 +1,274 @@
+"""The AVR firmware in the cycle-exact simulator: sizes, cycles, the serial port, exact timing."""
+
+import random
+import re
+from pathlib import Path
+
+import pytest
+from j2a_spec import constants as c
+from j2a_spec.grammar import PROPERTIES
+from j2a_spec.oracle import Frame, decode, encode
+
+from j2a.sim import AvrSim
+
+pytestmark = pytest.mark.avr
+
+NAMES = [*c.BUILTINS, "getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
+OPCODE = {name: opcode for opcode, name in enumerate(NAMES)}
+ECHO = OPCODE[c.GET_ECHO]
+RXBUF = 128
+
+
+class Board:
+    """Demo firmware in the simulator; all times are simulated ones."""
+
+    def __init__(self, elf):
+        self.sim = AvrSim(elf)
+        self.sim.boot()
+        self.pause(1)  # the first byte after the reset
+
+    def pause(self, ms):
+        self.sim.run(self.sim.cycles(ms / 1000))
+
+    def send(self, data):
+        """Put bytes on the wire and wait until the last one has arrived."""
+        self.sim.uart_write(data)
+        self.sim.run(int(self.sim.char_cycles * len(data)))
+
+    def listen(self, ms):
+        """Everything that comes within some time."""
+        self.pause(ms)
+        return decode(self.sim.uart_read())
+
+    def ask(self, data, count, limit_ms=2000):
+        """Send, and wait for so many whole frames."""
+        self.sim.uart_write(data)
+        got = b""
+        end = self.sim.cycle + self.sim.cycles(limit_ms / 1000)
+        while True:
+            events = decode(got)
+            if len(events) >= count and isinstance(events[count - 1], Frame):
+                return events
+            assert self.sim.cycle < end, events
+            self.sim.run_until_output(self.sim.cycles(0.001))
+            got += self.sim.uart_read()
+
+    def call(self, function, payload=b"", seq=1):
+        """One call; returns the reply."""
+        (reply,) = self.ask(encode(Frame(c.SOF, seq, OPCODE[function], payload)), 1)
+        assert (reply.start, reply.seq) == (c.SOF, seq)
+        return reply
+
+
+@pytest.fixture(scope="module")
+def elf(build):
+    return build(port="avr-serial")
+
+
+@pytest.fixture
+def board(elf):
+    board = Board(elf)
+    yield board
+    board.sim.close()
+
+
+def test_budget(avr, make):
+    result = make("budget")
+    assert result.returncode == 0, result.stdout + result.stderr
+    flash, flash_limit, ram, ram_limit = map(int, re.findall(r"\d+", result.stdout)[-4:])
+    assert (flash_limit, ram_limit) == (2356, 339)
+    assert 1000 < flash <= flash_limit
+    assert 255 < ram <= ram_limit
+
+
+def test_budget_is_kept_to(avr, make):
+    assert make("budget", FLASH_BUDGET="1000").returncode != 0
+    assert make("budget", RAM_BUDGET="300").returncode != 0
+
+
+def test_cycles(avr, make):
+    result = make("cycles")
+    assert result.returncode == 0, result.stdout + result.stderr
+    numbers = [float(number) for number in re.findall(r"(?<=: )\d+(?:\.\d+)?", result.stdout)]
+    plain, loop, interrupt, total = numbers
+    escaped = float(re.search(r"([\d.]+) escaped", result.stdout).group(1))
+    assert 20 < escaped < plain <= 70
+    assert total == pytest.approx(loop + interrupt)
+    assert total < 160  # two bytes at 1 Mbaud are so far apart
+    assert make("cycles", CYCLES_BUDGET="50").returncode != 0
+
+
+@pytest.mark.parametrize(("baud", "step"), [(115200, 17), (1000000, 1)])
+def test_echo(build, baud, step):
+    board = Board(build(port="avr-serial", BAUD=str(baud)))
+    assert board.sim.baud == pytest.approx(baud, rel=0.022)
+    rng = random.Random(baud)
+    for length in range(0, 256, step):
+        payload = bytes(rng.choices((c.SOF, c.SOS, c.ESC, 0x11, 0x7C, 0xEC, 0xFF), k=length))
+        assert board.call(c.GET_ECHO, payload, length) == Frame(c.SOF, length, c.ECHO, payload)
+    assert board.sim.counters.overruns == 0
+    board.sim.close()
+
+
+def test_largest_frames_back_to_back_at_1_mbaud(build):
+    """2 kB without a pause, answered by errors of 6 bytes: the receiving side keeps up."""
+    board = Board(build(port="avr-serial", BAUD="1000000"))
+    frame = encode(Frame(c.SOF, c.SOF, c.SOF, bytes((c.SOF,) * 255)))
+    assert len(frame) == c.MAX_WIRE
+    broken = frame[:-2]  # each is ended by the next one's start
+    events = board.ask(broken * 4 + encode(Frame(c.SOF, 9, ECHO, b"end")), 5)
+    assert [event.opcode for event in events] == [c.ERR_FRAMING] * 4 + [c.ECHO]
+    assert {event.payload for event in events[:4]} == {bytes((c.SITE_MARKER, 0))}
+    assert board.call("overruns").payload == bytes(2)
+    board.sim.close()
+
+
+def test_properties(board):
+    reply = board.call(c.MANY, bytes((OPCODE[c.GET_PROPERTIES], 0, 0, 0, 0, 0)))
+    values = {item.key: item.value for item in PROPERTIES.parse(reply.payload[6:])}
+    assert values["j2a.rxbuf"] == str(RXBUF)
+    assert values["port"] == "avr-serial"
+    assert values["j2a.spec"] == c.SPEC_VERSION
+
+
+def test_receive_buffer_holds_what_it_announces(board):
+    """While a function runs, RXBUF bytes of requests arrive, and all are answered."""
+    slow = encode(Frame(c.SOF, 0, OPCODE["delay"], b"\x32\0"))
+    requests = [Frame(c.SOF, seq, ECHO, b"0123456") for seq in range(20, 30)]
+    requests.append(Frame(c.SOF, 30, ECHO, b"012"))
+    data = b"".join(map(encode, requests))
+    assert len(data) == RXBUF
+    events = board.ask(slow + data, 12)
+    assert events[0] == Frame(c.SOF, 0, 0)
+    assert events[1:] == [Frame(c.SOF, request.seq, c.ECHO, request.payload) for request in requests]
+    assert board.call("overruns").payload == bytes(2)
+
+
+def test_overrun_is_counted_and_never_answered_wrongly(board, error):
+    slow = encode(Frame(c.SOF, 0, OPCODE["delay"], b"\x32\0"))
+    requests = [Frame(c.SOF, seq, ECHO, b"0123456") for seq in range(20, 50)]
+    events = board.ask(slow + b"".join(map(encode, requests)), 12)
+    events += board.listen(100)
+    held = RXBUF // len(encode(requests[0]))
+    assert events == [
+        Frame(c.SOF, 0, 0),
+        *[Frame(c.SOF, request.seq, c.ECHO, request.payload) for request in requests[:held]],
+        error(requests[held].seq, c.ERR_FRAMING, c.SITE_LOST),
+    ]
+    assert board.call("overruns").payload == b"\1\0"
+    assert board.call(c.GET_ECHO, b"fine") == Frame(c.SOF, 1, c.ECHO, b"fine")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_overruns_anywhere(build, seed):
+    """With a ring of 20 bytes and far too much to do, each answer is right or an error."""
+    board = Board(build(port="avr-serial", BAUD="1000000", RXBUF="20"))
+    rng = random.Random(seed)
+    sent = {}
+    data = b""
+    for seq in range(250):
+        payload = bytes((seq,)) + rng.randbytes(rng.randrange(12))
+        sent[seq] = payload
+        data += encode(Frame(c.SOF, seq, ECHO, payload))
+    board.sim.uart_write(data)
+    events = board.listen(1000 * board.sim.char_cycles * len(data) / 16e6 + 50)
+    echoed = [event for event in events if event.opcode == c.ECHO]
+    assert 10 < len(echoed) < 250
+    for event in events:
+        if event.opcode == c.ECHO:
+            assert event.payload == sent[event.seq]
+        else:
+            assert (event.opcode, event.payload) == (c.ERR_FRAMING, bytes((c.SITE_LOST, 0)))
+    assert int.from_bytes(board.call("overruns").payload, "little") > 0
+    board.sim.close()
+
+
+@pytest.mark.parametrize("cut", range(1, 8))
+def test_pause_inside_a_frame(board, error, cut):
+    """9 ms are accepted; after 20 ms the frame is given up, and what follows is skipped."""
+    frame = encode(Frame(c.SOF, 7, ECHO, b"abc"))
+    board.send(frame[:cut])
+    # send() ends with the last stop bit; one more character until the next byte is there.
+    board.pause(9 - board.sim.char_cycles / 16000)
+    board.send(frame[cut:])
+    assert board.listen(5) == [Frame(c.SOF, 7, c.ECHO, b"abc")]
+    board.send(frame[:cut])
+    given_up = [] if cut == 1 else [error(7, c.ERR_TIMEOUT, c.SITE_TIMEOUT)]
+    assert board.listen(20) == given_up
+    board.send(frame[cut:])
+    assert board.listen(5) == []
+
+
+def test_pause_after_a_long_run_of_bytes(build):
+    """Noise keeps the main loop busy for milliseconds; the pause counts from the last byte on."""
+    board = Board(build(port="avr-serial", BAUD="1000000"))
+    frame = encode(Frame(c.SOF, 7, ECHO, bytes(200)))
+    for noise in range(0, 400, 25):
+        board.send(bytes(noise) + frame[:190])
+        board.pause(8.9)
+        board.send(frame[190:])
+        assert board.listen(5) == [Frame(c.SOF, 7, c.ECHO, bytes(200))]
+    board.sim.close()
+
+
+def test_bytes_that_waited_are_not_timed_out(board):
+    """Half a frame comes while a function runs, the other half 8 ms after it has ended."""
+    frame = encode(Frame(c.SOF, 7, ECHO, b"abc"))
+    board.send(encode(Frame(c.SOF, 1, OPCODE["delay"], b"\x28\0")) + frame[:4])
+    assert board.listen(41) == [Frame(c.SOF, 1, 0)]
+    board.pause(6)
+    board.send(frame[4:])
+    assert board.listen(5) == [Frame(c.SOF, 7, c.ECHO, b"abc")]
+
+
+def test_clock_has_no_steps(board):
+    """Asked at odd moments over several wraps of the timer (32.768 ms), it follows the cycles."""
+    rng = random.Random(1)
+    offsets = []
+    for _ in range(120):
+        board.sim.run(rng.randrange(100, 70000))
+        time_us = int.from_bytes(board.call("getTime").payload, "little")
+        offsets.append(board.sim.cycle / 16 - time_us)
+    # From the reading to the end of the reply passes the same time, but for up to 9 escapes and
+    # for the millisecond in which ask() looks.
+    character_us = board.sim.char_cycles / 16
+    assert max(offsets) - min(offsets) < 9 * character_us + 1000
+    assert board.sim.time_s > 0.3
+
+
+def test_clock_around_the_wraps(build):
+    """Some of the 320 wraps fall into the few cycles in which the clock is read."""
+    elf = build("clock", "avr-serial", APP_DIR=str(Path(__file__).parent / "clock"))
+    with AvrSim(elf) as sim:
+        sim.run(sim.cycles(10.5))
+        assert [span.mark for span in sim.spans()] == [2] * 10
+
+
+def test_periodic_sifs_keep_their_rate(board):
+    assert board.call("sifPeriod", b"\x0a\0") == Frame(c.SOF, 1, 0)
+    sifs = board.listen(505)
+    assert sifs == [Frame(c.SOS, n, 0x20, n.to_bytes(4, "little")) for n in range(50)]
+    assert board.call("sifPeriod", b"\0\0").opcode == 0
+    assert board.listen(50) == []
+
+
+def test_store_holds_256_bytes(board):
+    def store(flags, offset, data=b""):
+        header = bytes((OPCODE["store"], flags)) + offset.to_bytes(4, "little")
+        return board.call(c.MANY, header + data).payload
+
+    data = bytes(range(256))
+    assert store(c.FLAG_WRITE, 0, data[:249])[0] == 0
+    assert store(c.FLAG_WRITE, 249, data[249:] + b"x")[0] == c.RET_FAILED
+    assert store(c.FLAG_WRITE | c.FLAG_LAST, 249, data[249:])[0] == 0
+    assert store(0, 0)[6:] + store(0, 249)[6:] == data
+    assert store(0, 256) == bytes((0, c.FLAG_LAST)) + (256).to_bytes(4, "little")
+
+
+def test_stack_fits(board):
+    board.call("getTime")
+    board.call("ret", b"\x12")
+    board.ask(encode(Frame(c.SOF, 1, OPCODE["sif"], b"\1abc")), 2)
+    board.call(c.MANY, bytes((OPCODE["store"], c.FLAG_WRITE, 0, 0, 0, 0)) + bytes(249))
+    free = 2048 - (board.sim.program.ram_end - 0x100)
+    assert board.sim.stack_bytes < 160 < free
