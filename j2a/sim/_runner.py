@@ -31,6 +31,9 @@ SLICE_S: Final = 0.001
 # reply, and well below the 9 ms between two bytes that end a frame.
 ACTIVE_S: Final = 0.005
 
+# Above that many bytes waiting for the wire the client has to wait, as at a serial port.
+MOST_QUEUED: Final = 4096
+
 
 class Runner:
     """Runs a simulator and serves its UART to one client after the other.
@@ -118,11 +121,18 @@ class Runner:
         self.sim.uart_read()  # sent before this client was there
 
     def _receive(self, client: Transport) -> None:
+        """Take what has arrived, until the next slice is due."""
         try:
-            while data := client.read(self._wait_s()):
-                self.sim.uart_write(data)
-                self._stay_active()
-                if self._speed == 0:
+            while True:
+                wait_s = self._wait_s()
+                if self.sim.counters.queued >= MOST_QUEUED:
+                    time.sleep(wait_s)
+                    return
+                data = client.read(wait_s)
+                if data:
+                    self.sim.uart_write(data)
+                    self._stay_active()
+                if not data or wait_s == 0:
                     return
         except TransportError as error:
             self._drop(client, error)

@@ -98,6 +98,28 @@ def test_real_time_is_not_faster_than_the_clock(firmware):
         assert time.monotonic() - began_s > 0.16
 
 
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+def test_a_client_that_never_stops_sending(firmware, speed):
+    with Served(firmware("echo", BAUD=1_000_000), speed) as served:
+        link = j2a_transports.open(served.url)
+
+        def flood():
+            while True:
+                try:
+                    link.write(bytes(4096))
+                except j2a_transports.TransportError:
+                    return
+
+        writer = threading.Thread(target=flood)
+        writer.start()
+        assert not any(read_all(link, 20_000))
+        served.stop.set()
+        served.join()
+        link.close()
+        writer.join(WAIT_S)
+        assert not writer.is_alive()
+
+
 def test_a_pause_of_the_client_is_no_longer_for_the_firmware(firmware):
     """At speed 0 only the traffic is fast."""
     with Served(firmware("echo"), 0.0) as served:
