@@ -2,7 +2,6 @@
 
 import sys
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
@@ -15,6 +14,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
+    "docstrings",
     "packet_figure",
     "program_help",
     "requirement_ids",
@@ -25,6 +25,8 @@ exclude_patterns = ["_build", "_ext", "tests", "examples"]
 default_role = "code"
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
+autodoc_typehints_format = "fully-qualified"
+python_use_unqualified_type_names = True
 autodoc_typehints_description_target = "documented_params"
 autodoc_class_signature = "mixed"
 napoleon_numpy_docstring = False
@@ -54,24 +56,3 @@ html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#0b5d7a", "color-brand-content": "#0b5d7a"},
     "dark_css_variables": {"color-brand-primary": "#6cc5e0", "color-brand-content": "#6cc5e0"},
 }
-
-
-class _Attributes:
-    """Keeps napoleon from taking what stands before a colon for the type of an attribute."""
-
-    def __init__(self, app: Any) -> None:
-        self._kept: list[str] = []
-        app.connect("autodoc-process-docstring", self._before, priority=100)
-        app.connect("autodoc-process-docstring", self._after, priority=900)
-
-    def _before(self, *event: Any) -> None:
-        self._kept = list(event[-1])
-
-    def _after(self, *event: Any) -> None:
-        if event[1] in {"attribute", "data", "property"}:
-            event[-1][:] = self._kept
-
-
-def setup(app: Any) -> None:
-    """Register the hooks."""
-    _Attributes(app)

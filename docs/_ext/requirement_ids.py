@@ -24,7 +24,7 @@ from sphinx.util.docutils import SphinxDirective
 ID = re.compile(r"\bJ2A-[A-Z]+-\d{3}\b")
 FIGURE = re.compile(r"<!-- figure: (\S+) -->")
 KEPT = (nodes.strong, nodes.reference, addnodes.pending_xref, nodes.literal_block, nodes.title)
-HEADS = ("id", "level", "binds", "text", "source", "cases")
+HEADS = ("id", "requirement")
 
 
 def link(name: str) -> addnodes.pending_xref:
@@ -100,10 +100,21 @@ class RequirementsTable(SphinxDirective):
         cases = coverage()
         levels: dict[str, list[nodes.Node]] = {}
         for r in load().values():
-            cells = (r.id, r.level, r.role, r.text, r.source, cases[r.id])
-            row = nodes.row("", *(_entry(cell) for cell in cells))
-            levels.setdefault(r.level, []).append(row)
+            facts = f"Level {r.level}, binds {r.role}, from {r.source}. {_proof(cases[r.id])}"
+            text = _entry(r.text)
+            text += nodes.paragraph("", facts, classes=["facts"])
+            levels.setdefault(r.level, []).append(nodes.row("", _entry(r.id), text))
         return [_table([row for rows in levels.values() for row in rows])]
+
+
+def _proof(cases: str) -> str:
+    if cases == "host suite":
+        return "Proved by the tests of the library."
+    return (
+        cases.replace("no case", "No case", 1)
+        if cases.startswith("no case: ")
+        else f"Cases: {cases}."
+    )
 
 
 class ConformanceCases(SphinxDirective):
@@ -132,7 +143,7 @@ def _table(rows: list[nodes.Node]) -> nodes.table:
     head = nodes.row("", *(nodes.entry("", nodes.paragraph("", text)) for text in HEADS))
     group = nodes.tgroup(
         "",
-        *(nodes.colspec(colwidth=width) for width in (16, 9, 7, 40, 13, 15)),
+        *(nodes.colspec(colwidth=width) for width in (20, 80)),
         nodes.thead("", head),
         nodes.tbody("", *rows),
         cols=len(HEADS),
