@@ -4,6 +4,8 @@
 other side in Python. Importing this loads no driver.
 """
 
+from typing import TYPE_CHECKING
+
 from j2a._functions import ManyReply, ManyRequest, read_chunk
 from j2a._handlers import Subscription
 from j2a._trace import Trace
@@ -31,7 +33,11 @@ from j2a.errors import (
 )
 from j2a.events import Counters, Frame, FrameError, Reply, Sif
 
+if TYPE_CHECKING:
+    from j2a.aio import AsyncClient, aconnect
+
 __all__ = [
+    "AsyncClient",
     "BadUrl",
     "CallTimeout",
     "ChecksumRefused",
@@ -61,6 +67,16 @@ __all__ = [
     "Subscription",
     "Trace",
     "UnknownFunction",
+    "aconnect",
     "connect",
     "read_chunk",
 ]
+
+
+def __getattr__(name: str) -> object:
+    # asyncio takes longer to load than all of this package: who does not use it does not pay.
+    if name in ("AsyncClient", "aconnect"):
+        from j2a import aio  # noqa: PLC0415
+
+        return getattr(aio, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

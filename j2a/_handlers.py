@@ -6,18 +6,21 @@ Rules: several handlers may have one opcode and one handler several opcodes; reg
 cancelling are safe from any thread and from inside handlers.
 """
 
+import logging
 import threading
 from collections.abc import Callable, Iterable
 from typing import Generic, TypeVar
 
 from j2a._arguments import check_opcode
 from j2a.errors import LocalError
+from j2a.events import Sif
 
-__all__ = ["Handlers", "Opcodes", "Subscription"]
+__all__ = ["Handlers", "Opcodes", "Reporter", "Subscription"]
 
 Opcodes = int | Iterable[int] | None
 """One opcode, several, or None for all."""
 
+_logger = logging.getLogger("j2a")
 _Handler = TypeVar("_Handler", bound=Callable[..., object])
 
 
@@ -81,3 +84,20 @@ class Handlers(Generic[_Handler]):
     def _remove(self, gone: Subscription[_Handler]) -> None:
         with self._lock:
             self._subscriptions = tuple(s for s in self._subscriptions if s is not gone)
+
+
+class Reporter:
+    """Tells of exceptions that handlers raised: to a function of the user, or to the log."""
+
+    def __init__(self, hook: Callable[[Exception, Sif], None] | None) -> None:
+        self._hook = hook
+
+    def report(self, error: Exception, sif: Sif) -> None:
+        """Report one; never raises."""
+        if self._hook is None:
+            _logger.error("a handler of SIF 0x%02X failed", sif.opcode, exc_info=error)
+            return
+        try:
+            self._hook(error, sif)
+        except Exception:
+            _logger.exception("on_handler_error failed after a handler had raised %r", error)

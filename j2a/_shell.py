@@ -3,8 +3,12 @@
 What flows in: the options of a client. What flows out: a session and a peer, checked arguments.
 """
 
+import logging
 import random
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from typing import Final
 
 from j2a_spec.constants import ECHO
 
@@ -22,12 +26,22 @@ from j2a.errors import (
 )
 from j2a.events import Counters, Reply
 
-__all__ = ["MAX_SIFS_WAITING", "Shell", "boot_limits", "check_echo", "is_booting"]
+__all__ = [
+    "MAX_SIFS_WAITING",
+    "Shell",
+    "boot_limits",
+    "check_echo",
+    "is_booting",
+    "join_threads",
+    "no_device",
+]
 
-MAX_SIFS_WAITING = 65536
+MAX_SIFS_WAITING: Final = 65536
 """So many SIFs may wait for slow handlers; further ones are dropped and counted."""
 
-_FIRST_LIMIT_S = 0.25
+_FIRST_LIMIT_S: Final = 0.25
+_JOIN_S: Final = 5.0
+_logger = logging.getLogger("j2a")
 
 
 class Shell:
@@ -75,6 +89,24 @@ def is_booting(error: J2AError) -> bool:
     return isinstance(error, CallTimeout) or (
         isinstance(error, RemoteError) and not isinstance(error, OpcodeRefused)
     )
+
+
+def no_device(url: str, boot_time: float) -> CallTimeout:
+    """Return the error for a link at which nobody answers."""
+    return CallTimeout(
+        f"no device answered at {url} within {boot_time:g} s; see that the board runs J2A and "
+        "that speed and parity are the same at both ends"
+    )
+
+
+def join_threads(threads: Iterable[threading.Thread]) -> None:
+    """Wait for threads that were told to end, but not for ever: a handler may be stuck."""
+    deadline = time.monotonic() + _JOIN_S
+    for thread in threads:
+        if thread is not threading.current_thread():
+            thread.join(max(0.0, deadline - time.monotonic()))
+            if thread.is_alive():
+                _logger.warning("%s is still busy after close", thread.name)
 
 
 def check_echo(reply: Reply, payload: bytes) -> bytes:

@@ -1,35 +1,32 @@
-"""The blocking client: a session, a transport and two threads.
+"""The blocking client.
 
-What flows in: calls from any thread, bytes from the transport. What flows out: replies to the
-callers, SIFs to their handlers.
-Rules: one thread reads, another runs the SIF handlers in order, so a handler may itself call. Each
-caller writes its own request and watches its own time limit. The reader never writes, so a device
-that does not read cannot keep its replies from being read.
+What flows in: calls from any thread, by name or opcode. What flows out: replies, transfers as a
+whole, SIFs to their handlers.
+Rules: arguments are checked before anything is sent; waiting and bytes are the engine's business.
 """
 
-import logging
-import queue
-import threading
-import time
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final, Self, TypeVar, overload
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Self, TypeVar, overload
 
 from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, GET_DEBUG, GET_ECHO, GET_MAPPING, MANY
 
 from j2a._arguments import check_payload, check_timeout
-from j2a._handlers import Handlers, Opcodes, Subscription
-from j2a._link import TRANSPORT_ERRORS, link_error, open_transport
+from j2a._engine import Engine, Handler
+from j2a._handlers import Opcodes, Subscription
+from j2a._link import open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
-from j2a._session import Call
-from j2a._shell import MAX_SIFS_WAITING, Shell, boot_limits, check_echo, is_booting
+from j2a._shell import (
+    Shell,
+    boot_limits,
+    check_echo,
+    is_booting,
+    no_device,
+)
 from j2a._trace import Trace
 from j2a.errors import (
     CallTimeout,
     J2AError,
-    LinkClosed,
-    LinkError,
-    LocalError,
     OpcodeRefused,
 )
 from j2a.events import Reply, Sif
@@ -39,13 +36,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Client", "Handler", "connect"]
 
-Handler = Callable[[Sif], object]
-"""Called with each SIF that it is registered for, in a thread of the client."""
-
 _HandlerF = TypeVar("_HandlerF", bound=Handler)
 _Result = TypeVar("_Result")
-_JOIN_S: Final = 5.0
-_logger = logging.getLogger("j2a")
 
 
 class Client(Shell):
@@ -77,16 +69,7 @@ class Client(Shell):
         on_handler_error: Callable[[Exception, Sif], None] | None = None,
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
-        self._transport = transport
-        self._on_handler_error = on_handler_error
-        self._handlers: Handlers[Handler] = Handlers()
-        self._sifs: queue.SimpleQueue[Sif | None] = queue.SimpleQueue()
-        # Taken in this order. Bytes are fetched and written under the first, so requests keep
-        # their order; a write that waits for the device holds up nothing but other writes.
-        self._writing = threading.Lock()
-        self._state = threading.Lock()
-        self._reader = self._start(self._read, "reader")
-        self._dispatcher = self._start(self._dispatch, "handlers")
+        self._engine = Engine(transport, self._session, on_handler_error)
 
     # ------------------------------------------------------------------ calls
 
@@ -112,7 +95,7 @@ class Client(Shell):
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
         what, opcode = self._resolve(function)
-        return self._call(what, opcode, data, limit_s)
+        return self._engine.call(what, opcode, data, limit_s)
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, which is the same.
@@ -227,7 +210,7 @@ class Client(Shell):
         )
         for attempt, limit_s in enumerate(limits, start=1):
             try:
-                self._peer.take_map(self._call(GET_MAPPING, 0, b"", limit_s))
+                self._peer.take_map(self._engine.call(GET_MAPPING, 0, b"", limit_s))
             except OpcodeRefused:
                 self._peer.take_map(None)
             except J2AError as error:
@@ -237,8 +220,7 @@ class Client(Shell):
             break
         if self._window > 1:
             self._drive(self._peer.read_properties(), None)
-            with self._state:
-                self._session.rxbuf = self._peer.rxbuf
+            self._engine.set_rxbuf(self._peer.rxbuf)
 
     # ------------------------------------------------------------------ SIFs
 
@@ -262,10 +244,10 @@ class Client(Shell):
             LocalError: an argument is wrong.
         """
         if handler is not None:
-            return self._handlers.add(opcodes, handler)
+            return self._engine.handlers.add(opcodes, handler)
 
         def decorate(function: _HandlerF) -> _HandlerF:
-            self._handlers.add(opcodes, function)
+            self._engine.handlers.add(opcodes, function)
             return function
 
         return decorate
@@ -279,12 +261,7 @@ class Client(Shell):
 
     def close(self) -> None:
         """Close the link; calls that wait raise `LinkClosed`. May be called twice."""
-        self._end(LinkClosed(f"{self._url} was closed by this program"))
-        for thread in (self._reader, self._dispatcher):
-            if thread is not threading.current_thread():
-                thread.join(_JOIN_S)
-                if thread.is_alive():
-                    _logger.warning("%s is still busy after close", thread.name)
+        self._engine.close()
 
     def __enter__(self) -> Self:
         return self
@@ -296,11 +273,6 @@ class Client(Shell):
         return f"<j2a.Client {self._url} {'open' if self.is_open else 'closed'}>"
 
     # ------------------------------------------------------------------ machinery
-
-    def _start(self, target: Callable[[], None], role: str) -> threading.Thread:
-        thread = threading.Thread(target=target, name=f"j2a {role} {self._url}", daemon=True)
-        thread.start()
-        return thread
 
     def _load_map(self) -> None:
         if self._peer.functions is None:
@@ -316,103 +288,12 @@ class Client(Shell):
         try:
             payload = next(steps)
             while True:
-                payload = steps.send(self._call(MANY, self._peer.many_opcode, payload, limit_s))
+                payload = steps.send(
+                    self._engine.call(MANY, self._peer.many_opcode, payload, limit_s)
+                )
         except StopIteration as end:
             result: _Result = end.value
             return result
-
-    def _call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
-        waiter = threading.Lock()
-        waiter.acquire()
-        with self._state:
-            call = self._session.start_call(
-                what, opcode, payload, now=time.monotonic(), timeout_s=limit_s, waiter=waiter
-            )
-        try:
-            self._wait(call, waiter)
-        except BaseException:
-            with self._state:
-                self._wake(self._session.cancel(call))
-            raise
-        if call.reply is None:
-            assert call.error is not None
-            raise call.error
-        return call.reply
-
-    def _wait(self, call: Call, waiter: threading.Lock) -> None:
-        while True:
-            self._flush()
-            if call.has_ended:
-                return
-            wait_s = -1.0
-            if call.deadline is not None:
-                wait_s = min(max(0.0, call.deadline - time.monotonic()), threading.TIMEOUT_MAX)
-            if not waiter.acquire(timeout=wait_s):
-                with self._state:
-                    self._wake(self._session.handle_timeout(time.monotonic()))
-
-    def _flush(self) -> None:
-        """Write what the session has to send; called by callers, never by the reader."""
-        try:
-            with self._writing:
-                with self._state:
-                    data = self._session.data_to_send()
-                if data:
-                    self._transport.write(data)
-        except TRANSPORT_ERRORS as error:
-            self._end(link_error(error))
-
-    def _wake(self, calls: Iterable[Call | Sif]) -> None:
-        """Tell callers that their call was sent or has ended; the state lock is held."""
-        for call in calls:
-            if isinstance(call, Call) and call.waiter.locked():
-                call.waiter.release()
-
-    def _read(self) -> None:
-        try:
-            while True:
-                data = self._transport.read(None)
-                with self._state:
-                    events = self._session.receive(data)
-                    self._wake(events)
-                    for event in events:
-                        if isinstance(event, Sif):
-                            self._queue_sif(event)
-        except TRANSPORT_ERRORS as error:
-            self._end(link_error(error))
-
-    def _queue_sif(self, sif: Sif) -> None:
-        if self._sifs.qsize() < MAX_SIFS_WAITING:
-            self._sifs.put(sif)
-        else:
-            self._session.count("sifs_dropped")
-
-    def _dispatch(self) -> None:
-        while (sif := self._sifs.get()) is not None:
-            for handler in self._handlers.of(sif.opcode):
-                try:
-                    handler(sif)
-                except Exception as error:
-                    self._report(error, sif)
-
-    def _report(self, error: Exception, sif: Sif) -> None:
-        with self._state:
-            self._session.count("handler_errors")
-        try:
-            if self._on_handler_error is not None:
-                self._on_handler_error(error, sif)
-                return
-        except Exception:
-            _logger.exception("on_handler_error itself failed")
-        _logger.error("a handler of SIF 0x%02X failed", sif.opcode, exc_info=error)
-
-    def _end(self, reason: LinkError | LocalError) -> None:
-        """End all calls with the reason and let both threads run out."""
-        with self._state:
-            if not self._session.is_closed:
-                self._wake(self._session.close(reason))
-                self._sifs.put(None)
-        self._transport.close()
 
 
 def connect(
@@ -460,10 +341,7 @@ def connect(
         client.refresh(boot_time)
     except CallTimeout as error:
         client.close()
-        raise CallTimeout(
-            f"no device answered at {url} within {boot_time:g} s; see that the board runs J2A and "
-            "that speed and parity are the same at both ends"
-        ) from error
+        raise no_device(url, boot_time) from error
     except BaseException:
         client.close()
         raise

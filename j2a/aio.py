@@ -1,0 +1,383 @@
+"""The asyncio client: the same session as the blocking one, driven by an event loop.
+
+What flows in: coroutines that call, bytes from the transport. What flows out: replies to the
+callers, SIFs to their handlers, which may be coroutines.
+Rules: the session lives in the event loop and nowhere else. Transports block, so one thread reads
+and one writes; they pass bytes and know nothing more, and the event loop never waits for them.
+"""
+
+import asyncio
+import contextlib
+import inspect
+import queue
+import threading
+from collections.abc import Awaitable, Callable, Iterable
+from typing import TYPE_CHECKING, Self, TypeVar, overload
+
+from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, GET_DEBUG, GET_ECHO, GET_MAPPING, MANY
+
+from j2a._arguments import check_payload, check_timeout
+from j2a._handlers import Handlers, Opcodes, Reporter, Subscription
+from j2a._link import TRANSPORT_ERRORS, link_error, open_transport
+from j2a._many import Progress, Steps
+from j2a._peer import DEFAULT_MAX_BYTES
+from j2a._session import Call
+from j2a._shell import (
+    MAX_SIFS_WAITING,
+    Shell,
+    boot_limits,
+    check_echo,
+    is_booting,
+    join_threads,
+    no_device,
+)
+from j2a._trace import Trace
+from j2a.errors import CallTimeout, J2AError, LinkClosed, LinkError, LocalError, OpcodeRefused
+from j2a.events import Reply, Sif
+
+if TYPE_CHECKING:
+    from j2a_transports import Transport
+
+__all__ = ["AsyncClient", "AsyncHandler", "aconnect"]
+
+AsyncHandler = Callable[[Sif], Awaitable[object] | object]
+"""Called in the event loop with each SIF that it is registered for; may be a coroutine function."""
+
+_HandlerF = TypeVar("_HandlerF", bound=AsyncHandler)
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+class AsyncClient(Shell):
+    """The host's end of a link for asyncio; use `await j2a.aconnect(url)` to get one.
+
+    All methods belong to the event loop in which the client was made. A client is an asynchronous
+    context manager: leaving the block closes it. A call may be cancelled; its reply is dropped.
+
+    Args and raises: as `j2a.Client`.
+    """
+
+    def __init__(
+        self,
+        transport: "Transport",
+        *,
+        timeout: float = 1.0,
+        window: int = 1,
+        trace: Trace | None = None,
+        on_handler_error: Callable[[Exception, Sif], None] | None = None,
+    ) -> None:
+        super().__init__(transport.url, timeout, window, trace)
+        self._transport = transport
+        self._reporter = Reporter(on_handler_error)
+        self._drops_sifs = False
+        self._loop = asyncio.get_running_loop()
+        self._handlers: Handlers[AsyncHandler] = Handlers()
+        self._sifs: asyncio.Queue[Sif | None] = asyncio.Queue()
+        self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._timer: asyncio.TimerHandle | None = None
+        self._threads = [
+            self._start(self._read, "reader"),
+            self._start(self._write, "writer"),
+        ]
+        self._dispatcher = self._loop.create_task(self._dispatch())
+
+    # ------------------------------------------------------------------ calls
+
+    async def call(
+        self, function: str | int, payload: bytes = b"", timeout: float | None = None
+    ) -> Reply:
+        """Call a function of the device; see `j2a.Client.call`."""
+        data = check_payload(payload)
+        limit_s = self._limit_s(timeout)
+        what, opcode = await self._resolve(function)
+        return await self._call(what, opcode, data, limit_s)
+
+    async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
+        """Send bytes to a2jEcho and return what comes back; see `j2a.Client.echo`."""
+        return check_echo(await self.call(GET_ECHO, payload, timeout), bytes(payload))
+
+    async def read_debug(self, timeout: float | None = None) -> str:
+        """Take the debug text that waits in the device; see `j2a.Client.read_debug`."""
+        text = b""
+        code = DEBUG_MORE
+        while code & DEBUG_MORE:
+            code, part = await self.call(GET_DEBUG, timeout=timeout)
+            text += (b"[...]" if code & DEBUG_LOST else b"") + part
+            if not part:
+                break
+        return text.decode("utf-8", "replace")
+
+    # ------------------------------------------------------------------ transfers
+
+    async def read_many(
+        self,
+        function: str | int,
+        *,
+        timeout: float | None = None,
+        max_bytes: int = DEFAULT_MAX_BYTES,
+        progress: Progress | None = None,
+    ) -> bytes:
+        """Read everything that a function has; see `j2a.Client.read_many`."""
+        await self._load_map()
+        return await self._drive(self._peer.read(function, max_bytes, progress), timeout)
+
+    async def write_many(
+        self,
+        function: str | int,
+        data: bytes,
+        *,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+    ) -> int:
+        """Write data of any size to a function; see `j2a.Client.write_many`."""
+        await self._load_map()
+        return await self._drive(self._peer.write(function, data, progress), timeout)
+
+    async def echo_many(
+        self, data: bytes, *, timeout: float | None = None, progress: Progress | None = None
+    ) -> bytes:
+        """Send data of any size through a2jEchoMany; see `j2a.Client.echo_many`."""
+        await self._load_map()
+        return await self._drive(self._peer.echo(data, progress), timeout)
+
+    # ------------------------------------------------------------------ what the device has
+
+    async def functions(self) -> dict[str, int]:
+        """Return names and opcodes of the device's functions; empty when it has no map."""
+        await self._load_map()
+        return dict(self._peer.functions or {})
+
+    async def properties(self) -> dict[str, str]:
+        """Return the device's properties, read when first asked for; empty when it has none."""
+        await self._load_map()
+        return dict(await self._drive(self._peer.read_properties(), None))
+
+    async def refresh(self, boot_time: float | None = None) -> None:
+        """Fetch the function map anew and forget the properties; see `j2a.Client.refresh`."""
+        limits = [self._timeout]
+        if boot_time is not None:
+            limits = list(boot_limits(check_timeout(boot_time)))
+        for attempt, limit_s in enumerate(limits, start=1):
+            try:
+                self._peer.take_map(await self._call(GET_MAPPING, 0, b"", limit_s))
+            except OpcodeRefused:
+                self._peer.take_map(None)
+            except J2AError as error:
+                if attempt == len(limits) or not is_booting(error):
+                    raise
+                continue
+            break
+        if self._window > 1:
+            await self._drive(self._peer.read_properties(), None)
+            self._session.rxbuf = self._peer.rxbuf
+
+    # ------------------------------------------------------------------ SIFs
+
+    @overload
+    def on_sif(self, opcodes: Opcodes, handler: AsyncHandler) -> Subscription[AsyncHandler]: ...
+    @overload
+    def on_sif(self, opcodes: Opcodes = None) -> Callable[[_HandlerF], _HandlerF]: ...
+    def on_sif(self, opcodes: Opcodes = None, handler: AsyncHandler | None = None) -> object:
+        """Register a handler for server-initiated frames; without `handler` a decorator.
+
+        Handlers run one after the other, in the order in which the SIFs came and the handlers were
+        registered; each is awaited before the next one if it is a coroutine function. They may use
+        the client. A handler that is an ordinary function holds up the event loop while it runs.
+
+        Args, returns and raises: as `j2a.Client.on_sif`.
+        """
+        if handler is not None:
+            return self._handlers.add(opcodes, handler)
+
+        def decorate(function: _HandlerF) -> _HandlerF:
+            self._handlers.add(opcodes, function)
+            return function
+
+        return decorate
+
+    # ------------------------------------------------------------------ end
+
+    @property
+    def is_open(self) -> bool:
+        """The link is there: neither lost nor closed."""
+        return not self._session.is_closed
+
+    async def close(self) -> None:
+        """Close the link; calls that wait raise `LinkClosed`. May be called twice."""
+        self._drops_sifs = True
+        self._end(LinkClosed(f"{self._url} was closed by this program"))
+        await asyncio.to_thread(self._join)
+        if self._dispatcher is not asyncio.current_task():
+            await asyncio.wait([self._dispatcher])
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *exc_info: object) -> None:
+        await self.close()
+
+    def __repr__(self) -> str:
+        return f"<j2a.AsyncClient {self._url} {'open' if self.is_open else 'closed'}>"
+
+    # ------------------------------------------------------------------ in the event loop
+
+    async def _load_map(self) -> None:
+        if self._peer.functions is None:
+            await self.refresh()
+
+    async def _resolve(self, function: str | int) -> tuple[str, int]:
+        if isinstance(function, str):
+            await self._load_map()
+        return self._peer.resolve(function)
+
+    async def _drive(self, steps: Steps[_Result], timeout: float | None) -> _Result:
+        limit_s = self._limit_s(timeout)
+        try:
+            payload = next(steps)
+            while True:
+                reply = await self._call(MANY, self._peer.many_opcode, payload, limit_s)
+                payload = steps.send(reply)
+        except StopIteration as end:
+            result: _Result = end.value
+            return result
+
+    async def _call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
+        done: asyncio.Future[None] = self._loop.create_future()
+        call = self._session.start_call(
+            what, opcode, payload, now=self._loop.time(), timeout_s=limit_s, waiter=done
+        )
+        self._flush()
+        try:
+            await done
+        except asyncio.CancelledError:
+            self._settle(self._session.cancel(call))
+            raise
+        if call.reply is None:
+            assert call.error is not None
+            raise call.error
+        return call.reply
+
+    def _settle(self, events: Iterable[Call | Sif]) -> None:
+        """Wake the callers whose call has ended, queue SIFs, and send what is to be sent."""
+        for event in events:
+            if isinstance(event, Sif):
+                if self._sifs.qsize() < MAX_SIFS_WAITING:
+                    self._sifs.put_nowait(event)
+                else:
+                    self._session.count("sifs_dropped")
+            elif event.has_ended and not event.waiter.done():
+                event.waiter.set_result(None)
+        self._flush()
+
+    def _flush(self) -> None:
+        data = self._session.data_to_send()
+        if data:
+            self._outgoing.put(data)
+        due = self._session.next_timeout()
+        if due is None:
+            return
+        if self._timer is not None:
+            if self._timer.when() <= due:
+                return  # it finds out by itself that it is early
+            self._timer.cancel()
+        self._timer = self._loop.call_at(due, self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        self._settle(self._session.handle_timeout(self._loop.time()))
+
+    def _on_data(self, data: bytes) -> None:
+        self._settle(self._session.receive(data))
+
+    async def _dispatch(self) -> None:
+        while (sif := await self._sifs.get()) is not None:
+            for handler in self._handlers.of(sif.opcode):
+                if self._drops_sifs:
+                    return
+                try:
+                    result = handler(sif)
+                    if inspect.isawaitable(result):
+                        await result
+                except Exception as error:
+                    self._session.count("handler_errors")
+                    self._reporter.report(error, sif)
+
+    def _end(self, reason: LinkError | LocalError) -> None:
+        if self._session.is_closed:
+            return
+        self._settle(self._session.close(reason))
+        if self._timer is not None:
+            self._timer.cancel()
+        self._sifs.put_nowait(None)
+        self._outgoing.put(None)
+        # Closing may wait, for a child process to end for example.
+        self._threads.append(self._start(self._transport.close, "closer"))
+
+    # ------------------------------------------------------------------ in threads
+
+    def _start(self, target: Callable[[], None], role: str) -> threading.Thread:
+        thread = threading.Thread(target=target, name=f"j2a {role} {self._url}", daemon=True)
+        thread.start()
+        return thread
+
+    def _join(self) -> None:
+        join_threads(self._threads)
+
+    def _read(self) -> None:
+        try:
+            while True:
+                self._tell(self._on_data, self._transport.read(None))
+        except TRANSPORT_ERRORS as error:
+            self._tell(self._end, link_error(error))
+
+    def _write(self) -> None:
+        try:
+            while (data := self._outgoing.get()) is not None:
+                self._transport.write(data)
+        except TRANSPORT_ERRORS as error:
+            self._tell(self._end, link_error(error))
+
+    def _tell(self, target: Callable[[_Item], None], item: _Item) -> None:
+        """Have the event loop call something; a loop that was closed needs to know nothing."""
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(target, item)
+
+
+async def aconnect(
+    url: str,
+    *,
+    timeout: float = 1.0,
+    boot_time: float = 5.0,
+    window: int = 1,
+    trace: Trace | None = None,
+    on_handler_error: Callable[[Exception, Sif], None] | None = None,
+    **transport_options: object,
+) -> AsyncClient:
+    """Open a link to a device and fetch its function map; `j2a.connect` for asyncio.
+
+    Args, raises: as `j2a.connect`.
+
+    Returns: the client; close it, or use it in an `async with` statement.
+    """
+    check_timeout(boot_time)
+    transport = await asyncio.to_thread(open_transport, url, transport_options)
+    try:
+        client = AsyncClient(
+            transport,
+            timeout=timeout,
+            window=window,
+            trace=trace,
+            on_handler_error=on_handler_error,
+        )
+    except BaseException:
+        transport.close()
+        raise
+    try:
+        await client.refresh(boot_time)
+    except CallTimeout as error:
+        await client.close()
+        raise no_device(url, boot_time) from error
+    except BaseException:
+        await client.close()
+        raise
+    return client
