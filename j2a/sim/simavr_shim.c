@@ -130,8 +130,7 @@ static void on_mark(avr_t *avr, avr_io_addr_t address, uint8_t value, void *para
 /* ---- life ---- */
 
 /* As avr_callback_run_raw, but a sleeping core waits for nobody, wakes at the very cycle of the next
- * event (simavr: one later, so the slices of a run would show in the cycles), and keeps its memory
- * when it sleeps for ever. */
+ * event and not one later, and keeps its memory when it sleeps for ever. */
 static void run_burst(avr_t *avr)
 {
     avr_flashaddr_t pc = avr->pc;

@@ -99,9 +99,15 @@ def test_real_time_is_not_faster_than_the_clock(firmware):
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0])
-def test_a_client_that_never_stops_sending(firmware, speed):
-    with Served(firmware("echo", BAUD=1_000_000), speed) as served:
-        link = j2a_transports.open(served.url)
+def test_a_client_that_never_stops_sending(simulate, speed):
+    """Time goes on for the firmware, and the client has to wait like at a serial port."""
+    sim = simulate("echo", BAUD=1_000_000)
+    sim.boot()
+    stop = threading.Event()
+    with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+        server = threading.Thread(target=Runner(sim, listener, speed=speed).serve, args=[stop])
+        server.start()
+        link = j2a_transports.open(listener.url)
 
         def flood():
             while True:
@@ -112,12 +118,18 @@ def test_a_client_that_never_stops_sending(firmware, speed):
 
         writer = threading.Thread(target=flood)
         writer.start()
-        assert not any(read_all(link, 20_000))
-        served.stop.set()
-        served.join()
-        link.close()
-        writer.join(WAIT_S)
+        try:
+            assert not any(read_all(link, 20_000))
+            most = sim.counters.queued
+        finally:
+            stop.set()
+            server.join(WAIT_S)
+            link.close()
+            writer.join(WAIT_S)
+        assert not server.is_alive()
         assert not writer.is_alive()
+    # The limit, and one read of the transport that began below it.
+    assert most <= 4096 + 65536
 
 
 def test_a_pause_of_the_client_is_no_longer_for_the_firmware(firmware):

@@ -113,6 +113,15 @@ def test_interrupt_flags_are_levels(simulate):
     assert int.from_bytes(sim.read_memory("udre_entries", 2), "little") == 6
 
 
+def test_a_handler_that_leaves_its_flag_is_entered_again(simulate):
+    sim = simulate("level")
+    sim.boot()
+    sim.uart_write(b"x")
+    sim.run(100_000)
+    assert sim.read_memory("entries", 1) == b"\4"
+    assert sim.read_memory("byte", 1) == b"x"
+
+
 def test_bytes_to_a_receiver_that_is_off_are_counted(simulate):
     sim = simulate("echo")
     sim.uart_write(b"too early")
