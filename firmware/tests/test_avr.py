@@ -140,7 +140,9 @@ def test_receive_buffer_holds_what_it_announces(board):
     assert len(data) == RXBUF
     events = board.ask(slow + data, 12)
     assert events[0] == Frame(c.SOF, 0, 0)
-    assert events[1:] == [Frame(c.SOF, request.seq, c.ECHO, request.payload) for request in requests]
+    assert events[1:] == [
+        Frame(c.SOF, request.seq, c.ECHO, request.payload) for request in requests
+    ]
     assert board.call("overruns").payload == bytes(2)
 
 
@@ -157,6 +159,24 @@ def test_overrun_is_counted_and_never_answered_wrongly(board, error):
     ]
     assert board.call("overruns").payload == b"\1\0"
     assert board.call(c.GET_ECHO, b"fine") == Frame(c.SOF, 1, c.ECHO, b"fine")
+
+
+def test_overrun_of_the_usart_itself(build, error):
+    """Bytes that come while interrupts are off are lost in the chip, not in the ring."""
+    folder = Path(__file__).parent / "cycles"
+    elf = build("cycles", "avr-serial", APP_DIR=str(folder), BAUD="1000000")
+    with AvrSim(elf) as sim:
+        sim.boot()
+        # That app works on two echoes of its own, with interrupts off, before it listens.
+        frame = encode(Frame(c.SOF, 0x33, 3, bytes(60)))
+        sim.uart_write(frame[:8])
+        sim.run(6000)
+        sim.uart_write(frame[8:])
+        sim.run(sim.cycles(0.5))
+        assert 30 < sim.counters.overruns < len(frame) - 8
+        events = decode(sim.uart_read())
+    assert [event.opcode for event in events[:2]] == [c.ECHO] * 2
+    assert events[2:] == [error(0x33, c.ERR_FRAMING, c.SITE_LOST)]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -105,9 +105,7 @@ def test_echo_of_every_length(call, value):
 
 def test_echo_many(call):
     data = bytes(range(249))
-    assert call(
-        many(c.GET_ECHO_MANY, 0xFF, 0x12ED7DFF, data), many(c.GET_ECHO_MANY, 0xFE, 7)
-    ) == [
+    assert call(many(c.GET_ECHO_MANY, 0xFF, 0x12ED7DFF, data), many(c.GET_ECHO_MANY, 0xFE, 7)) == [
         many_reply(0, c.ECHO_MANY, c.FLAG_LAST, 0x12ED7DFF, data),
         many_reply(1, c.ECHO_MANY, 0, 7),
     ]
