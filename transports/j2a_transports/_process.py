@@ -196,7 +196,11 @@ def parse_command(url: Url) -> tuple[list[str], dict[str, Any]]:
     if url.rest.startswith("//") and not url.rest.startswith("///"):
         raise BadUrl(f"{url.text}: write {url.scheme}:{url.rest[2:]} without the slashes")
     try:
-        command = shlex.split(url.rest, posix=os.name == "posix")
+        if os.name == "posix":
+            command = shlex.split(url.rest)
+        else:
+            # A backslash separates folders there; quotes are taken off by hand.
+            command = [part.strip('"') for part in shlex.split(url.rest, posix=False)]
     except ValueError as error:
         raise BadUrl(f"{url.text}: the command line cannot be split: {error}") from error
     if not command:

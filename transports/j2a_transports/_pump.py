@@ -16,7 +16,10 @@ from typing import Final
 from ._base import LinkLost
 from ._loopback import Channel, LoopbackTransport
 
-JOIN_TIMEOUT_S: Final = 5.0
+# How long a stuck sink may take to end after it was interrupted, and a source. A source that
+# cannot be interrupted is left behind; its thread does not keep the program alive.
+SINK_END_S: Final = 5.0
+SOURCE_END_S: Final = 1.0
 
 
 class PumpedTransport(LoopbackTransport):
@@ -96,8 +99,8 @@ class PumpedTransport(LoopbackTransport):
             with contextlib.suppress(Exception):
                 # A device that is gone refuses this, in many ways.
                 self._interrupt(writer.is_alive())
-            writer.join(JOIN_TIMEOUT_S)
-            reader.join(JOIN_TIMEOUT_S)
+            writer.join(SINK_END_S)
+            reader.join(SOURCE_END_S)
             self._release()
 
     def _lost(self) -> LinkLost:

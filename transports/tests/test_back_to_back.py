@@ -56,6 +56,14 @@ class TestTcp(BackToBack):
         return through_listener("tcp://127.0.0.1:0")
 
 
+class TestTcpBySelect(TestTcp):
+    """The way of systems without poll()."""
+
+    @pytest.fixture(autouse=True)
+    def no_poll(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.delattr("select.poll", raising=False)
+
+
 class TestExec(BackToBack):
     def connect(self):
         return through_relay(lambda command: j2a_transports.open(f"exec:{' '.join(command)}"))

@@ -217,6 +217,27 @@ def test_a_terminal_is_raw_while_it_is_the_standard_stream(tmp_path: Path) -> No
     os.close(slave)
 
 
+def test_standard_streams_by_threads() -> None:
+    """The way that Windows needs, run here too."""
+    code = (
+        "import j2a_transports as t, j2a_transports._stdio as s\n"
+        "peer = s._pumped('stdio:', s.StandardStreams(), 5)\n"
+        "try:\n while True: peer.write(peer.read(None)[::-1])\n"
+        "except t.LinkLost as error: peer.close(); print(error)"
+    )
+    silent = code.replace("print(error)", "pass")
+    with j2a_transports.open(f'exec:{sys.executable} -c "{silent}"') as child:
+        for size in (1, 100, 4096):
+            data = bytes(index & 255 for index in range(size))
+            child.write(data)
+            assert sorted(read_exactly(child, size)) == sorted(data)
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        out, _ = process.communicate(b"x", timeout=PATIENCE_S)
+    assert out == b"xstdio: is lost: the peer closed it\n"
+
+
 def test_closed_standard_streams() -> None:
     code = (
         "import os, j2a_transports as t\nos.close(0)\n"
