@@ -41,7 +41,7 @@ def annotate(data: bytes) -> list[Annotated]:
 
 def _piece(raw: bytes, event: object) -> Annotated:
     if raw[0] not in c.MARKERS:
-        return Annotated((_short(list(_symbols(raw))),), f"{len(raw)} bytes outside frames")
+        return Annotated((_short(list(_symbols(raw))),), f"{len(raw)} bytes without a start byte")
     start = "SOF" if raw[0] == c.SOF else "SOS"
     symbols = list(_symbols(raw[1:]))
     values = [symbol[-1] if len(symbol) == 1 else (symbol[1] + 1) & 0xFF for symbol in symbols]

@@ -222,9 +222,19 @@ class Peer:
 
     def expect(self, *expected: Expected, wait_s: float = 0.0) -> list[Frame]:
         """Receive exactly these replies, SIFs aside; `wait_s` is time that the device needs."""
-        return [self._receive(due, self.link.reply_timeout_s + wait_s) for due in expected]
+        timeout_s = self.link.reply_timeout_s + wait_s
+        return [self._receive(due, timeout_s)[1] for due in expected]
 
-    def _receive(self, due: Expected, timeout_s: float) -> Frame:
+    def ask_exact(self, request: Request) -> None:
+        """Send a request and compare its reply with the oracle, byte by byte."""
+        self.link.send(request.wire)
+        arrival, frame = self._receive(request.expected, self.link.reply_timeout_s)
+        wanted = encode(frame)
+        if arrival.raw != wanted:
+            self.link.record("expected", text=wanted.hex(" "))
+            fail("the bytes of the reply are not those of the oracle")
+
+    def _receive(self, due: Expected, timeout_s: float) -> tuple[Arrival, Frame]:
         arrival = self.next_frame(timeout_s)
         if arrival is None:
             tail = self.link.unfinished()
@@ -237,7 +247,7 @@ class Peer:
             # An unasked 0xF2 may mean that this machine stalled in the middle of a frame.
             stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
             fail(f"{describe(event)} came instead of {due}", suspect=stalled)
-        return event
+        return arrival, event
 
     def next_frame(self, timeout_s: float) -> Arrival | None:
         """Return the next arrival that is a frame, whole or broken, and no SIF."""

@@ -62,11 +62,16 @@ def run(
     stopped = ""
     try:
         for case in (*SMOKE, *cases):
-            result, stopped = session.judge(case)
+            result = session.judge(case)
             results.append(result)
             on_result(result)
-            if result.verdict is Verdict.FAILED and stop_on_failure:
-                stopped = stopped or f"stopped at the first failed case, {result.case}"
+            if result.verdict is Verdict.FAILED:
+                if case in SMOKE:
+                    stopped = f"{case.ID} failed, so nothing else can be judged"
+                elif stop_on_failure:
+                    stopped = f"stopped at the first failed case, {case.ID}"
+                elif not session.recover():
+                    stopped = f"the device did not answer any more after {case.ID}"
             if stopped:
                 break
     except KeyboardInterrupt:
@@ -102,8 +107,8 @@ class _Session:
     def close(self) -> None:
         self.link.transport.close()
 
-    def judge(self, case: Case) -> tuple[Result, str]:
-        """Run one case; return its result, and why the run cannot go on, or ""."""
+    def judge(self, case: Case) -> Result:
+        """Run one case and return its result."""
         smoke = case in SMOKE
         began_s = time.monotonic()
         self.link.begin()
@@ -122,21 +127,16 @@ class _Session:
             attempts=attempts,
             duration_s=time.monotonic() - began_s,
         )
-        stopped = ""
-        if verdict is Verdict.FAILED and smoke:
-            stopped = f"{case.ID} failed, so nothing else can be judged"
-        elif verdict is Verdict.FAILED and not self._recover():
-            stopped = f"the device did not answer any more after {case.ID}"
-        if case is SMOKE[-1] and not stopped:
+        if case is SMOKE[-1] and verdict is Verdict.OK:
             self.known = True
             if self.builtins_only:
                 self.peer.hide_application()
-        return result, stopped
+        return result
 
     def _attempts(self, case: Case, barrier: bool) -> tuple[Verdict, str, int]:
         for attempt in range(1, _ATTEMPTS + 1):
             verdict, reason, suspect = self._once(case, barrier)
-            if not suspect or attempt == _ATTEMPTS or not self._recover():
+            if not suspect or attempt == _ATTEMPTS or not self.recover():
                 break
             self.link.note(f"another attempt: {reason}")
         return verdict, reason, attempt
@@ -161,7 +161,7 @@ class _Session:
             return Verdict.FAILED, f"the link ended: {error}", False
         return Verdict.OK, "", False
 
-    def _recover(self) -> bool:
+    def recover(self) -> bool:
         """Bring the device to rest; reopen the link where that is the only way."""
         for reopened in (False, True):
             try:

@@ -7,6 +7,7 @@ the harness, the link or the arguments are wrong, so that nothing can be said ab
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import NoReturn, get_args
@@ -17,13 +18,15 @@ from j2a_spec.requirements import Level
 from . import _console, _junit
 from ._case import Case
 from ._coverage import coverage
-from ._model import HarnessError, Result, Verdict
+from ._model import HarnessError, Result, Run, Verdict
 from ._runner import run
+from ._testee import load_testee
 from .cases import load
 
 __all__ = ["main"]
 
 _CONFORMANT, _FAILED, _HARNESS = 0, 1, 3
+_FRESH = ("exec:", "pty:", "sim:")  # opening one of these starts the device
 
 
 class _Parser(argparse.ArgumentParser):
@@ -44,7 +47,12 @@ def _parser() -> _Parser:
         "Exit code: 0 conformant, 1 not, 3 harness, link or arguments wrong.",
         epilog="URL: " + ", ".join(f"{scheme}:" for scheme in j2a_transports.schemes()),
     )
-    command.add_argument("url", nargs="?", metavar="URL", help="e.g. serial:///dev/ttyACM0?boot=2")
+    command.add_argument(
+        "url",
+        nargs="?",
+        metavar="URL",
+        help="e.g. serial:///dev/ttyACM0?boot=2, or a testee file, see conformance/testees",
+    )
     command.add_argument("--junit", type=Path, metavar="FILE", help="write a JUnit report")
     command.add_argument(
         "--level",
@@ -135,20 +143,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
-    def show(result: Result) -> None:
-        if args.verbose:
-            print(_console.line(result), flush=True)
-
-    found = run(
-        lambda: j2a_transports.open(args.url),
-        cases,
-        url=args.url,
-        timeout_scale=args.timeout_scale,
-        fresh=args.fresh or args.url.startswith(("exec:", "pty:")),
-        builtins_only=args.builtins_only,
-        stop_on_failure=args.stop_on_failure,
-        on_result=show,
-    )
+    with ExitStack() as running:
+        url, fresh = args.url, args.fresh
+        if url.endswith(".toml"):
+            testee = load_testee(Path(url))
+            url, fresh = running.enter_context(testee.started()), fresh or testee.fresh
+        found = _judge(url, fresh, args, cases)
     print(_console.report(found))
     if args.junit:
         try:
@@ -159,6 +159,23 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
         return _FAILED
     # An interrupted run has judged only a part, which is no proof of conformance.
     return _HARNESS if found.stopped else _CONFORMANT
+
+
+def _judge(url: str, fresh: bool, args: argparse.Namespace, cases: Sequence[Case]) -> Run:
+    def show(result: Result) -> None:
+        if args.verbose:
+            print(_console.line(result), flush=True)
+
+    return run(
+        lambda: j2a_transports.open(url),
+        cases,
+        url=url,
+        timeout_scale=args.timeout_scale,
+        fresh=fresh or url.startswith(_FRESH),
+        builtins_only=args.builtins_only,
+        stop_on_failure=args.stop_on_failure,
+        on_result=show,
+    )
 
 
 if __name__ == "__main__":

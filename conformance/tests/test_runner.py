@@ -1,0 +1,179 @@
+"""The runner: devices that die, hang, stall or say nothing, and runs that end early."""
+
+import time
+
+import pytest
+from j2a_conformance import HarnessError, Verdict, load, run
+from j2a_conformance._case import Case
+from j2a_conformance._console import report
+from j2a_conformance._judge import fail
+from j2a_spec import constants as c
+from j2a_transports import OpenFailed, pair
+
+QUICK = ["frame.layout", "many.echo-lengths", "mapping.names"]
+
+
+def only(name):
+    return next(case for case in load() if name == case.ID)
+
+
+class Dies:
+    """Hangs up at the first chunk of a2jEchoMany."""
+
+    def many(self, name, last, write, offset, data):
+        if name == c.GET_ECHO_MANY:
+            self.link.close()
+        return super().many(name, last, write, offset, data)
+
+
+class Hangs:
+    """Never answers again after the first chunk of a2jEchoMany."""
+
+    hung = False
+
+    def many(self, name, last, write, offset, data):
+        self.hung = self.hung or name == c.GET_ECHO_MANY
+        return super().many(name, last, write, offset, data)
+
+    def send(self, start, seq, opcode, payload):
+        if not self.hung:
+            super().send(start, seq, opcode, payload)
+
+
+@pytest.mark.parametrize("mixin", [Dies, Hangs])
+def test_a_lost_device_fails_the_case_and_the_run_goes_on(mixin, reference, judged):
+    device = type("Lost", (mixin, reference), {})
+    found = judged(device, QUICK, timeout_scale=0.1)
+    by_case = {result.case: result.verdict for result in found.results}
+    assert by_case["many.echo-lengths"] is Verdict.FAILED
+    assert by_case["frame.layout"] is by_case["mapping.names"] is Verdict.OK
+    assert not found.stopped
+
+
+def test_a_device_that_does_not_come_back_ends_the_run(reference):
+    device = type("Lost", (Dies, reference), {})
+    links = []
+
+    def opener():
+        if links:
+            raise OpenFailed("it is gone")
+        here, there = pair()
+        links.append(device(there))
+        return here
+
+    found = run(opener, [only(name) for name in reversed(QUICK)])
+    assert [r.case for r in found.results][-1] == "many.echo-lengths"
+    assert found.stopped == "the device did not answer any more after many.echo-lengths"
+    assert not found.conformant
+
+
+class Stalls:
+    """Is late once, as a busy machine makes it, in the middle of a frame."""
+
+    stalled = False
+
+    def request(self, seq, opcode, payload):
+        if len(payload) == 255 and not self.stalled:
+            self.stalled = True
+            self.error(seq, c.ERR_TIMEOUT)
+        else:
+            super().request(seq, opcode, payload)
+
+
+def test_a_stall_is_tried_again(reference, judged):
+    found = judged(type("Stalls", (Stalls, reference), {}), ["frame.layout"])
+    layout = found.results[-1]
+    assert (layout.case, layout.verdict, layout.attempts) == ("frame.layout", Verdict.OK, 2)
+
+
+class SilentDevice:
+    def __init__(self, link):
+        self.link = link
+
+
+class Noise(SilentDevice):
+    def __init__(self, link):
+        super().__init__(link)
+        link.write(b"\x00\x80\xff" * 5)
+
+
+@pytest.mark.parametrize(
+    ("device", "words"), [(SilentDevice, "nothing answers"), (Noise, "baud rate")]
+)
+def test_no_device_is_a_fault_of_the_harness(device, words, judged):
+    with pytest.raises(HarnessError, match=words):
+        judged(device, timeout_scale=0.02)
+
+
+def test_a_link_that_cannot_be_opened_is_a_fault_of_the_harness():
+    def opener():
+        raise OpenFailed("there is no such port")
+
+    with pytest.raises(HarnessError, match="no such port"):
+        run(opener, load())
+
+
+def test_an_interrupted_run_is_reported(reference, judged):
+    seen = []
+
+    def interrupt(result):
+        seen.append(result)
+        if len(seen) == 5:
+            raise KeyboardInterrupt
+
+    found = judged(reference, on_result=interrupt)
+    assert list(found.results) == seen
+    assert "keyboard" in found.stopped
+    assert "ended early: interrupted" in report(found)
+
+
+class AnotherStore:
+    """Has an application with functions of the demo's names that do something else."""
+
+    def many(self, name, last, write, offset, data):
+        if name == "store":
+            raise AssertionError("the store was touched")
+        return super().many(name, last, write, offset, data)
+
+    def do_ret(self, payload):
+        raise AssertionError("ret was called")
+
+
+def test_builtins_only_leaves_the_application_alone(reference, judged):
+    device = type("Other", (AnotherStore, reference), {})
+    cases = ["many.store", "dispatch.return-values", "many.wrong-function", "J2A-ERR-001"]
+    found = judged(device, cases, builtins_only=True)
+    verdicts = {result.case: result.verdict for result in found.results}
+    assert verdicts["many.store"] is Verdict.UNIMPLEMENTED
+    assert verdicts["dispatch.return-values"] is Verdict.UNIMPLEMENTED
+    assert verdicts["error.opcode-out-of-range"] is Verdict.OK
+    assert found.conformant
+
+
+def test_late_answers_to_the_failed_case_do_not_reach_the_next(reference):
+    class Late(reference):
+        def do_a2jEcho(self, payload):  # noqa: N802
+            if payload == b"late":
+                time.sleep(0.3)
+            return super().do_a2jEcho(payload)
+
+    class First(Case):
+        """Sends a request that is answered late, and gives up."""
+
+        ID = "first"
+        EXPECTATION = "Nothing."
+        REQUIREMENTS = ("J2A-DISP-001",)
+        LEVEL = "core"
+
+        def _run(self, peer):
+            peer.link.send(peer.echo(b"late").wire)
+            fail("on purpose")
+
+    def opener():
+        here, there = pair()
+        Late(there)
+        return here
+
+    found = run(opener, [First(), only("mapping.names")])
+    assert [r.verdict for r in found.results[-2:]] == [Verdict.FAILED, Verdict.OK]
+    assert not found.stopped

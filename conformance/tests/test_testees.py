@@ -1,0 +1,100 @@
+"""The testees of the project conform: posix firmware, AVR in simavr, Python Device."""
+
+import os
+import shutil
+from pathlib import Path
+
+import j2a_transports
+import junitparser
+import pytest
+from j2a_conformance import Verdict, load, run
+from j2a_conformance._testee import load_testee
+from j2a_conformance.cli import main
+
+from j2a.sim import ToolMissing
+from j2a.sim._link import open_url
+
+FOLDER = Path(__file__).parents[1] / "testees"
+NOTHING_LOST = {"limits.overrun"}
+
+
+def started(name):
+    """Start a testee, or skip with what is missing; where the AVR is required that fails."""
+    testee = load_testee(FOLDER / f"{name}.toml")
+    for program in testee.needs:
+        if shutil.which(program) is None:
+            missing(f"{program} is not installed")
+    return testee.started()
+
+
+def missing(what):
+    if os.environ.get("J2A_REQUIRE_AVR") == "1":
+        pytest.fail(f"J2A_REQUIRE_AVR=1, but {what}")
+    pytest.skip(what)
+
+
+def open_simulated(url):
+    try:
+        return open_url(j2a_transports.Url.parse(url))
+    except (ToolMissing, j2a_transports.OpenFailed) as error:
+        missing(str(error))
+
+
+@pytest.mark.parametrize("name", ["posix", "python"])
+def test_by_the_command_line(name, tmp_path, capsys):
+    report = tmp_path / "report.xml"
+    status = main(["run", str(FOLDER / f"{name}.toml"), "--junit", str(report), "-v"])
+    assert status == 0, capsys.readouterr().out
+    xml = junitparser.JUnitXml.fromfile(str(report))
+    assert (xml.tests, xml.failures, xml.errors, xml.skipped) == (len(load()) + 3, 0, 0, 0)
+
+
+@pytest.mark.avr
+@pytest.mark.parametrize("name", ["avr", "avr-1m"])
+def test_avr(name):
+    with started(name) as url:
+        found = run(lambda: open_simulated(url), load(), url=url, fresh=True)
+    assert found.conformant
+    assert not found.stopped
+    assert {r.case: r.reason for r in found.results if r.verdict is not Verdict.OK} == {}
+
+
+def test_without_application_only_its_functions_are_missed():
+    with started("builtins") as url:
+        found = run(lambda: j2a_transports.open(url), fast(), url=url, fresh=True)
+    assert found.conformant
+    assert {r.case for r in found.with_verdict(Verdict.INFORMATIONAL)} == NOTHING_LOST
+    unimplemented = found.with_verdict(Verdict.UNIMPLEMENTED)
+    assert len(unimplemented) >= 10
+    assert all(r.reason.startswith("the device ") for r in unimplemented)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        "-DJ2A_WITH_MAPPING=0",
+        "-DJ2A_WITH_MAPPING=0 -DJ2A_WITH_PROPERTIES=0",
+        "-DJ2A_WITH_MAPPING=0 -DJ2A_WITH_DEBUG=0",
+        "-DJ2A_WITH_DEBUG=0 -DJ2A_WITH_PROPERTIES=0",
+    ],
+)
+def test_with_parts_built_out(options, tmp_path):
+    posix = load_testee(FOLDER / "posix.toml")
+    testee = type(posix)(
+        title=options,
+        build=(*posix.build, f"OPTIONS={options}", f"OUT={tmp_path}"),
+        url=f"exec:{tmp_path}/demo",
+        root=posix.root,
+    )
+    with testee.started() as url:
+        found = run(lambda: j2a_transports.open(url), fast(), url=url, fresh=True)
+    assert found.conformant, [(r.case, r.reason) for r in found.with_verdict(Verdict.FAILED)]
+    assert found.claims is not None
+    assert found.claims.mapped == ("MAPPING" not in options)
+    assert ("a2jGetProperties" in found.claims.functions) == ("PROPERTIES" not in options)
+    assert ("a2jDebug" in found.claims.functions) == ("DEBUG" not in options)
+
+
+def fast():
+    """Every case that waits for no time to pass."""
+    return [c for c in load() if c.LEVEL != "timing" and not c.ID.startswith("scenario")]
