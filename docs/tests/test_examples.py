@@ -1,0 +1,146 @@
+"""The programs that the documentation shows do what it says."""
+
+import contextlib
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import j2a_transports
+import pytest
+
+import j2a
+from j2a.demo import DemoDevice
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "docs/examples"
+SHOWN_URL = "serial:///dev/ttyACM0?baud=115200"
+LIMIT_S = 60
+
+
+@pytest.fixture
+def url():
+    """A device with the demo functions."""
+    device = DemoDevice()
+    with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+        thread = threading.Thread(target=device.serve_forever, args=(listener,))
+        thread.start()
+        yield listener.url
+        device.stop()
+        thread.join(LIMIT_S)
+        assert not thread.is_alive()
+
+
+def run(*arguments):
+    """Run a Python program that must end well, and return what it printed."""
+    result = subprocess.run(
+        [sys.executable, "-W", "error", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    return result.stdout
+
+
+def shown(page):
+    """Return the first Python program of a page."""
+    return re.search(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)[1]
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_the_first_program_of_a_page_runs(page, url):
+    program = shown(page)
+    assert SHOWN_URL in program
+    printed = run("-c", program.replace(SHOWN_URL, url))
+    assert printed.startswith("J2A demo ['a2jGetMapping', ")
+
+
+def test_the_readme_adds(url):
+    assert "\n42\n" in run("-c", shown("README.md").replace(SHOWN_URL, url))
+
+
+def test_tour(url):
+    printed = run(EXAMPLES / "tour.py", url)
+    assert "40 + 2 = 42" in printed
+    assert "stored 240 bytes" in printed
+
+
+def test_asynchronous(url):
+    assert run(EXAMPLES / "asynchronous.py", url) == "[0, 186]\n"
+
+
+def test_thermometer():
+    program = [sys.executable, EXAMPLES / "thermometer.py", "tcp://127.0.0.1:0"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            found = process.stdout.readline().split()[-1]
+            with j2a.connect(found) as board:
+                assert board.properties["name"] == "thermometer"
+                reply = board.call("read_celsius")
+                assert struct.unpack("<f", reply.payload) == (21.5,)
+                assert board.read_many("history") == struct.pack("<200f", *range(200))
+        finally:
+            process.terminate()
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory):
+    """The application that the documentation shows, built for this machine."""
+    if not (shutil.which("make") and shutil.which("cc")) and "J2A_REQUIRE_AVR" not in os.environ:
+        pytest.skip("make and a C compiler are not installed")
+    out = tmp_path_factory.mktemp("first")
+    command = ["make", "-s", "-C", ROOT / "firmware", "PORT=posix", "APP=first", f"OUT={out}"]
+    subprocess.run([*command, f"APP_DIR={EXAMPLES / 'first'}"], check=True, timeout=LIMIT_S)
+    return out / "first"
+
+
+def test_the_first_application_works(firmware):
+    with j2a.connect(f"exec:{firmware}") as board:
+        assert board.properties["name"] == "my first board"
+        assert board.call("add", struct.pack("<ii", 40, 2)) == (0, struct.pack("<i", 42))
+        assert board.call("add", b"short") == (0xFF, b"")
+
+
+def test_the_readme_shows_the_first_application():
+    readme = (ROOT / "README.md").read_text()
+    [function] = re.findall(r"^uint8_t app_add.*?^}\n", readme, re.DOTALL | re.MULTILINE)
+    assert function in (EXAMPLES / "first/app.c").read_text()
+    assert (EXAMPLES / "first/functions.def").read_text().strip() in readme
+
+
+def test_the_reference_has_every_public_name_of_the_library():
+    page = (ROOT / "docs/api/j2a.md").read_text()
+    listed = set(re.findall(r"\.\. auto(?:class|function|exception|data):: (\w+)", page))
+    assert listed == set(j2a.__all__)
+
+
+def test_every_transport_is_on_the_page_of_urls():
+    page = (ROOT / "docs/transports.md").read_text()
+    for scheme in j2a_transports.schemes():
+        assert f"`{scheme}:" in page, scheme
+
+
+@contextlib.contextmanager
+def listening(*command):
+    """Run a j2a command that serves, and give its URL."""
+    program = [sys.executable, "-m", "j2a", *command, "--listen", "tcp://127.0.0.1:0"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process.stdout.readline().split()[-1]
+        finally:
+            process.terminate()
+
+
+def test_the_commands_of_the_quick_start():
+    text = (ROOT / "docs/quickstart.md").read_text()
+    assert "j2a call URL a2jEcho 01 02 03" in text
+    with listening("serve") as found:
+        assert "J2A demo" in run("-m", "j2a", "info", found)
+        assert "01 02 03" in run("-m", "j2a", "call", found, "a2jEcho", "01", "02", "03")
+        assert "serial" in run("-m", "j2a", "props", found)
