@@ -742,7 +742,10 @@ def test_every_tested_requirement_is_broken_by_a_device():
 @pytest.mark.parametrize(("requirement", "mixin"), BROKEN)
 def test_a_case_of_the_requirement_fails(requirement, mixin, reference, judged):
     device = type(mixin.__name__, (mixin, reference), {})
-    run = judged(device, [requirement], timeout_scale=0.2, stop_on_failure=True)
+    for _ in range(5):
+        run = judged(device, [requirement], timeout_scale=0.2, stop_on_failure=True)
+        if "too busy" not in str([result.reason for result in run.results]):
+            break  # else this machine could not make the short pauses that the case is about
     failed = run.with_verdict(Verdict.FAILED)
     assert failed, "the suite did not notice"
     assert requirement in failed[0].requirements, failed[0].reason

@@ -2,7 +2,7 @@
 
 Every pause is measured where it is made, from before the bytes in front of it are written to after
 the bytes behind it are written. A refused pause only counts when this measure was within the limit,
-and only when it is refused every time: a stall between here and the device cannot be seen.
+and only when it is refused again and again: a stall between here and the device cannot be seen.
 """
 
 from j2a_spec import constants as c
@@ -35,8 +35,11 @@ def send_paused(peer: Peer, pieces: list[bytes], pause_s: float) -> float:
 
 
 def accepts(peer: Peer, pieces: list[bytes], pause_s: float, due: Expected) -> None:
-    """Fail when the device refuses these pauses again and again."""
-    refused = 0
+    """Fail when the device refuses these pauses again and again.
+
+    Two acceptances are asked for: a device that stalls may see the bytes without the pause.
+    """
+    accepted = refused = 0
     for _ in range(_TRIES):
         longest_s = send_paused(peer, pieces, pause_s)
         try:
@@ -48,7 +51,9 @@ def accepts(peer: Peer, pieces: list[bytes], pause_s: float, due: Expected) -> N
                 fail(f"{judged.reason}, in {refused} attempts, with pauses of {pause_s * 1e3} ms")
             peer.resync()
         else:
-            return
+            accepted += 1
+            if accepted == 2:
+                return
     inform("this machine is too busy to make a pause of less than 9 ms")
 
 
@@ -80,7 +85,7 @@ class ShortPause(Case):
 
 
 class Trickle(Case):
-    """Sends a frame byte by byte with 7 ms between them, longer than 20 ms in all."""
+    """Sends a frame byte by byte with 4 ms between them, longer than 20 ms in all."""
 
     ID = "timing.trickle"
     EXPECTATION = "The request is answered: only the pause between two bytes counts."
@@ -89,7 +94,7 @@ class Trickle(Case):
 
     def _run(self, peer: Peer) -> None:
         wire, due = awkward(peer)
-        accepts(peer, [bytes((byte,)) for byte in wire], 0.007, due)
+        accepts(peer, [bytes((byte,)) for byte in wire], 0.004, due)
 
 
 class GivesUp(Case):
