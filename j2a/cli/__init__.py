@@ -8,6 +8,8 @@ output, everything else to standard error; nothing here knows more of J2A than t
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -15,6 +17,7 @@ from difflib import get_close_matches
 from importlib import import_module
 from typing import Any, Final, NoReturn
 
+import j2a
 from j2a.cli._exit import (
     EXIT_CODES,
     INTERRUPTED,
@@ -64,6 +67,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns: the exit code, one of `EXIT_CODES`.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A device may say what the terminal has no letters for.
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         code = _run(sys.argv[1:] if argv is None else list(argv))
         sys.stdout.flush()
@@ -72,25 +78,34 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
-        # What is still buffered would be written once more at exit, and complained about.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return OUTPUT_CLOSED
     except Exception as error:
         known = exit_code(error)
         if known is None:
             raise
-        print(f"j2a: {error}", file=sys.stderr)
+        if isinstance(error, OSError) and not isinstance(error, j2a.J2AError):
+            _drop_output()
+        with contextlib.suppress(BrokenPipeError):
+            print(f"j2a: {error}", file=sys.stderr)
         return known
     return code
+
+
+def _drop_output() -> None:
+    """Forget output that cannot be written: Python would try again at exit, and complain."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run(argv: list[str]) -> int:
     name = argv[0] if argv else "--help"
     if name in _COMMANDS:
         command: Any = import_module(f"j2a.cli._{name}")
+        what: str = command.__doc__.splitlines()[0].partition(": ")[2]
         parser = _Parser(
             prog=f"j2a {name}",
-            description=command.__doc__.splitlines()[0].partition(": ")[2],
+            description=what[0].upper() + what[1:],
             epilog=f"{getattr(command, 'NOTES', '')}\n\n{exit_codes_help()}".strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,

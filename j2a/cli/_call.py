@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output.add_argument("--raw", action="store_true", help="print the payload's bytes alone")
     add_link_arguments(parser)
     parser.add_argument("function", metavar="FUNCTION", help="its name, or its opcode 0..255")
-    parser.add_argument("payload", metavar="PAYLOAD", nargs="*", help="see below; none: no bytes")
+    parser.add_argument(
+        "payload", metavar="PAYLOAD", nargs="*", default=[], help="see below; none: no bytes"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -40,6 +40,7 @@ _CODES: Final[tuple[tuple[type[Exception], int], ...]] = (
     (j2a.J2AError, REMOTE),
     (j2a_transports.BadUrl, USAGE),
     (j2a_transports.TransportError, LINK),
+    (OSError, USAGE),  # of a file, such as standard output on a full disk
 )
 
 

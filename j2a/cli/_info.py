@@ -28,11 +28,12 @@ def run(args: argparse.Namespace) -> int:
         functions = client.functions
         properties = client.properties
         counters = client.counters
+    rxbuf = properties.get(PROP_RXBUF, "")
     facts = {
         "url": args.url,
         "name": properties.get("name"),
         "spec": properties.get(PROP_SPEC, "1.0"),
-        "rxbuf": properties.get(PROP_RXBUF),
+        "rxbuf": int(rxbuf) if rxbuf.isascii() and rxbuf.isdecimal() else None,
         "functions": functions,
         "properties": properties,
         "counters": dataclasses.asdict(counters),
@@ -43,7 +44,6 @@ def run(args: argparse.Namespace) -> int:
     print(f"name      {facts['name'] or '(has none)'}")
     assumed = "" if PROP_SPEC in properties else "   (does not say; assumed)"
     print(f"spec      {facts['spec']}{assumed}")
-    rxbuf = facts["rxbuf"]
     print(f"rxbuf     {f'{rxbuf} bytes' if rxbuf else '(does not say; one request at a time)'}")
     print("functions" if functions else "functions (no map; call by opcode)")
     for name, opcode in functions.items():

@@ -54,9 +54,9 @@ def run(args: argparse.Namespace) -> int:
     device = _demo() if args.device is None else load_device(args.device)
     if args.verbose:
         # A Device takes its trace when it is made, which was before the command line was read.
-        device._trace = TracePrinter(raw=args.verbose > 1, is_device=True)
-    signal.signal(signal.SIGTERM, _on_sigterm)
+        device.trace = TracePrinter(raw=args.verbose > 1, is_device=True)
     with j2a_transports.listen(args.listen) as listener, device:
+        signal.signal(signal.SIGTERM, _on_sigterm)
         # Where standard output is the link, the text must not get between the bytes.
         out = sys.stderr if listener.url.startswith("stdio:") else sys.stdout
         print(f"listening on {listener.url}", file=out, flush=True)

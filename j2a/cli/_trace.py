@@ -8,6 +8,7 @@ device nothing.
 
 from __future__ import annotations
 
+import struct
 import sys
 import time
 from typing import Final, TextIO
@@ -17,14 +18,20 @@ from j2a_spec.constants import (
     ERR_FRAMING,
     ERR_OPCODE,
     ERR_TIMEOUT,
+    FLAG_LAST,
+    FLAG_WRITE,
     GET_MAPPING,
+    MANY,
+    MANY_HEADER,
     RET_FAILED,
+    RET_OK,
     SOS,
 )
 
 from j2a.cli._values import short_hex, text_of
 from j2a.events import Frame, FrameError
 
+_MANY_HEADER: Final = struct.Struct("<BBL")
 _ERRORS: Final = {
     ERR_OPCODE: "no such function, or not callable this way",
     ERR_TIMEOUT: "the rest of the request did not come in time",
@@ -81,7 +88,13 @@ class TracePrinter:
 
     def _request(self, frame: Frame) -> str:
         self._asked[frame.seq] = frame.opcode
-        return f"request seq={frame.seq:<3} {self._name(frame.opcode)} {_payload(frame.payload)}"
+        name = self._name(frame.opcode)
+        what = _payload(frame.payload)
+        if name == MANY and len(frame.payload) >= MANY_HEADER:
+            opcode, flags, offset = _MANY_HEADER.unpack_from(frame.payload)
+            kind = "write" if flags & FLAG_WRITE else "read"
+            what = f"{kind} {self._name(opcode)} {_chunk(flags, offset, frame.payload)}"
+        return f"request seq={frame.seq:<3} {name} {what}"
 
     def _reply(self, frame: Frame) -> str:
         opcode = self._asked.pop(frame.seq, None)
@@ -95,11 +108,13 @@ class TracePrinter:
         if opcode == 0 and frame.opcode == 0:
             names = frame.payload.decode("ascii", "replace").split("\0")[:-1]
             self._names.update(enumerate(names))
-        failed = " failed" if frame.opcode == RET_FAILED else ""
-        return (
-            f"reply   seq={frame.seq:<3} {name} "
-            f"code=0x{frame.opcode:02X}{failed} {_payload(frame.payload)}"
-        )
+        code = _code(frame.opcode)
+        what = _payload(frame.payload)
+        if name == MANY and len(frame.payload) >= MANY_HEADER:
+            inner, flags, offset = _MANY_HEADER.unpack_from(frame.payload)
+            code = _code(inner) if frame.opcode == RET_OK else code
+            what = _chunk(flags, offset, frame.payload)
+        return f"reply   seq={frame.seq:<3} {name} {code} {what}"
 
     def _name(self, opcode: int) -> str:
         return self._names.get(opcode, f"opcode {opcode}")
@@ -111,8 +126,17 @@ class TracePrinter:
         return f"refused {seq}{kind}: {_REASONS[error.reason]}"
 
 
+def _code(code: int) -> str:
+    return f"code=0x{code:02X}{' (failed)' if code == RET_FAILED else ''}"
+
+
+def _chunk(flags: int, offset: int, payload: bytes) -> str:
+    last = " last" if flags & FLAG_LAST else ""
+    return f"offset={offset}{last} {_payload(payload[MANY_HEADER:])}"
+
+
 def _payload(payload: bytes) -> str:
     if not payload:
         return "-"
-    text = text_of(payload[:24])
+    text = text_of(payload[:16])
     return f"{short_hex(payload)}  {text}" if text else short_hex(payload)

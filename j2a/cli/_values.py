@@ -192,7 +192,7 @@ def dump(data: bytes) -> list[str]:
     return lines
 
 
-def short_hex(data: bytes, limit: int = 24) -> str:
+def short_hex(data: bytes, limit: int = 16) -> str:
     """Return the bytes in hex, cut after `limit` of them."""
     if len(data) <= limit:
         return data.hex(" ")

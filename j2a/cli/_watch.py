@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "opcodes",
         metavar="OPCODE",
         nargs="*",
+        default=[],
         type=whole_number(0, 255),
         help="watch these only, 0..255",
     )
@@ -123,7 +124,7 @@ def _print(at_s: float, sif: j2a.Sif, args: argparse.Namespace) -> None:
         print(json.dumps(facts if values is None else {**facts, "values": values}), flush=True)
         return
     if sif.missed:
-        print(f"              {sif.missed} SIFs missed")
+        print(f"              {sif.missed} SIF{'s' * (sif.missed > 1)} missed")
     clock = datetime.fromtimestamp(at_s).strftime("%H:%M:%S.%f")[:-3]
     if values is None:
         text = text_of(sif.payload)

@@ -1,0 +1,229 @@
+"""The program as a process: signals, pipes, serving, and links that break."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+WAIT_S = 60
+
+
+def test_python_m_j2a_is_the_program(run):
+    for command in ([sys.executable, "-m", "j2a"], [sys.executable, "-c", _BY_NAME]):
+        result = subprocess.run(
+            [*command, "--help"], capture_output=True, text=True, timeout=WAIT_S, check=False
+        )
+        assert (result.returncode, result.stdout) == (0, run("--help").out)
+
+
+_BY_NAME = """
+from importlib.metadata import entry_points
+(point,) = entry_points(group="console_scripts", name="j2a")
+raise SystemExit(point.load()())
+"""
+
+
+def test_serve_and_call(start, run):
+    server = start("serve", "--listen", "tcp://127.0.0.1:0", "-v")
+    url = server.line_with("listening on ").split()[-1]
+    assert run("call", url, "add", "i32:1,2", "--as", "i32").out == "3\n"
+    assert "> request" in server.line_with("add", "err")
+    server.process.send_signal(signal.SIGINT)
+    result = server.end()
+    assert result.code == 130
+    assert "Traceback" not in result.err
+
+
+def test_serve_ends_on_sigterm_and_removes_its_link(start, run, tmp_path):
+    link = tmp_path / "board"
+    server = start("serve", "--listen", f"pty:{link}")
+    server.line_with("listening on ")
+    assert run("props", f"serial://{link}", "name").out == "J2A demo\n"
+    server.process.send_signal(signal.SIGTERM)
+    assert server.end().code == 128 + signal.SIGTERM
+    assert not link.is_symlink()
+
+
+def test_serve_once(start, run):
+    server = start("serve", "--once")
+    url = server.line_with("listening on ").split()[-1]
+    assert run("echo", url, "--count", "3").code == 0
+    assert server.end().code == 0
+
+
+def test_serve_on_standard_streams(run):
+    program = f"exec:{sys.executable} -m j2a serve --listen stdio:"
+    result = run("echo", program, "--boot-time", "30", "--timeout", "30", "--count", "9", "--json")
+    assert result.code == 0
+    assert json.loads(result.out)["counters"]["bytes_skipped"] == 0
+
+
+@pytest.mark.parametrize("attribute", ["device", "make"])
+def test_serve_a_device_of_the_user(start, run, tmp_path, attribute):
+    (tmp_path / "thermometer.py").write_text(
+        "import j2a\n\n"
+        "def make():\n"
+        "    device = j2a.Device({'name': 'thermometer'})\n"
+        "    device.function('celsius')(lambda payload: b'\\x15')\n"
+        "    return device\n\n"
+        "device = make()\n"
+    )
+    server = start("serve", "--device", f"thermometer:{attribute}", cwd=tmp_path)
+    url = server.line_with("listening on ").split()[-1]
+    assert run("call", url, "celsius", "--as", "u8").out == "21\n"
+
+
+def test_ctrl_c_ends_a_call(start, firmware):
+    program = start("call", firmware, "delay", "u16:60000", "--timeout", "inf", "-v")
+    program.line_with("delay", "err")
+    program.process.send_signal(signal.SIGINT)
+    result = program.end()
+    assert (result.code, result.out) == (130, "")
+    assert "Traceback" not in result.err
+
+
+def test_ctrl_c_ends_watching(start, demo):
+    program = start("watch", demo, "--call", "sifPeriod u16:5", "--json")
+    json.loads(program.line_with("{"))
+    program.process.send_signal(signal.SIGINT)
+    result = program.end()
+    assert (result.code, result.err) == (130, "")
+    assert len([json.loads(line) for line in result.out.splitlines()]) >= 1
+
+
+def test_ctrl_c_ends_an_echo_with_what_it_found(start, demo):
+    program = start("echo", demo, "--count", "1000000000", "-v")
+    for _ in range(20):
+        program.line_with("reply", "err")
+    program.process.send_signal(signal.SIGINT)
+    result = program.end()
+    assert result.code == 130
+    assert "echoes correct" in result.out
+    assert "were not sent" in result.out
+
+
+def test_a_reader_of_the_output_that_goes_away(demo):
+    with subprocess.Popen(
+        [sys.executable, "-m", "j2a", "watch", demo, "--call", "sifPeriod u16:1"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as program:
+        assert b"opcode" in program.stdout.readline()
+        program.stdout.close()
+        assert program.stderr.read() == b""
+        assert program.wait(WAIT_S) == 141
+
+
+def test_output_that_cannot_be_written_at_the_end(demo):
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        result = subprocess.run(
+            [sys.executable, "-m", "j2a", "info", demo],
+            stdout=writer,
+            stderr=subprocess.PIPE,
+            timeout=WAIT_S,
+            check=False,
+        )
+    finally:
+        os.close(writer)
+    assert (result.returncode, result.stderr) == (141, b"")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_output_to_a_full_disk(demo):
+    with Path("/dev/full").open("wb") as full:
+        result = subprocess.run(
+            [sys.executable, "-m", "j2a", "info", demo],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=WAIT_S,
+            check=False,
+        )
+    assert result.returncode == 2
+    assert result.stderr.startswith("j2a: ") and result.stderr.count("\n") == 1
+
+
+def test_letters_that_the_terminal_does_not_have(demo):
+    result = subprocess.run(
+        [sys.executable, "-m", "j2a", "call", demo, "a2jEcho", "str:\u00e9"],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout.endswith('payload  c3 a9  "\\xe9"\n')
+
+
+def test_a_device_that_is_killed_during_a_call(start):
+    server = start("serve")
+    url = server.line_with("listening on ").split()[-1]
+    program = start("call", url, "delay", "u16:60000", "--timeout", "inf", "-v")
+    program.line_with("delay", "err")
+    server.process.kill()
+    result = program.end()
+    assert (result.code, result.out) == (3, "")
+    assert f"{url} is lost" in result.err.splitlines()[-1]
+
+
+def test_a_device_that_goes_away_while_watched(start):
+    server = start("serve")
+    url = server.line_with("listening on ").split()[-1]
+    program = start("watch", url, "--call", "sifPeriod u16:5")
+    program.line_with("opcode")
+    server.process.kill()
+    result = program.end()
+    assert result.code == 3
+    assert "is lost" in result.err
+
+
+@pytest.mark.parametrize(("options", "has_bar"), [([], True), (["--no-progress"], False)])
+def test_progress_bar_on_a_real_terminal(start, tmp_path, options, has_bar):
+    # At this pace the transfer takes longer than the moment that the bar waits.
+    (tmp_path / "slow.py").write_text(
+        "import time, j2a\n\n"
+        "device = j2a.Device()\n\n"
+        "@device.many\n"
+        "def slow(request):\n"
+        "    time.sleep(0.02)\n"
+        "    return j2a.ManyReply()\n"
+    )
+    server = start("serve", "--device", "slow:device", cwd=tmp_path)
+    url = server.line_with("listening on ").split()[-1]
+    (tmp_path / "data").write_bytes(bytes(10_000))
+    command = [sys.executable, "-m", "j2a", "write", url, "slow", f"@{tmp_path / 'data'}"]
+    master, slave = os.openpty()
+    shown = bytearray()
+
+    def collect():
+        try:
+            while piece := os.read(master, 4096):
+                shown.extend(piece)
+        except OSError:
+            pass  # how Linux says that the terminal has no user any more
+
+    reader = threading.Thread(target=collect)
+    reader.start()
+    try:
+        result = subprocess.run(
+            [*command, "--timeout=30", *options],
+            stdout=subprocess.PIPE,
+            stderr=slave,
+            timeout=WAIT_S,
+            check=False,
+        )
+    finally:
+        os.close(slave)
+        reader.join(WAIT_S)
+        os.close(master)
+    assert (result.returncode, result.stdout) == (0, b"")
+    assert (b"\rwrite slow  [#" in shown) == has_bar
+    assert b"10000 bytes written to slow" in shown

@@ -1,0 +1,155 @@
+"""What the program says about itself, and to people who get it wrong."""
+
+import logging
+import sys
+from importlib.metadata import version
+
+import j2a_transports
+import pytest
+
+import j2a
+from j2a.cli import _COMMANDS, EXIT_CODES, main
+from j2a.cli._exit import UsageError, exit_code
+
+NOWHERE = "tcp://127.0.0.1:1"
+
+
+def test_help_names_every_command_and_exit_code(run):
+    for argv in (["--help"], ["-h"], ["help"]):
+        result = run(*argv)
+        assert result.code == 0
+        for word in _COMMANDS:
+            assert f"\n  {word} " in result.out
+        for code, meaning in EXIT_CODES.items():
+            assert f"{code:>5}  {meaning}" in result.out
+    assert run().code == 2
+
+
+@pytest.mark.parametrize("command", _COMMANDS)
+def test_help_of_each_command(run, command):
+    result = run(command, "--help")
+    assert result.code == 0
+    assert result.out.startswith(f"usage: j2a {command} ")
+    assert "exit codes:\n    0  done\n" in result.out
+
+
+def test_version(run):
+    assert run("--version").out == f"j2a {version('j2a')}\n"
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        (["cal"], "did you mean call?"),
+        (["zzz"], "commands are: list, info"),
+        (["--timeout", "1", "info"], "comes after a command"),
+        (["info"], "required: URL"),
+        (["call", NOWHERE], "required: FUNCTION\n"),
+        (["info", NOWHERE, "extra"], "unrecognized arguments: extra"),
+        (["info", NOWHERE, "--jsn"], "unrecognized arguments: --jsn"),
+        (["info", NOWHERE, "--timeout", "0"], "not above 0"),
+        (["info", NOWHERE, "--timeout", "nan"], "not above 0"),
+        (["info", NOWHERE, "--timeout", "soon"], "not a number of seconds"),
+        (["info", NOWHERE, "--baud", "0"], "not from 1 up"),
+        (["info", NOWHERE, "-O", "baud"], "NAME=VALUE"),
+        (["info", NOWHERE, "-O", "timeout=1"], "no option of a URL"),
+        (["info", NOWHERE, "--baud", "9600", "-O", "baud=9600"], "given twice"),
+        (["info", NOWHERE, "--baud", "9600"], "unknown option 'baud'"),
+        (["info", "/dev/ttyACM0"], "did you mean serial:///dev/ttyACM0"),
+        (["info", "localhost:5000"], "did you mean tcp://localhost:5000"),
+        (["info", "foo:bar"], "known are: serial, tcp"),
+        (["info", ""], "not a transport URL"),
+        (["call", NOWHERE, "f", "--json", "--raw"], "not allowed with"),
+        (["call", NOWHERE, "f", "1"], "two digits"),
+        (["call", NOWHERE, "f", "--as", "int"], "known are: u8"),
+        (["call", NOWHERE, "f", "str:" + "a" * 256], "256 bytes, 255 is the most; "),
+        (["echo", NOWHERE, "--size", "256"], "not from 0 to 255"),
+        (["echo", NOWHERE, "--size", "1", "--all-lengths"], "not allowed with"),
+        (["echo", NOWHERE, "--count", "0"], "not from 1 up"),
+        (["watch", NOWHERE, "256"], "not from 0 to 255"),
+        (["watch", NOWHERE, "sif"], "not a whole number"),
+        (["watch", NOWHERE, "--duration", "inf"], "must have an end"),
+        (["serve", "--listen", "exec:./fw"], "cannot listen"),
+        (["serve", "--device", "thermometer"], "MODULE:ATTRIBUTE"),
+        (["serve", "--device", "no_such_module:x"], "No module named 'no_such_module'"),
+        (["serve", "--device", "json:nope"], "no attribute 'nope'"),
+        (["serve", "--device", "builtins:dict"], "is dict, not a j2a.Device"),
+        (["sim"], "required: KIND"),
+    ],
+)
+def test_wrong_arguments_end_with_2_and_advice(run, argv, says):
+    result = run(*argv)
+    assert (result.code, result.out) == (2, "")
+    assert result.err.startswith("j2a: ")
+    assert says in result.err
+
+
+@pytest.mark.parametrize(
+    ("url", "says"),
+    [
+        (NOWHERE, "nothing listens there"),
+        ("serial:///dev/no-such-port", "no such device"),
+        ("exec:/no/such/program", "no program"),
+        ("exec:sh -c 'exit 7'", "exit code 7"),
+    ],
+)
+def test_a_link_that_does_not_open_ends_with_3(run, url, says):
+    for command in (["info", url], ["call", url, "0"], ["watch", url]):
+        result = run(*command)
+        assert (result.code, result.out) == (3, "")
+        assert says in result.err
+
+
+def test_a_place_that_is_taken_ends_with_3(run, demo):
+    result = run("serve", "--listen", demo)
+    assert (result.code, result.out) == (3, "")
+    assert demo in result.err
+
+
+def test_the_simulator_without_firmware(run, tmp_path):
+    result = run("sim", "avr", str(tmp_path / "no.elf"))
+    assert (result.code, result.out) == (1, "")
+    assert result.err.startswith("j2a sim: ")
+
+
+def test_nobody_answers(run):
+    result = run("info", "exec:sleep 600", "--boot-time", "0.3")
+    assert (result.code, result.out) == (4, "")
+    assert "no device answered" in result.err
+
+
+def test_a_device_of_the_user(run, tmp_path, monkeypatch):
+    (tmp_path / "broken_device.py").write_text("import j2a\n\ndevice = j2a.Device(1 / 0)\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    result = run("serve", "--device", "broken_device:device")
+    assert result.code == 2
+    assert "ZeroDivisionError" in result.err
+    assert "broken_device.py:3" in result.err
+
+
+def test_every_error_has_an_exit_code():
+    errors = [
+        *(getattr(j2a, name) for name in j2a.__all__),
+        *(getattr(j2a_transports, name) for name in j2a_transports.__all__),
+        UsageError,
+    ]
+    kinds = [kind for kind in errors if isinstance(kind, type) and issubclass(kind, Exception)]
+    assert len(kinds) > 15
+    for kind in kinds:
+        error = kind.__new__(kind)
+        assert exit_code(error) in EXIT_CODES, kind
+    assert exit_code(KeyError()) is None
+
+
+def test_a_fault_of_the_program_is_not_hidden(monkeypatch):
+    monkeypatch.setattr("j2a.cli._list.describe", lambda *_: 1 / 0)
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [object()])
+    with pytest.raises(ZeroDivisionError):
+        main(["list"])
+
+
+def test_nothing_is_logged_on_success(run, demo, caplog):
+    with caplog.at_level(logging.INFO):
+        assert run("call", demo, "getTime", "--as", "u64").code == 0
+    assert [record.message for record in caplog.records if record.levelno > logging.INFO] == []
