@@ -11,8 +11,6 @@ from j2a_conformance import Verdict, load, run
 from j2a_conformance._testee import load_testee
 from j2a_conformance.cli import main
 
-from j2a.sim import ToolMissing
-from j2a.sim._link import open_url
 
 FOLDER = Path(__file__).parents[1] / "testees"
 NOTHING_LOST = {"limits.overrun"}
@@ -35,8 +33,8 @@ def missing(what):
 
 def open_simulated(url):
     try:
-        return open_url(j2a_transports.Url.parse(url))
-    except (ToolMissing, j2a_transports.OpenFailed) as error:
+        return j2a_transports.open(url)
+    except j2a_transports.OpenFailed as error:
         missing(str(error))
 
 
