@@ -82,7 +82,7 @@ def _parser() -> _Parser:
     command.add_argument(
         "--fresh",
         action="store_true",
-        help="opening the link resets the device: its first SIF has seq 0 (known for exec:, pty:, sim:)",
+        help="opening the link resets the device: its first SIF has seq 0; so it is with exec:",
     )
     command.add_argument(
         "--builtins-only",

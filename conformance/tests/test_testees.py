@@ -11,7 +11,6 @@ from j2a_conformance import Verdict, load, run
 from j2a_conformance._testee import load_testee
 from j2a_conformance.cli import main
 
-
 FOLDER = Path(__file__).parents[1] / "testees"
 NOTHING_LOST = {"limits.overrun"}
 
