@@ -219,9 +219,8 @@ class FunctionTable:
             reply = function(request)
             _check(reply.code, reply.data, MANY_DATA)
             code = reply.code if reply.code <= RET_MAX else RET_FAILED
-            if reply.offset is not None:
-                offset = reply.offset
-            header = _HEADER.pack(code, FLAG_LAST if reply.is_last else 0, offset)
+            reply_offset = offset if reply.offset is None else reply.offset
+            header = _HEADER.pack(code, FLAG_LAST if reply.is_last else 0, reply_offset)
         except Exception:
             _logger.exception("function %s failed", self.names[opcode])
             return Reply(RET_OK, _HEADER.pack(RET_FAILED, 0, offset))

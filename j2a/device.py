@@ -69,7 +69,7 @@ class Device:
         known = {PROP_SPEC: SPEC_VERSION, PROP_RXBUF: str(_RXBUF)}
         self._table = FunctionTable({**known, **(properties or {})}, self._take_debug)
         self._byte_timeout_s = byte_timeout_s
-        self._trace = trace
+        self.trace = trace
         self._calling = threading.Lock()
         self._lock = threading.Lock()
         self._debug_lock = threading.Lock()
@@ -161,7 +161,7 @@ class Device:
         Raises:
             LocalError: the device was stopped.
         """
-        server = Server(byte_timeout_s=self._byte_timeout_s, trace=self._trace)
+        server = Server(byte_timeout_s=self._byte_timeout_s, trace=self.trace)
         connection = _Connection(server, transport)
         self._enter(self._connections, connection)
         try:

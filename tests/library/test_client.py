@@ -1,0 +1,560 @@
+"""The blocking client with a device in Python, over links in memory and TCP."""
+
+import logging
+import math
+import struct
+import threading
+import time
+
+import j2a_transports
+import pytest
+from j2a_spec import oracle
+from j2a_spec.constants import SOF, SOS
+
+import j2a
+from j2a.demo import DemoDevice
+
+from .support import PATIENCE_S, OldDevice, linked, served
+
+SIZES = [0, 1, 248, 249, 250, 498, 499, 600, 65536, 1_000_003]
+
+
+def delay(milliseconds: int) -> bytes:
+    return struct.pack("<H", milliseconds)
+
+
+class Wire:
+    """A client whose device is the test itself, frame by frame."""
+
+    def __init__(self, **options: object) -> None:
+        near, self.far = j2a_transports.pair()
+        self.client = j2a.Client(near, timeout=PATIENCE_S, **options)
+
+    def __enter__(self) -> "Wire":
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.client.close()
+        self.far.close()
+
+    def request(self) -> oracle.Frame:
+        data = b""
+        while True:
+            data += self.far.read(PATIENCE_S)
+            (event,) = oracle.decode(data)
+            if isinstance(event, oracle.Frame):
+                return event
+
+    def send(self, *frames: oracle.Frame) -> None:
+        self.far.write(b"".join(map(oracle.encode, frames)))
+
+
+class Background(threading.Thread):
+    """A call in a thread of its own; `result()` gives its reply or raises its error."""
+
+    def __init__(self, function, *args, **kwargs):
+        super().__init__(daemon=True)
+        self._work = lambda: function(*args, **kwargs)
+        self._reply = self._error = None
+        self.start()
+
+    def run(self):
+        try:
+            self._reply = self._work()
+        except BaseException as error:
+            self._error = error
+
+    def result(self):
+        self.join(PATIENCE_S)
+        assert not self.is_alive(), "the call does not end"
+        if self._error is not None:
+            raise self._error
+        return self._reply
+
+
+@pytest.fixture(params=["loopback", "tcp"])
+def client(request):
+    url = {"loopback": None, "tcp": "tcp://127.0.0.1:0"}[request.param]
+    with (
+        served(DemoDevice(), url) as where,
+        j2a.connect(where, timeout=PATIENCE_S, boot_time=PATIENCE_S) as client,
+    ):
+        yield client
+
+
+class TestCalls:
+    def test_by_name_and_by_opcode(self, client):
+        numbers = struct.pack("<ii", 2_000_000_000, 147_483_648)
+        want = j2a.Reply(0, struct.pack("<i", -2_147_483_648))
+        assert client.call("add", numbers) == want
+        reply = client.call(client.functions["add"], numbers, timeout=PATIENCE_S)
+        assert (reply.code, reply.payload) == want
+
+    def test_every_length_of_payload(self, client):
+        for size in range(256):
+            payload = bytes((size,)) * size
+            assert client.echo(payload) == payload
+
+    @pytest.mark.parametrize(("sent", "code"), [(0, 0), (0xEF, 0xEF), (0xF0, 0xFF), (0xFF, 0xFF)])
+    def test_return_values(self, client, sent, code):
+        assert client.call("ret", bytes((sent,))) == j2a.Reply(code, b"")
+
+    def test_debug_text(self, client):
+        for code in range(60):
+            client.call("ret", bytes((code,)))
+        assert client.read_debug() == "".join(f"ret 0x{code:02X}\n" for code in range(60))
+        assert client.read_debug() == ""
+
+    def test_functions_and_properties(self, client):
+        assert client.functions["a2jGetMapping"] == 0
+        assert client.properties["name"] == "J2A demo"
+        client.functions.clear()
+        client.properties.clear()
+        assert client.functions
+        assert client.properties
+        client.refresh()
+        assert client.properties["j2a.spec"] == "1.1"
+
+    def test_a_refused_opcode(self, client):
+        with pytest.raises(j2a.OpcodeRefused):
+            client.call(200)
+        with pytest.raises(j2a.OpcodeRefused):
+            client.call("store")
+
+    def test_many_threads_at_once(self, client):
+        def work(name):
+            for n in range(40):
+                payload = f"{name}-{n}".encode()
+                assert client.echo(payload) == payload
+
+        for call in [Background(work, name) for name in range(8)]:
+            call.result()
+
+
+class TestMistakes:
+    @pytest.mark.parametrize(
+        "misuse",
+        [
+            lambda client: client.call("add", "text"),
+            lambda client: client.call("add", 5),
+            lambda client: client.call("add", bytes(256)),
+            lambda client: client.call("nosuch"),
+            lambda client: client.call(256),
+            lambda client: client.call(-1),
+            lambda client: client.call(None),
+            lambda client: client.call("add", timeout=0),
+            lambda client: client.call("add", timeout=-1),
+            lambda client: client.call("add", timeout=math.nan),
+            lambda client: client.call("add", timeout="1"),
+            lambda client: client.read_many("nosuch"),
+            lambda client: client.read_many("store", max_bytes=-1),
+            lambda client: client.write_many("store", "text"),
+            lambda client: client.echo_many(None),
+            lambda client: client.on_sif(256, print),
+            lambda client: client.on_sif([1, "2"], print),
+            lambda client: client.on_sif("add", print),
+            lambda client: client.on_sif(1, "no function"),
+            lambda client: client.refresh(boot_time=0),
+        ],
+    )
+    def test_they_raise_at_once_and_send_nothing(self, misuse):
+        with linked() as client:
+            sent = client.counters.frames_sent
+            with pytest.raises(j2a.LocalError):
+                misuse(client)
+            assert client.counters.frames_sent == sent
+
+    @pytest.mark.parametrize(
+        "options",
+        [{"timeout": 0}, {"boot_time": -1}, {"window": 0}, {"window": 65}, {"window": "2"}],
+    )
+    def test_of_connect(self, options):
+        with served(DemoDevice()) as url, pytest.raises(j2a.LocalError):
+            j2a.connect(url, **options)
+
+    @pytest.mark.parametrize(
+        "url", ["nosuch:thing", "tcp://", "loopback:", "tcp://127.0.0.1:1?x=1"]
+    )
+    def test_urls(self, url):
+        with pytest.raises(j2a.BadUrl):
+            j2a.connect(url)
+
+    def test_a_place_where_nobody_listens(self):
+        with pytest.raises(j2a.OpenFailed):
+            j2a.connect("loopback:nobody is here")
+
+
+class TestTransfers:
+    @pytest.mark.parametrize("size", SIZES)
+    def test_store(self, size):
+        data = bytes(index * 31 + index // 256 & 0xFF for index in range(size))
+        with linked() as client:
+            client.write_many("store", data)
+            assert client.read_many("store") == data
+
+    def test_progress(self, client):
+        seen = []
+        data = bytes(65536)
+        assert client.echo_many(data, progress=lambda *at: seen.append(at)) == data
+        assert seen[0] == (249, 65536)
+        assert seen[-1] == (65536, 65536)
+
+    def test_a_progress_that_raises_ends_the_transfer(self, client):
+        def stop(done, total):
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            client.write_many("store", bytes(1000), progress=stop)
+        assert client.echo(b"still there") == b"still there"
+
+    def test_a_function_that_cannot_transfer(self, client):
+        with pytest.raises(j2a.OpcodeRefused):
+            client.read_many("add")
+
+
+class TestTimeLimits:
+    def test_a_late_reply_does_not_answer_the_next_call(self):
+        device, gate = DemoDevice(), threading.Event()
+        device.function("gate")(lambda _payload: (gate.wait(PATIENCE_S), b"late")[1])
+        with linked(device) as client:
+            with pytest.raises(j2a.CallTimeout, match=r"gate .* 0\.05 s"):
+                client.call("gate", timeout=0.05)
+            gate.set()
+            assert client.echo(b"next") == b"next"
+            assert client.counters.timeouts == 1
+            assert client.counters.late_replies == 1
+
+    def test_calls_that_wait_for_their_turn_time_out_too(self):
+        with Wire() as wire:
+            slow = Background(wire.client.call, 1)
+            request = wire.request()
+            with pytest.raises(j2a.CallTimeout, match="not sent"):
+                wire.client.call(2, b"waiting", timeout=0.05)
+            wire.send(oracle.Frame(SOF, request.seq, 3, b"slow"))
+            assert slow.result() == (3, b"slow")
+            assert wire.client.counters.frames_sent == 1
+
+    def test_waiting_for_ever_ends_with_the_reply(self):
+        with linked() as client:
+            assert client.call("delay", delay(50), timeout=math.inf) == j2a.Reply(0, b"")
+
+    def test_seqs_wrap_around(self):
+        with linked() as client:
+            for n in range(600):
+                payload = struct.pack("<H", n)
+                assert client.echo(payload) == payload
+            assert client.counters.stray_replies == 0
+
+    def test_stray_replies_are_dropped(self):
+        with Wire() as wire:
+            call = Background(wire.client.call, 9, b"x")
+            request = wire.request()
+            strays = [
+                oracle.Frame(SOF, (request.seq + n) & 0xFF, 0, b"stray") for n in (1, 7, 128, 255)
+            ]
+            answer = oracle.Frame(SOF, request.seq, 5, b"answer")
+            wire.send(*strays, answer, answer)
+            assert call.result() == (5, b"answer")
+            following = Background(wire.client.call, 10, b"y")
+            assert wire.request().seq == (request.seq + 1) & 0xFF
+            wire.send(answer, oracle.Frame(SOF, (request.seq + 1) & 0xFF, 6, b"second"))
+            assert following.result() == (6, b"second")
+            assert wire.client.counters.stray_replies == 6
+
+    def test_first_seqs_differ_from_program_to_program(self):
+        seqs = set()
+        for _ in range(20):
+            with Wire() as wire:
+                call = Background(wire.client.call, 9)
+                request = wire.request()
+                seqs.add(request.seq)
+                wire.send(oracle.Frame(SOF, request.seq, 0, b""))
+                call.result()
+        assert len(seqs) > 1
+
+
+class TestSifs:
+    def test_order_filters_and_cancelling(self):
+        with linked() as client:
+            every, some, one, done = [], [], [], threading.Event()
+            client.on_sif(None, lambda sif: every.append(sif.payload))
+            client.on_sif(range(2, 4), lambda sif: some.append(sif.payload))
+            subscription = client.on_sif(3, lambda sif: one.append(sif.payload))
+            client.on_sif(0xFF, lambda sif: done.set())
+            for opcode in (1, 2, 3):
+                client.call("sif", bytes((opcode,)) + b"payload%d" % opcode)
+            client.call("sif", b"\xff")
+            assert done.wait(PATIENCE_S)
+            subscription.cancel()
+            subscription.cancel()
+            done.clear()
+            client.call("sif", b"\x03again")
+            client.call("sif", b"\xff")
+            assert done.wait(PATIENCE_S)
+            assert every == [b"payload1", b"payload2", b"payload3", b"", b"again", b""]
+            assert some == [b"payload2", b"payload3", b"again"]
+            assert one == [b"payload3"]
+            assert client.counters.sifs == 6
+
+    def test_handlers_may_call(self):
+        with linked() as client:
+            echoes, done = [], threading.Event()
+
+            @client.on_sif(5)
+            def handler(sif):
+                echoes.append(client.echo(sif.payload))
+                if len(echoes) == 20:
+                    done.set()
+
+            assert callable(handler)
+            for n in range(20):
+                client.call("sif", bytes((5, n)))
+            assert done.wait(PATIENCE_S)
+            assert echoes == [bytes((n,)) for n in range(20)]
+
+    def test_a_handler_may_close_the_client(self):
+        with linked() as client:
+            closed = threading.Event()
+            client.on_sif(None, lambda sif: (client.close(), closed.set()))
+            client.call("sif", b"\x01")
+            assert closed.wait(PATIENCE_S)
+            assert not client.is_open
+
+    def test_exceptions_of_handlers_are_logged_and_counted(self, caplog):
+        with linked() as client:
+            done = threading.Event()
+
+            @client.on_sif()
+            def broken(sif):
+                raise RuntimeError("broken on purpose")
+
+            client.on_sif(None, lambda sif: done.set())
+            client.call("sif", b"\x07")
+            assert done.wait(PATIENCE_S)
+            assert client.counters.handler_errors == 1
+            assert [str(record.exc_info[1]) for record in caplog.records] == ["broken on purpose"]
+
+    def test_exceptions_of_handlers_reach_the_hook(self, caplog):
+        errors, done = [], threading.Event()
+
+        def hook(error, sif):
+            errors.append((str(error), sif.opcode))
+            if len(errors) == 2:
+                done.set()
+                raise ValueError("the hook as well")
+
+        def broken(sif):
+            raise RuntimeError("broken on purpose")
+
+        with linked(on_handler_error=hook) as client:
+            client.on_sif(None, broken)
+            client.call("sif", b"\x07")
+            client.call("sif", b"\x08")
+            assert done.wait(PATIENCE_S)
+        assert errors == [("broken on purpose", 7), ("broken on purpose", 8)]
+        assert "on_handler_error failed" in caplog.text
+
+    def test_gaps_reach_the_handler(self):
+        with Wire() as wire:
+            seen, done = [], threading.Event()
+            wire.client.on_sif(None, lambda sif: (seen.append(sif), len(seen) < 2 or done.set()))
+            wire.send(oracle.Frame(SOS, 4, 0xF2, b"a"), oracle.Frame(SOS, 9, 0xFF, b"b"))
+            assert done.wait(PATIENCE_S)
+            assert seen == [j2a.Sif(0xF2, b"a", 4, 0), j2a.Sif(0xFF, b"b", 9, 4)]
+            assert wire.client.counters.sif_gaps == 1
+
+    def test_periodic_sifs(self):
+        with linked() as client:
+            numbers, done = [], threading.Event()
+
+            @client.on_sif(0x20)
+            def count(sif):
+                numbers.extend(struct.unpack("<I", sif.payload))
+                if len(numbers) == 10:
+                    done.set()
+
+            client.call("sifPeriod", delay(2))
+            assert done.wait(PATIENCE_S)
+            client.call("sifPeriod", delay(0))
+            assert numbers[:10] == list(range(10))
+
+
+class TestTheEnd:
+    def test_close_while_calls_wait(self):
+        with Wire() as wire:
+            calls = [Background(wire.client.call, n, timeout=math.inf) for n in range(5)]
+            wire.request()
+            wire.client.close()
+            for call in calls:
+                with pytest.raises(j2a.LinkClosed):
+                    call.result()
+            with pytest.raises(j2a.LinkClosed):
+                wire.client.call(1)
+            wire.client.close()
+
+    def test_a_lost_link_ends_all_calls_at_once(self):
+        with Wire() as wire:
+            calls = [Background(wire.client.call, n, timeout=math.inf) for n in range(5)]
+            wire.request()
+            wire.far.close()
+            for call in calls:
+                with pytest.raises(j2a.LinkLost):
+                    call.result()
+            with pytest.raises(j2a.LinkLost):
+                wire.client.call(1)
+            assert not wire.client.is_open
+
+    def test_sifs_that_came_before_the_link_was_lost_are_handled(self):
+        with Wire() as wire:
+            seen, done = [], threading.Event()
+            started = threading.Event()
+
+            def handler(sif):
+                started.set()
+                assert done.wait(PATIENCE_S)
+                seen.append(sif.opcode)
+
+            wire.client.on_sif(None, handler)
+            wire.send(*(oracle.Frame(SOS, n, n, b"") for n in range(5)))
+            assert started.wait(PATIENCE_S)
+            wire.far.close()
+            while wire.client.is_open:
+                time.sleep(0.001)
+            done.set()
+            while len(seen) < 5:
+                time.sleep(0.001)
+            assert seen == list(range(5))
+
+    def test_a_device_that_does_not_read_cannot_block_replies(self):
+        with Wire() as wire:
+            wire.client._engine._transport.write_timeout_s = 0.2
+            wire.client._engine._transport._outgoing._limit = 3
+            call = Background(wire.client.call, 1, bytes(100), timeout=math.inf)
+            with pytest.raises(j2a.LinkLost, match="does not read"):
+                call.result()
+
+    def test_a_timed_out_request_leaves_the_link_usable(self):
+        with Wire() as wire:
+            with pytest.raises(j2a.CallTimeout):
+                wire.client.call(1, timeout=0.01)
+            first = wire.request()
+            call = Background(wire.client.call, 2)
+            second = wire.request()
+            wire.send(
+                oracle.Frame(SOF, first.seq, 0, b"late"), oracle.Frame(SOF, second.seq, 0, b"now")
+            )
+            assert call.result().payload == b"now"
+
+    def test_the_threads_end(self):
+        before = threading.active_count()
+        for _ in range(5):
+            with linked() as client:
+                client.echo(b"x")
+        deadline = time.monotonic() + PATIENCE_S
+        while threading.active_count() > before and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert threading.active_count() <= before
+
+
+class TestConnecting:
+    def test_a_board_that_is_still_booting(self):
+        listener = j2a_transports.listen("loopback:booting board")
+        device = DemoDevice()
+        server = threading.Thread(target=device.serve_forever, args=(listener,))
+        attempts = []
+
+        def boot_at_the_third_attempt(direction, item):
+            if direction == "tx" and isinstance(item, j2a.Frame):
+                attempts.append(item)
+                if len(attempts) == 3:
+                    server.start()
+
+        with j2a.connect(
+            listener.url, boot_time=PATIENCE_S, trace=boot_at_the_third_attempt
+        ) as client:
+            assert client.call("add", bytes(8), PATIENCE_S).payload == bytes(4)
+            assert client.counters.timeouts >= 2
+        device.stop()
+        server.join(PATIENCE_S)
+
+    def test_a_board_that_sends_rubbish_while_it_boots(self):
+        listener = j2a_transports.listen("loopback:noisy board")
+        device = DemoDevice()
+
+        def boot():
+            transport = listener.accept(PATIENCE_S)
+            transport.write(b"\xff\x12\x7d\xedbootloader v1\r\n\x12\x12")
+            device.serve(transport)
+
+        server = threading.Thread(target=boot)
+        server.start()
+        with j2a.connect("loopback:noisy board", boot_time=PATIENCE_S) as client:
+            assert client.echo(b"x") == b"x"
+            assert client.counters.bytes_skipped > 0
+        device.stop()
+        server.join(PATIENCE_S)
+        listener.close()
+
+    def test_nobody_answers(self):
+        with (
+            j2a_transports.listen("loopback:silent board") as listener,
+            pytest.raises(j2a.CallTimeout, match="no device answered at loopback:silent board"),
+        ):
+            j2a.connect(listener.url, boot_time=0.3)
+
+    def test_a_board_without_a_map(self):
+        with linked(OldDevice(has_map=False)) as client:
+            assert client.functions == {}
+            assert client.properties == {}
+            assert client.call(4, b"x") == (0xBA, b"x")
+            with pytest.raises(j2a.UnknownFunction, match="call it by opcode"):
+                client.call("a2jEcho")
+
+    def test_an_old_board(self):
+        device = OldDevice({"name": "old"})
+        device.content = bytes(range(256)) * 3
+        with linked(device) as client:
+            assert client.properties == {"name": "old"}
+            with pytest.raises(j2a.LegacyLimit):
+                client.read_many("content")
+            assert client.echo_many(bytes(3000)) == bytes(3000)
+
+    def test_a_window_pipelines_calls(self):
+        with linked(window=8) as client:
+            calls = [Background(client.echo, b"%d" % n) for n in range(100)]
+            assert [call.result() for call in calls] == [b"%d" % n for n in range(100)]
+
+    def test_importing_loads_no_driver_and_no_asyncio(self):
+        import subprocess  # noqa: PLC0415
+        import sys  # noqa: PLC0415
+
+        code = "import j2a, sys; print([m for m in ('asyncio', 'serial', 'construct') if m in sys.modules])"
+        run = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+        )
+        assert run.stdout.strip() == "[]"
+
+    def test_all_that_is_public_is_there(self):
+        for name in j2a.__all__:
+            assert getattr(j2a, name) is not None
+        with pytest.raises(AttributeError):
+            j2a.nosuch  # noqa: B018
+
+
+class TestTrace:
+    def test_both_directions_frames_and_bytes(self):
+        seen = []
+        with linked(trace=lambda *at: seen.append(at)) as client:
+            seen.clear()
+            client.echo(b"abc")
+        frames = [(way, item[2:]) for way, item in seen if isinstance(item, j2a.Frame)]
+        assert frames == [("tx", (4, b"abc")), ("rx", (0xBA, b"abc"))]
+        for way in ("tx", "rx"):
+            raw = b"".join(item for to, item in seen if to == way and isinstance(item, bytes))
+            assert oracle.decode(raw)[0].payload == b"abc"
+
+    def test_the_log_stays_quiet_on_a_good_link(self, caplog):
+        caplog.set_level(logging.WARNING)
+        with linked() as client:
+            client.echo(b"x")
+        assert caplog.records == []

@@ -1,0 +1,234 @@
+"""A device in Python: hosts that come and go, SIFs, pauses in requests, stopping."""
+
+import struct
+import threading
+import time
+
+import j2a_transports
+import pytest
+from j2a_spec import oracle
+from j2a_spec.constants import SOF, SOS
+
+import j2a
+from j2a.demo import DemoDevice
+
+from .support import PATIENCE_S, linked, served
+
+
+class Host:
+    """A host that speaks frame by frame."""
+
+    def __init__(self, url: str) -> None:
+        self._transport = j2a_transports.open(url)
+        self._data = b""
+
+    def __enter__(self) -> "Host":
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._transport.close()
+
+    def write(self, data: bytes) -> None:
+        self._transport.write(data)
+
+    def send(self, seq: int, opcode: int, payload: bytes = b"") -> None:
+        self.write(oracle.encode(oracle.Frame(SOF, seq, opcode, payload)))
+
+    def frames(self, number: int) -> list[oracle.Frame]:
+        while len(oracle.decode(self._data)) < number or isinstance(
+            oracle.decode(self._data)[-1], oracle.Incomplete
+        ):
+            data = self._transport.read(PATIENCE_S)
+            assert data, "the device does not answer"
+            self._data += data
+        events, self._data = oracle.decode(self._data), b""
+        assert len(events) == number
+        return events
+
+    def is_silent(self, seconds: float) -> bool:
+        return self._transport.read(seconds) == b""
+
+
+@pytest.fixture(params=["loopback", "tcp"])
+def url(request):
+    where = {"loopback": None, "tcp": "tcp://127.0.0.1:0"}[request.param]
+    with served(DemoDevice(), where) as url:
+        yield url
+
+
+def test_requests_without_waiting_are_answered_in_order(url):
+    with Host(url) as host:
+        host.write(
+            b"".join(
+                oracle.encode(oracle.Frame(SOF, seq & 0xFF, 4, struct.pack("<H", seq)))
+                for seq in range(400)
+            )
+        )
+        replies = host.frames(400)
+        assert [struct.unpack("<H", reply.payload)[0] for reply in replies] == list(range(400))
+        assert [reply.seq for reply in replies] == [seq & 0xFF for seq in range(400)]
+
+
+def test_a_request_that_stops_is_given_up(url):
+    with Host(url) as host:
+        host.write(bytes((SOF, 7, 4, 5)))
+        (reply,) = host.frames(1)
+        assert (reply.seq, reply.opcode) == (7, 0xF2)
+        host.write(b"the rest")
+        host.send(8, 4, b"next")
+        assert host.frames(1) == [oracle.Frame(SOF, 8, 0xBA, b"next")]
+
+
+def test_a_busy_device_does_not_take_waiting_bytes_for_late_ones():
+    device = DemoDevice()
+    with served(device) as url, Host(url) as host:
+        wire = oracle.encode(oracle.Frame(SOF, 2, 4, b"waited"))
+        delay = oracle.encode(oracle.Frame(SOF, 1, device.functions["delay"], b"\x2c\x01"))
+        host.write(delay + wire[:5])
+        host.write(wire[5:])
+        replies = host.frames(2)
+        assert [(reply.seq, reply.opcode) for reply in replies] == [(1, 0), (2, 0xBA)]
+
+
+def test_several_hosts_share_the_functions_and_have_their_own_sif_counters():
+    with served(device := DemoDevice()) as url, Host(url) as first:
+        first.send(0, 4)
+        first.frames(1)
+        assert device.send_sif(1, b"one host") == 1
+        with Host(url) as second:
+            second.send(0, 4)
+            second.frames(1)
+            assert device.send_sif(2, b"two hosts") == 2
+            assert second.frames(1) == [oracle.Frame(SOS, 0, 2, b"two hosts")]
+        assert [frame.seq for frame in first.frames(2)] == [0, 1]
+
+
+def test_a_sif_without_a_host_goes_nowhere_and_says_so():
+    assert DemoDevice().send_sif(1, b"x") == 0
+
+
+@pytest.mark.parametrize(
+    "misuse",
+    [
+        lambda device: device.send_sif(256),
+        lambda device: device.send_sif("x"),
+        lambda device: device.send_sif(1, bytes(256)),
+        lambda device: device.send_sif(1, "text"),
+    ],
+)
+def test_sifs_that_cannot_be(misuse):
+    with pytest.raises(j2a.LocalError):
+        misuse(DemoDevice())
+
+
+def test_a_sif_from_inside_a_function_comes_before_its_reply(url):
+    with Host(url) as host:
+        sif = DemoDevice().functions["sif"]
+        host.send(3, sif, b"\xf2payload")
+        assert host.frames(2) == [
+            oracle.Frame(SOS, 0, 0xF2, b"payload"),
+            oracle.Frame(SOF, 3, 0, b""),
+        ]
+
+
+def test_sifs_from_many_threads_are_whole_and_numbered_in_order():
+    with served(device := DemoDevice()) as url, Host(url) as host:
+        host.send(0, 4)
+        host.frames(1)
+        threads = [
+            threading.Thread(
+                target=lambda n=n: [device.send_sif(n, bytes((SOF, n)) * 50) for _ in range(50)]
+            )
+            for n in range(4)
+        ]
+        for thread in threads:
+            thread.start()
+        frames = host.frames(200)
+        for thread in threads:
+            thread.join(PATIENCE_S)
+        assert [frame.seq for frame in frames] == list(range(200))
+        assert all(frame.payload == bytes((SOF, frame.opcode)) * 50 for frame in frames)
+
+
+def test_a_function_may_stop_the_device():
+    device = j2a.Device()
+
+    @device.function
+    def goodbye(payload):
+        device.stop()
+
+    with served(device) as url, Host(url) as host:
+        host.send(1, device.functions["goodbye"])
+        deadline = time.monotonic() + PATIENCE_S
+        with pytest.raises(j2a_transports.TransportError):
+            while time.monotonic() < deadline:
+                host.is_silent(0.05)
+    with pytest.raises(j2a.LocalError, match="stopped"):
+        device.serve_forever(j2a_transports.listen("loopback:too late"))
+
+
+def test_the_device_survives_hosts_that_vanish(url):
+    for _ in range(10):
+        with Host(url) as host:
+            host.write(bytes((SOF, 1, 4)))
+    with Host(url) as host:
+        host.send(5, 4, b"alive")
+        assert host.frames(1) == [oracle.Frame(SOF, 5, 0xBA, b"alive")]
+
+
+class TestDemo:
+    def test_time_goes_on(self):
+        with linked() as client:
+            (first,) = struct.unpack("<Q", client.call("getTime").payload)
+            (second,) = struct.unpack("<Q", client.call("getTime").payload)
+            assert first <= second < first + PATIENCE_S * 1e6
+
+    def test_delay(self):
+        with linked() as client:
+            start = time.monotonic()
+            assert client.call("delay", b"\x32\x00") == (0, b"")
+            assert time.monotonic() - start >= 0.05
+
+    @pytest.mark.parametrize("name", ["add", "delay", "sifPeriod", "sif", "ret"])
+    def test_payloads_of_the_wrong_length(self, name):
+        with linked() as client:
+            assert client.call(name, b"") == (0xFF, b"")
+
+    def test_overruns(self):
+        with linked() as client:
+            assert client.call("overruns") == (0, b"\0\0")
+
+    def test_a_write_with_a_gap_is_refused(self):
+        with linked() as client:
+            store = client.functions["store"]
+
+            def write(offset, data):
+                payload = struct.pack("<BBL", store, 2, offset) + data
+                return client.call("a2jMany", payload).payload[0]
+
+            assert write(0, b"abc") == 0
+            assert write(4, b"x") == 0xFF
+            assert write(2, b"x") == 0xFF
+            assert write(3, b"d") == 0
+            assert client.read_many("store") == b"abcd"
+            assert write(0, b"new") == 0
+            assert client.read_many("store") == b"new"
+
+    def test_a_new_period_begins_at_0(self):
+        with linked() as client:
+            numbers, enough = [], threading.Event()
+
+            def count(sif):
+                numbers.extend(struct.unpack("<L", sif.payload))
+                if len(numbers) > 3:
+                    enough.set()
+
+            client.on_sif(0x20, count)
+            client.call("sifPeriod", b"\x02\x00")
+            assert enough.wait(PATIENCE_S)
+            client.call("sifPeriod", b"\x03\x00")
+            enough.clear()
+            deadline = time.monotonic() + PATIENCE_S
+            while numbers.count(0) < 2 and time.monotonic() < deadline:
+                time.sleep(0.005)
+            assert numbers.count(0) == 2
