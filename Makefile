@@ -30,8 +30,8 @@ docs: $(INSTALLED)  ## the documentation, into docs/_build/html
 	@$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-bench: $(INSTALLED)  ## speed of decode and encode against other codecs
-	@$(BIN)/python -m pytest -o testpaths= --benchmark-only bench
+bench: $(INSTALLED)  ## speed of encode and decode, as ratios to a naive codec and to pymavlink
+	@$(BIN)/python -m tests.benchmarks.ratios
 
 firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo

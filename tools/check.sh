@@ -37,8 +37,8 @@ step format "layout of the Python files" ruff format --check --quiet .
 step mypy "types of the packages" mypy
 step mypy-tools "types of the tools and of the extensions of the documentation" \
     mypy tools/*.py docs/conf.py docs/_ext/*.py
-step imports "arrows between the packages" lint-imports --no-cache
-step firmware "the posix firmware" make --no-print-directory -C firmware PORT=posix APP=demo
+step imports "arrows between the packages" lint-imports --no-cache --no-logo
+step firmware "the posix firmware" make -s --no-print-directory -C firmware PORT=posix APP=demo
 if command -v avr-gcc >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
     step budget "the AVR firmware, and its size against the budget" \
         make --no-print-directory -C firmware budget
@@ -51,7 +51,9 @@ step dist "wheel and sdist hold the four packages" python tools/check_dist.py
 if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
 fi
-step pytest "tests" python -m pytest --cov --cov-report=term
+step speed "encode and decode in Python, for information" python -m tests.benchmarks.ratios
+# Under coverage a figure of speed would mislead, so the benchmarks only prove that they run.
+step pytest "tests" python -m pytest --cov --cov-report=term --benchmark-disable
 
 if ((${#failed[@]})); then
     printf '\n==> FAILED steps: %s\n' "${failed[*]}"
