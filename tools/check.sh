@@ -48,10 +48,10 @@ fi
 step docs "documentation, warnings are errors" \
     python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 step dist "wheel and sdist hold the four packages" python tools/check_dist.py
+step speed "encode and decode in Python, for information" python -m tests.benchmarks.ratios
 if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
 fi
-step speed "encode and decode in Python, for information" python -m tests.benchmarks.ratios
 # Under coverage a figure of speed would mislead, so the benchmarks only prove that they run.
 step pytest "tests" python -m pytest --cov --cov-report=term --benchmark-disable
 
