@@ -1,6 +1,7 @@
 """Configuration of Sphinx. Warnings are errors in the build that `make docs` runs."""
 
 import sys
+from importlib import metadata
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
@@ -8,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 project = "J2A"
 author = "the authors of J2A"
 copyright = "the authors of J2A"
-version = release = "0.1.0"
+version = release = metadata.version("j2a")
 
 extensions = [
     "myst_parser",

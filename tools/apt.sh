@@ -13,7 +13,7 @@ if [ "$(id -u)" -eq 0 ]; then
 elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then
     as_root="sudo -n env"
 else
-    echo "apt.sh: not root, and sudo asks for a password; run: sudo apt-get install $*" >&2
+    echo "apt.sh: not root, and no sudo without a password; run: sudo apt-get install $*" >&2
     exit 1
 fi
 

@@ -13,6 +13,7 @@ if [ "${CI:-}" = true ]; then
     export J2A_REQUIRE_AVR=1
 fi
 
+mkdir -p build
 failed=()
 
 step() {
@@ -48,6 +49,8 @@ fi
 step docs "documentation, warnings are errors" \
     python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 step dist "wheel and sdist hold the four packages" python tools/check_dist.py
+step demo "what make demo shows" bash -c \
+    'python tools/demo.py >build/demo.log 2>&1 || { cat build/demo.log; exit 1; }; tail -4 build/demo.log'
 step speed "encode and decode in Python, for information" python -m tests.benchmarks.ratios
 if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
