@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from j2a._handlers import Handlers, Reporter
 from j2a._link import TRANSPORT_ERRORS, link_error
 from j2a._session import Call, Session
-from j2a._shell import MAX_SIFS_WAITING, join_threads
+from j2a._shell import MAX_SIFS_WAITING, join_threads, take_stale_input
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
 
@@ -57,6 +57,7 @@ class Engine:
         # their order; a write that waits for the device holds up nothing but other writes.
         self._writing = threading.Lock()
         self._state = threading.Lock()
+        take_stale_input(transport, session)
         self._reader = self._start(self._read, "reader")
         self._dispatcher = self._start(self._dispatch, "handlers")
 

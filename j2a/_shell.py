@@ -1,18 +1,20 @@
-"""What the blocking and the asyncio client have in common: no input, no output, no waiting.
+"""What the blocking and the asyncio client have in common; how to wait is not among it.
 
 What flows in: the options of a client. What flows out: a session and a peer, checked arguments.
 """
 
+import contextlib
 import logging
 import random
 import threading
 import time
 from collections.abc import Iterable, Iterator
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from j2a_spec.constants import ECHO
 
 from j2a._arguments import check_timeout
+from j2a._link import TRANSPORT_ERRORS
 from j2a._peer import Peer
 from j2a._session import MAX_WINDOW, Session
 from j2a._trace import Trace
@@ -26,7 +28,11 @@ from j2a.errors import (
 )
 from j2a.events import Counters, Reply
 
+if TYPE_CHECKING:
+    from j2a_transports import Transport
+
 __all__ = [
+    "MAX_DEBUG_READS",
     "MAX_SIFS_WAITING",
     "Shell",
     "boot_limits",
@@ -34,12 +40,17 @@ __all__ = [
     "is_booting",
     "join_threads",
     "no_device",
+    "take_stale_input",
 ]
 
 MAX_SIFS_WAITING: Final = 65536
 """So many SIFs may wait for slow handlers; further ones are dropped and counted."""
 
+MAX_DEBUG_READS: Final = 256
+"""A device that writes debug text faster than it is read does not keep its reader for ever."""
+
 _FIRST_LIMIT_S: Final = 0.25
+_STALE_READS: Final = 64
 _JOIN_S: Final = 5.0
 _logger = logging.getLogger("j2a")
 
@@ -69,6 +80,20 @@ class Shell:
 
     def _limit_s(self, timeout: object) -> float:
         return self._timeout if timeout is None else check_timeout(timeout)
+
+
+def take_stale_input(transport: "Transport", session: Session) -> None:
+    """Give a session what was waiting in the link before it began.
+
+    A reply in it answers nobody: no call has been made. SIFs in it are counted, and lost: nobody
+    can have registered a handler yet.
+    """
+    with contextlib.suppress(*TRANSPORT_ERRORS):  # the reader meets the same error again
+        for _ in range(_STALE_READS):
+            data = transport.read(0)
+            if not data:
+                break
+            session.receive(data)
 
 
 def boot_limits(total_s: float) -> Iterator[float]:

@@ -23,6 +23,7 @@ from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
 from j2a._session import Call
 from j2a._shell import (
+    MAX_DEBUG_READS,
     MAX_SIFS_WAITING,
     Shell,
     boot_limits,
@@ -30,6 +31,7 @@ from j2a._shell import (
     is_booting,
     join_threads,
     no_device,
+    take_stale_input,
 )
 from j2a._trace import Trace
 from j2a.errors import CallTimeout, J2AError, LinkClosed, LinkError, LocalError, OpcodeRefused
@@ -75,6 +77,7 @@ class AsyncClient(Shell):
         self._sifs: asyncio.Queue[Sif | None] = asyncio.Queue()
         self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._timer: asyncio.TimerHandle | None = None
+        take_stale_input(transport, self._session)
         self._threads = [
             self._start(self._read, "reader"),
             self._start(self._write, "writer"),
@@ -99,11 +102,10 @@ class AsyncClient(Shell):
     async def read_debug(self, timeout: float | None = None) -> str:
         """Take the debug text that waits in the device; see `j2a.Client.read_debug`."""
         text = b""
-        code = DEBUG_MORE
-        while code & DEBUG_MORE:
+        for _ in range(MAX_DEBUG_READS):
             code, part = await self.call(GET_DEBUG, timeout=timeout)
             text += (b"[...]" if code & DEBUG_LOST else b"") + part
-            if not part:
+            if not part or not code & DEBUG_MORE:
                 break
         return text.decode("utf-8", "replace")
 

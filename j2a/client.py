@@ -17,6 +17,7 @@ from j2a._link import open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
 from j2a._shell import (
+    MAX_DEBUG_READS,
     Shell,
     boot_limits,
     check_echo,
@@ -110,11 +111,10 @@ class Client(Shell):
         Raises: as `call`.
         """
         text = b""
-        code = DEBUG_MORE
-        while code & DEBUG_MORE:
+        for _ in range(MAX_DEBUG_READS):
             code, part = self.call(GET_DEBUG, timeout=timeout)
             text += (b"[...]" if code & DEBUG_LOST else b"") + part
-            if not part:
+            if not part or not code & DEBUG_MORE:
                 break
         return text.decode("utf-8", "replace")
 

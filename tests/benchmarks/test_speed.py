@@ -8,7 +8,7 @@ from j2a_spec import oracle
 
 from j2a._deframer import Deframer
 
-from ..library.support import frames, streams
+from ..library.support import frames, streams  # noqa: TID252 - tests are no package
 from .contenders import FRAMES, SIZES, contenders
 from .naive import NaiveDeframer, naive_encode
 

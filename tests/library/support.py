@@ -4,7 +4,7 @@ the judge of answers that came over a bad link."""
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import count
+from itertools import count, pairwise
 
 import j2a_transports
 from hypothesis import strategies as st
@@ -68,7 +68,7 @@ streams = st.lists(st.one_of(wires, damaged(wires), tricky_bytes), max_size=6).m
 def chunked(data: bytes, cuts: list[int]) -> list[bytes]:
     """Cut data at the given places, in any order and repeated as they like."""
     edges = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
-    return [data[start:end] for start, end in zip(edges, edges[1:], strict=False)]
+    return [data[start:end] for start, end in pairwise(edges)]
 
 
 def by_the_oracle(

@@ -174,6 +174,16 @@ class TestTimeLimits:
             assert second.cancelled()
 
     @in_event_loop
+    async def test_what_an_earlier_program_left_behind_answers_nothing(self):
+        near, far = j2a_transports.pair()
+        for seq in range(256):
+            far.write(oracle.encode(oracle.Frame(SOF, seq, 0, b"stale")))
+        async with j2a.AsyncClient(near) as client:
+            with pytest.raises(j2a.CallTimeout):
+                await client.call(1, timeout=0.02)
+            assert client.counters.stray_replies == 256
+
+    @in_event_loop
     async def test_a_shorter_limit_set_later_is_kept(self):
         async with wired() as (client, _far):
             slow = asyncio.create_task(client.call(1, timeout=PATIENCE_S))
@@ -297,9 +307,11 @@ class TestTheEnd:
 class TestConnecting:
     @in_event_loop
     async def test_nobody_answers(self):
-        with j2a_transports.listen("loopback:silent board for asyncio") as listener:
-            with pytest.raises(j2a.CallTimeout, match="no device answered"):
-                await j2a.aconnect(listener.url, boot_time=0.3)
+        with (
+            j2a_transports.listen("loopback:silent board for asyncio") as listener,
+            pytest.raises(j2a.CallTimeout, match="no device answered"),
+        ):
+            await j2a.aconnect(listener.url, boot_time=0.3)
 
     @in_event_loop
     async def test_urls_and_options(self):

@@ -2,7 +2,10 @@
 
 import logging
 import math
+import signal
 import struct
+import subprocess
+import sys
 import threading
 import time
 
@@ -260,6 +263,36 @@ class TestTimeLimits:
             wire.send(answer, oracle.Frame(SOF, (request.seq + 1) & 0xFF, 6, b"second"))
             assert following.result() == (6, b"second")
             assert wire.client.counters.stray_replies == 6
+
+    def test_what_an_earlier_program_left_behind_answers_nothing(self):
+        near, far = j2a_transports.pair()
+        for seq in range(256):
+            far.write(oracle.encode(oracle.Frame(SOF, seq, 0, b"stale")))
+        with j2a.Client(near, timeout=PATIENCE_S) as client:
+            with pytest.raises(j2a.CallTimeout):
+                client.call(1, timeout=0.02)
+            assert client.counters.stray_replies == 256
+
+    def test_an_interrupted_call_is_forgotten(self):
+        def interrupt(_number, _frame):
+            raise KeyboardInterrupt
+
+        with Wire() as wire:
+            before = signal.signal(signal.SIGALRM, interrupt)
+            signal.setitimer(signal.ITIMER_REAL, 0.05)
+            try:
+                with pytest.raises(KeyboardInterrupt):
+                    wire.client.call(1)
+            finally:
+                signal.signal(signal.SIGALRM, before)
+            seq = wire.request().seq
+            call = Background(wire.client.call, 2)
+            assert wire.request().opcode == 2
+            wire.send(
+                oracle.Frame(SOF, seq, 0, b"old"), oracle.Frame(SOF, seq + 1 & 0xFF, 0, b"new")
+            )
+            assert call.result().payload == b"new"
+            assert wire.client.counters.late_replies == 1
 
     def test_first_seqs_differ_from_program_to_program(self):
         seqs = set()
@@ -525,10 +558,8 @@ class TestConnecting:
             assert [call.result() for call in calls] == [b"%d" % n for n in range(100)]
 
     def test_importing_loads_no_driver_and_no_asyncio(self):
-        import subprocess  # noqa: PLC0415
-        import sys  # noqa: PLC0415
-
-        code = "import j2a, sys; print([m for m in ('asyncio', 'serial', 'construct') if m in sys.modules])"
+        heavy = ["asyncio", "serial", "construct"]
+        code = f"import j2a, sys; print([name for name in {heavy} if name in sys.modules])"
         run = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
         )

@@ -1,4 +1,4 @@
-"""Transfers in chunks, without a link: what is sent, what is refused, and devices of version 1.0."""
+"""Transfers in chunks, without a link: what is sent, what is refused, devices of version 1.0."""
 
 import struct
 from collections.abc import Callable
