@@ -30,8 +30,20 @@ def _fields(context: Any) -> tuple[int, int, bytes]:
     return context.seq, context.opcode, context.payload
 
 
-def _non_empty(text: str, _context: Any) -> bool:
+def _is_name(text: str, _context: Any) -> bool:
+    return text != "" and all("!" <= character <= "~" for character in text)
+
+
+def _is_key(text: str, _context: Any) -> bool:
+    return text != "" and all(" " <= character <= "~" for character in text)
+
+
+def _is_value(text: str, _context: Any) -> bool:
     return text != ""
+
+
+def _fits(data: bytes, _context: Any) -> bool:
+    return len(data) <= c.MANY_DATA
 
 
 PACKET = cs.Struct(
@@ -52,7 +64,9 @@ ERROR_PAYLOAD = cs.Struct(
 )
 """The payload of an error reply."""
 
-_NAME = cs.ExprValidator(cs.CString("ascii"), _non_empty)
+_NAME = cs.ExprValidator(cs.CString("ascii"), _is_name)
+_KEY = cs.ExprValidator(cs.CString("ascii"), _is_key)
+_VALUE = cs.ExprValidator(cs.CString("utf8"), _is_value)
 
 MAPPING = cs.FocusedSeq(
     "names",
@@ -66,8 +80,8 @@ PROPERTIES = cs.FocusedSeq(
     "pairs"
     / cs.GreedyRange(
         cs.Struct(
-            "key" / _NAME * "NUL-terminated key",
-            "value" / cs.ExprValidator(cs.CString("utf8"), _non_empty) * "NUL-terminated value",
+            "key" / _KEY * "NUL-terminated key",
+            "value" / _VALUE * "NUL-terminated value",
         )
     )
     * "key and value, repeated",
@@ -75,13 +89,14 @@ PROPERTIES = cs.FocusedSeq(
 )
 """All that a2jGetProperties returns through a2jMany: key and value pairs."""
 
+_DATA = cs.ExprValidator(cs.GreedyBytes, _fits)
 _FLAGS = cs.FlagsEnum(cs.Byte, is_last=c.FLAG_LAST, is_write=c.FLAG_WRITE)
 
 MANY_REQUEST = cs.Struct(
     "func" / cs.Byte * "opcode of the function that the chunk is for",
     "flags" / _FLAGS * "bit 0 isLast, bit 1 isWrite",
     "offset" / cs.Int32ul * "position of the chunk in the whole",
-    "data" / cs.GreedyBytes * "the chunk, 0 to 249 bytes; none when reading",
+    "data" / _DATA * "the chunk, 0 to 249 bytes; none when reading",
 )
 """The payload of a request to a2jMany (thesis bytefield 7.1)."""
 
@@ -89,7 +104,7 @@ MANY_REPLY = cs.Struct(
     "code" / cs.Byte * "return value of the function",
     "flags" / _FLAGS * "bit 0 isLast",
     "offset" / cs.Int32ul * "position of the chunk in the whole",
-    "data" / cs.GreedyBytes * "the chunk, 0 to 249 bytes",
+    "data" / _DATA * "the chunk, 0 to 249 bytes",
 )
 """The payload of a reply of a2jMany."""
 

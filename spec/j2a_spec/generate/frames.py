@@ -40,7 +40,10 @@ class FrameVector:
 
 def frame_vectors() -> list[FrameVector]:
     """Return every frame vector, in a fixed order."""
-    groups = (_thesis(), _fields(), _lengths(), _patterns(), _needless(), _broken())
+    groups = (
+        *(_thesis(), _fields(), _lengths(), _patterns()),
+        *(_needless(), _wrong_shape(), _not_stuffed(), _wrong_checksum(), _bad_escape()),
+    )
     return [
         FrameVector(f"frame-{number:03}", *rest)
         for number, rest in enumerate((row for group in groups for row in group), 1)
@@ -141,31 +144,77 @@ def _needless() -> Iterator[_Row]:
     yield "ESC ESC is 0x7E", ids, "acceptable", ("needless-escape",), wire, frame
 
 
-def _broken() -> Iterator[_Row]:
-    good = Frame(c.SOF, 0x31, 0x05, b"\x01\x02\x03")
-    body = bytes((0x31, 0x05, 3, 1, 2, 3, checksum(0x31, 0x05, b"\x01\x02\x03")))
+_GOOD = Frame(c.SOF, 0x31, 0x05, b"\x01\x02\x03")
+_BODY = encode(_GOOD)[1:]
+"""The frame that the invalid vectors spoil; none of its bytes is stuffed."""
+
+
+def _invalid(comment: str, ids: str, flag: str, wire: bytes) -> _Row:
+    return comment, _ids(ids), "invalid", (flag,), wire, None
+
+
+def _wrong_shape() -> Iterator[_Row]:
+    for start in (0x00, 0x11, 0x13, 0x7D, 0x7E, 0xEC, 0xEE, 0xFF):
+        comment = f"starts with 0x{start:02X}"
+        yield _invalid(comment, "FRAME-002 FRAME-003 FRAME-006", "start", bytes((start,)) + _BODY)
+    sof = bytes((c.SOF,))
+    swapped = bytes((_BODY[1], _BODY[0])) + _BODY[2:]
+    yield _invalid("opcode before seq", "FRAME-001", "opcode", sof + swapped)
+    swapped = bytes((_BODY[0], _BODY[2], _BODY[1])) + _BODY[3:]
+    yield _invalid("length before opcode", "FRAME-001", "length", sof + swapped)
+    yield _invalid("no checksum", "FRAME-001", "checksum", sof + _BODY[:-1])
+    yield _invalid("checksum first", "FRAME-001", "checksum", sof + _BODY[-1:] + _BODY[:-1])
+    for length in (2, 4):
+        body = _BODY[:2] + bytes((length,)) + _BODY[3:-1]
+        body += bytes((checksum(_GOOD.seq, _GOOD.opcode, bytes(length)) ^ 1 ^ 2 ^ 3,))
+        yield _invalid(f"length {length} for 3 bytes", "FRAME-004", "length", sof + body)
+    length_with_start = _BODY[:2] + bytes((len(_BODY) + 1,)) + _BODY[3:]
+    yield _invalid("length of the whole frame", "FRAME-004", "length", sof + length_with_start)
+
+
+def _not_stuffed() -> Iterator[_Row]:
+    """A value that has to be stuffed and is not, or whose stuffing the sum covers."""
+    for value in sorted(c.STUFFED):
+        frames = {
+            "seq": Frame(c.SOF, value, 0x05, b"\x01"),
+            "opcode": Frame(c.SOF, 0x01, value, b"\x02"),
+            "length": Frame(c.SOF, 0x02, 0x05, bytes(value)),
+            "payload": Frame(c.SOF, 0x03, 0x05, bytes((1, value, 2))),
+            "checksum": _with_checksum(c.SOF, value),
+        }
+        pair = bytes((c.ESC, value - 1))
+        for field, frame in frames.items():
+            wire = encode(frame)
+            raw = wire.replace(pair, bytes((value,)))
+            yield _invalid(f"raw 0x{value:02X} as {field}", "STUFF-001", field, raw)
+            if field != "checksum":
+                total = wire[-1] ^ value ^ c.ESC ^ (value - 1)
+                wire = wire[:-1] + stuff(bytes((total,)))
+                comment = f"0x{value:02X} as {field}, the checksum covers the stuffed bytes"
+                yield _invalid(comment, "STUFF-005 SUM-002 SUM-003", field, wire)
+            if (field, value) != ("checksum", c.ESC):  # that is right, with a byte too many
+                twice = wire.replace(pair, bytes((c.ESC, c.ESC - 1, value - 1)))
+                comment = f"0x{value:02X} as {field}, stuffed twice"
+                yield _invalid(comment, "STUFF-005", field, twice)
+
+
+def _wrong_checksum() -> Iterator[_Row]:
     for bit in range(8):
-        wire = bytes((c.SOF,)) + stuff(body[:-1] + bytes((body[-1] ^ 1 << bit,)))
-        ids = _ids("SUM-001 SUM-003")
-        yield f"bit {bit} of the checksum is wrong", ids, "invalid", ("checksum",), wire, None
+        wire = bytes((c.SOF,)) + stuff(_BODY[:-1] + bytes((_BODY[-1] ^ 1 << bit,)))
+        yield _invalid(f"bit {bit} is wrong", "SUM-001 SUM-003", "checksum", wire)
     wrong = {
-        "checksum without the 11 of the opcode": body[-1] ^ 0x05 ^ (0x05 + c.CHK_OPCODE),
-        "checksum without the 97 of the length": body[-1] ^ 3 ^ (3 + c.CHK_LENGTH),
-        "checksum that covers the start byte": body[-1] ^ c.SOF,
-        "checksum without the seq": body[-1] ^ 0x31,
+        "without the 11 of the opcode": 0x05 ^ (0x05 + c.CHK_OPCODE),
+        "without the 97 of the length": 3 ^ (3 + c.CHK_LENGTH),
+        "covers the start byte": c.SOF,
+        "without the seq": _GOOD.seq,
     }
-    for comment, value in wrong.items():
-        wire = bytes((c.SOF,)) + stuff(body[:-1] + bytes((value,)))
-        yield comment, _ids("SUM-001 SUM-002 SUM-003"), "invalid", ("checksum",), wire, None
-    stuffed_sum = Frame(c.SOF, 0x31, 0x05, b"\x12")
-    after = bytes((0x31, 0x05, 1, c.ESC, c.SOF - 1))
-    value = checksum(0x31, 0x05, b"\x12") ^ c.SOF ^ c.ESC ^ (c.SOF - 1)
-    wire = bytes((c.SOF,)) + after + stuff(bytes((value,)))
-    comment = "checksum computed after stuffing"
-    assert wire != encode(stuffed_sum)
-    yield comment, _ids("SUM-002 SUM-003"), "invalid", ("checksum",), wire, None
-    whole = encode(good)
+    for comment, difference in wrong.items():
+        wire = bytes((c.SOF,)) + stuff(_BODY[:-1] + bytes((_BODY[-1] ^ difference,)))
+        yield _invalid(comment, "SUM-001 SUM-002 SUM-003", "checksum", wire)
+
+
+def _bad_escape() -> Iterator[_Row]:
+    whole = encode(_GOOD)
     for index in range(1, len(whole)):
         wire = whole[:index] + bytes((c.ESC, 0xFF)) + whole[index:]
-        comment = f"ESC 0xFF after {index} bytes"
-        yield comment, _ids("STUFF-004"), "invalid", ("escape",), wire, None
+        yield _invalid(f"ESC 0xFF after {index} bytes", "STUFF-003 STUFF-004", "escape", wire)

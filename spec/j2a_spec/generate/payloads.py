@@ -20,6 +20,7 @@ class PayloadVector:
         data: the bytes.
         value: plain JSON value that the bytes mean, None when they are invalid.
         canonical: whether building `value` gives exactly `data`.
+        flags: "host-accepts" where a host takes what no device may send.
     """
 
     id: str
@@ -29,6 +30,7 @@ class PayloadVector:
     data: bytes
     value: Any
     canonical: bool = True
+    flags: tuple[str, ...] = ()
 
 
 def payload_vectors() -> list[PayloadVector]:
@@ -54,15 +56,16 @@ def _to_construct(value: Any) -> Any:
     return value
 
 
-def _invalid(comment: str, ids: str, grammar: str, data: bytes) -> _Row:
-    return comment, ids, grammar, data, None
+def _invalid(comment: str, ids: str, grammar: str, data: bytes, *flags: str) -> _Row:
+    return comment, ids, grammar, data, None, True, flags
 
 
 def _errors() -> Iterator[_Row]:
     yield _built("site 1", "ERR-006", "error-payload", {"site": 1})
     yield _built("site 0x7D12", "ERR-006 STUFF-005", "error-payload", {"site": 0x7D12})
-    yield _invalid("one byte", "ERR-006", "error-payload", b"\x01")
-    yield _invalid("three bytes", "ERR-006", "error-payload", b"\x01\x00\x00")
+    yield _invalid("one byte", "ERR-006", "error-payload", b"\x01", "host-accepts")
+    yield _invalid("none", "ERR-006", "error-payload", b"", "host-accepts")
+    yield _invalid("three", "ERR-006", "error-payload", b"\x01\x00\x00", "host-accepts")
 
 
 def _mappings() -> Iterator[_Row]:
@@ -77,6 +80,8 @@ def _mappings() -> Iterator[_Row]:
     yield _invalid("last name without its NUL", ids, "mapping", b"a2jGetMapping\0a2jMany")
     yield _invalid("an empty name", ids, "mapping", b"a2jGetMapping\0\0a2jEcho\0")
     yield _invalid("not ASCII", ids, "mapping", b"a2jGetMapping\0\xff\0")
+    yield _invalid("a space in a name", ids, "mapping", b"a2jGetMapping\0get time\0")
+    yield _invalid("a control character in a name", ids, "mapping", b"a2jGetMapping\0\n\0")
 
 
 def _properties() -> Iterator[_Row]:
@@ -119,6 +124,8 @@ def _many() -> Iterator[_Row]:
         oddity = bytes((5, 0xFC | c.FLAG_LAST, 1, 0, 0, 0))
         value = {**empty, "flags": last, "offset": 1}
         yield "unknown flag bits", ids + " MANY-009", grammar, oddity, value, False
+        oversized = bytes((5, 0, 0, 0, 0, 0)) + bytes(c.MANY_DATA + 1)
+        yield _invalid("250 bytes of data", ids, grammar, oversized)
         for length in range(c.MANY_HEADER):
             comment = f"header of {length} bytes"
             yield _invalid(comment, ids + " MANY-003", grammar, bytes(length))

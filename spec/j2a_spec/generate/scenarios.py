@@ -75,11 +75,15 @@ def scenarios() -> list[Scenario]:
             f"scenario-{number:03}",
             comment,
             tuple(f"J2A-{name}" for name in ids.split()),
-            (c.GET_ECHO,),
+            tuple(dict.fromkeys(_functions(steps))),
             tuple(steps),
         )
         for number, (comment, ids, steps) in enumerate(rows, 1)
     ]
+
+
+def _functions(steps: list[Step]) -> list[str]:
+    return [step["send"]["function"] for step in steps if "function" in step.get("send", ())]
 
 
 _Row = tuple[str, str, list[Step]]
@@ -116,6 +120,35 @@ def _good() -> list[_Row]:
             "garbage around requests",
             "FRAME-006 FRAME-009",
             [{"raw": "00ff7d11"}, _send(1), _echo(1), {"raw": "7d7d00"}, _send(2), _echo(2)],
+        ),
+        (
+            "the largest payloads, plain and all stuffed",
+            "FRAME-004 FRAME-005 STUFF-001",
+            [
+                step
+                for payload in (bytes(255), b"\x12" * 255, b"\xed" * 255, b"\x7d" * 255)
+                for step in (_send(0x12, payload), _echo(0x12, payload))
+            ],
+        ),
+        (
+            "a2jMany with a short header, and for opcode 0",
+            "MANY-003 MANY-005",
+            [
+                {"send": _request(1, bytes(5), c.MANY)},
+                {"expect": {"seq": 1, "code": c.RET_FAILED, "payload": None}},
+                {"send": _request(2, bytes(6), c.MANY)},
+                _error(2, c.ERR_OPCODE),
+                _QUIET,
+            ],
+        ),
+        (
+            "a function made for a2jMany, called directly",
+            "MANY-006",
+            [
+                {"send": _request(1, b"abc", c.GET_ECHO_MANY)},
+                _error(1, c.ERR_OPCODE),
+                _QUIET,
+            ],
         ),
         ("garbage alone is not answered", "FRAME-006", [{"raw": "00010203ff7d"}, _QUIET]),
     ]

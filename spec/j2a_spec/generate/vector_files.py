@@ -50,6 +50,7 @@ def outputs() -> dict[str, str]:
                 else "valid"
                 if v.canonical
                 else "acceptable",
+                "flags": v.flags,
                 "grammar": v.grammar,
                 "data": v.data.hex(),
                 "value": v.value,
