@@ -37,6 +37,7 @@ napoleon_preprocess_types = False
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 
+highlight_language = "text"
 nitpicky = True
 # The documentation is built without a network, so there are no links to Python's own.
 _ELSEWHERE = "asyncio|collections|concurrent|construct|enum|pathlib|threading|types|typing"
