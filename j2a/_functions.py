@@ -231,15 +231,19 @@ def pack_properties(properties: Mapping[str, str]) -> bytes:
     """Return properties as they are sent: key NUL value NUL ... (J2A-PROP-001).
 
     Raises:
-        RegistrationError: a key or value is empty, no text, or holds NUL.
+        RegistrationError: a key or value cannot be sent (J2A-PROP-002).
     """
     parts = []
-    for part in (part for item in properties.items() for part in item):
-        if not isinstance(part, str) or not part or "\0" in part:
+    for key, value in properties.items():
+        if not isinstance(key, str) or not key or not all(" " <= char <= "~" for char in key):
             raise RegistrationError(
-                f"keys and values of properties are texts of 1 or more without NUL, not {part!r}"
+                f"the key of a property is one or more printable ASCII characters, not {key!r}"
             )
-        parts.append(part.encode("utf-8") + b"\0")
+        if not isinstance(value, str) or not value or "\0" in value:
+            raise RegistrationError(
+                f"the value of property {key!r} is text without NUL, not {value!r}"
+            )
+        parts.append(f"{key}\0{value}\0".encode())
     return b"".join(parts)
 
 

@@ -158,13 +158,13 @@ def echo_chunks(
 
 
 def probe_offsets(what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
-    """Find out whether a device of version 1.0 honours offsets above 255.
+    """Find out whether a device of version 1.0 honours offsets above 255 (J2A-MANY-014).
 
     Old devices look at the lowest byte of the offset only, so offset 256 gives what offset 0 gave.
 
     Args:
         what: how messages name the transfer.
-        opcode: of a function that can be read without side effects.
+        opcode: of the function that the transfer is with, 0..255.
         content: what was read so far, from offset 0 on.
         first: the chunk at offset 0.
 

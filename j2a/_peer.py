@@ -54,7 +54,8 @@ class Peer:
         self.functions: dict[str, int] | None = None
         self.properties: dict[str, str] | None = None
         self._no_map = "its function map was not fetched"
-        self._offsets_honoured = False
+        # Opcodes of the functions for which a probe has shown that all of the offset counts.
+        self._probed: set[int] = set()
 
     # ------------------------------------------------------------------ function map
 
@@ -65,7 +66,7 @@ class Peer:
         """
         self.functions = {}
         self.properties = None
-        self._offsets_honoured = False
+        self._probed = set()
         if reply is None:
             self._no_map = "it has no function map"
         elif reply.code != RET_OK:
@@ -157,30 +158,30 @@ class Peer:
 
     def _write(self, what: str, opcode: int, data: bytes, progress: Progress | None) -> Steps[int]:
         last_offset = (max(len(data), 1) - 1) // MANY_DATA * MANY_DATA
-        if last_offset > LEGACY_OFFSET and not (yield from self._is_trusted()):
-            # Looking must change nothing, so the properties are looked at where there are any.
-            known = (self.functions or {}).get(GET_PROPERTIES, opcode)
-            first = yield from exchange(f"{what} (probe)", known, 0, 0, b"")
-            yield from self._probe(what, known, first.data, first)
+        if last_offset > LEGACY_OFFSET and not (yield from self._is_trusted(opcode)):
+            first = yield from exchange(f"{what} (probe)", opcode, 0, 0, b"")
+            yield from self._probe(what, opcode, first.data, first)
         return (yield from write_chunks(what, opcode, data, progress=progress))
 
     def _guard_read(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
-        if not (yield from self._is_trusted()):
+        if not (yield from self._is_trusted(opcode)):
             yield from self._probe(what, opcode, content, first)
 
     def _guard_properties(self, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
-        if not self._offsets_honoured and PROP_SPEC.encode() not in content.split(b"\0")[:-1:2]:
+        # Whether the device is an old one is in these properties; it may have been read by now.
+        is_new = PROP_SPEC.encode() in content.split(b"\0")[:-1:2]
+        if not is_new and opcode not in self._probed:
             yield from self._probe(GET_PROPERTIES, opcode, content, first)
 
-    def _is_trusted(self) -> Steps[bool]:
-        if self._offsets_honoured:
+    def _is_trusted(self, opcode: int) -> Steps[bool]:
+        if opcode in self._probed:
             return True
         properties = yield from self.read_properties()
         return PROP_SPEC in properties
 
     def _probe(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
         yield from probe_offsets(what, opcode, content, first)
-        self._offsets_honoured = True
+        self._probed.add(opcode)
 
 
 def unpack_properties(content: bytes) -> dict[str, str]:

@@ -64,7 +64,10 @@ class TestRegistration:
         assert plain(b"x") == b"x"
         assert chunks(None) == j2a.ManyReply()
 
-    @pytest.mark.parametrize("properties", [{"": "x"}, {"x": ""}, {"x": "a\0b"}, {"x": 3}])
+    @pytest.mark.parametrize(
+        "properties",
+        [{"": "x"}, {"x": ""}, {"x": "a\0b"}, {"x": 3}, {3: "x"}, {"größe": "x"}, {"a\0": "x"}],
+    )
     def test_properties_that_would_shift_the_others_are_refused(self, properties):
         with pytest.raises(j2a.RegistrationError):
             j2a.Device(properties)

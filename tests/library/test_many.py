@@ -233,14 +233,34 @@ class TestHonestOldDevices:
     def test_long_transfers_work(self):
         device = self.Honest()
         peer = know(device)
+        drive(device._execute, peer.write("store", content(498), None))
         data = content(5000)
         drive(device._execute, peer.write("store", data, None))
         assert drive(device._execute, peer.read("store", DEFAULT_MAX_BYTES, None)) == data
         assert peer.properties == {"name": "honest"}
 
+    def test_a_probe_is_made_once_for_each_function(self):
+        device = self.Honest()
+        device._content += content(600)
+        peer = know(device)
+        drive(device._execute, peer.read("store", DEFAULT_MAX_BYTES, None))
+        requests = []
+        drive(device._execute, peer.read("store", DEFAULT_MAX_BYTES, None), requests)
+        assert len(requests) == 3
+        device.many("other")(lambda request: j2a.read_chunk(bytes(600), request))
+        peer.take_map(Reply(*device._execute(0, b"")))
+        with pytest.raises(j2a.LegacyLimit):
+            drive(device._execute, peer.read("other", DEFAULT_MAX_BYTES, None))
+
+    def test_a_write_to_a_function_that_has_nothing_to_show_is_refused(self):
+        device = self.Honest()
+        with pytest.raises(j2a.LegacyLimit):
+            drive(device._execute, know(device).write("store", content(600), None))
+        assert device._content == b""
+
     def test_the_probe_of_a_read_looks_at_what_is_read(self):
         device = self.Honest()
-        drive(device._execute, know(device).write("store", content(600), None))
+        device._content += content(600)
         requests = []
         read = know(device).read("store", DEFAULT_MAX_BYTES, None)
         assert drive(device._execute, read, requests) == content(600)
@@ -249,7 +269,7 @@ class TestHonestOldDevices:
 
     def test_content_that_repeats_cannot_be_told_from_an_old_device(self):
         device = self.Honest()
-        drive(device._execute, know(device).write("store", bytes(600), None))
+        device._content += bytes(600)
         with pytest.raises(j2a.LegacyLimit):
             drive(device._execute, know(device).read("store", DEFAULT_MAX_BYTES, None))
 

@@ -2,7 +2,7 @@
 
 import pytest
 from j2a_spec import oracle, vectors
-from j2a_spec.constants import ERR_FRAMING, SITE_LOST, SOF, SOS
+from j2a_spec.constants import ERR_FRAMING, ERRORS, SITE_LOST, SOF, SOS
 
 from j2a._functions import DebugText, FunctionTable
 from j2a._server import Server
@@ -80,7 +80,7 @@ def test_scenario(name, is_bytewise):
             assert (reply.start, reply.seq, reply.opcode) == (SOF, want["seq"], want["code"])
             if want["payload"] is not None:
                 assert reply.payload == bytes.fromhex(want["payload"])
-            elif want["code"] >= 0xF0:
+            elif want["code"] in ERRORS:
                 assert len(reply.payload) == 2
     assert device.sent == []
 
