@@ -24,7 +24,9 @@ get_ensurepip() {
     sh tools/apt.sh "python$version-venv" && bundled "$1"
 }
 
-if ! recent "$venv/bin/python"; then
+if recent "$venv/bin/python"; then
+    python=
+else
     rm -rf "$venv"
     if ! python=$(find_python); then
         if [ -n "${PYTHON:-}" ]; then
@@ -39,28 +41,32 @@ if ! recent "$venv/bin/python"; then
         }
     fi
     echo "making $venv with $python ($("$python" -V))"
-    if bundled "$python" || { ! command -v uv >/dev/null && get_ensurepip "$python"; }; then
-        "$python" -m venv "$venv"
-    elif command -v uv >/dev/null; then
-        uv venv --quiet --python "$python" "$venv"
-    else
-        echo "venv.sh: $python has no ensurepip; install its venv package, or uv" >&2
-        exit 1
-    fi
 fi
 
 with_uv() {
     command -v uv >/dev/null || return 1
+    [ -d "$venv" ] || uv venv --quiet --python "$python" "$venv" || return 1
     echo "installing the packages of constraints.txt with uv"
     export UV_LINK_MODE="${UV_LINK_MODE:-copy}"
-    uv pip install --quiet --python "$venv/bin/python" --require-hashes -r constraints.txt &&
-        uv pip install --quiet --python "$venv/bin/python" --no-deps --no-build-isolation -e .
+    uv="uv pip install --quiet --python $venv/bin/python"
+    $uv --require-hashes -r constraints.txt && $uv --no-deps --no-build-isolation -e .
 }
+
 with_pip() {
+    if ! "$venv/bin/python" -m pip --version >/dev/null 2>&1; then
+        # Not there yet, or made by uv, which leaves pip out.
+        python=${python:-$(find_python)}
+        rm -rf "$venv"
+        if ! bundled "$python" && ! get_ensurepip "$python"; then
+            echo "venv.sh: $python has no ensurepip; install its venv package, or uv" >&2
+            return 1
+        fi
+        "$python" -m venv "$venv" || return 1
+    fi
     echo "installing the packages of constraints.txt with pip"
-    pip="$venv/bin/python -m pip --quiet --disable-pip-version-check --no-input"
-    $pip install --require-hashes -r constraints.txt &&
-        $pip install --no-deps --no-build-isolation -e .
+    pip="$venv/bin/python -m pip --quiet --disable-pip-version-check --no-input install"
+    $pip --require-hashes -r constraints.txt && $pip --no-deps --no-build-isolation -e .
 }
-# uv may be there and yet know no way to the packages that pip has been told of.
+
+# uv may be there and yet not reach the packages, where only pip was told how to.
 with_uv || with_pip
