@@ -52,7 +52,26 @@ class MissingExtra(OpenFailed):
         self.extra = extra
 
 
-class Transport(ABC):
+class _Closable(ABC):
+    """What has a URL and is closed when its `with` block is left."""
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+
+    @abstractmethod
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.url}>"
+
+
+class Transport(_Closable):
     """A byte stream in each direction.
 
     One thread may read while others write and another closes; calls of `write` do not interleave.
@@ -64,7 +83,7 @@ class Transport(ABC):
     """
 
     def __init__(self, url: str, write_timeout_s: float | None = DEFAULT_WRITE_TIMEOUT_S) -> None:
-        self.url = url
+        super().__init__(url)
         self.write_timeout_s = write_timeout_s
 
     @abstractmethod
@@ -106,25 +125,13 @@ class Transport(ABC):
     def close(self) -> None:
         """Close the link; may be called again and from any thread, and wakes blocked calls."""
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
-
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__} {self.url}>"
-
-
-class Listener(ABC):
+class Listener(_Closable):
     """A place where peers arrive, each as a `Transport`; a context manager like a transport.
 
     Attributes:
         url: what a client opens to get here, with the real port or device name.
     """
-
-    def __init__(self, url: str) -> None:
-        self.url = url
 
     @abstractmethod
     def accept(self, timeout_s: float | None) -> Transport | None:
@@ -138,17 +145,9 @@ class Listener(ABC):
 
         Raises:
             LinkClosed: the listener is closed, also when that happens during the wait.
+            TransportError: nobody can be accepted any more; the message says why.
         """
 
     @abstractmethod
     def close(self) -> None:
         """Stop listening; idempotent, from any thread. Transports already accepted stay open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc_info: object) -> None:
-        self.close()
-
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__} {self.url}>"

@@ -1,7 +1,8 @@
 """TCP: `tcp://host:port`, as a client and as a listener.
 
 In: a URL; options `connect_timeout` (seconds, default 5) and `write_timeout`.  Out: bytes.
-Rules: no delay of small packets (Nagle off); a listener binds the address in the URL and no other.
+Rules: no delay of small packets (Nagle off); a listener binds the address in the URL and no other;
+a peer that is gone before it is served is passed over, anything else that fails an accept is told.
 """
 
 from __future__ import annotations
@@ -12,11 +13,18 @@ import socket
 import threading
 import time
 
-from ._base import LinkClosed, Listener, OpenFailed, Transport
+from ._base import LinkClosed, Listener, OpenFailed, Transport, TransportError
 from ._poll import CHUNK, PolledTransport, Readiness, Waker
 from ._url import Url, host_port, timeout
 
 _CONNECT_TIMEOUT_S = 5.0
+# What accept, or an option of the socket that it gave, says of one connection and not of the
+# listener: that it has ended already (EINVAL is how macOS says it of an option), or, on Linux, an
+# error of the network that had been waiting for that connection.
+_GONE = frozenset(
+    {errno.ECONNABORTED, errno.ECONNRESET, errno.EINVAL, errno.ENOTCONN, errno.EPROTO}
+    | {errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ETIMEDOUT}
+)
 
 
 class TcpTransport(PolledTransport):
@@ -24,17 +32,24 @@ class TcpTransport(PolledTransport):
 
     Args:
         url: for messages.
-        sock: the connected socket; the transport owns it from now on.
+        sock: the connected socket; the transport owns it from now on, and closes it on failure.
         write_timeout_s: see `Transport`.
+
+    Raises:
+        OSError: the connection has ended already, or there are too many open files.
     """
 
     def __init__(self, url: str, sock: socket.socket, write_timeout_s: float | None) -> None:
-        sock.setblocking(False)
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # A peer that lost its power sends no end of stream; keepalive finds out in the end.
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._sock = sock
-        super().__init__(url, sock.fileno(), sock.fileno(), write_timeout_s)
+        try:
+            sock.setblocking(False)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            # A peer that lost its power sends no end of stream; keepalive finds out in the end.
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            super().__init__(url, sock.fileno(), sock.fileno(), write_timeout_s)
+        except OSError:
+            sock.close()
+            raise
 
     def _receive(self) -> bytes:
         return self._sock.recv(CHUNK)
@@ -79,12 +94,15 @@ class TcpListener(Listener):
                     return None
                 try:
                     sock, address = self._sock.accept()
-                except (BlockingIOError, ConnectionAbortedError):
-                    # The client gave up between its arrival and our call.
-                    if deadline is not None:
-                        timeout_s = max(0.0, deadline - time.monotonic())
-                    continue
-                return TcpTransport(_url_of(address), sock, self._write_timeout_s)
+                    return TcpTransport(_url_of(address), sock, self._write_timeout_s)
+                except OSError as error:
+                    if not isinstance(error, BlockingIOError) and error.errno not in _GONE:
+                        raise TransportError(
+                            f"{self.url}: cannot accept: {error.strerror or error}"
+                        ) from error
+                # The client gave up between its arrival and our call.
+                if deadline is not None:
+                    timeout_s = max(0.0, deadline - time.monotonic())
 
     def close(self) -> None:
         """See `Listener.close`."""
@@ -105,6 +123,7 @@ def open_url(url: Url) -> Transport:
     wait_s = options.get("connect_timeout", _CONNECT_TIMEOUT_S)
     try:
         sock = socket.create_connection((host, port), wait_s)
+        return TcpTransport(url.text, sock, options["write_timeout"])
     except TimeoutError as error:
         raise OpenFailed(
             f"{url.text}: no answer within {wait_s} s: check the address and firewalls"
@@ -115,7 +134,6 @@ def open_url(url: Url) -> Transport:
         ) from error
     except OSError as error:
         raise OpenFailed(f"{url.text}: cannot connect: {error.strerror or error}") from error
-    return TcpTransport(url.text, sock, options["write_timeout"])
 
 
 def listen_url(url: Url) -> Listener:
@@ -136,13 +154,13 @@ def listen_url(url: Url) -> Listener:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind(place)
         sock.listen()
+        return TcpListener(sock, options["write_timeout"])
     except OSError as error:
         sock.close()
         advice = ""
         if error.errno == errno.EADDRINUSE:
             advice = ": another program listens there; take another port, or 0 for any free one"
         raise OpenFailed(f"{url.text}: cannot listen: {error.strerror or error}{advice}") from error
-    return TcpListener(sock, options["write_timeout"])
 
 
 def _url_of(address: tuple[str, int]) -> str:

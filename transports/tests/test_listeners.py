@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import stat
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import j2a_transports
 import pytest
-from j2a_transports import LinkClosed, LinkLost, Listener, OpenFailed, Transport
+from j2a_transports import LinkClosed, LinkLost, Listener, OpenFailed, Transport, TransportError
 
 from .suite import PATIENCE_S, Background, read_exactly, read_to_end
+
+if sys.platform != "win32":
+    import resource
 
 URLS = ["tcp://127.0.0.1:0", "loopback:listeners"]
 if sys.platform != "win32":
@@ -76,6 +82,20 @@ class TestEveryListener:
                     far.read(PATIENCE_S)
                 far.close()
                 assert listener.accept(0) is None
+
+
+@contextmanager
+def free_descriptors(count: int) -> Iterator[None]:
+    """Let this process open only so many files more."""
+    held = [os.dup(1) for _ in range(count + 1)]
+    for fd in held:
+        os.close(fd)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (held[-1], before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
 class TestTcp:
@@ -150,6 +170,70 @@ class TestTcp:
                 peer.close()
                 with pytest.raises(LinkLost, match="reset"):
                     far.read(PATIENCE_S)
+
+    @pytest.mark.parametrize(
+        ("name", "number"),
+        [
+            ("accept", errno.ECONNABORTED),
+            ("accept", errno.EPROTO),
+            ("setsockopt", errno.EINVAL),
+            ("setsockopt", errno.ECONNRESET),
+        ],
+    )
+    def test_a_peer_that_is_gone_before_it_is_served_is_passed_over(
+        self, monkeypatch: pytest.MonkeyPatch, name: str, number: int
+    ) -> None:
+        # Linux does not say so of a connection that was reset, so the system's answer is made up.
+        real = getattr(socket.socket, name)
+        failed = []
+
+        def fails_once(*arguments: object) -> object:
+            if not failed:
+                failed.append(arguments)
+                raise OSError(number, os.strerror(number))
+            return real(*arguments)
+
+        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+            port = int(listener.url.rpartition(":")[2])
+            with (
+                socket.create_connection(("127.0.0.1", port)) as first,
+                socket.create_connection(("127.0.0.1", port)) as second,
+            ):
+                monkeypatch.setattr(socket.socket, name, fails_once)
+                with accepted(listener) as far:
+                    assert failed
+                    # Where accept fails once, the made-up answer took nobody away.
+                    served = first if name == "accept" else second
+                    far.write(b"x")
+                    assert served.recv(1) == b"x"
+                    if name == "setsockopt":
+                        assert first.recv(1) == b""
+
+    def test_too_many_open_files(self) -> None:
+        with (
+            j2a_transports.listen("tcp://127.0.0.1:0") as listener,
+            j2a_transports.open(listener.url) as near,
+        ):
+            with free_descriptors(0), pytest.raises(TransportError, match="Too many open files"):
+                listener.accept(PATIENCE_S)
+            with accepted(listener) as far:
+                far.write(b"x")
+                assert near.read(PATIENCE_S) == b"x"
+
+    def test_a_connection_without_enough_descriptors_is_closed(self) -> None:
+        """The socket is there, and what the transport needs besides is not."""
+        with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+            with j2a_transports.open(listener.url) as near:
+                with free_descriptors(1), pytest.raises(TransportError, match="cannot accept"):
+                    listener.accept(PATIENCE_S)
+                with pytest.raises(LinkLost):
+                    near.read(PATIENCE_S)
+            with free_descriptors(1), pytest.raises(OpenFailed, match="Too many open files"):
+                j2a_transports.open(listener.url)
+            with accepted(listener) as far, pytest.raises(LinkLost):
+                far.read(PATIENCE_S)
+        with free_descriptors(1), pytest.raises(OpenFailed, match="Too many open files"):
+            j2a_transports.listen("tcp://127.0.0.1:0")
 
     def test_ipv6(self) -> None:
         try:
