@@ -175,12 +175,19 @@ def host_port(url: Url, address: str) -> tuple[str, int]:
     """Split `//host:port`; an IPv6 address stands in brackets.
 
     Raises:
-        BadUrl: the host or the port is missing or the port is out of range.
+        BadUrl: the host or the port is missing, or is not possible.
     """
-    match = re.fullmatch(r"//(?:\[([^\]]+)\]|([^:/\[\]]+)):([0-9]+)/?", address)
+    match = re.fullmatch(r"//(?:\[([^\]]+)\]|([^:/\[\]]+)):([0-9]{1,5})/?", address)
     if match is None or int(match[3]) > 65535:
         raise BadUrl(
             f"{url.text}: expected {url.scheme}://host:port with a port up to 65535, "
             f"for example {url.scheme}://127.0.0.1:5000"
         )
-    return match[1] or match[2], int(match[3])
+    host = match[1] or match[2]
+    try:
+        # As the socket module will do it, but it lets this error out.
+        host.encode("idna")
+    except UnicodeError as error:
+        reason = error.__cause__ or error
+        raise BadUrl(f"{url.text}: {host!r} cannot be a host name: {reason}") from error
+    return host, int(match[3])
