@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -34,6 +33,8 @@ _DRIVERS: Final[Mapping[str, str]] = MappingProxyType(
 
 def schemes() -> tuple[str, ...]:
     """Return the names of all URL schemes that can be opened, third-party ones last."""
+    from importlib.metadata import entry_points  # noqa: PLC0415 - slow to load
+
     others = {point.name for point in entry_points(group=ENTRY_POINT_GROUP)} - _DRIVERS.keys()
     return (*_DRIVERS, *sorted(others))
 
@@ -85,6 +86,8 @@ def _driver(url: Url) -> Any:
     module = _DRIVERS.get(url.scheme)
     if module is not None:
         return import_module(module, __package__)
+    from importlib.metadata import entry_points  # noqa: PLC0415 - slow to load
+
     for point in entry_points(group=ENTRY_POINT_GROUP, name=url.scheme):
         try:
             return point.load()

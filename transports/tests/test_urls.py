@@ -68,7 +68,7 @@ def test_bad_urls_are_value_errors() -> None:
         ("serial:///dev/x?boot=nan", "boot='nan' takes a number from 0 to 60"),
         ("serial:///dev/x?baud", "'baud' is not an option of the form name=value"),
         ("serial:///dev/x?baud=1&baud=2", "option 'baud' is given twice"),
-        ("serial:", "name a port"),
+        ("serial:", "name a port, such as serial:///dev/ttyACM0 or serial:COM3; `j2a list` or"),
         ("serial://", "name a port"),
         ("serial:loop://?baude=3", "pyserial refuses it"),
         ("serial:nonsense://x", "pyserial refuses it"),
@@ -76,6 +76,10 @@ def test_bad_urls_are_value_errors() -> None:
         ("tcp:host:5", "expected tcp://host:port"),
         ("tcp://:5000", "expected tcp://host:port"),
         ("tcp://host:65536", "a port up to 65535"),
+        (f"tcp://host:{'9' * 5000}", "a port up to 65535"),
+        ("tcp://a..b:5", "'a..b' cannot be a host name: "),
+        (f"tcp://{'x' * 70}:5", "cannot be a host name: "),
+        ("tcp://a\udcffb:5", "cannot be a host name: "),
         ("tcp://host:5?connect_timeout=0", "takes a number of seconds above 0, or none"),
         ("tcp://host:5?baud=5", "unknown option 'baud'; tcp has: connect_timeout, write_timeout"),
         ("exec:", "expected exec:program arguments"),
@@ -103,6 +107,12 @@ def test_an_option_may_be_a_keyword_but_not_both() -> None:
         j2a_transports.open("serial:///dev/x?baud=5", baud=5)
     with pytest.raises(BadUrl, match="unknown option 'baud'"):
         j2a_transports.open("exec:true", baud=5)
+
+
+@pytest.mark.parametrize("host", ["a..b", "x" * 70])
+def test_a_host_that_cannot_be_is_told_to_listeners_too(host: str) -> None:
+    with pytest.raises(BadUrl, match="cannot be a host name"):
+        j2a_transports.listen(f"tcp://{host}:5")
 
 
 @pytest.mark.parametrize("url", ["exec:true", "exec:./fw"])
@@ -173,7 +183,7 @@ def third_party(monkeypatch: pytest.MonkeyPatch) -> None:
         assert group == "j2a.transports"
         return [point for point in points if name in (None, point.name)]
 
-    monkeypatch.setattr(_registry, "entry_points", entry_points)
+    monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
 
 
 @pytest.mark.usefixtures("third_party")
