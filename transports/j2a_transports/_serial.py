@@ -13,6 +13,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import threading
 import time
 from typing import TYPE_CHECKING, Any, Final
 
@@ -45,9 +46,9 @@ OPTIONS: Final[dict[str, Converter]] = {
     "exclusive": boolean,
 }
 
+_LOOK: Final = "`j2a list` or `python -m serial.tools.list_ports` shows the ports"
 _ADVICE: Final = {
-    errno.ENOENT: "there is no such device; is it plugged in? "
-    "`python -m serial.tools.list_ports` lists the ports",
+    errno.ENOENT: f"there is no such device; is it plugged in? {_LOOK}",
     errno.ENXIO: "the device is gone; is it plugged in?",
     errno.ENODEV: "the device is gone; is it plugged in?",
     errno.EACCES: "not allowed; add yourself to the group that owns it, on most systems with "
@@ -112,8 +113,7 @@ def _parse(url: Url) -> tuple[str, dict[str, Any]]:
         name = name.removeprefix("//")
     if not name:
         raise BadUrl(
-            f"{url.text}: name a port, such as serial:///dev/ttyACM0 or serial:COM3; "
-            "`python -m serial.tools.list_ports` lists them"
+            f"{url.text}: name a port, such as serial:///dev/ttyACM0 or serial:COM3; {_LOOK}"
         )
     return name, url.options(parts, OPTIONS)
 
@@ -168,14 +168,20 @@ def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
         first = port.read(1)
         return first + port.read(min(port.in_waiting, CHUNK)) if first else b""
 
+    given_up = threading.Event()
+
     def sink(data: bytes) -> None:
         # loop:// refuses at once what would take longer than the write timeout at its baud rate.
         for at in range(0, len(data), PIECE):
+            if given_up.is_set():
+                # A cancelled write returns as if it had been done.
+                raise EOFError
             port.write(data[at : at + PIECE])
 
     def interrupt(stuck: bool) -> None:
         # Reading ends by itself after a slice.
         if stuck:
+            given_up.set()
             if hasattr(port, "cancel_write"):
                 port.cancel_write()
             port.reset_output_buffer()

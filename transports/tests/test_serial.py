@@ -24,6 +24,7 @@ from j2a_transports import (
     Transport,
     WriteTimeout,
 )
+from j2a_transports._pump import PumpedTransport
 
 from .suite import PATIENCE_S, Background, fill, read_exactly, read_to_end
 
@@ -61,6 +62,21 @@ def test_closing_a_full_loop_ends() -> None:
     with pytest.raises((WriteTimeout, LinkLost)):
         fill(port)
     port.close()
+
+
+def test_closing_a_stuck_port_ends_its_threads(
+    terminal: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Although pyserial would wait much longer for its own timeout."""
+    monkeypatch.setattr("j2a_transports._serial.POLLABLE", ())
+    port = j2a_transports.open(terminal.url, write_timeout=PATIENCE_S)
+    with accepted(terminal):
+        port.write_timeout_s = 0.1
+        with pytest.raises(WriteTimeout):
+            fill(port)
+        port.close()
+        assert isinstance(port, PumpedTransport)
+        assert not any(thread.is_alive() for thread in port._threads)
 
 
 @pytest.mark.filterwarnings("ignore:.*FileIO.*:pytest.PytestUnraisableExceptionWarning")
@@ -229,7 +245,7 @@ def test_a_port_is_not_shared_unless_asked(terminal: Listener) -> None:
 
 
 def test_a_missing_port_says_where_to_look() -> None:
-    with pytest.raises(OpenFailed, match="no such device; is it plugged in"):
+    with pytest.raises(OpenFailed, match=r"no such device; is it plugged in\? `j2a list`"):
         j2a_transports.open("serial:///dev/ttyNoSuchPort")
 
 
