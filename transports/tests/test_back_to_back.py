@@ -93,12 +93,11 @@ class TestPtyChild(BackToBack):
 class TestSerialOnPty(BackToBack):
     # The same: the far end is the master.
     discards = frozenset({"far"})
-    write_timeout_s = 5.0
 
     @contextmanager
     def connect(self) -> Iterator[tuple[Transport, Transport]]:
         with j2a_transports.listen("pty:") as self.listener:
-            near = j2a_transports.open(self.listener.url, write_timeout=self.write_timeout_s)
+            near = j2a_transports.open(self.listener.url)
             yield near, accepted(self.listener)
 
     def hang_up(self, end: str, transport: Transport) -> None:
@@ -111,12 +110,11 @@ class TestSerialOnPty(BackToBack):
 class TestSerialByThreads(TestSerialOnPty):
     """The way of ports that cannot be polled, such as those of Windows and of `spy://`."""
 
-    # Closing while a write is stuck has to wait for pyserial to give up.
-    write_timeout_s = 3.0
-
     @pytest.fixture(autouse=True)
     def nothing_is_pollable(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("j2a_transports._serial.POLLABLE", ())
+        # Closing waits for the end of a slice.
+        monkeypatch.setattr("j2a_transports._serial.SLICE_S", 0.01)
 
 
 class TestFaultsWithoutFaults(BackToBack):

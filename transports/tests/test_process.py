@@ -30,6 +30,12 @@ def child_of(transport: Transport) -> subprocess.Popen[bytes]:
     return transport.child.process
 
 
+@pytest.fixture
+def never_ends_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long one waits for the child, so a moment is enough."""
+    monkeypatch.setattr("j2a_transports._process.EOF_GRACE_S", 0.1)
+
+
 @both
 def test_the_command_line_is_split_as_a_shell_does(scheme: str) -> None:
     with j2a_transports.open(f"{scheme}:printf '%s|' 'a b' \"c d\" e\\ f ? * $HOME") as child:
@@ -63,7 +69,9 @@ def test_a_lost_link_tells_how_the_child_ended(scheme: str, command: str, says: 
             child.write(b"x")
 
 
-def test_a_child_that_only_closes_its_output() -> None:
+def test_a_child_that_only_closes_its_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("j2a_transports._process.EXIT_CODE_WAIT_S", 0.1)
+    monkeypatch.setattr("j2a_transports._process.EOF_GRACE_S", PATIENCE_S)
     with (
         j2a_transports.open("exec:sh -c 'exec >&-; read line; exit 0'") as child,
         pytest.raises(LinkLost, match="has closed its side but still runs"),
@@ -104,7 +112,10 @@ def test_the_childs_standard_error_is_ours(capfd: pytest.CaptureFixture[str]) ->
 
 
 @both
-def test_close_lets_a_child_end_by_itself(scheme: str, tmp_path: Path) -> None:
+def test_close_lets_a_child_end_by_itself(
+    scheme: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("j2a_transports._process.EOF_GRACE_S", PATIENCE_S)
     note = tmp_path / "note"
     child = j2a_transports.open(f"{scheme}:sh -c 'cat; echo done > \"{note}\"; exit 7'")
     child.write(b"x")
@@ -118,6 +129,7 @@ def test_close_lets_a_child_end_by_itself(scheme: str, tmp_path: Path) -> None:
 
 
 @both
+@pytest.mark.usefixtures("never_ends_by_itself")
 def test_close_terminates_a_child_that_does_not_end(scheme: str) -> None:
     child = j2a_transports.open(f"{scheme}:sh -c 'echo up; exec sleep 1000'")
     assert read_exactly(child, 3) == b"up\n"
@@ -126,6 +138,7 @@ def test_close_terminates_a_child_that_does_not_end(scheme: str) -> None:
     assert process.returncode == -signal.SIGTERM
 
 
+@pytest.mark.usefixtures("never_ends_by_itself")
 def test_close_kills_a_child_that_will_not_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("j2a_transports._process.TERMINATE_GRACE_S", 0.2)
     code = "import signal,time; signal.signal(15, signal.SIG_IGN); print(1, flush=True); "
@@ -136,6 +149,7 @@ def test_close_kills_a_child_that_will_not_end(monkeypatch: pytest.MonkeyPatch) 
     assert process.returncode == -signal.SIGKILL
 
 
+@pytest.mark.usefixtures("never_ends_by_itself")
 def test_a_terminated_child_takes_its_children_along() -> None:
     child = j2a_transports.open("exec:sh -c 'sleep 1000 & echo $!; wait'")
     line = b""
