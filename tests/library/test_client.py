@@ -31,6 +31,7 @@ class Wire:
 
     def __init__(self, **options: object) -> None:
         near, self.far = j2a_transports.pair()
+        self._data = b""
         self.client = j2a.Client(near, timeout=PATIENCE_S, **options)
 
     def __enter__(self) -> "Wire":
@@ -41,12 +42,14 @@ class Wire:
         self.far.close()
 
     def request(self) -> oracle.Frame:
-        data = b""
         while True:
-            data += self.far.read(PATIENCE_S)
-            (event,) = oracle.decode(data)
+            event, *more = oracle.decode(self._data) or [None]
             if isinstance(event, oracle.Frame):
+                self._data = b"".join(map(oracle.encode, more))
                 return event
+            data = self.far.read(PATIENCE_S)
+            assert data, "no request comes"
+            self._data += data
 
     def send(self, *frames: oracle.Frame) -> None:
         self.far.write(b"".join(map(oracle.encode, frames)))
@@ -272,6 +275,28 @@ class TestTimeLimits:
             with pytest.raises(j2a.CallTimeout):
                 client.call(1, timeout=0.02)
             assert client.counters.stray_replies == 256
+
+    def test_an_interrupted_call_lets_the_next_one_go(self):
+        def interrupt(_number, _frame):
+            raise KeyboardInterrupt
+
+        with Wire() as wire:
+            before = signal.signal(signal.SIGALRM, interrupt)
+            queued = threading.Timer(0.05, lambda: calls.append(Background(wire.client.call, 2)))
+            calls = []
+            queued.start()
+            signal.setitimer(signal.ITIMER_REAL, 0.3)
+            try:
+                with pytest.raises(KeyboardInterrupt):
+                    wire.client.call(1, timeout=math.inf)
+            finally:
+                signal.signal(signal.SIGALRM, before)
+            queued.join(PATIENCE_S)
+            first = wire.request()
+            second = wire.request()
+            assert (first.opcode, second.opcode) == (1, 2)
+            wire.send(oracle.Frame(SOF, second.seq, 0, b"done"))
+            assert calls[0].result().payload == b"done"
 
     def test_an_interrupted_call_is_forgotten(self):
         def interrupt(_number, _frame):

@@ -8,6 +8,7 @@ import j2a_transports
 import pytest
 from j2a_spec import oracle
 from j2a_spec.constants import SOF, SOS
+from j2a_transports._loopback import Channel, LoopbackTransport
 
 import j2a
 from j2a.demo import DemoDevice
@@ -88,6 +89,35 @@ def test_a_busy_device_does_not_take_waiting_bytes_for_late_ones():
         host.write(wire[5:])
         replies = host.frames(2)
         assert [(reply.seq, reply.opcode) for reply in replies] == [(1, 0), (2, 0xBA)]
+
+
+def test_bytes_that_came_while_nobody_looked_are_not_late():
+    class Late(LoopbackTransport):
+        """Says that nothing came in time, and has the bytes all the same."""
+
+        def read(self, timeout_s):
+            if timeout_s:
+                time.sleep(timeout_s + 0.005)
+                while not there._data and time.monotonic() < deadline:
+                    time.sleep(0.0005)
+                return b""
+            return super().read(timeout_s)
+
+    deadline = time.monotonic() + PATIENCE_S
+    there, back = Channel(), Channel()
+    near, far = LoopbackTransport("near", back, there), Late("far", there, back)
+    device = j2a.Device()
+    wire = oracle.encode(oracle.Frame(SOF, 1, 4, b"not late"))
+    server = threading.Thread(target=device.serve, args=(far,))
+    near.write(wire[:4])
+    server.start()
+    while there._data and time.monotonic() < deadline:
+        time.sleep(0.0005)
+    near.write(wire[4:])
+    (reply,) = oracle.decode(near.read(PATIENCE_S))
+    device.stop()
+    server.join(PATIENCE_S)
+    assert reply == oracle.Frame(SOF, 1, 0xBA, b"not late")
 
 
 def test_several_hosts_share_the_functions_and_have_their_own_sif_counters():
