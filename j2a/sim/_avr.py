@@ -19,6 +19,7 @@ from pathlib import Path
 from j2a.sim import _build
 from j2a.sim._elf import Program, read_program
 from j2a.sim._errors import BadProgram, FirmwareStopped, SimError
+from j2a.sim._options import FREQUENCY_MAX_HZ
 
 _PAINT = 0xC5  # what the shim fills the RAM above the static data with at each reset
 _CRASHES_SIMAVR = {"atmega16m1"}  # avr_init() of simavr 1.6 ends the process
@@ -93,7 +94,8 @@ class AvrSim:
 
     Raises:
         ToolMissing: no C compiler or no libsimavr-dev.
-        BadProgram: the ELF file is missing, damaged, not for AVR, or too big for the MCU.
+        BadProgram: the ELF file is missing, damaged, not for AVR, for another family of AVRs than
+            the MCU's, or too big for it.
         SimError: unknown MCU or UART.
 
     A simulator may be handed between threads; its methods are not meant for two at once, and a
@@ -108,8 +110,8 @@ class AvrSim:
         uart: str = "0",
         host_baud: float | None = None,
     ) -> None:
-        if not 1 <= frequency_hz <= 100_000_000:
-            raise SimError(f"frequency {frequency_hz} Hz is out of range 1..100000000")
+        if not 1 <= frequency_hz <= FREQUENCY_MAX_HZ:
+            raise SimError(f"frequency {frequency_hz} Hz is out of range 1..{FREQUENCY_MAX_HZ}")
         if host_baud is not None and not 1 <= host_baud <= frequency_hz / 2:
             raise SimError(f"host_baud {host_baud} is out of range 1..{frequency_hz // 2}")
         if len(uart) != 1 or uart not in "0123":
@@ -137,6 +139,13 @@ class AvrSim:
             text = error.value.decode("utf-8", "replace").strip()
             kind = BadProgram if "needs" in text else SimError
             raise kind(f"{self.program.path} on {mcu}, UART {uart}: {text}")
+        flash_size = int(self._lib.sim_flash_size(self._sim))
+        if not self.program.suits(flash_size):
+            self.close()
+            raise BadProgram(
+                f"{self.program.path} is built for avr{self.program.family}, and {mcu} is none: "
+                f"name the MCU that it was built for, or build it with -mmcu={mcu}"
+            )
 
     def close(self) -> None:
         """Free the simulator; nothing else may be called afterwards. Idempotent."""

@@ -10,10 +10,20 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from j2a.sim._errors import BadProgram
 
 _EM_AVR = 83
+_FAMILY_BITS = 0x7F
+# The families of avr-gcc by the size of a chip's flash, which is what tells them apart: a larger
+# one has longer jumps, interrupt vectors or return addresses.
+_FAMILIES: Final = (
+    (8 << 10, {2, 25, 4}),
+    (64 << 10, {3, 35, 5}),
+    (128 << 10, {31, 51}),
+    (256 << 10, {6}),
+)
 _PT_LOAD = 1
 _SHT_SYMTAB = 2
 _RAM_OFFSET = 0x800000  # where avr-gcc's linker scripts put data memory
@@ -27,15 +37,21 @@ class Program:
 
     Attributes:
         path: the file that it came from.
+        family: of the chips that it was linked for, 5 for avr5 (e_flags; `-mmcu` of avr-gcc).
         flash: the flash image from address 0 on, gaps filled with 0xFF.
         ram_end: the first data address after .data, .bss and .noinit, as the linker tells.
         symbols: name -> address; data symbols as data-space addresses (without the 0x800000).
     """
 
     path: Path
+    family: int
     flash: bytes
     ram_end: int
     symbols: dict[str, int]
+
+    def suits(self, flash_size: int) -> bool:
+        """Whether a chip with so many bytes of flash is of the program's family."""
+        return self.family in next((has for most, has in _FAMILIES if flash_size <= most), ())
 
 
 def read_program(path: Path | str) -> Program:
@@ -66,7 +82,8 @@ def read_program(path: Path | str) -> Program:
     try:
         flash, ram_end = _segments(data)
         symbols = _symbols(data)
-        return Program(path, flash, max(ram_end, symbols.get("_end", 0)), symbols)
+        family = data[36] & _FAMILY_BITS
+        return Program(path, family, flash, max(ram_end, symbols.get("_end", 0)), symbols)
     except (struct.error, IndexError, ValueError) as error:
         raise BadProgram(f"{path} is damaged: {error}; build the firmware again") from None
 

@@ -12,7 +12,7 @@ class ToolMissing(SimError):  # noqa: N818 - the name says what happened
 
 
 class BadProgram(SimError):  # noqa: N818
-    """The ELF file is missing, not for AVR, damaged, or does not fit the MCU."""
+    """The ELF file is missing, not for AVR, damaged, or not for this MCU."""
 
 
 class FirmwareStopped(SimError):  # noqa: N818

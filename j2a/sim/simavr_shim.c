@@ -273,6 +273,7 @@ uint32_t sim_pc(const sim_t *s) { return s->illegal ? s->illegal_pc : s->avr->pc
 int sim_illegal(const sim_t *s) { return s->illegal; }
 int sim_spans_on(const sim_t *s) { return s->spans_on; }
 uint8_t *sim_data(const sim_t *s) { return s->avr->data; }
+uint32_t sim_flash_size(const sim_t *s) { return s->avr->flashend + 1; }
 uint32_t sim_data_size(const sim_t *s) { return s->avr->ramend + 1u; }
 const char *sim_log(const sim_t *s) { return s->log; }
 

@@ -25,7 +25,7 @@ def _missing(what: str) -> None:
 
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Build:
-    """firmware("echo", BAUD=115200) compiles echo.c for the ATmega328P and gives the ELF."""
+    """firmware("echo", BAUD=115200) compiles echo.c, for the ATmega328P, and gives the ELF."""
     if shutil.which("avr-gcc") is None:
         _missing("avr-gcc is missing: install the packages gcc-avr and avr-libc")
     try:
@@ -35,15 +35,15 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Build:
     folder = tmp_path_factory.mktemp("firmware")
     made: dict[str, Path] = {}
 
-    def compile_(name: str, **defines: int) -> Path:
-        key = "-".join([name, *(f"{k}{v}" for k, v in sorted(defines.items()))])
+    def compile_(name: str, mcu: str = "atmega328p", **defines: int) -> Path:
+        key = "-".join([name, mcu, *(f"{k}{v}" for k, v in sorted(defines.items()))])
         if key not in made:
             elf = folder / f"{key}.elf"
             options = [f"-D{k}={v}" for k, v in {"F_CPU": "16000000UL", **defines}.items()]
-            command = ["avr-gcc", "-mmcu=atmega328p", "-std=gnu99", "-Os", "-Wall", "-Werror"]
+            command = ["avr-gcc", f"-mmcu={mcu}", "-std=gnu99", "-Os", "-Wall", "-Werror"]
             command += [*options, str(SOURCES / f"{name}.c"), "-o", str(elf)]
             result = subprocess.run(command, capture_output=True, text=True, check=False)
-            if "avr/io.h" in result.stderr or "crtatmega328p" in result.stderr:
+            if "avr/io.h" in result.stderr or f"crt{mcu}" in result.stderr:
                 _missing("avr-libc is missing: install the package avr-libc")
             assert result.returncode == 0, result.stderr
             made[key] = elf
