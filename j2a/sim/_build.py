@@ -4,7 +4,9 @@ In: the C files next to this module, the system's C compiler, simavr's headers a
 Out: the loaded library with its functions typed, shared by all simulators of the process.
 The result is kept per user, named by a hash of the sources, the compiler command, and simavr's
 version and headers: any change compiles anew, and processes that start at the same time each
-write their own file and rename it into place, so none ever loads half a library.
+write their own file and rename it into place, so none ever loads half a library. The file ends in
+a hash of what is before it, which loaders ignore; a damaged file is compiled anew, because loading
+one can crash the process.
 """
 
 from __future__ import annotations
@@ -75,8 +77,24 @@ def _header_stamp(flags: list[str]) -> str:
     return "".join(stamps)
 
 
+def _not_writable(folder: Path, error: OSError) -> SimError:
+    return SimError(f"cannot write to {folder}: {error.strerror}; set XDG_CACHE_HOME")
+
+
+def _sealed(library_file: bytes) -> bytes:
+    return library_file + hashlib.sha256(library_file).digest()
+
+
+def _intact(path: Path) -> bool:
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return False
+    return data == _sealed(data[: -hashlib.sha256().digest_size])
+
+
 def build() -> Path:
-    """Compile the shim unless an up-to-date one is cached.
+    """Compile the shim unless an up-to-date and undamaged one is cached.
 
     Returns:
         The path of the shared library.
@@ -93,7 +111,7 @@ def build() -> Path:
     for name in _SOURCES:
         digest.update((_HERE / name).read_bytes())
     target = cache_directory() / f"simavr-shim-{digest.hexdigest()[:24]}.so"
-    if target.is_file():
+    if _intact(target):
         return target
     if shutil.which(compiler[0]) is None:
         raise ToolMissing(f"no C compiler {compiler[0]!r} to build the simulator; {_PACKAGES}")
@@ -101,9 +119,7 @@ def build() -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         workplace = tempfile.TemporaryDirectory(prefix="build-", dir=target.parent)
     except OSError as error:
-        raise SimError(
-            f"cannot write to {target.parent}: {error.strerror}; set XDG_CACHE_HOME"
-        ) from None
+        raise _not_writable(target.parent, error) from None
     with workplace as folder:
         made = Path(folder) / target.name
         sources = [str(_HERE / name) for name in _SOURCES if name.endswith(".c")]
@@ -118,7 +134,11 @@ def build() -> Path:
             kind = ToolMissing if missing else SimError
             hint = f"; {_PACKAGES}" if missing else ""
             raise kind(f"cannot compile the simulator's shim{hint}:\n{result.stderr.strip()}")
-        made.replace(target)
+        try:
+            made.write_bytes(_sealed(made.read_bytes()))
+            made.replace(target)
+        except OSError as error:
+            raise _not_writable(target.parent, error) from None
     return target
 
 
@@ -155,6 +175,7 @@ def library() -> ctypes.CDLL:
         "sim_spans_on": (ctypes.c_int, [pointer]),
         "sim_data": (pointer, [pointer]),
         "sim_data_size": (u32, [pointer]),
+        "sim_flash_size": (u32, [pointer]),
         "sim_log": (text, [pointer]),
         "sim_feed": (ctypes.c_int, [pointer, text, u32]),
         "sim_bit_cycles": (ctypes.c_double, [pointer]),

@@ -1,5 +1,6 @@
 """Programs and tools: what is refused, and how the shim is compiled and kept."""
 
+import ctypes
 import os
 import struct
 import subprocess
@@ -65,6 +66,23 @@ def test_a_program_that_does_not_fit(firmware):
         AvrSim(firmware("big"), "atmega48")
     with AvrSim(firmware("big"), "atmega328p") as sim:
         sim.boot()
+
+
+FAMILIES = {"atmega88": 4, "atmega328p": 5, "atmega1284p": 51, "atmega2560": 6}
+
+
+@pytest.mark.avr
+@pytest.mark.parametrize("mcu", FAMILIES)
+def test_a_program_for_another_family(firmware, mcu):
+    """Its jumps, vectors or return addresses are other ones, so it would run wild."""
+    for built_for, family in FAMILIES.items():
+        elf = firmware("echo", built_for)
+        if built_for == mcu:
+            with AvrSim(elf, mcu) as sim:
+                sim.boot()
+        else:
+            with pytest.raises(BadProgram, match=f"avr{family}, and {mcu} is none: .*-mmcu={mcu}"):
+                AvrSim(elf, mcu)
 
 
 @pytest.mark.avr
@@ -135,6 +153,20 @@ def test_a_place_that_cannot_be_written(firmware, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(file))
     with pytest.raises(SimError, match="set XDG_CACHE_HOME"):
         _build.build()
+
+
+@pytest.mark.avr
+def test_a_damaged_library_is_compiled_anew(firmware, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    good = _build.build()
+    whole = good.read_bytes()
+    assert _build.build() == good
+    half = len(whole) // 2
+    for damaged in (b"", whole[:half], whole[:half] + bytes(len(whole) - half)):
+        good.write_bytes(damaged)
+        assert _build.build() == good
+        assert good.read_bytes() != damaged
+    assert hasattr(ctypes.CDLL(str(good)), "sim_new")
 
 
 @pytest.mark.avr
