@@ -19,6 +19,7 @@ from j2a_transports import LinkClosed, LinkLost, OpenFailed, Transport, Url
 
 from j2a.sim._avr import AvrSim
 from j2a.sim._errors import FirmwareStopped, SimError
+from j2a.sim._options import frequency, rate, speed
 from j2a.sim._pace import Pacer
 
 SLICE_S: Final = 0.001
@@ -180,25 +181,9 @@ class SimLink(Transport):
             raise LinkLost(f"{self.url}: {self._stopped}")
 
 
-def _frequency(text: str) -> int:
-    """a clock in Hz from 1 to 100000000."""
-    value = int(float(text))
-    if not 1 <= value <= 100_000_000:
-        raise ValueError
-    return value
-
-
-def _rate(text: str) -> float:
-    """a number above 0."""
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise ValueError
-    return value
-
-
 def _seconds(text: str) -> float | None:
     """a number of seconds above 0, or none."""
-    return None if text.lower() == "none" else _rate(text)
+    return None if text.lower() == "none" else rate(text)
 
 
 def _text(text: str) -> str:
@@ -208,11 +193,11 @@ def _text(text: str) -> str:
 
 _OPTIONS: Final = {
     "mcu": _text,
-    "freq": _frequency,
+    "freq": frequency,
     "uart": _text,
-    "baud": _rate,
+    "baud": rate,
     "patience": _seconds,
-    "speed": _rate,
+    "speed": speed,
 }
 
 

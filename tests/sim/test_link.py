@@ -179,12 +179,28 @@ def test_open_by_url(firmware):
         assert link.sim.baud == 1_000_000
 
 
+def test_the_default_speed_can_be_written(firmware):
+    with open_url(Url.parse(f"sim:{firmware('echo')}?speed=0")) as link:
+        link.write(b"x")
+        assert read_all(link, 1) == b"x"
+
+
 @pytest.mark.parametrize(
-    "options", ["?mcu", "?colour=red", "?freq=0", "?baud=-1", "?speed=fast", "?patience=0"]
+    ("option", "says"),
+    [
+        ("mcu", "not an option of the form name=value"),
+        ("colour=red", "unknown option 'colour'"),
+        ("freq=0", "takes a clock in Hz from 1 to 100000000"),
+        ("freq=inf", "takes a clock in Hz from 1 to 100000000"),
+        ("baud=-1", "takes a number above 0"),
+        ("speed=fast", "takes 0 for as fast as possible"),
+        ("speed=-1", "takes 0 for as fast as possible"),
+        ("patience=0", "takes a number of seconds above 0, or none"),
+    ],
 )
-def test_a_wrong_option_is_a_bad_url(firmware, options):
-    with pytest.raises(BadUrl):
-        open_url(Url.parse(f"sim:{firmware('echo')}{options}"))
+def test_a_wrong_option_is_a_bad_url(firmware, option, says):
+    with pytest.raises(BadUrl, match=says):
+        open_url(Url.parse(f"sim:{firmware('echo')}?{option}"))
 
 
 def test_a_firmware_that_cannot_run_is_open_failed(firmware, tmp_path):
