@@ -1,31 +1,34 @@
 """The command line of the simulator: `j2a sim avr ELF --listen URL`.
 
-In: arguments. Out: exit code 0 (stopped as asked), 1 (simulator, firmware or listener failed).
+In: arguments. Out: the exit code, of the table in `j2a.cli._exit`.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
+from typing import Any
 
-from j2a_transports import TransportError
+from j2a_transports import BadUrl, TransportError
 
-from j2a.sim._errors import SimError
+from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE
+from j2a.sim._errors import FirmwareStopped, SimError
+from j2a.sim._options import frequency, rate, speed
 from j2a.sim._runner import run
 
 
-def _speed(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < float("inf"):
-        raise ValueError
-    return value
+def _argument(convert: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Make of an option's converter one for argparse, which would name it and not what it takes."""
 
+    def checked(text: str) -> Any:
+        try:
+            return convert(text)
+        except ValueError:
+            takes = (convert.__doc__ or "").rstrip(".")
+            raise argparse.ArgumentTypeError(f"{text!r} is not {takes}") from None
 
-def _frequency(text: str) -> int:
-    value = int(float(text))
-    if not 1 <= value <= 100_000_000:
-        raise ValueError
-    return value
+    return checked
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     avr.add_argument(
         "--speed",
-        type=_speed,
+        type=_argument(speed),
         default=1.0,
         metavar="N",
         help="1: real time (default); 0: traffic as fast as possible; or simulated s per s",
@@ -53,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     avr.add_argument("--mcu", default="atmega328p", help="as simavr names it (%(default)s)")
     avr.add_argument(
         "--freq",
-        type=_frequency,
+        type=_argument(frequency),
         default=16_000_000,
         metavar="HZ",
         help="clock of the MCU (%(default)s)",
@@ -61,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     avr.add_argument("--uart", default="0", choices="0123", help="which UART (%(default)s)")
     avr.add_argument(
         "--baud",
-        type=float,
+        type=_argument(rate),
         metavar="N",
         help="bit rate of the host's end, to see a mismatch (the firmware's)",
     )
@@ -70,9 +73,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run what `add_arguments` parsed; the exit code."""
+    """Run what `add_arguments` parsed.
+
+    Returns:
+        The exit code; 128 + the number of the signal that ended the run.
+    """
     try:
-        run(
+        number = run(
             args.elf,
             args.listen,
             args.speed,
@@ -83,7 +90,10 @@ def main(args: argparse.Namespace) -> int:
             once=args.once,
             reset=args.reset,
         )
+    except KeyboardInterrupt:  # before the firmware ran
+        return INTERRUPTED
     except (SimError, TransportError) as error:
         print(f"j2a sim: {error}", file=sys.stderr)
-        return 1
-    return 0
+        is_usage = isinstance(error, (SimError, BadUrl)) and not isinstance(error, FirmwareStopped)
+        return USAGE if is_usage else LINK
+    return OK if number is None else 128 + number

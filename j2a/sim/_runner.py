@@ -156,20 +156,22 @@ class Runner:
 
 
 @contextmanager
-def _stopped_by_signals(stop: threading.Event) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM set `stop`; only the main thread may handle signals."""
+def _stopped_by_signals(stop: threading.Event) -> Iterator[list[int]]:
+    """Let Ctrl-C and SIGTERM set `stop`, and yield a list that their numbers are added to."""
+    received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield received  # only the main thread may handle signals
         return
 
-    def on_signal(_number: int, _frame: FrameType | None) -> None:
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
         stop.set()
 
     before = {
         number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        yield
+        yield received
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -200,7 +202,7 @@ def run(
     stop: threading.Event | None = None,
     out: TextIO | None = None,
     err: TextIO | None = None,
-) -> None:
+) -> int | None:
     """Serve firmware in a simulated AVR until Ctrl-C, SIGTERM, `stop`, or `once` ends it.
 
     Prints `listening on URL` to `out` when the firmware listens and a client may come, and the
@@ -220,13 +222,19 @@ def run(
         out: standard output when None.
         err: standard error when None.
 
+    Returns:
+        The number of the signal that ended it, such as signal.SIGINT; None when there was none.
+
     Raises:
         SimError: see AvrSim; FirmwareStopped when the firmware crashed.
         TransportError: the listener cannot be opened, or failed.
     """
     stop = stop or threading.Event()
     began_s = time.monotonic()
-    with AvrSim(elf, mcu, frequency_hz, uart, host_baud) as sim, _stopped_by_signals(stop):
+    with (
+        AvrSim(elf, mcu, frequency_hz, uart, host_baud) as sim,
+        _stopped_by_signals(stop) as signals,
+    ):
         try:
             sim.boot()
             with listen(listen_url) as listener:
@@ -241,3 +249,4 @@ def run(
             print(summary(sim, time.monotonic() - began_s), file=err or sys.stderr, flush=True)
             raise
         print(summary(sim, time.monotonic() - began_s), file=err or sys.stderr, flush=True)
+        return signals[0] if signals else None

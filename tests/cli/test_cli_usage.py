@@ -108,7 +108,7 @@ def test_a_place_that_is_taken_ends_with_3(run, demo):
 
 def test_the_simulator_without_firmware(run, tmp_path):
     result = run("sim", "avr", str(tmp_path / "no.elf"))
-    assert (result.code, result.out) == (1, "")
+    assert (result.code, result.out) == (2, "")
     assert result.err.startswith("j2a sim: ")
 
 

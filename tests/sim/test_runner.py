@@ -218,7 +218,7 @@ def test_command_ends_cleanly_by_signal(firmware, number):
             assert read_all(link, 5) == b"hello"
         process.send_signal(number)
         out, err = process.communicate(timeout=WAIT_S)
-    assert process.returncode == 0
+    assert process.returncode == 128 + number
     assert out == b""
     assert re.fullmatch(rb"cycles=\d+ .*bytes_in=5 bytes_out=5 .*\n", err)
 
@@ -238,7 +238,7 @@ def test_command_on_standard_streams(firmware):
 def test_command_explains_failures(tmp_path):
     with command(tmp_path / "none.elf") as process:
         out, err = process.communicate(timeout=WAIT_S)
-    assert process.returncode == 1
+    assert process.returncode == 2
     assert out == b""
     assert err.decode().startswith("j2a sim: cannot read ")
     assert err.count(b"\n") == 1
@@ -254,8 +254,33 @@ def test_command_options_reach_the_simulator(firmware, capsys):
         (["--baud", "9e9"], "host_baud"),
         (["--listen", "nowhere:"], "unknown scheme"),
     ]:
-        assert main(parser.parse_args(["avr", elf, *options])) == 1
+        assert main(parser.parse_args(["avr", elf, *options])) == 2
         assert text in capsys.readouterr().err
-    for wrong in (["--speed", "-1"], ["--freq", "0"], ["--uart", "7"]):
-        with pytest.raises(SystemExit):
+    for wrong, text in [
+        (["--speed", "-1"], "argument --speed: '-1' is not 0 for as fast as possible, or a number"),
+        (["--freq", "0"], "argument --freq: '0' is not a clock in Hz from 1 to 100000000"),
+        (["--baud", "fast"], "argument --baud: 'fast' is not a number above 0"),
+        (["--uart", "7"], "argument --uart: invalid choice: '7'"),
+    ]:
+        with pytest.raises(SystemExit) as stopped:
             parser.parse_args(["avr", elf, *wrong])
+        assert stopped.value.code == 2
+        assert text in capsys.readouterr().err
+
+
+def test_command_fails_like_the_other_commands(firmware, capsys):
+    parser = ArgumentParser()
+    add_arguments(parser)
+    with j2a_transports.listen("tcp://127.0.0.1:0") as taken:
+        place = ["--listen", taken.url]
+        assert main(parser.parse_args(["avr", str(firmware("echo")), *place])) == 3
+    assert "another program listens there" in capsys.readouterr().err
+
+
+def test_command_whose_firmware_stops(firmware):
+    options = ["--listen", "stdio:", "--speed", "0"]
+    with command(firmware("stop"), *options, stdin=subprocess.PIPE) as process:
+        out, err = process.communicate(b"i", timeout=WAIT_S)
+    assert process.returncode == 3
+    assert out == b"0"
+    assert b"j2a sim: the firmware stopped: illegal instruction" in err
