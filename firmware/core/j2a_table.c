@@ -18,8 +18,8 @@ typedef char j2a_names_longer_than_255_bytes[
 #endif
 
 J2A_BUILTIN_NAMES
-#define J2A_CALL(name, function) J2A_NAME(function, #name)
-#define J2A_MANY(name, function) J2A_NAME(function, #name)
+#define J2A_CALL(name, function) J2A_NAME(function, #name, j2a_name_##name)
+#define J2A_MANY(name, function) J2A_NAME(function, #name, j2a_name_##name)
 #include "functions.def"
 #undef J2A_CALL
 #undef J2A_MANY
@@ -35,6 +35,11 @@ const uint8_t J2A_FLASH j2a_function_count = sizeof j2a_functions / sizeof j2a_f
 #if J2A_WITH_PROPERTIES
 #define J2A_TEXT_(value) #value
 #define J2A_TEXT(value) J2A_TEXT_(value)
+/* An empty key would end the list. */
+#define J2A_PROPERTY(key, value) \
+    extern char j2a_property_is_empty[sizeof key > 1 && sizeof value > 1 ? 1 : -1];
+#include "properties.def"
+#undef J2A_PROPERTY
 #define J2A_PROPERTY(key, value) key "\0" value "\0"
 const unsigned char J2A_FLASH j2a_properties[] =
 #include "properties.def"

@@ -33,18 +33,23 @@ extern const unsigned char j2a_properties[];
 j2a_call_fn j2a_get_mapping, j2a_many, j2a_get_debug, j2a_echo;
 j2a_many_fn j2a_get_properties, j2a_echo_many;
 
+/* A name that comes twice declares an enumerator twice, an empty one an array of negative size. */
 #if J2A_WITH_MAPPING
-#define J2A_NAME(function, text) static const char J2A_FLASH function##_map[] = text;
+#define J2A_NAME(function, text, enumerator) \
+    enum { enumerator }; \
+    extern char j2a_name_is_empty[sizeof text > 1 ? 1 : -1]; \
+    static const char J2A_FLASH function##_map[] = text;
 #define J2A_ENTRY(function, kind) {(j2a_function)(function), function##_map, kind}
 #define J2A_ENTRY_0 J2A_ENTRY(j2a_get_mapping, J2A_KIND_CALL)
 #else
-#define J2A_NAME(function, text)
+#define J2A_NAME(function, text, enumerator)
 #define J2A_ENTRY(function, kind) {(j2a_function)(function), kind}
 #define J2A_ENTRY_0 {0, J2A_KIND_NONE}
 #endif
+#define J2A_NAMED(function, name) J2A_NAME(function, #name, j2a_name_##name)
 
 #if J2A_WITH_PROPERTIES
-#define J2A_NAME_PROPERTIES J2A_NAME(j2a_get_properties, "a2jGetProperties")
+#define J2A_NAME_PROPERTIES J2A_NAMED(j2a_get_properties, a2jGetProperties)
 #define J2A_ENTRY_PROPERTIES , J2A_ENTRY(j2a_get_properties, J2A_KIND_MANY)
 #else
 #define J2A_NAME_PROPERTIES
@@ -52,7 +57,7 @@ j2a_many_fn j2a_get_properties, j2a_echo_many;
 #endif
 
 #if J2A_WITH_DEBUG
-#define J2A_NAME_DEBUG J2A_NAME(j2a_get_debug, "a2jDebug")
+#define J2A_NAME_DEBUG J2A_NAMED(j2a_get_debug, a2jDebug)
 #define J2A_ENTRY_DEBUG , J2A_ENTRY(j2a_get_debug, J2A_KIND_CALL)
 #else
 #define J2A_NAME_DEBUG
@@ -60,12 +65,12 @@ j2a_many_fn j2a_get_properties, j2a_echo_many;
 #endif
 
 #define J2A_BUILTIN_NAMES \
-    J2A_NAME(j2a_get_mapping, "a2jGetMapping") \
-    J2A_NAME(j2a_many, "a2jMany") \
+    J2A_NAMED(j2a_get_mapping, a2jGetMapping) \
+    J2A_NAMED(j2a_many, a2jMany) \
     J2A_NAME_PROPERTIES \
     J2A_NAME_DEBUG \
-    J2A_NAME(j2a_echo, "a2jEcho") \
-    J2A_NAME(j2a_echo_many, "a2jEchoMany")
+    J2A_NAMED(j2a_echo, a2jEcho) \
+    J2A_NAMED(j2a_echo_many, a2jEchoMany)
 
 #define J2A_BUILTIN_ENTRIES \
     J2A_ENTRY_0, \

@@ -1,6 +1,9 @@
 /* A device written against the thesis: its function types (listing 7.1), jump table (listing 7.2)
- * and properties (listing 7.4), with its macros, and the main loop that it describes. */
+ * and properties (listing 7.4) as they are printed, and the main loop that it describes. OWN_TABLE: a
+ * table with a function of the other kind, an alias, and the misprint of listing 7.3. */
 #include "a2j.h"
+
+#include "listing-7.1.h"
 
 uint8_t getTime(uint8_t *const lenp, uint8_t* *const datap);
 uint8_t setTrigger(uint8_t *const lenp, uint8_t* *const datap);
@@ -52,29 +55,18 @@ uint8_t squares(bool* isLastp, bool isWrite, uint32_t *const offsetp, uint8_t *c
     return 0;
 }
 
-/* Function mapping */
-FUNCMAP(getTime, getTime)
-FUNCMAP(setTrigger, setTrigger)
-FUNCMAP(a2j_set_servo, a2j_set_servo)
+#ifdef OWN_TABLE
+FUNCMAP(a2j_set_servo, servo)
 FUNCMAP(squares, table)
-
-/* Jump table */
-#ifdef AS_IN_THE_TEXT
 STARTJT
-#else
-STARTJ
-#endif
-ADDJT(getTime)
-ADDJT(setTrigger)
 ADDJT(a2j_set_servo)
-ADDJT(squares)
+ADDLJT (squares)
 ENDJT
+#else
+#include "listing-7.2.h"
+#endif
 
-#define MACRO 13
-STARTPROPS
-ADDPROP(serial, 0x012F0B04)
-ADDPROPEXP(MACRO, MACRO)
-ENDPROPS
+#include "listing-7.4.h"
 
 int main(void) {
     a2jInit();
