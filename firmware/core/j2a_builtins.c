@@ -1,5 +1,7 @@
 /* The functions that each device has. A request's payload flows in, the reply's flows out in the
  * same 255 bytes. */
+#include <stddef.h>
+
 #include "j2a_internal.h"
 
 uint32_t j2a_get_u32(const uint8_t *bytes) {
@@ -75,7 +77,7 @@ uint8_t j2a_many(uint8_t *const length, uint8_t **const payload) {
 uint8_t j2a_get_properties(bool *is_last, bool is_write, uint32_t *const offset,
                            uint8_t *const length, uint8_t **const data) {
     const unsigned char *next = j2a_properties;
-    uint16_t at = 0;
+    size_t at = 0;
     uint8_t n = 0;
     uint8_t c, before = 0;
 

@@ -31,6 +31,9 @@
 #ifndef J2A_DEBUGBUF
 #define J2A_DEBUGBUF 64
 #endif
+#if J2A_DEBUGBUF < 1 || J2A_DEBUGBUF > 32767
+#error "J2A_DEBUGBUF must be 1..32767; debug text is switched off by J2A_WITH_DEBUG=0"
+#endif
 
 /* Received bytes that a port holds while a function runs; the property j2a.rxbuf announces this
  * number. On avr-serial 1..255, and it costs J2A_RXBUF + 1 bytes of RAM. */
@@ -49,6 +52,9 @@
 /* Bytes that a port holds until they are sent. On avr-serial 1..255, costs J2A_TXBUF + 1 bytes. */
 #ifndef J2A_TXBUF
 #define J2A_TXBUF 8
+#endif
+#if J2A_RXBUF < 1 || J2A_TXBUF < 1
+#error "J2A_RXBUF and J2A_TXBUF must be 1 or more"
 #endif
 
 #endif

@@ -73,25 +73,28 @@ def test_properties_cannot_be_written(call):
     ]
 
 
-def test_long_properties(make, ask, tmp_path):
-    """600 bytes: more than two chunks."""
+@pytest.mark.parametrize(
+    ("length", "offsets"), [(600, (0, 249, 498)), (70000, (65400, 65649, 69900))]
+)
+def test_long_properties(make, ask, tmp_path, length, offsets):
+    """More than two chunks, and more than 16 bits count."""
     folder = tmp_path / "long.app"
     folder.mkdir()
     (folder / "app.c").write_text('#include "j2a.h"\nvoid j2a_app_task(void) {\n}\n')
     (folder / "functions.def").write_text("")
-    values = [("k" * 99, "v" * 99), ("K" * 149, "V" * 149), ("l" * 40, "w" * 58)]
+    rest = ("wxyz" * length)[: length - 542]
+    values = [("k" * 99, "v" * 99), ("K" * 149, "V" * 149), ("l" * 40, rest)]
     lines = [f'J2A_PROPERTY("{key}", "{value}")\n' for key, value in values]
     (folder / "properties.def").write_text("".join(lines))
     result = make(APP="long", APP_DIR=str(folder), OUT=str(tmp_path))
     assert result.returncode == 0, result.stderr
     text = b"".join(f"{key}\0{value}\0".encode() for key, value in values)
-    assert len(text) == 600
-    header = [bytes((2, 0)) + offset.to_bytes(4, "little") for offset in (0, 249, 498)]
-    data = b"".join(encode(Frame(c.SOF, seq, 1, part)) for seq, part in enumerate(header))
+    assert len(text) == length
+    requests = [many(c.GET_PROPERTIES, 0, offset)[1] for offset in offsets]
+    data = b"".join(encode(Frame(c.SOF, seq, 1, part)) for seq, part in enumerate(requests))
     assert ask(tmp_path / "long", data) == [
-        many_reply(0, 0, 0, 0, text[:249]),
-        many_reply(1, 0, 0, 249, text[249:498]),
-        many_reply(2, 0, c.FLAG_LAST, 498, text[498:]),
+        many_reply(seq, 0, offset + 249 >= length, offset, text[offset : offset + 249])
+        for seq, offset in enumerate(offsets)
     ]
 
 

@@ -6,7 +6,10 @@ each part, for a byte of payload, as text. Every number comes out the same in ev
 
 import sys
 
-from j2a.sim import AvrSim, Span
+try:
+    from j2a.sim import AvrSim, Span
+except ImportError as error:
+    sys.exit(f"{error}: run `make venv` in the project's folder, or give PYTHON=")
 
 PLAIN_WIRE, ESCAPED_WIRE = 260, 515  # bytes on the wire of the two frames that app.c builds
 DELAY = 101  # cycles of a span of mark 3 in which no interrupt came
