@@ -103,8 +103,9 @@ static uint32_t period_us, next_us, counter;
 uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
     const uint8_t given = *length;
     *length = 0;
-    if (given == 0 || !j2a_send_sif((*payload)[0], (uint8_t)(given - 1), *payload + 1))
+    if (given == 0)
         return J2A_RET_FAILED;
+    j2a_send_sif((*payload)[0], (uint8_t)(given - 1), *payload + 1);
     return 0;
 }
 
@@ -119,15 +120,20 @@ uint8_t demo_sif_period(uint8_t *const length, uint8_t **const payload) {
     return 0;
 }
 
+/* The lower 32 bits will do for differences of up to 65 s. */
+static int32_t time_left_us(void) {
+    return (int32_t)(next_us - (uint32_t)j2a_port_time_us());
+}
+
 void j2a_app_task(void) {
     uint8_t payload[4];
-    /* The lower 32 bits will do for differences of up to 65 s. */
-    if (period_us == 0 || (int32_t)((uint32_t)j2a_port_time_us() - next_us) < 0)
+    if (period_us == 0 || time_left_us() > 0)
         return;
+    j2a_put_u32(payload, counter++);
+    j2a_send_sif(SIF_PERIODIC, sizeof payload, payload);
     next_us += period_us;
-    j2a_put_u32(payload, counter);
-    if (j2a_send_sif(SIF_PERIODIC, sizeof payload, payload))
-        counter++;
+    if (time_left_us() < 0) /* too slow for this period: what was missed is left out */
+        next_us = (uint32_t)j2a_port_time_us() + period_us;
 }
 
 #else /* the opcodes stay, and fail */
