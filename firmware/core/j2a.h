@@ -1,8 +1,8 @@
 /* What an application uses. Requests of the host come in through j2a_task(), which calls the
  * application's functions (listed in its functions.def, declared by j2a_functions.h) and sends what
  * they leave behind.
- * Rules: one context calls j2a_task() and j2a_send_sif(); functions run to their end, and do not
- * call j2a_task() themselves. */
+ * Rules: all of it is called from the main context only (the main loop and functions), never from an
+ * interrupt; functions run to their end, and do not call j2a_task() themselves. */
 #ifndef J2A_H
 #define J2A_H
 
@@ -33,7 +33,8 @@ typedef uint8_t j2a_many_fn(bool *is_last, bool is_write, uint32_t *const offset
                             uint8_t *const length, uint8_t **const data);
 
 /* Receives and answers: j2a_poll(), then j2a_process(). Called in each turn of the main loop, at
- * least every 5 ms while frames arrive, or byte timeouts come late. */
+ * least every 5 ms while frames arrive: a byte timeout comes late by the time between two calls, which
+ * includes what functions and sending take (a SIF of 255 bytes up to 45 ms at 115200 baud). */
 void j2a_task(void);
 
 /* The first half of j2a_task(): takes received bytes from the port, and watches the byte timeout. */
@@ -44,14 +45,14 @@ void j2a_poll(void);
 void j2a_process(void);
 
 #if J2A_WITH_SIF
-/* Sends a server-initiated frame, opcode 0..255, length 0..255 bytes of payload. From within a
- * function it goes out at once, before the reply. Returns true when it was sent. Returns false, having
- * sent nothing, when the caller is an interrupt that came while another frame was being sent. */
-bool j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
+/* Sends a server-initiated frame, opcode 0..255, length 0..255 bytes of payload. From the main context
+ * only. From within a function it goes out at once, before the reply. Returns when the transmit buffer
+ * holds its end. */
+void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
 #endif
 
 /* Adds text (NUL-terminated, in RAM) to what a2jDebug gives the host. What does not fit is dropped
- * and reported to the host as lost. */
+ * and reported to the host as lost. From the main context only. */
 #if J2A_WITH_DEBUG
 void j2a_debug(const char *text);
 #else

@@ -12,8 +12,9 @@
 
 /* ------------------------------------------------------------------ the port implements ------ */
 
-/* Gives J2A_TICKS_PER_MS: ticks of j2a_port_ticks() in a millisecond, at most 3000, so that the
- * byte timeout fits into 16 bits. */
+/* Gives J2A_TICKS_PER_MS: ticks of j2a_port_ticks() in a millisecond, rounded up. About 10 are right:
+ * the byte timeout needs 0.5 ms and better, and is missed when 65536 ticks pass between two calls of
+ * j2a_poll(). */
 #include "j2a_port_config.h"
 
 /* Sets the link and the clocks up. A port without a command line ignores the arguments. */
@@ -23,7 +24,7 @@ void j2a_port_init(int argc, char **argv);
  * it first returns a byte that arrived after a loss, it calls j2a_rx_lost(). */
 int16_t j2a_port_rx(void);
 
-/* Sends one byte; waits while the transmit buffer is full. */
+/* Sends one byte; waits while the transmit buffer is full, even with interrupts off. */
 void j2a_port_tx(uint8_t byte);
 
 /* Time in ticks, free-running, wrapping at 65536. */

@@ -25,10 +25,11 @@ void j2a_poll(void) {
 }
 
 uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function) {
-    const j2a_entry *entry = &j2a_functions[opcode];
+    const j2a_entry *entry;
     uint8_t found;
     if (opcode >= j2a_flash_u8(&j2a_function_count))
         return J2A_SITE_OPCODE;
+    entry = &j2a_functions[opcode];
     found = j2a_flash_u8(&entry->kind);
     if (found != kind && !(kind == J2A_KIND_CALL && found == J2A_KIND_ROUTER))
         return J2A_SITE_KIND;

@@ -1,10 +1,6 @@
 /* The sender. A frame flows in as its fields, out go its wire bytes through j2a_port_tx().
- * Rule: one frame at a time, whole. */
+ * Rule: one frame at a time, whole; so all of it runs in the main context. */
 #include "j2a_internal.h"
-
-#if J2A_WITH_SIF
-static volatile bool sending;
-#endif
 
 static uint8_t put(uint8_t byte) {
     uint8_t wire = byte;
@@ -18,9 +14,6 @@ static uint8_t put(uint8_t byte) {
 
 void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload) {
     uint8_t checksum;
-#if J2A_WITH_SIF
-    sending = true;
-#endif
     j2a_port_tx(start);
     checksum = put(seq);
     checksum ^= (uint8_t)(put(opcode) + J2A_CHK_OPCODE);
@@ -28,17 +21,11 @@ void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const 
     while (length--)
         checksum ^= put(*payload++);
     put(checksum);
-#if J2A_WITH_SIF
-    sending = false;
-#endif
 }
 
 #if J2A_WITH_SIF
-bool j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
+void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
     static uint8_t seq;
-    if (sending)
-        return false;
     j2a_send(J2A_SOS, seq++, opcode, length, payload);
-    return true;
 }
 #endif

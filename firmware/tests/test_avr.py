@@ -2,6 +2,7 @@
 
 import random
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -84,6 +85,22 @@ def test_budget(avr, make):
 def test_budget_is_kept_to(avr, make):
     assert make("budget", FLASH_BUDGET="1000").returncode != 0
     assert make("budget", RAM_BUDGET="300").returncode != 0
+
+
+def test_budget_measures_what_it_built(avr, make, tmp_path):
+    assert make("budget").returncode == 0
+    result = make("budget", OUT=str(tmp_path), CFLAGS="-O3")
+    assert (tmp_path / "builtins.elf").exists()
+    assert result.returncode != 0  # that is much larger
+
+
+def test_cycles_without_the_library(avr, make, tmp_path):
+    (tmp_path / "python").write_text(f'#!/bin/sh\nexec {sys.executable} -I -S "$@"\n')
+    (tmp_path / "python").chmod(0o755)
+    result = make("cycles", PYTHON=str(tmp_path / "python"))
+    assert result.returncode != 0
+    assert "make venv" in result.stderr
+    assert "Traceback" not in result.stderr
 
 
 def test_cycles(avr, make):
@@ -241,6 +258,26 @@ def test_bytes_that_waited_are_not_timed_out(board):
     assert board.listen(5) == [Frame(c.SOF, 7, c.ECHO, b"abc")]
 
 
+def test_main_loop_that_is_kept_waiting(build, error):
+    """A SIF sent with interrupts off ends; a pause is seen by a loop that turns each 32.768 ms."""
+    elf = build("blocking", "avr-serial", APP_DIR=str(Path(__file__).parent / "blocking"))
+    board = Board(elf)
+    frame = encode(Frame(c.SOF, 7, ECHO, b"abc"))
+    assert board.listen(40) == [Frame(c.SOS, 0, 1, bytes(100))]
+    board.send(frame[:4])
+    assert board.listen(3 * 33) == [error(7, c.ERR_TIMEOUT, c.SITE_TIMEOUT)]
+    board.sim.close()
+
+
+def test_pause_while_sifs_are_sent(board, error):
+    """SIFs that follow each other faster than the byte timeout do not put it off."""
+    board.call("sifPeriod", b"\x05\0")
+    board.send(encode(Frame(c.SOF, 7, ECHO, b"abc"))[:4])
+    events = board.listen(20)
+    assert error(7, c.ERR_TIMEOUT, c.SITE_TIMEOUT) in events
+    assert len(events) > 3
+
+
 def test_clock_has_no_steps(board):
     """Asked at odd moments over several wraps of the timer (32.768 ms), it follows the cycles."""
     rng = random.Random(1)
@@ -260,8 +297,10 @@ def test_clock_around_the_wraps(build):
     """Some of the 320 wraps fall into the few cycles in which the clock is read."""
     elf = build("clock", "avr-serial", APP_DIR=str(Path(__file__).parent / "clock"))
     with AvrSim(elf) as sim:
-        sim.run(sim.cycles(10.5))
+        sim.run(sim.cycles(10.6))
         assert [span.mark for span in sim.spans()] == [2] * 10
+        # The app began with registers as a boot loader leaves them; characters have 8 bits again.
+        assert decode(sim.uart_read()) == [Frame(c.SOS, n, 2) for n in range(10)]
 
 
 def test_periodic_sifs_keep_their_rate(board):
@@ -270,6 +309,15 @@ def test_periodic_sifs_keep_their_rate(board):
     assert sifs == [Frame(c.SOS, n, 0x20, n.to_bytes(4, "little")) for n in range(50)]
     assert board.call("sifPeriod", b"\0\0").opcode == 0
     assert board.listen(50) == []
+
+
+def test_periodic_sifs_leave_out_what_was_missed(board):
+    """After 205 ms in a function one SIF is late, and the others keep their distance."""
+    board.call("sifPeriod", b"\x0a\0")
+    *_, reply = board.ask(encode(Frame(c.SOF, 2, OPCODE["delay"], b"\xcd\0")), 1)
+    assert reply == Frame(c.SOF, 2, 0)
+    sifs = board.listen(55)
+    assert [sif.payload[0] for sif in sifs] == list(range(6))
 
 
 def test_store_holds_256_bytes(board):

@@ -70,7 +70,7 @@ def test_builtins_on_posix(build, ask):
         {"OPTIONS": options((1, 0, 1, 0))},
         {"OPTIONS": options((0, 1, 0, 1)), "CFLAGS": "-O2"},
         {"BAUD": "250000", "RXBUF": "255", "TXBUF": "255"},
-        {"BAUD": "9600", "RXBUF": "1", "TXBUF": "1"},
+        {"BAUD": "2400", "RXBUF": "1", "TXBUF": "1"},
     ],
     ids=str,
 )
@@ -83,7 +83,8 @@ def test_avr_options(build, settings):
     ("settings", "message"),
     [
         ({"BAUD": "230400"}, "off by more than"),
-        ({"BAUD": "300"}, "out of the USART's range"),
+        ({"BAUD": "600"}, "must be 2400..1000000"),
+        ({"BAUD": "2000000"}, "must be 2400..1000000"),
         ({"RXBUF": "256"}, "must be 1..255"),
         ({"OPTIONS": "-DJ2A_PAUSE_MS=20"}, "must be 9..19"),
     ],
@@ -116,6 +117,23 @@ def test_map_too_long_for_a_frame(make, tmp_path):
         assert fits or "j2a_names_longer_than_255_bytes" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("functions", "properties", "message"),
+    [
+        ("J2A_CALL(, f)", "", "j2a_name_is_empty"),
+        ("J2A_CALL(twice, f)\nJ2A_CALL(twice, g)", "", "j2a_name_twice"),
+        ("J2A_CALL(a2jEcho, f)", "", "j2a_name_a2jEcho"),
+        ("", 'J2A_PROPERTY("", "value")', "j2a_property_is_empty"),
+        ("", 'J2A_PROPERTY("key", "")', "j2a_property_is_empty"),
+    ],
+)
+def test_empty_or_repeated_names_do_not_compile(make, tmp_path, functions, properties, message):
+    folder = app(tmp_path / "app", functions + "\n", properties + "\n")
+    result = make(APP="names", APP_DIR=str(folder), OUT=str(tmp_path))
+    assert result.returncode != 0
+    assert message in result.stderr
+
+
 def test_function_of_the_wrong_kind_does_not_compile(make, tmp_path):
     folder = app(tmp_path / "wrong.app", "J2A_MANY(f, f)\n")
     result = make(APP="wrong", APP_DIR=str(folder), OUT=str(tmp_path))
@@ -136,11 +154,39 @@ def test_other_options_rebuild_and_the_same_do_not(make, tmp_path):
     assert built(OPTIONS="-DJ2A_WITH_DEBUG=0") == other
 
 
-@pytest.mark.parametrize("settings", [{"PORT": "vax"}, {"APP": "nosuch"}], ids=str)
-def test_unknown_port_or_app(make, settings):
-    result = make(**settings)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("PORT", "vax"),
+        ("APP", "nosuch"),
+        ("APP", ""),
+        ("OUT", ""),
+        ("BAUD", "abc"),
+        ("BAUD", ""),
+        ("BAUD", "0"),
+        ("RXBUF", "0"),
+        ("TXBUF", "-1"),
+    ],
+)
+def test_wrong_variables_are_refused_in_one_line(make, tmp_path, name, value):
+    result = make(**{"OUT": str(tmp_path), name: value})
     assert result.returncode != 0
-    assert next(iter(settings)) in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert name in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("J2A_WITH_MAPPING=on", "is not defined"),
+        ("J2A_DEBUGBUF=0", "must be 1..32767"),
+        ("J2A_DEBUGBUF=70000", "must be 1..32767"),
+    ],
+)
+def test_wrong_options_do_not_compile(make, tmp_path, option, message):
+    result = make(OUT=str(tmp_path), CC="gcc", OPTIONS=f"-D{option}")
+    assert result.returncode != 0
+    assert message in result.stderr
 
 
 @pytest.mark.parametrize("path", sorted(FIRMWARE.glob("ports/*/port.c")), ids=lambda p: p.parts[-2])

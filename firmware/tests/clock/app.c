@@ -1,5 +1,6 @@
 /* Reads the clock again and again, at all phases of the timer. Marks with GPIOR0, for a simulator:
- * mark 1 when it went back, or ahead by more than a few readings take; mark 2 about each second. */
+ * mark 1 when it went back, or ahead by more than a few readings take; mark 2 about each second.
+ * Then it sends a SIF. */
 #include <avr/io.h>
 
 #include "j2a.h"
@@ -8,6 +9,9 @@ int main(void) {
     uint64_t before_us;
     uint8_t wait = 0;
 
+    /* As a boot loader may leave them: the timer ends at 255, characters have 5 bits. */
+    TCCR1A = _BV(WGM10);
+    UCSR0C = 0;
     j2a_port_init(0, 0);
     before_us = j2a_port_time_us();
     for (;;) {
@@ -20,6 +24,7 @@ int main(void) {
         if ((now_us ^ before_us) >> 20) {
             GPIOR0 = 2;
             GPIOR0 = 0;
+            j2a_send_sif(2, 0, 0);
         }
         before_us = now_us;
         for (i = wait++ & 15; i != 0; i--) {
