@@ -421,6 +421,28 @@ class TestSifs:
             assert seen == [j2a.Sif(0xF2, b"a", 4, 0), j2a.Sif(0xFF, b"b", 9, 4)]
             assert wire.client.counters.sif_gaps == 1
 
+    def test_too_many_sifs_for_slow_handlers_are_dropped_and_counted(self, monkeypatch):
+        monkeypatch.setattr("j2a._engine.MAX_SIFS_WAITING", 3)
+        with Wire() as wire:
+            seen, started, gate = [], threading.Event(), threading.Event()
+
+            def slow(sif):
+                started.set()
+                assert gate.wait(PATIENCE_S)
+                seen.append(sif.opcode)
+
+            wire.client.on_sif(None, slow)
+            wire.send(oracle.Frame(SOS, 0, 0, b""))
+            assert started.wait(PATIENCE_S)
+            wire.send(*(oracle.Frame(SOS, n, n, b"") for n in range(1, 8)))
+            while wire.client.counters.sifs < 8:
+                time.sleep(0.001)
+            assert wire.client.counters.sifs_dropped == 4
+            gate.set()
+            while len(seen) < 4:
+                time.sleep(0.001)
+            assert seen == [0, 1, 2, 3]
+
     def test_periodic_sifs(self):
         with linked() as client:
             numbers, done = [], threading.Event()
