@@ -2,4 +2,6 @@
 
 import pytest
 
-pytest.register_assert_rewrite("tests.library.support", "tests.library.virtual")
+pytest.register_assert_rewrite(
+    "tests.library.support", "tests.library.virtual", "tests.library.wire"
+)
