@@ -147,6 +147,7 @@ def plain(value: object) -> object:
 ONE_WAY = {
     "J2A-FRAME-005": "it only widens what is taken",
     "J2A-FRAME-008": "a device is silent; see the scenarios",
+    "J2A-FRAME-010": "it forbids bytes outside frames; receivers skip them",
 }
 
 

@@ -94,7 +94,7 @@ def _good() -> list[_Row]:
     return [
         (
             "a request and its reply",
-            "DISP-001 DISP-002 DISP-003 ECHO-001",
+            "DISP-001 DISP-002 DISP-003 ECHO-001 FRAME-010",
             [_send(1), _echo(1), _QUIET],
         ),
         (
@@ -150,7 +150,7 @@ def _good() -> list[_Row]:
                 _QUIET,
             ],
         ),
-        ("garbage alone is not answered", "FRAME-006", [{"raw": "00010203ff7d"}, _QUIET]),
+        ("garbage alone is not answered", "FRAME-006 FRAME-010", [{"raw": "00010203ff7d"}, _QUIET]),
     ]
 
 
