@@ -3,13 +3,15 @@
 In: what passes on a link, see `j2a.Trace`. Out: one line each on standard error: seconds since the
 start, `>` for what the host sends and `<` for what the device sends, and what it is.
 Rules: names of functions are learnt from the function map as it passes, so that a trace asks the
-device nothing.
+device nothing. A device may have several hosts that use the same seq at once; it serves each in a
+thread of its own, which is how their requests are told apart.
 """
 
 from __future__ import annotations
 
 import struct
 import sys
+import threading
 import time
 from typing import Final, TextIO
 
@@ -60,11 +62,12 @@ class TracePrinter:
         self, *, raw: bool = False, is_device: bool = False, stream: TextIO | None = None
     ) -> None:
         self._raw = raw
+        self._is_device = is_device
         self._to_device = "rx" if is_device else "tx"
         self._stream = stream or sys.stderr
         self._start = time.monotonic()
         self._names = {0: GET_MAPPING}
-        self._asked: dict[int, int] = {}
+        self._asked: dict[tuple[int, int], int] = {}  # opcodes by host and seq
 
     def __call__(self, direction: str, item: Frame | FrameError | bytes) -> None:
         """Print one item."""
@@ -87,7 +90,7 @@ class TracePrinter:
         self._stream.flush()
 
     def _request(self, frame: Frame) -> str:
-        self._asked[frame.seq] = frame.opcode
+        self._asked[self._host(), frame.seq] = frame.opcode
         name = self._name(frame.opcode)
         what = _payload(frame.payload)
         if name == MANY and len(frame.payload) >= MANY_HEADER:
@@ -97,7 +100,7 @@ class TracePrinter:
         return f"request seq={frame.seq:<3} {name} {what}"
 
     def _reply(self, frame: Frame) -> str:
-        opcode = self._asked.pop(frame.seq, None)
+        opcode = self._asked.pop((self._host(), frame.seq), None)
         name = "(not asked)" if opcode is None else self._name(opcode)
         if frame.opcode in _ERRORS:
             meaning = _ERRORS[frame.opcode]
@@ -115,6 +118,9 @@ class TracePrinter:
             code = _code(inner) if frame.opcode == RET_OK else code
             what = _chunk(flags, offset, frame.payload)
         return f"reply   seq={frame.seq:<3} {name} {code} {what}"
+
+    def _host(self) -> int:
+        return threading.get_ident() if self._is_device else 0
 
     def _name(self, opcode: int) -> str:
         return self._names.get(opcode, f"opcode {opcode}")

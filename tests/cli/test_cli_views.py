@@ -3,14 +3,19 @@
 import io
 import re
 import sys
+import threading
+import time
 
+import j2a_transports
 import pytest
-from j2a_spec.constants import SOF, SOS
+from j2a_spec.constants import BUILTINS, SOF, SOS
+from j2a_spec.oracle import Frame, encode
 
 import j2a
 from j2a.cli._progress import Progress, size_text
 from j2a.cli._trace import TracePrinter
 
+WAIT_S = 60
 MAP = b"a2jGetMapping\0a2jMany\0add\0store\0"
 
 
@@ -105,6 +110,39 @@ def test_verbose_shows_both_directions(run, demo):
     assert re.search(r"< reply   seq=\d+ +add code=0x00 03 00 00 00\n", result.err)
     assert "bytes" not in result.err.replace("(119 bytes)", "")
     assert re.search(r"> bytes   12 ", run("call", demo, "add", "-vv").err)
+
+
+def test_hosts_of_a_device_that_use_the_same_seq_are_told_apart():
+    stream = io.StringIO()
+    held, go_on = threading.Event(), threading.Event()
+    slow, quick = len(BUILTINS), len(BUILTINS) + 1
+    with j2a.Device(trace=TracePrinter(stream=stream, is_device=True)) as device:
+
+        @device.function
+        def hold(payload):
+            held.set()
+            assert go_on.wait(WAIT_S)
+
+        device.function("quick")(lambda payload: None)
+        links = [j2a_transports.pair() for _ in range(2)]
+        servers = [threading.Thread(target=device.serve, args=(far,)) for _, far in links]
+        for server in servers:
+            server.start()
+        (first, _), (second, _) = links
+        first.write(encode(Frame(SOF, 5, slow, b"")))
+        assert held.wait(WAIT_S)
+        second.write(encode(Frame(SOF, 5, quick, b"")))
+        end = time.monotonic() + WAIT_S
+        while f"opcode {quick}" not in stream.getvalue():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        go_on.set()
+        for host in (first, second):
+            assert host.read(WAIT_S)
+    for server in servers:
+        server.join(WAIT_S)
+    replies = re.findall(r"< reply   seq=5   (.*) code", stream.getvalue())
+    assert sorted(replies) == [f"opcode {slow}", f"opcode {quick}"]
 
 
 def test_verbose_shows_what_is_refused(run, fake, wire):
