@@ -7,6 +7,8 @@ the link or the device never shows a traceback.
 
 from __future__ import annotations
 
+import signal
+from types import FrameType
 from typing import Final
 
 import j2a_transports
@@ -21,6 +23,7 @@ TIMEOUT: Final = 4
 REMOTE: Final = 5
 INTERRUPTED: Final = 130
 OUTPUT_CLOSED: Final = 141
+TERMINATED: Final = 128 + signal.SIGTERM  # 143
 
 EXIT_CODES: Final = {
     OK: "done",
@@ -31,6 +34,7 @@ EXIT_CODES: Final = {
     REMOTE: "the device refused the request, or broke the protocol",
     INTERRUPTED: "stopped by Ctrl-C",
     OUTPUT_CLOSED: "the reader of the output went away, as in: j2a watch URL | head -1",
+    TERMINATED: "stopped by SIGTERM",
 }
 _CODES: Final[tuple[tuple[type[Exception], int], ...]] = (
     (j2a.LocalError, USAGE),
@@ -46,6 +50,15 @@ _CODES: Final[tuple[tuple[type[Exception], int], ...]] = (
 
 class UsageError(Exception):
     """An argument of the command line is wrong; the text says how to write it."""
+
+
+def end_on_sigterm() -> None:
+    """Make SIGTERM end the program as Ctrl-C does, by an exception that passes every `finally`."""
+    signal.signal(signal.SIGTERM, _on_sigterm)
+
+
+def _on_sigterm(_number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(TERMINATED)
 
 
 def exit_code(error: Exception) -> int | None:

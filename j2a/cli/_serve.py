@@ -6,17 +6,15 @@ In: where hosts arrive. Out: `listening on URL`, and a device there until Ctrl-C
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import traceback
 from importlib import import_module
 from pathlib import Path
-from types import FrameType
 
 import j2a_transports
 
 import j2a
-from j2a.cli._exit import LINK, OK, UsageError
+from j2a.cli._exit import LINK, OK, UsageError, end_on_sigterm
 from j2a.cli._link import add_verbose_argument
 from j2a.cli._trace import TracePrinter
 
@@ -56,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         # A Device takes its trace when it is made, which was before the command line was read.
         device.trace = TracePrinter(raw=args.verbose > 1, is_device=True)
     with j2a_transports.listen(args.listen) as listener, device:
-        signal.signal(signal.SIGTERM, _on_sigterm)
+        end_on_sigterm()  # leaves the listener, which removes what it made
         # Where standard output is the link, the text must not get between the bytes.
         out = sys.stderr if listener.url.startswith("stdio:") else sys.stdout
         print(f"listening on {listener.url}", file=out, flush=True)
@@ -98,7 +96,3 @@ def _demo() -> j2a.Device:
     from j2a.demo import DemoDevice  # noqa: PLC0415 - only needed without --device
 
     return DemoDevice()
-
-
-def _on_sigterm(number: int, _frame: FrameType | None) -> None:
-    raise SystemExit(128 + number)  # leaves the listener, which removes what it made

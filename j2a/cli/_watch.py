@@ -2,7 +2,7 @@
 
 In: a link. Out: a line for each SIF, and one for each gap in their numbers.
 Rules: the library's thread collects, this one prints, so that a slow reader of the output loses
-nothing.
+nothing. What `--then` names is called however the watching ends, unless the link is gone.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import queue
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from datetime import datetime
 
 import j2a
-from j2a.cli._exit import FAILED, OK, TIMEOUT, UsageError
+from j2a.cli._exit import FAILED, OK, TIMEOUT, UsageError, end_on_sigterm
 from j2a.cli._link import (
     add_json_argument,
     add_link_arguments,
@@ -30,8 +31,10 @@ from j2a.cli._values import Decoder, payload_of, short_hex, text_of
 NOTES = """\
 examples:
   j2a watch tcp://127.0.0.1:5000 0x20 --as u32
-  j2a watch exec:./firmware --call 'sifPeriod u16:100' --count 10 --json"""
+  j2a watch exec:./firmware --call 'sifPeriod u16:100' --count 10 --json
+  j2a watch serial:///dev/ttyACM0 --call 'sifPeriod u16:100' --then 'sifPeriod u16:0'"""
 _LOOK_S = 0.2
+_Call = tuple[str | int, bytes]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="'FUNCTION PAYLOAD'",
         help="call this first, to start the device sending; words as for j2a call",
+    )
+    parser.add_argument(
+        "--then",
+        action="append",
+        default=[],
+        metavar="'FUNCTION PAYLOAD'",
+        help="call this at the end, also after Ctrl-C, to stop the device sending",
     )
     parser.add_argument("--count", type=whole_number(1), metavar="N", help="end after so many SIFs")
     parser.add_argument(
@@ -67,41 +77,60 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print SIFs until the end; returns the exit code."""
-    calls = [_parse_call(text) for text in args.call]
-    arrived: queue.SimpleQueue[tuple[float, j2a.Sif]] = queue.SimpleQueue()
+    first = [_parse_call("--call", text) for text in args.call]
+    last = [_parse_call("--then", text) for text in args.then]
+    if last:
+        end_on_sigterm()
     with connect(args) as client:
-        client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), sif)))
-        for function, payload in calls:
-            reply = client.call(function, payload)
-            if not reply.ok:
-                print(f"j2a: {function} failed (code 0x{reply.code:02X})", file=sys.stderr)
-                return FAILED
-        end = None if args.duration is None else time.monotonic() + args.duration
-        seen = 0
-        while args.count is None or seen < args.count:
-            left_s = _LOOK_S if end is None else min(_LOOK_S, end - time.monotonic())
-            try:
-                at_s, sif = arrived.get(timeout=max(left_s, 0.0))
-            except queue.Empty:
-                if left_s <= 0:
-                    break
-                if not client.is_open:
-                    client.call(0)  # raises what ended the link
-                continue
-            seen += 1
-            _print(at_s, sif, args)
+        try:
+            code = _watch(client, first, args)
+        finally:
+            ended = not client.is_open or _call_each(client, last)
+    return code if ended else code or FAILED
+
+
+def _watch(client: j2a.Client, first: Sequence[_Call], args: argparse.Namespace) -> int:
+    arrived: queue.SimpleQueue[tuple[float, j2a.Sif]] = queue.SimpleQueue()
+    client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), sif)))
+    if not _call_each(client, first):
+        return FAILED
+    end = None if args.duration is None else time.monotonic() + args.duration
+    seen = 0
+    while args.count is None or seen < args.count:
+        left_s = _LOOK_S if end is None else min(_LOOK_S, end - time.monotonic())
+        try:
+            at_s, sif = arrived.get(timeout=max(left_s, 0.0))
+        except queue.Empty:
+            if left_s <= 0:
+                break
+            if not client.is_open:
+                client.call(0)  # raises what ended the link
+            continue
+        seen += 1
+        _print(at_s, sif, args)
     if args.count is not None and seen < args.count:
         print(f"j2a: {seen} of {args.count} SIFs came within {args.duration:g} s", file=sys.stderr)
         return TIMEOUT
     return OK
 
 
-def _parse_call(text: str) -> tuple[str | int, bytes]:
+def _call_each(client: j2a.Client, calls: Sequence[_Call]) -> bool:
+    """Call one after the other until one fails; returns whether none did."""
+    for function, payload in calls:
+        reply = client.call(function, payload)
+        if not reply.ok:
+            print(f"j2a: {function} failed (code 0x{reply.code:02X})", file=sys.stderr)
+            return False
+    return True
+
+
+def _parse_call(option: str, text: str) -> _Call:
     try:
         function, *words = shlex.split(text)
     except ValueError:
         raise UsageError(
-            f"--call {text!r}: write a function and its payload, as in --call 'sifPeriod u16:100'"
+            f"{option} {text!r}: write a function and its payload, "
+            f"as in {option} 'sifPeriod u16:100'"
         ) from None
     return function_of(function), payload_of(words)
 

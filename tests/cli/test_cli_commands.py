@@ -348,6 +348,21 @@ def test_watch_whose_call_fails(run, url):
     assert run("watch", url, "--call", "'").code == 2
 
 
+def test_watch_calls_the_last_function_at_the_end(run, demo):
+    sending, stop = ("--call", "sifPeriod u16:5"), ("--then", "sifPeriod u16:0")
+    assert run("watch", demo, *sending, "--count", "2").code == 0
+    assert run("watch", demo, "--count", "2").code == 0, "the device goes on without --then"
+    for ending in (("--count", "2"), ("--call", "sif")):
+        assert run("watch", demo, *sending, *ending, *stop).code == (ending[0] == "--call")
+        assert run("watch", demo, "--duration", "0.2").out == ""
+
+
+def test_watch_whose_last_function_fails(run, demo):
+    result = run("watch", demo, "--duration", "0.1", "--then", "sif")
+    assert (result.code, result.err) == (1, "j2a: sif failed (code 0xFF)\n")
+    assert "as in --then" in run("watch", demo, "--then", "'").err
+
+
 def test_debug(run, demo):
     run("call", demo, "ret", "07")
     run("call", demo, "ret", "2a")

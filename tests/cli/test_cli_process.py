@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from j2a.cli._exit import TERMINATED
+
 WAIT_S = 60
 
 
@@ -45,7 +47,7 @@ def test_serve_ends_on_sigterm_and_removes_its_link(start, run, tmp_path):
     server.line_with("listening on ")
     assert run("props", f"serial://{link}", "name").out == "J2A demo\n"
     server.process.send_signal(signal.SIGTERM)
-    assert server.end().code == 128 + signal.SIGTERM
+    assert server.end().code == TERMINATED == 143
     assert not link.is_symlink()
 
 
@@ -94,6 +96,18 @@ def test_ctrl_c_ends_watching(start, demo):
     result = program.end()
     assert (result.code, result.err) == (130, "")
     assert len([json.loads(line) for line in result.out.splitlines()]) >= 1
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "SIGTERM"]
+)
+def test_watching_that_is_stopped_calls_the_last_function(start, run, demo, number, code):
+    program = start("watch", demo, "--call", "sifPeriod u16:5", "--then", "sifPeriod u16:0")
+    program.line_with("opcode")
+    program.process.send_signal(number)
+    result = program.end()
+    assert (result.code, result.err) == (code, "")
+    assert run("watch", demo, "--duration", "0.2").out == ""
 
 
 def test_ctrl_c_ends_an_echo_with_what_it_found(start, demo):
