@@ -1,6 +1,7 @@
 """`j2a echo`: test a link: send bytes there and back, verify and time them.
 
-In: how many bytes, how often. Out: how many came back right, rate and round trip times.
+In: how many bytes, how often. Out: how many came back right, rate and round trip times; what was
+found so far when Ctrl-C ends it.
 Rules: an echo that fails is counted and the test goes on, as long as the link is there and not
 everything fails; the bytes are those that hurt most: markers, escapes and their neighbours.
 """
@@ -20,7 +21,7 @@ from collections.abc import Iterator
 from j2a_spec.constants import ECHO, ESC, GET_ECHO, MAX_PAYLOAD, SOF, SOS
 
 import j2a
-from j2a.cli._exit import FAILED, INTERRUPTED, OK, exit_code
+from j2a.cli._exit import FAILED, INTERRUPTED, OK, UsageError, exit_code
 from j2a.cli._info import counters_text
 from j2a.cli._link import (
     add_json_argument,
@@ -34,6 +35,7 @@ from j2a.cli._progress import Progress, size_text
 _FILLS = (SOF, SOS, ESC, SOF - 1, SOS - 1, ESC - 1)
 _PATTERNS = len(_FILLS) + 2
 _GIVE_UP_AFTER = 5
+_MANY_MAX = 64 * 2**20  # the data is in memory twice
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,9 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     size.add_argument(
         "--many",
-        type=whole_number(0, 2**32 - 1),
+        type=whole_number(0, _MANY_MAX),
         metavar="N",
-        help="one transfer of N bytes through a2jEchoMany",
+        help="one transfer of N bytes, up to 64 MiB, through a2jEchoMany",
     )
     add_json_argument(parser, "the result")
     add_progress_argument(parser)
@@ -90,6 +92,8 @@ class Result:
 
 def run(args: argparse.Namespace) -> int:
     """Test and print; returns the exit code."""
+    if args.many is not None and args.count is not None:
+        raise UsageError("--count is not allowed with --many, which is one transfer")
     with connect(args) as client:
         result = _echo(client, args) if args.many is None else _transfer(client, args)
         counters = client.counters
@@ -160,11 +164,18 @@ def _transfer(client: j2a.Client, args: argparse.Namespace) -> Result:
     result = Result("transfers", wanted=1, sent=1)
     start = time.monotonic()
     with Progress("echo", enabled=not args.no_progress) as progress:
+
+        def count(done: int, total: int | None) -> None:
+            result.size = done
+            progress(done, total)
+
         try:
-            client.echo_many(data, progress=progress)
-            result.correct, result.size = 1, len(data)
+            client.echo_many(data, progress=count)
+            result.correct = 1
         except j2a.ProtocolError as error:
             result.fail(str(error), FAILED)
+        except KeyboardInterrupt:
+            result.code = INTERRUPTED
     result.took_s = time.monotonic() - start
     return result
 

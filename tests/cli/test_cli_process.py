@@ -121,6 +121,18 @@ def test_ctrl_c_ends_an_echo_with_what_it_found(start, demo):
     assert "were not sent" in result.out
 
 
+def test_ctrl_c_ends_a_transfer_with_what_it_found(start, demo):
+    program = start("echo", demo, "--many", str(64 * 2**20), "--json", "-v")
+    for _ in range(20):
+        program.line_with("reply", "err")
+    program.process.send_signal(signal.SIGINT)
+    result = program.end()
+    assert result.code == 130
+    facts = json.loads(result.out)
+    assert (facts["sent"], facts["correct"]) == (1, 0)
+    assert 0 < facts["payload_bytes"] < 64 * 2**20
+
+
 def test_a_reader_of_the_output_that_goes_away(demo):
     with subprocess.Popen(
         [sys.executable, "-m", "j2a", "watch", demo, "--call", "sifPeriod u16:1"],

@@ -66,6 +66,8 @@ def test_version(run):
         (["echo", NOWHERE, "--size", "256"], "not from 0 to 255"),
         (["echo", NOWHERE, "--size", "1", "--all-lengths"], "not allowed with"),
         (["echo", NOWHERE, "--count", "0"], "not from 1 up"),
+        (["echo", NOWHERE, "--many", "9", "--count", "2"], "--count is not allowed with --many"),
+        (["echo", NOWHERE, "--many", "4294967295"], "not from 0 to 67108864"),
         (["watch", NOWHERE, "256"], "not from 0 to 255"),
         (["watch", NOWHERE, "sif"], "not a whole number"),
         (["watch", NOWHERE, "--duration", "inf"], "must have an end"),
