@@ -46,6 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Call, print the reply; returns the exit code."""
+    if args.raw and args.types is not None:
+        raise UsageError("--as is not allowed with --raw, which prints the bytes as they are")
     payload = payload_of(args.payload)
     if len(payload) > MAX_PAYLOAD:
         raise UsageError(

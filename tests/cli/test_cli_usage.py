@@ -60,6 +60,7 @@ def test_version(run):
         (["info", "foo:bar"], "known are: serial, tcp"),
         (["info", ""], "not a transport URL"),
         (["call", NOWHERE, "f", "--json", "--raw"], "not allowed with"),
+        (["call", NOWHERE, "f", "--raw", "--as", "u8"], "--as is not allowed with --raw"),
         (["call", NOWHERE, "f", "1"], "two digits"),
         (["call", NOWHERE, "f", "--as", "int"], "known are: u8"),
         (["call", NOWHERE, "f", "str:" + "a" * 256], "256 bytes, 255 is the most; "),
