@@ -251,11 +251,10 @@ class Peer:
 
     def next_frame(self, timeout_s: float) -> Arrival | None:
         """Return the next arrival that is a frame, whole or broken, and no SIF."""
-        deadline_s = self.link.now_s() + timeout_s
-        while True:
-            arrival = self.link.next(max(deadline_s - self.link.now_s(), 0.0))
-            if arrival is None or not isinstance(arrival.event, Skipped):
+        for arrival in self.link.arrivals(timeout_s):
+            if not isinstance(arrival.event, Skipped):
                 return arrival
+        return None
 
     def next_sif(self, index: int) -> Frame:
         """Return the SIF number `index` of this link, or fail."""
@@ -291,14 +290,17 @@ class Peer:
             if not sums & c.STUFFED:
                 return request
 
+    def settle(self) -> bool:
+        """Drop what the device still sends; tell whether it came to an end."""
+        return self.link.settle(_QUIET_S * max(self.link.scale, 1.0), self.link.reply_timeout_s)
+
     def resync(self) -> bool:
         """Bring device and link to rest after a failure; tell whether the device answers again."""
         for _ in range(3):
-            self.link.settle(_QUIET_S * self.link.scale, self.link.reply_timeout_s)
+            self.settle()
             request = self.probe()
             self.link.send(request.wire)
-            deadline_s = self.link.now_s() + self.link.reply_timeout_s
-            while (arrival := self.link.next(max(deadline_s - self.link.now_s(), 0))) is not None:
+            for arrival in self.link.arrivals(self.link.reply_timeout_s):
                 event = arrival.event
                 if isinstance(event, Frame) and request.expected.matches(event):
                     return True

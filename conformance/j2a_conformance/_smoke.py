@@ -5,6 +5,8 @@ the harness (`HarnessError`), an answer that is wrong is a fault of the device, 
 the requirement; when a smoke case fails nothing else is run, because nothing else could be judged.
 """
 
+from collections import deque
+from collections.abc import Collection
 from dataclasses import replace
 
 from j2a_spec import constants as c
@@ -19,6 +21,8 @@ from ._wire import Arrival
 __all__ = ["SMOKE"]
 
 _TRIES = 5
+_KEPT = 32  # arrivals for the diagnosis: enough to see what the link carries
+_LINE = "Are baud rate, parity and stop bits those of the device?"
 _WITHOUT_MAPPING = (
     (),
     (c.GET_PROPERTIES,),
@@ -48,11 +52,11 @@ class Answers(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        seen: list[Arrival] = []
+        seen: deque[Arrival] = deque(maxlen=_KEPT)
         for _ in range(_TRIES):
             request = peer.request(0)
             peer.link.send(request.wire)
-            while (arrival := peer.link.next(peer.link.reply_timeout_s)) is not None:
+            for arrival in peer.link.arrivals(peer.link.reply_timeout_s):
                 seen.append(arrival)
                 event = arrival.event
                 if isinstance(event, Frame) and request.expected.matches(event):
@@ -67,15 +71,21 @@ class Answers(Case):
     @staticmethod
     def _once(peer: Peer, request: Request) -> None:
         """Fail when the same request is answered again; late answers to others may come."""
-        while (arrival := peer.next_frame(0.03 * peer.link.scale)) is not None:
+        for arrival in peer.link.arrivals(0.03 * peer.link.scale):
             event = arrival.event
             if isinstance(event, Frame) and event.seq == request.seq:
                 fail("one request was answered twice (J2A-DISP-001)")
 
 
-def _diagnose(peer: Peer, seen: list[Arrival]) -> None:
-    events = [a.event for a in seen if not isinstance(a.event, Skipped)]
+def _diagnose(peer: Peer, seen: Collection[Arrival]) -> None:
     tail = peer.link.unfinished()
+    noise = (b"".join(a.raw for a in seen) + tail)[:32].hex(" ")
+    if not peer.settle():
+        raise HarnessError(
+            f"bytes arrive without end: {noise}. {_LINE} Is it a J2A device that does not log "
+            "on the same link?"
+        )
+    events = [a.event for a in seen if not isinstance(a.event, Skipped)]
     for event in reversed(events):
         fail(_fault(event))
     if peer.link.sifs:
@@ -83,11 +93,7 @@ def _diagnose(peer: Peer, seen: list[Arrival]) -> None:
     if tail[:1] == bytes((c.SOF,)) and len(tail) > 1:
         fail(f"the answer has no end: {tail.hex(' ')} (J2A-FRAME-001, J2A-FRAME-004)")
     if seen or tail:
-        noise = (b"".join(a.raw for a in seen) + tail)[:32].hex(" ")
-        raise HarnessError(
-            f"bytes arrive, but nothing like a J2A frame: {noise}. "
-            "Are baud rate, parity and stop bits those of the device?"
-        )
+        raise HarnessError(f"bytes arrive, but nothing like a J2A frame: {noise}. {_LINE}")
     raise HarnessError(
         "nothing answers. Is the URL right, the device powered, and no other program on the link? "
         "A board that boots slowly needs the option boot=SECONDS in its URL, a slow link a larger "

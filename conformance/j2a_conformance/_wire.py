@@ -8,7 +8,7 @@ at any time and are kept apart; everything is recorded as evidence.
 import re
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -163,6 +163,18 @@ class Link:
         """Return the next arrival that is no SIF, or None when none came in `timeout_s`."""
         return self._until(timeout_s, self._take)
 
+    def arrivals(self, timeout_s: float) -> Iterator[Arrival]:
+        """Yield arrivals that are no SIFs for `timeout_s`, however many there are.
+
+        What was read by then is yielded to its end: a stall of this machine loses nothing.
+        """
+        deadline_s = self.now_s() + timeout_s
+        arrival = self.next(timeout_s)
+        while arrival is not None:
+            yield arrival
+            left_s = deadline_s - self.now_s()
+            arrival = self.next(left_s) if left_s > 0 else self._take()
+
     def next_sif(self, index: int, timeout_s: float) -> Arrival | None:
         """Return `sifs[index]`, or None when it did not come in `timeout_s`."""
         return self._until(timeout_s, lambda: self.sifs[index] if index < len(self.sifs) else None)
@@ -184,14 +196,13 @@ class Link:
         """Return the bytes of a frame that has not come to its end."""
         return self._splitter.tail
 
-    def settle(self, quiet_s: float, at_most_s: float) -> int:
-        """Read until nothing but SIFs came for `quiet_s`; return how many arrivals were dropped."""
+    def settle(self, quiet_s: float, at_most_s: float) -> bool:
+        """Drop what comes until nothing but SIFs came for `quiet_s`; tell whether that was so."""
         deadline_s = self.now_s() + at_most_s
-        dropped = 0
-        while self.now_s() < deadline_s and self.next(quiet_s) is not None:
-            dropped += 1
+        while not (quiet := self.next(quiet_s) is None) and self.now_s() < deadline_s:
+            pass
         self._splitter.tail = b""
-        return dropped
+        return quiet
 
     def replace(self, transport: Transport) -> None:
         """Go on with a new transport to a device that starts anew."""

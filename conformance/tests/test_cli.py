@@ -20,6 +20,7 @@ from j2a_conformance.cli import main
         ["run", "exec:/does/not/exist"],
         ["run", "exec:true"],
         ["run", "exec:sleep 60", "--timeout-scale", "0.02"],
+        ["run", "exec:yes", "--timeout-scale", "0.02"],
         ["run", "exec:true", "--level", "none"],
         ["run", "exec:true", "--case", "no.such.case"],
         ["run", "exec:true", "--timeout-scale", "0"],

@@ -1,6 +1,8 @@
 """The runner: devices that die, hang, stall or say nothing, and runs that end early."""
 
+import threading
 import time
+from contextlib import suppress
 
 import pytest
 from j2a_conformance import HarnessError, Verdict, load, run
@@ -8,7 +10,8 @@ from j2a_conformance._case import Case
 from j2a_conformance._console import report
 from j2a_conformance._judge import fail
 from j2a_spec import constants as c
-from j2a_transports import OpenFailed, pair
+from j2a_spec.oracle import Frame, encode
+from j2a_transports import LinkClosed, LinkLost, OpenFailed, pair
 
 QUICK = ["frame.layout", "many.echo-lengths", "mapping.names"]
 
@@ -97,12 +100,52 @@ class Noise(SilentDevice):
         link.write(b"\x00\x80\xff" * 5)
 
 
+class Babbles(SilentDevice):
+    """Sends frames and noise for ever, whatever it is asked."""
+
+    text = encode(Frame(c.SOF, 0xFE, 0x33, b"log")) + b"log\n"
+
+    def __init__(self, link):
+        super().__init__(link)
+        threading.Thread(target=self.babble, daemon=True).start()
+
+    def babble(self):
+        with suppress(LinkLost, LinkClosed):
+            while True:
+                self.link.write(self.text)
+                time.sleep(0.001)
+
+
+class Logs(Babbles):
+    text = b"temperature 21 C\n" * 20
+
+
 @pytest.mark.parametrize(
-    ("device", "words"), [(SilentDevice, "nothing answers"), (Noise, "baud rate")]
+    ("device", "words"),
+    [
+        (SilentDevice, "nothing answers"),
+        (Noise, "baud rate"),
+        (Babbles, "without end"),
+        (Logs, "without end"),
+    ],
 )
 def test_no_device_is_a_fault_of_the_harness(device, words, judged):
     with pytest.raises(HarnessError, match=words):
         judged(device, timeout_scale=0.02)
+
+
+def test_a_device_that_begins_to_babble_fails(reference, judged):
+    class Breaks(reference):
+        text = b"panic " * 50
+
+        def do_a2jEcho(self, payload):  # noqa: N802
+            if len(payload) > 6:
+                Babbles.babble(self)
+            return super().do_a2jEcho(payload)
+
+    found = judged(Breaks, ["frame.layout", "mapping.names"], timeout_scale=0.1)
+    by_case = {result.case: result.verdict for result in found.results}
+    assert by_case["frame.layout"] is Verdict.FAILED
 
 
 def test_a_link_that_cannot_be_opened_is_a_fault_of_the_harness():
