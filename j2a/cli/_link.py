@@ -106,10 +106,19 @@ def connect(args: argparse.Namespace) -> j2a.Client:
 
 
 def function_of(text: str) -> str | int:
-    """Return the opcode that a text is, decimal or 0x.., or else the text, which is a name."""
+    """Return the opcode that a text is, decimal or 0x.., or else the text, which is a name.
+
+    Raises:
+        UsageError: it begins as a number and is none, such as 010.
+    """
     try:
         return int(text, 0)
     except ValueError:
+        if text[:1].isdigit():
+            raise UsageError(
+                f"{text!r} is no opcode: write it as 10 or 0x0A, "
+                "also for a function whose name begins with a digit"
+            ) from None
         return text
 
 

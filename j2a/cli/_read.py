@@ -49,12 +49,11 @@ def run(args: argparse.Namespace) -> int:
     target = None if args.output == "-" else Path(args.output)
     if target is not None and (target.is_dir() or not target.absolute().parent.is_dir()):
         raise UsageError(f"cannot write to {args.output!r}: it is a folder, or is in none")
+    function = function_of(args.function)
     with connect(args) as client:
         start = time.monotonic()
         with Progress(f"read {args.function}", enabled=not args.no_progress) as progress:
-            data = client.read_many(
-                function_of(args.function), max_bytes=args.max_bytes, progress=progress
-            )
+            data = client.read_many(function, max_bytes=args.max_bytes, progress=progress)
         took_s = time.monotonic() - start
     if target is None:
         if sys.stdout.isatty():
