@@ -1,10 +1,10 @@
-"""The threads of the blocking client: a session, a transport and two threads.
+"""The threads of the blocking client: a session, a transport and three threads.
 
 What flows in: calls from any thread, bytes from the transport. What flows out: replies to the
 callers, SIFs to their handlers.
-Rules: one thread reads, another runs the SIF handlers in order, so a handler may itself call. Each
-caller writes its own request and watches its own time limit. The reader never writes, so a device
-that does not read cannot keep its replies from being read.
+Rules: one thread reads, one writes, one runs the SIF handlers in order, so a handler may itself
+call. Each caller watches its own time limit and waits for nothing else: a device that does not read
+holds up the writer only (J2A-TIME-006).
 """
 
 import queue
@@ -53,13 +53,14 @@ class Engine:
         self._reporter = Reporter(on_handler_error)
         self._drops_sifs = False
         self._sifs: queue.SimpleQueue[Sif | None] = queue.SimpleQueue()
-        # Taken in this order. Bytes are fetched and written under the first, so requests keep
-        # their order; a write that waits for the device holds up nothing but other writes.
-        self._writing = threading.Lock()
+        self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._state = threading.Lock()
         take_stale_input(transport, session)
-        self._reader = self._start(self._read, "reader")
-        self._dispatcher = self._start(self._dispatch, "handlers")
+        self._threads = [
+            self._start(self._read, "reader"),
+            self._start(self._write, "writer"),
+            self._start(self._dispatch, "handlers"),
+        ]
 
     def _start(self, target: Callable[[], None], role: str) -> threading.Thread:
         thread = threading.Thread(
@@ -72,15 +73,16 @@ class Engine:
         """Make one call, from any thread; see `Client.call`."""
         waiter = threading.Lock()
         waiter.acquire()
-        with self._state:
-            call = self._session.start_call(
-                what, opcode, payload, now=time.monotonic(), timeout_s=limit_s, waiter=waiter
-            )
         try:
+            with self._state:
+                call = self._session.start_call(
+                    what, opcode, payload, now=time.monotonic(), timeout_s=limit_s, waiter=waiter
+                )
+                self._settle([])
             self._wait(call, waiter)
         except BaseException:
             with self._state:
-                self._wake(self._session.cancel(call))
+                self._settle(self._session.cancel(waiter))
             raise
         if call.reply is None:
             assert call.error is not None
@@ -96,47 +98,44 @@ class Engine:
         """End all calls, drop SIFs that wait for their handlers, wait for the threads."""
         self._drops_sifs = True
         self._end(LinkClosed(f"{self._transport.url} was closed by this program"))
-        join_threads([self._reader, self._dispatcher])
+        join_threads(self._threads)
 
     def _wait(self, call: Call, waiter: threading.Lock) -> None:
-        while True:
-            self._flush()
-            if call.has_ended:
-                return
+        while not call.has_ended:
             wait_s = -1.0
             if call.deadline is not None:
                 wait_s = min(max(0.0, call.deadline - time.monotonic()), threading.TIMEOUT_MAX)
             if not waiter.acquire(timeout=wait_s):
                 with self._state:
-                    self._wake(self._session.handle_timeout(time.monotonic()))
+                    self._settle(self._session.handle_timeout(time.monotonic()))
 
-    def _flush(self) -> None:
-        """Write what the session has to send; called by callers, never by the reader."""
-        try:
-            with self._writing:
-                with self._state:
-                    data = self._session.data_to_send()
-                if data:
-                    self._transport.write(data)
-        except TRANSPORT_ERRORS as error:
-            self._end(link_error(error))
+    def _settle(self, events: Iterable[Call | Sif]) -> None:
+        """Wake the callers whose call has ended, queue SIFs, and send what is to be sent.
 
-    def _wake(self, calls: Iterable[Call | Sif]) -> None:
-        """Tell callers that their call was sent or has ended; the state lock is held."""
-        for call in calls:
-            if isinstance(call, Call) and call.waiter.locked():
-                call.waiter.release()
+        The state lock is held, so requests keep their order.
+        """
+        for event in events:
+            if isinstance(event, Sif):
+                self._queue_sif(event)
+            elif event.has_ended and event.waiter.locked():
+                event.waiter.release()
+        data = self._session.data_to_send()
+        if data:
+            self._outgoing.put(data)
 
     def _read(self) -> None:
         try:
             while True:
                 data = self._transport.read(None)
                 with self._state:
-                    events = self._session.receive(data)
-                    self._wake(events)
-                    for event in events:
-                        if isinstance(event, Sif):
-                            self._queue_sif(event)
+                    self._settle(self._session.receive(data))
+        except TRANSPORT_ERRORS as error:
+            self._end(link_error(error))
+
+    def _write(self) -> None:
+        try:
+            while (data := self._outgoing.get()) is not None:
+                self._transport.write(data)
         except TRANSPORT_ERRORS as error:
             self._end(link_error(error))
 
@@ -159,9 +158,10 @@ class Engine:
                     self._reporter.report(error, sif)
 
     def _end(self, reason: LinkError | LocalError) -> None:
-        """End all calls with the reason and let both threads run out."""
+        """End all calls with the reason and let the threads run out."""
         with self._state:
             if not self._session.is_closed:
-                self._wake(self._session.close(reason))
+                self._settle(self._session.close(reason))
                 self._sifs.put(None)
+                self._outgoing.put(None)
         self._transport.close()

@@ -115,11 +115,16 @@ class Session:
         self._fill_window()
         return call
 
-    def cancel(self, call: Call) -> list[Call]:
-        """Forget a call; its reply, should it come, is dropped. Returns calls sent instead."""
-        if call.has_ended:
-            return []
-        self._end(call, error=J2AError(f"{call.what} was cancelled"))
+    def cancel(self, waiter: Any) -> list[Call]:
+        """Forget the call of a waiter; its reply, should it come, is dropped.
+
+        The waiter names the call because whoever is interrupted in `start_call` has nothing else.
+
+        Returns: calls sent instead.
+        """
+        for call in (*self._sent.values(), *self._queue):
+            if call.waiter is waiter:
+                self._end(call, error=J2AError(f"{call.what} was cancelled"))
         return self._fill_window()
 
     def close(self, reason: J2AError) -> list[Call]:

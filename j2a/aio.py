@@ -252,7 +252,7 @@ class AsyncClient(Shell):
         try:
             await done
         except asyncio.CancelledError:
-            self._settle(self._session.cancel(call))
+            self._settle(self._session.cancel(done))
             raise
         if call.reply is None:
             assert call.error is not None

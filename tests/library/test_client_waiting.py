@@ -98,6 +98,24 @@ class TestTimeLimits:
             wire.send(oracle.Frame(SOF, second.seq, 0, b"done"))
             assert calls[0].result().payload == b"done"
 
+    def test_a_call_interrupted_while_it_is_started_leaves_the_window(self, monkeypatch):
+        with Wire() as wire:
+            start_call = wire.client._session.start_call
+
+            def interrupted(*args, **kwargs):
+                start_call(*args, **kwargs)
+                raise KeyboardInterrupt
+
+            with monkeypatch.context() as patched:
+                patched.setattr(wire.client._session, "start_call", interrupted)
+                with pytest.raises(KeyboardInterrupt):
+                    wire.client.call(1, timeout=math.inf)
+            call = Background(wire.client.call, 2)
+            while (request := wire.request()).opcode != 2:
+                pass
+            wire.send(oracle.Frame(SOF, request.seq, 0, b"done"))
+            assert call.result().payload == b"done"
+
     def test_an_interrupted_call_is_forgotten(self):
         def interrupt(_number, _frame):
             raise KeyboardInterrupt
@@ -304,6 +322,15 @@ class TestTheEnd:
             while len(seen) < 5:
                 time.sleep(0.001)
             assert seen == list(range(5))
+
+    def test_calls_keep_their_time_limit_while_the_device_does_not_read(self):
+        with Wire() as wire:
+            wire.client._engine._transport.write_timeout_s = None
+            wire.client._engine._transport._outgoing._limit = 3
+            calls = [Background(wire.client.call, n, bytes(9), timeout=0.05) for n in range(3)]
+            for call in calls:
+                with pytest.raises(j2a.CallTimeout):
+                    call.result()
 
     def test_a_device_that_does_not_read_cannot_block_replies(self):
         with Wire() as wire:

@@ -22,7 +22,12 @@ class Host:
 
     def call(self, opcode: int = 4, payload: bytes = b"", timeout_s: float = 1.0) -> Call:
         call = self.session.start_call(
-            f"opcode {opcode}", opcode, payload, now=self.now, timeout_s=timeout_s, waiter=None
+            f"opcode {opcode}",
+            opcode,
+            payload,
+            now=self.now,
+            timeout_s=timeout_s,
+            waiter=object(),
         )
         self.collect()
         return call
@@ -194,11 +199,11 @@ class TestLateAndStray:
     def test_the_reply_to_a_cancelled_call_is_dropped(self):
         host = Host()
         call = host.call()
-        assert host.session.cancel(call) == []
+        assert host.session.cancel(call.waiter) == []
         following = host.call()
         assert host.reply(0, 0, b"old") == []
         assert not following.has_ended
-        assert host.session.cancel(call) == []
+        assert host.session.cancel(call.waiter) == []
 
 
 class TestWindow:

@@ -64,7 +64,7 @@ class World:
     def call(self, payload: bytes, timeout_s: float) -> Call:
         """Call the echo function."""
         call = self.session.start_call(
-            "echo", ECHO, payload, now=self.now, timeout_s=timeout_s, waiter=None
+            "echo", ECHO, payload, now=self.now, timeout_s=timeout_s, waiter=object()
         )
         self.calls.append((call, ECHO))
         self._host_writes()
@@ -72,7 +72,7 @@ class World:
 
     def cancel(self, call: Call) -> None:
         """Cancel a call."""
-        self.session.cancel(call)
+        self.session.cancel(call.waiter)
         self._host_writes()
 
     def send_sif(self, payload: bytes) -> None:
