@@ -106,11 +106,16 @@ class Peer:
     Args:
         link: the open link.
         claims: what discovery found out.
+
+    Attributes:
+        strict: bytes outside frames are a failure (J2A-FRAME-010); set when the device is known to
+            have received requests, because what it prints while it boots is its own affair.
     """
 
     def __init__(self, link: Link, claims: Claims) -> None:
         self.link = link
         self.claims = claims
+        self.strict = False
         self._seq = 0
         self._barriers = 0
 
@@ -254,6 +259,8 @@ class Peer:
         for arrival in self.link.arrivals(timeout_s):
             if not isinstance(arrival.event, Skipped):
                 return arrival
+            if self.strict:
+                fail(f"{describe(arrival.event)} came (J2A-FRAME-010)")
         return None
 
     def next_sif(self, index: int) -> Frame:

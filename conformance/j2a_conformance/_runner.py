@@ -128,7 +128,7 @@ class _Session:
             duration_s=time.monotonic() - began_s,
         )
         if case is SMOKE[-1] and verdict is Verdict.OK:
-            self.known = True
+            self.known = self.peer.strict = True
             if self.builtins_only:
                 self.peer.hide_application()
         return result

@@ -95,6 +95,18 @@ class NeedsAPauseAfterNoise:
             super().byte(byte)
 
 
+@breaks("J2A-FRAME-010")
+class SendsFillBytes:
+    def wire(self, start, seq, opcode, payload):
+        return super().wire(start, seq, opcode, payload) + b"\x00zz"
+
+
+@breaks("J2A-FRAME-010")
+class SendsNoiseBack:
+    def outside(self, byte):
+        self.link.write(bytes((byte,)))
+
+
 # Stuffing
 
 

@@ -148,6 +148,16 @@ def test_a_device_that_begins_to_babble_fails(reference, judged):
     assert by_case["frame.layout"] is Verdict.FAILED
 
 
+def test_what_a_device_prints_while_it_boots_is_harmless(reference, judged):
+    class Boots(reference):
+        def serve(self):
+            self.link.write(b"boot 1.0\n" * 9)
+            super().serve()
+
+    found = judged(Boots, ["J2A-FRAME-010", "sif.start"])
+    assert [r.reason for r in found.results if r.verdict is not Verdict.OK] == []
+
+
 def test_a_link_that_cannot_be_opened_is_a_fault_of_the_harness():
     def opener():
         raise OpenFailed("there is no such port")

@@ -25,12 +25,14 @@ class Layout(Case):
 
     ID = "frame.layout"
     EXPECTATION = (
-        "Each reply is SOF and the stuffed seq, opcode, length, payload and checksum, byte by byte."
+        "Each reply is SOF and the stuffed seq, opcode, length, payload and checksum, byte by "
+        "byte, and nothing comes before, between or after them."
     )
     REQUIREMENTS = (
         "J2A-FRAME-001",
         "J2A-FRAME-002",
         "J2A-FRAME-004",
+        "J2A-FRAME-010",
         "J2A-STUFF-001",
         "J2A-STUFF-002",
         "J2A-SUM-001",
@@ -97,7 +99,7 @@ class Noise(Case):
 
     ID = "frame.noise"
     EXPECTATION = "Nothing answers them, and a good frame directly behind them is answered."
-    REQUIREMENTS = ("J2A-FRAME-006", "J2A-FRAME-009")
+    REQUIREMENTS = ("J2A-FRAME-006", "J2A-FRAME-009", "J2A-FRAME-010")
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
