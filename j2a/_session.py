@@ -250,6 +250,7 @@ class Session:
         self._next_sif = (frame.seq + 1) % _SEQS
         self._counts["sifs"] += 1
         self._counts["sif_gaps"] += missed > 0
+        self._counts["sifs_missed"] += missed
         return Sif(frame.opcode, frame.payload, frame.seq, missed)
 
     def _take_reply(self, frame: Frame) -> Call | None:

@@ -88,6 +88,8 @@ class Counters:
         error_replies: replies that said the request was refused (F0, F2, F3, F4).
         sifs: server-initiated frames received.
         sif_gaps: times the SIF counter of the device jumped.
+        sifs_missed: SIFs that these jumps show to be missing; a device that was reset in between
+            makes it too large (J2A-SIF-009).
         sifs_dropped: SIFs that no handler saw because the handlers fell too far behind.
         handler_errors: exceptions that SIF handlers raised.
     """
@@ -106,5 +108,6 @@ class Counters:
     error_replies: int = 0
     sifs: int = 0
     sif_gaps: int = 0
+    sifs_missed: int = 0
     sifs_dropped: int = 0
     handler_errors: int = 0

@@ -298,6 +298,7 @@ class TestSifs:
         assert [sif.missed for sif in events] == [0, 0, 2, 0, 0, 255, 0]
         assert host.session.counters.sifs == 7
         assert host.session.counters.sif_gaps == 2
+        assert host.session.counters.sifs_missed == 257
 
     def test_they_keep_their_order_and_content_around_replies(self):
         host = Host()
