@@ -51,10 +51,15 @@ class Device:
     Args:
         properties: keys and values that a host can read. `j2a.spec` and `j2a.rxbuf` are added
             unless they are given.
-        byte_timeout_s: the longest pause between two bytes of a request, in seconds.
+        byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
+            (J2A-TIME-001, J2A-TIME-002).
         trace: called with everything that passes; see `j2a.Trace`.
 
+    Attributes:
+        trace: the trace of links that begin from now on; None is none.
+
     Raises:
+        LocalError: `byte_timeout_s` is out of range.
         RegistrationError: a property is empty or holds NUL.
     """
 
@@ -65,6 +70,10 @@ class Device:
         byte_timeout_s: float = BYTE_TIMEOUT_MS / 1000,
         trace: Trace | None = None,
     ) -> None:
+        if not isinstance(byte_timeout_s, int | float) or not 0.009 <= byte_timeout_s <= 0.02:
+            raise LocalError(
+                f"byte_timeout_s is a number of seconds from 0.009 to 0.02, not {byte_timeout_s!r}"
+            )
         self._debug_text = DebugText()
         known = {PROP_SPEC: SPEC_VERSION, PROP_RXBUF: str(_RXBUF)}
         self._table = FunctionTable({**known, **(properties or {})}, self._take_debug)

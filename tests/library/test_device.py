@@ -133,6 +133,12 @@ def test_several_hosts_share_the_functions_and_have_their_own_sif_counters():
         assert [frame.seq for frame in first.frames(2)] == [0, 1]
 
 
+@pytest.mark.parametrize("limit_s", [0, 0.008, 0.021, 5, float("nan"), "10 ms", None])
+def test_byte_timeouts_that_cannot_be(limit_s):
+    with pytest.raises(j2a.LocalError, match="byte_timeout_s"):
+        j2a.Device(byte_timeout_s=limit_s)
+
+
 def test_a_sif_without_a_host_goes_nowhere_and_says_so():
     assert DemoDevice().send_sif(1, b"x") == 0
 
