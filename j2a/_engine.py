@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
-from j2a._handlers import Handlers, Reporter
-from j2a._link import TRANSPORT_ERRORS, link_error
+from j2a._handlers import ErrorHook, Handlers, Reporter
+from j2a._link import link_error
 from j2a._session import Call, Session
 from j2a._shell import MAX_SIFS_WAITING, join_threads, take_stale_input
 from j2a.errors import LinkClosed, LinkError, LocalError
@@ -45,7 +45,7 @@ class Engine:
         self,
         transport: "Transport",
         session: Session,
-        on_handler_error: Callable[[Exception, Sif], None] | None,
+        on_handler_error: ErrorHook | None,
     ) -> None:
         self.handlers: Handlers[Handler] = Handlers()
         self._transport = transport
@@ -129,14 +129,14 @@ class Engine:
                 data = self._transport.read(None)
                 with self._state:
                     self._settle(self._session.receive(data))
-        except TRANSPORT_ERRORS as error:
+        except Exception as error:
             self._end(link_error(error))
 
     def _write(self) -> None:
         try:
             while (data := self._outgoing.get()) is not None:
                 self._transport.write(data)
-        except TRANSPORT_ERRORS as error:
+        except Exception as error:
             self._end(link_error(error))
 
     def _queue_sif(self, sif: Sif) -> None:
@@ -152,7 +152,8 @@ class Engine:
                     return
                 try:
                     handler(sif)
-                except Exception as error:
+                except BaseException as error:
+                    # Also sys.exit(): it would end this thread, and all SIFs with it.
                     with self._state:
                         self._session.count("handler_errors")
                     self._reporter.report(error, sif)

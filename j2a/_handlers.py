@@ -8,17 +8,20 @@ cancelling are safe from any thread and from inside handlers.
 
 import logging
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
 from j2a._arguments import check_opcode
 from j2a.errors import LocalError
 from j2a.events import Sif
 
-__all__ = ["Handlers", "Opcodes", "Reporter", "Subscription"]
+__all__ = ["ErrorHook", "Handlers", "Opcodes", "Reporter", "Subscription"]
 
 Opcodes = int | Iterable[int] | None
 """One opcode, several, or None for all."""
+
+ErrorHook = Callable[[BaseException, Sif], None]
+"""Called with an exception that a handler raised, and the SIF."""
 
 _logger = logging.getLogger("j2a")
 _Handler = TypeVar("_Handler", bound=Callable[..., object])
@@ -73,13 +76,12 @@ class Handlers(Generic[_Handler]):
             self._subscriptions = (*self._subscriptions, subscription)
         return subscription
 
-    def of(self, opcode: int) -> list[_Handler]:
-        """Return the handlers of an opcode."""
-        return [
-            subscription.handler
-            for subscription in self._subscriptions
-            if subscription.opcodes is None or opcode in subscription.opcodes
-        ]
+    def of(self, opcode: int) -> Iterator[_Handler]:
+        """Yield the handlers of an opcode, but none that was cancelled meanwhile."""
+        for subscription in self._subscriptions:
+            is_wanted = subscription.opcodes is None or opcode in subscription.opcodes
+            if is_wanted and subscription in self._subscriptions:
+                yield subscription.handler
 
     def _remove(self, gone: Subscription[_Handler]) -> None:
         with self._lock:
@@ -89,15 +91,15 @@ class Handlers(Generic[_Handler]):
 class Reporter:
     """Tells of exceptions that handlers raised: to a function of the user, or to the log."""
 
-    def __init__(self, hook: Callable[[Exception, Sif], None] | None) -> None:
+    def __init__(self, hook: ErrorHook | None) -> None:
         self._hook = hook
 
-    def report(self, error: Exception, sif: Sif) -> None:
+    def report(self, error: BaseException, sif: Sif) -> None:
         """Report one; never raises."""
         if self._hook is None:
             _logger.error("a handler of SIF 0x%02X failed", sif.opcode, exc_info=error)
             return
         try:
             self._hook(error, sif)
-        except Exception:
+        except BaseException:
             _logger.exception("on_handler_error failed after a handler had raised %r", error)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 from j2a_spec.constants import ECHO
 
 from j2a._arguments import check_timeout
-from j2a._link import TRANSPORT_ERRORS
 from j2a._peer import Peer
 from j2a._session import MAX_WINDOW, Session
 from j2a._trace import Trace
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from j2a_transports import Transport
 
 __all__ = [
+    "JOIN_S",
     "MAX_DEBUG_READS",
     "MAX_SIFS_WAITING",
     "Shell",
@@ -51,7 +51,7 @@ MAX_DEBUG_READS: Final = 256
 
 _FIRST_LIMIT_S: Final = 0.25
 _STALE_READS: Final = 64
-_JOIN_S: Final = 5.0
+JOIN_S: Final = 5.0
 _logger = logging.getLogger("j2a")
 
 
@@ -88,7 +88,7 @@ def take_stale_input(transport: "Transport", session: Session) -> None:
     A reply in it answers nobody: no call has been made. SIFs in it are counted, and lost: nobody
     can have registered a handler yet.
     """
-    with contextlib.suppress(*TRANSPORT_ERRORS):  # the reader meets the same error again
+    with contextlib.suppress(Exception):  # the reader meets the same error again
         for _ in range(_STALE_READS):
             data = transport.read(0)
             if not data:
@@ -126,7 +126,7 @@ def no_device(url: str, boot_time: float) -> CallTimeout:
 
 def join_threads(threads: Iterable[threading.Thread]) -> None:
     """Wait for threads that were told to end, but not for ever: a handler may be stuck."""
-    deadline = time.monotonic() + _JOIN_S
+    deadline = time.monotonic() + JOIN_S
     for thread in threads:
         if thread is not threading.current_thread():
             thread.join(max(0.0, deadline - time.monotonic()))

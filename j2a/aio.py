@@ -9,6 +9,7 @@ and one writes; they pass bytes and know nothing more, and the event loop never 
 import asyncio
 import contextlib
 import inspect
+import logging
 import queue
 import threading
 from collections.abc import Awaitable, Callable, Iterable
@@ -17,12 +18,13 @@ from typing import TYPE_CHECKING, Self, TypeVar, overload
 from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, GET_DEBUG, GET_ECHO, GET_MAPPING, MANY
 
 from j2a._arguments import check_payload, check_timeout
-from j2a._handlers import Handlers, Opcodes, Reporter, Subscription
-from j2a._link import TRANSPORT_ERRORS, link_error, open_transport
+from j2a._handlers import ErrorHook, Handlers, Opcodes, Reporter, Subscription
+from j2a._link import link_error, open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
 from j2a._session import Call
 from j2a._shell import (
+    JOIN_S,
     MAX_DEBUG_READS,
     MAX_SIFS_WAITING,
     Shell,
@@ -45,6 +47,7 @@ __all__ = ["AsyncClient", "AsyncHandler", "aconnect"]
 AsyncHandler = Callable[[Sif], Awaitable[object] | object]
 """Called in the event loop with each SIF that it is registered for; may be a coroutine function."""
 
+_logger = logging.getLogger("j2a")
 _HandlerF = TypeVar("_HandlerF", bound=AsyncHandler)
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -66,7 +69,7 @@ class AsyncClient(Shell):
         timeout: float = 1.0,
         window: int = 1,
         trace: Trace | None = None,
-        on_handler_error: Callable[[Exception, Sif], None] | None = None,
+        on_handler_error: ErrorHook | None = None,
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
         self._transport = transport
@@ -205,12 +208,18 @@ class AsyncClient(Shell):
         return not self._session.is_closed
 
     async def close(self) -> None:
-        """Close the link; calls that wait raise `LinkClosed`. May be called twice."""
+        """Close the link; calls that wait raise `LinkClosed`. May be called twice.
+
+        A SIF handler that does not end within 5 s is cancelled.
+        """
         self._drops_sifs = True
         self._end(LinkClosed(f"{self._url} was closed by this program"))
         await asyncio.to_thread(self._join)
         if self._dispatcher is not asyncio.current_task():
-            await asyncio.wait([self._dispatcher])
+            _, busy = await asyncio.wait([self._dispatcher], timeout=JOIN_S)
+            if busy:
+                _logger.warning("a SIF handler of %s is cancelled: it waits after close", self._url)
+                self._dispatcher.cancel()
 
     async def __aenter__(self) -> Self:
         return self
@@ -300,7 +309,10 @@ class AsyncClient(Shell):
                     result = handler(sif)
                     if inspect.isawaitable(result):
                         await result
-                except Exception as error:
+                except (Exception, asyncio.CancelledError) as error:
+                    # A handler may meet a cancelled future; only cancelling this task ends it.
+                    if self._dispatcher.cancelling():
+                        raise
                     self._session.count("handler_errors")
                     self._reporter.report(error, sif)
 
@@ -329,14 +341,14 @@ class AsyncClient(Shell):
         try:
             while True:
                 self._tell(self._on_data, self._transport.read(None))
-        except TRANSPORT_ERRORS as error:
+        except Exception as error:
             self._tell(self._end, link_error(error))
 
     def _write(self) -> None:
         try:
             while (data := self._outgoing.get()) is not None:
                 self._transport.write(data)
-        except TRANSPORT_ERRORS as error:
+        except Exception as error:
             self._tell(self._end, link_error(error))
 
     def _tell(self, target: Callable[[_Item], None], item: _Item) -> None:
@@ -352,7 +364,7 @@ async def aconnect(
     boot_time: float = 5.0,
     window: int = 1,
     trace: Trace | None = None,
-    on_handler_error: Callable[[Exception, Sif], None] | None = None,
+    on_handler_error: ErrorHook | None = None,
     **transport_options: object,
 ) -> AsyncClient:
     """Open a link to a device and fetch its function map; `j2a.connect` for asyncio.

@@ -12,7 +12,7 @@ from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, GET_DEBUG, GET_ECHO, GET_
 
 from j2a._arguments import check_payload, check_timeout
 from j2a._engine import Engine, Handler
-from j2a._handlers import Opcodes, Subscription
+from j2a._handlers import ErrorHook, Opcodes, Subscription
 from j2a._link import open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
@@ -30,7 +30,7 @@ from j2a.errors import (
     J2AError,
     OpcodeRefused,
 )
-from j2a.events import Reply, Sif
+from j2a.events import Reply
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -67,7 +67,7 @@ class Client(Shell):
         timeout: float = 1.0,
         window: int = 1,
         trace: Trace | None = None,
-        on_handler_error: Callable[[Exception, Sif], None] | None = None,
+        on_handler_error: ErrorHook | None = None,
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
         self._engine = Engine(transport, self._session, on_handler_error)
@@ -303,7 +303,7 @@ def connect(
     boot_time: float = 5.0,
     window: int = 1,
     trace: Trace | None = None,
-    on_handler_error: Callable[[Exception, Sif], None] | None = None,
+    on_handler_error: ErrorHook | None = None,
     **transport_options: object,
 ) -> Client:
     """Open a link to a device and fetch its function map.

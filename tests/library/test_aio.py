@@ -2,6 +2,8 @@
 
 import asyncio
 import contextlib
+import functools
+import math
 import struct
 import threading
 
@@ -14,6 +16,7 @@ import j2a
 from j2a.demo import DemoDevice
 
 from .support import PATIENCE_S, OldDevice, served
+from .wire import BrokenDriver
 
 
 @contextlib.asynccontextmanager
@@ -45,10 +48,10 @@ async def request(far) -> oracle.Frame:
 def in_event_loop(function):
     """Run a coroutine function as a test, with a limit."""
 
-    def run(self):
-        asyncio.run(asyncio.wait_for(function(self), 4 * PATIENCE_S))
+    @functools.wraps(function)
+    def run(*args, **kwargs):
+        asyncio.run(asyncio.wait_for(function(*args, **kwargs), 4 * PATIENCE_S))
 
-    run.__name__ = function.__name__
     return run
 
 
@@ -258,6 +261,52 @@ class TestSifs:
             await asyncio.wait_for(closed.wait(), PATIENCE_S)
             assert not client.is_open
 
+    @in_event_loop
+    async def test_a_cancelled_future_in_a_handler_does_not_end_the_others(self):
+        async with linked() as client:
+            seen = asyncio.Queue()
+
+            @client.on_sif()
+            async def handler(sif):
+                seen.put_nowait(sif.opcode)
+                future = asyncio.get_running_loop().create_future()
+                future.cancel()
+                await future
+
+            await client.call("sif", b"\x01")
+            await client.call("sif", b"\x02")
+            assert [await asyncio.wait_for(seen.get(), PATIENCE_S) for _ in range(2)] == [1, 2]
+            await client.close()
+            assert client.counters.handler_errors == 2
+
+    @pytest.mark.parametrize("closes", [False, True])
+    @in_event_loop
+    async def test_a_handler_that_waits_for_ever_is_cancelled_by_close(self, closes):
+        ends = []
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr("j2a.aio.JOIN_S", 0.05)
+            async with linked() as client:
+                started = asyncio.Event()
+
+                @client.on_sif()
+                async def handler(sif):
+                    started.set()
+                    try:
+                        # A task of its own: the handler waits for the close that waits for it.
+                        await (
+                            asyncio.create_task(client.close())
+                            if closes
+                            else asyncio.Event().wait()
+                        )
+                    except asyncio.CancelledError:
+                        ends.append("cancelled")
+                        raise
+
+                await client.call("sif", b"\x01")
+                await asyncio.wait_for(started.wait(), PATIENCE_S)
+            await asyncio.wait([client._dispatcher])
+        assert ends == ["cancelled"]
+
 
 class TestTheEnd:
     @in_event_loop
@@ -281,6 +330,13 @@ class TestTheEnd:
             ends = await asyncio.gather(*calls, return_exceptions=True)
             assert [type(end) for end in ends] == [j2a.LinkLost] * 5
             assert not client.is_open
+
+    @pytest.mark.parametrize("fails", ["read", "write"])
+    @in_event_loop
+    async def test_a_broken_driver_ends_all_calls(self, fails):
+        async with j2a.AsyncClient(BrokenDriver(fails)) as client:
+            with pytest.raises(j2a.LinkLost, match="ValueError: a bug in the driver"):
+                await asyncio.wait_for(client.call(1, timeout=math.inf), PATIENCE_S)
 
     @in_event_loop
     async def test_a_device_that_does_not_read_does_not_block_the_event_loop(self):

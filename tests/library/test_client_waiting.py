@@ -1,8 +1,10 @@
 """The blocking client while it waits: time limits, SIFs and their handlers, the end of the link."""
 
 import math
+import queue
 import signal
 import struct
+import sys
 import threading
 import time
 
@@ -15,7 +17,7 @@ import j2a
 from j2a.demo import DemoDevice
 
 from .support import PATIENCE_S, linked
-from .wire import Background, Wire, delay
+from .wire import Background, BrokenDriver, Wire, delay
 
 
 class TestTimeLimits:
@@ -210,6 +212,33 @@ class TestSifs:
             assert client.counters.handler_errors == 1
             assert [str(record.exc_info[1]) for record in caplog.records] == ["broken on purpose"]
 
+    @pytest.mark.parametrize("hook", [None, lambda _error, _sif: sys.exit("the hook as well")])
+    def test_a_handler_that_exits_does_not_end_the_others(self, hook, caplog):
+        with linked(on_handler_error=hook) as client:
+            seen = queue.SimpleQueue()
+
+            @client.on_sif()
+            def leaves(sif):
+                seen.put(sif.opcode)
+                sys.exit("on purpose")
+
+            client.call("sif", b"\x07")
+            client.call("sif", b"\x08")
+            assert [seen.get(timeout=PATIENCE_S) for _ in range(2)] == [7, 8]
+            client.close()
+            assert client.counters.handler_errors == 2
+        assert "on purpose" in caplog.text
+
+    def test_a_handler_cancelled_by_an_earlier_one_is_not_called(self):
+        with linked() as client:
+            seen, done = [], threading.Event()
+            client.on_sif(None, lambda _sif: later.cancel())
+            later = client.on_sif(None, seen.append)
+            client.on_sif(None, lambda _sif: done.set())
+            client.call("sif", b"\x01")
+            assert done.wait(PATIENCE_S)
+            assert seen == []
+
     def test_exceptions_of_handlers_reach_the_hook(self, caplog):
         errors, done = [], threading.Event()
 
@@ -238,6 +267,7 @@ class TestSifs:
             assert done.wait(PATIENCE_S)
             assert seen == [j2a.Sif(0xF2, b"a", 4, 0), j2a.Sif(0xFF, b"b", 9, 4)]
             assert wire.client.counters.sif_gaps == 1
+            assert wire.client.counters.sifs_missed == 4
 
     def test_too_many_sifs_for_slow_handlers_are_dropped_and_counted(self, monkeypatch):
         monkeypatch.setattr("j2a._engine.MAX_SIFS_WAITING", 3)
@@ -301,6 +331,13 @@ class TestTheEnd:
             with pytest.raises(j2a.LinkLost):
                 wire.client.call(1)
             assert not wire.client.is_open
+
+    @pytest.mark.parametrize("fails", ["read", "write"])
+    def test_a_broken_driver_ends_all_calls(self, fails):
+        with j2a.Client(BrokenDriver(fails)) as client:
+            call = Background(client.call, 1, timeout=math.inf)
+            with pytest.raises(j2a.LinkLost, match="ValueError: a bug in the driver"):
+                call.result()
 
     def test_sifs_that_came_before_the_link_was_lost_are_handled(self):
         with Wire() as wire:

@@ -44,6 +44,35 @@ class Wire:
         self.far.write(b"".join(map(oracle.encode, frames)))
 
 
+class BrokenDriver:
+    """A transport that raises what no transport may raise, when told to.
+
+    Args:
+        fails: "read" or "write".
+    """
+
+    url = "broken:"
+
+    def __init__(self, fails: str) -> None:
+        self._fails = fails
+        self._told = threading.Event()
+
+    def read(self, timeout_s: float | None) -> bytes:
+        self._told.wait(timeout_s)
+        if timeout_s is None and self._fails == "read":
+            raise ValueError("a bug in the driver")
+        return b""
+
+    def write(self, _data: bytes) -> None:
+        if self._fails == "write":
+            raise ValueError("a bug in the driver")
+        self._told.set()
+
+    def close(self) -> None:
+        self._fails = "read"
+        self._told.set()
+
+
 class Background(threading.Thread):
     """A call in a thread of its own; `result()` gives its reply or raises its error."""
 
