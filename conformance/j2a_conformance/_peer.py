@@ -244,7 +244,11 @@ class Peer:
         if arrival is None:
             tail = self.link.unfinished()
             self.link.record("expected", text=str(due))
-            rest = f", only the unfinished {tail.hex(' ')}" if tail else ""
+            rest = (
+                f", only the unfinished {tail.hex(' ')}; a slow link needs --timeout-scale"
+                if tail
+                else ""
+            )
             fail(f"no answer within {timeout_s:.1f} s{rest}")
         event = arrival.event
         if not isinstance(event, Frame) or not due.matches(event):

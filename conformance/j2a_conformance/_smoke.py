@@ -171,6 +171,7 @@ class Echo(Case):
             peer.barrier()
             times.append(peer.link.now_s() - before_s)
         peer.claims = replace(peer.claims, rtt_s=min(times))
+        peer.link.measured(2 * len(peer.probe().wire), min(times))
         if not peer.has(c.GET_PROPERTIES):
             return
         try:

@@ -84,11 +84,13 @@ class Link:
 
     Attributes:
         sifs: every SIF since the link was opened, in order.
+        byte_s: time that a byte on the wire takes, as far as it was measured.
         reply_timeout_s: how long an answer may take.
     """
 
     def __init__(self, transport: Transport, scale: float = 1.0) -> None:
         self.scale = scale
+        self.byte_s = 0.0
         self.reply_timeout_s = 2.0 * scale
         self.sifs: list[Arrival] = []
         self._splitter = Splitter()
@@ -120,6 +122,14 @@ class Link:
             time.sleep(rest_s - _SPIN_S)
         while self.now_s() < moment_s:
             pass
+
+    def measured(self, size: int, time_s: float) -> None:
+        """Make the waits long enough for a link that took `time_s` for `size` bytes there and back.
+
+        The largest request and the largest reply must fit, twice: the rate is not known exactly.
+        """
+        self.byte_s = time_s / size
+        self.reply_timeout_s = max(2.0 * self.scale, 2 * 2 * c.MAX_WIRE * self.byte_s)
 
     # Evidence
 

@@ -89,6 +89,35 @@ def test_a_stall_is_tried_again(reference, judged):
     assert (layout.case, layout.verdict, layout.attempts) == ("frame.layout", Verdict.OK, 2)
 
 
+class SlowLink:
+    """Takes 0.7 ms for a byte, so that the largest exchange takes longer than the first timeout."""
+
+    names = c.BUILTINS
+
+    def received(self, data):
+        time.sleep(len(data) * 7e-4)
+        return data
+
+    def wire(self, start, seq, opcode, payload):
+        wire = super().wire(start, seq, opcode, payload)
+        time.sleep(len(wire) * 7e-4)
+        return wire
+
+
+def test_a_slow_link_gets_the_time_that_it_needs(reference, judged):
+    found = judged(type("Slow", (SlowLink, reference), {}), ["frame.layout"], timeout_scale=0.1)
+    assert [r.reason for r in found.results if r.verdict is not Verdict.OK] == []
+
+
+def test_an_unfinished_reply_names_the_option(reference, judged):
+    class Stops(reference):
+        def wire(self, start, seq, opcode, payload):
+            return super().wire(start, seq, opcode, payload)[: 100 if len(payload) == 255 else None]
+
+    found = judged(Stops, ["frame.layout"], timeout_scale=0.1)
+    assert "--timeout-scale" in found.results[-1].reason
+
+
 class SilentDevice:
     def __init__(self, link):
         self.link = link

@@ -82,7 +82,8 @@ class Overrun(Case):
             requests.append(peer.echo(b"%02d" % index + bytes((0x30 + index,)) * length))
         peer.link.send(b"".join(r.wire for r in requests))
         left = list(requests)
-        wait_s = (_DELAY_MS / 1e3 + 0.4) * peer.link.scale
+        # Replies come as fast as requests arrive: one request and its reply at a time.
+        wait_s = (_DELAY_MS / 1e3 + 0.4) * peer.link.scale + c.MAX_WIRE * peer.link.byte_s
         answered = 0
         while left and (arrival := peer.next_frame(wait_s)) is not None:
             event = arrival.event

@@ -106,7 +106,7 @@ class Whole(Case):
                 peer.ask(peer.echo(rng.choice(patterns(rng.choice((1, 30, 254, 255))))))
                 payload = rng.choice(patterns(rng.choice((0, 9, 254))))
                 peer.ask(peer.request(peer.opcode("sif"), b"\x44" + payload))
-                if peer.link.now_s() > end_s + 10 * peer.link.scale:
+                if peer.link.now_s() > end_s + 5 * peer.link.reply_timeout_s:
                     fail("no SIFs come, though `sifPeriod` was asked for them")
         finally:
             period(peer, 0)
