@@ -1,9 +1,8 @@
 """The programs that the documentation shows do what it says."""
 
 import contextlib
-import os
 import re
-import shutil
+import shlex
 import struct
 import subprocess
 import sys
@@ -90,18 +89,13 @@ def test_thermometer():
 
 
 @pytest.fixture(scope="module")
-def firmware(tmp_path_factory):
+def firmware(build_firmware):
     """The application that the documentation shows, built for this machine."""
-    if not (shutil.which("make") and shutil.which("cc")) and "J2A_REQUIRE_AVR" not in os.environ:
-        pytest.skip("make and a C compiler are not installed")
-    out = tmp_path_factory.mktemp("first")
-    command = ["make", "-s", "-C", ROOT / "firmware", "PORT=posix", "APP=first", f"OUT={out}"]
-    subprocess.run([*command, f"APP_DIR={EXAMPLES / 'first'}"], check=True, timeout=LIMIT_S)
-    return out / "first"
+    return build_firmware("first", APP_DIR=EXAMPLES / "first")
 
 
 def test_the_first_application_works(firmware):
-    with j2a.connect(f"exec:{firmware}") as board:
+    with j2a.connect(f"exec:{shlex.quote(str(firmware))}") as board:
         assert board.properties["name"] == "my first board"
         assert board.call("add", struct.pack("<ii", 40, 2)) == (0, struct.pack("<i", 42))
         assert board.call("add", b"short") == (0xFF, b"")

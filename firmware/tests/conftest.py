@@ -1,10 +1,8 @@
-"""What the firmware's tests share: building, asking by pipe, and what is expected.
+"""What the firmware's tests share: asking by pipe, and what is expected.
 
 Expected bytes come from the oracle of the specification, never from the library.
 """
 
-import os
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -13,60 +11,19 @@ import pytest
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, decode
 
-FIRMWARE = Path(__file__).parents[1]
 SITES = {"checksum": c.SITE_CHECKSUM, "marker": c.SITE_MARKER, "escape": c.SITE_ESCAPE}
-Build = Callable[..., Path]
-
-
-def _need_avr() -> None:
-    """Skip, naming what is missing; where the AVR is required that is a failure."""
-    what = "avr-gcc is missing: install the packages gcc-avr and avr-libc"
-    if shutil.which("avr-gcc") is None:
-        if os.environ.get("J2A_REQUIRE_AVR") == "1":
-            pytest.fail(f"J2A_REQUIRE_AVR=1, but {what}")
-        pytest.skip(what)
 
 
 @pytest.fixture(scope="session")
-def avr() -> None:
+def avr(need: Callable[[str], None]) -> None:
     """Ask for this where the AVR's compiler is needed."""
-    _need_avr()
+    need("avr-gcc")
 
 
 @pytest.fixture(scope="session")
-def make() -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run make in firmware/ with targets and variables; returns what it printed and its status."""
-
-    def run(*targets: str, **variables: str) -> subprocess.CompletedProcess[str]:
-        settings = [f"{name}={value}" for name, value in variables.items()]
-        return subprocess.run(
-            ["make", "-s", "-C", FIRMWARE, *targets, *settings],
-            capture_output=True,
-            text=True,
-            check=False,
-            env={name: value for name, value in os.environ.items() if not name.startswith("MAKE")},
-        )
-
-    return run
-
-
-@pytest.fixture(scope="session")
-def build(make, tmp_path_factory) -> Build:
-    """Build an app, each set of variables once and in a folder of its own; returns the program."""
-    done: dict[tuple, Path] = {}
-
-    def run(app: str = "demo", port: str = "posix", **variables: str) -> Path:
-        if port == "avr-serial":
-            _need_avr()
-        key = (app, port, *sorted(variables.items()))
-        if key not in done:
-            out = tmp_path_factory.mktemp(f"{port}-{app}")
-            result = make(APP=app, PORT=port, OUT=str(out), **variables)
-            assert result.returncode == 0, result.stderr
-            done[key] = out / (app + (".elf" if port == "avr-serial" else ""))
-        return done[key]
-
-    return run
+def build(build_firmware: Callable[..., Path]) -> Callable[..., Path]:
+    """Build an app, each set of variables once; returns the program."""
+    return build_firmware
 
 
 @pytest.fixture(scope="session")

@@ -1,9 +1,7 @@
 """Devices to talk to, and two ways to run the command line: in this process and in its own."""
 
-import os
 import queue
 import shlex
-import shutil
 import subprocess
 import sys
 import threading
@@ -19,7 +17,6 @@ from j2a_spec.oracle import Frame, decode, encode
 from j2a.cli import main
 from j2a.demo import DemoDevice
 
-ROOT = Path(__file__).parents[2]
 WAIT_S = 60
 
 
@@ -124,23 +121,9 @@ def demo() -> Iterator[str]:
 
 
 @pytest.fixture(scope="session")
-def firmware(tmp_path_factory: pytest.TempPathFactory) -> str:
+def firmware(build_firmware: Callable[..., Path]) -> str:
     """The URL of the demo firmware, built for this computer."""
-    for tool in ("make", "cc"):
-        if shutil.which(tool) is None:
-            if os.environ.get("CI"):
-                pytest.fail(f"{tool} is missing: install the package build-essential")
-            pytest.skip(f"{tool} is missing: install the package build-essential")
-    out = tmp_path_factory.mktemp("posix")
-    result = subprocess.run(
-        ["make", "-s", "-C", ROOT / "firmware", "PORT=posix", "APP=demo", f"OUT={out}"],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={name: value for name, value in os.environ.items() if not name.startswith("MAKE")},
-    )
-    assert result.returncode == 0, result.stderr
-    return f"exec:{shlex.quote(str(out / 'demo'))}"
+    return f"exec:{shlex.quote(str(build_firmware()))}"
 
 
 Answer = Callable[[Frame], bytes]

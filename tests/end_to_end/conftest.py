@@ -1,8 +1,6 @@
 """Devices to talk to: the demo app on posix, on the simulated AVR at two rates, and in Python."""
 
-import os
-import shutil
-import subprocess
+import shlex
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,46 +11,19 @@ import pytest
 import j2a
 from j2a.demo import DemoDevice
 
-ROOT = Path(__file__).parents[2]
-
-
-def _build(out: Path, port: str, **variables: object) -> None:
-    settings = [f"{name}={value}" for name, value in variables.items()]
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("MAKE")}
-    command = ["make", "-s", "-C", "firmware", f"PORT={port}", "APP=demo", f"OUT={out}", *settings]
-    subprocess.run(command, cwd=ROOT, env=environment, check=True, stdout=subprocess.DEVNULL)
-
-
-def _need_avr() -> None:
-    if shutil.which("avr-gcc") is None:
-        missing = "avr-gcc is missing: install gcc-avr, avr-libc and libsimavr-dev"
-        if os.environ.get("J2A_REQUIRE_AVR") == "1":
-            pytest.fail(f"J2A_REQUIRE_AVR=1, but {missing}")
-        pytest.skip(missing)
+Build = Callable[..., Path]
 
 
 @pytest.fixture(scope="session")
-def posix_url(tmp_path_factory: pytest.TempPathFactory) -> str:
+def posix_url(build_firmware: Build) -> str:
     """The posix firmware on pipes."""
-    out = tmp_path_factory.mktemp("posix")
-    _build(out, "posix")
-    return f"exec:{out / 'demo'}"
+    return f"exec:{shlex.quote(str(build_firmware()))}"
 
 
 @pytest.fixture(scope="session")
-def avr_url(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], str]:
+def avr_url(build_firmware: Build) -> Callable[[int], str]:
     """The AVR firmware in simavr, built for a baud rate, in simulated time."""
-    built: dict[int, str] = {}
-
-    def url(baud: int) -> str:
-        _need_avr()
-        if baud not in built:
-            out = tmp_path_factory.mktemp(f"avr-{baud}")
-            _build(out, "avr-serial", BAUD=baud)
-            built[baud] = f"sim:{out / 'demo.elf'}"
-        return built[baud]
-
-    return url
+    return lambda baud: f"sim:{build_firmware(port='avr-serial', BAUD=baud)}"
 
 
 @pytest.fixture(

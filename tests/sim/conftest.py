@@ -1,10 +1,9 @@
 """Builds the small test firmwares, once per session and set of definitions."""
 
-import os
-import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -16,22 +15,18 @@ Build = Callable[..., Path]
 Simulate = Callable[..., AvrSim]
 
 
-def _missing(what: str) -> None:
-    """Skip, naming the package; in CI a missing tool is a failure."""
-    if os.environ.get("J2A_REQUIRE_AVR") == "1":
-        pytest.fail(f"J2A_REQUIRE_AVR=1, but {what}")
-    pytest.skip(what)
-
-
 @pytest.fixture(scope="session")
-def firmware(tmp_path_factory: pytest.TempPathFactory) -> Build:
+def firmware(
+    tmp_path_factory: pytest.TempPathFactory,
+    need: Callable[[str], None],
+    missing: Callable[[str], NoReturn],
+) -> Build:
     """firmware("echo", BAUD=115200) compiles echo.c, for the ATmega328P, and gives the ELF."""
-    if shutil.which("avr-gcc") is None:
-        _missing("avr-gcc is missing: install the packages gcc-avr and avr-libc")
+    need("avr-gcc")
     try:
         build()
     except ToolMissing as error:
-        _missing(str(error))
+        missing(str(error))
     folder = tmp_path_factory.mktemp("firmware")
     made: dict[str, Path] = {}
 
@@ -44,7 +39,7 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Build:
             command += [*options, str(SOURCES / f"{name}.c"), "-o", str(elf)]
             result = subprocess.run(command, capture_output=True, text=True, check=False)
             if "avr/io.h" in result.stderr or f"crt{mcu}" in result.stderr:
-                _missing("avr-libc is missing: install the package avr-libc")
+                missing("avr-libc is missing: install the package avr-libc")
             assert result.returncode == 0, result.stderr
             made[key] = elf
         return made[key]

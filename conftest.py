@@ -1,0 +1,86 @@
+"""What the tests of all parts share: building firmware, and what happens where a tool is missing.
+
+J2A_REQUIRE_AVR=1, which tools/check.sh sets in CI, is all that decides whether a test whose tools
+are missing is skipped or fails.
+"""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+ROOT = Path(__file__).parent
+PACKAGES = {
+    "make": "the package build-essential",
+    "cc": "the package build-essential",
+    "avr-gcc": "the packages gcc-avr and avr-libc",
+}
+Make = Callable[..., subprocess.CompletedProcess[str]]
+Build = Callable[..., Path]
+
+
+def _missing(what: str) -> NoReturn:
+    if os.environ.get("J2A_REQUIRE_AVR") == "1":
+        pytest.fail(f"J2A_REQUIRE_AVR=1, but {what}")
+    pytest.skip(what)
+
+
+@pytest.fixture(scope="session")
+def missing() -> Callable[[str], NoReturn]:
+    """missing("cc is missing: install ...") skips the test, or fails it where tools must be."""
+    return _missing
+
+
+@pytest.fixture(scope="session")
+def need() -> Callable[[str], None]:
+    """need("avr-gcc") is for tests that cannot run without that tool."""
+
+    def check(tool: str) -> None:
+        if shutil.which(tool) is None:
+            _missing(f"{tool} is missing: install {PACKAGES.get(tool, tool)}")
+
+    return check
+
+
+@pytest.fixture(scope="session")
+def make(need: Callable[[str], None]) -> Make:
+    """Run make in firmware/ with targets and variables; returns what it printed and its status."""
+
+    def run(*targets: str, **variables: object) -> subprocess.CompletedProcess[str]:
+        need("make")
+        settings = [f"{name}={value}" for name, value in variables.items()]
+        return subprocess.run(
+            ["make", "-s", "-C", ROOT / "firmware", *targets, *settings],
+            capture_output=True,
+            text=True,
+            check=False,
+            # What was given to the make that runs the tests is not meant for this one.
+            env={name: value for name, value in os.environ.items() if not name.startswith("MAKE")},
+        )
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def build_firmware(
+    make: Make, need: Callable[[str], None], tmp_path_factory: pytest.TempPathFactory
+) -> Build:
+    """Build an app, each set of variables once and in a folder of its own; returns the program."""
+    done: dict[tuple[object, ...], Path] = {}
+
+    def run(app: str = "demo", port: str = "posix", **variables: object) -> Path:
+        is_avr = port == "avr-serial"
+        need("avr-gcc" if is_avr else str(variables.get("CC", "cc")))
+        key = (app, port, *sorted((name, str(value)) for name, value in variables.items()))
+        if key not in done:
+            out = tmp_path_factory.mktemp(f"{port}-{app}")
+            result = make(APP=app, PORT=port, OUT=out, **variables)
+            assert result.returncode == 0, result.stderr
+            done[key] = out / (f"{app}.elf" if is_avr else app)
+        return done[key]
+
+    return run
