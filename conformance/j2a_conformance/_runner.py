@@ -38,7 +38,7 @@ def run(
 
     Args:
         opener: opens the link; called again when the link ends in mid run.
-        cases: the cases to run after the smoke step.
+        cases: the cases to run after the smoke step; those of the smoke step itself run once.
         url: the link's name for the reports.
         timeout_scale: factor for every wait, above 1 for slow links.
         fresh: opening the link resets the device, so its first SIF has the seq 0.
@@ -61,7 +61,7 @@ def run(
     results: list[Result] = []
     stopped = ""
     try:
-        for case in (*SMOKE, *cases):
+        for case in (*SMOKE, *(case for case in cases if case not in SMOKE)):
             result = session.judge(case)
             results.append(result)
             on_result(result)

@@ -2,11 +2,14 @@
 
 What flows in: arguments. What flows out: a report, and an exit code: 0 conformant, 1 not, 3 when
 the harness, the link or the arguments are wrong, so that nothing can be said about the device.
+Rule: 1 is a verdict, never the end of a program that failed.
 """
 
 import argparse
+import os
 import sys
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -15,11 +18,12 @@ from typing import NoReturn, get_args
 import j2a_transports
 from j2a_spec.requirements import Level
 
-from . import _console, _junit
+from . import _console
 from ._case import Case
 from ._coverage import coverage
 from ._model import HarnessError, Result, Run, Verdict
 from ._runner import run
+from ._smoke import SMOKE
 from ._testee import load_testee
 from .cases import load
 
@@ -97,10 +101,12 @@ def _parser() -> _Parser:
 def select(levels: Sequence[str] | None, patterns: Sequence[str] | None) -> list[Case]:
     """Return the cases of these levels that match one of these patterns; None means all.
 
+    The cases of the smoke step are among them, though every run begins with it.
+
     Raises:
         HarnessError: nothing matches.
     """
-    found = [case for case in load() if levels is None or case.LEVEL in levels]
+    found = [case for case in (*SMOKE, *load()) if levels is None or case.LEVEL in levels]
     if patterns is not None:
         found = [
             case
@@ -118,6 +124,7 @@ def _list(cases: Sequence[Case]) -> None:
     print()
     for name, by in coverage().items():
         print(f"{name}  {by}")
+    sys.stdout.flush()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -140,19 +147,38 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("j2a-conform: interrupted", file=sys.stderr)
         return _HARNESS
+    except BrokenPipeError:
+        # Nobody reads the output any more; Python would write the rest at exit, and complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _HARNESS
+    except Exception as error:
+        if args.verbose:
+            traceback.print_exc()
+        what = f"{type(error).__name__}: {error}"
+        print(f"j2a-conform: a fault of the suite, -v shows more: {what}", file=sys.stderr)
+        return _HARNESS
+
+
+def _junit_writer() -> Callable[[Run, Path], None]:
+    try:
+        from ._junit import write  # noqa: PLC0415 - needs an extra, which may be missing
+    except ModuleNotFoundError as error:
+        raise HarnessError(f"--junit: {error}; install j2a[conformance]") from error
+    return write
 
 
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
+    write = _junit_writer() if args.junit else None
     with ExitStack() as running:
         url, fresh = args.url, args.fresh
         if url.endswith(".toml"):
             testee = load_testee(Path(url))
             url, fresh = running.enter_context(testee.started()), fresh or testee.fresh
         found = _judge(url, fresh, args, cases)
-    print(_console.report(found))
-    if args.junit:
+    print(_console.report(found), flush=True)
+    if write is not None:
         try:
-            _junit.write(found, args.junit)
+            write(found, args.junit)
         except OSError as error:
             raise HarnessError(f"cannot write the JUnit report: {error}") from error
     if found.with_verdict(Verdict.FAILED):

@@ -7,7 +7,7 @@ import time
 
 import junitparser
 import pytest
-from j2a_conformance import load
+from j2a_conformance import cli, load
 from j2a_conformance.cli import main
 
 
@@ -64,6 +64,49 @@ def test_list_shows_cases_and_coverage(capsys):
     assert "many.flags" not in out.split("J2A-FRAME-001  ")[0]
     assert "J2A-SIF-004  host suite" in out
     assert "MISSING" not in out
+
+
+def test_smoke_cases_are_cases(capsys):
+    assert main(["run", "--list", "--level", "frame"]) == 0
+    assert "smoke.answer  (frame)" in capsys.readouterr().out
+    assert main(["run", "exec:cat", "--case", "smoke.answer", "-v"]) == 1
+    assert capsys.readouterr().out.count("ok            smoke.answer") == 1
+
+
+def test_a_fault_of_the_suite_is_no_verdict(capsys, monkeypatch):
+    def broken(*_args, **_options):
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr(cli, "run", broken)
+    assert main(["run", "exec:cat"]) == 3
+    assert "Traceback" not in (err := capsys.readouterr().err)
+    assert "ZeroDivisionError: oh" in err
+    assert main(["run", "exec:cat", "-v"]) == 3
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_junit_without_its_package_ends_before_the_run(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "junitparser", None)
+    monkeypatch.delitem(sys.modules, "j2a_conformance._junit", raising=False)
+    assert main(["run", "exec:cat", "--junit", str(tmp_path / "report.xml")]) == 3
+    captured = capsys.readouterr()
+    assert "j2a[conformance]" in captured.err
+    assert not captured.out
+
+
+@pytest.mark.parametrize("list_", [["--list"], ["exec:cat", "-v"]])
+def test_output_that_nobody_reads_is_no_verdict(list_):
+    # Without junitparser, which a plain installation does not have.
+    code = "import sys; sys.modules['junitparser'] = None; from j2a_conformance.cli import main"
+    with subprocess.Popen(
+        [sys.executable, "-c", f"{code}; sys.exit(main())", "run", *list_],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        process.stdout.close()
+        err = process.stderr.read()
+        assert process.wait(60) == 3, err
+    assert err == b""
 
 
 @pytest.mark.parametrize("pattern", ["many.*", "J2A-MANY-007", "many.offsets"])
