@@ -138,3 +138,6 @@ def test_the_commands_of_the_quick_start():
         assert "J2A demo" in run("-m", "j2a", "info", found)
         assert "01 02 03" in run("-m", "j2a", "call", found, "a2jEcho", "01", "02", "03")
         assert "serial" in run("-m", "j2a", "props", found)
+        [watch] = re.findall(r"^j2a (watch URL .*)$", text, re.MULTILINE)
+        words = [found if word == "URL" else word for word in shlex.split(watch, comments=True)]
+        assert "opcode  32" in run("-m", "j2a", *words, "--count", "2")
