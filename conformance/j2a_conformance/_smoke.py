@@ -22,6 +22,7 @@ __all__ = ["SMOKE"]
 
 _TRIES = 5
 _KEPT = 32  # arrivals for the diagnosis: enough to see what the link carries
+_BARRIER = 11  # bytes on the wire of the request of a barrier, and of its reply
 _LINE = "Are baud rate, parity and stop bits those of the device?"
 _WITHOUT_MAPPING = (
     (),
@@ -171,7 +172,7 @@ class Echo(Case):
             peer.barrier()
             times.append(peer.link.now_s() - before_s)
         peer.claims = replace(peer.claims, rtt_s=min(times))
-        peer.link.measured(2 * len(peer.probe().wire), min(times))
+        peer.link.measured(2 * _BARRIER, min(times))
         if not peer.has(c.GET_PROPERTIES):
             return
         try:
