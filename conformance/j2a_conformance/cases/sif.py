@@ -145,8 +145,10 @@ class DuringDelay(Case):
     """Has SIFs become due every 2 ms while a request is in work for 60 ms."""
 
     ID = "sif.during-delay"
-    EXPECTATION = "No gap in the seqs: what became due was sent, kept or refused, not dropped."
-    REQUIREMENTS = ("J2A-SIF-006", "J2A-SIF-001")
+    # Periods that the application itself leaves out cannot be told from SIFs that were dropped, so
+    # J2A-SIF-006 is for `DuringRequest`, where each SIF is asked for.
+    EXPECTATION = "No gap in the seqs, and none repeated."
+    REQUIREMENTS = ("J2A-SIF-001",)
     LEVEL = "sif"
     NEEDS = ("sifPeriod", "delay")
 
