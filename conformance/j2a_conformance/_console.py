@@ -103,4 +103,6 @@ def _end(run: Run) -> Iterator[str]:
         yield f"The run ended early: {run.stopped}."
     judgement = "conformant" if run.conformant else "NOT conformant"
     part = " in what was run" if run.stopped and run.conformant else ""
-    yield f"The device is {judgement}{part}; {run.duration_s:.1f} s."
+    unseen = ", ".join(result.case for result in run.with_verdict(Verdict.INFORMATIONAL))
+    but = f"; not seen on this link: {unseen}" if unseen else ""
+    yield f"The device is {judgement}{part}{but}; {run.duration_s:.1f} s."
