@@ -89,11 +89,6 @@ class Engine:
             raise call.error
         return call.reply
 
-    def set_rxbuf(self, rxbuf: int) -> None:
-        """Tell the session how many bytes the device holds; see `Session`."""
-        with self._state:
-            self._session.rxbuf = rxbuf
-
     def close(self) -> None:
         """End all calls, drop SIFs that wait for their handlers, wait for the threads."""
         self._drops_sifs = True

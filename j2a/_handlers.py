@@ -76,6 +76,17 @@ class Handlers(Generic[_Handler]):
             self._subscriptions = (*self._subscriptions, subscription)
         return subscription
 
+    def register(self, opcodes: Opcodes, handler: _Handler | None) -> object:
+        """Register a handler; without one return a decorator that does."""
+        if handler is not None:
+            return self.add(opcodes, handler)
+
+        def decorate(function: _Handler) -> _Handler:
+            self.add(opcodes, function)
+            return function
+
+        return decorate
+
     def of(self, opcode: int) -> Iterator[_Handler]:
         """Yield the handlers of an opcode, but none that was cancelled meanwhile."""
         for subscription in self._subscriptions:

@@ -1,10 +1,10 @@
 """Transfers of any size in chunks (a2jMany), without the link.
 
-What flows in: data to send, replies. What flows out: payloads for a2jMany, one at a time, and the
-result.
-Rules: each transfer is a generator that yields a payload, is sent the reply, and returns its
-result; whoever drives it owns the waiting. Chunks follow each other without gap or overlap;
-anything else that a device answers is an error, never a silent loss.
+What flows in: data to send, replies. What flows out: calls of a2jMany to make, one at a time, and
+the result.
+Rules: each transfer is a generator that yields a call to make, is sent the reply or thrown the
+error, and returns its result; whoever drives it owns the waiting. Chunks follow each other without
+gap or overlap; anything else that a device answers is an error, never a silent loss.
 """
 
 import struct
@@ -21,10 +21,19 @@ from j2a_spec.constants import (
     RET_OK,
 )
 
-from j2a.errors import LegacyLimit, ProtocolError, remote_error
+from j2a.errors import LegacyLimit, OpcodeRefused, ProtocolError, remote_error
 from j2a.events import Reply
 
-__all__ = ["Chunk", "Guard", "Progress", "Steps", "echo_chunks", "read_chunks", "write_chunks"]
+__all__ = [
+    "Ask",
+    "Chunk",
+    "Guard",
+    "Progress",
+    "Steps",
+    "echo_chunks",
+    "read_chunks",
+    "write_chunks",
+]
 
 Progress = Callable[[int, int | None], None]
 """Called after each chunk with the bytes done and the bytes in all, None where nobody knows."""
@@ -43,9 +52,18 @@ class Chunk(NamedTuple):
     data: bytes
 
 
+class Ask(NamedTuple):
+    """A call to make; an opcode of None is a2jMany, a limit of None that of the driver."""
+
+    what: str
+    payload: bytes
+    opcode: int | None = None
+    limit_s: float | None = None
+
+
 _Result = TypeVar("_Result")
-Steps = Generator[bytes, Reply, _Result]
-"""A transfer under way: yields payloads for a2jMany, is sent replies, returns its result."""
+Steps = Generator[Ask, Reply, _Result]
+"""Work under way: yields calls to make, is sent replies or thrown errors, returns its result."""
 
 Guard = Callable[[bytes, Chunk], Steps[None]]
 """Asked before an offset above 255 is used; gets what has been read and the first chunk, and
@@ -54,16 +72,21 @@ raises `LegacyLimit` when the device cannot be trusted with it."""
 
 def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> Steps[Chunk]:
     """Send one chunk and return the reply, checked as far as every transfer needs it."""
-    reply = yield _HEADER.pack(opcode, flags, offset) + data
+    where = f"{what} at offset {offset}"
+    try:
+        reply = yield Ask(where, _HEADER.pack(opcode, flags, offset) + data)
+    except OpcodeRefused as error:
+        hint = "a function that is not made for transfers is called by `call`"
+        raise OpcodeRefused(f"{error}; {hint}", error.code, error.payload) from None
     if reply.code != RET_OK:
-        raise remote_error(f"{what} (a2jMany itself)", reply.code, reply.payload)
+        raise remote_error(f"{where} (a2jMany itself)", reply.code, reply.payload)
     if len(reply.payload) < MANY_HEADER:
         raise ProtocolError(
-            f"{what}: a2jMany sent {len(reply.payload)} bytes; its header alone is {MANY_HEADER}"
+            f"{where}: a2jMany sent {len(reply.payload)} bytes; its header alone is {MANY_HEADER}"
         )
     code, reply_flags, reply_offset = _HEADER.unpack_from(reply.payload)
     if code > RET_MAX:
-        raise remote_error(f"{what} at offset {offset}", code, reply.payload[MANY_HEADER:])
+        raise remote_error(where, code, reply.payload[MANY_HEADER:])
     if reply_offset != offset:
         raise ProtocolError(
             f"{what}: the device answered offset {reply_offset} instead of {offset}"

@@ -11,6 +11,7 @@ from typing import Final
 
 from j2a_spec.constants import (
     GET_ECHO_MANY,
+    GET_MAPPING,
     GET_PROPERTIES,
     MANY,
     MANY_DATA,
@@ -63,10 +64,13 @@ class Peer:
         """Learn the functions from the reply of a2jGetMapping; None when opcode 0 was refused.
 
         A map that cannot be used leaves the device callable by opcode (J2A-MAP-005).
+
+        Raises:
+            ProtocolError: it is none, so whoever answers is no device.
         """
-        self.functions = {}
-        self.properties = None
+        self.functions = self.properties = None
         self._probed = set()
+        functions: dict[str, int] = {}
         if reply is None:
             self._no_map = "it has no function map"
         elif reply.code != RET_OK:
@@ -77,7 +81,13 @@ class Peer:
             self._no_map = ""
             for opcode, name in enumerate(reply.payload.split(b"\0")[:-1]):
                 if name:
-                    self.functions.setdefault(name.decode("utf-8", "replace"), opcode)
+                    functions.setdefault(name.decode("utf-8", "replace"), opcode)
+            if functions.get(GET_MAPPING) != 0:
+                raise ProtocolError(
+                    f"the function map does not begin with {GET_MAPPING}; "
+                    "does the link echo what is sent?"
+                )
+        self.functions = functions
 
     def resolve(self, function: object) -> tuple[str, int]:
         """Return how messages name a function, and its opcode.

@@ -1,6 +1,7 @@
 """What the blocking and the asyncio client have in common; how to wait is not among it.
 
-What flows in: the options of a client. What flows out: a session and a peer, checked arguments.
+What flows in: the options of a client. What flows out: a session and a peer, and all that takes
+several calls as generators (see `_many`), which each client drives in its own way.
 """
 
 import contextlib
@@ -11,19 +12,20 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Final
 
-from j2a_spec.constants import ECHO
+from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, ECHO, GET_DEBUG, GET_MAPPING, RET_MAX
 
 from j2a._arguments import check_timeout
+from j2a._many import Ask, Progress, Steps
 from j2a._peer import Peer
 from j2a._session import MAX_WINDOW, Session
 from j2a._trace import Trace
 from j2a.errors import (
     CallTimeout,
-    J2AError,
     LocalError,
     OpcodeRefused,
     ProtocolError,
     RemoteError,
+    remote_error,
 )
 from j2a.events import Counters, Reply
 
@@ -32,14 +34,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "JOIN_S",
-    "MAX_DEBUG_READS",
     "MAX_SIFS_WAITING",
     "Shell",
-    "boot_limits",
     "check_echo",
-    "is_booting",
     "join_threads",
-    "no_device",
     "take_stale_input",
 ]
 
@@ -78,6 +76,88 @@ class Shell:
         """The health of the link, as it is now."""
         return self._session.counters
 
+    @property
+    def is_open(self) -> bool:
+        """The link is there: neither lost nor closed."""
+        return not self._session.is_closed
+
+    def __repr__(self) -> str:
+        state = "open" if self.is_open else "closed"
+        return f"<j2a.{type(self).__name__} {self._url} {state}>"
+
+    # ------------------------------------------------------------------ several calls
+
+    def _connect(self, boot_time: float) -> Steps[None]:
+        try:
+            yield from self._refresh(boot_time)
+        except CallTimeout as error:
+            raise CallTimeout(
+                f"no device answered at {self._url} within {boot_time:g} s; see that the board "
+                "runs J2A and that speed and parity are the same at both ends"
+            ) from error
+
+    def _refresh(self, boot_time: float | None) -> Steps[None]:
+        limits = [self._timeout]
+        if boot_time is not None:
+            limits = list(_boot_limits(check_timeout(boot_time)))
+        for attempt, limit_s in enumerate(limits, start=1):
+            try:
+                self._peer.take_map((yield Ask(GET_MAPPING, b"", 0, limit_s)))
+            except OpcodeRefused:
+                self._peer.take_map(None)
+            except (CallTimeout, RemoteError):
+                if attempt == len(limits):
+                    raise
+                continue
+            break
+        if self._window > 1:
+            yield from self._peer.read_properties()
+            self._session.rxbuf = self._peer.rxbuf
+
+    def _load_map(self) -> Steps[None]:
+        if self._peer.functions is None:
+            yield from self._refresh(None)
+
+    def _read_debug(self) -> Steps[str]:
+        yield from self._load_map()
+        what, opcode = self._peer.resolve(GET_DEBUG)
+        text = b""
+        for _ in range(MAX_DEBUG_READS):
+            code, part = yield Ask(what, b"", opcode)
+            if code > RET_MAX:
+                raise remote_error(what, code, part)
+            if code & ~(DEBUG_MORE | DEBUG_LOST):
+                raise ProtocolError(f"{what}: flags 0x{code:02X} have bits without meaning")
+            text += (b"[...]" if code & DEBUG_LOST else b"") + part
+            if not part or not code & DEBUG_MORE:
+                break
+        return text.decode("utf-8", "replace")
+
+    def _read_properties(self) -> Steps[dict[str, str]]:
+        yield from self._load_map()
+        return dict((yield from self._peer.read_properties()))
+
+    def _read_many(
+        self, function: str | int, max_bytes: int, progress: Progress | None
+    ) -> Steps[bytes]:
+        yield from self._load_map()
+        return (yield from self._peer.read(function, max_bytes, progress))
+
+    def _write_many(
+        self, function: str | int, data: bytes, progress: Progress | None
+    ) -> Steps[int]:
+        yield from self._load_map()
+        return (yield from self._peer.write(function, data, progress))
+
+    def _echo_many(self, data: bytes, progress: Progress | None) -> Steps[bytes]:
+        yield from self._load_map()
+        return (yield from self._peer.echo(data, progress))
+
+    def _arguments(self, ask: Ask, limit_s: float) -> tuple[str, int, bytes, float]:
+        """Return the arguments of the call that a step wants."""
+        opcode = self._peer.many_opcode if ask.opcode is None else ask.opcode
+        return ask.what, opcode, ask.payload, ask.limit_s or limit_s
+
     def _limit_s(self, timeout: object) -> float:
         return self._timeout if timeout is None else check_timeout(timeout)
 
@@ -96,7 +176,7 @@ def take_stale_input(transport: "Transport", session: Session) -> None:
             session.receive(data)
 
 
-def boot_limits(total_s: float) -> Iterator[float]:
+def _boot_limits(total_s: float) -> Iterator[float]:
     """Yield the time limits of attempts to reach a board that may still boot, in seconds.
 
     They grow, so that a slow link gets its time, and end when `total_s` is used up.
@@ -107,21 +187,6 @@ def boot_limits(total_s: float) -> Iterator[float]:
         yield limit_s
         total_s -= limit_s
         limit_s *= 2
-
-
-def is_booting(error: J2AError) -> bool:
-    """Whether an attempt that failed like this is worth another one."""
-    return isinstance(error, CallTimeout) or (
-        isinstance(error, RemoteError) and not isinstance(error, OpcodeRefused)
-    )
-
-
-def no_device(url: str, boot_time: float) -> CallTimeout:
-    """Return the error for a link at which nobody answers."""
-    return CallTimeout(
-        f"no device answered at {url} within {boot_time:g} s; see that the board runs J2A and "
-        "that speed and parity are the same at both ends"
-    )
 
 
 def join_threads(threads: Iterable[threading.Thread]) -> None:

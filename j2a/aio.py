@@ -13,9 +13,10 @@ import logging
 import queue
 import threading
 from collections.abc import Awaitable, Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Self, TypeVar, overload
 
-from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, GET_DEBUG, GET_ECHO, GET_MAPPING, MANY
+from j2a_spec.constants import GET_ECHO
 
 from j2a._arguments import check_payload, check_timeout
 from j2a._handlers import ErrorHook, Handlers, Opcodes, Reporter, Subscription
@@ -23,20 +24,9 @@ from j2a._link import link_error, open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
 from j2a._session import Call
-from j2a._shell import (
-    JOIN_S,
-    MAX_DEBUG_READS,
-    MAX_SIFS_WAITING,
-    Shell,
-    boot_limits,
-    check_echo,
-    is_booting,
-    join_threads,
-    no_device,
-    take_stale_input,
-)
+from j2a._shell import JOIN_S, MAX_SIFS_WAITING, Shell, check_echo, join_threads, take_stale_input
 from j2a._trace import Trace
-from j2a.errors import CallTimeout, J2AError, LinkClosed, LinkError, LocalError, OpcodeRefused
+from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
 
 if TYPE_CHECKING:
@@ -95,7 +85,9 @@ class AsyncClient(Shell):
         """Call a function of the device; see `j2a.Client.call`."""
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
-        what, opcode = await self._resolve(function)
+        if self._peer.functions is None and isinstance(function, str):
+            await self.refresh()
+        what, opcode = self._peer.resolve(function)
         return await self._call(what, opcode, data, limit_s)
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
@@ -104,13 +96,7 @@ class AsyncClient(Shell):
 
     async def read_debug(self, timeout: float | None = None) -> str:
         """Take the debug text that waits in the device; see `j2a.Client.read_debug`."""
-        text = b""
-        for _ in range(MAX_DEBUG_READS):
-            code, part = await self.call(GET_DEBUG, timeout=timeout)
-            text += (b"[...]" if code & DEBUG_LOST else b"") + part
-            if not part or not code & DEBUG_MORE:
-                break
-        return text.decode("utf-8", "replace")
+        return await self._drive(self._read_debug(), timeout)
 
     # ------------------------------------------------------------------ transfers
 
@@ -123,8 +109,7 @@ class AsyncClient(Shell):
         progress: Progress | None = None,
     ) -> bytes:
         """Read everything that a function has; see `j2a.Client.read_many`."""
-        await self._load_map()
-        return await self._drive(self._peer.read(function, max_bytes, progress), timeout)
+        return await self._drive(self._read_many(function, max_bytes, progress), timeout)
 
     async def write_many(
         self,
@@ -135,46 +120,28 @@ class AsyncClient(Shell):
         progress: Progress | None = None,
     ) -> int:
         """Write data of any size to a function; see `j2a.Client.write_many`."""
-        await self._load_map()
-        return await self._drive(self._peer.write(function, data, progress), timeout)
+        return await self._drive(self._write_many(function, data, progress), timeout)
 
     async def echo_many(
         self, data: bytes, *, timeout: float | None = None, progress: Progress | None = None
     ) -> bytes:
         """Send data of any size through a2jEchoMany; see `j2a.Client.echo_many`."""
-        await self._load_map()
-        return await self._drive(self._peer.echo(data, progress), timeout)
+        return await self._drive(self._echo_many(data, progress), timeout)
 
     # ------------------------------------------------------------------ what the device has
 
     async def functions(self) -> dict[str, int]:
         """Return names and opcodes of the device's functions; empty when it has no map."""
-        await self._load_map()
+        await self._drive(self._load_map())
         return dict(self._peer.functions or {})
 
     async def properties(self) -> dict[str, str]:
         """Return the device's properties, read when first asked for; empty when it has none."""
-        await self._load_map()
-        return dict(await self._drive(self._peer.read_properties(), None))
+        return await self._drive(self._read_properties())
 
     async def refresh(self, boot_time: float | None = None) -> None:
         """Fetch the function map anew and forget the properties; see `j2a.Client.refresh`."""
-        limits = [self._timeout]
-        if boot_time is not None:
-            limits = list(boot_limits(check_timeout(boot_time)))
-        for attempt, limit_s in enumerate(limits, start=1):
-            try:
-                self._peer.take_map(await self._call(GET_MAPPING, 0, b"", limit_s))
-            except OpcodeRefused:
-                self._peer.take_map(None)
-            except J2AError as error:
-                if attempt == len(limits) or not is_booting(error):
-                    raise
-                continue
-            break
-        if self._window > 1:
-            await self._drive(self._peer.read_properties(), None)
-            self._session.rxbuf = self._peer.rxbuf
+        await self._drive(self._refresh(boot_time))
 
     # ------------------------------------------------------------------ SIFs
 
@@ -191,21 +158,9 @@ class AsyncClient(Shell):
 
         Args, returns and raises: as `j2a.Client.on_sif`.
         """
-        if handler is not None:
-            return self._handlers.add(opcodes, handler)
-
-        def decorate(function: _HandlerF) -> _HandlerF:
-            self._handlers.add(opcodes, function)
-            return function
-
-        return decorate
+        return self._handlers.register(opcodes, handler)
 
     # ------------------------------------------------------------------ end
-
-    @property
-    def is_open(self) -> bool:
-        """The link is there: neither lost nor closed."""
-        return not self._session.is_closed
 
     async def close(self) -> None:
         """Close the link; calls that wait raise `LinkClosed`. May be called twice.
@@ -227,27 +182,19 @@ class AsyncClient(Shell):
     async def __aexit__(self, *exc_info: object) -> None:
         await self.close()
 
-    def __repr__(self) -> str:
-        return f"<j2a.AsyncClient {self._url} {'open' if self.is_open else 'closed'}>"
-
     # ------------------------------------------------------------------ in the event loop
 
-    async def _load_map(self) -> None:
-        if self._peer.functions is None:
-            await self.refresh()
-
-    async def _resolve(self, function: str | int) -> tuple[str, int]:
-        if isinstance(function, str):
-            await self._load_map()
-        return self._peer.resolve(function)
-
-    async def _drive(self, steps: Steps[_Result], timeout: float | None) -> _Result:
+    async def _drive(self, steps: Steps[_Result], timeout: float | None = None) -> _Result:
         limit_s = self._limit_s(timeout)
         try:
-            payload = next(steps)
+            ask = next(steps)
             while True:
-                reply = await self._call(MANY, self._peer.many_opcode, payload, limit_s)
-                payload = steps.send(reply)
+                try:
+                    reply = await self._call(*self._arguments(ask, limit_s))
+                except J2AError as error:
+                    ask = steps.throw(error)
+                else:
+                    ask = steps.send(reply)
         except StopIteration as end:
             result: _Result = end.value
             return result
@@ -374,8 +321,8 @@ async def aconnect(
     Returns: the client; close it, or use it in an `async with` statement.
     """
     check_timeout(boot_time)
-    transport = await asyncio.to_thread(open_transport, url, transport_options)
-    try:
+    async with contextlib.AsyncExitStack() as stack:
+        transport = stack.enter_context(await _open(url, transport_options))
         client = AsyncClient(
             transport,
             timeout=timeout,
@@ -383,15 +330,19 @@ async def aconnect(
             trace=trace,
             on_handler_error=on_handler_error,
         )
-    except BaseException:
-        transport.close()
-        raise
-    try:
-        await client.refresh(boot_time)
-    except CallTimeout as error:
-        await client.close()
-        raise no_device(url, boot_time) from error
-    except BaseException:
-        await client.close()
-        raise
+        await stack.enter_async_context(client)
+        await client._drive(client._connect(boot_time))
+        stack.pop_all()
     return client
+
+
+async def _open(url: str, options: dict[str, object]) -> "Transport":
+    """Open a transport in a thread, which closes it again when nobody waits for it any more."""
+    executor = ThreadPoolExecutor(1, "j2a opener")
+    opening = executor.submit(open_transport, url, options)
+    executor.shutdown(wait=False)
+    try:
+        return await asyncio.shield(asyncio.wrap_future(opening))
+    except asyncio.CancelledError:
+        opening.add_done_callback(lambda done: done.exception() or done.result().close())
+        raise

@@ -6,9 +6,10 @@ Rules: arguments are checked before anything is sent; waiting and bytes are the 
 """
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self, TypeVar, overload
 
-from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, GET_DEBUG, GET_ECHO, GET_MAPPING, MANY
+from j2a_spec.constants import GET_ECHO
 
 from j2a._arguments import check_payload, check_timeout
 from j2a._engine import Engine, Handler
@@ -16,20 +17,9 @@ from j2a._handlers import ErrorHook, Opcodes, Subscription
 from j2a._link import open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
-from j2a._shell import (
-    MAX_DEBUG_READS,
-    Shell,
-    boot_limits,
-    check_echo,
-    is_booting,
-    no_device,
-)
+from j2a._shell import Shell, check_echo
 from j2a._trace import Trace
-from j2a.errors import (
-    CallTimeout,
-    J2AError,
-    OpcodeRefused,
-)
+from j2a.errors import J2AError
 from j2a.events import Reply
 
 if TYPE_CHECKING:
@@ -95,7 +85,9 @@ class Client(Shell):
         """
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
-        what, opcode = self._resolve(function)
+        if self._peer.functions is None and isinstance(function, str):
+            self.refresh()
+        what, opcode = self._peer.resolve(function)
         return self._engine.call(what, opcode, data, limit_s)
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
@@ -110,13 +102,7 @@ class Client(Shell):
 
         Raises: as `call`.
         """
-        text = b""
-        for _ in range(MAX_DEBUG_READS):
-            code, part = self.call(GET_DEBUG, timeout=timeout)
-            text += (b"[...]" if code & DEBUG_LOST else b"") + part
-            if not part or not code & DEBUG_MORE:
-                break
-        return text.decode("utf-8", "replace")
+        return self._drive(self._read_debug(), timeout)
 
     # ------------------------------------------------------------------ transfers
 
@@ -140,8 +126,7 @@ class Client(Shell):
         Raises: as `call`; FunctionFailed; ProtocolError when the chunks do not fit together;
             LegacyLimit when a device of version 1.0 cannot do it.
         """
-        self._resolve(function)
-        return self._drive(self._peer.read(function, max_bytes, progress), timeout)
+        return self._drive(self._read_many(function, max_bytes, progress), timeout)
 
     def write_many(
         self,
@@ -163,8 +148,7 @@ class Client(Shell):
 
         Raises: as `read_many`.
         """
-        self._resolve(function)
-        return self._drive(self._peer.write(function, data, progress), timeout)
+        return self._drive(self._write_many(function, data, progress), timeout)
 
     def echo_many(
         self, data: bytes, *, timeout: float | None = None, progress: Progress | None = None
@@ -173,8 +157,7 @@ class Client(Shell):
 
         Args and raises: as `write_many`; ProtocolError when it is not the same.
         """
-        self._load_map()
-        return self._drive(self._peer.echo(data, progress), timeout)
+        return self._drive(self._echo_many(data, progress), timeout)
 
     # ------------------------------------------------------------------ what the device has
 
@@ -184,7 +167,7 @@ class Client(Shell):
 
         Raises: as `call`, when the map is still to be fetched.
         """
-        self._load_map()
+        self._drive(self._load_map())
         return dict(self._peer.functions or {})
 
     @property
@@ -193,8 +176,7 @@ class Client(Shell):
 
         Raises: as `read_many`.
         """
-        self._load_map()
-        return dict(self._drive(self._peer.read_properties(), None))
+        return self._drive(self._read_properties())
 
     def refresh(self, boot_time: float | None = None) -> None:
         """Fetch the function map anew and forget the properties.
@@ -205,22 +187,7 @@ class Client(Shell):
 
         Raises: as `call`.
         """
-        limits = (
-            [self._timeout] if boot_time is None else list(boot_limits(check_timeout(boot_time)))
-        )
-        for attempt, limit_s in enumerate(limits, start=1):
-            try:
-                self._peer.take_map(self._engine.call(GET_MAPPING, 0, b"", limit_s))
-            except OpcodeRefused:
-                self._peer.take_map(None)
-            except J2AError as error:
-                if attempt == len(limits) or not is_booting(error):
-                    raise
-                continue
-            break
-        if self._window > 1:
-            self._drive(self._peer.read_properties(), None)
-            self._engine.set_rxbuf(self._peer.rxbuf)
+        self._drive(self._refresh(boot_time))
 
     # ------------------------------------------------------------------ SIFs
 
@@ -243,21 +210,9 @@ class Client(Shell):
         Raises:
             LocalError: an argument is wrong.
         """
-        if handler is not None:
-            return self._engine.handlers.add(opcodes, handler)
-
-        def decorate(function: _HandlerF) -> _HandlerF:
-            self._engine.handlers.add(opcodes, function)
-            return function
-
-        return decorate
+        return self._engine.handlers.register(opcodes, handler)
 
     # ------------------------------------------------------------------ end
-
-    @property
-    def is_open(self) -> bool:
-        """The link is there: neither lost nor closed."""
-        return not self._session.is_closed
 
     def close(self) -> None:
         """Close the link; calls that wait raise `LinkClosed`. May be called twice."""
@@ -269,28 +224,19 @@ class Client(Shell):
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def __repr__(self) -> str:
-        return f"<j2a.Client {self._url} {'open' if self.is_open else 'closed'}>"
-
     # ------------------------------------------------------------------ machinery
 
-    def _load_map(self) -> None:
-        if self._peer.functions is None:
-            self.refresh()
-
-    def _resolve(self, function: str | int) -> tuple[str, int]:
-        if isinstance(function, str):
-            self._load_map()
-        return self._peer.resolve(function)
-
-    def _drive(self, steps: Steps[_Result], timeout: float | None) -> _Result:
+    def _drive(self, steps: Steps[_Result], timeout: float | None = None) -> _Result:
         limit_s = self._limit_s(timeout)
         try:
-            payload = next(steps)
+            ask = next(steps)
             while True:
-                payload = steps.send(
-                    self._engine.call(MANY, self._peer.many_opcode, payload, limit_s)
-                )
+                try:
+                    reply = self._engine.call(*self._arguments(ask, limit_s))
+                except J2AError as error:
+                    ask = steps.throw(error)
+                else:
+                    ask = steps.send(reply)
         except StopIteration as end:
             result: _Result = end.value
             return result
@@ -325,8 +271,8 @@ def connect(
         LinkLost: the link broke meanwhile.
     """
     check_timeout(boot_time)
-    transport = open_transport(url, transport_options)
-    try:
+    with ExitStack() as stack:
+        transport = stack.enter_context(open_transport(url, transport_options))
         client = Client(
             transport,
             timeout=timeout,
@@ -334,15 +280,7 @@ def connect(
             trace=trace,
             on_handler_error=on_handler_error,
         )
-    except BaseException:
-        transport.close()
-        raise
-    try:
-        client.refresh(boot_time)
-    except CallTimeout as error:
-        client.close()
-        raise no_device(url, boot_time) from error
-    except BaseException:
-        client.close()
-        raise
+        stack.enter_context(client)
+        client._drive(client._connect(boot_time))
+        stack.pop_all()
     return client

@@ -372,6 +372,27 @@ class TestConnecting:
             await j2a.aconnect(listener.url, boot_time=0.3)
 
     @in_event_loop
+    async def test_a_link_that_opens_after_the_wait_was_cancelled_is_closed(self):
+        near, far = j2a_transports.pair()
+        opening, gate = threading.Event(), threading.Event()
+
+        def slow(_url, _options):
+            opening.set()
+            assert gate.wait(PATIENCE_S)
+            return near
+
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr("j2a.aio.open_transport", slow)
+            connecting = asyncio.create_task(j2a.aconnect("loopback:slow"))
+            assert await asyncio.to_thread(opening.wait, PATIENCE_S)
+            connecting.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await connecting
+        gate.set()
+        with pytest.raises(j2a_transports.LinkLost):
+            await asyncio.to_thread(far.read, PATIENCE_S)
+
+    @in_event_loop
     async def test_urls_and_options(self):
         with pytest.raises(j2a.BadUrl):
             await j2a.aconnect("nosuch:thing")

@@ -1,5 +1,6 @@
 """The blocking client with a device in Python: calls, mistakes, transfers, connecting."""
 
+import contextlib
 import logging
 import math
 import struct
@@ -62,6 +63,20 @@ class TestCalls:
         assert client.properties
         client.refresh()
         assert client.properties["j2a.spec"] == "1.1"
+
+    @pytest.mark.parametrize(
+        ("code", "kind"),
+        [(0xFF, j2a.FunctionFailed), (0xF5, j2a.FunctionFailed), (4, j2a.ProtocolError)],
+    )
+    def test_debug_text_that_is_none(self, code, kind):
+        device = DemoDevice()
+        device._table.execute = lambda opcode, _payload: (code, b"text")
+        with served(device) as url, j2a_transports.open(url) as transport:
+            client = j2a.Client(transport, timeout=PATIENCE_S)
+            client._peer.take_map(j2a.Reply(0, b"a2jGetMapping\0a2jMany\0a2jDebug\0"))
+            with pytest.raises(kind, match="a2jDebug"):
+                client.read_debug()
+            client.close()
 
     def test_a_refused_opcode(self, client):
         with pytest.raises(j2a.OpcodeRefused):
@@ -156,8 +171,20 @@ class TestTransfers:
         assert client.echo(b"still there") == b"still there"
 
     def test_a_function_that_cannot_transfer(self, client):
-        with pytest.raises(j2a.OpcodeRefused):
+        with pytest.raises(j2a.OpcodeRefused, match=r"add at offset 0: .* called by `call`"):
             client.read_many("add")
+
+    def test_errors_name_function_and_offset(self):
+        device = DemoDevice()
+        execute = device._execute
+        device._execute = lambda opcode, payload: (
+            (0xF3, b"") if payload[2:4] == b"\xf9\x00" else execute(opcode, payload)
+        )
+        with (
+            linked(device) as client,
+            pytest.raises(j2a.ChecksumRefused, match="a2jEchoMany at offset 249:"),
+        ):
+            client.echo_many(bytes(1000))
 
 
 class TestConnecting:
@@ -205,6 +232,19 @@ class TestConnecting:
             pytest.raises(j2a.CallTimeout, match="no device answered at loopback:silent board"),
         ):
             j2a.connect(listener.url, boot_time=0.3)
+
+    def test_a_link_that_echoes_is_no_device(self):
+        near, far = j2a_transports.pair()
+
+        def echo():
+            with contextlib.suppress(j2a_transports.LinkLost):
+                while True:
+                    far.write(far.read(None))
+
+        with far, j2a.Client(near, timeout=PATIENCE_S) as client:
+            threading.Thread(target=echo, daemon=True).start()
+            with pytest.raises(j2a.ProtocolError, match="does the link echo"):
+                client.refresh(boot_time=PATIENCE_S)
 
     def test_a_board_without_a_map(self):
         with linked(OldDevice(has_map=False)) as client:

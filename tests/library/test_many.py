@@ -27,11 +27,12 @@ def content(size: int) -> bytes:
 def drive(execute: Execute, steps: Steps, requests: list[bytes] | None = None) -> object:
     """Run a transfer against the function table of a device."""
     try:
-        payload = next(steps)
+        ask = next(steps)
         while True:
             if requests is not None:
-                requests.append(payload)
-            payload = steps.send(Reply(*execute(1, payload)))
+                requests.append(ask.payload)
+            assert ask.opcode is None, "not a2jMany"
+            ask = steps.send(Reply(*execute(1, ask.payload)))
     except StopIteration as end:
         return end.value
 
@@ -300,8 +301,15 @@ class TestPeer:
 
     def test_empty_names_do_not_shift_the_others(self):
         peer = Peer()
-        peer.take_map(Reply(0, b"a\0\0c\0a\0"))
-        assert peer.functions == {"a": 0, "c": 2}
+        peer.take_map(Reply(0, b"a2jGetMapping\0\0c\0c\0"))
+        assert peer.functions == {"a2jGetMapping": 0, "c": 2}
+
+    @pytest.mark.parametrize("names", [b"", b"\0", b"add\0a2jGetMapping\0", b"\0a2jGetMapping\0"])
+    def test_a_map_that_does_not_begin_with_itself_is_none(self, names):
+        peer = know(DemoDevice())
+        with pytest.raises(j2a.ProtocolError, match="does the link echo"):
+            peer.take_map(Reply(0, names))
+        assert peer.functions is None
 
     @pytest.mark.parametrize("opcode", [-1, 256, 1.5, None, True, b"add"])
     def test_what_is_no_function(self, peer, opcode):
