@@ -22,8 +22,8 @@ extensions = [
 ]
 exclude_patterns = ["_build", "_ext", "tests", "examples"]
 
-# Docstrings mark code with single backticks.
-default_role = "code"
+# Docstrings mark code with single backticks; what it names is linked, see _ext/docstrings.py.
+default_role = "py:obj"
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_format = "fully-qualified"

@@ -2,15 +2,21 @@
 
 What flows in: docstrings before and after napoleon. What flows out: the same texts, in which
 napoleon finds the sections that are written on one line (`Returns: the reply.`), and takes no words
-before a colon for the type of an attribute.
+before a colon for the type of an attribute. What stands in backticks becomes a link where it names
+something of the reference, and else code; `j2a.Trace` keeps its name in lists of arguments.
 """
 
 import re
 from typing import Any
 
+from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.util.typing import stringify_annotation
+
+import j2a
 
 ATTRIBUTES = {"attribute", "data", "property"}
+TRACE = stringify_annotation(j2a.Trace, "fully-qualified")
 ONE_LINE = re.compile(r"(Returns|Raises|Args and raises): (\S.*)")
 
 
@@ -56,7 +62,21 @@ class Hooks:
             event[-1][:] = self._kept
 
 
+def name_trace(app: Sphinx, *_event: Any) -> None:
+    """Put the name of the alias where autodoc has written what it stands for."""
+    for hints in app.env.current_document.autodoc_annotations.values():
+        for argument, hint in hints.items():
+            hints[argument] = hint.replace(TRACE, "j2a.Trace")
+
+
+def as_code(_app: Sphinx, _env: Any, node: Any, shown: nodes.Element) -> nodes.Element | None:
+    """Return code for backticks that name nothing; explicit roles are still warned about."""
+    return nodes.literal(text=shown.astext()) if node["reftype"] == "obj" else None
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the hooks."""
     Hooks(app)
+    app.connect("object-description-transform", name_trace, priority=100)
+    app.connect("missing-reference", as_code)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
