@@ -199,6 +199,7 @@ class TestTimeLimits:
 
 
 class TestSifs:
+    @pytest.mark.requirement("J2A-SIF-007")
     @in_event_loop
     async def test_handlers_run_in_order_and_may_call(self):
         async with linked() as client:
@@ -321,6 +322,7 @@ class TestTheEnd:
                 await client.call(1)
             await client.close()
 
+    @pytest.mark.requirement("J2A-TIME-006")
     @in_event_loop
     async def test_a_lost_link_ends_all_calls_at_once(self):
         async with wired() as (client, far):

@@ -32,6 +32,7 @@ def client(request):
 
 
 class TestCalls:
+    @pytest.mark.requirement("J2A-DISP-007")
     def test_by_name_and_by_opcode(self, client):
         numbers = struct.pack("<ii", 2_000_000_000, 147_483_648)
         want = j2a.Reply(0, struct.pack("<i", -2_147_483_648))
@@ -246,6 +247,7 @@ class TestConnecting:
             with pytest.raises(j2a.ProtocolError, match="does the link echo"):
                 client.refresh(boot_time=PATIENCE_S)
 
+    @pytest.mark.requirement("J2A-MAP-005")
     def test_a_board_without_a_map(self):
         with linked(OldDevice(has_map=False)) as client:
             assert client.functions == {}
@@ -254,6 +256,7 @@ class TestConnecting:
             with pytest.raises(j2a.UnknownFunction, match="call it by opcode"):
                 client.call("a2jEcho")
 
+    @pytest.mark.requirement("J2A-PROP-005", "J2A-MANY-014")
     def test_an_old_board(self):
         device = OldDevice({"name": "old"})
         device.content = bytes(range(256)) * 3

@@ -32,6 +32,7 @@ class TestTimeLimits:
             assert client.counters.timeouts == 1
             assert client.counters.late_replies == 1
 
+    @pytest.mark.requirement("J2A-TIME-006")
     def test_calls_that_wait_for_their_turn_time_out_too(self):
         with Wire() as wire:
             slow = Background(wire.client.call, 1)
@@ -53,6 +54,7 @@ class TestTimeLimits:
                 assert client.echo(payload) == payload
             assert client.counters.stray_replies == 0
 
+    @pytest.mark.requirement("J2A-SEQ-004", "J2A-SEQ-005")
     def test_stray_replies_are_dropped(self):
         with Wire() as wire:
             call = Background(wire.client.call, 9, b"x")
@@ -152,6 +154,7 @@ class TestTimeLimits:
 
 
 class TestSifs:
+    @pytest.mark.requirement("J2A-SIF-007")
     def test_order_filters_and_cancelling(self):
         with linked() as client:
             every, some, one, done = [], [], [], threading.Event()
@@ -259,6 +262,7 @@ class TestSifs:
         assert errors == [("broken on purpose", 7), ("broken on purpose", 8)]
         assert "on_handler_error failed" in caplog.text
 
+    @pytest.mark.requirement("J2A-SIF-009")
     def test_gaps_reach_the_handler(self):
         with Wire() as wire:
             seen, done = [], threading.Event()
@@ -320,6 +324,7 @@ class TestTheEnd:
                 wire.client.call(1)
             wire.client.close()
 
+    @pytest.mark.requirement("J2A-TIME-006")
     def test_a_lost_link_ends_all_calls_at_once(self):
         with Wire() as wire:
             calls = [Background(wire.client.call, n, timeout=math.inf) for n in range(5)]
@@ -360,6 +365,7 @@ class TestTheEnd:
                 time.sleep(0.001)
             assert seen == list(range(5))
 
+    @pytest.mark.requirement("J2A-TIME-006")
     def test_calls_keep_their_time_limit_while_the_device_does_not_read(self):
         with Wire() as wire:
             wire.client._engine._transport.write_timeout_s = None

@@ -91,6 +91,9 @@ class TestDecoding:
         assert got_skipped == skipped + 2 * len(GARBAGE)
 
 
+@pytest.mark.requirement(
+    "J2A-FRAME-001", "J2A-FRAME-004", "J2A-STUFF-001", "J2A-STUFF-002", "J2A-SUM-001", "J2A-SUM-002"
+)
 @property_test
 @given(frames)
 def test_encoding_equals_the_oracle(frame):
@@ -98,6 +101,14 @@ def test_encoding_equals_the_oracle(frame):
     assert wire == oracle.encode(frame)
 
 
+@pytest.mark.requirement(
+    "J2A-FRAME-005",
+    "J2A-FRAME-006",
+    "J2A-STUFF-003",
+    "J2A-STUFF-004",
+    "J2A-STUFF-005",
+    "J2A-SUM-003",
+)
 @property_test
 @given(streams, st.lists(st.integers(0, 2000), max_size=8))
 def test_decoding_equals_the_oracle_in_any_chunking(stream, cuts):
@@ -106,6 +117,7 @@ def test_decoding_equals_the_oracle_in_any_chunking(stream, cuts):
     assert read(chunked(stream, cuts)) == (events, skipped, open_frame)
 
 
+@pytest.mark.requirement("J2A-FRAME-007", "J2A-FRAME-009")
 @property_test
 @given(st.lists(st.sampled_from(TRICKY), max_size=40).map(bytes), st.lists(st.integers(0, 40)))
 def test_decoding_equals_the_oracle_for_marker_soup(stream, cuts):

@@ -64,6 +64,7 @@ def peer(demo):
 
 
 class TestAgainstTheDemo:
+    @pytest.mark.requirement("J2A-MANY-001", "J2A-MANY-011")
     @pytest.mark.parametrize("size", SIZES)
     def test_store_gives_back_what_was_written(self, demo, peer, size):
         data = content(size)
@@ -81,6 +82,7 @@ class TestAgainstTheDemo:
     def test_echo_many(self, demo, peer, size):
         assert drive(demo._execute, peer.echo(content(size), None)) == content(size)
 
+    @pytest.mark.requirement("J2A-MANY-001", "J2A-MANY-009", "J2A-MANY-013")
     @pytest.mark.parametrize("size", SIZES)
     def test_written_chunks_follow_each_other_and_only_the_last_says_so(self, demo, peer, size):
         drive(demo._execute, peer.read_properties())
@@ -116,10 +118,12 @@ class TestWhatADeviceMayNotAnswer:
     def read(self, peer, *replies):
         return drive(answers(*replies), peer.read("store", 1000, None))
 
+    @pytest.mark.requirement("J2A-MANY-012")
     def test_another_offset(self, peer):
         with pytest.raises(j2a.ProtocolError, match="offset 5 instead of 0"):
             self.read(peer, chunk(b"x", offset=5))
 
+    @pytest.mark.requirement("J2A-MANY-012")
     def test_an_empty_chunk_that_is_not_the_last(self, peer):
         with pytest.raises(j2a.ProtocolError, match="never end"):
             self.read(peer, chunk(b"abc"), chunk(offset=3))
@@ -130,17 +134,20 @@ class TestWhatADeviceMayNotAnswer:
         exact = drive(answers(chunk(bytes(10), is_last=True)), peer.read("store", 10, None))
         assert exact == bytes(10)
 
+    @pytest.mark.requirement("J2A-MANY-012")
     @pytest.mark.parametrize("size", range(6))
     def test_less_than_a_header(self, peer, size):
         with pytest.raises(j2a.ProtocolError, match="header"):
             self.read(peer, (0, bytes(size)))
 
+    @pytest.mark.requirement("J2A-MANY-012")
     @pytest.mark.parametrize("code", [0xF0, 0xF1, 0xFE, 0xFF])
     def test_an_inner_code_of_failure(self, peer, code):
         with pytest.raises(j2a.RemoteError) as caught:
             self.read(peer, chunk(b"why", code=code))
         assert (caught.value.code, caught.value.payload) == (code, b"why")
 
+    @pytest.mark.requirement("J2A-MANY-012")
     @pytest.mark.parametrize("code", [0x01, 0xEF, 0xFF])
     def test_an_outer_code_of_failure(self, peer, code):
         with pytest.raises(j2a.RemoteError) as caught:
@@ -193,6 +200,7 @@ class TestOldDevices:
         assert self.read(device) == content(size)
         assert max(device.offsets) <= 249
 
+    @pytest.mark.requirement("J2A-MANY-014", "J2A-PROP-005")
     @pytest.mark.parametrize("make", [content, bytes], ids=["varied", "zeros"])
     @pytest.mark.parametrize("size", [499, 600, 5000])
     def test_long_reads_are_refused_and_not_garbled(self, size, make):
@@ -201,6 +209,7 @@ class TestOldDevices:
         with pytest.raises(j2a.LegacyLimit, match=r"1\.0"):
             self.read(device)
 
+    @pytest.mark.requirement("J2A-MANY-014")
     @pytest.mark.parametrize("properties", [{}, {"name": "old"}])
     def test_long_writes_are_refused_before_anything_is_written(self, properties):
         device = OldDevice(properties)
@@ -210,6 +219,7 @@ class TestOldDevices:
         assert device.written == []
         assert drive(device._execute, know(device).write("content", content(498), None)) == 0
 
+    @pytest.mark.requirement("J2A-MANY-014")
     def test_echo_many_is_exempt(self):
         device = OldDevice()
         assert drive(device._execute, know(device).echo(content(5000), None)) == content(5000)
@@ -231,6 +241,7 @@ class TestHonestOldDevices:
                 return 0, bytes((0, 1)) + payload[2:6] + blob
             return super()._execute(opcode, payload)
 
+    @pytest.mark.requirement("J2A-MANY-014")
     def test_long_transfers_work(self):
         device = self.Honest()
         peer = know(device)
@@ -259,6 +270,7 @@ class TestHonestOldDevices:
             drive(device._execute, know(device).write("store", content(600), None))
         assert device._content == b""
 
+    @pytest.mark.requirement("J2A-MANY-011")
     def test_the_probe_of_a_read_looks_at_what_is_read(self):
         device = self.Honest()
         device._content += content(600)
@@ -282,6 +294,7 @@ class TestPeer:
         with pytest.raises(j2a.UnknownFunction, match="a2jEcho, "):
             peer.resolve("zzz")
 
+    @pytest.mark.requirement("J2A-DISP-007", "J2A-MAP-005")
     @pytest.mark.parametrize(
         ("reply", "reason"),
         [

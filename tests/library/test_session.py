@@ -60,6 +60,7 @@ def test_a_call_is_sent_and_answered():
     assert call.error is None
 
 
+@pytest.mark.requirement("J2A-ERR-007")
 @pytest.mark.parametrize(
     ("code", "kind"),
     [
@@ -90,6 +91,7 @@ def test_any_other_code_is_the_functions_own(code):
 
 
 class TestSeq:
+    @pytest.mark.requirement("J2A-SEQ-003")
     def test_it_advances_after_every_attempt_whatever_its_outcome(self):
         host = Host(first_seq=254)
         host.call()
@@ -112,6 +114,7 @@ class TestSeq:
         assert host.reply(0, 0, b"slow") == [slow]
         assert slow.reply == Reply(0, b"slow")
 
+    @pytest.mark.requirement("J2A-SEQ-003")
     def test_a_seq_whose_reply_is_owed_is_the_last_to_be_used_again(self):
         host = Host()
         host.call(payload=b"lost")
@@ -143,6 +146,7 @@ class TestSeq:
 
 
 class TestLateAndStray:
+    @pytest.mark.requirement("J2A-SEQ-005")
     def test_a_late_reply_does_not_answer_the_next_call(self):
         host = Host()
         slow = host.call(payload=b"slow")
@@ -155,6 +159,7 @@ class TestLateAndStray:
         assert host.session.counters.late_replies == 1
         assert host.session.counters.stray_replies == 0
 
+    @pytest.mark.requirement("J2A-SEQ-005")
     def test_a_repeated_reply_is_dropped(self):
         host = Host()
         first = host.call()
@@ -165,6 +170,7 @@ class TestLateAndStray:
         assert not second.has_ended
         assert host.session.counters.stray_replies == 1
 
+    @pytest.mark.requirement("J2A-SEQ-004")
     def test_a_reply_out_of_nowhere_is_dropped(self):
         host = Host()
         call = host.call()
@@ -172,6 +178,7 @@ class TestLateAndStray:
         assert not call.has_ended
         assert host.session.counters.stray_replies == 1
 
+    @pytest.mark.requirement("J2A-SEQ-004", "J2A-FRAME-002", "J2A-SIF-005")
     def test_a_sif_with_the_seq_of_the_call_does_not_answer_it(self):
         host = Host()
         call = host.call()
@@ -205,6 +212,15 @@ class TestLateAndStray:
         assert not following.has_ended
         assert host.session.cancel(call.waiter) == []
 
+    @pytest.mark.requirement("J2A-ERR-008")
+    def test_an_error_reply_counts_while_the_request_is_still_being_written(self):
+        host = Host()
+        call = host.session.start_call(
+            "f", 1, b"x", now=host.now, timeout_s=1.0, waiter=object()
+        )  # nobody has fetched its bytes
+        assert host.session.receive(oracle.encode(oracle.Frame(SOF, 0, 0xF4, b"\1\2"))) == [call]
+        assert isinstance(call.error, j2a.FramingRefused)
+
 
 class TestWindow:
     def test_calls_wait_for_their_turn_in_order(self):
@@ -232,12 +248,14 @@ class TestWindow:
             None,
         ]
 
+    @pytest.mark.requirement("J2A-LIMIT-003")
     def test_the_wire_bytes_never_exceed_what_the_device_can_hold(self):
         host = Host(window=8, rxbuf=20)
         for _ in range(4):
             host.call(payload=bytes((SOF, SOF)))  # 9 bytes on the wire
         assert len(host.sent) == 2
 
+    @pytest.mark.requirement("J2A-LIMIT-003")
     def test_without_j2a_rxbuf_one_call_is_on_the_wire(self):
         host = Host(window=8)
         host.call()
@@ -291,6 +309,7 @@ class TestTime:
 
 
 class TestSifs:
+    @pytest.mark.requirement("J2A-SIF-009")
     def test_gaps_are_counted(self):
         host = Host()
         seqs = [250, 251, 254, 255, 0, 0, 1]
@@ -300,6 +319,26 @@ class TestSifs:
         assert host.session.counters.sif_gaps == 2
         assert host.session.counters.sifs_missed == 257
 
+    @pytest.mark.requirement("J2A-SIF-004")
+    def test_they_are_not_answered(self):
+        host = Host()
+        host.receive(*(oracle.Frame(SOS, seq, seq, b"sif") for seq in range(256)))
+        assert host.sent == []
+
+    @pytest.mark.requirement("J2A-SIF-008")
+    @pytest.mark.parametrize("place", [1, 2, -2, -1], ids=["seq", "opcode", "payload", "checksum"])
+    def test_a_damaged_one_is_dropped_and_the_call_goes_on(self, place):
+        host = Host()
+        call = host.call()
+        wire = bytearray(oracle.encode(oracle.Frame(SOS, 0, 0xF3, b"sif")))
+        wire[place] ^= 0x40
+        assert host.session.receive(bytes(wire)) == []
+        assert host.session.counters.checksum_errors == 1
+        assert not call.has_ended
+        assert host.reply(0, 0, b"ok") == [call]
+        assert call.reply == Reply(0, b"ok")
+
+    @pytest.mark.requirement("J2A-SIF-003", "J2A-SIF-005")
     def test_they_keep_their_order_and_content_around_replies(self):
         host = Host()
         call = host.call()
@@ -310,6 +349,7 @@ class TestSifs:
 
 
 class TestClose:
+    @pytest.mark.requirement("J2A-TIME-006")
     def test_all_calls_end_with_the_reason(self):
         host = Host()
         calls = [host.call(), host.call()]
