@@ -325,7 +325,11 @@ def test_watch_shows_text_and_any_opcode(run, url):
 def test_watch_reports_gaps(run, fake, wire):
     reply, sif = wire
     burst = sif(250, 1) + sif(2, 1, b"\x12\xed") + sif(3, 1) + sif(5, 1)
-    url = fake(lambda request: reply(request.seq, 0) + (burst if request.opcode == 9 else b""))
+
+    def answer(request):
+        return reply(request.seq, 0) + burst if request.opcode == 9 else reply(request.seq, 0xF0)
+
+    url = fake(answer)
     result = run("watch", url, "--call", "9", "--count", "4")
     assert [line.strip() for line in result.out.splitlines() if "missed" in line] == [
         "7 SIFs missed",
