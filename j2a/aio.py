@@ -82,7 +82,20 @@ class AsyncClient(Shell):
     async def call(
         self, function: str | int, payload: bytes = b"", timeout: float | None = None
     ) -> Reply:
-        """Call a function of the device; see `j2a.Client.call`."""
+        """Call a function of the device and wait for its reply; `j2a.Client.call` for asyncio.
+
+        Source: J2A-SEQ-003, J2A-SEQ-004, J2A-SEQ-005, J2A-TIME-006, J2A-DISP-007.
+
+        Args:
+            function: its name in the function map, or its opcode 0..255.
+            payload: 0 to 255 bytes.
+            timeout: the time limit in seconds; None takes the client's, `math.inf` has no limit.
+
+        Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
+
+        Raises: LocalError for a wrong argument; RemoteError when the device refused the request;
+            CallTimeout when no reply came in time; LinkError when the link is lost or closed.
+        """
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
         if self._peer.functions is None and isinstance(function, str):
@@ -91,11 +104,17 @@ class AsyncClient(Shell):
         return await self._call(what, opcode, data, limit_s)
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
-        """Send bytes to a2jEcho and return what comes back; see `j2a.Client.echo`."""
+        """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
+
+        Raises: as `call`; ProtocolError when it is not the same.
+        """
         return check_echo(await self.call(GET_ECHO, payload, timeout), bytes(payload))
 
     async def read_debug(self, timeout: float | None = None) -> str:
-        """Take the debug text that waits in the device; see `j2a.Client.read_debug`."""
+        """Take the debug text that waits; `[...]` in it is where text was lost (J2A-DEBUG-002).
+
+        Raises: as `call`; FunctionFailed or ProtocolError when the device returns no flags.
+        """
         return await self._drive(self._read_debug(), timeout)
 
     # ------------------------------------------------------------------ transfers
@@ -108,7 +127,18 @@ class AsyncClient(Shell):
         max_bytes: int = DEFAULT_MAX_BYTES,
         progress: Progress | None = None,
     ) -> bytes:
-        """Read everything that a function has; see `j2a.Client.read_many`."""
+        """Read all that a function for a2jMany has (J2A-MANY-011, J2A-MANY-012, J2A-MANY-014).
+
+        Args:
+            function: its name or opcode.
+            timeout: the time limit of each chunk, in seconds.
+            max_bytes: the most to accept.
+            progress: called after each chunk with the bytes read and None, at the end with the
+                bytes read twice.
+
+        Raises: as `call`; FunctionFailed; ProtocolError when the chunks do not fit together;
+            LegacyLimit when a device of version 1.0 cannot do it.
+        """
         return await self._drive(self._read_many(function, max_bytes, progress), timeout)
 
     async def write_many(
@@ -119,28 +149,55 @@ class AsyncClient(Shell):
         timeout: float | None = None,
         progress: Progress | None = None,
     ) -> int:
-        """Write data of any size to a function; see `j2a.Client.write_many`."""
+        """Write data of any size to a function for a2jMany (J2A-MANY-012, J2A-MANY-013).
+
+        Args:
+            function: its name or opcode.
+            data: up to 2**32-1 bytes.
+            timeout: the time limit of each chunk, in seconds.
+            progress: called after each chunk with the bytes done and the bytes in all.
+
+        Returns: the return value of the function for the last chunk.
+
+        Raises: as `read_many`.
+        """
         return await self._drive(self._write_many(function, data, progress), timeout)
 
     async def echo_many(
         self, data: bytes, *, timeout: float | None = None, progress: Progress | None = None
     ) -> bytes:
-        """Send data of any size through a2jEchoMany; see `j2a.Client.echo_many`."""
+        """Send data of any size through a2jEchoMany and return the same (J2A-ECHO-002).
+
+        Args and raises: as `write_many`; ProtocolError when it is not the same.
+        """
         return await self._drive(self._echo_many(data, progress), timeout)
 
     # ------------------------------------------------------------------ what the device has
 
     async def functions(self) -> dict[str, int]:
-        """Return names and opcodes of the device's functions; empty when it has no map."""
+        """Return names and opcodes of the functions; empty when there is no map (J2A-MAP-005).
+
+        Raises: as `call`, when the map is still to be fetched.
+        """
         await self._drive(self._load_map())
         return dict(self._peer.functions or {})
 
     async def properties(self) -> dict[str, str]:
-        """Return the device's properties, read when first asked for; empty when it has none."""
+        """Return the properties, read when first asked for; {} if there are none (J2A-PROP-005).
+
+        Raises: as `read_many`.
+        """
         return await self._drive(self._read_properties())
 
     async def refresh(self, boot_time: float | None = None) -> None:
-        """Fetch the function map anew and forget the properties; see `j2a.Client.refresh`."""
+        """Fetch the function map anew and forget the properties (J2A-MAP-001).
+
+        Args:
+            boot_time: for how long to try again while the device does not answer, in seconds;
+                None tries once.
+
+        Raises: as `call`; ProtocolError when what answers is no device.
+        """
         await self._drive(self._refresh(boot_time))
 
     # ------------------------------------------------------------------ SIFs
@@ -153,8 +210,8 @@ class AsyncClient(Shell):
         """Register a handler for server-initiated frames; without `handler` a decorator.
 
         Handlers run one after the other, in the order in which the SIFs came and the handlers were
-        registered; each is awaited before the next one if it is a coroutine function. They may use
-        the client. A handler that is an ordinary function holds up the event loop while it runs.
+        registered (J2A-SIF-003, J2A-SIF-007); one that is a coroutine function is awaited before
+        the next. They may use the client. An ordinary function holds up the event loop.
 
         Args, returns and raises: as `j2a.Client.on_sif`.
         """

@@ -69,6 +69,9 @@ class Client(Shell):
     ) -> Reply:
         """Call a function of the device and wait for its reply.
 
+        Every call ends (J2A-TIME-006), and only by the reply to itself (J2A-SEQ-003, J2A-SEQ-004,
+        J2A-SEQ-005). Names are those of the function map (J2A-DISP-007).
+
         Args:
             function: its name in the function map, or its opcode 0..255.
             payload: 0 to 255 bytes.
@@ -91,16 +94,18 @@ class Client(Shell):
         return self._engine.call(what, opcode, data, limit_s)
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
-        """Send 0 to 255 bytes to a2jEcho and return what comes back, which is the same.
+        """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
 
         Raises: as `call`; ProtocolError when it is not the same.
         """
         return check_echo(self.call(GET_ECHO, payload, timeout), bytes(payload))
 
     def read_debug(self, timeout: float | None = None) -> str:
-        """Take the debug text that waits in the device; where text was lost it begins with `[...]`.
+        """Take the debug text that waits in the device; `[...]` in it is where text was lost.
 
-        Raises: as `call`.
+        Source: J2A-DEBUG-001, J2A-DEBUG-002.
+
+        Raises: as `call`; FunctionFailed or ProtocolError when the device returns no flags.
         """
         return self._drive(self._read_debug(), timeout)
 
@@ -115,6 +120,8 @@ class Client(Shell):
         progress: Progress | None = None,
     ) -> bytes:
         """Read everything that a function made for a2jMany has.
+
+        Source: J2A-MANY-011, J2A-MANY-012, J2A-MANY-014.
 
         Args:
             function: its name or opcode.
@@ -138,6 +145,8 @@ class Client(Shell):
     ) -> int:
         """Write data of any size to a function made for a2jMany.
 
+        Source: J2A-MANY-012, J2A-MANY-013, J2A-MANY-014.
+
         Args:
             function: its name or opcode.
             data: up to 2**32-1 bytes.
@@ -153,7 +162,9 @@ class Client(Shell):
     def echo_many(
         self, data: bytes, *, timeout: float | None = None, progress: Progress | None = None
     ) -> bytes:
-        """Send data of any size through a2jEchoMany and return what comes back, which is the same.
+        """Send data of any size through a2jEchoMany and return what comes back, the same.
+
+        Source: J2A-ECHO-002.
 
         Args and raises: as `write_many`; ProtocolError when it is not the same.
         """
@@ -163,7 +174,7 @@ class Client(Shell):
 
     @property
     def functions(self) -> dict[str, int]:
-        """Names and opcodes of the device's functions; empty when it has no function map.
+        """Names and opcodes of the device's functions; empty when it has no map (J2A-MAP-005).
 
         Raises: as `call`, when the map is still to be fetched.
         """
@@ -174,18 +185,20 @@ class Client(Shell):
     def properties(self) -> dict[str, str]:
         """The device's properties, read when first asked for; empty when it has none.
 
+        Source: J2A-PROP-001, J2A-PROP-005.
+
         Raises: as `read_many`.
         """
         return self._drive(self._read_properties())
 
     def refresh(self, boot_time: float | None = None) -> None:
-        """Fetch the function map anew and forget the properties.
+        """Fetch the function map anew and forget the properties (J2A-MAP-001).
 
         Args:
             boot_time: for how long to try again while the device does not answer, in seconds;
                 None tries once.
 
-        Raises: as `call`.
+        Raises: as `call`; ProtocolError when what answers is no device.
         """
         self._drive(self._refresh(boot_time))
 
@@ -199,7 +212,7 @@ class Client(Shell):
         """Register a handler for server-initiated frames; without `handler` a decorator.
 
         Handlers run in one thread of the client, in the order in which the SIFs came and the
-        handlers were registered; they may use the client.
+        handlers were registered (J2A-SIF-003, J2A-SIF-007); they may use the client.
 
         Args:
             opcodes: one opcode 0..255, several, or None for all.
@@ -268,6 +281,7 @@ def connect(
         LocalError: an argument, the URL or an option is wrong.
         OpenFailed: the URL names nothing that can be opened.
         CallTimeout: no device answered within `boot_time`.
+        ProtocolError: what answers is no device; the link may echo what is sent.
         LinkLost: the link broke meanwhile.
     """
     check_timeout(boot_time)

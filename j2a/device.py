@@ -37,6 +37,8 @@ _RXBUF: Final = 4096
 class Device:
     """The server side of J2A.
 
+    It answers each good request by one reply, in order (J2A-DISP-001, J2A-DISP-002).
+
     Example::
 
         device = j2a.Device({"name": "thermometer"})
@@ -102,7 +104,7 @@ class Device:
 
         The function takes the payload of the request and returns the payload of the reply, a
         return code 0..0xEF (0xFF is failure), a tuple of both, or None. An exception or any other
-        code becomes 0xFF.
+        code becomes 0xFF (J2A-DISP-003, J2A-DISP-004).
 
         Args:
             name: what hosts call it, printable ASCII without spaces; without it the function's own.
@@ -119,8 +121,8 @@ class Device:
     def many(self, name: ManyFunction | str | None = None) -> object:
         """Register a function for transfers of any size in chunks (a2jMany); a decorator.
 
-        The function takes a `ManyRequest` and returns a `ManyReply`, once for each chunk;
-        `read_chunk` serves reads of content that is there as a whole.
+        The function takes a `ManyRequest` and returns a `ManyReply`, once for each chunk
+        (J2A-MANY-002, J2A-MANY-007); `read_chunk` serves reads of content that is there as a whole.
 
         Args:
             name: what hosts call it, printable ASCII without spaces; without it the function's own.
@@ -133,7 +135,7 @@ class Device:
     # ------------------------------------------------------------------ speaking unasked
 
     def send_sif(self, opcode: int, payload: bytes = b"") -> int:
-        """Send a server-initiated frame to every connected host.
+        """Send a server-initiated frame to every connected host (J2A-SIF-001, J2A-SIF-002).
 
         Args:
             opcode: 0..255, what hosts register handlers for.
@@ -151,7 +153,10 @@ class Device:
         return sum(connection.send_sif(opcode, data) for connection in connections)
 
     def debug(self, text: str) -> None:
-        """Append text to what hosts read through a2jDebug; the oldest is lost beyond 4 KiB."""
+        """Append text to what hosts read through a2jDebug; the oldest is lost beyond 4 KiB.
+
+        Source: J2A-DEBUG-001, J2A-DEBUG-002.
+        """
         with self._debug_lock:
             self._debug_text.write(text)
 
