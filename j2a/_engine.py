@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from j2a._handlers import ErrorHook, Handlers, Reporter
-from j2a._link import link_error
+from j2a._link import WAIT_S, link_error
 from j2a._session import Call, Session
 from j2a._shell import MAX_SIFS_WAITING, join_threads, take_stale_input
 from j2a.errors import LinkClosed, LinkError, LocalError
@@ -97,9 +97,9 @@ class Engine:
 
     def _wait(self, call: Call, waiter: threading.Lock) -> None:
         while not call.has_ended:
-            wait_s = -1.0
+            wait_s = WAIT_S
             if call.deadline is not None:
-                wait_s = min(max(0.0, call.deadline - time.monotonic()), threading.TIMEOUT_MAX)
+                wait_s = min(max(0.0, call.deadline - time.monotonic()), WAIT_S)
             if not waiter.acquire(timeout=wait_s):
                 with self._state:
                     self._settle(self._session.handle_timeout(time.monotonic()))

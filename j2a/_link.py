@@ -9,7 +9,11 @@ import j2a_transports
 
 from j2a.errors import BadUrl, LinkClosed, LinkError, LinkLost, LocalError, OpenFailed
 
-__all__ = ["TRANSPORT_ERRORS", "link_error", "open_transport"]
+__all__ = ["TRANSPORT_ERRORS", "WAIT_S", "link_error", "open_transport"]
+
+WAIT_S: Final = 1.0
+"""No wait that may be the main thread's lasts longer. A signal that comes just before a wait does
+not end it, so Ctrl-C would go unseen for as long as the wait lasts."""
 
 TRANSPORT_ERRORS: Final = (j2a_transports.TransportError, OSError)
 

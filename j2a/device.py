@@ -17,7 +17,7 @@ from j2a_spec.constants import BYTE_TIMEOUT_MS, PROP_RXBUF, PROP_SPEC, SPEC_VERS
 
 from j2a._arguments import check_opcode, check_payload
 from j2a._functions import CallFunction, DebugText, FunctionTable, ManyFunction
-from j2a._link import TRANSPORT_ERRORS, link_error
+from j2a._link import TRANSPORT_ERRORS, WAIT_S, link_error
 from j2a._server import Request, Server
 from j2a._trace import Trace
 from j2a.errors import LinkClosed, LocalError
@@ -197,7 +197,7 @@ class Device:
         self._enter(self._listeners, listener)
         try:
             while True:
-                transport = listener.accept(None)
+                transport = listener.accept(WAIT_S)
                 if transport is not None:
                     threading.Thread(
                         target=self._serve_in_thread,
@@ -289,7 +289,9 @@ class _Connection:
     def _read(self) -> None:
         with self._state:
             deadline = self._server.next_timeout()
-        wait_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+        wait_s = WAIT_S
+        if deadline is not None:
+            wait_s = min(max(0.0, deadline - time.monotonic()), WAIT_S)
         data = self.transport.read(wait_s)
         if not data:
             # This thread may have been late itself: what has come by now came in time.

@@ -14,7 +14,8 @@ from pathlib import Path
 import j2a_transports
 
 import j2a
-from j2a.cli._exit import LINK, OK, UsageError, end_on_sigterm
+from j2a._link import WAIT_S
+from j2a.cli._exit import OK, UsageError, end_on_sigterm
 from j2a.cli._link import add_verbose_argument
 from j2a.cli._trace import TracePrinter
 
@@ -61,9 +62,8 @@ def run(args: argparse.Namespace) -> int:
         if not args.once:
             device.serve_forever(listener)
             return OK
-        transport = listener.accept(None)
-        if transport is None:
-            return LINK
+        while (transport := listener.accept(WAIT_S)) is None:
+            pass
         device.serve(transport)
     return OK
 
