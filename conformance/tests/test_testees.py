@@ -1,7 +1,5 @@
 """The testees of the project conform: posix firmware, AVR in simavr, Python Device."""
 
-import os
-import shutil
 from pathlib import Path
 
 import j2a_transports
@@ -15,26 +13,28 @@ FOLDER = Path(__file__).parents[1] / "testees"
 NOTHING_LOST = {"limits.overrun"}
 
 
-def started(name):
-    """Start a testee, or skip with what is missing; where the AVR is required that fails."""
-    testee = load_testee(FOLDER / f"{name}.toml")
-    for program in testee.needs:
-        if shutil.which(program) is None:
-            missing(f"{program} is not installed")
-    return testee.started()
+@pytest.fixture
+def started(need):
+    """Start a testee by its name, once what it needs is known to be there."""
+
+    def start(name):
+        testee = load_testee(FOLDER / f"{name}.toml")
+        for program in testee.needs:
+            need(program)
+        return testee.started()
+
+    return start
 
 
-def missing(what):
-    if os.environ.get("J2A_REQUIRE_AVR") == "1":
-        pytest.fail(f"J2A_REQUIRE_AVR=1, but {what}")
-    pytest.skip(what)
+@pytest.fixture
+def open_simulated(missing):
+    def connect(url):
+        try:
+            return j2a_transports.open(url)
+        except j2a_transports.OpenFailed as error:
+            missing(str(error))
 
-
-def open_simulated(url):
-    try:
-        return j2a_transports.open(url)
-    except j2a_transports.OpenFailed as error:
-        missing(str(error))
+    return connect
 
 
 @pytest.mark.parametrize("name", ["posix", "python"])
@@ -48,7 +48,7 @@ def test_by_the_command_line(name, tmp_path, capsys):
 
 @pytest.mark.avr
 @pytest.mark.parametrize("name", ["avr", "avr-1m"])
-def test_avr(name):
+def test_avr(name, started, open_simulated):
     with started(name) as url:
         found = run(lambda: open_simulated(url), load(), url=url, fresh=True)
     assert found.conformant
@@ -56,7 +56,7 @@ def test_avr(name):
     assert {r.case: r.reason for r in found.results if r.verdict is not Verdict.OK} == {}
 
 
-def test_without_application_only_its_functions_are_missed():
+def test_without_application_only_its_functions_are_missed(started):
     with started("builtins") as url:
         found = run(lambda: j2a_transports.open(url), fast(), url=url, fresh=True)
     assert found.conformant

@@ -26,10 +26,10 @@ def outputs(root: Path) -> dict[Path, str]:
     }
 
 
-def stale(root: Path) -> list[Path]:
-    """Return the generated files below `root` that are missing or differ from what they are due."""
-    return [
-        path
+def stale(root: Path) -> dict[Path, str]:
+    """Return, with the text that is due, the generated files below `root` that differ from it."""
+    return {
+        path: text
         for path, text in outputs(root).items()
         if not path.exists() or path.read_text("utf-8") != text
-    ]
+    }

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import j2a_spec
-from j2a_spec.generate import outputs, stale
+from j2a_spec.generate import stale
 
 
 def main() -> int:
@@ -22,13 +22,13 @@ def main() -> int:
     if not (options.root / "spec/SPEC.md").is_file():
         parser.error(f"{options.root} has no spec/SPEC.md; give the repository with --root")
     differing = stale(options.root)
-    for path in differing:
+    for path, text in differing.items():
         name = path.relative_to(options.root)
         if options.check:
             print(f"{name} is not current: run python -m j2a_spec.generate", file=sys.stderr)
         else:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(outputs(options.root)[path], "utf-8")
+            path.write_text(text, "utf-8")
             print(f"wrote {name}")
     if options.check and not differing:
         print("generated files are current")
