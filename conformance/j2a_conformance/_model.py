@@ -23,10 +23,14 @@ class Verdict(Enum):
     """The outcome of a case."""
 
     OK = "ok"
+    NON_STRICT = "non-strict"
+    """The device breaks the letter of this version, as the profile of the run allows."""
     INFORMATIONAL = "informational"
     """What the case is about did not happen on this link; nothing was wrong."""
     UNIMPLEMENTED = "unimplemented"
     """The device does not claim what the case needs; it was not run or not finished."""
+    KNOWN_DEVIATION = "known-deviation"
+    """The device fails as its list of known deviations says."""
     FAILED = "failed"
 
 
@@ -109,6 +113,10 @@ class Run:
         claims: what the device says about itself; None when it could not be read.
         results: in the order in which the cases ran, the smoke step first.
         stopped: why cases were left out at the end, or "".
+        title: what the device is, or "".
+        profile: what the device was judged by: "strict", or a name of an older base.
+        stale: entries of the list of known deviations that did not come true, as sentences that
+            name the case and say why: it passed, or it was not judged.
     """
 
     url: str
@@ -117,6 +125,9 @@ class Run:
     claims: Claims | None
     results: tuple[Result, ...]
     stopped: str = ""
+    title: str = ""
+    profile: str = "strict"
+    stale: tuple[str, ...] = ()
 
     def with_verdict(self, verdict: Verdict) -> tuple[Result, ...]:
         """Return the results that have this verdict."""

@@ -7,8 +7,8 @@ import time
 
 import junitparser
 import pytest
-from j2a_conformance import cli, load
-from j2a_conformance.cli import main
+from j2a_conformance import load
+from j2a_conformance.cli import main, run
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_fault_of_the_suite_is_no_verdict(capsys, monkeypatch):
     def broken(*_args, **_options):
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr(cli, "run", broken)
+    monkeypatch.setattr(run, "run", broken)
     assert main(["run", "exec:cat"]) == 3
     assert "Traceback" not in (err := capsys.readouterr().err)
     assert "ZeroDivisionError: oh" in err

@@ -1,56 +1,42 @@
-"""`j2a-conform`: judge a device from the command line.
+"""`j2a-conform run`: judge a device.
 
-What flows in: arguments. What flows out: a report, and an exit code: 0 conformant, 1 not, 3 when
-the harness, the link or the arguments are wrong, so that nothing can be said about the device.
-Rule: 1 is a verdict, never the end of a program that failed.
+What flows in: a URL or a testee file, and which cases. What flows out: reports, and an exit code.
 """
 
 import argparse
-import os
 import sys
-import traceback
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import NoReturn, get_args
+from typing import get_args
 
 import j2a_transports
 from j2a_spec.requirements import Level
 
-from . import _console
-from ._case import Case
-from ._coverage import coverage
-from ._model import HarnessError, Result, Run, Verdict
-from ._runner import run
-from ._smoke import SMOKE
-from ._testee import load_testee
-from .cases import load
+from j2a_conformance import _console
+from j2a_conformance._case import Case
+from j2a_conformance._coverage import coverage
+from j2a_conformance._model import HarnessError, Result, Run, Verdict
+from j2a_conformance._runner import run
+from j2a_conformance._smoke import SMOKE
+from j2a_conformance._testee import load_testee
+from j2a_conformance.cases import load
 
-__all__ = ["main"]
+from ._exit import CONFORMANT, FAILED, HARNESS, UsageError
 
-_CONFORMANT, _FAILED, _HARNESS = 0, 1, 3
+__all__ = ["add_arguments", "main", "select"]
+
 _FRESH = ("exec:", "pty:", "sim:")  # opening one of these starts the device
 
 
-class _Parser(argparse.ArgumentParser):
-    """Bad arguments say nothing about a device: exit code 3, not argparse's 2."""
-
-    def error(self, message: str) -> NoReturn:
-        self.print_usage(sys.stderr)
-        self.exit(_HARNESS, f"{self.prog}: {message}\n")
-
-
-def _parser() -> _Parser:
-    parser = _Parser(prog="j2a-conform", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    command = commands.add_parser(
-        "run",
-        help="run the cases against a device",
-        description="Runs the conformance cases against the device behind URL. "
-        "Exit code: 0 conformant, 1 not, 3 harness, link or arguments wrong.",
-        epilog="URL: " + ", ".join(f"{scheme}:" for scheme in j2a_transports.schemes()),
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    command.description = (
+        "Runs the conformance cases against the device behind URL. "
+        "Exit code: 0 conformant, 1 not, 3 harness, link or arguments wrong."
     )
+    command.epilog = "URL: " + ", ".join(f"{scheme}:" for scheme in j2a_transports.schemes())
     command.add_argument(
         "url",
         nargs="?",
@@ -95,7 +81,23 @@ def _parser() -> _Parser:
     )
     command.add_argument("--stop-on-failure", action="store_true", help="stop at the first failure")
     command.add_argument("-v", "--verbose", action="store_true", help="show each case as it ends")
-    return parser
+
+
+def main(args: argparse.Namespace) -> int:
+    """Carry the command out; return the exit code.
+
+    Raises:
+        HarnessError: nothing can be said about the device.
+    """
+    cases = select(args.level, args.case)
+    if args.list:
+        _list(cases)
+        return CONFORMANT
+    if not args.url:
+        raise UsageError("a URL is needed, e.g. tcp://127.0.0.1:5000")
+    if not 0 < args.timeout_scale < 1000:
+        raise UsageError("--timeout-scale takes a number above 0 and below 1000")
+    return _run(args, cases)
 
 
 def select(levels: Sequence[str] | None, patterns: Sequence[str] | None) -> list[Case]:
@@ -127,41 +129,9 @@ def _list(cases: Sequence[Case]) -> None:
     sys.stdout.flush()
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code."""
-    parser = _parser()
-    args = parser.parse_args(argv)
-    try:
-        cases = select(args.level, args.case)
-        if args.list:
-            _list(cases)
-            return _CONFORMANT
-        if not args.url:
-            parser.error("a URL is needed, e.g. tcp://127.0.0.1:5000")
-        if not 0 < args.timeout_scale < 1000:
-            parser.error("--timeout-scale takes a number above 0 and below 1000")
-        return _run(args, cases)
-    except HarnessError as error:
-        print(f"j2a-conform: {error}", file=sys.stderr)
-        return _HARNESS
-    except KeyboardInterrupt:
-        print("j2a-conform: interrupted", file=sys.stderr)
-        return _HARNESS
-    except BrokenPipeError:
-        # Nobody reads the output any more; Python would write the rest at exit, and complain.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _HARNESS
-    except Exception as error:
-        if args.verbose:
-            traceback.print_exc()
-        what = f"{type(error).__name__}: {error}"
-        print(f"j2a-conform: a fault of the suite, -v shows more: {what}", file=sys.stderr)
-        return _HARNESS
-
-
 def _junit_writer() -> Callable[[Run, Path], None]:
     try:
-        from ._junit import write  # noqa: PLC0415 - needs an extra, which may be missing
+        from j2a_conformance._junit import write  # noqa: PLC0415 - needs an extra, which may be missing
     except ModuleNotFoundError as error:
         raise HarnessError(f"--junit: {error}; install j2a[conformance]") from error
     return write
@@ -182,9 +152,9 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
         except OSError as error:
             raise HarnessError(f"cannot write the JUnit report: {error}") from error
     if found.with_verdict(Verdict.FAILED):
-        return _FAILED
+        return FAILED
     # An interrupted run has judged only a part, which is no proof of conformance.
-    return _HARNESS if found.stopped else _CONFORMANT
+    return HARNESS if found.stopped else CONFORMANT
 
 
 def _judge(url: str, fresh: bool, args: argparse.Namespace, cases: Sequence[Case]) -> Run:
@@ -202,7 +172,3 @@ def _judge(url: str, fresh: bool, args: argparse.Namespace, cases: Sequence[Case
         stop_on_failure=args.stop_on_failure,
         on_result=show,
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

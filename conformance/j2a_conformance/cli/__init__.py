@@ -1,0 +1,83 @@
+"""The command line `j2a-conform`.
+
+What flows in: arguments. What flows out: reports, and an exit code of `_exit`. Rules: each command
+is a module of its own, with `add_arguments(parser)` and `main(args)`, named in the table below and
+imported when it is used.
+"""
+
+import argparse
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib import import_module
+from types import ModuleType
+from typing import Final, NoReturn
+
+from j2a_conformance._model import HarnessError
+
+from ._exit import HARNESS, UsageError
+
+__all__ = ["main"]
+
+_COMMANDS: Final = {
+    "run": "judge a device",
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """Bad arguments say nothing about a device: exit code 3, not argparse's 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(HARNESS, f"{self.prog}: {message}\n")
+
+
+def _module(name: str) -> ModuleType:
+    return import_module(f".{name}", __name__)
+
+
+def _parser(words: Sequence[str]) -> tuple[_Parser, _Parser | None]:
+    """Return the parser, with the arguments of the one command that is asked for, and its own."""
+    parser = _Parser(
+        prog="j2a-conform",
+        description="Judges devices and hosts by the specification of J2A.",
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    chosen = None
+    for name, text in _COMMANDS.items():
+        command = commands.add_parser(
+            name, help=text, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        if name in words[:1]:
+            _module(name).add_arguments(command)
+            chosen = command
+    return parser, chosen
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    words = sys.argv[1:] if argv is None else list(argv)
+    parser, command = _parser(words)
+    args = parser.parse_args(words)
+    verbose = getattr(args, "verbose", False)
+    try:
+        status: int = _module(args.command).main(args)
+        sys.stdout.flush()
+        return status
+    except UsageError as error:
+        assert command is not None
+        command.error(str(error))
+    except HarnessError as error:
+        print(f"j2a-conform: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("j2a-conform: interrupted", file=sys.stderr)
+    except BrokenPipeError:
+        # Nobody reads the output any more; Python would write the rest at exit, and complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except Exception as error:
+        if verbose:
+            traceback.print_exc()
+        what = f"{type(error).__name__}: {error}"
+        print(f"j2a-conform: a fault of the suite, -v shows more: {what}", file=sys.stderr)
+    return HARNESS

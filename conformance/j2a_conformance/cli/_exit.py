@@ -1,0 +1,18 @@
+"""The exit codes of `j2a-conform`. Rule: all but HARNESS are judgements."""
+
+__all__ = ["CONFORMANT", "FAILED", "HARNESS", "NOTHING", "UNEXPECTED", "UsageError"]
+
+CONFORMANT = 0
+"""Nothing failed."""
+FAILED = 1
+"""A case failed."""
+UNEXPECTED = 2
+"""Nothing failed, but something that was known to fail passed, so the list is out of date."""
+HARNESS = 3
+"""The harness, the link or the arguments are wrong: nothing can be said."""
+NOTHING = 4
+"""Nothing was tested: the device claims none of what was asked for."""
+
+
+class UsageError(Exception):
+    """The arguments do not go together; the message says how they do."""
