@@ -1,5 +1,5 @@
 # Room for a few requests while a function runs, where RAM is scarce.
-ifeq ($(PORT),avr-serial)
+ifdef SMALL
 RXBUF ?= 128
 TXBUF ?= 32
 APP_OPTIONS := -DDEMO_STORE_BYTES=256
