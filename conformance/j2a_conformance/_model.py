@@ -6,8 +6,11 @@ Rules: frozen; no report adds a judgement of its own.
 
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
+from importlib import metadata
 from typing import Literal
 
+from j2a_spec import SPEC_VERSION
 from j2a_spec.requirements import Level
 
 __all__ = ["Claims", "Evidence", "HarnessError", "Kind", "Result", "Run", "Verdict"]
@@ -41,7 +44,7 @@ class Evidence:
     Attributes:
         kind: bytes sent, bytes received, a SIF received, what was expected, or a note.
         at_ms: time since the case began.
-        data: the bytes on the wire, for the first three kinds.
+        data: the bytes on the wire; of what was expected only where all of them are known.
         text: words, for the last two kinds.
     """
 
@@ -102,6 +105,14 @@ class Result:
     duration_s: float = 0.0
 
 
+@cache
+def _j2a_version() -> str:
+    try:
+        return metadata.version("j2a")
+    except metadata.PackageNotFoundError:  # run from a checkout that is not installed
+        return "unknown"
+
+
 @dataclass(frozen=True, slots=True)
 class Run:
     """A whole run against one device.
@@ -117,6 +128,10 @@ class Run:
         profile: what the device was judged by: "strict", or a name of an older base.
         stale: entries of the list of known deviations that did not come true, as sentences that
             name the case and say why: it passed, or it was not judged.
+        not_run: the cases of the suite that are not among the results, because they were not
+            asked for or the run ended before them, each with its level.
+        j2a_version: of the package that judged.
+        spec_version: of the specification that it judged by.
     """
 
     url: str
@@ -128,6 +143,9 @@ class Run:
     title: str = ""
     profile: str = "strict"
     stale: tuple[str, ...] = ()
+    not_run: dict[str, Level] = field(default_factory=dict)
+    j2a_version: str = field(default_factory=_j2a_version)
+    spec_version: str = SPEC_VERSION
 
     def with_verdict(self, verdict: Verdict) -> tuple[Result, ...]:
         """Return the results that have this verdict."""

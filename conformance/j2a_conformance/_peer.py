@@ -39,6 +39,13 @@ class Expected:
             and self.payload in (None, frame.payload)
         )
 
+    @property
+    def wire(self) -> bytes:
+        """Its bytes on the wire, or b"" where a field is open."""
+        if self.code is None or self.payload is None:
+            return b""
+        return encode(Frame(c.SOF, self.seq, self.code, self.payload))
+
     def __str__(self) -> str:
         code = "any code" if self.code is None else f"code 0x{self.code:02X}"
         payload = "any payload" if self.payload is None else _payload(self.payload)
@@ -236,14 +243,14 @@ class Peer:
         arrival, frame = self._receive(request.expected, self.link.reply_timeout_s)
         wanted = encode(frame)
         if arrival.raw != wanted:
-            self.link.record("expected", text=wanted.hex(" "))
+            self.link.record("expected", wanted)
             fail("the bytes of the reply are not those of the oracle")
 
     def _receive(self, due: Expected, timeout_s: float) -> tuple[Arrival, Frame]:
         arrival = self.next_frame(timeout_s)
         if arrival is None:
             tail = self.link.unfinished()
-            self.link.record("expected", text=str(due))
+            self.link.record("expected", due.wire, str(due))
             rest = (
                 f", only the unfinished {tail.hex(' ')}; a slow link needs --timeout-scale"
                 if tail
@@ -252,7 +259,7 @@ class Peer:
             fail(f"no answer within {timeout_s:.1f} s{rest}")
         event = arrival.event
         if not isinstance(event, Frame) or not due.matches(event):
-            self.link.record("expected", text=str(due))
+            self.link.record("expected", due.wire, str(due))
             # An unasked 0xF2 may mean that this machine stalled in the middle of a frame.
             stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
             fail(f"{describe(event)} came instead of {due}", suspect=stalled)
@@ -283,11 +290,12 @@ class Peer:
         self.link.send(request.wire)
         arrival = self.next_frame(self.link.reply_timeout_s)
         if arrival is None:
-            self.link.record("expected", text=str(request.expected))
+            self.link.record("expected", request.expected.wire, str(request.expected))
             fail("a good request was not answered")
         event = arrival.event
         if not isinstance(event, Frame) or not request.expected.matches(event):
-            self.link.record("expected", text=f"nothing, and then {request.expected}")
+            text = f"nothing, and then {request.expected}"
+            self.link.record("expected", request.expected.wire, text)
             stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
             fail(f"{describe(event)} came where silence was due", suspect=stalled)
 

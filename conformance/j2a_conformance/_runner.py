@@ -17,6 +17,7 @@ from ._model import Claims, HarnessError, Result, Run, Verdict
 from ._peer import Peer
 from ._smoke import SMOKE
 from ._wire import Link
+from .cases import load
 
 __all__ = ["run"]
 
@@ -78,6 +79,7 @@ def run(
         stopped = "interrupted from the keyboard"
     finally:
         session.close()
+    ran = {result.case for result in results}
     return Run(
         url=url,
         started=began.isoformat(timespec="seconds"),
@@ -85,6 +87,7 @@ def run(
         claims=session.peer.claims if session.known else None,
         results=tuple(results),
         stopped=stopped,
+        not_run={case.ID: case.LEVEL for case in (*SMOKE, *load()) if case.ID not in ran},
     )
 
 

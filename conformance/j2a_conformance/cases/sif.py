@@ -55,7 +55,7 @@ class Start(Case):
             sif = peer.next_sif(before)
             wanted = encode(Frame(c.SOS, sif.seq, opcode, payload))
             if peer.link.sifs[before].raw != wanted:
-                peer.link.record("expected", text=wanted.hex(" "))
+                peer.link.record("expected", wanted)
                 fail("the bytes of the SIF are not those of the oracle")
 
 

@@ -122,10 +122,10 @@ class GivesUp(Case):
         arrival = peer.next_frame(peer.link.reply_timeout_s)
         due = Expected(seq, c.ERR_TIMEOUT)
         if arrival is None or not isinstance(arrival.event, Frame):
-            peer.link.record("expected", text=str(due))
+            peer.link.record("expected", due.wire, str(due))
             fail("a frame that stopped was not answered")
         if not due.matches(arrival.event):
-            peer.link.record("expected", text=str(due))
+            peer.link.record("expected", due.wire, str(due))
             fail(f"error 0xF2 was due, code 0x{arrival.event.opcode:02X} came")
         if arrival.at_s - before_s < _ACCEPTED_S:
             fail(f"given up after {(arrival.at_s - before_s) * 1e3:.1f} ms")
