@@ -7,24 +7,24 @@ tests; its description and expectation are facts, readable without the code.
 
 from abc import ABC, abstractmethod
 from types import ModuleType
+from typing import TypeVar
 
 from j2a_spec.requirements import Level
 
 from ._peer import Peer
 
-__all__ = ["Case", "of_module"]
+__all__ = ["About", "Case", "of_module"]
 
 
-class Case(ABC):
-    """One thing that a device does right or wrong.
+class About(ABC):
+    """What a report says of a case, whether it judges a device or a host.
 
     Attributes:
         ID: stable name, `area.what`.
         DESCRIPTION: what the case does; the docstring of its class, in one line.
-        EXPECTATION: what a conforming device does.
+        EXPECTATION: what a conforming device or host does.
         REQUIREMENTS: ids of the requirements that it tests.
         LEVEL: level of conformance.
-        NEEDS: names of functions without which the case is not run.
     """
 
     ID: str
@@ -32,11 +32,20 @@ class Case(ABC):
     EXPECTATION: str
     REQUIREMENTS: tuple[str, ...]
     LEVEL: Level
-    NEEDS: tuple[str, ...] = ()
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         cls.DESCRIPTION = " ".join((cls.__doc__ or "").split())
+
+
+class Case(About):
+    """One thing that a device does right or wrong.
+
+    Attributes:
+        NEEDS: names of functions without which the case is not run.
+    """
+
+    NEEDS: tuple[str, ...] = ()
 
     def run(self, peer: Peer) -> None:
         """Judge the device behind `peer`.
@@ -54,13 +63,16 @@ class Case(ABC):
         """Do what the case is about; see `run`."""
 
 
-def of_module(module: ModuleType) -> tuple[Case, ...]:
-    """Return one instance of each case class that `module` defines, in their order there."""
+_About = TypeVar("_About", bound=About)
+
+
+def of_module(module: ModuleType, kind: type[_About]) -> tuple[_About, ...]:
+    """Return one instance of each case class of a kind that `module` defines, in its order."""
     return tuple(
         found()
         for found in vars(module).values()
         if isinstance(found, type)
-        and issubclass(found, Case)
+        and issubclass(found, kind)
         and found.__module__ == module.__name__
         and "ID" in vars(found)
     )

@@ -47,5 +47,9 @@ _MODULES = (
 @cache
 def load() -> tuple[Case, ...]:
     """Return every case but the smoke step, in the order in which they run."""
-    found = [case for module in _MODULES for case in of_module(module)]
+    found = [
+        case
+        for module in _MODULES
+        for case in of_module(module, Case)  # type: ignore[type-abstract] - of its subclasses
+    ]
     return (*found, *scenario.load())
