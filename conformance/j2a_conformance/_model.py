@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
 from importlib import metadata
-from typing import Literal
+from typing import Final, Literal, get_args
 
 from j2a_spec import SPEC_VERSION
 from j2a_spec.requirements import Level
@@ -16,6 +16,9 @@ from j2a_spec.requirements import Level
 __all__ = ["Claims", "Evidence", "HarnessError", "Kind", "Result", "Run", "Verdict"]
 
 Kind = Literal["sent", "received", "sif", "expected", "note"]
+
+_NEEDS: Final[dict[Level, Level]] = {"core": "frame"}
+"""The level below; what is not named here needs core."""
 
 
 class HarnessError(Exception):
@@ -35,6 +38,16 @@ class Verdict(Enum):
     KNOWN_DEVIATION = "known-deviation"
     """The device fails as its list of known deviations says."""
     FAILED = "failed"
+
+    @property
+    def passed(self) -> bool:
+        """The device was seen to do what the run judges it by."""
+        return self in (Verdict.OK, Verdict.NON_STRICT)
+
+    @property
+    def judged(self) -> bool:
+        """Something was seen of what the case is about."""
+        return self not in (Verdict.INFORMATIONAL, Verdict.UNIMPLEMENTED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +101,9 @@ class Result:
         reason: why, in words; "" where the verdict is OK.
         evidence: what was sent and received; of a long case the last part.
         left_out: number of evidence entries before those in `evidence`.
-        attempts: how often the case was run; more than once where the machine may have stalled.
+        attempts: how often the case was run; more than once where the machine may have stalled, or
+            where the link is declared lossy.
+        repeated: exchanges within the case that were repeated because the link is declared lossy.
         duration_s: of all attempts together.
     """
 
@@ -102,6 +117,7 @@ class Result:
     evidence: tuple[Evidence, ...] = ()
     left_out: int = 0
     attempts: int = 1
+    repeated: int = 0
     duration_s: float = 0.0
 
 
@@ -128,6 +144,8 @@ class Run:
         profile: what the device was judged by: "strict", or a name of an older base.
         stale: entries of the list of known deviations that did not come true, as sentences that
             name the case and say why: it passed, or it was not judged.
+        asked: ids of the cases that were asked for; () where that is all of the results.
+        lossy: attempts that each exchange had because the link was declared lossy; 0 when not.
         not_run: the cases of the suite that are not among the results, because they were not
             asked for or the run ended before them, each with its level.
         j2a_version: of the package that judged.
@@ -143,6 +161,8 @@ class Run:
     title: str = ""
     profile: str = "strict"
     stale: tuple[str, ...] = ()
+    asked: tuple[str, ...] = ()
+    lossy: int = 0
     not_run: dict[str, Level] = field(default_factory=dict)
     j2a_version: str = field(default_factory=_j2a_version)
     spec_version: str = SPEC_VERSION
@@ -154,4 +174,28 @@ class Run:
     @property
     def conformant(self) -> bool:
         """No case failed, and at least one passed."""
-        return not self.with_verdict(Verdict.FAILED) and bool(self.with_verdict(Verdict.OK))
+        return not self.with_verdict(Verdict.FAILED) and any(r.verdict.passed for r in self.results)
+
+    @property
+    def tested(self) -> bool:
+        """At least one of the cases that were asked for was judged."""
+        asked = [r for r in self.results if not self.asked or r.case in self.asked]
+        return any(result.verdict.judged for result in asked)
+
+    def levels(self) -> dict[Level, bool | None]:
+        """Return for each level whether the device reaches it; None where that is not known.
+
+        A level is reached when the one below it is (frame, then core, then any other), no case of
+        it failed, known deviation or not, and at least one passed. It is not known of a level that
+        the device does not claim, or of which not every case was run.
+        """
+        found: dict[Level, bool | None] = {}
+        for level in get_args(Level):
+            verdicts = {r.verdict for r in self.results if r.level == level}
+            whole = level not in self.not_run.values()
+            below = found.get(_NEEDS.get(level, "core"), True)
+            if below is False or verdicts & {Verdict.FAILED, Verdict.KNOWN_DEVIATION}:
+                found[level] = False
+            else:
+                found[level] = (below and whole and any(v.passed for v in verdicts)) or None
+        return found
