@@ -1,9 +1,9 @@
 """Faults on purpose: `faults:seed=1,drop=0.001:tcp://host:5000`, or `wrap(transport, drop=0.001)`.
 
-In: another transport.  Out: the same bytes, some dropped, flipped, doubled, cut apart or delayed.
-Rules: which byte suffers depends on the seed, the direction and the number of bytes before it, and
-on nothing else: not on time and not on how the bytes were chunked. Each kind of fault has its own
-random numbers, so that changing the rate of one leaves the others where they were.
+In: another transport.  Out: the same bytes, some dropped, flipped, doubled, swapped, delayed and so
+on, until a reset ends the link.
+Rules: what is done to the bytes is the work of `_damage.py`; here it is written, read and waited
+for, by the clock of the inner transport where that has one of its own.
 """
 
 from __future__ import annotations
@@ -12,139 +12,22 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from random import Random
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Final, Literal
 
-from ._base import BadUrl, LinkClosed, Listener, Transport
+from ._base import BadUrl, LinkClosed, LinkLost, Listener, Transport
+from ._damage import KINDS, Direction, FaultCounters, Piece, Rates
 from ._url import Converter, Url, integer, number
 
 __all__ = ["Direction", "FaultCounters", "FaultyListener", "FaultyTransport", "Rates", "wrap"]
 
-KINDS: Final = ("drop", "flip", "dup", "split", "delay")
-
-DEFAULT_DELAY_MS: Final = 15.0
-
-
-@dataclass(frozen=True, slots=True)
-class Rates:
-    """How often each fault happens, as a probability per byte from 0 to 1.
-
-    Args:
-        drop: the byte is lost.
-        flip: one bit of the byte is inverted.
-        dup: the byte comes twice.
-        split: the stream is cut into two chunks after the byte.
-        delay: the byte and what follows it come `delay_ms` later.
-        delay_ms: length of a delay in milliseconds; the default is longer than a J2A byte timeout.
-    """
-
-    drop: float = 0.0
-    flip: float = 0.0
-    dup: float = 0.0
-    split: float = 0.0
-    delay: float = 0.0
-    delay_ms: float = DEFAULT_DELAY_MS
-
-
-@dataclass(slots=True)
-class FaultCounters:
-    """What one direction has seen and suffered, each a count.
-
-    Attributes:
-        bytes: bytes that went in.
-        drop: bytes dropped.
-        flip: bytes with an inverted bit.
-        dup: bytes doubled.
-        split: cuts.
-        delay: delays.
-    """
-
-    bytes: int = 0
-    drop: int = 0
-    flip: int = 0
-    dup: int = 0
-    split: int = 0
-    delay: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """Bytes that travel together, `delay_s` seconds after those before them."""
-
-    delay_s: float
-    data: bytes
-
-
-class Direction:
-    """Injects faults into one byte stream; no clock, no input or output.
-
-    Args:
-        rates: how often.
-        seed: any text; equal seeds give equal faults.
-    """
-
-    def __init__(self, rates: Rates, seed: str) -> None:
-        self.rates = rates
-        self.counters = FaultCounters()
-        self._random = {kind: Random(f"{seed}/{kind}") for kind in KINDS}
-        self._next = {kind: self._gap(kind) for kind in KINDS if getattr(rates, kind) > 0}
-
-    def feed(self, data: bytes) -> list[Piece]:
-        """Return what becomes of `data`, as pieces to deliver in order; may be none."""
-        begin = self.counters.bytes
-        self.counters.bytes += len(data)
-        pieces: list[Piece] = []
-        out = bytearray()
-        delay_s = 0.0
-        done = 0
-        while True:
-            at = min(self._next.values(), default=self.counters.bytes) - begin
-            if at >= len(data):
-                break
-            out += data[done:at]
-            done = at + 1
-            kinds = self._due(begin + at)
-            if "delay" in kinds:
-                pieces += _pieces(delay_s, out)
-                out.clear()
-                delay_s = self.rates.delay_ms / 1000
-            value = data[at]
-            if "flip" in kinds:
-                value ^= 1 << self._random["flip"].randrange(8)
-            if "drop" not in kinds:
-                out += bytes([value]) * (2 if "dup" in kinds else 1)
-            if "split" in kinds:
-                pieces += _pieces(delay_s, out)
-                if out:
-                    delay_s = 0.0
-                out.clear()
-        out += data[done:]
-        return pieces + _pieces(delay_s, out)
-
-    def _due(self, position: int) -> set[str]:
-        """Take the faults of the byte at `position`, count them and draw their next places."""
-        kinds = {kind for kind, at in self._next.items() if at == position}
-        for kind in kinds:
-            setattr(self.counters, kind, getattr(self.counters, kind) + 1)
-            self._next[kind] += 1 + self._gap(kind)
-        return kinds
-
-    def _gap(self, kind: str) -> int:
-        """Draw how many bytes go unharmed before the next fault (geometric distribution)."""
-        rate = getattr(self.rates, kind)
-        if not 0 < rate < 1:
-            return 0
-        return int(math.log(1.0 - self._random[kind].random()) / math.log1p(-rate))
-
-
-def _pieces(delay_s: float, data: bytearray) -> list[Piece]:
-    return [Piece(delay_s, bytes(data))] if data else []
-
 
 class FaultyTransport(Transport):
     """A transport around another one, which it owns.
+
+    A reset closes the inner transport: what came before it is still delivered, then every call
+    raises `LinkLost`.
 
     Args:
         inner: the transport to disturb.
@@ -155,6 +38,8 @@ class FaultyTransport(Transport):
     Attributes:
         tx: the direction of writing; `tx.counters` says what was injected.
         rx: the direction of reading.
+        clock: the inner transport's own time in seconds (a simulated device), or the machine's.
+        sleep: lets that time pass; None where it passes by itself.
     """
 
     def __init__(self, inner: Transport, tx: Direction, rx: Direction, url: str) -> None:
@@ -162,6 +47,8 @@ class FaultyTransport(Transport):
         self.inner = inner
         self.tx = tx
         self.rx = rx
+        self.clock: Callable[[], float] = getattr(inner, "clock", time.monotonic)
+        self.sleep: Callable[[float], None] | None = getattr(inner, "sleep", None)
         self._arrived: deque[Piece] = deque()
         self._due_at = 0.0
         self._writing = threading.RLock()
@@ -169,40 +56,58 @@ class FaultyTransport(Transport):
 
     def read(self, timeout_s: float | None) -> bytes:
         """See `Transport.read`."""
-        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        deadline = math.inf if timeout_s is None else self.clock() + timeout_s
         while not self._arrived:
-            left_s = None if deadline == math.inf else max(0.0, deadline - time.monotonic())
-            data = self.inner.read(left_s)
+            left_s = None if deadline == math.inf else max(0.0, deadline - self.clock())
+            try:
+                data = self.inner.read(left_s)
+            except LinkClosed:
+                self._check()
+                raise
             if not data:
                 return b""
             self._queue(self.rx.feed(data))
-        wait_s = min(self._due_at, deadline) - time.monotonic()
-        if self._closed.wait(max(0.0, wait_s)):
-            raise LinkClosed(f"{self.url} is closed")
+            if self.rx.ended:
+                self.inner.close()
+        self._wait(min(self._due_at, deadline) - self.clock())
         if self._due_at > deadline:
             return b""
         piece = self._arrived.popleft()
         if self._arrived:
-            self._due_at = time.monotonic() + self._arrived[0].delay_s
+            self._due_at = self.clock() + self._arrived[0].delay_s
         return piece.data
 
     def _queue(self, pieces: list[Piece]) -> None:
         self._arrived.extend(pieces)
         if pieces:
-            self._due_at = time.monotonic() + pieces[0].delay_s
+            self._due_at = self.clock() + pieces[0].delay_s
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """See `Transport.write`; delays are waited for here."""
         with self._writing:
+            self._check()
             self.inner.write_timeout_s = self.write_timeout_s
             pieces = self.tx.feed(bytes(data))
             if not pieces:
                 # Also when nothing is left to send, a closed or lost link is reported.
                 self.inner.write(b"")
             for piece in pieces:
-                if piece.delay_s and self._closed.wait(piece.delay_s):
-                    raise LinkClosed(f"{self.url} is closed")
+                if piece.delay_s:
+                    self._wait(piece.delay_s)
                 self.inner.write(piece.data)
+            if self.tx.ended:
+                self.inner.close()
+                self._check()
+
+    def _wait(self, seconds: float) -> None:
+        if self.sleep is not None and seconds > 0:
+            self.sleep(seconds)
+        elif self._closed.wait(max(0.0, seconds)):
+            raise LinkClosed(f"{self.url} is closed")
+
+    def _check(self) -> None:
+        if (self.tx.ended or self.rx.ended) and not self.closed:
+            raise LinkLost(f"{self.url} is lost: a reset was injected")
 
     @property
     def closed(self) -> bool:

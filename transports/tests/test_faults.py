@@ -10,27 +10,27 @@ import j2a_transports
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from j2a_transports import LinkClosed
+from j2a_transports import LinkClosed, LinkLost, Transport
 from j2a_transports.faults import Direction, Rates, wrap
 
 from .suite import PATIENCE_S, Background, read_exactly, read_to_end
 
 DATA = random.Random(4).randbytes(20_000)
 
-rates = st.builds(
-    Rates,
-    **{
-        name: st.sampled_from([0.0, 0.001, 0.05, 0.5, 1.0])
-        for name in ("drop", "flip", "dup", "split", "delay")
-    },
-)
+LENGTHS = ("drop", "flip", "dup", "split", "delay")
+ALL = (*LENGTHS, "burst", "swap", "truncate", "reset")
+
+
+def some(*kinds: str) -> st.SearchStrategy[Rates]:
+    values = st.sampled_from([0.0, 0.001, 0.05, 0.5, 1.0])
+    return st.builds(Rates, **dict.fromkeys(kinds, values))
 
 
 def joined(direction: Direction, chunks: list[bytes]) -> bytes:
     return b"".join(piece.data for chunk in chunks for piece in direction.feed(chunk))
 
 
-@given(rates=rates, cuts=st.lists(st.integers(0, 300), max_size=20), seed=st.integers(0, 9))
+@given(rates=some(*ALL), cuts=st.lists(st.integers(0, 300), max_size=20), seed=st.integers(0, 9))
 def test_chunking_changes_neither_bytes_nor_counts(
     rates: Rates, cuts: list[int], seed: int
 ) -> None:
@@ -42,7 +42,7 @@ def test_chunking_changes_neither_bytes_nor_counts(
     assert whole.counters == cut.counters
 
 
-@given(rates=rates, data=st.binary(max_size=300))
+@given(rates=some(*LENGTHS), data=st.binary(max_size=300))
 def test_counts_explain_the_length(rates: Rates, data: bytes) -> None:
     direction = Direction(rates, "x")
     out = joined(direction, [data])
@@ -68,7 +68,136 @@ def test_flips_change_one_bit_each() -> None:
     assert len(set(changed)) == 8
 
 
-@pytest.mark.parametrize("kind", ["drop", "flip", "dup", "split", "delay"])
+def test_a_burst_is_nine_to_sixteen_bits_in_a_row() -> None:
+    direction = Direction(Rates(burst=0.001), "x")
+    data = DATA * 5
+    out = joined(direction, [data])
+    number = int.from_bytes(data, "little") ^ int.from_bytes(out, "little")
+    sizes, bursts = set(), 0
+    while number:
+        number >>= (number & -number).bit_length() - 1
+        burst = number & 0xFFFF
+        sizes.add(burst.bit_length())
+        number >>= 16
+        bursts += 1
+    assert len(out) == len(data)
+    assert bursts == direction.counters.burst
+    assert sizes == set(range(9, 17))
+
+
+def test_a_swap_exchanges_a_byte_and_the_next() -> None:
+    direction = Direction(Rates(swap=0.01), "x")
+    out = joined(direction, [DATA])
+    at = swaps = 0
+    while at < len(out):
+        if DATA[at] == out[at]:
+            at += 1
+            continue
+        assert out[at : at + 2] == DATA[at : at + 2][::-1]
+        at, swaps = at + 2, swaps + 1
+    assert 0 < swaps <= direction.counters.swap
+
+
+def test_a_swapped_byte_comes_with_the_one_after_it() -> None:
+    direction = Direction(Rates(swap=1), "x")
+    assert [joined(direction, [bytes([value])]) for value in b"abcd"] == [b"", b"ba", b"", b"dc"]
+
+
+def test_a_truncation_takes_away_bytes_in_a_row() -> None:
+    data = b"".join(number.to_bytes(2) for number in range(10_000))
+    direction = Direction(Rates(truncate=0.001), "x")
+    out = joined(direction, [data])
+    lost = len(data) - len(out)
+    # The mean is 16, the standard deviation of so many about 4.
+    assert 10 < lost / direction.counters.truncate < 25
+    at = 0
+    for _ in range(direction.counters.truncate):
+        while at < len(out) and out[at] == data[at]:
+            at += 1
+        gone = data.find(out[at : at + 8], at) - at if at < len(out) else 0
+        data = data[:at] + data[at + gone :]
+    assert out == data[: len(out)]
+
+
+@pytest.mark.parametrize("side", ["rx", "tx"])
+def test_a_reset_ends_the_link_after_the_bytes_before_it(side: str) -> None:
+    rates = Rates(reset=0.001)
+    expected = joined(Direction(rates, f"0/{side}"), [DATA])
+    assert 0 < len(expected) < len(DATA)
+    near, far = j2a_transports.pair()
+    with wrap(near, **{side: rates}) as faulty, far:
+        if side == "rx":
+            far.write(DATA)
+            assert read_to_end(faulty) == expected
+            assert faulty.rx.counters.reset == 1
+        else:
+            with pytest.raises(LinkLost, match="reset"):
+                faulty.write(DATA)
+            assert read_to_end(far) == expected
+            assert faulty.tx.counters.reset == 1
+        for use in (lambda: faulty.read(0), lambda: faulty.write(b"x")):
+            with pytest.raises(LinkLost, match="reset"):
+                use()
+        assert not faulty.closed
+    with pytest.raises(LinkClosed):
+        faulty.read(0)
+
+
+def test_a_reset_wakes_a_reader() -> None:
+    near, far = j2a_transports.pair()
+    with wrap(near, tx=Rates(reset=1)) as faulty, far:
+        waiter = Background(lambda: faulty.read(None))
+        with pytest.raises(LinkLost):
+            faulty.write(b"x")
+        with pytest.raises(LinkLost):
+            waiter.result()
+
+
+class OwnTime(Transport):
+    """Keeps what is written, gives what it was told to give; its time passes in `sleep` alone."""
+
+    def __init__(self) -> None:
+        super().__init__("memory:")
+        self.written = b""
+        self.to_read = b""
+        self.time_s = 0.0
+
+    def clock(self) -> float:
+        return self.time_s
+
+    def sleep(self, seconds: float) -> None:
+        self.time_s += seconds
+
+    def read(self, timeout_s: float | None) -> bytes:
+        data, self.to_read = self.to_read, b""
+        return data
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.written += bytes(data)
+
+    @property
+    def closed(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("side", ["rx", "tx"])
+def test_delays_pass_in_the_time_of_the_transport(side: str) -> None:
+    inner = OwnTime()
+    with wrap(inner, **{side: Rates(delay=1, delay_ms=60_000)}) as faulty:
+        assert faulty.clock() == 0
+        if side == "tx":
+            faulty.write(b"xyz")
+            assert inner.written == b"xyz"
+        else:
+            inner.to_read = b"xyz"
+            assert read_exactly(faulty, 3) == b"xyz"
+        assert faulty.clock() == pytest.approx(180)
+
+
+@pytest.mark.parametrize("kind", sorted(set(ALL) - {"reset"}))
 def test_the_rate_is_what_was_asked_for(kind: str) -> None:
     direction = Direction(Rates(**{kind: 0.02}), "x")
     for at in range(0, len(DATA), 100):
