@@ -63,6 +63,7 @@ static inline uint8_t a2j_get_properties(bool *is_last, bool is_write, uint32_t 
 #endif
 
 static inline void a2jInit(void) {
+    j2a_selftest();
     j2a_port_init(0, 0);
 }
 

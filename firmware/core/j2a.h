@@ -59,6 +59,13 @@ void j2a_debug(const char *text);
 #define j2a_debug(text) ((void)(text))
 #endif
 
+/* The self-test, if it is built in (J2A_WITH_SELFTEST). Called once, before j2a_port_init(). */
+#if J2A_WITH_SELFTEST
+void j2a_selftest(void);
+#else
+#define j2a_selftest() ((void)0)
+#endif
+
 /* Little-endian numbers of the payload. */
 uint32_t j2a_get_u32(const uint8_t *bytes);
 void j2a_put_u32(uint8_t *bytes, uint32_t value);

@@ -2,6 +2,8 @@
 #ifndef J2A_INTERNAL_H
 #define J2A_INTERNAL_H
 
+#include <stddef.h>
+
 #include "j2a_table.h"
 
 /* What waits for j2a_process(): nothing, a frame, or the error code to be sent (0xF0 and up). */
@@ -31,6 +33,17 @@ void j2a_rx_timeout(void);
 
 /* Sends one frame. start: J2A_SOF or J2A_SOS. */
 void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload);
+
+/* The end of the list of properties: puts the key and the value of j2a.selftest, of which the first
+ * byte is number `at` of the list, behind the *length bytes of data; see j2a_get_properties(). */
+void j2a_selftest_property(size_t at, uint32_t offset, bool *is_last, uint8_t *length, uint8_t *data);
+
+/* Takes each byte that is sent: to the link, or to be compared while the self-test runs. */
+#if J2A_WITH_SELFTEST
+void j2a_tx_byte(uint8_t byte);
+#else
+#define j2a_tx_byte j2a_port_tx
+#endif
 
 /* Looks an opcode up. Returns 0 and the function when it is of this kind (a call may be the
  * router), else the site for the error payload. */

@@ -5,16 +5,16 @@
 static uint8_t put(uint8_t byte) {
     uint8_t wire = byte;
     if (byte == J2A_SOF || byte == J2A_SOS || byte == J2A_ESC) {
-        j2a_port_tx(J2A_ESC);
+        j2a_tx_byte(J2A_ESC);
         wire--;
     }
-    j2a_port_tx(wire);
+    j2a_tx_byte(wire);
     return byte;
 }
 
 void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload) {
     uint8_t checksum;
-    j2a_port_tx(start);
+    j2a_tx_byte(start);
     checksum = put(seq);
     checksum ^= (uint8_t)(put(opcode) + J2A_CHK_OPCODE);
     checksum ^= (uint8_t)(put(length) + J2A_CHK_LENGTH);

@@ -77,6 +77,7 @@ OPTIONAL_BUILTINS: Final = frozenset({GET_MAPPING, GET_PROPERTIES, GET_DEBUG})
 # Property keys that the specification gives a meaning.
 PROP_SPEC: Final = "j2a.spec"
 PROP_RXBUF: Final = "j2a.rxbuf"
+PROP_SELFTEST: Final = "j2a.selftest"
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,11 @@ __all__ = ["outputs", "stale"]
 
 def outputs(root: Path) -> dict[Path, str]:
     """Return the text of every generated file below the repository's `root`."""
-    vectors = vector_files.outputs()
+    tests = vector_files.tests()
     return {
-        **{root / path: text for path, text in vectors.items()},
+        **{root / path: text for path, text in vector_files.outputs(tests).items()},
         root / "firmware/core/j2a_const.h": c_files.constants(),
-        root / "firmware/core/j2a_vectors.h": c_files.vectors(),
+        root / "firmware/core/j2a_vectors.h": c_files.vectors(tests["frame"], tests["stream"]),
         root / "spec/SPEC.md": spec_text.fill(
             (root / "spec/SPEC.md").read_text("utf-8"),
         ),
