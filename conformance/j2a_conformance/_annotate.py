@@ -6,15 +6,37 @@ report.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, Incomplete
 
 from ._wire import Splitter
 
-__all__ = ["Annotated", "annotate"]
+__all__ = ["Annotated", "Field", "annotate"]
 
-_SHOWN = 12
+_SHOWN: Final = 12
+_HEADER: Final = ("seq", "opcode", "length")
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field of a frame as it is on the wire, or bytes that are in no frame.
+
+    Attributes:
+        name: start, seq, opcode, length, payload or checksum; "" outside a frame.
+        symbols: single bytes, and escape pairs.
+    """
+
+    name: str
+    symbols: tuple[bytes, ...]
+
+    def __str__(self) -> str:
+        """Return the bytes in hex, shortened where there are many."""
+        if len(self.symbols) <= _SHOWN:
+            return b"".join(self.symbols).hex(" ")
+        head, tail = b"".join(self.symbols[:8]).hex(" "), b"".join(self.symbols[-2:]).hex(" ")
+        return f"{head} ..{len(self.symbols) - 10} more.. {tail}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +44,17 @@ class Annotated:
     """A piece of a stream.
 
     Attributes:
-        fields: the bytes in hex, one text for each field; long payloads are shortened.
+        parts: its fields, those that have a byte.
         meaning: what the piece is, with the values after unstuffing.
     """
 
-    fields: tuple[str, ...]
+    parts: tuple[Field, ...]
     meaning: str
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The bytes in hex, one text for each field; long payloads are shortened."""
+        return tuple(str(part) for part in self.parts)
 
 
 def annotate(data: bytes) -> list[Annotated]:
@@ -41,15 +68,16 @@ def annotate(data: bytes) -> list[Annotated]:
 
 def _piece(raw: bytes, event: object) -> Annotated:
     if raw[0] not in c.MARKERS:
-        return Annotated((_short(list(_symbols(raw))),), f"{len(raw)} bytes without a start byte")
+        return Annotated((Field("", _symbols(raw)),), f"{len(raw)} bytes without a start byte")
     start = "SOF" if raw[0] == c.SOF else "SOS"
-    symbols = list(_symbols(raw[1:]))
+    symbols = _symbols(raw[1:])
     values = [symbol[-1] if len(symbol) == 1 else (symbol[1] + 1) & 0xFF for symbol in symbols]
-    fields = [raw[:1].hex(), *(symbol.hex(" ") for symbol in symbols[:3])]
+    fields = [Field("start", (raw[:1],))]
+    fields += [Field(name, (symbol,)) for name, symbol in zip(_HEADER, symbols, strict=False)]
     if len(symbols) > 3:
-        size = values[2]
-        fields += [_short(symbols[3 : 3 + size]), _short(symbols[3 + size :])]
-    named = zip(("seq", "opcode", "length"), values, strict=False)
+        end = 3 + values[2]
+        fields += [Field("payload", symbols[3:end]), Field("checksum", symbols[end:])]
+    named = zip(_HEADER, values, strict=False)
     words = [start, *(f"{name}=0x{value:02X}" for name, value in named)]
     match event:
         case Frame():
@@ -64,20 +92,17 @@ def _piece(raw: bytes, event: object) -> Annotated:
             )
         case _:
             words.append("INCOMPLETE")
-    return Annotated(tuple(field for field in fields if field), " ".join(words))
+    return Annotated(tuple(field for field in fields if field.symbols), " ".join(words))
 
 
-def _symbols(data: bytes) -> Iterator[bytes]:
+def _symbols(data: bytes) -> tuple[bytes, ...]:
+    return tuple(_split(data))
+
+
+def _split(data: bytes) -> Iterator[bytes]:
     """Split into single bytes and escape pairs."""
     index = 0
     while index < len(data):
         size = 2 if data[index] == c.ESC and index + 1 < len(data) else 1
         yield data[index : index + size]
         index += size
-
-
-def _short(symbols: list[bytes]) -> str:
-    if len(symbols) <= _SHOWN:
-        return b"".join(symbols).hex(" ")
-    head, tail = b"".join(symbols[:8]).hex(" "), b"".join(symbols[-2:]).hex(" ")
-    return f"{head} ..{len(symbols) - 10} more.. {tail}"
