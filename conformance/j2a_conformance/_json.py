@@ -27,7 +27,7 @@ class _WrongError(Exception):
     """Part of a report is not what it has to be; the message says where, and what it has to be."""
 
 
-def render(run: Run) -> str:
+def render(run: Run) -> bytes:
     """Return the report as JSON; the order of the keys is that of the model."""
     found = {
         "format": FORMAT,
@@ -35,7 +35,7 @@ def render(run: Run) -> str:
         "conformant": run.conformant,
         "levels": {entry.level: entry.standing.value for entry in levels(run)},
     }
-    return json.dumps(found, indent=1, allow_nan=False) + "\n"
+    return (json.dumps(found, indent=1, allow_nan=False) + "\n").encode()
 
 
 def _plain(value: object) -> Any:

@@ -1,10 +1,10 @@
 """The report for build servers: JUnit XML, a suite for each level.
 
-What flows in: a `Run`. What flows out: a file. JUnit knows no "informational": such a case passes,
-with its reason in the output; an unimplemented one is skipped.
+What flows in: a `Run`. What flows out: XML. JUnit knows no "informational": such a case passes,
+with its reason in the output; an unimplemented one and one that is known to fail are skipped.
 """
 
-from pathlib import Path
+from io import BytesIO
 from typing import get_args
 
 from j2a_spec import requirements
@@ -13,16 +13,13 @@ from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
 
 from ._console import evidence_lines
 from ._model import Result, Run, Verdict
+from ._printable import printable
 
-__all__ = ["write"]
+__all__ = ["render"]
 
 
-def write(run: Run, path: Path) -> None:
-    """Write the report.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+def render(run: Run) -> bytes:
+    """Return the report as XML."""
     xml = JUnitXml("J2A conformance")
     for level in get_args(Level):
         results = [result for result in run.results if result.level == level]
@@ -30,24 +27,27 @@ def write(run: Run, path: Path) -> None:
             continue
         suite = TestSuite(f"J2A {level}")
         suite.timestamp = run.started
-        suite.add_property("url", run.url)
+        suite.add_property("url", printable(run.url))
         for result in results:
             suite.add_testcase(_case(result))
         xml.add_testsuite(suite)
     xml.update_statistics()  # type: ignore[no-untyped-call]
-    xml.write(str(path), pretty=True)
+    file = BytesIO()
+    xml.write(file, pretty=True)
+    return file.getvalue()
 
 
 def _case(result: Result) -> TestCase:
     case = TestCase(result.case, f"j2a.{result.level}", round(result.duration_s, 3))
     texts = requirements.load()
     rules = [f"{name}: {texts[name].text}" for name in result.requirements]
+    reason = printable(result.reason)
     if result.verdict is Verdict.FAILED:
-        failure = Failure(result.reason, result.verdict.value)
-        failure.text = "\n".join((*rules, *evidence_lines(result)))
+        failure = Failure(reason, result.verdict.value)
+        failure.text = printable("\n".join((*rules, *evidence_lines(result))))
         case.result = [failure]
-    elif result.verdict is Verdict.UNIMPLEMENTED:
-        case.result = [Skipped(result.reason, result.verdict.value)]
+    elif result.verdict in (Verdict.UNIMPLEMENTED, Verdict.KNOWN_DEVIATION):
+        case.result = [Skipped(reason, result.verdict.value)]
     about = [result.description, f"Expected: {result.expectation}", *rules]
-    case.system_out = "\n".join(about + ([result.reason] if result.reason else []))
+    case.system_out = "\n".join(about + ([reason] if reason else []))
     return case

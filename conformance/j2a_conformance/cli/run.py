@@ -5,7 +5,7 @@ What flows in: a URL or a testee file, and which cases. What flows out: reports,
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -23,6 +23,7 @@ from j2a_conformance._smoke import SMOKE
 from j2a_conformance._testee import load_testee
 from j2a_conformance.cases import load
 
+from . import _reports
 from ._exit import CONFORMANT, FAILED, HARNESS, UsageError
 
 __all__ = ["add_arguments", "main", "select"]
@@ -43,7 +44,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="e.g. serial:///dev/ttyACM0?boot=2, or a testee file, see conformance/testees",
     )
-    command.add_argument("--junit", type=Path, metavar="FILE", help="write a JUnit report")
+    _reports.add_arguments(command)
     command.add_argument(
         "--level",
         nargs="+",
@@ -129,28 +130,18 @@ def _list(cases: Sequence[Case]) -> None:
     sys.stdout.flush()
 
 
-def _junit_writer() -> Callable[[Run, Path], None]:
-    try:
-        from j2a_conformance._junit import write  # noqa: PLC0415 - needs an extra, which may be missing
-    except ModuleNotFoundError as error:
-        raise HarnessError(f"--junit: {error}; install j2a[conformance]") from error
-    return write
-
-
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
-    write = _junit_writer() if args.junit else None
+    reports = _reports.Reports(args)
     with ExitStack() as running:
         url, fresh = args.url, args.fresh
         if url.endswith(".toml"):
             testee = load_testee(Path(url))
             url, fresh = running.enter_context(testee.started()), fresh or testee.fresh
         found = _judge(url, fresh, args, cases)
-    print(_console.report(found), flush=True)
-    if write is not None:
-        try:
-            write(found, args.junit)
-        except OSError as error:
-            raise HarnessError(f"cannot write the JUnit report: {error}") from error
+    try:
+        print(_console.report(found), flush=True)
+    finally:  # also where nobody reads the output
+        reports.write(found)
     if found.with_verdict(Verdict.FAILED):
         return FAILED
     # An interrupted run has judged only a part, which is no proof of conformance.

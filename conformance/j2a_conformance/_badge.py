@@ -1,0 +1,62 @@
+"""The badge: an SVG that says which levels a device reaches.
+
+What flows in: a `Run`. What flows out: SVG that needs nothing else and looks the same on light and
+dark pages. Rules: a run with a failed case gets no levels; the text is given its length, so it fits
+whatever font the viewer has.
+"""
+
+from typing import Final
+from xml.sax.saxutils import escape
+
+from ._model import Run, Verdict
+from ._printable import printable
+from ._summary import Standing, levels
+
+__all__ = ["render"]
+
+_HEIGHT: Final = 20
+_PAD: Final = 7
+_NARROW: Final = frozenset("fijlrtI.,:|1- ")
+_WIDE: Final = frozenset("mwMWJA")
+_LEFT: Final = "#3b4450"
+_GREEN, _RED, _GREY = "#1d6b43", "#a3261d", "#5f6670"
+
+
+def render(run: Run) -> bytes:
+    """Return the badge."""
+    profile = "" if run.profile == "strict" else f" {run.profile}"
+    label = printable(f"J2A {run.spec_version}{profile}")
+    text, colour = _message(run)
+    left, right = _width(label) + 2 * _PAD, _width(text) + 2 * _PAD
+    title = escape(f"{label}: {text}")
+    return f"""\
+<svg xmlns="http://www.w3.org/2000/svg" width="{left + right}" height="{_HEIGHT}" \
+viewBox="0 0 {left + right} {_HEIGHT}" role="img">
+<title>{title}</title>
+<clipPath id="round"><rect width="{left + right}" height="{_HEIGHT}" rx="3"/></clipPath>
+<g clip-path="url(#round)">
+<rect width="{left}" height="{_HEIGHT}" fill="{_LEFT}"/>
+<rect x="{left}" width="{right}" height="{_HEIGHT}" fill="{colour}"/>
+</g>
+<g fill="#fff" font-family="Verdana,DejaVu Sans,Geneva,sans-serif" font-size="11">
+<text x="{_PAD}" y="14" textLength="{left - 2 * _PAD}">{escape(label)}</text>
+<text x="{left + _PAD}" y="14" textLength="{right - 2 * _PAD}">{escape(text)}</text>
+</g>
+</svg>
+""".encode()
+
+
+def _message(run: Run) -> tuple[str, str]:
+    if run.with_verdict(Verdict.FAILED):
+        return "failed", _RED
+    entries = levels(run)
+    names = [entry.level for entry in entries if entry.standing is Standing.REACHED]
+    if not names:
+        return "no level reached", _GREY
+    return "all levels" if len(names) == len(entries) else ", ".join(names), _GREEN
+
+
+def _width(text: str) -> int:
+    """Return about how many pixels wide the text is in Verdana at 11 pixels."""
+    tenths = sum(42 if char in _NARROW else 95 if char in _WIDE else 68 for char in text)
+    return round(tenths / 10)
