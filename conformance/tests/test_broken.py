@@ -10,6 +10,7 @@ import pytest
 from j2a_conformance import Verdict, coverage
 from j2a_conformance._coverage import LIBRARY_TESTS
 from j2a_spec import constants as c
+from j2a_spec import selftest
 from j2a_spec.oracle import checksum, stuff
 
 BROKEN = []
@@ -575,6 +576,30 @@ class ReadBehindTheEndFails:
         if offset > len(self.property_bytes()):
             return c.RET_FAILED, True, b""
         return super().read_properties(write, offset)
+
+
+KNOWN = selftest.load()
+
+
+@breaks("J2A-PROP-007")
+class SelfTestFailed:
+    properties = (
+        (c.PROP_SPEC, c.SPEC_VERSION),
+        (c.PROP_SELFTEST, f"failed {len(KNOWN)}/{len(KNOWN)} {selftest.digest(KNOWN):08x} 17"),
+    )
+
+
+@breaks("J2A-PROP-007")
+class SelfTestOfFewerVectorsThanItsDigest:
+    properties = (
+        (c.PROP_SPEC, c.SPEC_VERSION),
+        (c.PROP_SELFTEST, f"ok 17/{len(KNOWN)} {selftest.digest(KNOWN):08x}"),
+    )
+
+
+@breaks("J2A-PROP-007")
+class SelfTestWithoutDigest:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_SELFTEST, "ok"))
 
 
 @breaks("J2A-LIMIT-004")

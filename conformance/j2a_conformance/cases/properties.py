@@ -5,8 +5,9 @@ from j2a_spec import constants as c
 from j2a_spec.grammar import PROPERTIES
 
 from j2a_conformance._case import Case
-from j2a_conformance._judge import fail, skip
+from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance._peer import Peer
+from j2a_conformance._selftest import read
 
 
 class Content(Case):
@@ -105,6 +106,32 @@ class BehindEnd(Case):
                 fail(f"{reply} in a read at offset {offset}, the end is {size}")
             if reply.code > c.RET_MAX:
                 fail(f"code 0x{reply.code:02X} in a read behind the end")
+
+
+class SelfTest(Case):
+    """Looks at the property j2a.selftest."""
+
+    ID = "properties.selftest"
+    EXPECTATION = (
+        "`ok`, how many golden vectors were run of how many, and the digest that belongs to them."
+    )
+    REQUIREMENTS = ("J2A-PROP-007",)
+    LEVEL = "properties"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        value = peer.claims.properties.get(c.PROP_SELFTEST)
+        if value is None:
+            skip(f"the device has no property {c.PROP_SELFTEST}")
+        result = read(value)
+        if result is None:
+            fail(f"{c.PROP_SELFTEST} is {value!r}")
+        if result.fault:
+            fail(result.fault)
+        if not result.is_ours:
+            inform(f"its {result.ran} vectors are those of another version than this suite's")
+        if not result.is_complete:
+            inform(f"it ran {result.ran} of {result.known} golden vectors, all but the largest")
 
 
 class RxBuf(Case):

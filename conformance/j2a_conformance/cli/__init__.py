@@ -22,6 +22,7 @@ __all__ = ["main"]
 
 _COMMANDS: Final = {
     "run": "judge a device",
+    "selftest": "what a device's test of itself found",
 }
 
 

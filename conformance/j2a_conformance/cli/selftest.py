@@ -1,0 +1,87 @@
+"""`j2a-conform selftest`: what a device's test of itself found.
+
+What flows in: a URL or a testee file. What flows out: the result in a few lines, and an exit code.
+Rules: the property is read by the suite's own means, after the smoke step; a result over other
+vectors than those of this suite is no proof, so it fails.
+"""
+
+import argparse
+from contextlib import ExitStack
+from pathlib import Path
+
+import j2a_transports
+from j2a_spec import constants as c
+
+from j2a_conformance import _console
+from j2a_conformance._model import Run
+from j2a_conformance._runner import run
+from j2a_conformance._selftest import HOW_TO_BUILD, SelfTest, read
+from j2a_conformance._testee import load_testee
+
+from ._exit import CONFORMANT, FAILED, NOTHING, UsageError
+
+__all__ = ["add_arguments", "main"]
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    command.description = (
+        f"Reads the property {c.PROP_SELFTEST}: golden vectors that the device ran through its own "
+        "parser and sender before it listened. Exit code: 0 passed, 1 failed or ran other vectors "
+        "than those of this suite, 3 harness or link wrong, 4 the device has no self-test."
+    )
+    command.add_argument("url", metavar="URL", help="the device, or a testee file")
+    command.add_argument(
+        "--timeout-scale",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="multiply every wait for an answer, for slow links",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Carry the command out; return the exit code.
+
+    Raises:
+        HarnessError: nothing can be said about the device.
+    """
+    if not 0 < args.timeout_scale < 1000:
+        raise UsageError("--timeout-scale takes a number above 0 and below 1000")
+    with ExitStack() as running:
+        url = args.url
+        if url.endswith(".toml"):
+            url = running.enter_context(load_testee(Path(url)).started())
+        found = run(lambda: j2a_transports.open(url), (), url=url, timeout_scale=args.timeout_scale)
+    if found.claims is None:
+        print(_console.report(found))
+        return FAILED
+    return _judge(found)
+
+
+def _judge(found: Run) -> int:
+    assert found.claims is not None
+    value = found.claims.properties.get(c.PROP_SELFTEST)
+    if value is None:
+        print(f"The device has no property {c.PROP_SELFTEST}: {HOW_TO_BUILD}.")
+        return NOTHING
+    print(f"{c.PROP_SELFTEST} = {value}")
+    result = read(value)
+    if result is None:
+        print("FAILED: this is no result of a self-test (J2A-PROP-007).")
+        return FAILED
+    if fault := _fault(result):
+        print(f"FAILED: {fault}.")
+        return FAILED
+    rest = "all" if result.is_complete else f"without the {result.known - result.ran} largest"
+    print(f"Passed: {result.ran} of {result.known} golden vectors, {rest}; those of this suite.")
+    return CONFORMANT
+
+
+def _fault(result: SelfTest) -> str:
+    if result.fault or result.is_ours:
+        return result.fault
+    return (
+        f"the {result.ran} vectors that it ran are not those of this suite (digest "
+        f"{result.digest:08x}); build the firmware and run the suite from the same version"
+    )
