@@ -14,6 +14,9 @@ class Judged(Exception):  # noqa: N818 - a judgement, not always an error
         verdict: the judgement.
         reason: why, in words.
         suspect: a stall of this machine could be the cause, so the case deserves another attempt.
+
+    Attributes:
+        final: all attempts that there are were made.
     """
 
     def __init__(self, verdict: Verdict, reason: str, suspect: bool = False) -> None:
@@ -21,6 +24,7 @@ class Judged(Exception):  # noqa: N818 - a judgement, not always an error
         self.verdict = verdict
         self.reason = reason
         self.suspect = suspect
+        self.final = False
 
 
 def fail(reason: str, suspect: bool = False) -> NoReturn:

@@ -8,6 +8,7 @@ stuffing, so that a fault in stuffing shows only where it is tested.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, Skipped, checksum, encode
@@ -20,6 +21,9 @@ __all__ = ["Expected", "ManyReply", "Peer", "Request", "describe", "many_payload
 
 _QUIET_S = 0.025  # longer than the longest byte timeout (J2A-TIME-002)
 _ATTEMPTS = 6
+_UNHURRIED = 25  # of the attempts on a lossy link, each so-many-th waits for a slow answer
+_LOSSY_ROOM = 256
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +129,7 @@ class Peer:
         self.strict = False
         self._seq = 0
         self._barriers = 0
+        self._trying = False
 
     # What the device has
 
@@ -152,6 +157,13 @@ class Peer:
         """The property j2a.rxbuf in bytes, or 0 where the device does not announce it."""
         value = self.claims.properties.get(c.PROP_RXBUF, "")
         return int(value) if value.isascii() and value.isdigit() else 0
+
+    def room(self, at_most: int) -> int:
+        """Return how many bytes of requests may be sent without waiting, up to `at_most`.
+
+        On a lossy link it is so few that they have a chance to arrive.
+        """
+        return min(self.rxbuf, _LOSSY_ROOM if self.link.lossy else at_most)
 
     # Requests
 
@@ -193,10 +205,23 @@ class Peer:
 
     # Exchanges
 
-    def play(self, stream: bytes, *expected: Expected) -> list[Frame]:
-        """Send `stream` in one piece and return the replies, which are these and in this order."""
-        self.link.send(stream)
-        return self.expect(*expected)
+    def play(
+        self, stream: bytes, *expected: Expected, alone: bool = False, wait_s: float = 0.0
+    ) -> list[Frame]:
+        """Send `stream` in one piece and return the replies, which are these and in this order.
+
+        With `alone`, nothing else may come; `wait_s` is time that the device needs. On a lossy link
+        a failure is tried again, so `stream` may be sent more than once.
+        """
+
+        def body() -> list[Frame]:
+            self.link.send(stream)
+            frames = self.expect(*expected, wait_s=wait_s)
+            if alone:
+                self.barrier()
+            return frames
+
+        return self._carried(body)
 
     def ask(self, *requests: Request) -> Frame:
         """Send each request, wait for its due reply, and return the last."""
@@ -239,6 +264,9 @@ class Peer:
 
     def ask_exact(self, request: Request) -> None:
         """Send a request and compare its reply with the oracle, byte by byte."""
+        self._carried(lambda: self._ask_exact(request))
+
+    def _ask_exact(self, request: Request) -> None:
         self.link.send(request.wire)
         arrival, frame = self._receive(request.expected, self.link.reply_timeout_s)
         wanted = encode(frame)
@@ -284,11 +312,16 @@ class Peer:
     def barrier(self) -> None:
         """Exchange an echo: whatever the device still had to say would come before its reply.
 
-        A device answers in order (J2A-DISP-001), so a barrier proves silence without waiting.
+        A device answers in order (J2A-DISP-001), so a barrier proves silence without waiting. On a
+        lossy link, one that suffered itself is tried again.
         """
-        request = self.probe()
-        self.link.send(request.wire)
-        arrival = self.next_frame(self.link.reply_timeout_s)
+        for left in reversed(range(self.link.lossy or 1)):
+            request = self.probe()
+            self.link.send(request.wire)
+            arrival = self.next_frame(self.link.reply_timeout_s)
+            if not left or not _damaged(request, arrival):
+                break
+            self.link.repeated += 1
         if arrival is None:
             self.link.record("expected", request.expected.wire, str(request.expected))
             fail("a good request was not answered")
@@ -315,8 +348,9 @@ class Peer:
 
     def resync(self) -> bool:
         """Bring device and link to rest after a failure; tell whether the device answers again."""
-        for _ in range(3):
-            self.settle()
+        for _ in range(self.link.lossy or 3):
+            if not self.link.lossy:  # there the probe alone brings rest, and sooner
+                self.settle()
             request = self.probe()
             self.link.send(request.wire)
             for arrival in self.link.arrivals(self.link.reply_timeout_s):
@@ -325,17 +359,45 @@ class Peer:
                     return True
         return False
 
-    def attempts(self, body: Callable[[], None]) -> None:
+    def _carried(self, body: Callable[[], _Result]) -> _Result:
+        """Run an exchange; on a lossy link until it is carried unharmed."""
+        return self.attempts(body) if self.link.lossy else body()
+
+    def attempts(self, body: Callable[[], _Result]) -> _Result:
         """Run `body` until it passes: a stall of this machine may spoil one attempt, not all.
 
-        Only failures that `body` marks as suspect are tried again.
+        Only failures that `body` marks as suspect are tried again; on a lossy link each one. Of
+        attempts within attempts the outer ones are made: `body` may change the device's state.
         """
-        for left in reversed(range(_ATTEMPTS)):
+        if self._trying:
+            return body()
+        self._trying = True
+        try:
+            return self._attempts(body)
+        finally:
+            self._trying = False
+
+    def _attempts(self, body: Callable[[], _Result]) -> _Result:
+        link, attempt = self.link, 0
+        most = link.lossy or _ATTEMPTS
+        while True:
+            attempt += 1
+            link.hurried = bool(link.lossy and attempt % _UNHURRIED)
             try:
                 return body()
             except Judged as judged:
-                if judged.verdict is not Verdict.FAILED or not judged.suspect or not left:
+                if judged.verdict is not Verdict.FAILED or not (judged.suspect or link.lossy):
                     raise
-                self.link.note(f"another attempt: {judged.reason}")
-                self.resync()
-        return None
+                judged.final = bool(link.lossy) and attempt == most
+                if attempt == most or not self.resync():
+                    raise
+                link.note(f"another attempt: {judged.reason}")
+                link.repeated += bool(link.lossy)
+
+
+def _damaged(request: Request, arrival: Arrival | None) -> bool:
+    """Tell whether the request or its reply suffered on the way."""
+    if arrival is None or not isinstance(arrival.event, Frame):
+        return True
+    event = arrival.event
+    return event.start == c.SOF and event.seq == request.seq and event.opcode in c.ERRORS

@@ -6,8 +6,9 @@ the requirement; when a smoke case fails nothing else is run, because nothing el
 """
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
+from typing import TypeVar
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, Skipped
@@ -20,6 +21,7 @@ from ._wire import Arrival
 
 __all__ = ["SMOKE"]
 
+_Read = TypeVar("_Read")
 _TRIES = 5
 _KEPT = 32  # arrivals for the diagnosis: enough to see what the link carries
 _BARRIER = 11  # bytes on the wire of the request of a barrier, and of its reply
@@ -54,7 +56,7 @@ class Answers(Case):
 
     def _run(self, peer: Peer) -> None:
         seen: deque[Arrival] = deque(maxlen=_KEPT)
-        for _ in range(_TRIES):
+        for _ in range(peer.link.lossy or _TRIES):
             request = peer.request(0)
             peer.link.send(request.wire)
             for arrival in peer.link.arrivals(peer.link.reply_timeout_s):
@@ -118,6 +120,21 @@ def _fault(event: Event) -> str:
             return f"the answer is {describe(event)} (J2A-STUFF-001)"
 
 
+def _agreed(peer: Peer, read: Callable[[], _Read]) -> _Read:
+    """Read a claim; on a lossy link twice, because the checksum does not find all damage."""
+    found = read()
+    for _ in range(peer.link.lossy):
+        if (again := read()) == found:
+            break
+        found = again
+    return found
+
+
+def _opcode_zero(peer: Peer) -> tuple[int, bytes]:
+    frame = peer.ask(peer.request(0))
+    return frame.opcode, frame.payload
+
+
 class Mapping(Case):
     """Takes the mapping; where there is none, looks for a2jEcho at the opcodes that it may have."""
 
@@ -127,16 +144,16 @@ class Mapping(Case):
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
-        frame = peer.ask(peer.request(0))
-        if frame.opcode != c.RET_OK:
+        code, payload = _agreed(peer, lambda: _opcode_zero(peer))
+        if code != c.RET_OK:
             names = self._search(peer)
         else:
-            if not frame.payload.endswith(b"\0"):
+            if not payload.endswith(b"\0"):
                 fail("the mapping does not end in NUL")
-            names = tuple(n.decode("latin-1") for n in frame.payload[:-1].split(b"\0"))
+            names = tuple(n.decode("latin-1") for n in payload[:-1].split(b"\0"))
         if missing := {c.GET_MAPPING, c.MANY, c.GET_ECHO, c.GET_ECHO_MANY} - set(names):
             fail(f"the mapping lacks {', '.join(sorted(missing))}")
-        mapped = frame.opcode == c.RET_OK
+        mapped = code == c.RET_OK
         peer.claims = replace(peer.claims, mapped=mapped, functions=names)
 
     @staticmethod
@@ -176,7 +193,7 @@ class Echo(Case):
         if not peer.has(c.GET_PROPERTIES):
             return
         try:
-            data = peer.read_all(c.GET_PROPERTIES)
+            data = _agreed(peer, lambda: peer.read_all(c.GET_PROPERTIES))
         except Judged as judged:
             peer.link.note(f"the properties cannot be read: {judged.reason}")
             peer.resync()

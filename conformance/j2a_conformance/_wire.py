@@ -23,6 +23,9 @@ __all__ = ["Arrival", "Link", "Splitter"]
 _BEFORE_MARKER: Final = re.compile(rb"(?=[\x12\xed])")
 _EVIDENCE_KEPT: Final = 40
 _SPIN_S: Final = 0.0015
+_REPLY_S: Final = 2.0
+_HURRIED_S: Final = 0.05  # more than a device takes to give up a frame (J2A-TIME-002)
+_BITS: Final = 10  # of a byte on a serial line; with parity and a second stop bit 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,17 +84,24 @@ class Link:
     Args:
         transport: an open byte stream to the device.
         scale: factor for every wait; above 1 for slow links.
+        baud: rate of the link in bits a second, or 0 where it is not known.
+        lossy: attempts for each exchange on a link that loses or damages bytes; 0 on any other.
 
     Attributes:
         sifs: every SIF since the link was opened, in order.
-        byte_s: time that a byte on the wire takes, as far as it was measured.
-        reply_timeout_s: how long an answer may take.
+        byte_s: time that a byte on the wire takes, as far as it is known.
+        hurried: do not wait long for an answer: it is lost rather than late.
+        repeated: exchanges that were repeated since `begin`, because the link is lossy.
     """
 
-    def __init__(self, transport: Transport, scale: float = 1.0) -> None:
+    def __init__(
+        self, transport: Transport, scale: float = 1.0, baud: int = 0, lossy: int = 0
+    ) -> None:
         self.scale = scale
-        self.byte_s = 0.0
-        self.reply_timeout_s = 2.0 * scale
+        self.lossy = lossy
+        self.byte_s = _BITS / baud if baud else 0.0
+        self.hurried = bool(lossy)
+        self.repeated = 0
         self.sifs: list[Arrival] = []
         self._splitter = Splitter()
         self._waiting: deque[Arrival] = deque()
@@ -124,12 +134,17 @@ class Link:
             pass
 
     def measured(self, size: int, time_s: float) -> None:
-        """Make the waits long enough for a link that took `time_s` for `size` bytes there and back.
+        """Make the waits fit a link that took `time_s` for `size` bytes there and back."""
+        self.byte_s = max(self.byte_s, time_s / size)
+
+    @property
+    def reply_timeout_s(self) -> float:
+        """How long an answer may take.
 
         The largest request and the largest reply must fit, twice: the rate is not known exactly.
         """
-        self.byte_s = time_s / size
-        self.reply_timeout_s = max(2.0 * self.scale, 2 * 2 * c.MAX_WIRE * self.byte_s)
+        least_s = (_HURRIED_S if self.hurried else _REPLY_S) * self.scale
+        return max(least_s, 2 * 2 * c.MAX_WIRE * self.byte_s)
 
     # Evidence
 
@@ -137,6 +152,8 @@ class Link:
         """Start the evidence of a new case."""
         self._evidence.clear()
         self._entries = 0
+        self.repeated = 0
+        self.hurried = bool(self.lossy)
         self._began_s = self.now_s()
 
     def record(self, kind: Kind, data: bytes = b"", text: str = "") -> None:

@@ -22,8 +22,7 @@ class OneReply(Case):
         requests += [peer.request(o, b"x", c.ERR_OPCODE) for o in peer.out_of_range()[-1:]]
         requests += [peer.many(c.GET_ECHO_MANY), peer.request(peer.opcode(c.MANY), b"")]
         for request in requests:
-            peer.ask(request)
-            peer.barrier()
+            peer.play(request.wire, request.expected, alone=True)
 
 
 class InOrder(Case):
@@ -35,7 +34,7 @@ class InOrder(Case):
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
-        room = min(peer.rxbuf, 4096)
+        room = peer.room(4096)
         requests: list[Request] = []
         while len((request := peer.echo(b"%d" % (len(requests) % 10))).wire) <= room:
             requests.append(request)

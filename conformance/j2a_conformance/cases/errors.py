@@ -39,8 +39,7 @@ class ChecksumFirst(Case):
             for payload in (b"", b"damaged"):
                 seq = peer.seq()
                 wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x20)
-                peer.play(wire, Expected(seq, c.ERR_CHECKSUM))
-                peer.barrier()
+                peer.play(wire, Expected(seq, c.ERR_CHECKSUM), alone=True)
 
 
 class NotEarly(Case):
@@ -117,8 +116,7 @@ class SeqUnknown(Case):
         # A request with a known seq goes before, so that a left over seq could be seen.
         for stream in streams:
             peer.ask(peer.probe())
-            peer.link.send(stream)
-            peer.barrier()
+            peer.play(stream, alone=True)
 
 
 class OnlyOnce(Case):
@@ -141,10 +139,8 @@ class OnlyOnce(Case):
             (c.ERR_FRAMING, bytes((c.SOS,)) + b"\x7d\xff" + rest),
         )
         for code, tail in tails:
-            peer.play(good.wire[:5] + tail, Expected(good.seq, code))
-            peer.barrier()
+            peer.play(good.wire[:5] + tail, Expected(good.seq, code), alone=True)
         seq, opcode = peer.seq(), peer.opcode(c.MANY)
         payload = many_payload(0xFF)
         wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x10)
-        peer.play(wire + b"abc" * 20, Expected(seq, c.ERR_CHECKSUM))
-        peer.barrier()
+        peer.play(wire + b"abc" * 20, Expected(seq, c.ERR_CHECKSUM), alone=True)

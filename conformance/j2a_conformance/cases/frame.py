@@ -110,8 +110,7 @@ class Noise(Case):
             request = peer.probe()
             peer.play(stream + request.wire, request.expected)
         for stream in (b"\x11" * 600, bytes(random.Random(1).choices(CLEAN, k=1500))):
-            peer.link.send(stream)
-            peer.barrier()
+            peer.play(stream, alone=True)
 
 
 class NoiseBehind(Case):
@@ -125,8 +124,7 @@ class NoiseBehind(Case):
     def _run(self, peer: Peer) -> None:
         for behind in (b"\0", b"\x7d", b"\xff" * 9, b"\x7d\xff", b"abc\x7d\x7d"):
             request = peer.probe()
-            peer.play(request.wire + behind, request.expected)
-            peer.barrier()
+            peer.play(request.wire + behind, request.expected, alone=True)
 
 
 class Interrupted(Case):
@@ -189,8 +187,7 @@ class StartBytes(Case):
     def _run(self, peer: Peer) -> None:
         for starts in (b"\x12", b"\xed", b"\x12\xed", b"\xed\x12", b"\x12" * 20, b"\xed\x12" * 20):
             request = peer.probe()
-            peer.play(starts + request.wire, request.expected)
-            peer.barrier()
+            peer.play(starts + request.wire, request.expected, alone=True)
 
 
 class FromHost(Case):
@@ -215,8 +212,7 @@ class FromHost(Case):
             *(good[:cut] for cut in range(1, len(good))),
         ]
         for stream in streams:
-            peer.link.send(stream)
-            peer.barrier()
+            peer.play(stream, alone=True)
 
 
 class Garbage(Case):

@@ -32,7 +32,7 @@ class Window(Case):
     def _run(self, peer: Peer) -> None:
         if not peer.rxbuf:
             skip(f"the device announces no {c.PROP_RXBUF}")
-        room = min(peer.rxbuf, 8192)
+        room = peer.room(8192)
         for busy in (False, True) if peer.has("delay") else (False,):
             for kind in ("small", "large", "stuffed"):
                 requests = delay(peer, _DELAY_MS) if busy else []
@@ -48,8 +48,8 @@ class Window(Case):
                         break  # no seq stands for two requests
                     requests.append(request)
                 peer.link.note(f"{len(requests)} requests, {kind}, busy: {busy}")
-                peer.link.send(b"".join(r.wire for r in requests))
-                peer.expect(*(r.expected for r in requests), wait_s=_DELAY_MS / 1e3)
+                stream = b"".join(r.wire for r in requests)
+                peer.play(stream, *(r.expected for r in requests), wait_s=_DELAY_MS / 1e3)
         peer.barrier()
 
 
@@ -67,6 +67,8 @@ class Overrun(Case):
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
+        if peer.link.lossy:
+            inform("the link was declared lossy: what the device loses cannot be told from that")
         rounds = [self._flood(peer, first) for first in (1, 7, 60)]
         if peer.has("overruns"):
             peer.link.note(f"overruns: {int.from_bytes(peer.call('overruns').payload, 'little')}")

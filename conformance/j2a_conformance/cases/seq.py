@@ -47,6 +47,10 @@ class RepeatedEffect(Case):
     NEEDS = ("sif",)
 
     def _run(self, peer: Peer) -> None:
+        peer.attempts(lambda: self._thrice(peer))
+
+    @staticmethod
+    def _thrice(peer: Peer) -> None:
         before = len(peer.link.sifs)
         request = peer.request(peer.opcode("sif"), b"\x34again", c.RET_OK)
         peer.ask(request, request, request)

@@ -173,5 +173,5 @@ class ShortLength(Case):
             body = bytes((seq, opcode, length)) + payload
             if payload[length] == checksum(seq, opcode, payload[:length]):
                 continue
-            peer.play(bytes((c.SOF,)) + stuff(body), refusal(seq, c.ERR_CHECKSUM))
-            peer.barrier()
+            due = refusal(seq, c.ERR_CHECKSUM)
+            peer.play(bytes((c.SOF,)) + stuff(body), due, alone=True)
