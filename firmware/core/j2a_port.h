@@ -12,9 +12,9 @@
 
 /* ------------------------------------------------------------------ the port implements ------ */
 
-/* Gives J2A_TICKS_PER_MS: ticks of j2a_port_ticks() in a millisecond, rounded up. About 10 are right:
- * the byte timeout needs 0.5 ms and better, and is missed when 65536 ticks pass between two calls of
- * j2a_poll(). */
+/* Gives J2A_TICKS_PER_MS: ticks of j2a_port_ticks() in a millisecond, rounded up. With 1 a pause ends a
+ * frame after 10 to 12 ms, with about 10 after 10.1 to 10.3; many more are no better, because a pause is
+ * missed when 65536 ticks pass between two calls of j2a_poll(). */
 #include "j2a_port_config.h"
 
 /* Sets the link and the clocks up. A port without a command line ignores the arguments. */

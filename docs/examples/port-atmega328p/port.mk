@@ -1,0 +1,9 @@
+CC := avr-gcc
+CFLAGS ?= -Os
+MACHINE := -mmcu=atmega328p -ffunction-sections -fdata-sections -fshort-enums -mcall-prologues
+LINK := -Wl,--gc-sections -mrelax
+SUFFIX := .elf
+SIZE := avr-size
+PORT_RXBUF := 64
+PORT_TXBUF := 1
+SMALL := 1

@@ -1,0 +1,47 @@
+/* What a port made from this template asks of a board; board.c answers. Bytes of a UART, or of
+ * anything else that keeps bytes in order, and a counter of milliseconds: no more is needed.
+ * Rule: all of it is called from the main loop, but where BOARD_INTERRUPTS is 1 board_lost() and
+ * board_read() are called by port_receive(), so from the receive interrupt. */
+#ifndef BOARD_H
+#define BOARD_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "j2a_port_config.h"
+
+/* Sets up clock, UART (8 data bits, no parity, 1 stop bit) and millisecond counter, and switches
+ * interrupts on where there are any. Called once. */
+void board_init(void);
+
+/* Has a byte been received that was not read yet? Not called where BOARD_INTERRUPTS is 1. */
+bool board_has_byte(void);
+
+/* Were bytes lost since the last call? That is the overrun flag of the UART, and this clears it.
+ * Called before each board_read(), because on many chips reading the byte moves the flag on. Where it
+ * always says no, a frame with a hole in it can be taken for a good one, 1 time in 256. */
+bool board_lost(void);
+
+/* Takes the received byte; called only when there is one. */
+uint8_t board_read(void);
+
+/* Does the UART take a byte now? The port polls it, and goes on receiving meanwhile. */
+bool board_can_write(void);
+
+/* Sends a byte; called only after board_can_write() said yes. */
+void board_write(uint8_t byte);
+
+/* Milliseconds since the start, wrapping at 2^32 (not before: extend a counter of 16 bits). One that
+ * an interrupt counts is read with interrupts off where the chip has less than 32 bits. */
+uint32_t board_ms(void);
+
+/* Called in each turn of the main loop. Does nothing, or sends what board_write() has collected (USB,
+ * an operating system), or sleeps until the next interrupt, at most for a millisecond. */
+void board_idle(void);
+
+/* The port gives, where BOARD_INTERRUPTS is 1: call it from the receive interrupt, once for each byte. */
+#if BOARD_INTERRUPTS
+void port_receive(void);
+#endif
+
+#endif

@@ -1,0 +1,14 @@
+# How this port is compiled. FILL IN what your chip needs; as it stands here it is this machine.
+# CC := arm-none-eabi-gcc
+# MACHINE := -mcpu=cortex-m0 -mthumb -ffunction-sections -fdata-sections
+# LINK := -T board.ld -Wl,--gc-sections
+# SUFFIX := .elf
+# SIZE := arm-none-eabi-size
+CFLAGS ?= -Os
+
+# Received bytes that are held while a function runs; 32 and more. Costs so much RAM and one byte.
+PORT_RXBUF := 64
+# This port has no transmit buffer.
+PORT_TXBUF := 1
+# Apps that can do with less RAM then do; leave it out with 16 kB and more.
+SMALL := 1
