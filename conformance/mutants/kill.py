@@ -55,8 +55,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         matrix.write(tables, kept)
     if not args.only:
         for table in tables:
-            problems += matrix.uncovered(table)
-        problems += matrix.differences(tables, kept)
+            if not args.target or table.target in args.target:
+                problems += matrix.uncovered(table) + matrix.differences(table, kept)
+        problems += matrix.strangers(tables, kept)
     killed = [row for row in rows.values() if row.killed_by]
     problems += [f"{row.id}: survives" for row in rows.values() if not row.killed_by]
     problems += _missing(rows, kept)

@@ -7,14 +7,24 @@ by nothing else; `matrix.json` holds what failed each time, so that it can be co
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
 from j2a_spec import requirements
 from tables import FOLDER, Mutant, Table
 
-__all__ = ["MATRIX", "Row", "differences", "killers", "read", "row", "uncovered", "write"]
+__all__ = [
+    "MATRIX",
+    "Row",
+    "differences",
+    "killers",
+    "read",
+    "row",
+    "strangers",
+    "uncovered",
+    "write",
+]
 
 MATRIX: Final = FOLDER / "matrix.json"
 _ROLES: Final = {"core": "device", "device": "device", "host": "host"}
@@ -73,23 +83,22 @@ def uncovered(table: Table) -> list[str]:
     return found
 
 
-def differences(tables: Sequence[Table], rows: Mapping[str, Row]) -> list[str]:
-    """Say where the rows are not those of the tables."""
-    wanted = {mutant.id: row(mutant) for table in tables for mutant in table.mutants}
-    found = [
-        f"{name}: matrix.json has it, the tables have not" for name in rows if name not in wanted
-    ]
-    for name, due in wanted.items():
-        if name not in rows:
-            found.append(f"{name}: is not in matrix.json; run kill.py --write")
-            continue
-        kept = rows[name]
-        same = ("requirement", "what", "files")
-        if any(getattr(kept, key) != getattr(due, key) for key in same):
-            found.append(f"{name}: is another one in matrix.json; run kill.py --write")
+def differences(table: Table, rows: Mapping[str, Row]) -> list[str]:
+    """Say where the rows are not those of the table."""
+    found = []
+    for mutant in table.mutants:
+        kept, due = rows.get(mutant.id), row(mutant)
+        if kept is None or replace(kept, killed_by=(), also=()) != due:
+            found.append(f"{mutant.id}: is not so in matrix.json; run kill.py --write")
         elif not kept.killed_by:
-            found.append(f"{name}: survives, says matrix.json")
+            found.append(f"{mutant.id}: survives, says matrix.json")
     return found
+
+
+def strangers(tables: Iterable[Table], rows: Iterable[str]) -> list[str]:
+    """Say which rows belong to no mutant."""
+    known = {mutant.id for table in tables for mutant in table.mutants}
+    return [f"{name}: is in matrix.json and in no table" for name in rows if name not in known]
 
 
 def read(path: Path = MATRIX) -> dict[str, Row]:

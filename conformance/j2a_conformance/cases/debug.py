@@ -34,10 +34,10 @@ def drain(peer: Peer) -> tuple[bytes, bool]:
             fail(f"a2jDebug has no end within {_AT_MOST} bytes")
 
 
-def write_line(peer: Peer) -> bytes:
+def write_line(peer: Peer, code: int = 0x05) -> bytes:
     """Have the application write a line, and take it."""
     drain(peer)
-    peer.call("ret", b"\x05")
+    peer.call("ret", bytes((code,)))
     text, lost = drain(peer)
     if not text:
         skip("no function is known that writes debug text")
@@ -63,18 +63,25 @@ class Nothing(Case):
 
 
 class Text(Case):
-    """Has one line written and takes it, by requests with and without payload."""
+    """Has one line written and takes it, by requests with and without payload; then has two
+    different lines written and takes both.
+    """
 
     ID = "debug.text"
-    EXPECTATION = "The text once, whatever the payload of the request is, and then no more."
+    EXPECTATION = (
+        "The text once, whatever the payload of the request is, and then no more; the older line "
+        "before the newer one."
+    )
     REQUIREMENTS = ("J2A-DEBUG-001", "J2A-DEBUG-002", "J2A-DEBUG-003")
     LEVEL = "debug"
     NEEDS = (c.GET_DEBUG, "ret")
 
     def _run(self, peer: Peer) -> None:
-        line = peer.attempts(lambda: write_line(peer))
+        line = peer.carried(lambda: write_line(peer))
         for payload in (b"", b"x", bytes(255)):
-            peer.attempts(lambda p=payload: self._taken(peer, line, p))  # type: ignore[misc]
+            peer.carried(lambda p=payload: self._taken(peer, line, p))  # type: ignore[misc]
+        newer = peer.carried(lambda: write_line(peer, 0x06))
+        peer.carried(lambda: self._in_order(peer, line + newer))
 
     @staticmethod
     def _taken(peer: Peer, line: bytes, payload: bytes) -> None:
@@ -84,6 +91,15 @@ class Text(Case):
             fail(f"{taken} instead of {(line, 0)}")
         if take(peer) != (b"", 0):
             fail("text comes a second time")
+
+    @staticmethod
+    def _in_order(peer: Peer, lines: bytes) -> None:
+        drain(peer)
+        peer.call("ret", b"\x05")
+        peer.call("ret", b"\x06")
+        text, lost = drain(peer)
+        if not _left_of(text, lines) or (text != lines and not lost):
+            fail(f"{text!r} instead of {lines!r}")
 
 
 class Overflow(Case):
@@ -99,9 +115,9 @@ class Overflow(Case):
     NEEDS = (c.GET_DEBUG, "ret")
 
     def _run(self, peer: Peer) -> None:
-        line = peer.attempts(lambda: write_line(peer))
+        line = peer.carried(lambda: write_line(peer))
         for shift in range(_LOSSY_SHIFTS if peer.link.lossy else _SHIFTS):
-            if peer.attempts(lambda n=1 << shift: self._lost(peer, line, n)):  # type: ignore[misc]
+            if peer.carried(lambda n=1 << shift: self._lost(peer, line, n)):  # type: ignore[misc]
                 return  # larger amounts show nothing new
         peer.link.note("no text was lost, so that bit 1 could not be seen set")
 

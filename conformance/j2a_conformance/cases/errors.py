@@ -60,11 +60,11 @@ class NotEarly(Case):
 
 
 class Payload(Case):
-    """Causes each kind of error reply and looks at its payload."""
+    """Causes each kind of error reply and looks at its start byte and its payload."""
 
     ID = "error.payload"
-    EXPECTATION = "Two bytes, whatever they are."
-    REQUIREMENTS = ("J2A-ERR-006",)
+    EXPECTATION = "SOF, like any reply, and two bytes of payload, whatever they are."
+    REQUIREMENTS = ("J2A-ERR-006", "J2A-FRAME-002")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -76,6 +76,8 @@ class Payload(Case):
         streams.append((whole.seq, c.ERR_FRAMING, whole.wire[:4] + b"\x7d\xff"))
         whole = peer.echo(b"abc")
         streams.append((whole.seq, c.ERR_FRAMING, whole.wire[:4] + bytes((c.SOS,))))
+        whole = peer.echo(b"abc")
+        streams.append((whole.seq, c.ERR_TIMEOUT, whole.wire[:4]))
         many = peer.many(c.GET_ECHO, code=c.ERR_OPCODE)
         streams.append((many.seq, c.ERR_OPCODE, many.wire))
         for seq, code, stream in streams:

@@ -7,7 +7,7 @@ from j2a_spec.oracle import Frame
 
 from j2a_conformance._case import Case
 from j2a_conformance._judge import fail, inform, skip
-from j2a_conformance._peer import Peer, Request, describe
+from j2a_conformance._peer import Peer, Request, describe, refusal
 
 _DELAY_MS = 80
 
@@ -51,6 +51,37 @@ class Window(Case):
                 stream = b"".join(r.wire for r in requests)
                 peer.play(stream, *(r.expected for r in requests), wait_s=_DELAY_MS / 1e3)
         peer.barrier()
+
+
+class CutFrame(Case):
+    """Sends a request of the largest size while `delay` keeps the device busy."""
+
+    ID = "limits.cut-frame"
+    EXPECTATION = (
+        "The echo, or error 0xF4 where bytes were lost: the seq came when there was room for it."
+    )
+    REQUIREMENTS = ("J2A-LIMIT-002",)
+    LEVEL = "core"
+    NEEDS = ("delay",)
+
+    def _run(self, peer: Peer) -> None:
+        if peer.link.lossy:
+            inform("the link was declared lossy: what the device loses cannot be told from that")
+        busy = delay(peer, _DELAY_MS)[0]
+        request = peer.echo(b"\x12" * c.MAX_PAYLOAD)
+        if peer.rxbuf < len(busy.wire) + len(request.wire[:2]):
+            skip("the device announces no j2a.rxbuf that holds a request and the seq of another")
+        peer.link.send(busy.wire + request.wire)
+        peer.expect(busy.expected, wait_s=_DELAY_MS / 1e3)
+        arrival = peer.next_frame(peer.link.reply_timeout_s)
+        if arrival is None:
+            fail("a request of which bytes were lost was not answered")
+        event = arrival.event
+        if isinstance(event, Frame) and request.expected.matches(event):
+            inform("nothing was lost: device or link held the request")
+        if not isinstance(event, Frame) or not refusal(request.seq, c.ERR_FRAMING).matches(event):
+            peer.link.record("expected", text=f"{request.expected}, or error 0xF4")
+            fail(f"{describe(event)} came")
 
 
 class Overrun(Case):

@@ -49,13 +49,20 @@ class Start(Case):
         "Each starts with SOS and is stuffed like any frame; the reply of the request that asked "
         "for it starts with SOF."
     )
-    REQUIREMENTS = ("J2A-FRAME-003", "J2A-FRAME-002", "J2A-STUFF-001", "J2A-SUM-001")
+    REQUIREMENTS = (
+        "J2A-FRAME-003",
+        "J2A-FRAME-001",
+        "J2A-FRAME-002",
+        "J2A-STUFF-001",
+        "J2A-SUM-001",
+        "J2A-SUM-002",
+    )
     LEVEL = "sif"
     NEEDS = ("sif",)
 
     def _run(self, peer: Peer) -> None:
         for opcode, payload in ((0x21, b""), (0x12, b"abc"), (0xED, b"\x12\xed\x7d"), (0, b"\0")):
-            peer.attempts(lambda o=opcode, p=payload: self._sif(peer, o, p))  # type: ignore[misc]
+            peer.carried(lambda o=opcode, p=payload: self._sif(peer, o, p))  # type: ignore[misc]
 
     @staticmethod
     def _sif(peer: Peer, opcode: int, payload: bytes) -> None:
@@ -81,7 +88,7 @@ class Counter(Case):
 
     def _run(self, peer: Peer) -> None:
         for n in range(300):
-            peer.attempts(lambda value=n % 256: self._sif(peer, value))  # type: ignore[misc]
+            peer.carried(lambda value=n % 256: self._sif(peer, value))  # type: ignore[misc]
         check_counter(peer)
         first = frames(peer.link.sifs[:1])[0].seq
         if not peer.claims.fresh or peer.link.lossy:
@@ -140,7 +147,7 @@ class DuringRequest(Case):
         refused = 0
         for length in (0, 1, 2, 17, 60, 61, 62, 63, 64, 100, 253, 254):
             for payload in patterns(length)[:8:3]:
-                refused += peer.attempts(lambda p=payload: self._refused(peer, p))  # type: ignore[misc]
+                refused += peer.carried(lambda p=payload: self._refused(peer, p))  # type: ignore[misc]
         if refused:
             inform(f"{refused} SIFs were refused to the application, which is allowed")
 

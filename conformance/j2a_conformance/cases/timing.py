@@ -150,7 +150,7 @@ class SeqUnknown(Case):
     @staticmethod
     def _late(peer: Peer, first: bytes, rest: bytes) -> None:
         peer.link.send(first)
-        if peer.next_frame(0.03 * peer.link.scale) is not None:
+        if peer.next_frame(0.03 * max(peer.link.scale, 1.0)) is not None:
             fail("a frame whose seq was not received was answered")
         if rest:
             peer.link.send(rest)
