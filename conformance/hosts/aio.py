@@ -1,0 +1,113 @@
+"""A host program for `j2a-conform host`, with the asyncio client; see `client.py`.
+
+What flows in: the URL of the suite as the last argument, then jobs, one as the reply to each call
+of the opcode 0xE0. What flows out: the outcome of each job, as the payload of the next such call.
+"""
+
+import asyncio
+import sys
+import zlib
+
+import j2a
+
+CONDUCTOR = 0xE0
+FOR_A_AND_B = 0x2A
+
+
+async def main(url: str) -> None:
+    """Do jobs until the suite says `bye` or is gone."""
+    outcome = "ready j2a.AsyncClient"
+    while outcome:
+        async with await j2a.aconnect(url, window=8) as board:
+            host = Host(board)
+            try:
+                while outcome:
+                    reply = await board.call(CONDUCTOR, outcome.encode(), 60)
+                    outcome = await host.do(reply.payload.decode())
+            except j2a.LinkError:
+                pass  # the same outcome is reported again over a new link
+
+
+class Host:
+    """A link to the suite, and the SIFs that came over it."""
+
+    def __init__(self, board: j2a.AsyncClient) -> None:
+        self.board = board
+        self.sifs: dict[str, list[j2a.Sif]] = {"all": [], "a": [], "b": []}
+        self.came = asyncio.Event()
+        board.on_sif(None, self.sifs["all"].append)
+        board.on_sif(FOR_A_AND_B, self.sifs["a"].append)
+        board.on_sif(FOR_A_AND_B, self.sifs["b"].append)
+        board.on_sif(None, lambda _sif: self.came.set())
+
+    async def do(self, job: str) -> str:
+        """Do a job and return its outcome; "" ends the program."""
+        try:
+            match job.split(" "):
+                case ["together", *_]:
+                    calls = job.removeprefix("together ").split(" ; ")
+                    return " ; ".join(await asyncio.gather(*map(self.do, calls)))
+                case ["repeat", count, *call]:
+                    outcomes = [await self.do(" ".join(call)) for _ in range(int(count))]
+                    return outcomes[-1]
+                case ["call", function, data, ms]:
+                    reply = await self.board.call(name(function), take(data), int(ms) / 1000)
+                    return f"reply {reply.code} {spell(reply.payload)}"
+                case ["read", function, ms]:
+                    content = await self.board.read_many(name(function), timeout=int(ms) / 1000)
+                    return f"data {spell(content)}"
+                case ["write", function, data, ms]:
+                    limit_s = int(ms) / 1000
+                    await self.board.write_many(name(function), take(data), timeout=limit_s)
+                    return "written"
+                case ["sifs", handler, count, ms]:
+                    return await self.report_sifs(self.sifs[handler], int(count), int(ms) / 1000)
+                case ["bye"]:
+                    return ""
+                case _:
+                    return "unsupported"
+        except j2a.FunctionFailed as error:
+            return f"failed {error}"[:255]
+        except j2a.RemoteError as error:
+            return f"error {error.code}"
+        except j2a.CallTimeout:
+            return "timeout"
+        except j2a.LinkError:
+            return "lost"
+        except (j2a.LocalError, j2a.LegacyLimit) as error:
+            return f"refused {error}"[:255]
+        except j2a.ProtocolError as error:
+            return f"failed {error}"[:255]
+
+    async def report_sifs(self, sifs: list[j2a.Sif], count: int, wait_s: float) -> str:
+        """Wait for so many SIFs, report those that came, and forget them."""
+        try:
+            async with asyncio.timeout(wait_s):
+                while len(sifs) < count:
+                    self.came.clear()
+                    await self.came.wait()
+        except TimeoutError:
+            pass  # what is missing is seen in the report
+        taken, sifs[:] = sifs[:], []
+        data = b"".join(bytes((sif.opcode, len(sif.payload))) + sif.payload for sif in taken)
+        return f"sifs {sum(sif.missed for sif in taken)} {spell(data)}"
+
+
+def name(word: str) -> str | int:
+    """Take `@48` for an opcode, anything else for a name."""
+    return int(word[1:]) if word.startswith("@") else word
+
+
+def take(word: str) -> bytes:
+    """Take data from a job: `-`, hex digits, or `COUNT*HEX`."""
+    count, star, unit = word.rpartition("*")
+    return b"" if word == "-" else bytes.fromhex(unit) * int(count if star else 1)
+
+
+def spell(data: bytes) -> str:
+    """Spell data for an outcome: `-`, hex digits, or `LENGTH#CRC32` above 100 bytes."""
+    return f"{len(data)}#{zlib.crc32(data):08x}" if len(data) > 100 else data.hex() or "-"
+
+
+if __name__ == "__main__":
+    asyncio.run(main(sys.argv[-1]))

@@ -1,0 +1,124 @@
+"""What the scripted device has, and how it answers what no case looks at.
+
+What flows in: requests. What flows out: the return value and the payload of a reply. Rules: frozen;
+a case that needs another device states it, and the host meets that over a new link.
+"""
+
+from dataclasses import dataclass
+
+from j2a_spec import constants as c
+from j2a_spec.grammar import MAPPING, PROPERTIES
+
+__all__ = ["DEMO", "FETCH", "OLD", "PING", "STORE", "Device", "chunk_reply", "pattern"]
+
+PING = "ping"
+FETCH = "fetch"
+STORE = "store"
+
+
+def pattern(size: int) -> bytes:
+    """Return `size` bytes whose period does not divide that of chunks or of offsets."""
+    return (bytes(range(7)) * (size // 7 + 1))[:size]
+
+
+def chunk_reply(code: int, flags: int, offset: int, data: bytes = b"") -> bytes:
+    """Return the payload of a reply of a2jMany; `flags` may hold any bits, `offset` in bytes."""
+    return bytes((code, flags)) + offset.to_bytes(4, "little") + data
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A device as a host sees it.
+
+    Attributes:
+        names: of its functions in opcode order.
+        mapping: code and payload of the reply of a2jGetMapping; None is the one that `names` make.
+        properties: keys and values; None where a2jGetProperties is refused.
+        content: what a read of `fetch` gives.
+        chunk: the most data that it puts into a chunk, 1..249 bytes.
+        offset_mask: the bits of an offset that it honours; 0xFF is a device of 2014.
+    """
+
+    names: tuple[str, ...] = (*c.BUILTINS, PING, FETCH, STORE)
+    mapping: tuple[int, bytes] | None = None
+    properties: tuple[tuple[str, str], ...] | None = (
+        ("name", "conductor"),
+        (c.PROP_SPEC, c.SPEC_VERSION),
+    )
+    content: bytes = b"content"
+    chunk: int = c.MANY_DATA
+    offset_mask: int = 0xFFFFFFFF
+
+    def opcode(self, name: str) -> int:
+        """Return the opcode of a function that the device has."""
+        return self.names.index(name)
+
+    @property
+    def rxbuf(self) -> int:
+        """The property j2a.rxbuf in bytes, or 0 where the device does not announce it."""
+        return int(dict(self.properties or ()).get(c.PROP_RXBUF, "0"))
+
+    def asks_about_it(self, opcode: int, payload: bytes) -> bool:
+        """Tell whether a request asks for the mapping or the properties.
+
+        A host may ask for them whenever it likes, so cases leave such requests to the device.
+        """
+        if opcode == self.names.index(c.MANY):
+            return payload[:1] == bytes((self._properties_opcode,))
+        return opcode == 0
+
+    @property
+    def _properties_opcode(self) -> int:
+        return self.names.index(c.GET_PROPERTIES) if c.GET_PROPERTIES in self.names else 0xFF
+
+    def answer(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
+        """Return the code and the payload of the reply to a request."""
+        if opcode == 0:
+            return self._map()
+        name = self.names[opcode] if opcode < len(self.names) else ""
+        if name == c.GET_ECHO:
+            return c.ECHO, payload
+        if name == PING:
+            return c.RET_OK, payload
+        if name == c.GET_DEBUG:
+            return c.RET_OK, b""
+        if name == c.MANY and len(payload) >= c.MANY_HEADER:
+            return self._many(payload)
+        return (c.RET_FAILED, b"") if name == c.MANY else (c.ERR_OPCODE, b"\x01\x00")
+
+    def _map(self) -> tuple[int, bytes]:
+        if self.mapping is not None:
+            return self.mapping
+        return c.RET_OK, bytes(MAPPING.build(list(self.names)))
+
+    def _many(self, payload: bytes) -> tuple[int, bytes]:
+        func, flags, offset = payload[0], payload[1], int.from_bytes(payload[2:6], "little")
+        name, is_write = self.names[func] if func < len(self.names) else "", flags & c.FLAG_WRITE
+        if name == c.GET_ECHO_MANY:
+            last = flags & c.FLAG_LAST
+            return c.RET_OK, chunk_reply(c.ECHO_MANY, last, offset, payload[6:])
+        contents = {FETCH: self.content}
+        if self.properties is not None:
+            pairs = [{"key": key, "value": value} for key, value in self.properties]
+            contents[c.GET_PROPERTIES] = bytes(PROPERTIES.build(pairs))
+        if name == STORE and is_write:
+            return c.RET_OK, chunk_reply(c.RET_OK, c.FLAG_LAST, offset)
+        if name not in contents:
+            return c.ERR_OPCODE, b"\x02\x00"
+        if is_write:
+            return c.RET_OK, chunk_reply(c.RET_FAILED, 0, offset)
+        start = offset & self.offset_mask
+        data = contents[name][start : start + self.chunk]
+        is_last = start + len(data) >= len(contents[name])
+        return c.RET_OK, chunk_reply(c.RET_OK, c.FLAG_LAST if is_last else 0, offset, data)
+
+
+DEMO = Device()
+"""The device of most cases."""
+
+OLD = Device(
+    names=tuple(name for name in DEMO.names if name not in (c.GET_PROPERTIES, c.GET_DEBUG)),
+    properties=None,
+    offset_mask=0xFF,
+)
+"""A device of 2014: without properties, with a2jMany that looks at the lowest byte of an offset."""

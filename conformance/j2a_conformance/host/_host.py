@@ -1,0 +1,353 @@
+"""The host program as a case talks to it: jobs for it, its requests, and the outcomes it reports.
+
+What flows in: jobs, replies and any other bytes for the host. What flows out: the requests that it
+sends, the outcomes that it reports, or `Judged` when they are not what is due. Rules: the program
+calls the opcode `CONDUCTOR` with the outcome of its last job and gets the next one as the reply,
+so the link is the only way between suite and program. Every frame that comes is compared with the
+oracle, whichever case runs.
+"""
+
+import zlib
+from dataclasses import dataclass
+from typing import Final, NoReturn
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, Incomplete, decode, encode
+from j2a_transports import LinkLost
+
+from j2a_conformance._judge import fail, skip
+from j2a_conformance._peer import describe
+from j2a_conformance._wire import Arrival, Link
+
+from ._device import PING, Device
+from ._program import Listening
+from ._seqs import Seqs
+
+__all__ = ["CONDUCTOR", "Host", "Outcome", "Request", "spell"]
+
+CONDUCTOR: Final = 0xE0
+"""The opcode that the host program calls for its jobs."""
+
+_SPELT: Final = 100
+_PATIENCE_S: Final = 5.0
+_LIMIT_MS: Final = 3000
+_SILENCE_MS: Final = 120
+_MOST: Final = 2000
+_LAST_WORDS_S: Final = 0.5
+
+
+def spell(data: bytes) -> str:
+    """Return data as a host program reports it: in hex, or its length and CRC-32, or "-"."""
+    if len(data) > _SPELT:
+        return f"{len(data)}#{zlib.crc32(data):08x}"
+    return data.hex() or "-"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A request of the host: seq, opcode, payload, its size on the wire in bytes."""
+
+    seq: int
+    opcode: int
+    payload: bytes
+    size: int
+
+    def reply(self, code: int = c.RET_OK, payload: bytes = b"") -> bytes:
+        """Return the wire bytes of a reply to it."""
+        return encode(Frame(c.SOF, self.seq, code, payload))
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the host program reports of its last job.
+
+    Attributes:
+        text: as it was reported.
+        word: the first word of it.
+        rest: what follows the first word.
+    """
+
+    text: str
+    word: str
+    rest: str
+
+
+class Host:
+    """The host program behind a link.
+
+    Args:
+        place: where the host connects.
+        device: what the scripted device has.
+        scale: factor for every wait and for every time limit in a job.
+
+    Attributes:
+        title: what the program says that it is, when it reports that it is ready.
+        link: the link to the host.
+        device: what the scripted device has; a host learns of another one over a new link.
+        limit_ms: a time limit for calls that are answered.
+        silence_ms: a time limit for calls that are not.
+    """
+
+    def __init__(self, place: Listening, device: Device, scale: float = 1.0) -> None:
+        self.title = ""
+        self.device = self._first_device = device
+        self.limit_ms = int(_LIMIT_MS * scale)
+        self.silence_ms = int(_SILENCE_MS * scale)
+        self._patience_s = _PATIENCE_S * scale
+        self._place = place
+        self._sif_seq = 0
+        self._held: list[Arrival] = []
+        self.link = Link(place.first(), scale)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._seqs = Seqs()
+        self._pending: Frame | None = None
+        self._held.clear()
+
+    # The link
+
+    def close(self) -> None:
+        """End the link."""
+        self.link.transport.close()
+
+    def hang_up(self, greeting: bytes = b"") -> None:
+        """End the link, as a cable that is pulled, and wait until the host has connected again.
+
+        Args:
+            greeting: what the device sends at once on the new link.
+        """
+        self.link.note("the link is closed; the host connects anew")
+        self.close()
+        self.link.replace(self._place.again(self._patience_s))
+        self._begin()
+        if greeting:
+            self.send(greeting)
+
+    def restart(self) -> None:
+        """Bring the host to rest after a failure: a new program where it is started from here.
+
+        It meets the device that the first one met.
+
+        Raises:
+            Judged: the host does not come back.
+            HarnessError: the program does not start.
+        """
+        self.close()
+        self.device = self._first_device
+        if self._place.has_runner:
+            self.link.replace(self._place.first())
+        else:
+            self.link.replace(self._place.again(self._patience_s))
+        self._begin()
+        self._await_conductor()
+
+    def become(self, device: Device) -> None:
+        """Be another device from now on, which a host sees over a new link."""
+        if device != self.device:
+            self.device = device
+            self.hang_up()
+            self._await_conductor()
+
+    def barrier(self) -> None:
+        """Give a job that needs no request, so that one too many is seen; forget the SIFs."""
+        self.job("sifs all 0 0")
+        self._await_conductor()
+
+    # Jobs and outcomes
+
+    def job(self, text: str) -> None:
+        """Give the host, which waits for it, its next job."""
+        self.send(self.job_frame(text))
+
+    def job_frame(self, text: str) -> bytes:
+        """Return the wire bytes that give the next job; they must be sent."""
+        if self._pending is None:
+            self._await_conductor()
+        assert self._pending is not None
+        call, self._pending = self._pending, None
+        self.link.note(f"job: {text}")
+        self._seqs.reply(call.seq, is_error=False)
+        return encode(Frame(c.SOF, call.seq, c.RET_OK, text.encode()))
+
+    def outcome(self, *accepted: str, wait_ms: float = 0.0) -> Outcome:
+        """Wait for the report of the host and return it.
+
+        Args:
+            accepted: the reports that are right, each whole or only its first word.
+            wait_ms: how long the host needs, beside the patience that each step has.
+        """
+        self._await_conductor(wait_ms)
+        return self._reported(accepted)
+
+    def do(self, text: str, *accepted: str) -> tuple[Outcome, list[Request]]:
+        """Give a job, let the device answer every request; return the outcome and the requests."""
+        seen: list[Request] = []
+        self.job(text)
+        while self._pending is None:
+            if (request := self._next_request(0.0)) is not None:
+                seen.append(request)
+                self.reply(request, *self.device.answer(request.opcode, request.payload))
+            if len(seen) > _MOST:
+                fail(f"{_MOST} requests came, and there is no end")
+        return self._reported(accepted), seen
+
+    def _reported(self, accepted: tuple[str, ...]) -> Outcome:
+        assert self._pending is not None
+        text = self._pending.payload.decode("utf-8", "replace")
+        word, _, rest = text.partition(" ")
+        self.link.note(f"outcome: {text}")
+        if word == "unsupported":
+            skip("the host program does not know this kind of job")
+        if accepted and not {text, word} & set(accepted):
+            self.link.record("expected", text=" or ".join(accepted))
+            fail(f"the host reports `{text}`; due is {' or '.join(f'`{a}`' for a in accepted)}")
+        return Outcome(text, word, rest)
+
+    def _await_conductor(self, wait_ms: float = 0.0) -> None:
+        """Wait for the report; what the host asks about the device is answered meanwhile."""
+        while self._pending is None:
+            if (request := self._next_request(wait_ms)) is not None:
+                self._strange(request, "the report of the host")
+
+    # Requests and what is sent to the host
+
+    def request(self, opcode: int | None = None, payload: bytes | None = None) -> Request:
+        """Wait for a request of the host, one about the device itself aside.
+
+        Args:
+            opcode: what it must call; None leaves it open.
+            payload: what it must carry; None leaves it open.
+        """
+        request = self._next_request(0.0)
+        if request is None:
+            self._too_early()
+        if opcode not in (None, request.opcode) or payload not in (None, request.payload):
+            self._strange(request, self._due(opcode, payload))
+        return request
+
+    def requests(self, quiet_ms: float) -> list[Request]:
+        """Return the requests that come until none has come for `quiet_ms`."""
+        found = []
+        while (arrival := self._next_arrival(quiet_ms / 1e3)) is not None:
+            request = self._judge(arrival)
+            if request is None:
+                self._too_early()
+            if self.device.asks_about_it(request.opcode, request.payload):
+                self.reply(request, *self.device.answer(request.opcode, request.payload))
+            else:
+                found.append(request)
+        return found
+
+    def asked(self, payload: bytes = b"", limit_ms: int = 0) -> Request:
+        """Have the host call `ping` by its opcode, and return its request."""
+        opcode = self.device.opcode(PING)
+        self.job(f"call @{opcode} {payload.hex() or '-'} {limit_ms or self.limit_ms}")
+        return self.request(opcode, payload)
+
+    def early_request(self) -> int:
+        """Return the seq of the next request as soon as it is known, before its other bytes."""
+        deadline_s = self.link.now_s() + self._patience_s
+        while True:
+            if self.link.now_s() > deadline_s:
+                fail("no request came")
+            self.has_sent(0.001)
+            for data in (self.link.unfinished(), *(held.raw for held in self._held)):
+                match decode(data)[-1:]:
+                    case [Incomplete(c.SOF, int(seq)) | Frame(c.SOF, seq)]:
+                        return seq
+
+    def has_sent(self, timeout_s: float) -> bool:
+        """Tell whether something that was not looked at yet has come, at most after this time."""
+        if not self._held and (arrival := self._next_arrival(timeout_s)) is not None:
+            self._held.append(arrival)
+        return bool(self._held)
+
+    def reply(self, request: Request, code: int = c.RET_OK, payload: bytes = b"") -> None:
+        """Send the reply to a request."""
+        self.send(request.reply(code, payload))
+        self.replied(request, code)
+
+    def replied(self, request: Request, code: int = c.RET_OK) -> None:
+        """Note that a request was answered by other means than `reply`."""
+        self._seqs.reply(request.seq, is_error=code in c.ERRORS)
+
+    def sif(self, opcode: int, payload: bytes = b"", skipped: int = 0) -> bytes:
+        """Return the wire bytes of the next SIF; `skipped` are missing before it."""
+        self._sif_seq = (self._sif_seq + skipped) % 256
+        return encode(Frame(c.SOS, self.next_sif_seq(), opcode, payload))
+
+    def next_sif_seq(self) -> int:
+        """Return the seq that is due in the next SIF, which is sent by other means than `sif`."""
+        seq, self._sif_seq = self._sif_seq, (self._sif_seq + 1) % 256
+        return seq
+
+    def reset_sifs(self, seq: int = 0) -> None:
+        """Have the next SIF carry `seq`, 0 as after a reset."""
+        self._sif_seq = seq
+
+    def send(self, data: bytes) -> None:
+        """Send any bytes in one piece."""
+        self.link.send(data)
+
+    # What comes
+
+    def _next_request(self, wait_ms: float) -> Request | None:
+        """Return the next request that no standing answer is for, None when the host reports."""
+        while True:
+            arrival = self._next_arrival(self._patience_s + wait_ms / 1e3)
+            if arrival is None:
+                tail = self.link.unfinished()
+                rest = f"; {tail.hex(' ')} has no end" if tail else ""
+                fail(
+                    f"nothing came from the host for {self._patience_s + wait_ms / 1e3:.1f} s{rest}"
+                )
+            request = self._judge(arrival)
+            if request is None or not self.device.asks_about_it(request.opcode, request.payload):
+                return request
+            self.reply(request, *self.device.answer(request.opcode, request.payload))
+
+    def _next_arrival(self, timeout_s: float) -> Arrival | None:
+        if self._held:
+            return self._held.pop(0)
+        try:
+            arrival = self.link.next(timeout_s)
+        except LinkLost as error:
+            fail(self._place.ended(_LAST_WORDS_S) or f"the host closed the link: {error}")
+        if self.link.sifs:
+            del self.link.sifs[:]
+            fail("the host sent a frame that starts with SOS (J2A-FRAME-002)")
+        return arrival
+
+    def _judge(self, arrival: Arrival) -> Request | None:
+        """Return the request that came; None when it is the report of the host."""
+        frame = arrival.event
+        if not isinstance(frame, Frame):
+            fail(f"the host sent {describe(frame)}")
+        if arrival.raw != encode(frame):
+            self.link.record("expected", encode(frame))
+            fail("the bytes that the host sent are not those of the oracle (J2A-STUFF-002)")
+        if wrong := self._seqs.request(frame.seq):
+            fail(f"{wrong} (J2A-SEQ-003)")
+        if frame.opcode == CONDUCTOR:
+            if self._pending is not None:
+                fail("the host called the conductor while it waited for a job")
+            self._pending = frame
+            return None
+        return Request(frame.seq, frame.opcode, frame.payload, len(arrival.raw))
+
+    # What is wrong
+
+    def _too_early(self) -> NoReturn:
+        text = self._reported(()).text
+        fail(f"the host reports `{text}` where a request was due")
+
+    def _strange(self, request: Request, due: str) -> NoReturn:
+        event = Frame(c.SOF, request.seq, request.opcode, request.payload)
+        self.link.record("expected", text=due)
+        fail(f"{describe(event)} came where {due} was due")
+
+    @staticmethod
+    def _due(opcode: int | None, payload: bytes | None) -> str:
+        carried = "" if payload is None else f" and the payload {spell(payload)}"
+        return f"a request with the opcode {opcode}{carried}"

@@ -1,0 +1,36 @@
+"""Every case for hosts, one module per area of the specification.
+
+What flows out: `load()`. Rules: a requirement that binds hosts and can be observed has a case; a
+test proves it.
+"""
+
+from functools import cache
+
+from j2a_conformance._case import of_module
+from j2a_conformance.host._case import HostCase
+
+from . import (
+    errors,
+    limits,
+    many,
+    names,
+    offsets,
+    received,
+    recovery,
+    sent,
+    seq,
+    sif,
+    timing,
+)
+
+__all__ = ["load"]
+
+_MODULES = (sent, received, recovery, seq, errors, names, many, offsets, sif, timing, limits)
+
+
+@cache
+def load() -> tuple[HostCase, ...]:
+    """Return every case but the start, in the order in which they run."""
+    # What is returned are instances of its subclasses, which are not abstract.
+    kind: type[HostCase] = HostCase  # type: ignore[type-abstract]
+    return tuple(case for module in _MODULES for case in of_module(module, kind))

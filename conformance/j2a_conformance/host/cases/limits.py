@@ -1,0 +1,109 @@
+"""Several calls at once, and j2a.rxbuf (J2A-LIMIT-003)."""
+
+from dataclasses import replace
+
+from j2a_spec import constants as c
+
+from j2a_conformance._judge import fail, inform
+from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._device import DEMO
+from j2a_conformance.host._host import Host, Request, spell
+
+_QUIET_MS = 40.0
+
+
+def together(host: Host, *datas: str) -> None:
+    """Have the host call `ping` several times at once, with data as jobs spell them."""
+    host.job("together " + " ; ".join(f"call @6 {data} {host.limit_ms}" for data in datas))
+
+
+def serve(host: Host, count: int, room: int) -> int:
+    """Answer `count` calls one by one; judge what waits meanwhile, and return the most that did."""
+    waiting: list[Request] = []
+    most = 0
+    for answered in range(count):
+        if len(waiting) + answered < count:
+            waiting += host.requests(_QUIET_MS * host.link.scale)
+        if not waiting:
+            waiting.append(host.request())
+        most = max(most, len(waiting))
+        size = sum(request.size for request in waiting)
+        if len(waiting) > 1 and size > room:
+            fail(f"{len(waiting)} requests of {size} bytes wait together, {room} are announced")
+        request = waiting.pop(0)
+        host.reply(request, 1, request.payload)
+    return most
+
+
+class OneByOne(HostCase):
+    """Has the host make four calls at once to a device without j2a.rxbuf."""
+
+    ID = "host.limits.one-by-one"
+    EXPECTATION = "Each request comes after the reply to the one before; each call gets its reply."
+    REQUIREMENTS = ("J2A-LIMIT-003", "J2A-SEQ-004")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        together(host, "01", "02", "03", "04")
+        serve(host, 4, 0)
+        host.outcome("reply 1 01 ; reply 1 02 ; reply 1 03 ; reply 1 04")
+
+
+class Window(HostCase):
+    """Has the host make seven calls at once to a device that announces 24 bytes."""
+
+    ID = "host.limits.window"
+    EXPECTATION = "What waits is never more than 24 bytes; each call gets its reply."
+    REQUIREMENTS = ("J2A-LIMIT-003", "J2A-SEQ-004")
+    LEVEL = "core"
+    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "24")))
+
+    def _run(self, host: Host) -> None:
+        together(host, *(f"{n:02x}" for n in range(1, 8)))
+        serve(host, 7, host.device.rxbuf)
+        host.outcome(" ; ".join(f"reply 1 {n:02x}" for n in range(1, 8)))
+
+
+class Stuffed(HostCase):
+    """Has the host make large calls, whose bytes are all escaped, and small ones at once, to a
+    device that announces 300 bytes.
+    """
+
+    ID = "host.limits.stuffed"
+    EXPECTATION = "It is the bytes on the wire that count; what is larger than that goes alone."
+    REQUIREMENTS = ("J2A-LIMIT-003",)
+    LEVEL = "core"
+    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "300")))
+
+    def _run(self, host: Host) -> None:
+        together(host, "101*12", "101*ed", "255*7d", "01")
+        serve(host, 4, host.device.rxbuf)
+        wanted = (b"\x12" * 101, b"\xed" * 101, b"\x7d" * 255, b"\x01")
+        host.outcome(" ; ".join(f"reply 1 {spell(payload)}" for payload in wanted))
+
+
+class OutOfOrder(HostCase):
+    """Answers calls that wait together in the wrong order."""
+
+    ID = "host.limits.out-of-order"
+    EXPECTATION = "No call gets the reply to another one."
+    REQUIREMENTS = ("J2A-SEQ-004", "J2A-SEQ-005")
+    LEVEL = "core"
+    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+
+    def _run(self, host: Host) -> None:
+        payloads = [b"\x01", b"\x02", b"\x03"]
+        together(host, *(payload.hex() for payload in payloads))
+        requests = host.requests(_QUIET_MS * host.link.scale)
+        if len(requests) < len(payloads):
+            for request in requests:
+                host.reply(request, 1, request.payload)
+            serve(host, len(payloads) - len(requests), host.device.rxbuf)
+            host.outcome(" ; ".join(f"reply 1 {payload.hex()}" for payload in payloads))
+            inform("the host makes one call at a time")
+        for request in reversed(requests):
+            host.reply(request, 1, request.payload)
+        outcome = host.outcome(wait_ms=host.limit_ms)
+        for payload, part in zip(payloads, outcome.text.split(" ; "), strict=False):
+            if part.startswith("reply") and part != f"reply 1 {payload.hex()}":
+                fail(f"the call with {payload.hex()} got `{part}`")

@@ -1,0 +1,188 @@
+"""Function maps: present, moved, missing, cut and full (J2A-DISP-007, J2A-MAP-005).
+
+An empty map is not among them: it is also what comes from a link that sends back what it is sent.
+"""
+
+from dataclasses import replace
+
+from j2a_spec import constants as c
+
+from j2a_conformance._judge import fail
+from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._device import DEMO, FETCH, OLD, PING, STORE
+from j2a_conformance.host._host import Host, spell
+
+_FULL = (*c.BUILTINS, *(f"f{n:x}" for n in range(50)), "g0")  # a mapping of 255 bytes
+
+
+def call_by_name(host: Host, name: str) -> None:
+    """Have the host call a function by its name, and judge the opcode."""
+    host.job(f"call {name} 6e {host.limit_ms}")
+    host.reply(host.request(host.device.opcode(name), b"n"), 3, name.encode())
+    host.outcome(f"reply 3 {spell(name.encode())}")
+
+
+def call_by_opcode(host: Host) -> None:
+    """Have the host call a function by its opcode."""
+    host.reply(host.asked(b"o"), 4, b"opcode")
+    host.outcome(f"reply 4 {spell(b'opcode')}")
+
+
+class Names(HostCase):
+    """Has the host call functions by their names."""
+
+    ID = "host.names.known"
+    EXPECTATION = "The opcode is the place of the name in the mapping."
+    REQUIREMENTS = ("J2A-DISP-007",)
+    LEVEL = "mapping"
+
+    def _run(self, host: Host) -> None:
+        for name in (PING, c.GET_ECHO, c.GET_DEBUG, PING):
+            call_by_name(host, name)
+
+
+class Moved(HostCase):
+    """Is a device whose functions stand in another order, behind a new link."""
+
+    ID = "host.names.moved"
+    EXPECTATION = "The host reads the mapping again and calls the functions where they are now."
+    REQUIREMENTS = ("J2A-DISP-007",)
+    LEVEL = "mapping"
+    DEVICE = replace(
+        DEMO, names=(c.GET_MAPPING, c.MANY, c.GET_ECHO, c.GET_ECHO_MANY, FETCH, "more", STORE, PING)
+    )
+
+    def _run(self, host: Host) -> None:
+        for name in (PING, c.GET_ECHO, "more"):
+            call_by_name(host, name)
+        host.do(f"read {FETCH} {host.limit_ms}", f"data {spell(host.device.content)}")
+
+
+class MovedAgain(HostCase):
+    """Moves the functions while the link is down in mid call."""
+
+    ID = "host.names.moved-in-call"
+    EXPECTATION = "What the host learnt on the old link does not hold on the new one."
+    REQUIREMENTS = ("J2A-DISP-007", "J2A-TIME-006")
+    LEVEL = "mapping"
+
+    def _run(self, host: Host) -> None:
+        call_by_name(host, PING)
+        host.job(f"call {PING} 6e {host.limit_ms}")
+        host.request(host.device.opcode(PING), b"n")
+        host.device = replace(DEMO, names=(*c.BUILTINS, STORE, FETCH, "new", PING))
+        host.hang_up()
+        host.outcome("lost", "timeout", wait_ms=host.limit_ms)
+        call_by_name(host, PING)
+
+
+class Unknown(HostCase):
+    """Has the host call a name that the device does not have."""
+
+    ID = "host.names.unknown"
+    EXPECTATION = "The host refuses it, and no function is called."
+    REQUIREMENTS = ("J2A-DISP-007",)
+    LEVEL = "mapping"
+
+    def _run(self, host: Host) -> None:
+        for name in ("pin", "pingg", "nothing"):
+            host.job(f"call {name} 6e {host.limit_ms}")
+            host.outcome("refused")
+        call_by_name(host, PING)
+
+
+class Missing(HostCase):
+    """Is a device without a mapping: opcode 0 is refused by error 0xF0."""
+
+    ID = "host.names.no-mapping"
+    EXPECTATION = (
+        "Functions can be called and read by opcode, a2jMany is opcode 1; names are refused."
+    )
+    REQUIREMENTS = ("J2A-MAP-005", "J2A-DISP-007")
+    LEVEL = "core"
+    DEVICE = replace(DEMO, mapping=(c.ERR_OPCODE, b"\x01\x00"))
+
+    def _run(self, host: Host) -> None:
+        call_by_opcode(host)
+        host.job(f"call {PING} 6e {host.limit_ms}")
+        host.outcome("refused", "error")
+        call_by_opcode(host)
+        host.do(f"read @{host.device.opcode(FETCH)} {host.limit_ms}", f"data {spell(b'content')}")
+
+
+class _Odd(HostCase):
+    """A device whose mapping is of no use: it can be called by opcode all the same."""
+
+    EXPECTATION = "Functions can be called by opcode."
+    REQUIREMENTS = ("J2A-MAP-005",)
+    LEVEL = "mapping"
+
+    def _run(self, host: Host) -> None:
+        call_by_opcode(host)
+        outcome, _ = host.do(f"call nothing - {host.limit_ms}")
+        if outcome.word == "reply":
+            fail("the host called a function that has another name")
+        call_by_opcode(host)
+
+
+class Failing(_Odd):
+    """Is a device whose a2jGetMapping returns 0xFF."""
+
+    ID = "host.names.failing"
+    DEVICE = replace(DEMO, mapping=(c.RET_FAILED, b""))
+
+
+class CutOff(_Odd):
+    """Is a device whose mapping ends in the middle of a name, as if it were too long."""
+
+    ID = "host.names.cut-off"
+    DEVICE = replace(DEMO, mapping=(c.RET_OK, b"a2jGetMapping\0a2jMany\0a2jGetProp"))
+
+
+class Damaged(_Odd):
+    """Is a device whose mapping has empty names and bytes that are no text."""
+
+    ID = "host.names.no-text"
+    DEVICE = replace(DEMO, mapping=(c.RET_OK, b"a2jGetMapping\0a2jMany\0\0\xff\xfe\x80\0\0"))
+
+
+class Double(HostCase):
+    """Is a device whose mapping has a name twice."""
+
+    ID = "host.names.double"
+    EXPECTATION = "The other names are found as ever."
+    REQUIREMENTS = ("J2A-DISP-007",)
+    LEVEL = "mapping"
+    DEVICE = replace(DEMO, names=(*c.BUILTINS, "twin", "twin", PING))
+
+    def _run(self, host: Host) -> None:
+        call_by_name(host, PING)
+
+
+class Full(HostCase):
+    """Is a device with a mapping of 255 bytes."""
+
+    ID = "host.names.full"
+    EXPECTATION = "The last name is found like the first."
+    REQUIREMENTS = ("J2A-DISP-007", "J2A-FRAME-005")
+    LEVEL = "mapping"
+    DEVICE = replace(DEMO, names=_FULL)
+
+    def _run(self, host: Host) -> None:
+        for name in (_FULL[6], _FULL[-1]):
+            call_by_name(host, name)
+
+
+class Short(HostCase):
+    """Is a device of 2014 with the fewest functions there can be."""
+
+    ID = "host.names.short"
+    EXPECTATION = "The functions that are there can be called."
+    REQUIREMENTS = ("J2A-DISP-007",)
+    LEVEL = "mapping"
+    DEVICE = replace(OLD, names=(c.GET_MAPPING, c.MANY, c.GET_ECHO, c.GET_ECHO_MANY))
+
+    def _run(self, host: Host) -> None:
+        call_by_name(host, c.GET_ECHO)
+        host.job(f"call {PING} - {host.limit_ms}")
+        host.outcome("refused")

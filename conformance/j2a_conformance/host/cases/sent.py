@@ -1,0 +1,96 @@
+"""What a host sends: frames, stuffing and checksum (J2A-FRAME, J2A-STUFF, J2A-SUM).
+
+Each frame of a host is compared with the oracle in every case; these cases make it send all there
+is to compare.
+"""
+
+from j2a_spec import constants as c
+
+from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._host import CONDUCTOR, Host, spell
+
+_SENDER = (
+    "J2A-FRAME-001",
+    "J2A-FRAME-002",
+    "J2A-FRAME-004",
+    "J2A-FRAME-010",
+    "J2A-STUFF-001",
+    "J2A-STUFF-002",
+    "J2A-SUM-001",
+    "J2A-SUM-002",
+)
+
+
+def echo(host: Host, data: str, payload: bytes) -> None:
+    """Have the host call `ping` with `data` as a job spells it, and answer with the same."""
+    host.job(f"call @6 {data} {host.limit_ms}")
+    request = host.request(6, payload)
+    host.reply(request, c.RET_OK, payload)
+    host.outcome(f"reply 0 {spell(payload)}")
+
+
+class Sizes(HostCase):
+    """Has the host send payloads of many sizes from 0 to 255 bytes, and sends the same back."""
+
+    ID = "host.sent.sizes"
+    EXPECTATION = "Each request is byte by byte that of the oracle, and each reply is handed over."
+    REQUIREMENTS = _SENDER
+    LEVEL = "frame"
+
+    def _run(self, host: Host) -> None:
+        for size in (*range(20), 100, *range(123, 128), *range(235, 240), 253, 254, 255):
+            data = f"{size}*a5" if size else "-"
+            echo(host, data, b"\xa5" * size)
+
+
+class Values(HostCase):
+    """Has the host send every byte value, and payloads of start bytes and escapes alone."""
+
+    ID = "host.sent.values"
+    EXPECTATION = "SOF, SOS and ESC are escaped and nothing else is."
+    REQUIREMENTS = _SENDER
+    LEVEL = "frame"
+
+    def _run(self, host: Host) -> None:
+        for start in range(0, 256, 64):
+            payload = bytes(range(start, start + 64))
+            echo(host, payload.hex(), payload)
+        for pattern in (b"\x12", b"\xed", b"\x7d", b"\x7d\x11", b"\x12\xed\x7d", b"\x7d\xff"):
+            count = 255 // len(pattern)
+            echo(host, f"{count}*{pattern.hex()}", pattern * count)
+
+
+class Opcodes(HostCase):
+    """Has the host call every opcode that is not the suite's own, by its number."""
+
+    ID = "host.sent.opcodes"
+    EXPECTATION = "The opcode field of each request is that number, escaped where it has to be."
+    REQUIREMENTS = (*_SENDER, "J2A-DISP-007")
+    LEVEL = "frame"
+
+    def _run(self, host: Host) -> None:
+        for opcode in range(2, 256):
+            if opcode != CONDUCTOR:
+                host.job(f"call @{opcode} - {host.limit_ms}")
+                host.reply(host.request(opcode, b""), c.RET_OK, b"")
+                host.outcome("reply 0 -")
+
+
+class Seqs(HostCase):
+    """Has the host make 300 calls in a row, so that each seq and each checksum comes."""
+
+    ID = "host.sent.seqs"
+    EXPECTATION = (
+        "Each request has the next seq; seq and checksum are escaped where they have to be; the "
+        "replies, which are escaped at the same places, are handed over."
+    )
+    REQUIREMENTS = (*_SENDER, "J2A-SEQ-003", "J2A-STUFF-005")
+    LEVEL = "frame"
+
+    def _run(self, host: Host) -> None:
+        opcode = 6
+        host.job(f"repeat 300 call @{opcode} 7a {host.limit_ms}")
+        for count in range(300):
+            request = host.request(opcode, b"\x7a")
+            host.reply(request, c.RET_OK, bytes((count % 256,)))
+        host.outcome("reply 0 2b")

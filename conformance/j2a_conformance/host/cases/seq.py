@@ -1,0 +1,188 @@
+"""Sequence numbers: which the host uses, and which replies it takes (J2A-SEQ)."""
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, encode
+
+from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._host import Host, spell
+
+
+def stray(seq: int, payload: bytes = b"stray", start: int = c.SOF) -> bytes:
+    """Return a frame with the code 0x11 that answers nobody."""
+    return encode(Frame(start, seq % 256, 0x11, payload))
+
+
+class Next(HostCase):
+    """Ends calls in every way: by replies, by error replies, by a function that fails, and without
+    an answer.
+    """
+
+    ID = "host.seq.next"
+    EXPECTATION = "Each attempt has the next seq, whatever became of the one before."
+    REQUIREMENTS = ("J2A-SEQ-003",)
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        for code in (0, *sorted(c.ERRORS), c.RET_FAILED, 0x11):
+            host.reply(host.asked(), code, b"\x01\x00")
+            host.outcome("reply", "error")
+        host.asked(limit_ms=host.silence_ms)
+        host.outcome("timeout", wait_ms=host.silence_ms)
+        for code in (c.ERR_CHECKSUM, 0):
+            host.reply(host.asked(), code, b"\x01\x00")
+            host.outcome("reply", "error")
+
+
+class Silence(HostCase):
+    """Leaves six calls in a row without an answer."""
+
+    ID = "host.seq.silence"
+    EXPECTATION = "Each has a new seq, the next one."
+    REQUIREMENTS = ("J2A-SEQ-003", "J2A-TIME-006")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        count, limit_ms = 6, host.silence_ms // 4
+        host.job(f"repeat {count} call @6 73 {limit_ms}")
+        for _ in range(count):
+            host.request(6, b"s")
+        host.outcome("timeout", wait_ms=limit_ms)
+
+
+class Others(HostCase):
+    """Sends replies with each of the 255 other seqs before the reply."""
+
+    ID = "host.seq.others"
+    EXPECTATION = "They are dropped, and the reply with the seq of the call is taken."
+    REQUIREMENTS = ("J2A-SEQ-004", "J2A-SEQ-005")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        request = host.asked()
+        host.send(b"".join(stray(request.seq + n) for n in range(1, 256)))
+        host.reply(request, 2, b"mine")
+        host.outcome(f"reply 2 {spell(b'mine')}")
+
+
+class OnlyOthers(HostCase):
+    """Sends replies with other seqs, and none to the call."""
+
+    ID = "host.seq.only-others"
+    EXPECTATION = "The call ends by its time limit."
+    REQUIREMENTS = ("J2A-SEQ-004", "J2A-SEQ-005", "J2A-TIME-006")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        request = host.asked(limit_ms=host.silence_ms)
+        for n in (1, 2, 128, 254, 255):
+            host.send(stray(request.seq + n))
+        host.outcome("timeout", wait_ms=host.silence_ms)
+
+
+class Sos(HostCase):
+    """Sends a SIF that carries the seq of the call and looks like its reply."""
+
+    ID = "host.seq.sif-is-no-reply"
+    EXPECTATION = "Only a frame that starts with SOF is a reply."
+    REQUIREMENTS = ("J2A-SEQ-004", "J2A-SIF-003")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        request = host.asked()
+        host.send(stray(request.seq, b"SIF", c.SOS))
+        host.reply(request, 2, b"reply")
+        host.outcome(f"reply 2 {spell(b'reply')}")
+        host.reset_sifs(request.seq + 1)
+
+
+class Late(HostCase):
+    """Answers a call only after its time limit, while the next call waits."""
+
+    ID = "host.seq.late"
+    EXPECTATION = "The late reply is dropped; the next call gets its own."
+    REQUIREMENTS = ("J2A-SEQ-005", "J2A-SEQ-004", "J2A-TIME-006")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        for payload in (b"late", b""):
+            late = host.asked(b"one", limit_ms=host.silence_ms)
+            host.outcome("timeout", wait_ms=host.silence_ms)
+            request = host.asked(b"two")
+            host.send(late.reply(5, payload))
+            host.reply(request, 6, b"own")
+            host.outcome(f"reply 6 {spell(b'own')}")
+
+
+class LateAtRest(HostCase):
+    """Answers a call only after its time limit, while no other call but that for the next job
+    waits.
+    """
+
+    ID = "host.seq.late-at-rest"
+    EXPECTATION = "The late reply is dropped, and the next call gets its own."
+    REQUIREMENTS = ("J2A-SEQ-005",)
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        late = host.asked(b"one", limit_ms=host.silence_ms)
+        host.outcome("timeout", wait_ms=host.silence_ms)
+        host.send(late.reply(5, b"late"))
+        host.reply(host.asked(b"two"), 6, b"own")
+        host.outcome(f"reply 6 {spell(b'own')}")
+
+
+class LateError(HostCase):
+    """Sends an error reply to a call that has ended, while the next call waits."""
+
+    ID = "host.seq.late-error"
+    EXPECTATION = "It is dropped; the next call gets its own reply."
+    REQUIREMENTS = ("J2A-SEQ-005", "J2A-SEQ-004")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        late = host.asked(b"one", limit_ms=host.silence_ms)
+        host.outcome("timeout", wait_ms=host.silence_ms)
+        request = host.asked(b"two")
+        host.send(late.reply(c.ERR_TIMEOUT, b"\x03\x00"))
+        host.reply(request, 6, b"own")
+        host.outcome(f"reply 6 {spell(b'own')}")
+
+
+class Twice(HostCase):
+    """Sends a reply twice, the second time while the next call waits, and both at once."""
+
+    ID = "host.seq.twice"
+    EXPECTATION = "The repeated reply is dropped."
+    REQUIREMENTS = ("J2A-SEQ-005", "J2A-SEQ-004")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        first = host.asked(b"one")
+        host.reply(first, 5, b"once")
+        host.outcome(f"reply 5 {spell(b'once')}")
+        request = host.asked(b"two")
+        host.send(first.reply(5, b"twice"))
+        host.reply(request, 6, b"own")
+        host.outcome(f"reply 6 {spell(b'own')}")
+        request = host.asked(b"three")
+        host.send(2 * request.reply(7, b"three"))
+        host.replied(request)
+        host.outcome(f"reply 7 {spell(b'three')}")
+
+
+class Unasked(HostCase):
+    """Sends replies that nobody asked for while only the call for the next job waits."""
+
+    ID = "host.seq.unasked"
+    EXPECTATION = "They are dropped, and the next call gets its own reply."
+    REQUIREMENTS = ("J2A-SEQ-005",)
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        request = host.asked(b"one")
+        host.reply(request, 5, b"one")
+        host.outcome(f"reply 5 {spell(b'one')}")
+        # +1 is the call for the next job, and +2 the call of that job.
+        host.send(b"".join(stray(request.seq + n) for n in range(3, 257)))
+        host.reply(host.asked(b"two"), 6, b"two")
+        host.outcome(f"reply 6 {spell(b'two')}")
