@@ -1,0 +1,181 @@
+"""A whole experiment: what the device claims, a row for each kind of fault, and what was found.
+
+What flows in: a way to open the link, kinds with their rates. What flows out: an `Experiment`.
+Rules: the first stream that the device answers wrongly ends the experiment, and is shrunk; what
+is short fails three times in a row, or the long stream is kept.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from j2a_transports import Transport, TransportError
+from j2a_transports.faults import Rates
+
+from j2a_conformance._judge import Judged
+from j2a_conformance._model import Claims, HarnessError
+from j2a_conformance._peer import Peer
+from j2a_conformance._smoke import SMOKE
+from j2a_conformance._wire import Link
+
+from ._player import PAUSE_S, Player
+from ._row import Row, Setup
+from ._rules import Rules, Stream
+from ._series import Found, Series
+from ._shrink import shrink
+
+__all__ = ["KINDS", "Experiment", "Kind", "Wrong", "player_for", "run", "shortest"]
+
+KINDS: Final = {
+    "drop": "drop",
+    "flip": "flip",
+    "burst": "burst",
+    "duplicate": "dup",
+    "swap": "swap",
+    "truncate": "truncate",
+    "split": "split",
+    "stall": "delay",
+    "reset": "reset",
+}
+"""Kinds of fault, with their names in `j2a_transports.faults.Rates`."""
+
+_SHRINKING_PATIENCE_S: Final = 0.5
+_CONFIRMATIONS: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What a row is about.
+
+    Attributes:
+        names: one kind of `KINDS` or more.
+        rate: faults of each kind per byte, 0 to 1.
+    """
+
+    names: tuple[str, ...]
+    rate: float
+
+    def __str__(self) -> str:
+        return "+".join(self.names)
+
+    def rates(self, byte_s: float, payload: int) -> Rates:
+        """Return the rates for a link on which a byte takes `byte_s` seconds.
+
+        A stall begins when a slow link has carried what was written before it.
+        """
+        stall_ms = (PAUSE_S + 2 * (payload + 6) * byte_s) * 1e3
+        return Rates(**{KINDS[name]: self.rate for name in self.names}, delay_ms=stall_ms)
+
+
+@dataclass(frozen=True, slots=True)
+class Wrong:
+    """A stream that the device answers wrongly.
+
+    Attributes:
+        reason: how, in words.
+        stream: the shortest bytes found, or () where nothing shows it again.
+        before: number of bytes of the stream before it was shrunk.
+    """
+
+    reason: str
+    stream: Stream = ()
+    before: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """What was found.
+
+    Attributes:
+        url: the link.
+        setup: what was asked for.
+        claims: what the device says about itself.
+        rows: by kind of fault.
+        wrong: why it ended early, or None.
+    """
+
+    url: str
+    setup: Setup
+    claims: Claims
+    rows: tuple[Row, ...]
+    wrong: Wrong | None = None
+
+    @property
+    def complaints(self) -> list[str]:
+        """What does not agree with the theory, in words."""
+        return [text for row in self.rows for text in row.complaints()]
+
+    @property
+    def passed(self) -> bool:
+        """Nothing was wrong."""
+        return self.wrong is None and not self.complaints
+
+
+def player_for(
+    opener: Callable[[], Transport], *, starts: bool, held: int = 0, scale: float = 1.0
+) -> Player:
+    """Ask the device what it has, and return what judges it.
+
+    Args:
+        opener: opens the link.
+        starts: opening the link starts the device.
+        held: bytes that the link holds back until the device takes them.
+        scale: factor for every wait.
+
+    Raises:
+        HarnessError: the link cannot be opened, nothing answers, or a2jEcho is missing.
+        Found: the device does not even answer undamaged requests rightly.
+    """
+    try:
+        with opener() as transport:
+            link = Link(transport, scale)
+            peer = Peer(link, Claims(mapped=False, functions=()))
+            for case in SMOKE:
+                case.run(peer)
+    except Judged as judged:
+        raise Found(f"undamaged requests are answered wrongly: {judged.reason}") from judged
+    except (TransportError, OSError) as error:
+        raise HarnessError(f"cannot open the link: {error}") from error
+    rules = Rules(peer.claims, held)
+    return Player(opener, rules, starts=starts, byte_s=link.byte_s, scale=scale)
+
+
+def run(
+    player: Player,
+    setup: Setup,
+    kinds: Sequence[Kind],
+    url: str = "",
+    on_row: Callable[[Row], None] = lambda _: None,
+) -> Experiment:
+    """Make a row for each kind.
+
+    Args:
+        player: see `player_for`.
+        setup: what the rows have in common.
+        kinds: the rows.
+        url: for the report.
+        on_row: called with each row as it comes.
+    """
+    experiment = Experiment(url, setup, player.rules.claims, ())
+    for kind in kinds:
+        rates = kind.rates(player.byte_s, setup.payload)
+        try:
+            row = Series(player, setup, str(kind), rates, kind.rate).run()
+        except Found as found:
+            return replace(experiment, wrong=shortest(player, found))
+        experiment = replace(experiment, rows=(*experiment.rows, row))
+        on_row(row)
+    return experiment
+
+
+def shortest(player: Player, found: Found) -> Wrong:
+    """Shrink the stream of what was found, where there is one."""
+    size = sum(map(len, found.stream))
+    if not found.stream:
+        return Wrong(found.reason)
+    patience_s = _SHRINKING_PATIENCE_S
+    short = shrink(found.stream, lambda stream: bool(player.fault(stream, patience_s)))
+    reasons = [player.fault(short) for _ in range(_CONFIRMATIONS)]
+    if all(reasons):
+        return Wrong(reasons[0], short, size)
+    return Wrong(found.reason, found.stream, size)
