@@ -6,21 +6,30 @@ What flows in: a `Run`, or its results one by one. What flows out: text lines wi
 from collections.abc import Iterator
 from typing import get_args
 
+from j2a_spec import constants as c
 from j2a_spec import requirements
 from j2a_spec.requirements import Level
 
 from ._annotate import annotate
+from ._deviations import STRICT
 from ._model import Evidence, Result, Run, Verdict
 
 __all__ = ["evidence_lines", "line", "report"]
 
 _EVIDENCE_SHOWN = 12
+_EXPLAINED = (
+    Verdict.UNIMPLEMENTED,
+    Verdict.INFORMATIONAL,
+    Verdict.NON_STRICT,
+    Verdict.KNOWN_DEVIATION,
+)
 _ARROWS = {"sent": "->", "received": "<-", "sif": "<~", "expected": "expected", "note": "note"}
 
 
 def line(result: Result) -> str:
     """Return one line for a result."""
     again = f" ({result.attempts} attempts)" if result.attempts > 1 else ""
+    again += f" ({result.repeated} exchanges repeated)" if result.repeated else ""
     reason = f": {result.reason}" if result.reason else ""
     return f"{result.verdict.value:13} {result.case}  {result.duration_s:.2f} s{again}{reason}"
 
@@ -31,7 +40,14 @@ def report(run: Run) -> str:
 
 
 def _claims(run: Run) -> Iterator[str]:
-    yield f"J2A conformance of {run.url}, {run.started}"
+    title = f"{run.title}, " if run.title else ""
+    yield f"J2A conformance of {title}{run.url}, {run.started}, profile {run.profile}"
+    if run.lossy:
+        yield (
+            f"The link was declared lossy: each exchange had up to {run.lossy} attempts, and "
+            f"{sum(result.repeated for result in run.results)} were repeated. A fault that the "
+            "device shows only now and then cannot be told from one of the link."
+        )
     if run.claims is None:
         return
     names = ", ".join(name or "(not used)" for name in run.claims.functions)
@@ -40,6 +56,11 @@ def _claims(run: Run) -> Iterator[str]:
     for key, value in run.claims.properties.items():
         yield f"property {key} = {value}"
     yield f"shortest round trip {run.claims.rtt_s * 1e3:.2f} ms"
+    if c.PROP_SPEC not in run.claims.properties and run.profile == STRICT:
+        yield (
+            f"The device does not claim version {c.SPEC_VERSION}: it has no property "
+            f"{c.PROP_SPEC}. As a device of 2014 it is judged by --profile legacy-2014."
+        )
     yield ""
 
 
@@ -76,12 +97,14 @@ def _entry(entry: Evidence) -> Iterator[str]:
 
 def _others(run: Run) -> Iterator[str]:
     """Return what was neither right nor wrong; many cases can have the same reason."""
-    for verdict in (Verdict.UNIMPLEMENTED, Verdict.INFORMATIONAL):
+    for verdict in _EXPLAINED:
         reasons: dict[str, list[str]] = {}
         for result in run.with_verdict(verdict):
             reasons.setdefault(result.reason, []).append(result.case)
         for reason, cases in reasons.items():
             yield f"{verdict.value}: {', '.join(cases)}: {reason}"
+    for sentence in run.stale:
+        yield f"STALE: {sentence}"
 
 
 def _table(run: Run) -> Iterator[str]:
@@ -101,8 +124,24 @@ def _end(run: Run) -> Iterator[str]:
     yield ""
     if run.stopped:
         yield f"The run ended early: {run.stopped}."
-    judgement = "conformant" if run.conformant else "NOT conformant"
-    part = " in what was run" if run.stopped and run.conformant else ""
+    if run.stale:
+        yield "The list of known deviations is out of date; see STALE above."
+    reached = [level for level, is_so in run.levels().items() if is_so]
+    missed = [level for level, is_so in run.levels().items() if is_so is False]
+    if reached or missed:
+        but = f"; not {', '.join(missed)}" if missed else ""
+        yield f"Levels: reaches {', '.join(reached) or 'none'}{but}."
     unseen = ", ".join(result.case for result in run.with_verdict(Verdict.INFORMATIONAL))
     but = f"; not seen on this link: {unseen}" if unseen else ""
-    yield f"The device is {judgement}{part}{but}; {run.duration_s:.1f} s."
+    yield f"{_judgement(run)}{but}; {run.duration_s:.1f} s."
+
+
+def _judgement(run: Run) -> str:
+    if not run.conformant:
+        return "The device is NOT conformant"
+    if not run.tested:
+        return "Nothing was tested: the device has nothing that the chosen cases need"
+    part = " in what was run" if run.stopped else ""
+    judge = "" if run.profile == STRICT else f" by the profile {run.profile}"
+    known = " but for known deviations" if run.with_verdict(Verdict.KNOWN_DEVIATION) else ""
+    return f"The device is conformant{part}{judge}{known}"

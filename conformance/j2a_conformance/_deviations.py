@@ -10,7 +10,7 @@ failure stays one. A list with a mistake in it is refused as a whole.
 import re
 import tomllib
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Final
@@ -19,7 +19,7 @@ from ._model import HarnessError, Result, Verdict
 from ._smoke import SMOKE
 from .cases import load
 
-__all__ = ["STRICT", "Deviation", "Rules", "parse", "profile", "profiles", "read"]
+__all__ = ["STRICT", "Deviation", "Rules", "joined", "parse", "profile", "profiles", "read"]
 
 STRICT: Final = "strict"
 _TABLE: Final = "deviation"
@@ -53,7 +53,7 @@ class Rules:
 
     profile: str = STRICT
     allowed: tuple[Deviation, ...] = ()
-    known: tuple[Deviation, ...] = field(default=())
+    known: tuple[Deviation, ...] = ()
 
     def judge(self, result: Result) -> Result:
         """Return the result with its final verdict."""
@@ -143,7 +143,18 @@ def parse(tables: object, where: str) -> tuple[Deviation, ...]:
     """
     if not isinstance(tables, list):
         raise HarnessError(f"{where}: deviations are [[{_TABLE}]] tables, with double brackets")
-    entries = tuple(_entry(table, where) for table in tables)
+    return joined(tuple(_entry(table, where) for table in tables), where=where)
+
+
+def joined(
+    *lists: tuple[Deviation, ...], where: str = "the lists of deviations"
+) -> tuple[Deviation, ...]:
+    """Make one list of several; `where` is its name for messages.
+
+    Raises:
+        HarnessError: a case is in it twice.
+    """
+    entries = tuple(entry for entries in lists for entry in entries)
     cases = [entry.case for entry in entries]
     if twice := {case for case in cases if cases.count(case) > 1}:
         raise HarnessError(

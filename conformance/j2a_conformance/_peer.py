@@ -20,6 +20,7 @@ from ._wire import Arrival, Link
 __all__ = ["Expected", "ManyReply", "Peer", "Request", "describe", "many_payload", "refusal"]
 
 _QUIET_S = 0.025  # longer than the longest byte timeout (J2A-TIME-002)
+_DAMAGE = frozenset({c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING})
 _ATTEMPTS = 6
 _UNHURRIED = 25  # of the attempts on a lossy link, each so-many-th waits for a slow answer
 _LOSSY_ROOM = 256
@@ -28,7 +29,7 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """A reply that is due. None leaves a field open."""
+    """A reply that is due. None leaves a field open, but no answer says the request was damaged."""
 
     seq: int
     code: int | None = None
@@ -39,7 +40,7 @@ class Expected:
         return (
             frame.start == c.SOF
             and frame.seq == self.seq
-            and self.code in (None, frame.opcode)
+            and (frame.opcode not in _DAMAGE if self.code is None else frame.opcode == self.code)
             and self.payload in (None, frame.payload)
         )
 
@@ -221,7 +222,7 @@ class Peer:
                 self.barrier()
             return frames
 
-        return self._carried(body)
+        return self.carried(body)
 
     def ask(self, *requests: Request) -> Frame:
         """Send each request, wait for its due reply, and return the last."""
@@ -264,7 +265,7 @@ class Peer:
 
     def ask_exact(self, request: Request) -> None:
         """Send a request and compare its reply with the oracle, byte by byte."""
-        self._carried(lambda: self._ask_exact(request))
+        self.carried(lambda: self._ask_exact(request))
 
     def _ask_exact(self, request: Request) -> None:
         self.link.send(request.wire)
@@ -351,7 +352,8 @@ class Peer:
         for _ in range(self.link.lossy or 3):
             if not self.link.lossy:  # there the probe alone brings rest, and sooner
                 self.settle()
-            request = self.probe()
+            # Before the echo is found, opcode 0 is all that is known to answer.
+            request = self.probe() if self.has(c.GET_ECHO) else self.request(0)
             self.link.send(request.wire)
             for arrival in self.link.arrivals(self.link.reply_timeout_s):
                 event = arrival.event
@@ -359,7 +361,7 @@ class Peer:
                     return True
         return False
 
-    def _carried(self, body: Callable[[], _Result]) -> _Result:
+    def carried(self, body: Callable[[], _Result]) -> _Result:
         """Run an exchange; on a lossy link until it is carried unharmed."""
         return self.attempts(body) if self.link.lossy else body()
 
@@ -400,4 +402,4 @@ def _damaged(request: Request, arrival: Arrival | None) -> bool:
     if arrival is None or not isinstance(arrival.event, Frame):
         return True
     event = arrival.event
-    return event.start == c.SOF and event.seq == request.seq and event.opcode in c.ERRORS
+    return event.start == c.SOF and event.seq == request.seq and event.opcode in _DAMAGE

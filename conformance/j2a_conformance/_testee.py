@@ -1,6 +1,7 @@
 """Testees: TOML files that say how to build and start a device, and where it answers.
 
-What flows in: a file with `title`, and `url` or `serve`, and perhaps `build`, `needs`, `fresh`.
+What flows in: a file with `title`, and `url` or `serve`, and perhaps `build`, `needs`, `fresh` and
+`[[deviation]]` tables.
 What flows out: a URL to judge, for as long as the testee runs. Rules: commands run in the root of
 the repository, which is two folders above the file and the value of `{root}`; what was started is
 ended.
@@ -18,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ._deviations import Deviation, parse
 from ._model import HarnessError
 
 __all__ = ["Testee", "load_testee"]
@@ -38,6 +40,7 @@ class Testee:
         needs: programs without which it cannot be built.
         fresh: it starts anew with each link, so that the first SIF has the seq 0.
         root: where the commands run.
+        deviations: what it is known to do wrong.
     """
 
     title: str
@@ -47,6 +50,7 @@ class Testee:
     needs: tuple[str, ...] = ()
     fresh: bool = False
     root: Path = Path()
+    deviations: tuple[Deviation, ...] = ()
 
     @contextmanager
     def started(self) -> Iterator[str]:
@@ -113,6 +117,7 @@ def load_testee(path: Path) -> Testee:
         entry = tomllib.loads(path.read_text("utf-8"))
         for key in {"build", "serve", "needs"} & set(entry):
             entry[key] = tuple(entry[key])
+        entry["deviations"] = parse(entry.pop("deviation", []), str(path))
         entry["url"] = entry.get("url", "").replace("{root}", str(root))
         testee = Testee(root=root, **entry)
     except (OSError, TypeError, ValueError) as error:

@@ -16,6 +16,10 @@ OFFSETS = (
 
 def echo_many(peer: Peer, flags: int, offset: int, data: bytes) -> None:
     """Exchange a chunk with a2jEchoMany and compare everything."""
+    peer.carried(lambda: _echo_many(peer, flags, offset, data))
+
+
+def _echo_many(peer: Peer, flags: int, offset: int, data: bytes) -> None:
     reply = peer.ask_many(peer.many(c.GET_ECHO_MANY, flags, offset, data))
     wanted = ManyReply(c.ECHO_MANY, flags & c.FLAG_LAST, offset, data)
     if reply != wanted:
@@ -190,7 +194,9 @@ class StoreLarge(Case):
             reply = peer.ask_many(peer.many("store", offset=offset))
             if not reply.data or not data.startswith(reply.data, offset):
                 fail(f"a read of `store` at offset {offset} returns {reply}")
-        for size in (0, 1, 248, 249, 250, 498, 499, 600, 70_000):
+        # Of large amounts a lossy link changes a part without a trace: the checksum is short.
+        large = () if peer.link.lossy else (70_000,)
+        for size in (0, 1, 248, 249, 250, 498, 499, 600, *large):
             data = b"".join(n.to_bytes(4, "big") for n in range(size // 4 + 1))[:size]
             if not self._write(peer, data):
                 peer.link.note(f"{size} bytes do not fit")

@@ -47,7 +47,7 @@ class RepeatedEffect(Case):
     NEEDS = ("sif",)
 
     def _run(self, peer: Peer) -> None:
-        peer.attempts(lambda: self._thrice(peer))
+        peer.carried(lambda: self._thrice(peer))
 
     @staticmethod
     def _thrice(peer: Peer) -> None:

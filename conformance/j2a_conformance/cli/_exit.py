@@ -1,6 +1,8 @@
 """The exit codes of `j2a-conform`. Rule: all but HARNESS are judgements."""
 
-__all__ = ["CONFORMANT", "FAILED", "HARNESS", "NOTHING", "UNEXPECTED", "UsageError"]
+from j2a_conformance._model import Run, Verdict
+
+__all__ = ["CONFORMANT", "FAILED", "HARNESS", "NOTHING", "UNEXPECTED", "UsageError", "status"]
 
 CONFORMANT = 0
 """Nothing failed."""
@@ -16,3 +18,14 @@ NOTHING = 4
 
 class UsageError(Exception):
     """The arguments do not go together; the message says how they do."""
+
+
+def status(run: Run) -> int:
+    """Return the exit code of a run."""
+    if run.with_verdict(Verdict.FAILED):
+        return FAILED
+    if run.stopped:
+        return HARNESS  # only a part was judged, which is no proof of anything
+    if run.stale:
+        return UNEXPECTED
+    return CONFORMANT if run.tested else NOTHING

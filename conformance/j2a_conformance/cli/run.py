@@ -6,7 +6,6 @@ What flows in: a URL or a testee file, and which cases. What flows out: reports,
 import argparse
 import sys
 from collections.abc import Sequence
-from contextlib import ExitStack
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import get_args
@@ -14,28 +13,31 @@ from typing import get_args
 import j2a_transports
 from j2a_spec.requirements import Level
 
-from j2a_conformance import _console
+from j2a_conformance import _console, _deviations
 from j2a_conformance._case import Case
 from j2a_conformance._coverage import coverage
-from j2a_conformance._model import HarnessError, Result, Run, Verdict
+from j2a_conformance._model import HarnessError, Result, Run
 from j2a_conformance._runner import run
 from j2a_conformance._smoke import SMOKE
-from j2a_conformance._testee import load_testee
 from j2a_conformance.cases import load
 
 from . import _reports
-from ._exit import CONFORMANT, FAILED, HARNESS, UsageError
+from ._exit import CONFORMANT, UsageError, status
+from ._repeat import repeat
+from ._target import Target, reach
 
 __all__ = ["add_arguments", "main", "select"]
 
-_FRESH = ("exec:", "pty:", "sim:")  # opening one of these starts the device
+_LOSSY_ATTEMPTS = 100
+_BAUDS = range(50, 50_000_001)
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     command.description = (
         "Runs the conformance cases against the device behind URL. "
-        "Exit code: 0 conformant, 1 not, 3 harness, link or arguments wrong."
+        "Exit code: 0 conformant, 1 a case failed, 2 a known deviation was not seen, 3 harness, "
+        "link or arguments wrong, 4 nothing of what was asked for could be tested."
     )
     command.epilog = "URL: " + ", ".join(f"{scheme}:" for scheme in j2a_transports.schemes())
     command.add_argument(
@@ -62,6 +64,41 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--list", action="store_true", help="show the cases and what they cover, and run nothing"
+    )
+    command.add_argument(
+        "--profile",
+        choices=_deviations.profiles(),
+        default=_deviations.STRICT,
+        help="what the device is judged by: this version (strict), or as an older device",
+    )
+    command.add_argument(
+        "--deviations",
+        type=Path,
+        metavar="FILE",
+        help="a list of what the device is known to do wrong, in TOML",
+    )
+    command.add_argument(
+        "--baud",
+        type=int,
+        metavar="N",
+        help="bits a second of a slow link: waits fit it from the start, and a serial port is set "
+        "to it",
+    )
+    command.add_argument(
+        "--lossy",
+        type=int,
+        nargs="?",
+        const=_LOSSY_ATTEMPTS,
+        metavar="N",
+        help="the link itself loses or damages bytes: an exchange fails only when it does so in "
+        f"each of N attempts ({_LOSSY_ATTEMPTS})",
+    )
+    command.add_argument(
+        "--repeat",
+        type=int,
+        default=1,
+        metavar="N",
+        help="run N times and compare the verdicts; reports are of the last run",
     )
     command.add_argument(
         "--timeout-scale",
@@ -96,9 +133,19 @@ def main(args: argparse.Namespace) -> int:
         return CONFORMANT
     if not args.url:
         raise UsageError("a URL is needed, e.g. tcp://127.0.0.1:5000")
+    _check(args)
+    return _run(args, cases)
+
+
+def _check(args: argparse.Namespace) -> None:
     if not 0 < args.timeout_scale < 1000:
         raise UsageError("--timeout-scale takes a number above 0 and below 1000")
-    return _run(args, cases)
+    if args.baud is not None and args.baud not in _BAUDS:
+        raise UsageError(f"--baud takes a number from {_BAUDS.start} to {_BAUDS.stop - 1}")
+    if args.lossy is not None and not 2 <= args.lossy <= 10_000:
+        raise UsageError("--lossy takes a number from 2 to 10000, or none")
+    if args.repeat < 1:
+        raise UsageError("--repeat takes a number of at least 1")
 
 
 def select(levels: Sequence[str] | None, patterns: Sequence[str] | None) -> list[Case]:
@@ -132,33 +179,39 @@ def _list(cases: Sequence[Case]) -> None:
 
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     reports = _reports.Reports(args)
-    with ExitStack() as running:
-        url, fresh = args.url, args.fresh
-        if url.endswith(".toml"):
-            testee = load_testee(Path(url))
-            url, fresh = running.enter_context(testee.started()), fresh or testee.fresh
-        found = _judge(url, fresh, args, cases)
+    known = _deviations.read(args.deviations) if args.deviations else ()
+    allowed = _deviations.profile(args.profile)
+    with reach(args.url, args.baud or 0) as target:
+        rules = _deviations.Rules(args.profile, allowed, _deviations.joined(target.known, known))
+        if args.repeat == 1:
+            found = _judge(target, rules, args, cases)
+            code = status(found)
+        else:
+            found, code = repeat(args.repeat, lambda: _judge(target, rules, args, cases))
     try:
         print(_console.report(found), flush=True)
     finally:  # also where nobody reads the output
         reports.write(found)
-    if found.with_verdict(Verdict.FAILED):
-        return FAILED
-    # An interrupted run has judged only a part, which is no proof of conformance.
-    return HARNESS if found.stopped else CONFORMANT
+    return code
 
 
-def _judge(url: str, fresh: bool, args: argparse.Namespace, cases: Sequence[Case]) -> Run:
+def _judge(
+    target: Target, rules: _deviations.Rules, args: argparse.Namespace, cases: Sequence[Case]
+) -> Run:
     def show(result: Result) -> None:
         if args.verbose:
             print(_console.line(result), flush=True)
 
     return run(
-        lambda: j2a_transports.open(url),
+        target.opener,
         cases,
-        url=url,
+        url=target.url,
+        title=target.title,
+        rules=rules,
         timeout_scale=args.timeout_scale,
-        fresh=fresh or url.startswith(_FRESH),
+        baud=args.baud or 0,
+        lossy=args.lossy or 0,
+        fresh=target.fresh or args.fresh,
         builtins_only=args.builtins_only,
         stop_on_failure=args.stop_on_failure,
         on_result=show,
