@@ -23,6 +23,7 @@ __all__ = ["main"]
 _COMMANDS: Final = {
     "run": "judge a device",
     "selftest": "what a device's test of itself found",
+    "faults": "judge a device behind a link that damages bytes",
 }
 
 
