@@ -126,7 +126,9 @@ def _pass(
     with ProcessPoolExecutor(max_workers=args.jobs) as pool:
         waiting = {pool.submit(_do, *job): job[0] for job in _jobs(chosen, kept, every)}
         for done in as_completed(waiting):
-            _note(waiting[done], done.result(), found, args.verbose)
+            job, error = waiting[done], done.exception()
+            outcome = Outcome(trouble=repr(error)) if error else done.result()
+            _note(job, outcome, found, args.verbose)
     return found
 
 

@@ -60,13 +60,11 @@ class Outcome:
     """What came of a job.
 
     Attributes:
-        ran: ids of the cases that ran.
-        failed: ids of those that failed.
+        failed: ids of the cases that failed.
         trouble: why nothing can be said about the mutant, or "".
     """
 
-    ran: frozenset[str]
-    failed: frozenset[str]
+    failed: frozenset[str] = frozenset()
     trouble: str = ""
 
 
@@ -89,7 +87,7 @@ def judge(job: Job) -> Outcome:
     if outcome.trouble or job.due <= outcome.failed:
         return outcome
     again = _once(job)
-    return Outcome(outcome.ran | again.ran, outcome.failed | again.failed, again.trouble)
+    return Outcome(outcome.failed | again.failed, again.trouble)
 
 
 def _once(job: Job) -> Outcome:
@@ -101,11 +99,10 @@ def _once(job: Job) -> Outcome:
             with _stderr_in(folder / "stderr"):
                 outcome = _run(url, job)
         except (HarnessError, TableError) as error:
-            return Outcome(frozenset(), frozenset(), str(error))
+            return Outcome(trouble=str(error))
         printed = (folder / "stderr").read_text("utf-8", "replace")
     if not outcome.trouble and "Traceback" in printed:
-        trouble = f"an exception that is no breach of this rule:\n{printed}"
-        return Outcome(outcome.ran, outcome.failed, trouble)
+        return Outcome(trouble=f"an exception that is no breach of this rule:\n{printed}")
     return outcome
 
 
@@ -120,7 +117,6 @@ def _run(url: str, job: Job) -> Outcome:
     failed = found.with_verdict(Verdict.FAILED)
     died = [result for result in failed if result.reason.startswith("the link ended")]
     return Outcome(
-        ran=frozenset(result.case for result in found.results),
         failed=frozenset(result.case for result in failed),
         trouble=f"the device died in {died[0].case}: {died[0].reason}" if died else "",
     )
