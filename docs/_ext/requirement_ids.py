@@ -12,9 +12,13 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from docutils import nodes
-from j2a_conformance import Case, coverage
+from docutils.parsers.rst import directives
+from j2a_conformance import coverage
 from j2a_conformance import load as load_cases
-from j2a_conformance._coverage import LIBRARY_TESTS
+from j2a_conformance._case import About
+from j2a_conformance._coverage import host_coverage
+from j2a_conformance.host import START
+from j2a_conformance.host import load as load_host_cases
 from j2a_spec.requirements import load
 from packet_figure import figure
 from sphinx import addnodes
@@ -98,10 +102,12 @@ class RequirementsTable(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the table, level after level in the order in which they first appear."""
-        cases = coverage()
+        cases, hosts = coverage(), host_coverage()
         levels: dict[str, list[nodes.Node]] = {}
         for r in load().values():
             facts = f"Level {r.level}, binds {r.role}, from {r.source}. {_proof(cases[r.id])}"
+            if r.role == "both":
+                facts += f" For hosts: {hosts[r.id]}."
             text = _entry(r.text)
             text += nodes.paragraph("", facts, classes=["facts"])
             levels.setdefault(r.level, []).append(nodes.row("", _entry(r.id), text))
@@ -109,8 +115,6 @@ class RequirementsTable(SphinxDirective):
 
 
 def _proof(cases: str) -> str:
-    if cases == LIBRARY_TESTS:
-        return "No case: it binds hosts. Proved by the library's tests."
     return (
         cases.replace("no case", "No case", 1)
         if cases.startswith("no case: ")
@@ -119,16 +123,21 @@ def _proof(cases: str) -> str:
 
 
 class ConformanceCases(SphinxDirective):
-    """The directive `conformance-cases`: every case with what it does, expects and proves."""
+    """The directive `conformance-cases`: every case with what it does, expects and proves.
 
-    option_spec: ClassVar[dict[str, Any]] = {}
+    With the option `hosts` the cases are those for hosts.
+    """
+
+    option_spec: ClassVar[dict[str, Any]] = {"hosts": directives.flag}
 
     def run(self) -> list[nodes.Node]:
         """Return a definition list."""
-        return [nodes.definition_list("", *(_case(case) for case in load_cases()))]
+        hosts = "hosts" in self.options
+        cases: tuple[About, ...] = (START, *load_host_cases()) if hosts else load_cases()
+        return [nodes.definition_list("", *map(_case, cases))]
 
 
-def _case(case: Case) -> nodes.definition_list_item:
+def _case(case: About) -> nodes.definition_list_item:
     term = nodes.term("", "", nodes.literal("", case.ID), nodes.Text(f" ({case.LEVEL})"))
     proves = nodes.paragraph("", "", nodes.Text("Proves "), *linked(", ".join(case.REQUIREMENTS)))
     texts = (case.DESCRIPTION, f"Expected: {case.EXPECTATION}")

@@ -22,6 +22,9 @@ __all__ = ["main"]
 
 _COMMANDS: Final = {
     "run": "judge a device",
+    "compare": "what changed from one run to another",
+    "matrix": "several runs on one page",
+    "host": "judge a host",
     "selftest": "what a device's test of itself found",
     "faults": "judge a device behind a link that damages bytes",
 }

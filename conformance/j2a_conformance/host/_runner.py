@@ -20,6 +20,7 @@ from ._device import DEMO
 from ._host import Host
 from ._program import Listening
 from ._start import START
+from .cases import load
 
 __all__ = ["run"]
 
@@ -52,6 +53,7 @@ def run(
         HarnessError: the host does not start or does not connect.
     """
     began, began_s = datetime.now().astimezone(), time.monotonic()
+    cases = tuple(cases)
     host = Host(place, DEMO, timeout_scale)
     results: list[Result] = []
     stopped = ""
@@ -74,6 +76,7 @@ def run(
         stopped = "interrupted from the keyboard"
     finally:
         host.close()
+    ran = {result.case for result in results}
     return Run(
         url=url,
         started=began.isoformat(timespec="seconds"),
@@ -82,6 +85,8 @@ def run(
         results=tuple(results),
         stopped=stopped,
         title=host.title,
+        asked=tuple(case.ID for case in cases),
+        not_run={case.ID: case.LEVEL for case in (START, *load()) if case.ID not in ran},
     )
 
 

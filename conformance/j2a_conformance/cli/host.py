@@ -1,0 +1,110 @@
+"""`j2a-conform host`: judge a host.
+
+What flows in: the command of a host program, or a URL at which one is waited for, and which cases.
+What flows out: reports, and an exit code.
+"""
+
+import argparse
+import re
+import shlex
+import sys
+from collections.abc import Sequence
+
+from j2a_conformance import _console
+from j2a_conformance._coverage import host_coverage
+from j2a_conformance._model import Result, Run
+from j2a_conformance.host import START, HostCase, Listening, Program, load, run
+
+from . import _cases, _reports
+from ._exit import CONFORMANT, UsageError, status
+
+__all__ = ["add_arguments", "main"]
+
+_URL = re.compile(r"[a-z][a-z0-9]*:\S*")
+_ANY_PORT = "tcp://127.0.0.1:0"
+_START_S = 20.0
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    command.usage = "%(prog)s [options] (-- COMMAND ... | URL)"
+    command.description = (
+        "Plays a device and judges the host program that COMMAND starts, or that connects to URL. "
+        "The program gets the address as its last argument, or in place of {url}. "
+        "Exit code: 0 conformant, 1 a case failed, 3 the program does not start or the arguments "
+        "are wrong, 4 nothing of what was asked for could be tested."
+    )
+    command.add_argument(
+        "target",
+        nargs="*",
+        metavar="COMMAND",
+        help="e.g. -- python conformance/hosts/client.py, or tcp://127.0.0.1:5000 to wait there",
+    )
+    _reports.add_arguments(command)
+    _cases.add_arguments(command, "host.many.*")
+    command.add_argument(
+        "--timeout-scale",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="multiply every wait and every time limit that the host is given, for slow hosts",
+    )
+    command.add_argument(
+        "--wait",
+        type=float,
+        default=300.0,
+        metavar="S",
+        help="seconds to wait at URL for the host to connect for the first time (300)",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Carry the command out; return the exit code.
+
+    Raises:
+        HarnessError: nothing can be said about the host.
+    """
+    cases = _cases.matching((START, *load()), args.level, args.case)
+    if args.list:
+        _cases.show(cases, host_coverage())
+        sys.stdout.flush()
+        return CONFORMANT
+    if not args.target:
+        raise UsageError("a host is needed, e.g. -- python conformance/hosts/client.py")
+    if not 0 < args.timeout_scale < 1000:
+        raise UsageError("--timeout-scale takes a number above 0 and below 1000")
+    if not 0 < args.wait < 1e6:
+        raise UsageError("--wait takes a number above 0 and below 1000000")
+    reports = _reports.Reports(args)
+    with _place(args) as place:
+        found = _judge(place, args, cases)
+    try:
+        print(_console.report(found), flush=True)
+    finally:  # also where nobody reads the output
+        reports.write(found)
+    return status(found)
+
+
+def _place(args: argparse.Namespace) -> Listening:
+    if len(args.target) == 1 and _URL.fullmatch(args.target[0]):
+        return Listening(args.target[0], None, args.wait, _tell)
+    return Listening(_ANY_PORT, Program(args.target), _START_S * args.timeout_scale)
+
+
+def _tell(url: str) -> None:
+    print(f"Waiting for a host at {url}", flush=True)
+
+
+def _judge(place: Listening, args: argparse.Namespace, cases: Sequence[HostCase]) -> Run:
+    def show(result: Result) -> None:
+        if args.verbose:
+            print(_console.line(result), flush=True)
+
+    return run(
+        place,
+        cases,
+        url=shlex.join(args.target),
+        timeout_scale=args.timeout_scale,
+        stop_on_failure=args.stop_on_failure,
+        on_result=show,
+    )
