@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-from j2a_spec.constants import RET_FAILED, RET_MAX
+from j2a_spec.constants import RET_FAILED
 
 from j2a._functions import ManyReply, ManyRequest, Result, read_chunk
 from j2a._trace import Trace
@@ -80,7 +80,7 @@ class DemoDevice(Device):
             return RET_FAILED
         code = payload[0]
         self.debug(f"ret 0x{code:02X}\n")
-        return code if code <= RET_MAX else RET_FAILED
+        return code  # also one that a function may not return: the device sends 0xFF instead
 
     def _delay(self, payload: bytes) -> Result:
         if len(payload) != 2:

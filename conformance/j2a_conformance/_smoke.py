@@ -140,7 +140,7 @@ class Mapping(Case):
 
     ID = "smoke.mapping"
     EXPECTATION = "Names that each end in NUL, among them the built-in functions."
-    REQUIREMENTS = ("J2A-MAP-001", "J2A-DISP-006")
+    REQUIREMENTS = ("J2A-MAP-001", "J2A-DISP-006", "J2A-FRAME-001")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:

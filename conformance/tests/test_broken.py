@@ -35,6 +35,18 @@ class LengthCountsChecksum:
         return bytes((start,)) + stuff(body + bytes((checksum(seq, opcode, payload),)))
 
 
+@breaks("J2A-FRAME-001")
+class ChecksumBeforePayload:
+    def stuff(self, body):
+        return stuff(body[:3] + body[-1:] + body[3:-1])
+
+
+@breaks("J2A-FRAME-002", "J2A-FRAME-003")
+class ErrorsStartWithSos:
+    def error(self, seq, code):
+        self.send(c.SOS, seq, code, b"\x01\x00")
+
+
 @breaks("J2A-FRAME-002")
 class RepliesStartWithSos:
     def reply(self, seq, code, payload):
@@ -259,6 +271,25 @@ class RepliesInReverse:
         self.held.append(self.wire(start, seq, opcode, payload))
 
 
+@breaks("J2A-DISP-001")
+class ErrorsOvertakeReplies:
+    def __init__(self, link):
+        self.held = b""
+        super().__init__(link)
+
+    def received(self, data):
+        self.link.write(self.held)
+        self.held = b""
+        return data
+
+    def send(self, start, seq, opcode, payload):
+        wire = self.wire(start, seq, opcode, payload)
+        if opcode in c.ERRORS:
+            self.link.write(wire)
+        else:
+            self.held += wire
+
+
 @breaks("J2A-DISP-002")
 class EchoIsOneTooFar:
     def name_of(self, opcode):
@@ -295,6 +326,15 @@ class FunctionsImitateErrors:
 class OpcodeZeroReturnsOne:
     def do_a2jGetMapping(self, payload):  # noqa: N802
         return 1, self.mapping()
+
+
+@breaks("J2A-DISP-005")
+class OpcodeZeroReturnsTheMappingTwice:
+    asked = 0
+
+    def do_a2jGetMapping(self, payload):  # noqa: N802
+        self.asked += 1
+        return 0, self.mapping() if self.asked <= 2 else b""
 
 
 @breaks("J2A-DISP-006")
@@ -669,6 +709,13 @@ class SifCounterSkipsZero:
 class SifsCountReplies:
     def reply(self, seq, code, payload):
         super().reply(seq, code, payload)
+        self.sif_seq = (self.sif_seq + 1) % 256
+
+
+@breaks("J2A-SIF-001")
+class SifsCountErrors:
+    def error(self, seq, code):
+        super().error(seq, code)
         self.sif_seq = (self.sif_seq + 1) % 256
 
 

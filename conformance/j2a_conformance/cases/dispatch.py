@@ -3,10 +3,13 @@
 import struct
 
 from j2a_spec import constants as c
+from j2a_spec.oracle import checksum
 
 from j2a_conformance._case import Case
 from j2a_conformance._judge import fail, skip
-from j2a_conformance._peer import Peer, Request
+from j2a_conformance._peer import Peer, Request, refusal
+
+from .sums import with_sum
 
 
 class OneReply(Case):
@@ -45,6 +48,31 @@ class InOrder(Case):
         for first in range(0, len(requests), 200):
             part = requests[first : first + 200]
             peer.play(b"".join(r.wire for r in part), *(r.expected for r in part))
+
+
+class ErrorsInOrder(Case):
+    """Sends a good request, a broken one and another good one in one piece; the broken one is cut
+    by a start byte, has ESC 0xFF in it, or a wrong checksum.
+    """
+
+    ID = "dispatch.errors-in-order"
+    EXPECTATION = "The error reply between the two echoes."
+    REQUIREMENTS = ("J2A-DISP-001",)
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        seq, opcode = peer.seq(), peer.opcode(c.GET_ECHO)
+        wrong = with_sum(seq, opcode, b"abc", checksum(seq, opcode, b"abc") ^ 0x01)
+        for code, broken in (
+            (c.ERR_FRAMING, wrong[:-1]),
+            (c.ERR_FRAMING, wrong[:-1] + b"\x7d\xff"),
+            (c.ERR_CHECKSUM, wrong),
+        ):
+            first, last = peer.echo(b"1"), peer.echo(b"2")
+            stream = first.wire + broken + last.wire
+            if len(stream) > peer.room(len(stream)):
+                skip("the device announces no j2a.rxbuf that holds three requests")
+            peer.play(stream, first.expected, refusal(seq, code), last.expected)
 
 
 class AtIndex(Case):
@@ -116,6 +144,8 @@ class OpcodeZero(Case):
         replies = [peer.ask(peer.request(0, b"", code)).payload for _ in range(3)]
         if len(set(replies)) > 1:
             fail("opcode 0 does not return the same thing each time")
+        if peer.claims.mapped and not replies[0].startswith(f"{c.GET_MAPPING}\0".encode()):
+            fail("opcode 0 returned the mapping before, and does not any more")
 
 
 class TableOrder(Case):

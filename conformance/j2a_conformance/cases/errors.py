@@ -64,7 +64,7 @@ class Payload(Case):
 
     ID = "error.payload"
     EXPECTATION = "SOF, like any reply, and two bytes of payload, whatever they are."
-    REQUIREMENTS = ("J2A-ERR-006", "J2A-FRAME-002")
+    REQUIREMENTS = ("J2A-ERR-006", "J2A-FRAME-002", "J2A-FRAME-003")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:

@@ -10,7 +10,7 @@ from j2a_spec.oracle import Frame, encode
 
 from j2a_conformance._case import Case
 from j2a_conformance._judge import fail, inform
-from j2a_conformance._peer import Peer
+from j2a_conformance._peer import Expected, Peer, refusal
 from j2a_conformance._wire import Arrival
 
 from .frame import patterns
@@ -76,7 +76,7 @@ class Start(Case):
 
 
 class Counter(Case):
-    """Asks for 300 SIFs, with every opcode."""
+    """Asks for 300 SIFs, with every opcode; each request follows a broken one."""
 
     ID = "sif.counter"
     EXPECTATION = (
@@ -99,7 +99,9 @@ class Counter(Case):
     @staticmethod
     def _sif(peer: Peer, value: int) -> None:
         before = len(peer.link.sifs)
-        peer.ask(peer.request(peer.opcode("sif"), bytes((value, value)), c.RET_OK))
+        broken, request = peer.probe(), peer.request(peer.opcode("sif"), bytes((value, value)))
+        stream = broken.wire[:4] + request.wire
+        peer.play(stream, refusal(broken.seq, c.ERR_FRAMING), Expected(request.seq, c.RET_OK))
         sif = peer.next_sif(before)
         if (sif.opcode, sif.payload) != (value, bytes((value,))):
             fail(f"opcode 0x{sif.opcode:02X} in the SIF, 0x{value:02X} was asked for")
