@@ -12,7 +12,7 @@ from ._model import Run, Verdict
 from ._printable import printable
 from ._summary import Standing, levels
 
-__all__ = ["render"]
+__all__ = ["render", "text"]
 
 _HEIGHT: Final = 20
 _PAD: Final = 7
@@ -24,15 +24,12 @@ _GREEN, _RED, _GREY = "#1d6b43", "#a3261d", "#5f6670"
 
 def render(run: Run) -> bytes:
     """Return the badge."""
-    profile = "" if run.profile == "strict" else f" {run.profile}"
-    label = printable(f"J2A {run.spec_version}{profile}")
-    text, colour = _message(run)
-    left, right = _width(label) + 2 * _PAD, _width(text) + 2 * _PAD
-    title = escape(f"{label}: {text}")
+    label, (message, colour) = _label(run), _message(run)
+    left, right = _width(label) + 2 * _PAD, _width(message) + 2 * _PAD
     return f"""\
 <svg xmlns="http://www.w3.org/2000/svg" width="{left + right}" height="{_HEIGHT}" \
 viewBox="0 0 {left + right} {_HEIGHT}" role="img">
-<title>{title}</title>
+<title>{escape(text(run))}</title>
 <clipPath id="round"><rect width="{left + right}" height="{_HEIGHT}" rx="3"/></clipPath>
 <g clip-path="url(#round)">
 <rect width="{left}" height="{_HEIGHT}" fill="{_LEFT}"/>
@@ -40,10 +37,20 @@ viewBox="0 0 {left + right} {_HEIGHT}" role="img">
 </g>
 <g fill="#fff" font-family="Verdana,DejaVu Sans,Geneva,sans-serif" font-size="11">
 <text x="{_PAD}" y="14" textLength="{left - 2 * _PAD}">{escape(label)}</text>
-<text x="{left + _PAD}" y="14" textLength="{right - 2 * _PAD}">{escape(text)}</text>
+<text x="{left + _PAD}" y="14" textLength="{right - 2 * _PAD}">{escape(message)}</text>
 </g>
 </svg>
 """.encode()
+
+
+def text(run: Run) -> str:
+    """Return what the badge says, for those who do not see it."""
+    return f"{_label(run)}: {_message(run)[0]}"
+
+
+def _label(run: Run) -> str:
+    profile = "" if run.profile == "strict" else f" {run.profile}"
+    return printable(f"J2A {run.spec_version}{profile}")
 
 
 def _message(run: Run) -> tuple[str, str]:

@@ -5,16 +5,15 @@ Rules: nothing is judged here that the run does not judge; what was not run is c
 """
 
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
 from j2a_spec.requirements import Level
 
-from ._model import Result, Run, Verdict
+from ._model import Run, Verdict
 
-__all__ = ["WORST_FIRST", "LevelSummary", "Standing", "judgement", "levels", "name", "worst"]
+__all__ = ["WORST_FIRST", "LevelSummary", "Standing", "judgement", "levels", "name", "tone"]
 
 WORST_FIRST: Final = (
     Verdict.FAILED,
@@ -63,11 +62,6 @@ class LevelSummary:
         """The number of cases that were run."""
         return sum(self.counts.values())
 
-    @property
-    def passed(self) -> int:
-        """The number of cases that passed."""
-        return sum(count for verdict, count in self.counts.items() if verdict.passed)
-
 
 def levels(run: Run) -> tuple[LevelSummary, ...]:
     """Return a summary for each level, in the order of the specification."""
@@ -80,12 +74,12 @@ def _level(run: Run, level: Level, reached: bool | None) -> LevelSummary:
         standing = Standing.REACHED
     elif counts[Verdict.FAILED] or counts[Verdict.KNOWN_DEVIATION]:
         standing = Standing.FAILED
-    elif reached is False:
-        standing = Standing.NOT_REACHED
     elif not counts:
         standing = Standing.NOT_RUN
     elif set(counts) == {Verdict.UNIMPLEMENTED}:
         standing = Standing.NOT_CLAIMED
+    elif reached is False:
+        standing = Standing.NOT_REACHED
     else:
         standing = Standing.INCOMPLETE
     found = {verdict: counts[verdict] for verdict in WORST_FIRST if counts[verdict]}
@@ -105,12 +99,16 @@ def judgement(run: Run) -> str:
     return "conformant in what was run" if run.not_run else "conformant"
 
 
+def tone(run: Run) -> str:
+    """Return the verdict whose colour fits the judgement, or "not-run"."""
+    if run.with_verdict(Verdict.FAILED):
+        return "failed"
+    if not run.conformant or run.stopped:
+        return "not-run"
+    return "known-deviation" if run.with_verdict(Verdict.KNOWN_DEVIATION) else "ok"
+
+
 def name(run: Run) -> str:
     """Return what to call the device."""
     properties = run.claims.properties if run.claims else {}
     return run.title or properties.get("name", "") or run.url or "a device"
-
-
-def worst(results: Iterable[Result]) -> Verdict:
-    """Return the verdict of these results, of which there is one, that needs attention first."""
-    return min((result.verdict for result in results), key=WORST_FIRST.index)

@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from j2a_conformance._model import HarnessError, Run
 
@@ -17,7 +17,7 @@ from ._exit import UsageError
 
 __all__ = ["Reports", "add_arguments"]
 
-Render = Callable[[Run], bytes]
+Render = Callable[[Any], bytes]
 
 _REPORTS: Final = {
     "junit": "a report for build servers, as JUnit XML",

@@ -1,0 +1,40 @@
+"""`j2a-conform compare`: what changed from one run to another.
+
+What flows in: two reports in JSON. What flows out: text, and an exit code.
+"""
+
+import argparse
+from pathlib import Path
+
+from j2a_conformance import _compare, _json
+
+from ._exit import CONFORMANT, FAILED, HARNESS, NOTHING
+
+__all__ = ["add_arguments", "main"]
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    command.description = (
+        "Compares two runs: cases, levels and claims. A regression is a case with a worse verdict. "
+        "Exit code: 0 no regression, 1 regressions, 3 a file is no report or the newer run ended "
+        "early, 4 no case in common."
+    )
+    command.add_argument("before", type=Path, metavar="A.json", help="of `run --json`, the older")
+    command.add_argument("after", type=Path, metavar="B.json", help="of `run --json`, the newer")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Carry the command out; return the exit code.
+
+    Raises:
+        HarnessError: a file is no report.
+    """
+    found = _compare.compare(_json.read(args.before), _json.read(args.after))
+    print(_compare.report(found), flush=True)
+    if found.regressions:
+        return FAILED
+    if not found.compared:
+        return NOTHING
+    # What a run that ended early did not judge may have become worse.
+    return HARNESS if found.lost else CONFORMANT

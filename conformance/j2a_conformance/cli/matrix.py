@@ -1,0 +1,44 @@
+"""`j2a-conform matrix`: several runs on one page.
+
+What flows in: reports in JSON. What flows out: a page in HTML.
+"""
+
+import argparse
+from pathlib import Path
+
+from j2a_conformance import _json
+from j2a_conformance._model import HarnessError
+
+from . import _reports
+from ._exit import CONFORMANT
+
+__all__ = ["add_arguments", "main"]
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command."""
+    command.description = (
+        "Makes one page of several runs. Exit code: 0 written, 3 a file is no report or the page "
+        "cannot be written."
+    )
+    command.add_argument(
+        "reports", nargs="+", type=Path, metavar="FILE.json", help="of `run --json`"
+    )
+    command.add_argument(
+        "--html", type=Path, required=True, metavar="FILE", help="write the page here"
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    """Carry the command out; return the exit code.
+
+    Raises:
+        HarnessError: a file is no report, a package is missing, or the page cannot be written.
+    """
+    render = _reports.renderer("matrix", "matrix")
+    runs = [_json.read(path) for path in args.reports]
+    try:
+        args.html.write_bytes(render(runs))
+    except OSError as error:
+        raise HarnessError(f"cannot write {args.html}: {error.strerror}") from error
+    return CONFORMANT
