@@ -18,7 +18,7 @@
 
 /* Self-test: j2a_selftest() runs golden vectors through parser and sender at the start, the property
  * j2a.selftest has the result. For bringing up a port; takes about 23 kB of flash, or 8 kB with
- * J2A_SELFTEST_SMALL=1, which leaves the vectors of more than 96 bytes out, and 60 bytes of RAM. */
+ * J2A_SELFTEST_SMALL=1, which leaves the vectors of more than 96 bytes out, and 64 bytes of RAM. */
 #ifndef J2A_WITH_SELFTEST
 #define J2A_WITH_SELFTEST 0
 #endif

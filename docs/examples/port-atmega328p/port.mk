@@ -1,5 +1,5 @@
 CC := avr-gcc
-CFLAGS ?= -Os
+CFLAGS ?= -Os -flto
 MACHINE := -mmcu=atmega328p -ffunction-sections -fdata-sections -fshort-enums -mcall-prologues
 LINK := -Wl,--gc-sections -mrelax
 SUFFIX := .elf
