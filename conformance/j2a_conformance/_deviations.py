@@ -1,10 +1,10 @@
 """Failures that are expected: profiles of older devices, and lists of known deviations.
 
-What flows in: TOML tables `[[deviation]]`, each with `case` (an id), `reason` (a regular expression
-that is found in the reason of the failure) and `why` (words). What flows out: `Rules`, which judge
-the results of a run. Rules: a failure that the profile has is NON_STRICT, and need not occur; one
-that the list has is KNOWN_DEVIATION, and an entry whose case does not fail is stale; every other
-failure stays one. A list with a mistake in it is refused as a whole.
+What flows in: TOML tables `[[deviation]]`, each with `case` (an id, or several), `reason` (a
+regular expression that is found in the reason of the failure) and `why` (words). What flows out:
+`Rules`, which judge the results of a run. Rules: a failure that the profile has is NON_STRICT, and
+need not occur; one that the list has is KNOWN_DEVIATION, and an entry whose case does not fail is
+stale; every other failure stays one. A list with a mistake in it is refused as a whole.
 """
 
 import re
@@ -15,7 +15,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from ._model import HarnessError, Result, Verdict
+from ._model import Evidence, HarnessError, Result, Verdict
 from ._smoke import SMOKE
 from .cases import load
 
@@ -65,8 +65,13 @@ class Rules:
         ):
             for entry in entries:
                 if entry.case == result.case and entry.reason.search(result.reason):
-                    reason = f"{entry.why} ({result.reason})"
-                    return replace(result, verdict=verdict, reason=reason)
+                    seen = Evidence("note", result.duration_s * 1e3, text=f"seen: {result.reason}")
+                    return replace(
+                        result,
+                        verdict=verdict,
+                        reason=entry.why,
+                        evidence=(*result.evidence, seen),
+                    )
         for entry in self.known:
             if entry.case == result.case:
                 reason = f"{result.reason}; known is another failure: {entry.why}"
@@ -143,7 +148,7 @@ def parse(tables: object, where: str) -> tuple[Deviation, ...]:
     """
     if not isinstance(tables, list):
         raise HarnessError(f"{where}: deviations are [[{_TABLE}]] tables, with double brackets")
-    return joined(tuple(_entry(table, where) for table in tables), where=where)
+    return joined(*(_entries(table, where) for table in tables), where=where)
 
 
 def joined(
@@ -164,16 +169,19 @@ def joined(
     return entries
 
 
-def _entry(table: object, where: str) -> Deviation:
+def _entries(table: object, where: str) -> tuple[Deviation, ...]:
     if not isinstance(table, dict) or set(table) != {"case", "reason", "why"}:
         raise HarnessError(f"{where}: a deviation has `case`, `reason` and `why`, not {table}")
-    if not all(isinstance(value, str) and value for value in table.values()):
+    cases = table["case"] if isinstance(table["case"], list) else [table["case"]]
+    texts = (*cases, table["reason"], table["why"])
+    if not cases or not all(isinstance(text, str) and text for text in texts):
         raise HarnessError(f"{where}: `case`, `reason` and `why` are texts, not empty: {table}")
-    if table["case"] not in {case.ID for case in (*SMOKE, *load())}:
+    if unknown := set(cases) - {case.ID for case in (*SMOKE, *load())}:
         raise HarnessError(
-            f"{where}: there is no case {table['case']}; `j2a-conform run --list` shows all"
+            f"{where}: there is no case {min(unknown)}; `j2a-conform run --list` shows all"
         )
     try:
-        return Deviation(table["case"], re.compile(table["reason"]), table["why"])
+        reason = re.compile(table["reason"])
     except re.error as error:
-        raise HarnessError(f"{where}: the reason of {table['case']}: {error}") from error
+        raise HarnessError(f"{where}: the reason of {', '.join(cases)}: {error}") from error
+    return tuple(Deviation(case, reason, table["why"]) for case in cases)
