@@ -52,7 +52,7 @@ class Comparison:
         compared: number of cases that both have.
         changes: the cases whose verdict differs, or the reason of a failure.
         added: results of cases that only the newer run has.
-        gone: results of cases that only the older run has.
+        gone: results of cases that only the older run has, or that were not run again.
     """
 
     before: Run
@@ -119,7 +119,15 @@ def _cases(found: Comparison) -> Iterator[str]:
     for title, changes in (("WORSE", found.regressions), ("better", better), ("different", other)):
         yield from _part(title, [str(change) for change in changes])
     yield from _part("new", [f"{r.case}  {r.verdict.value}{_because(r)}" for r in found.added])
-    yield from _part("gone", [f"{r.case}  was {r.verdict.value}" for r in found.gone])
+    for title, known in (("not run", True), ("gone", False)):
+        yield from _part(
+            title,
+            [
+                f"{result.case}  was {result.verdict.value}"
+                for result in found.gone
+                if (result.case in found.after.not_run) is known
+            ],
+        )
 
 
 def _others(found: Comparison) -> Iterator[str]:
@@ -158,12 +166,10 @@ def _claims(before: Claims | None, after: Claims | None) -> Iterator[str]:
 def _end(found: Comparison) -> Iterator[str]:
     yield ""
     if found.lost:
-        yield f"The newer run ended early: {found.after.stopped}; {len(found.lost)} cases unjudged."
-    count = len(found.regressions)
-    words = (
-        "no regression" if not count else "1 regression" if count == 1 else f"{count} regressions"
-    )
-    yield f"{found.compared} cases compared: {words}."
+        left = _number(len(found.lost), "case")
+        yield f"The newer run ended early: {found.after.stopped}; {left} unjudged."
+    worse = _number(len(found.regressions), "regression")
+    yield f"{_number(found.compared, 'case')} compared: {worse}."
 
 
 def _part(title: str, lines: list[str]) -> Iterator[str]:
@@ -171,6 +177,10 @@ def _part(title: str, lines: list[str]) -> Iterator[str]:
         yield ""
         yield f"{title} ({len(lines)})"
         yield from (f"  {line}" for line in lines)
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count or 'no'} {what}{'s' if count > 1 else ''}"
 
 
 def _because(result: Result) -> str:
