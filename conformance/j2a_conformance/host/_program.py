@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol, Self
+from typing import IO, Protocol, Self
 
 import j2a_transports
 from j2a_transports import Transport, TransportError
@@ -50,7 +50,7 @@ class Program:
     def __init__(self, command: Sequence[str]) -> None:
         self._command = list(command)
         self._process: subprocess.Popen[bytes] | None = None
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the program runs
+        self._log: IO[bytes] | None = None
 
     def start(self, url: str) -> None:
         """Start the program.
@@ -61,25 +61,26 @@ class Program:
         words = [word.replace("{url}", url) for word in self._command]
         if words == self._command:
             words.append(url)
-        self._output.seek(0)
-        self._output.truncate()
+        log = self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `end`
         try:
             self._process = subprocess.Popen(
                 words,
                 stdin=subprocess.DEVNULL,
-                stdout=self._output,
-                stderr=self._output,
+                stdout=log,
+                stderr=log,
                 start_new_session=os.name == "posix",
             )
         except (OSError, ValueError) as error:
+            log.close()
             raise HarnessError(f"cannot start {words[0]}: {error}") from error
 
     def ended(self) -> str:
         """Return how the program ended and its last output, or "" while it runs."""
         if self._process is None or (code := self._process.poll()) is None:
             return ""
-        self._output.seek(0)
-        said = self._output.read().decode("utf-8", "replace").strip()[-_SHOWN:]
+        assert self._log is not None
+        self._log.seek(0)
+        said = self._log.read().decode("utf-8", "replace").strip()[-_SHOWN:]
         return f"the host program ended with exit code {code}" + (f":\n{said}" if said else "")
 
     def end(self, at_once: bool = False) -> None:
@@ -95,6 +96,8 @@ class Program:
                 process.wait(_GRACE_S)
                 break
         process.wait()
+        assert self._log is not None
+        self._log.close()
 
     @staticmethod
     def _signal(process: subprocess.Popen[bytes], name: str) -> None:
@@ -148,6 +151,8 @@ class Listening:
         """
         if self._runner is not None:
             self._runner.end(at_once=True)
+            while (left := self._listener.accept(0)) is not None:
+                left.close()  # of the program that was ended
             self._runner.start(self._listener.url)
         transport, how = self._accept(self._wait_s)
         if transport is None:

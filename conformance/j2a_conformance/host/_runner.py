@@ -59,18 +59,19 @@ def run(
     stopped = ""
     try:
         for case in (START, *(case for case in cases if case is not START)):
-            result, gone = _judge(host, case)
+            if results and results[-1].verdict is Verdict.FAILED and (gone := _restart(host)):
+                stopped = f"the host did not come back after {results[-1].case}: {gone}"
+                break
+            result = _judge(host, case)
             results.append(result)
             on_result(result)
-            if gone:
-                stopped = f"the host did not come back after {case.ID}: {gone}"
-            elif result.verdict is Verdict.FAILED and case is START:
+            if result.verdict is Verdict.FAILED and case is START:
                 stopped = f"{case.ID} failed, so nothing else can be judged"
             elif result.verdict is Verdict.FAILED and stop_on_failure:
                 stopped = f"stopped at the first failed case, {case.ID}"
             if stopped:
                 break
-        else:
+        if results[-1].verdict is not Verdict.FAILED:
             host.job("bye")
     except KeyboardInterrupt:
         stopped = "interrupted from the keyboard"
@@ -90,21 +91,17 @@ def run(
     )
 
 
-def _judge(host: Host, case: HostCase) -> tuple[Result, str]:
-    """Run one case; return its result, and why the host cannot go on or ""."""
+def _judge(host: Host, case: HostCase) -> Result:
+    """Run one case and return its result."""
     began_s = time.monotonic()
     host.link.begin()
-    gone, attempts = "", 0
-    while True:
-        attempts += 1
+    for attempts in range(1, _ATTEMPTS + 1):
         verdict, reason, suspect = _once(host, case)
-        evidence, left_out = host.link.evidence()
-        if verdict is Verdict.FAILED and case is not START:
-            gone = _restart(host)
-        if not suspect or gone or attempts == _ATTEMPTS:
+        if not suspect or attempts == _ATTEMPTS or _restart(host):
             break
         host.link.note(f"another attempt: {reason}")
-    result = Result(
+    evidence, left_out = host.link.evidence()
+    return Result(
         case=case.ID,
         description=case.DESCRIPTION,
         expectation=case.EXPECTATION,
@@ -117,7 +114,6 @@ def _judge(host: Host, case: HostCase) -> tuple[Result, str]:
         attempts=attempts,
         duration_s=time.monotonic() - began_s,
     )
-    return result, gone
 
 
 def _once(host: Host, case: HostCase) -> tuple[Verdict, str, bool]:

@@ -10,7 +10,7 @@ class Start(HostCase):
     """Waits until the host program connects and calls the opcode 0xE0 for its first job."""
 
     ID = "host.start"
-    EXPECTATION = "Its requests are frames like those of the oracle; it reports `ready`."
+    EXPECTATION = "Its requests are frames like those of the oracle, one seq after the other."
     REQUIREMENTS = (
         "J2A-FRAME-001",
         "J2A-FRAME-002",
@@ -20,6 +20,7 @@ class Start(HostCase):
         "J2A-STUFF-002",
         "J2A-SUM-001",
         "J2A-SUM-002",
+        "J2A-SEQ-003",
     )
     LEVEL = "frame"
 

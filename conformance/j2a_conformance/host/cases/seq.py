@@ -174,7 +174,7 @@ class Unasked(HostCase):
     """Sends replies that nobody asked for while only the call for the next job waits."""
 
     ID = "host.seq.unasked"
-    EXPECTATION = "They are dropped, and the next call gets its own reply."
+    EXPECTATION = "They are dropped, and each call gets its own reply."
     REQUIREMENTS = ("J2A-SEQ-005",)
     LEVEL = "core"
 
@@ -184,5 +184,6 @@ class Unasked(HostCase):
         host.outcome(f"reply 5 {spell(b'one')}")
         # +1 is the call for the next job, and +2 the call of that job.
         host.send(b"".join(stray(request.seq + n) for n in range(3, 257)))
-        host.reply(host.asked(b"two"), 6, b"two")
-        host.outcome(f"reply 6 {spell(b'two')}")
+        for payload in (b"two", b"three", b"four"):
+            host.reply(host.asked(payload), 6, payload)
+            host.outcome(f"reply 6 {spell(payload)}")

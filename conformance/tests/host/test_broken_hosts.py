@@ -1,0 +1,618 @@
+"""Each broken host breaks one rule, and a case of exactly that requirement notices it.
+
+A broken host is the reference host with a method replaced. The table holds at least one for every
+requirement of hosts that the suite tests.
+"""
+
+import time
+
+import pytest
+from j2a_conformance import Verdict
+from j2a_conformance._coverage import host_coverage
+from j2a_spec import constants as c
+from j2a_spec.oracle import checksum, stuff
+
+BROKEN = []
+
+
+def breaks(*requirements):
+    """Note a class as breaking each of these requirements."""
+
+    def note(mixin):
+        BROKEN.extend(pytest.param(r, mixin, id=f"{r}-{mixin.__name__}") for r in requirements)
+        return mixin
+
+    return note
+
+
+# What it sends
+
+
+@breaks("J2A-FRAME-001", "J2A-FRAME-004")
+class LengthCountsChecksum:
+    def wire(self, seq, opcode, payload):
+        body = bytes((seq, opcode, (len(payload) + 1) % 256)) + payload
+        return bytes((c.SOF,)) + stuff(body + bytes((checksum(seq, opcode, payload),)))
+
+
+@breaks("J2A-FRAME-002")
+class RequestsStartWithSos:
+    def wire(self, seq, opcode, payload):
+        return bytes((c.SOS,)) + super().wire(seq, opcode, payload)[1:]
+
+
+@breaks("J2A-FRAME-010", "J2A-FRAME-001")
+class SendsLineEnds:
+    def wire(self, seq, opcode, payload):
+        return super().wire(seq, opcode, payload) + b"\r\n"
+
+
+@breaks("J2A-FRAME-010")
+class SendsNoiseBack:
+    def outside(self, byte):
+        self.link.write(bytes((byte,)))
+
+
+@breaks("J2A-STUFF-001")
+class NeverStuffs:
+    def stuff(self, body):
+        return body
+
+
+@breaks("J2A-STUFF-001")
+class DoesNotStuffEsc:
+    def stuff(self, body):
+        return stuff(body).replace(b"\x7d\x7c", b"\x7d")
+
+
+@breaks("J2A-STUFF-001")
+class DoesNotStuffSeq:
+    def wire(self, seq, opcode, payload):
+        start = bytes((c.SOF, seq))
+        return start + super().wire(seq, opcode, payload)[1 + len(stuff(bytes((seq,)))) :]
+
+
+@breaks("J2A-STUFF-002")
+class StuffsNeedlessly:
+    def stuff(self, body):
+        return stuff(body).replace(b"\xa5", b"\x7d\xa4")
+
+
+@breaks("J2A-SUM-001")
+class ChecksumOfOnesComplement:
+    def checksum(self, seq, opcode, payload):
+        return checksum(seq, opcode, payload) ^ 0xFF
+
+
+@breaks("J2A-SUM-001")
+class ForgetsTheLastByte:
+    def checksum(self, seq, opcode, payload):
+        return checksum(seq, opcode, payload) ^ (payload[-1] if len(payload) == 255 else 0)
+
+
+@breaks("J2A-SUM-002")
+class ChecksumAfterStuffing:
+    def checksum(self, seq, opcode, payload):
+        stuffed = stuff(payload)
+        return (
+            checksum(seq, opcode, payload)
+            ^ checksum(0, 0, payload)
+            ^ checksum(0, 0, stuffed)
+            ^ (len(payload) + c.CHK_LENGTH)
+            ^ (len(stuffed) + c.CHK_LENGTH)
+        ) & 0xFF
+
+
+# What it receives
+
+
+@breaks("J2A-FRAME-005")
+class Refuses255Bytes:
+    def reply(self, seq, code, payload):
+        if len(payload) < 255:
+            super().reply(seq, code, payload)
+
+
+@breaks("J2A-FRAME-005")
+class SmallBuffer:
+    def value(self, value):
+        if len(self.body) < 200:
+            super().value(value)
+        else:
+            self.start = None
+
+
+@breaks("J2A-FRAME-006", "J2A-FRAME-009")
+class EndsOnNoise:
+    def outside(self, byte):
+        self.link.close()
+
+
+@breaks("J2A-FRAME-007", "J2A-FRAME-009")
+class LosesTheFrameThatInterrupts:
+    def byte(self, byte):
+        if byte == c.SOF and self.start is not None:
+            self.start = None
+        else:
+            super().byte(byte)
+
+
+@breaks("J2A-FRAME-007", "J2A-STUFF-003")
+class EscapeSwallowsStart:
+    def is_marker(self, byte):
+        return super().is_marker(byte) and not self.escaped
+
+
+@breaks("J2A-FRAME-009")
+class NeedsAPauseAfterNoise:
+    noisy_s = 0.0
+
+    def outside(self, byte):
+        self.noisy_s = time.monotonic()
+
+    def byte(self, byte):
+        if byte != c.SOF or time.monotonic() - self.noisy_s > 0.05:
+            super().byte(byte)
+
+
+@breaks("J2A-STUFF-003")
+class KnowsNeededEscapesOnly:
+    def unescape(self, byte):
+        return byte + 1 if byte + 1 in c.STUFFED else byte
+
+
+@breaks("J2A-STUFF-003")
+class XorsEscapes:
+    def unescape(self, byte):
+        return byte + 1 if byte % 2 == 0 else byte ^ 1
+
+
+@breaks("J2A-STUFF-004")
+class TakesEscapeFFForZero:
+    def escape_ff(self):
+        self.value(0x00)
+
+
+@breaks("J2A-STUFF-005")
+class DoesNotUnstuffTheChecksum:
+    def value(self, value):
+        if len(self.body) > 3 and len(self.body) == 3 + self.body[2] and self.escaped:
+            value -= 1
+        super().value(value)
+
+
+@breaks("J2A-STUFF-005")
+class DoesNotUnstuffSeq:
+    def unescape(self, byte):
+        return byte + 1 if self.body else byte
+
+
+@breaks("J2A-SUM-003")
+class TrustsEveryFrame:
+    def sum_is_right(self, start, body):
+        return True
+
+
+@breaks("J2A-SUM-003", "J2A-TIME-006")
+class DamageEndsCalls:
+    def frame(self, start, body):
+        if not self.sum_is_right(start, body):
+            self.reply(body[0], c.ERR_CHECKSUM, b"")
+        super().frame(start, body)
+
+
+# Sequence numbers
+
+
+@breaks("J2A-SEQ-003")
+class OneSeqForAll:
+    def new_seq(self):
+        return self.seq
+
+
+@breaks("J2A-SEQ-003")
+class SameSeqAfterATimeout:
+    def gave_up(self):
+        super().gave_up()
+        self.seq = (self.seq - 1) % 256
+
+
+@breaks("J2A-SEQ-003")
+class SameSeqAfterAnError:
+    def reply(self, seq, code, payload):
+        super().reply(seq, code, payload)
+        if code in c.ERRORS:
+            self.seq = seq
+
+
+@breaks("J2A-SEQ-003")
+class LeavesSeqsOut:
+    def new_seq(self):
+        while self.seq in c.STUFFED:
+            super().new_seq()
+        return super().new_seq()
+
+
+@breaks("J2A-SEQ-004", "J2A-SEQ-005")
+class TakesAnyReply:
+    def match(self, seq):
+        return self.waiting.pop(min(self.waiting), None) if self.waiting else None
+
+
+@breaks("J2A-SEQ-004")
+class ComparesFourBits:
+    def match(self, seq):
+        found = [waiting for waiting in self.waiting if waiting % 16 == seq % 16]
+        return self.waiting.pop(found[0]) if found else None
+
+
+@breaks("J2A-SEQ-004")
+class TakesSifsForReplies:
+    def sif(self, seq, opcode, payload):
+        super().sif(seq, opcode, payload)
+        self.reply(seq, opcode, payload)
+
+
+@breaks("J2A-SEQ-005")
+class KeepsStrays:
+    def connected(self):
+        super().connected()
+        self.strays = {}
+
+    def reply(self, seq, code, payload):
+        if seq not in self.waiting:
+            self.strays[seq] = code, payload
+        super().reply(seq, code, payload)
+
+    def put_on_wire(self, call):
+        super().put_on_wire(call)
+        for seq in set(self.waiting) & set(self.strays):
+            self.reply(seq, *self.strays.pop(seq))
+
+
+@breaks("J2A-SEQ-005")
+class LateRepliesCount:
+    def gave_up(self):
+        pass
+
+    def reply(self, seq, code, payload):
+        if seq in self.waiting:
+            oldest = min(self.waiting, key=lambda one: (one - seq - 1) % 256)
+            call = self.waiting.pop(seq)
+            newest = [*self.waiting.values(), call][-1]
+            newest.code, newest.payload = code, payload
+            self.waiting = {s: w for s, w in self.waiting.items() if w is not newest}
+            self.waiting.pop(oldest, None)
+
+
+# Names
+
+
+@breaks("J2A-DISP-007")
+class KnowsTheBuiltinsByHeart:
+    def opcode(self, word):
+        return c.BUILTINS.index(word) if word in c.BUILTINS else super().opcode(word)
+
+
+@breaks("J2A-DISP-007")
+class KeepsTheMapping:
+    kept = None
+
+    def mapping(self):
+        self.kept = self.kept or super().mapping()
+        self.names = self.kept
+        return self.kept
+
+
+@breaks("J2A-DISP-007")
+class TakesTheNearestName:
+    def opcode(self, word):
+        near = [n for n, name in enumerate(self.mapping()) if name.startswith(word)]
+        return near[0] if near else super().opcode(word)
+
+
+@breaks("J2A-MAP-005", "J2A-DISP-007")
+class CannotDoWithoutAMapping:
+    def opcode(self, word):
+        if not self.mapping():
+            return 0
+        return super().opcode(word)
+
+
+# Errors
+
+
+@breaks("J2A-ERR-007")
+class NeedsTwoBytes:
+    def reply(self, seq, code, payload):
+        if code not in c.ERRORS or len(payload) == 2:
+            super().reply(seq, code, payload)
+
+
+@breaks("J2A-ERR-007")
+class ReadsTheSite:
+    def refusal(self, call):
+        sites = {1: 0xF0, 3: 0xF2, 4: 0xF3}
+        return f"error {sites.get(int.from_bytes(call.payload, 'little'), 0xF4)}"
+
+
+@breaks("J2A-ERR-008")
+class DropsWhatComesWhileItSends:
+    def send(self, wire):
+        super().send(wire[:100])
+        if wire[100:]:
+            time.sleep(0.05)
+            while self.link.read(0):
+                pass
+            super().send(wire[100:])
+
+
+# Transfers
+
+
+@breaks("J2A-MANY-001")
+class BigEndianOffset:
+    def header(self, func, flags, offset):
+        return bytes((func, flags)) + offset.to_bytes(4, "big")
+
+
+@breaks("J2A-MANY-001", "J2A-MANY-011")
+class OffsetOfTwoBytes:
+    def header(self, func, flags, offset):
+        return super().header(func, flags, offset % 65536)
+
+
+@breaks("J2A-MANY-009")
+class SetsOtherFlags:
+    def header(self, func, flags, offset):
+        return super().header(func, flags | 0x80, offset)
+
+
+@breaks("J2A-MANY-009")
+class ComparesFlags:
+    def is_last(self, flags):
+        return flags == c.FLAG_LAST
+
+
+@breaks("J2A-MANY-011")
+class CountsChunksOf249:
+    def offset(self, content):
+        return -(-len(content) // c.MANY_DATA) * c.MANY_DATA
+
+
+@breaks("J2A-MANY-011")
+class NeedsNoLast:
+    def read_all(self, func, limit_s, is_old=False):
+        _, data = self.chunk(func, 0, 0, b"", limit_s)
+        return data
+
+
+@breaks("J2A-MANY-012")
+class IgnoresOuterCode:
+    def check(self, code, payload, offset):
+        super().check(0, payload, offset)
+
+
+@breaks("J2A-MANY-012")
+class IgnoresInnerCode:
+    def check(self, code, payload, offset):
+        super().check(code, b"\0" + payload[1:] if len(payload) >= 6 else payload, offset)
+
+
+@breaks("J2A-MANY-012")
+class OnlyFFHasFailed:
+    def check(self, code, payload, offset):
+        if payload[:1] != b"\xff":
+            payload = b"\0" + payload[1:]
+        super().check(code, payload, offset)
+
+
+@breaks("J2A-MANY-012")
+class IgnoresOffset:
+    def check(self, code, payload, offset):
+        super().check(code, payload[:2] + offset.to_bytes(4, "little") + payload[6:], offset)
+
+
+@breaks("J2A-MANY-012")
+class TakesShortRepliesForEmpty:
+    def check(self, code, payload, offset):
+        if len(payload) >= 6:
+            super().check(code, payload, offset)
+
+    def chunk(self, func, flags, offset, data, limit_s):
+        try:
+            return super().chunk(func, flags, offset, data, limit_s)
+        except IndexError:
+            return c.FLAG_LAST, b""
+
+
+@breaks("J2A-MANY-012")
+class ReadsOnForEver:
+    def empty_chunk(self):
+        pass
+
+
+@breaks("J2A-MANY-013")
+class LastInEveryChunk:
+    def write_flags(self, is_last):
+        return c.FLAG_WRITE | c.FLAG_LAST
+
+
+@breaks("J2A-MANY-013")
+class LastInNoChunk:
+    def write_flags(self, is_last):
+        return c.FLAG_WRITE
+
+
+@breaks("J2A-MANY-013")
+class WritesNothingForNothing:
+    def write_many(self, func, data, limit_s):
+        if data:
+            super().write_many(func, data, limit_s)
+
+
+@breaks("J2A-MANY-014", "J2A-PROP-005")
+class TrustsOldDevices:
+    def is_old(self):
+        return False
+
+
+@breaks("J2A-PROP-005", "J2A-MANY-014")
+class PropertiesMakeItNew:
+    def is_old(self):
+        return not self.props()
+
+
+@breaks("J2A-MANY-014")
+class WritesBeforeItLooks:
+    def write_many(self, func, data, limit_s):
+        if self.is_old():
+            self.chunk(func, self.write_flags(False), 0, data[: c.MANY_DATA], limit_s)
+        super().write_many(func, data, limit_s)
+
+
+# SIFs
+
+
+@breaks("J2A-SIF-003")
+class NoSifsDuringCalls:
+    def sif(self, seq, opcode, payload):
+        if not self.waiting:
+            super().sif(seq, opcode, payload)
+
+
+@breaks("J2A-SIF-003")
+class SifEndsTheCall:
+    def sif(self, seq, opcode, payload):
+        super().sif(seq, opcode, payload)
+        self.gave_up()
+
+
+@breaks("J2A-SIF-004")
+class AnswersSifs:
+    def sif(self, seq, opcode, payload):
+        super().sif(seq, opcode, payload)
+        self.link.write(self.wire(seq, 0, b""))
+
+
+@breaks("J2A-SIF-005")
+class SifsHaveFewOpcodes:
+    def hand(self, handler, opcode, payload):
+        if opcode <= c.RET_MAX:
+            super().hand(handler, opcode, payload)
+
+
+@breaks("J2A-SIF-005", "J2A-SEQ-004")
+class ErrorsOfSifs:
+    def sif(self, seq, opcode, payload):
+        super().sif(seq, opcode, payload)
+        if opcode in c.ERRORS:
+            self.reply(seq, opcode, payload)
+
+
+@breaks("J2A-SIF-007")
+class NewestFirst:
+    def hand(self, handler, opcode, payload):
+        self.sifs[handler].insert(0, (opcode, payload))
+
+
+@breaks("J2A-SIF-007")
+class OneHandlerForEach:
+    def hand(self, handler, opcode, payload):
+        if handler != "b":
+            super().hand(handler, opcode, payload)
+
+
+@breaks("J2A-SIF-008", "J2A-SUM-003")
+class TakesDamagedSifs:
+    def sum_is_right(self, start, body):
+        return start == c.SOS or super().sum_is_right(start, body)
+
+
+@breaks("J2A-SIF-008")
+class DamagedSifEndsTheCall:
+    def sum_is_right(self, start, body):
+        is_right = super().sum_is_right(start, body)
+        if start == c.SOS and not is_right:
+            self.gave_up()
+        return is_right
+
+
+@breaks("J2A-SIF-009")
+class CountsJumps:
+    def gap(self, seq):
+        return int(seq != self.next_sif)
+
+
+@breaks("J2A-SIF-009")
+class MissesTheTurn:
+    def gap(self, seq):
+        return max(0, seq - self.next_sif)
+
+
+# Time and limits
+
+
+@breaks("J2A-TIME-006")
+class WaitsForEver:
+    def new_call(self, opcode, payload, limit_s):
+        return super().new_call(opcode, payload, 60.0)
+
+
+@breaks("J2A-TIME-006")
+class EveryByteStartsTheTimeAnew:
+    def exchange(self, calls, room):
+        self.extended_s = 0.0
+        super().exchange(calls, room)
+
+    def receive(self, timeout_s):
+        deadline_s = time.monotonic() + timeout_s
+        while time.monotonic() < deadline_s and self.waiting:
+            data = self.link.read(deadline_s - time.monotonic())
+            for byte in data:
+                self.byte(byte)
+            if data:
+                deadline_s = time.monotonic() + timeout_s
+
+
+@breaks("J2A-TIME-006")
+class HasATimeLimitOfItsOwn:
+    def new_call(self, opcode, payload, limit_s):
+        return super().new_call(opcode, payload, limit_s if opcode == 0xE0 else 0.01)
+
+
+@breaks("J2A-LIMIT-003")
+class AlwaysAllAtOnce:
+    def fits(self, call, room):
+        return True
+
+
+@breaks("J2A-LIMIT-003")
+class CountsPayloads:
+    def size(self, call):
+        return len(call.request)
+
+    def put_on_wire(self, call):
+        super().put_on_wire(call)
+        call.size = len(call.request)
+
+
+@breaks("J2A-LIMIT-003")
+class CountsOnlyTheNext:
+    def fits(self, call, room):
+        return not self.waiting or self.size(call) <= room
+
+
+def test_every_tested_requirement_is_broken_by_a_host():
+    tested = {name for name, by in host_coverage().items() if not by.startswith("no case")}
+    assert {param.values[0] for param in BROKEN} == tested
+
+
+@pytest.mark.parametrize(("requirement", "mixin"), BROKEN)
+def test_a_case_of_the_requirement_fails(requirement, mixin, host_reference, host_judged):
+    host = type(mixin.__name__, (mixin, host_reference), {})
+    found = host_judged(host, [requirement], timeout_scale=0.2, stop_on_failure=True)
+    failed = found.with_verdict(Verdict.FAILED)
+    assert failed, "the suite did not notice"
+    assert requirement in failed[0].requirements, failed[0].reason
+    assert not found.conformant

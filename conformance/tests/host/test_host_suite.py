@@ -1,0 +1,59 @@
+"""The suite passes conforming hosts, and says what it tests."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from j2a_conformance import Verdict
+from j2a_conformance._coverage import host_coverage
+from j2a_conformance._smoke import SMOKE
+from j2a_conformance.cases import load as load_device
+from j2a_conformance.cli import main
+from j2a_conformance.host import START, load
+from j2a_spec import requirements
+
+HOSTS = Path(__file__).parents[2] / "hosts"
+CASES = (START, *load())
+
+
+def test_the_reference_host_conforms(host_reference, host_judged):
+    run = host_judged(host_reference)
+    assert {r.case: r.reason for r in run.results if r.verdict is not Verdict.OK} == {}
+    assert len(run.results) == len(CASES)
+    assert run.conformant
+    assert not run.stopped
+    assert run.title == "reference"
+
+
+@pytest.mark.parametrize("name", ["client", "aio"])
+def test_our_hosts_conform(name, capsys):
+    assert main(["host", "--", sys.executable, str(HOSTS / f"{name}.py")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert next(line.split() for line in lines if line.startswith("all"))[1] == str(len(CASES))
+
+
+def test_every_requirement_of_a_host_has_a_case_or_an_exception():
+    by = host_coverage()
+    for requirement in requirements.load().values():
+        if requirement.role == "device":
+            assert requirement.id not in by
+        else:
+            has_case = not by[requirement.id].startswith(("MISSING", "no case"))
+            assert has_case != bool(requirement.exception), requirement.id
+
+
+def test_cases_name_requirements_that_bind_hosts():
+    known = requirements.load()
+    for case in CASES:
+        assert case.REQUIREMENTS, case.ID
+        for name in case.REQUIREMENTS:
+            assert known[name].role in ("host", "both"), (case.ID, name)
+
+
+def test_cases_have_unique_ids_and_say_what_they_do():
+    ids = [case.ID for case in (*CASES, *SMOKE, *load_device())]
+    assert len(set(ids)) == len(ids)
+    for case in CASES:
+        assert case.ID.startswith("host.")
+        assert case.DESCRIPTION.endswith("."), case.ID
+        assert case.EXPECTATION.endswith("."), case.ID
