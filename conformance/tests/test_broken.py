@@ -349,6 +349,24 @@ class AnotherOrder:
     )
 
 
+@breaks("J2A-DISP-002", "J2A-MAP-001")
+class TwoNamesAreExchanged:
+    """What the mapping calls `delay` is another function, which takes no time."""
+
+    names = (*c.BUILTINS, "delay", "overruns")
+
+    def execute(self, name, payload):
+        if name in ("delay", "overruns"):
+            return (0, bytes(2)) if name == "delay" else super().execute("delay", payload)
+        return super().execute(name, payload)
+
+
+@breaks("J2A-MAP-001")
+class ListsAFunctionThatDoesNotExist:
+    def mapping(self):
+        return super().mapping() + b"overruns\0"
+
+
 # Errors
 
 
@@ -529,6 +547,15 @@ class ManyCallsAnything:
         )
 
 
+@breaks("J2A-MANY-005")
+class ManyCallsDelay:
+    def many_name(self, func):
+        return self.name_of(func) if self.name_of(func) == "delay" else super().many_name(func)
+
+    def many(self, name, last, write, offset, data):
+        return super().many(c.GET_ECHO_MANY if name == "delay" else name, last, write, offset, data)
+
+
 @breaks("J2A-MANY-006")
 class ManyFunctionsCanBeCalled:
     def refuse(self, seq, opcode, payload):
@@ -607,6 +634,11 @@ class PropertiesCanBeWritten:
 @breaks("J2A-PROP-004")
 class NoVersion:
     properties = (("name", "old"),)
+
+
+@breaks("J2A-PROP-004")
+class AnotherVersion:
+    properties = (("name", "new"), (c.PROP_SPEC, "1.2"))
 
 
 @breaks("J2A-PROP-006")
@@ -806,6 +838,14 @@ class AnswersPauses:
 class HoldsHalfOfWhatItSays:
     def received(self, data):
         return data[:512]
+
+
+@breaks("J2A-LIMIT-001")
+class HoldsThreeQuartersOfALot:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "16384"))
+
+    def received(self, data):
+        return data[:12288]
 
 
 @breaks("J2A-LIMIT-002")

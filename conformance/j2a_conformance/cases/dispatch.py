@@ -11,6 +11,9 @@ from j2a_conformance._peer import Peer, Request, refusal
 
 from .sums import with_sum
 
+_DELAY_MS = 40
+_CLOCK = 0.8  # a device may run on an oscillator without a crystal
+
 
 class OneReply(Case):
     """Sends single requests of every kind and an echo behind each."""
@@ -80,7 +83,7 @@ class AtIndex(Case):
 
     ID = "dispatch.at-index"
     EXPECTATION = "Each behaves as its name says."
-    REQUIREMENTS = ("J2A-DISP-002", "J2A-DISP-003")
+    REQUIREMENTS = ("J2A-DISP-002", "J2A-DISP-003", "J2A-MAP-001")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -99,6 +102,16 @@ class AtIndex(Case):
                 fail("`getTime` does not return 0x00 and 8 bytes")
             if times[1].payload[::-1] < times[0].payload[::-1]:
                 fail("`getTime` goes backwards")
+        if peer.has("delay"):
+            before_s = peer.link.now_s()
+            payload = struct.pack("<H", _DELAY_MS)
+            peer.ask(peer.request(peer.opcode("delay"), payload, c.RET_OK, b""))
+            if peer.link.now_s() - before_s < _DELAY_MS / 1e3 * _CLOCK:
+                fail(f"`delay` did not take the {_DELAY_MS} ms that it was asked for")
+        if peer.has("overruns"):
+            reply = peer.call("overruns")
+            if reply.opcode != c.RET_OK or len(reply.payload) != 2:
+                fail("`overruns` does not return 0x00 and 2 bytes")
 
 
 class ReturnValues(Case):

@@ -10,6 +10,8 @@ from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance._peer import Peer, Request, describe, refusal
 
 _DELAY_MS = 80
+_REQUESTS = 200  # no seq stands for two
+_ROOM = 32768  # less than pipes and sockets hold, so that nobody waits for the other side to read
 
 
 def delay(peer: Peer, ms: int) -> list[Request]:
@@ -32,25 +34,31 @@ class Window(Case):
     def _run(self, peer: Peer) -> None:
         if not peer.rxbuf:
             skip(f"the device announces no {c.PROP_RXBUF}")
-        room = peer.room(8192)
+        room = peer.room(_ROOM)
         for busy in (False, True) if peer.has("delay") else (False,):
             for kind in ("small", "large", "stuffed"):
                 requests = delay(peer, _DELAY_MS) if busy else []
+                left = room - sum(len(r.wire) for r in requests)
                 if kind == "large":
-                    left = room - sum(len(r.wire) for r in requests)
                     requests.append(peer.echo(b"L" * max(min(255, left - 20), 0)))
-                while True:
-                    payload = b"\x12\xed\x7d" if kind == "stuffed" else b"%02d" % len(requests)
+                    left -= len(requests[-1].wire)
+                # As many as there are seqs for, and so large that they fill the room.
+                size = min(c.MAX_PAYLOAD, left // _REQUESTS)
+                while len(requests) < _REQUESTS:
+                    payload = b"%02d" % (len(requests) % 100) + b"W" * max(size - 2, 0)
+                    if kind == "stuffed":
+                        payload = (b"\x12\xed\x7d" * 85)[: max(size // 2, 3)]
                     request = peer.echo(payload)
-                    if sum(len(r.wire) for r in (*requests, request)) > room:
+                    if len(request.wire) > left:
                         break
-                    if len(requests) == 200:
-                        break  # no seq stands for two requests
+                    left -= len(request.wire)
                     requests.append(request)
                 peer.link.note(f"{len(requests)} requests, {kind}, busy: {busy}")
                 stream = b"".join(r.wire for r in requests)
                 peer.play(stream, *(r.expected for r in requests), wait_s=_DELAY_MS / 1e3)
         peer.barrier()
+        if peer.rxbuf > _ROOM and not peer.link.lossy:
+            inform(f"{_ROOM} bytes were used of the {peer.rxbuf} that {c.PROP_RXBUF} announces")
 
 
 class CutFrame(Case):

@@ -111,6 +111,12 @@ class InnerCode(Case):
             fail(f"inner codes {sorted(codes)} instead of {sorted(wanted)}")
 
 
+_CALLS = (
+    c.GET_MAPPING, c.MANY, c.GET_DEBUG, c.GET_ECHO,
+    "getTime", "add", "ret", "delay", "sif", "sifPeriod", "overruns",
+)  # fmt: skip
+
+
 class WrongKind(Case):
     """Asks a2jMany for func 0, for itself, for functions that are not made for it, and for every
     index out of range.
@@ -122,8 +128,7 @@ class WrongKind(Case):
     LEVEL = "many"
 
     def _run(self, peer: Peer) -> None:
-        calls = (c.GET_MAPPING, c.MANY, c.GET_DEBUG, c.GET_ECHO, "ret", "add", "sif")
-        known = [peer.opcode(name) for name in calls if peer.has(name)]
+        known = [peer.opcode(name) for name in _CALLS if peer.has(name)]
         for func in (*known, *peer.out_of_range()):
             peer.ask(peer.many(func, c.FLAG_LAST, 0, b"x", code=c.ERR_OPCODE))
         for flags, data in ((0, b""), (c.FLAG_WRITE, bytes(249)), (0xFF, b"\x12" * 249)):
