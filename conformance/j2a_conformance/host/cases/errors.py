@@ -20,7 +20,7 @@ class Payloads(HostCase):
 
     def _run(self, host: Host) -> None:
         for code in sorted(c.ERRORS):
-            for payload in (b"\x01\x00", b"", b"\xff", b"\xff\xff", bytes(range(255))):
+            for payload in (b"\x01\x00", bytes(2), b"", b"\xff", b"\xff\xff", bytes(range(255))):
                 host.reply(host.asked(), code, payload)
                 host.outcome(f"error {code}")
 

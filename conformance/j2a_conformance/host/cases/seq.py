@@ -126,7 +126,7 @@ class LateAtRest(HostCase):
     def _run(self, host: Host) -> None:
         late = host.asked(b"one", limit_ms=host.silence_ms)
         host.outcome("timeout", wait_ms=host.silence_ms)
-        host.send(late.reply(5, b"late"))
+        host.send(late.reply(5, b"sifs all 0 0"))  # a host that takes it for a job reports
         host.reply(host.asked(b"two"), 6, b"own")
         host.outcome(f"reply 6 {spell(b'own')}")
 
