@@ -1,4 +1,4 @@
-"""Several runs on one page: levels and cases of each device, side by side.
+"""Several runs on one page: levels and cases of each, side by side.
 
 What flows in: runs. What flows out: HTML, see `_pages`. Rules: a case that a run does not have is
 shown as "not run" where the run knows of it, else as "absent".
@@ -58,7 +58,7 @@ def render(runs: Sequence[Run]) -> bytes:
     columns = [_column(number, run) for number, run in enumerate(runs, 1)]
     return page(
         "matrix.html.j2",
-        title="1 device" if len(runs) == 1 else f"{len(runs)} devices",
+        title="1 run" if len(runs) == 1 else f"{len(runs)} runs",
         columns=columns,
         levels=list(zip(*(column.levels for column in columns), strict=True)),
         groups=[
@@ -68,7 +68,7 @@ def render(runs: Sequence[Run]) -> bytes:
 
 
 def _column(number: int, run: Run) -> _Column:
-    prefix = f"device-{number}-"
+    prefix = f"run-{number}-"
     views = [
         case_view(result, prefix, linked=False)
         for result in run.results
@@ -76,7 +76,7 @@ def _column(number: int, run: Run) -> _Column:
     ]
     views.sort(key=lambda view: WORST_FIRST.index(view.result.verdict))
     return _Column(
-        f"device-{number}", run, name(run), judgement(run), tone(run), levels(run), tuple(views)
+        f"run-{number}", run, name(run), judgement(run), tone(run), levels(run), tuple(views)
     )
 
 

@@ -94,9 +94,9 @@ def test_the_matrix_command(failed_run, good_run, tmp_path, capsys):
     names = [str(tmp_path / name) for name in ("good", "bad")]
     assert main(["matrix", *names, "--html", str(page)]) == 0
     text = page.read_text("utf-8")
-    assert "2 devices" in text
-    assert 'href="#device-2-case-frame.interrupted"' in text
-    assert 'id="device-2-case-frame.interrupted"' in text
+    assert "2 runs" in text
+    assert 'href="#run-2-case-frame.interrupted"' in text
+    assert 'id="run-2-case-frame.interrupted"' in text
     assert main(["matrix", str(page), "--html", str(page)]) == 3
     assert f"{page} is no report of j2a-conform" in capsys.readouterr().err
     assert main(["matrix", names[0], "--html", str(tmp_path)]) == 3
