@@ -138,10 +138,10 @@ def _end(run: Run) -> Iterator[str]:
 
 def _judgement(run: Run) -> str:
     if not run.conformant:
-        return "The device is NOT conformant"
+        return f"The {run.role} is NOT conformant"
     if not run.tested:
-        return "Nothing was tested: the device has nothing that the chosen cases need"
+        return f"Nothing was tested: the {run.role} has nothing that the chosen cases need"
     part = " in what was run" if run.stopped else ""
     judge = "" if run.profile == STRICT else f" by the profile {run.profile}"
     known = " but for known deviations" if run.with_verdict(Verdict.KNOWN_DEVIATION) else ""
-    return f"The device is conformant{part}{judge}{known}"
+    return f"The {run.role} is conformant{part}{judge}{known}"

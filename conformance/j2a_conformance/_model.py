@@ -131,7 +131,7 @@ def _j2a_version() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A whole run against one device.
+    """A whole run against one device or one host.
 
     Attributes:
         url: the link.
@@ -140,7 +140,8 @@ class Run:
         claims: what the device says about itself; None when it could not be read.
         results: in the order in which the cases ran, the smoke step first.
         stopped: why cases were left out at the end, or "".
-        title: what the device is, or "".
+        title: what the device or the host is, or "".
+        role: what was judged.
         profile: what the device was judged by: "strict", or a name of an older base.
         stale: entries of the list of known deviations that did not come true, as sentences that
             name the case and say why: it passed, or it was not judged.
@@ -159,6 +160,7 @@ class Run:
     results: tuple[Result, ...]
     stopped: str = ""
     title: str = ""
+    role: Literal["device", "host"] = "device"
     profile: str = "strict"
     stale: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()

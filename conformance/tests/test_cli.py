@@ -62,7 +62,7 @@ def test_list_shows_cases_and_coverage(capsys):
     out = capsys.readouterr().out
     assert "sif.counter" in out
     assert "many.flags" not in out.split("J2A-FRAME-001  ")[0]
-    assert "J2A-SIF-004  library tests" in out
+    assert "J2A-SIF-004  host.sif." in out
     assert "MISSING" not in out
 
 

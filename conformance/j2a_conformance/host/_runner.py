@@ -86,6 +86,7 @@ def run(
         results=tuple(results),
         stopped=stopped,
         title=host.title,
+        role="host",
         asked=tuple(case.ID for case in cases),
         not_run={case.ID: case.LEVEL for case in (START, *load()) if case.ID not in ran},
     )
