@@ -108,7 +108,7 @@ def _jobs(
         named = frozenset(cases(target)) if every else naming
         due = kept[mutant.id].killed_by if mutant.id in kept else ()
         jobs.append(Job(variant(target, mutant), mutant, named, frozenset(due)))
-        used[jobs[-1].variant] |= named
+        used[jobs[-1].how] |= named
     for how, named in used.items():
         yield Job(how, None, named), _BASELINES
     for job in jobs:
@@ -141,7 +141,7 @@ def _do(job: Job, attempts: int) -> Outcome:
 
 
 def _note(job: Job, outcome: Outcome, found: Found, verbose: bool) -> None:
-    name = job.mutant.id if job.mutant else f"unmutated {job.variant}"
+    name = job.mutant.id if job.mutant else f"unmutated {job.how}"
     if verbose:
         print(f"{name}: {outcome.trouble or ', '.join(sorted(outcome.failed)) or 'nothing failed'}")
         sys.stdout.flush()

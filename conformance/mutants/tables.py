@@ -32,6 +32,7 @@ FOLDER: Final = Path(__file__).resolve().parent
 TARGETS: Final = {
     "core": ("firmware/Makefile", "firmware/core", "firmware/ports", "firmware/apps"),
     "device": ("j2a",),
+    "host": ("j2a",),
 }
 """What can be mutated, each with the files and folders that its edited copy is made of."""
 

@@ -10,7 +10,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,14 +18,19 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 import j2a_transports
-from j2a_conformance import HarnessError, Verdict, load, run
+from j2a_conformance import HarnessError, Run, Verdict, host, load, run
 from j2a_conformance._smoke import SMOKE
-from tables import Mutant, TableError, copy
+from tables import ROOT, Mutant, TableError, copy
 
 __all__ = ["Job", "Outcome", "Variant", "cases", "judge", "variant"]
 
 _DEVICE_CASES: Final = {case.ID: case for case in (*SMOKE, *load())}
-_SCALE: Final = 0.25  # of the waits for an answer: a process on this machine answers at once
+_HOST_CASES: Final = {case.ID: case for case in (host.START, *host.load())}
+# Of the waits for an answer: a process on this machine answers at once.
+_SCALE: Final = 0.25
+_HOST_SCALE: Final = 0.5
+_START_S: Final = 20.0
+_DIED: Final = ("the link ended", "the host program ended")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +48,13 @@ class Job:
     """Judge one mutant, or the unmutated target.
 
     Attributes:
-        variant: what is built.
+        how: what is built.
         mutant: the mutant, or None.
         cases: ids of the cases; those of the smoke step run in any case.
         due: ids of cases that must fail; where one does not, the job is done once more.
     """
 
-    variant: Variant
+    how: Variant
     mutant: Mutant | None
     cases: frozenset[str]
     due: frozenset[str] = frozenset()
@@ -77,8 +82,8 @@ def variant(target: str, mutant: Mutant) -> Variant:
 
 def cases(target: str) -> dict[str, tuple[str, ...]]:
     """Return the requirements of each case that judges this target, by its id."""
-    assert target in ("core", "device")
-    return {name: case.REQUIREMENTS for name, case in _DEVICE_CASES.items()}
+    known = _HOST_CASES if target == "host" else _DEVICE_CASES
+    return {name: case.REQUIREMENTS for name, case in known.items()}
 
 
 def judge(job: Job) -> Outcome:
@@ -94,36 +99,23 @@ def _once(job: Job) -> Outcome:
     with TemporaryDirectory(prefix="j2a-mutant-") as name:
         folder = Path(name)
         try:
-            copy(job.variant.target, job.mutant, folder)
-            url = (_core if job.variant.target == "core" else _device)(job.variant, folder)
+            copy(job.how.target, job.mutant, folder)
             with _stderr_in(folder / "stderr"):
-                outcome = _run(url, job)
+                found = _SUITES[job.how.target](job, folder)
         except (HarnessError, TableError) as error:
             return Outcome(trouble=str(error))
         printed = (folder / "stderr").read_text("utf-8", "replace")
-    if not outcome.trouble and "Traceback" in printed:
+    if "Traceback" in printed:
         return Outcome(trouble=f"an exception that is no breach of this rule:\n{printed}")
-    return outcome
+    for result in found.with_verdict(Verdict.FAILED):
+        if result.reason.startswith(_DIED):
+            return Outcome(trouble=f"it died in {result.case}: {result.reason}")
+    return Outcome(frozenset(result.case for result in found.with_verdict(Verdict.FAILED)))
 
 
-def _run(url: str, job: Job) -> Outcome:
-    found = run(
-        lambda: j2a_transports.open(url),
-        [_DEVICE_CASES[name] for name in _DEVICE_CASES if name in job.cases],
-        url=url,
-        timeout_scale=1.0 if url.startswith("sim:") else _SCALE,
-        fresh=True,
-    )
-    failed = found.with_verdict(Verdict.FAILED)
-    died = [result for result in failed if result.reason.startswith("the link ended")]
-    return Outcome(
-        failed=frozenset(result.case for result in failed),
-        trouble=f"the device died in {died[0].case}: {died[0].reason}" if died else "",
-    )
-
-
-def _core(how: Variant, folder: Path) -> str:
-    """Build the firmware in `folder`, and return the URL that runs it."""
+def _core(job: Job, folder: Path) -> Run:
+    """Build the firmware in `folder` and judge it."""
+    how = job.how
     # A make that runs this must not hand its variables and its job server to the make below.
     env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     settings = [f"PORT={how.port}", f"APP={how.app}", f"OPTIONS={how.options}", f"OUT={folder}/out"]
@@ -139,14 +131,40 @@ def _core(how: Variant, folder: Path) -> str:
     if done.returncode:
         raise TableError(f"it is not built:\n{done.stderr}")
     if how.port == "posix":
-        return f"exec:{shlex.quote(f'{folder}/out/{how.app}')}"
-    return f"sim:{folder}/out/{how.app}.elf"
+        return _judged(f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", job.cases, _SCALE)
+    return _judged(f"sim:{folder}/out/{how.app}.elf", job.cases, 1.0)
 
 
-def _device(_how: Variant, folder: Path) -> str:
-    """Return the URL that starts the Python Device of `folder`."""
-    serve = [sys.executable, "-P", "-m", "j2a", "serve", "--listen", "stdio:", "--once"]
-    return "exec:" + shlex.join(["env", f"PYTHONPATH={folder}", *serve])
+def _device(job: Job, folder: Path) -> Run:
+    """Judge the Python Device of `folder`."""
+    serve = ["-m", "j2a", "serve", "--listen", "stdio:", "--once"]
+    return _judged("exec:" + shlex.join(_python(folder, *serve)), job.cases, _SCALE)
+
+
+def _host(job: Job, folder: Path) -> Run:
+    """Judge the blocking client of `folder`."""
+    program = host.Program(_python(folder, str(ROOT / "conformance/hosts/client.py")))
+    with host.Listening("tcp://127.0.0.1:0", program, _START_S) as place:
+        cases = [case for name, case in _HOST_CASES.items() if name in job.cases]
+        return host.run(place, cases, timeout_scale=_HOST_SCALE)
+
+
+def _python(folder: Path, *arguments: str) -> list[str]:
+    """Return a command that runs Python with the package of `folder` before all others."""
+    return ["env", f"PYTHONPATH={folder}", sys.executable, "-P", *arguments]
+
+
+def _judged(url: str, cases: Container[str], scale: float) -> Run:
+    return run(
+        lambda: j2a_transports.open(url),
+        [case for name, case in _DEVICE_CASES.items() if name in cases],
+        url=url,
+        timeout_scale=scale,
+        fresh=True,
+    )
+
+
+_SUITES: Final = {"core": _core, "device": _device, "host": _host}
 
 
 @contextmanager
