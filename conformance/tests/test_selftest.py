@@ -93,7 +93,7 @@ def test_a_chip_with_little_flash_says_what_it_left_out(planted, capsys):
     url = f"exec:{shlex.quote(str(program))}"
     assert main(["selftest", url]) == 0
     assert f"without the {len(KNOWN) - len(SMALL)} largest" in capsys.readouterr().out
-    assert main(["run", url, "--case", "properties.selftest"]) == 0
+    assert main(["run", url, "--level", "properties"]) == 0
     assert f"it ran {len(SMALL)} of {len(KNOWN)}" in capsys.readouterr().out
 
 
@@ -154,5 +154,5 @@ def test_vectors_of_another_version_are_no_proof(build_firmware, monkeypatch, ca
     monkeypatch.setattr(_selftest, "_digests", lambda: {0x01234567: len(KNOWN)})
     assert main(["selftest", url]) == 1
     assert "not those of this suite" in capsys.readouterr().out
-    assert main(["run", url, "--case", "properties.selftest"]) == 0
+    assert main(["run", url, "--level", "properties"]) == 0
     assert "another version" in capsys.readouterr().out

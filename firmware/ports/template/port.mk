@@ -1,7 +1,8 @@
 # How this port is compiled. FILL IN what your chip needs; as it stands here it is this machine.
+# Paths are seen from firmware/, those of this folder begin with $(PORT_DIR)/.
 # CC := arm-none-eabi-gcc
-# MACHINE := -mcpu=cortex-m0 -mthumb -ffunction-sections -fdata-sections
-# LINK := -T board.ld -Wl,--gc-sections
+# MACHINE := -mcpu=cortex-m0 -mthumb -DBAUD=$(BAUD) -ffunction-sections -fdata-sections
+# LINK := -T $(PORT_DIR)/board.ld -Wl,--gc-sections
 # SUFFIX := .elf
 # SIZE := arm-none-eabi-size
 CFLAGS ?= -Os
