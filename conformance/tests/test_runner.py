@@ -187,6 +187,20 @@ def test_what_a_device_prints_while_it_boots_is_harmless(reference, judged):
     assert [r.reason for r in found.results if r.verdict is not Verdict.OK] == []
 
 
+class BootsSlowly:
+    """Is deaf for some time, and then answers all that has come meanwhile."""
+
+    def serve(self):
+        time.sleep(0.5)
+        super().serve()
+
+
+def test_a_device_that_boots_slowly_is_waited_for(reference, judged):
+    device = type("Slow", (BootsSlowly, reference), {})
+    found = judged(device, QUICK, timeout_scale=0.1)
+    assert not found.with_verdict(Verdict.FAILED), report(found)
+
+
 def test_a_link_that_cannot_be_opened_is_a_fault_of_the_harness():
     def opener():
         raise OpenFailed("there is no such port")
