@@ -52,7 +52,8 @@ def planted(need, make, tmp_path):
         text = source.read_text()
         assert not find or find in text
         source.write_text(text.replace(find, replace, 1))
-        result = make("-C", str(firmware), APP="selftest", PORT=port, OPTIONS=options)
+        fast = {} if port == "avr-serial" else {"CFLAGS": "-O0"}
+        result = make("-C", str(firmware), APP="selftest", PORT=port, OPTIONS=options, **fast)
         assert result.returncode == 0, result.stderr
         return firmware / "build" / port
 

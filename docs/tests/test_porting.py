@@ -96,9 +96,8 @@ def filled(folder, interrupts):
 def test_the_template_compiles_as_it_is(need, make, tmp_path, interrupts, settings):
     need(settings["CC"])
     port = filled(tmp_path / "port", interrupts)
-    for app in ("bytes", "demo"):
-        result = make(PORT_DIR=port, APP=app, OUT=tmp_path, **settings)
-        assert result.returncode == 0, result.stderr
+    result = make(PORT_DIR=port, OUT=tmp_path, **settings)
+    assert result.returncode == 0, result.stderr
 
 
 def test_the_template_is_a_port_of_its_own(need, make, tmp_path):
