@@ -1,4 +1,4 @@
-"""The badge: an SVG that says which levels a device reaches.
+"""The badge: an SVG that says which levels a device or host reaches.
 
 What flows in: a `Run`. What flows out: SVG that needs nothing else and looks the same on light and
 dark pages. Rules: a run with a failed case gets no levels; the text is given its length, so it fits
@@ -55,7 +55,8 @@ def text(run: Run) -> str:
 
 def _label(run: Run) -> str:
     profile = "" if run.profile == "strict" else f" {run.profile}"
-    return printable(f"J2A {run.spec_version}{profile}")
+    role = "" if run.role == "device" else f" {run.role}"
+    return printable(f"J2A {run.spec_version}{role}{profile}")
 
 
 def _message(run: Run) -> tuple[str, str]:

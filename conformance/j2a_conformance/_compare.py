@@ -104,6 +104,7 @@ def _heads(found: Comparison) -> Iterator[str]:
     for label, run in (("before", found.before), ("after", found.after)):
         yield f"{label:7} {name(run)}, {run.started}: {judgement(run)}"
     for what, before, after in (
+        ("role", found.before.role, found.after.role),
         ("link", found.before.url, found.after.url),
         ("profile", found.before.profile, found.after.profile),
         ("J2A", found.before.j2a_version, found.after.j2a_version),

@@ -90,20 +90,21 @@ def judgement(run: Run) -> str:
     """Return what the run says about the device, in a few words."""
     if failed := len(run.with_verdict(Verdict.FAILED)):
         return f"not conformant: {failed} of {len(run.results)} cases failed"
-    if not run.conformant:
-        return "nothing was judged"
+    if not run.conformant or not run.tested:
+        return "nothing was tested"
     if run.stopped:
         return "the run ended early"
+    judge = "" if run.profile == "strict" else f" by the profile {run.profile}"
     if run.with_verdict(Verdict.KNOWN_DEVIATION):
-        return "conformant but for known deviations"
-    return "conformant in what was run" if run.not_run else "conformant"
+        return f"conformant{judge} but for known deviations"
+    return f"conformant{judge}" + (" in what was run" if run.not_run else "")
 
 
 def tone(run: Run) -> str:
     """Return the verdict whose colour fits the judgement, or "not-run"."""
     if run.with_verdict(Verdict.FAILED):
         return "failed"
-    if not run.conformant or run.stopped:
+    if not run.conformant or not run.tested or run.stopped:
         return "not-run"
     return "known-deviation" if run.with_verdict(Verdict.KNOWN_DEVIATION) else "ok"
 
@@ -111,4 +112,4 @@ def tone(run: Run) -> str:
 def name(run: Run) -> str:
     """Return what to call the device."""
     properties = run.claims.properties if run.claims else {}
-    return run.title or properties.get("name", "") or run.url or "a device"
+    return run.title or properties.get("name", "") or run.url or f"a {run.role}"

@@ -51,6 +51,10 @@ def test_the_profile_is_named_and_texts_are_escaped():
     assert svg.findtext(f"{SVG}title") == f"J2A {SPEC_VERSION} <old>\\x00: all levels"
 
 
+def test_a_host_is_called_so():
+    assert text(run_of(ALL, role="host")) == f"J2A {SPEC_VERSION} host: all levels"
+
+
 def test_nothing_is_loaded():
     data = render(run_of(ALL)).decode()
     assert "href" not in data

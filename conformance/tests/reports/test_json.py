@@ -59,6 +59,7 @@ runs = st.builds(
     results=st.lists(results, max_size=3).map(tuple),
     stopped=st.text(max_size=8),
     title=st.text(max_size=8),
+    role=st.sampled_from(["device", "host"]),
     profile=st.text(max_size=8),
     stale=texts,
     asked=texts,
