@@ -39,7 +39,7 @@ KINDS: Final = {
 }
 """Kinds of fault, with their names in `j2a_transports.faults.Rates`."""
 
-_SHRINKING_PATIENCE_S: Final = 0.5
+_SHRINKING_PATIENCE_S: Final = 0.25
 _CONFIRMATIONS: Final = 3
 
 

@@ -1,13 +1,13 @@
 """Plays a stream to a fresh device and says whether it is answered rightly.
 
 What flows in: a way to open the link, a stream. What flows out: what was wrong, in words, or "".
-Rules: each stream meets a device that begins between two frames; an echo behind it is the barrier
-that shows whatever else the device had to say.
+Rules: each stream meets a device that begins between two frames; after a pause at its end an echo
+is the barrier that shows whatever else the device had to say.
 """
 
 from collections.abc import Callable
 
-from j2a_spec.oracle import Event, Frame, Incomplete, decode
+from j2a_spec.oracle import Event, Frame
 from j2a_transports import Transport, TransportError
 
 from j2a_conformance._model import HarnessError
@@ -24,7 +24,6 @@ STARTING = ("exec:", "pty:", "sim:")
 PAUSE_S = 0.03
 """Longer than the longest byte timeout (J2A-TIME-002), with room for the machine's own delays."""
 _PATIENCE_S = 2.0
-_ROOMY = 1024  # bytes: a receive buffer that takes a barrier whatever else is on its way
 
 
 class Player:
@@ -90,11 +89,9 @@ class Player:
         self, link: Link, peer: Peer, stream: Stream, patience_s: float
     ) -> tuple[list[Event], bool]:
         """Return what came for the stream, and whether the barrier behind it was answered."""
-        for number, segment in enumerate(stream, 1):
+        for segment in stream:
             link.send(segment)
-            if number < len(stream) or self._needs_pause(segment):
-                pause_s = PAUSE_S * self.scale + len(segment) * self.byte_s
-                link.wait_until(link.now_s() + pause_s)
+            link.wait_until(link.now_s() + PAUSE_S * self.scale + len(segment) * self.byte_s)
         barrier = peer.probe()
         link.send(barrier.wire)
         events: list[Event] = []
@@ -104,7 +101,3 @@ class Player:
                 return events, True
             events.append(event)
         return events, False
-
-    def _needs_pause(self, segment: bytes) -> bool:
-        end = decode(segment)[-1:]
-        return (bool(end) and isinstance(end[0], Incomplete)) or self.rules.room < _ROOMY

@@ -36,7 +36,7 @@ _LOOK_S: Final = 0.005
 _HISTORY: Final = 8
 # How many damaged frames the theory looks at: many more than the experiment.
 _THEORY_TIMES: Final = 20
-_THEORY_LEAST: Final = 4000
+_THEORY_LEAST: Final = 2000
 _THEORY_MOST: Final = 40_000
 _BROKEN: Final = frozenset({c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING})
 
@@ -137,7 +137,7 @@ class Series:
             while row.frames < setup.frames and time.monotonic() < end_s:
                 frame, wire = next(requests)
                 self._once(_Exchange(wire, Expected(frame.seq, c.ECHO, frame.payload)))
-            self._recovered()
+            self._rest()
         finally:
             self._close()
         row.clean_ms = median(self._clean_ms) if self._clean_ms else 0.0
@@ -297,6 +297,7 @@ class Series:
             self._history.append(exchange.stream)
         if exchange.stream is None or not self._rules.is_exact(exchange.stream):
             self._row.unjudged += 1
+            self._rest()
         elif wrong := difference(exchange.answers, exchange.due):
             self._suspect(wrong)
             self._reopen()
@@ -312,9 +313,10 @@ class Series:
             raise Found(reason)
         self._row.strays += 1
 
-    def _recovered(self) -> None:
-        """See that the device answers when the faults have ended."""
+    def _rest(self) -> None:
+        """Bring the device between two frames, without faults."""
+        self._device, self._host = Splitter(), Splitter()
         with contextlib.suppress(TransportError):
             if Peer(Link(self._tap, self._player.scale), self._rules.claims).resync():
                 return
-        self._suspect("good requests are not answered after the last fault", certain=True)
+        self._suspect("good requests are not answered without faults", certain=True)

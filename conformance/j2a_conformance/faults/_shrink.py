@@ -5,7 +5,7 @@ no pause can be taken, and in which no byte can be 0 that is not. Rules: pieces 
 large to small (delta debugging), then bytes are set to 0, until neither changes anything.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from ._rules import Stream
 
@@ -34,37 +34,32 @@ def shrink(stream: Stream, fails: Callable[[Stream], bool]) -> Stream:
     before: _Tokens = []
     while before != tokens:
         before = tokens
-        for simpler in (_shorter, _plainer):
-            tokens = _greedy(tokens, simpler, judge)
+        tokens = _plainer(_shorter(tokens, judge), judge)
     return _stream(tokens)
 
 
-def _greedy(
-    tokens: _Tokens,
-    simpler: Callable[[_Tokens], Iterator[_Tokens]],
-    judge: Callable[[_Tokens], bool],
-) -> _Tokens:
-    """Go from one failing candidate to the next until none fails."""
-    while True:
-        found = next((candidate for candidate in simpler(tokens) if judge(candidate)), None)
-        if found is None:
-            return tokens
-        tokens = found
-
-
-def _shorter(tokens: _Tokens) -> Iterator[_Tokens]:
+def _shorter(tokens: _Tokens, judge: Callable[[_Tokens], bool]) -> _Tokens:
     """Leave out runs, the longest first."""
-    size = len(tokens)
+    size = len(tokens) // 2 or 1
     while size:
-        for at in range(0, len(tokens) - size + 1, max(size // 2, 1)):
-            yield tokens[:at] + tokens[at + size :]
+        at = 0
+        while at < len(tokens):
+            candidate = tokens[:at] + tokens[at + size :]
+            if judge(candidate):
+                tokens = candidate
+            else:
+                at += size
         size //= 2
+    return tokens
 
 
-def _plainer(tokens: _Tokens) -> Iterator[_Tokens]:
+def _plainer(tokens: _Tokens, judge: Callable[[_Tokens], bool]) -> _Tokens:
+    """Set to 0 what can be."""
     for at, token in enumerate(tokens):
-        if token not in (0, _PAUSE):
-            yield [*tokens[:at], 0, *tokens[at + 1 :]]
+        candidate = [*tokens[:at], 0, *tokens[at + 1 :]]
+        if token not in (0, _PAUSE) and judge(candidate):
+            tokens = candidate
+    return tokens
 
 
 def _tokens(stream: Stream) -> _Tokens:

@@ -38,6 +38,7 @@ _RESET: Final = 2000
 _SHOWN_S: Final = 10.0
 _POOL: Final = 997
 _SIZES: Final = (0, 0, 1, 2, 3, 4, 6, 6, 8, 10, 12, 16, 24, 32, 64, 255)
+_NASTY: Final = bytes((c.SOF, c.SOS, c.ESC, c.SOF - 1, c.SOS - 1, c.ESC - 1, 0, 0xFE, 0xFF))
 _LARGEST: Final = 4096  # bytes in a batch: a pipe takes them at once, so they come without a pause
 _PATIENCE_S: Final = 10.0
 _WHOLE: Final = re.compile(
@@ -57,7 +58,7 @@ class Soak:
         replies: frames that came back, those to the barriers too.
         batches: batches sent.
         exact: batches whose replies were compared one by one.
-        strays: batches that were answered wrongly, but rightly when they were sent again.
+        strays: what was wrong with batches that were answered rightly when they were sent again.
         seconds: how long it took.
     """
 
@@ -68,7 +69,7 @@ class Soak:
     replies: int = 0
     batches: int = 0
     exact: int = 0
-    strays: int = 0
+    strays: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
     def __str__(self) -> str:
@@ -78,7 +79,8 @@ class Soak:
             f"batches, {self.seconds:.1f} s, {self.damaged / max(self.seconds, 1e-9):.0f}/s\n"
             f"  faults: {kinds}\n"
             f"  {self.replies} replies, all whole; {self.exact} batches compared reply by reply, "
-            f"{self.strays} wrong answers not seen again"
+            f"{len(self.strays)} wrong answers not seen again"
+            + "".join(f"\n  not seen again: {reason}" for reason in self.strays)
         )
 
 
@@ -90,21 +92,20 @@ class _Source:
         random = Random(f"{seed}/soak")
         # Mostly echoes; beside them what is refused, what is read, and what has no meaning.
         opcodes = [rules.echo] * 8 + [0, 1, 2, len(rules.claims.functions), 0xEE]
-        self._pool = [
-            encode(Frame(start, random.randrange(256), opcode, random.randbytes(size)))
-            for start, opcode, size in (
-                (
-                    c.SOS if random.random() < 0.05 else c.SOF,
-                    random.choice(opcodes),
-                    random.choice(_SIZES),
-                )
-                for _ in range(_POOL)
-            )
-        ]
+        self._pool = [self._frame(random, opcodes) for _ in range(_POOL)]
         self._random = random
         self._direction = Direction(RATES, f"{seed}/soak")
         self._largest = min(rules.room, _LARGEST) - c.MAX_WIRE
         self._state = state
+
+    @staticmethod
+    def _frame(random: Random, opcodes: list[int]) -> bytes:
+        """Return a frame on the wire; every other payload is full of bytes with a meaning."""
+        size = random.choice(_SIZES)
+        start = c.SOS if random.random() < 0.05 else c.SOF
+        nasty = random.random() < 0.5
+        payload = bytes(random.choices(_NASTY, k=size)) if nasty else random.randbytes(size)
+        return encode(Frame(start, random.randrange(256), random.choice(opcodes), payload))
 
     def batch(self) -> bytes:
         """Return the next bytes; a device with little room gets a frame at a time."""
@@ -221,4 +222,4 @@ def _suspect(player: Player, batch: bytes, reason: str, state: Soak) -> None:
         raise Found(again, (batch,))
     if "link ended" in reason or "not answered" in reason:
         raise Found(reason)
-    state.strays += 1
+    state.strays.append(reason)

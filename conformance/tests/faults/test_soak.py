@@ -1,0 +1,60 @@
+"""The C core under sanitizers, in a flood of damaged frames; and that the flood finds faults."""
+
+import os
+import shutil
+import subprocess
+
+import pytest
+from j2a_conformance.cli import main
+
+SANITIZE = "-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all"
+FRAMES = 200_000
+
+
+def test_damaged_frames_without_end(build_firmware, capsys):
+    program = build_firmware("builtins", CC="gcc", CFLAGS=SANITIZE)
+    assert main(["faults", f"exec:{program}", "--soak", str(FRAMES), "--seed", "7"]) == 0
+    told = capsys.readouterr().out
+    assert int(told.split()[0]) >= FRAMES
+    for kind in ("burst", "drop", "dup", "flip", "reset", "stall", "swap", "truncate"):
+        assert f" {kind}" in told
+
+
+# Each fault is one line of the parser: what it is instead of, and the bytes that show it.
+PLANTED = {
+    "a checksum that is not looked at": (
+        "if (byte != j2a_rx.checksum)",
+        "if (byte != j2a_rx.checksum && j2a_rx.length != 0)",
+        5,
+    ),
+    "a write behind the payload": (
+        "j2a_rx.payload[count] = byte;",
+        "j2a_rx.payload[count + (byte == 0xFE ? 255 : 0)] = byte;",
+        5,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_fault_planted_in_the_core_is_found(name, make, need, tmp_path, capfd, pytestconfig):
+    need("gcc")
+    before, after, size = PLANTED[name]
+    firmware = tmp_path / "firmware"
+    shutil.copytree(pytestconfig.rootpath / "firmware", firmware, ignore=_leave_out_builds)
+    parser = firmware / "core" / "j2a_rx.c"
+    text = parser.read_text("utf-8")
+    assert text.count(before) == 1
+    parser.write_text(text.replace(before, after), "utf-8")
+    env = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
+    command = ["make", "-s", "-C", firmware, "APP=builtins", "CC=gcc", f"CFLAGS={SANITIZE}"]
+    subprocess.run(command, env=env, check=True)
+    program = firmware / "build" / "posix" / "builtins"
+    vector = tmp_path / "vector.json"
+    arguments = ["faults", f"exec:{program}", "--vector", str(vector), "--seed", "7"]
+    assert main([*arguments, "--soak", "20000"]) == 1
+    assert f"shortest bytes that show it ({size} of " in capfd.readouterr().out
+    assert main([*arguments, "--replay", str(vector)]) == 1
+
+
+def _leave_out_builds(folder, names):
+    return {"build"} & set(names)
