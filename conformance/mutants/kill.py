@@ -4,7 +4,8 @@ What flows in: the tables, and `matrix.json`. What flows out: what each mutant w
 exit code: 0 when each of them was. Rules: the targets without a mutant pass the same cases in the
 same run, else a failure would prove nothing; a mutant that survives, a requirement without mutant
 or exception, and a kill of `matrix.json` that does not come again are each a failure; so is a run
-in which there was nothing to judge.
+in which there was nothing to judge. To save time a mutant that `matrix.json` knows is judged only
+by the cases that kill it there.
 """
 
 import argparse
@@ -26,7 +27,7 @@ _BASELINES = 3  # a stall of this machine may spoil one run of the unmutated tar
 
 @dataclass
 class Found:
-    """What a pass over the mutants has found out."""
+    """What the jobs have shown: cases that failed, by mutant, and what is wrong."""
 
     failed: dict[str, frozenset[str]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
@@ -42,13 +43,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"kill.py: {error}", file=sys.stderr)
         return 1
     kept = matrix.read() if matrix.MATRIX.exists() else {}
-    found = _pass(chosen, args, {} if args.write else kept, every=args.all_cases)
-    full = _pass(chosen, args, {}, every=True) if args.write else found
-    problems = [*found.problems, *full.problems]
+    every = args.all_cases or args.write
+    found = _judge_all(list(_jobs(chosen, {} if args.write else kept, every)), args)
+    problems = found.problems
     rows = {
-        mutant.id: _row(target, mutant, found.failed[mutant.id], full.failed[mutant.id])
+        mutant.id: _row(target, mutant, found.failed[mutant.id])
         for target, mutant in chosen
-        if mutant.id in found.failed and mutant.id in full.failed
+        if mutant.id in found.failed
     }
     if args.write:
         kept = kept | rows
@@ -61,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     killed = [row for row in rows.values() if row.killed_by]
     problems += [f"{row.id}: survives" for row in rows.values() if not row.killed_by]
     problems += _missing(rows, kept)
-    for problem in dict.fromkeys(problems):
+    for problem in problems:
         print(problem)
     print(f"{len(chosen)} mutants, {len(killed)} killed")
     return 1 if problems or not killed or len(killed) != len(chosen) else 0
@@ -74,10 +75,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", nargs="+", metavar="ID", help="only these mutants")
     parser.add_argument("--target", nargs="+", choices=TARGETS, help="only mutants of these")
     parser.add_argument(
-        "--all-cases", action="store_true", help="every case, not only those of the requirement"
+        "--all-cases", action="store_true", help="every case, not only those that kill"
     )
     parser.add_argument(
-        "--write", action="store_true", help="write matrix.json; runs each mutant by every case too"
+        "--write", action="store_true", help="write matrix.json, after a run of every case"
     )
     parser.add_argument(
         "-j", "--jobs", type=int, default=2, metavar="N", help="mutants at a time (2)"
@@ -104,10 +105,12 @@ def _jobs(
     jobs: list[Job] = []
     used: defaultdict[Variant, frozenset[str]] = defaultdict(frozenset)
     for target, mutant in chosen:
-        naming = matrix.killers(mutant.requirement, cases(target), cases(target))
-        named = frozenset(cases(target)) if every else naming
-        due = kept[mutant.id].killed_by if mutant.id in kept else ()
-        jobs.append(Job(variant(target, mutant), mutant, named, frozenset(due)))
+        due = frozenset(kept[mutant.id].killed_by if mutant.id in kept else ())
+        known = cases(target)
+        named = (
+            frozenset(known) if every else due or matrix.killers(mutant.requirement, known, known)
+        )
+        jobs.append(Job(variant(target, mutant), mutant, named, due))
         used[jobs[-1].how] |= named
     for how, named in used.items():
         yield Job(how, None, named), _BASELINES
@@ -115,16 +118,11 @@ def _jobs(
         yield job, 1
 
 
-def _pass(
-    chosen: Sequence[tuple[str, Mutant]],
-    args: argparse.Namespace,
-    kept: dict[str, Row],
-    every: bool,
-) -> Found:
-    """Judge the mutants once, side by side."""
+def _judge_all(jobs: Sequence[tuple[Job, int]], args: argparse.Namespace) -> Found:
+    """Do the jobs, side by side."""
     found = Found()
     with ProcessPoolExecutor(max_workers=args.jobs) as pool:
-        waiting = {pool.submit(_do, *job): job[0] for job in _jobs(chosen, kept, every)}
+        waiting = {pool.submit(_do, *job): job[0] for job in jobs}
         for done in as_completed(waiting):
             job, error = waiting[done], done.exception()
             outcome = Outcome(trouble=repr(error)) if error else done.result()
@@ -153,10 +151,9 @@ def _note(job: Job, outcome: Outcome, found: Found, verbose: bool) -> None:
         found.problems.append(f"{name}: fails {', '.join(sorted(outcome.failed))}")
 
 
-def _row(target: str, mutant: Mutant, failed: frozenset[str], full: frozenset[str]) -> Row:
-    """Return a row: the kills of both passes, and what else failed in the full one."""
-    named, of_full = (matrix.killers(mutant.requirement, f, cases(target)) for f in (failed, full))
-    return matrix.row(mutant, named & of_full, full - of_full)
+def _row(target: str, mutant: Mutant, failed: frozenset[str]) -> Row:
+    named = matrix.killers(mutant.requirement, failed, cases(target))
+    return matrix.row(mutant, named, failed - named)
 
 
 def _missing(rows: dict[str, Row], kept: dict[str, Row]) -> list[str]:

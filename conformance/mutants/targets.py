@@ -1,8 +1,8 @@
 """Builds or starts a target, mutated or not, and judges it by conformance cases.
 
 What flows in: `Job`s. What flows out: `Outcome`s. Rules: what a mutant is judged by is the suite as
-it is, over the ordinary link; a target that is not built, does not start or dies says nothing about
-the rule, so that is trouble and no kill. Each job has a folder of its own, so that jobs can run
+it is, over the ordinary link; a target that is not built, does not start or dies in a case says
+nothing about the rule, so that is no kill. Each job has a folder of its own, so that jobs can run
 side by side.
 """
 
@@ -107,10 +107,11 @@ def _once(job: Job) -> Outcome:
         printed = (folder / "stderr").read_text("utf-8", "replace")
     if "Traceback" in printed:
         return Outcome(trouble=f"an exception that is no breach of this rule:\n{printed}")
-    for result in found.with_verdict(Verdict.FAILED):
-        if result.reason.startswith(_DIED):
-            return Outcome(trouble=f"it died in {result.case}: {result.reason}")
-    return Outcome(frozenset(result.case for result in found.with_verdict(Verdict.FAILED)))
+    failed = {result.case: result.reason for result in found.with_verdict(Verdict.FAILED)}
+    died = [name for name, reason in failed.items() if reason.startswith(_DIED)]
+    if died and len(died) == len(failed):
+        return Outcome(trouble=f"it died in {died[0]}: {failed[died[0]]}")
+    return Outcome(frozenset(failed) - frozenset(died))
 
 
 def _core(job: Job, folder: Path) -> Run:
