@@ -20,7 +20,7 @@ from ._exit import CONFORMANT, UsageError, status
 
 __all__ = ["add_arguments", "main"]
 
-_URL = re.compile(r"[a-z][a-z0-9]*:\S*")
+_URL = re.compile(r"([a-z][a-z0-9]+):\S*")
 _ANY_PORT = "tcp://127.0.0.1:0"
 _START_S = 20.0
 
@@ -86,7 +86,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _place(args: argparse.Namespace) -> Listening:
-    if len(args.target) == 1 and _URL.fullmatch(args.target[0]):
+    if len(args.target) == 1 and (match := _URL.fullmatch(args.target[0])):
+        if match[1] != "tcp":
+            # The suite closes the link and waits for another one, which takes a true listener.
+            raise UsageError("the suite waits for hosts at tcp:// only, e.g. tcp://127.0.0.1:5000")
         return Listening(args.target[0], None, args.wait, _tell)
     return Listening(_ANY_PORT, Program(args.target), _START_S * args.timeout_scale)
 

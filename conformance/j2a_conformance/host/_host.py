@@ -166,14 +166,11 @@ class Host:
 
     def job_frame(self, text: str) -> bytes:
         """Return the wire bytes that give the next job; they must be sent."""
-        if self._pending is None:
-            self._await_conductor()
-        assert self._pending is not None
-        call, self._pending = self._pending, None
+        seq, self._pending = self.resting_seq, None
         self._verb = text.partition(" ")[0]
         self.link.note(f"job: {text}")
-        self._seqs.reply(call.seq, is_error=False)
-        return encode(Frame(c.SOF, call.seq, c.RET_OK, text.encode()))
+        self._seqs.reply(seq, is_error=False)
+        return encode(Frame(c.SOF, seq, c.RET_OK, text.encode()))
 
     def outcome(self, *accepted: str, wait_ms: float = 0.0) -> Outcome:
         """Wait for the report of the host and return it.
@@ -184,6 +181,14 @@ class Host:
         """
         self._await_conductor(wait_ms)
         return self._reported(accepted)
+
+    @property
+    def resting_seq(self) -> int:
+        """The seq of the call for the next job, which waits."""
+        if self._pending is None:
+            self._await_conductor()
+        assert self._pending is not None
+        return self._pending.seq
 
     def do(self, text: str, *accepted: str) -> tuple[Outcome, list[Request]]:
         """Give a job, let the device answer every request; return the outcome and the requests."""

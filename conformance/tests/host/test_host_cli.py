@@ -34,7 +34,7 @@ def program(code: str) -> list[str]:
         (["--timeout-scale", "0.02", "--", "sh", "-c", "sleep 60"], "no host connected within"),
         (["--wait", "0.1", "tcp://127.0.0.1:0"], "no host connected within 0.1 s"),
         (["tcp://127.0.0.1:99999"], "port"),
-        (["nonsense:x"], "unknown scheme"),
+        (["pty:/tmp/x"], "at tcp:// only"),
         (["--case", "no.such.case", "x"], "no case matches"),
         (["--timeout-scale", "0", "x"], "--timeout-scale"),
         (["--wait", "0", "x"], "--wait"),

@@ -171,7 +171,9 @@ class Twice(HostCase):
 
 
 class Unasked(HostCase):
-    """Sends replies that nobody asked for while only the call for the next job waits."""
+    """Sends replies that nobody asked for, with the seqs of the calls to come, while only the call
+    for the next job waits.
+    """
 
     ID = "host.seq.unasked"
     EXPECTATION = "They are dropped, and each call gets its own reply."
@@ -179,11 +181,7 @@ class Unasked(HostCase):
     LEVEL = "core"
 
     def _run(self, host: Host) -> None:
-        request = host.asked(b"one")
-        host.reply(request, 5, b"one")
-        host.outcome(f"reply 5 {spell(b'one')}")
-        # +1 is the call for the next job, and +2 the call of that job.
-        host.send(b"".join(stray(request.seq + n) for n in range(3, 257)))
-        for payload in (b"two", b"three", b"four"):
+        host.send(b"".join(stray(host.resting_seq + n) for n in range(1, 256)))
+        for payload in (b"one", b"two", b"three"):
             host.reply(host.asked(payload), 6, payload)
             host.outcome(f"reply 6 {spell(payload)}")
