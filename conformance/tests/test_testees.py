@@ -40,10 +40,13 @@ def open_simulated(missing):
 
 @pytest.mark.parametrize("name", ["posix", "python"])
 def test_by_the_command_line(name, tmp_path, capsys):
-    report = tmp_path / "report.xml"
-    status = main(["run", str(FOLDER / f"{name}.toml"), "--junit", str(report), "-v"])
+    kinds = ("junit", "json", "html", "badge")
+    reports = [word for kind in kinds for word in (f"--{kind}", str(tmp_path / kind))]
+    status = main(["run", str(FOLDER / f"{name}.toml"), *reports, "-v"])
     assert status == 0, capsys.readouterr().out
-    xml = junitparser.JUnitXml.fromfile(str(report))
+    assert "all levels" in (tmp_path / "badge").read_text("utf-8")
+    assert (tmp_path / "html").stat().st_size < 2_000_000
+    xml = junitparser.JUnitXml.fromfile(str(tmp_path / "junit"))
     assert (xml.tests, xml.failures, xml.errors, xml.skipped) == (len(load()) + 3, 0, 0, 1)
     assert [case.name for suite in xml for case in suite if case.result] == [*NO_SELF_TEST]
 
