@@ -49,6 +49,24 @@ class Silence(HostCase):
         host.outcome("timeout", wait_ms=limit_ms)
 
 
+class LongSilence(HostCase):
+    """Leaves 300 calls in a row without an answer, more than there are seqs."""
+
+    ID = "host.seq.long-silence"
+    EXPECTATION = "256 calls have 256 different seqs, one after the other, and each call ends."
+    REQUIREMENTS = ("J2A-SEQ-003", "J2A-TIME-006")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        count, limit_ms = 300, max(host.silence_ms // 40, 1)
+        host.job(f"repeat {count} call @6 73 {limit_ms}")
+        for _ in range(count):
+            host.request(6, b"s")
+        host.outcome("timeout", wait_ms=limit_ms)
+        host.reply(host.asked(), 1, b"next")
+        host.outcome(f"reply 1 {spell(b'next')}")
+
+
 class Others(HostCase):
     """Sends replies with each of the 255 other seqs before the reply."""
 
