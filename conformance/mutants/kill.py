@@ -14,6 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 
 import matrix
 from matrix import Row
@@ -42,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TableError as error:
         print(f"kill.py: {error}", file=sys.stderr)
         return 1
-    kept = matrix.read() if matrix.MATRIX.exists() else {}
+    kept = matrix.read(matrix.MATRIX) if matrix.MATRIX.exists() else {}
     every = args.all_cases or args.write
     found = _judge_all(list(_jobs(chosen, {} if args.write else kept, every)), args)
     problems = found.problems
@@ -53,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     }
     if args.write:
         kept = kept | rows
-        matrix.write(tables, kept)
+        matrix.write(tables, kept, matrix.MATRIX)
     if not args.only:
         for table in tables:
             if not args.target or table.target in args.target:
@@ -121,7 +122,7 @@ def _jobs(
 def _judge_all(jobs: Sequence[tuple[Job, int]], args: argparse.Namespace) -> Found:
     """Do the jobs, side by side."""
     found = Found()
-    with ProcessPoolExecutor(max_workers=args.jobs) as pool:
+    with ProcessPoolExecutor(args.jobs, get_context("spawn")) as pool:
         waiting = {pool.submit(_do, *job): job[0] for job in jobs}
         for done in as_completed(waiting):
             job, error = waiting[done], done.exception()

@@ -101,7 +101,7 @@ def strangers(tables: Iterable[Table], rows: Iterable[str]) -> list[str]:
     return [f"{name}: is in matrix.json and in no table" for name in rows if name not in known]
 
 
-def read(path: Path = MATRIX) -> dict[str, Row]:
+def read(path: Path) -> dict[str, Row]:
     """Return the rows of the file by the ids of their mutants."""
     entries = json.loads(path.read_text("utf-8"))["mutants"]
     lists = ("files", "killed_by", "also")
@@ -109,7 +109,7 @@ def read(path: Path = MATRIX) -> dict[str, Row]:
     return {row.id: row for row in rows}
 
 
-def write(tables: Sequence[Table], rows: Mapping[str, Row], path: Path = MATRIX) -> None:
+def write(tables: Sequence[Table], rows: Mapping[str, Row], path: Path) -> None:
     """Write the rows, each in a line, in the order of the tables, and the exceptions."""
     kept = [rows[m.id] for table in tables for m in table.mutants if m.id in rows]
     exempt = [{"target": t.target, **asdict(entry)} for t in tables for entry in t.exempt]
