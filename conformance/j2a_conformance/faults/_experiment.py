@@ -2,11 +2,12 @@
 
 What flows in: a way to open the link, kinds with their rates. What flows out: an `Experiment`.
 Rules: the first stream that the device answers wrongly ends the experiment, and is shrunk; what
-is short fails three times in a row, or the long stream is kept.
+is short fails twice in a row, with long waits, or the long stream is kept.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 from j2a_transports import Transport, TransportError
@@ -18,7 +19,7 @@ from j2a_conformance._peer import Peer
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance._wire import Link
 
-from ._player import PAUSE_S, Player
+from ._player import PAUSE_S, QUICK, SURE, Player, Waits
 from ._row import Row, Setup
 from ._rules import Rules, Stream
 from ._series import Found, Series
@@ -39,8 +40,7 @@ KINDS: Final = {
 }
 """Kinds of fault, with their names in `j2a_transports.faults.Rates`."""
 
-_SHRINKING_PATIENCE_S: Final = 0.25
-_CONFIRMATIONS: Final = 3
+_CONFIRMATIONS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,9 +173,13 @@ def shortest(player: Player, found: Found) -> Wrong:
     size = sum(map(len, found.stream))
     if not found.stream:
         return Wrong(found.reason)
-    patience_s = _SHRINKING_PATIENCE_S
-    short = shrink(found.stream, lambda stream: bool(player.fault(stream, patience_s)))
-    reasons = [player.fault(short) for _ in range(_CONFIRMATIONS)]
-    if all(reasons):
-        return Wrong(reasons[0], short, size)
+    for waits in (QUICK, SURE):
+        short = shrink(found.stream, partial(_is_wrong, player, waits))
+        reasons = [player.seems_wrong(short, SURE) for _ in range(_CONFIRMATIONS)]
+        if all(reasons):
+            return Wrong(reasons[0], short, size)
     return Wrong(found.reason, found.stream, size)
+
+
+def _is_wrong(player: Player, waits: Waits, stream: Stream) -> bool:
+    return bool(player.seems_wrong(stream, waits))

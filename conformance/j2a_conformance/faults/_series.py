@@ -207,7 +207,7 @@ class Series:
         if lost:
             if not (self._proxy.tx.ended or self._proxy.rx.ended):
                 self._history.append((self._tap.sent,))
-                self._suspect(f"the link ended: {lost}", certain=True)
+                self._confirm(f"the link ended: {lost}", certain=True)
             took_s += self._reopen()
         else:
             self._count_missed(exchange)
@@ -293,16 +293,22 @@ class Series:
     # What is wrong
 
     def _judge(self, exchange: _Exchange) -> None:
-        if exchange.stream is not None:
-            self._history.append(exchange.stream)
-        if exchange.stream is None or not self._rules.is_exact(exchange.stream):
+        stream = exchange.stream
+        if stream is None or not self._rules.is_exact(stream):
             self._row.unjudged += 1
             self._rest()
-        elif wrong := difference(exchange.answers, exchange.due):
-            self._suspect(wrong)
+            return
+        self._history.append(stream)
+        if wrong := difference(exchange.answers, exchange.due):
+            self._confirm(wrong)
+            # A device that did not run for the whole of a pause answers as if there were none.
+            if difference(exchange.answers, self._rules.due((b"".join(stream),))):
+                self._row.strays += 1
+            else:
+                self._row.unjudged += 1
             self._reopen()
 
-    def _suspect(self, reason: str, certain: bool = False) -> None:
+    def _confirm(self, reason: str, certain: bool = False) -> None:
         """Try what was sent last with a fresh device; raise `Found` where that is wrong too."""
         self._close()
         history = tuple(segment for stream in self._history for segment in stream)
@@ -311,7 +317,6 @@ class Series:
                 raise Found(again, stream)
         if certain:
             raise Found(reason)
-        self._row.strays += 1
 
     def _rest(self) -> None:
         """Bring the device between two frames, without faults."""
@@ -319,4 +324,4 @@ class Series:
         with contextlib.suppress(TransportError):
             if Peer(Link(self._tap, self._player.scale), self._rules.claims).resync():
                 return
-        self._suspect("good requests are not answered without faults", certain=True)
+        self._confirm("good requests are not answered without faults", certain=True)

@@ -30,7 +30,7 @@ from ._theory import damage
 __all__ = ["Soak", "soak"]
 
 RATES: Final = Rates(drop=0.01, flip=0.01, burst=0.01, dup=0.01, swap=0.01, truncate=0.002)
-_EXACT: Final = 50
+_EXACT: Final = 20
 _STALL: Final = 500
 """Of so many batches one is cut by a pause that ends its frame."""
 _RESET: Final = 2000
@@ -95,7 +95,7 @@ class _Source:
         self._pool = [self._frame(random, opcodes) for _ in range(_POOL)]
         self._random = random
         self._direction = Direction(RATES, f"{seed}/soak")
-        self._largest = min(rules.room, _LARGEST) - c.MAX_WIRE
+        self._largest = min(rules.room, _LARGEST) * 3 // 4
         self._state = state
 
     @staticmethod

@@ -232,7 +232,9 @@ def check(url, tmp_path, capsys, *options):
 
 
 def test_the_posix_port(build_firmware, tmp_path, capsys):
-    rows = check(f"exec:{build_firmware('demo')}", tmp_path, capsys, "--frames", "60", "--rate", "0.006")
+    rows = check(
+        f"exec:{build_firmware('demo')}", tmp_path, capsys, "--frames", "60", "--rate", "0.006"
+    )
     assert list(rows) == [kind for kind in KINDS if kind != "split"]
     for row in rows.values():
         assert row["faults"] > 5

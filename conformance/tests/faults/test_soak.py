@@ -36,7 +36,7 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("name", PLANTED)
-def test_a_fault_planted_in_the_core_is_found(name, make, need, tmp_path, capfd, pytestconfig):
+def test_a_fault_planted_in_the_core_is_found(name, need, tmp_path, capfd, pytestconfig):
     need("gcc")
     before, after, size = PLANTED[name]
     firmware = tmp_path / "firmware"
