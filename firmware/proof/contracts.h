@@ -1,0 +1,66 @@
+/* What the functions of the core promise, in ACSL. Eva proves each clause for the states in which
+ * parser.c and program.c call them. The proof of the program takes what the parser promises as given,
+ * and the proof of the parser shows it (see docs/conformance/proof.md). */
+#ifndef CONTRACTS_H
+#define CONTRACTS_H
+
+#include "j2a_internal.h"
+
+/* The states of j2a_rx.c, which keeps their names to itself. */
+enum { P_IDLE, P_SEQ, P_OPCODE, P_LENGTH, P_PAYLOAD, P_CHECKSUM };
+
+/*@ predicate sound_event(integer event) =
+      event == J2A_EVENT_NONE || event == J2A_EVENT_FRAME || event == J2A_ERR_TIMEOUT
+      || event == J2A_ERR_CHECKSUM || event == J2A_ERR_FRAMING;
+
+    // What holds between any two calls. The third line keeps the payload inside its 255 bytes.
+    predicate sound_parser =
+      j2a_rx.state <= P_CHECKSUM
+      && (P_SEQ <= j2a_rx.state <= P_LENGTH ==> j2a_rx.count == 0)
+      && (j2a_rx.state == P_PAYLOAD ==> j2a_rx.count < j2a_rx.length)
+      && (j2a_rx.event != J2A_EVENT_NONE ==> j2a_rx.state <= P_SEQ)
+      && sound_event(j2a_rx.event); */
+
+/*@ requires sound_event(j2a_rx.event);
+    ensures sound_event(j2a_rx.event);
+    ensures \result == 0 || \result == 1;
+    ensures \result == 0 ==> j2a_rx.event != J2A_EVENT_NONE; */
+bool j2a_rx_byte(uint8_t byte);
+
+/*@ requires sound_event(j2a_rx.event);
+    ensures sound_event(j2a_rx.event); */
+void j2a_rx_lost(void);
+
+/*@ requires j2a_rx.event == J2A_EVENT_NONE;
+    ensures j2a_rx.event == J2A_EVENT_NONE || j2a_rx.event == J2A_ERR_TIMEOUT; */
+void j2a_rx_timeout(void);
+
+/*@ requires start == J2A_SOF || start == J2A_SOS;
+    requires length > 0 ==> \valid_read(payload + (0 .. length - 1)); */
+void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload);
+
+#if J2A_WITH_SIF
+/*@ requires length > 0 ==> \valid_read(payload + (0 .. length - 1)); */
+void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
+#endif
+
+/*@ requires \valid(function);
+    ensures \result == 0 || \result == J2A_SITE_OPCODE || \result == J2A_SITE_KIND;
+    ensures \result == 0 ==> \initialized(function); */
+uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function);
+
+/*@ requires \valid(length) && \valid(payload + (0 .. 1));
+    ensures *length == 2 && \initialized(payload + (0 .. 1)); */
+uint8_t j2a_error(uint8_t code, uint8_t site, uint8_t *length, uint8_t *payload);
+
+/*@ requires \valid(length) && \valid(payload) && \valid(*payload + (0 .. J2A_MAX_PAYLOAD - 1));
+    ensures \result <= J2A_RET_MAX || \result == J2A_RET_FAILED || \result == J2A_ERR_OPCODE; */
+uint8_t j2a_many(uint8_t *const length, uint8_t **const payload);
+
+/*@ requires \valid_read(bytes + (0 .. 3)); */
+uint32_t j2a_get_u32(const uint8_t *bytes);
+
+/*@ requires \valid(bytes + (0 .. 3)); */
+void j2a_put_u32(uint8_t *bytes, uint32_t value);
+
+#endif

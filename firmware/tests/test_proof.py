@@ -1,0 +1,80 @@
+"""The core is proved free of undefined behaviour, and the proof of a broken core fails."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).parents[1]
+PROVE = FIRMWARE / "proof/prove.py"
+
+
+def prove(missing, *arguments):
+    if shutil.which("frama-c") is None:
+        missing("frama-c is missing: install the package frama-c-base")
+    return subprocess.run(
+        [sys.executable, PROVE, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)  # half a minute on two cores that are free
+def test_core_is_proved(missing):
+    result = prove(missing)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert result.stdout.count("proven  ") == 9
+
+
+DEFECTS = {
+    "a payload one byte too short": (
+        "parser gcc_x86_64",
+        "j2a_internal.h",
+        "payload[J2A_MAX_PAYLOAD];",
+        "payload[J2A_MAX_PAYLOAD - 1];",
+        "eva:alarm",
+    ),
+    "a2jMany believes the length that a function leaves": (
+        "program gcc_x86_64 -DJ2A_WITH_MAPPING=0",
+        "j2a_builtins.c",
+        "if (n > J2A_MANY_DATA) {",
+        "if (n == J2A_MANY_DATA + 1u) {",
+        "eva:alarm",
+    ),
+    "a debug ring without an end": (
+        "program gcc_x86_16 -DJ2A_WITH_PROPERTIES=0",
+        "j2a_debug.c",
+        "ring[(first + used) % J2A_DEBUGBUF] = *text;",
+        "ring[first + used] = *text;",
+        "eva:alarm",
+    ),
+    "a sender that does not stuff SOS": (
+        "sender gcc_x86_64",
+        "j2a_tx.c",
+        "byte == J2A_SOF || byte == J2A_SOS || byte == J2A_ESC",
+        "byte == J2A_SOF || byte == J2A_ESC",
+        "eva:alarm",
+    ),
+    "the server resets the parser's count": (
+        "sender gcc_x86_64",
+        "j2a_server.c",
+        "    j2a_rx.event = J2A_EVENT_NONE;",
+        "    j2a_rx.event = J2A_EVENT_NONE;\n    j2a_rx.count = 0;",
+        "read-only",
+    ),
+}
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_proof_of_a_broken_core_fails(missing, tmp_path, defect):
+    only, name, old, new, reason = DEFECTS[defect]
+    core = tmp_path / "core"
+    shutil.copytree(FIRMWARE / "core", core)
+    source = (core / name).read_text()
+    assert source.count(old) == 1
+    (core / name).write_text(source.replace(old, new))
+    result = prove(missing, "--core", core, "--only", only)
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "FAILED" in result.stdout
+    assert reason in result.stdout
