@@ -11,7 +11,9 @@ from j2a_conformance.host._host import Host, spell
 
 
 class Payloads(HostCase):
-    """Answers with each error code, with payloads of 0, 1, 2 and 255 bytes."""
+    """Answers with each error code, with the payloads that devices know and with others of 0, 1,
+    2 and 255 bytes.
+    """
 
     ID = "host.error.payloads"
     EXPECTATION = "The host reports the code, whatever the payload is."
@@ -19,8 +21,9 @@ class Payloads(HostCase):
     LEVEL = "core"
 
     def _run(self, host: Host) -> None:
+        known = [bytes((site, 0)) for site in range(c.SITE_LOST + 1)]
         for code in sorted(c.ERRORS):
-            for payload in (b"\x01\x00", bytes(2), b"", b"\xff", b"\xff\xff", bytes(range(255))):
+            for payload in (*known, b"", b"\xff", b"\xff\xff", bytes(range(255))):
                 host.reply(host.asked(), code, payload)
                 host.outcome(f"error {code}")
 

@@ -212,6 +212,7 @@ class _Broken(HostCase):
         """Spoil reads and writes; `data` is what a reply to a read holds on top."""
         for position in (0, 1):
             self.spoil(host, "read", position, code, payload + data)
+        for position in (0, 1, 2):  # the last one is the last chunk of the write
             self.spoil(host, "write", position, code, payload)
 
 

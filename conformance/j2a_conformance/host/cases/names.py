@@ -85,7 +85,7 @@ class Unknown(HostCase):
     LEVEL = "mapping"
 
     def _run(self, host: Host) -> None:
-        for name in ("pin", "pingg", "nothing"):
+        for name in ("pin", "pingg", "Ping", "nothing"):
             host.job(f"call {name} 6e {host.limit_ms}")
             host.outcome("refused")
         call_by_name(host, PING)

@@ -5,6 +5,7 @@ import time
 from j2a_spec import constants as c
 from j2a_spec.oracle import checksum, stuff
 
+from j2a_conformance._judge import inform
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._host import Host, Request, spell
 
@@ -24,6 +25,15 @@ def escape_all(wire: bytes) -> bytes:
         found += bytes((c.ESC, byte - 1)) if free else bytes((byte,))
         is_escaped = not is_escaped and byte == c.ESC
     return bytes(found)
+
+
+def largest(seq: int, code: int) -> bytes:
+    """Return a payload with which a frame of this seq and code, both escaped, has 518 bytes.
+
+    There is one for each seq that is escaped, where the code is SOF.
+    """
+    payloads = (bytes((unit,)) * c.MAX_PAYLOAD for unit in sorted(c.STUFFED))
+    return next(p for p in payloads if checksum(seq, code, p) in c.STUFFED)
 
 
 class Sizes(HostCase):
@@ -56,6 +66,29 @@ class Values(HostCase):
         for payload in payloads:
             host.reply(host.asked(), c.RET_OK, payload)
             host.outcome(f"reply 0 {spell(payload)}")
+
+
+class Largest(HostCase):
+    """Answers with the largest frame, in which every byte is escaped but the length."""
+
+    ID = "host.received.largest"
+    EXPECTATION = "The 518 bytes are one frame, whose payload is handed over."
+    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-005")
+    LEVEL = "frame"
+
+    def _run(self, host: Host) -> None:
+        for seq in sorted(c.STUFFED):
+            if count := (seq - host.resting_seq - 2) % 256:  # two calls for jobs come between
+                host.job(f"repeat {count} call @6 - {host.limit_ms}")
+                for _ in range(count):
+                    host.reply(host.request(6, b""))
+                host.outcome("reply 0 -")
+            request = host.asked()
+            if request.seq != seq:
+                inform("the host takes seqs of which the suite does not know")
+            payload = largest(seq, c.SOF)
+            host.reply(request, c.SOF, payload)
+            host.outcome(f"reply {c.SOF} {spell(payload)}")
 
 
 class Codes(HostCase):
@@ -114,13 +147,13 @@ class EscapeFF(HostCase):
 
 
 class WrongSum(HostCase):
-    """Sends replies with each bit of the checksum wrong, and with payloads that were damaged, then
-    the right one.
+    """Sends replies with each bit of the checksum wrong, with payloads that were damaged, and with
+    checksums that have other bytes in them, then the right one, each alone and all in one piece.
     """
 
     ID = "host.received.wrong-checksum"
     EXPECTATION = "Nothing of a damaged reply is handed over; the right reply is taken."
-    REQUIREMENTS = ("J2A-SUM-003", "J2A-FRAME-009")
+    REQUIREMENTS = ("J2A-SUM-003", "J2A-SUM-002", "J2A-FRAME-009", "J2A-FRAME-010")
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:
@@ -130,10 +163,11 @@ class WrongSum(HostCase):
                 host.send(wrong_sum(request, payload, 1 << bit))
             host.reply(request, c.RET_OK, b"right")
             host.outcome(f"reply 0 {spell(b'right')}")
-        request = host.asked()
-        host.send(wrong_sum(request, b"", c.CHK_OPCODE) + wrong_sum(request, b"", c.CHK_LENGTH))
-        host.reply(request, c.RET_OK, b"right")
-        host.outcome(f"reply 0 {spell(b'right')}")
+        for error in (c.CHK_OPCODE, c.CHK_LENGTH, c.SOF):
+            request = host.asked()
+            host.send(wrong_sum(request, b"", error) + request.reply(c.RET_OK, b"right"))
+            host.replied(request)
+            host.outcome(f"reply 0 {spell(b'right')}")
 
 
 class OnlyWrongSum(HostCase):

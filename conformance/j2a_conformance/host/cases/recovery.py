@@ -116,7 +116,13 @@ class Storm(HostCase):
 
     ID = "host.recovery.storm"
     EXPECTATION = "Each reply is taken, and the noise is neither answered nor handed over."
-    REQUIREMENTS = ("J2A-FRAME-006", "J2A-FRAME-007", "J2A-FRAME-009", "J2A-SUM-003")
+    REQUIREMENTS = (
+        "J2A-FRAME-006",
+        "J2A-FRAME-007",
+        "J2A-FRAME-009",
+        "J2A-FRAME-010",
+        "J2A-SUM-003",
+    )
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:

@@ -9,6 +9,8 @@ from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._host import Host, spell
 
+from .received import largest
+
 _HANDLED = 0x2A
 """The opcode that the handlers `a` and `b` of the host program are for."""
 
@@ -103,7 +105,9 @@ class LikeErrors(HostCase):
 
 
 class Sizes(HostCase):
-    """Sends SIFs with payloads of every size, and with 255 start bytes."""
+    """Sends SIFs with payloads of every size, with 255 start bytes, and of the largest size, with
+    every byte escaped but the length.
+    """
 
     ID = "host.sif.sizes"
     EXPECTATION = "Each is handed over as it is."
@@ -116,6 +120,11 @@ class Sizes(HostCase):
         sent += [(byte, bytes((byte,)) * 255) for byte in sorted(c.STUFFED)]
         host.send(b"".join(host.sif(*one) for one in sent))
         handed(host, sent)
+        for seq in sorted(c.STUFFED):
+            payload = largest(seq, 0x12)
+            host.reset_sifs(seq)
+            host.send(host.sif(0x12, payload))
+            handed(host, [(0x12, payload)], missing=None)
 
 
 class NoAnswer(HostCase):
@@ -141,7 +150,9 @@ def damaged(host: Host, opcode: int, payload: bytes, error: int = 0x20) -> bytes
 
 
 class Handlers(HostCase):
-    """Sends SIFs of an opcode that has two handlers beside that for all, and of others."""
+    """Sends SIFs of an opcode that has two handlers beside that for all, and of others; some are
+    like the one before.
+    """
 
     ID = "host.sif.handlers"
     EXPECTATION = "Every handler gets the SIFs of its opcode, all of them, in order."
@@ -153,7 +164,8 @@ class Handlers(HostCase):
         rng = random.Random(7)
         for handler in ("a", "b"):
             host.do(f"sifs {handler} 0 0", "sifs")
-        sent: Sifs = [(rng.choice((_HANDLED, 0x2B, 0x00)), b"%d" % n) for n in range(60)]
+        sent: Sifs = [(rng.choice((_HANDLED, 0x2B, 0x00)), b"%d" % (n // 2)) for n in range(60)]
+        sent += 3 * [(_HANDLED, b"the same")]
         host.send(b"".join(host.sif(*one) for one in sent))
         handed(host, sent)
         for handler in ("a", "b"):
@@ -167,11 +179,11 @@ class Damaged(HostCase):
     EXPECTATION = (
         "The damaged one is dropped, the others are handed over; the call does not suffer."
     )
-    REQUIREMENTS = ("J2A-SIF-008", "J2A-SUM-003", "J2A-FRAME-009")
+    REQUIREMENTS = ("J2A-SIF-008", "J2A-SUM-002", "J2A-SUM-003", "J2A-FRAME-009")
     LEVEL = "sif"
 
     def _run(self, host: Host) -> None:
-        for error in (0x01, 0x80, 0xFF):
+        for error in (0x01, 0x80, 0xFF, c.SOS):
             anchor(host)
             request = host.asked()
             host.send(damaged(host, 0x44, b"damaged", error))

@@ -32,6 +32,7 @@ class NoReply(_Ends):
     """Leaves a call without a reply."""
 
     ID = "host.time.no-reply"
+    REQUIREMENTS = ("J2A-TIME-006", "J2A-FRAME-010")
 
     def _run(self, host: Host) -> None:
         for _ in range(2):
@@ -136,6 +137,22 @@ class Closed(_Ends):
             host.hang_up()
             host.outcome(*_ENDED, wait_ms=host.limit_ms)
             self.next_call(host)
+
+
+class ClosedWhileOthersWait(_Ends):
+    """Closes the link while several calls wait, for their reply or for their turn."""
+
+    ID = "host.time.link-closed-among-calls"
+    EXPECTATION = "Each ends by the end of the link, and the next one over the new link."
+
+    def _run(self, host: Host) -> None:
+        host.job("together " + " ; ".join(3 * [f"call @6 01 {host.limit_ms}"]))
+        host.request(6, b"\x01")
+        host.hang_up()
+        outcome = host.outcome(wait_ms=host.limit_ms)
+        if any(part.split(" ")[0] not in _ENDED for part in outcome.text.split(" ; ")):
+            fail(f"the host reports `{outcome.text}` of calls that waited when the link ended")
+        self.next_call(host)
 
 
 class ClosedInTransfer(_Ends):
