@@ -38,16 +38,15 @@ def render(run: Run) -> bytes:
 
 
 def _case(result: Result) -> TestCase:
-    case = TestCase(result.case, f"j2a.{result.level}", round(result.duration_s, 3))
+    case = TestCase(printable(result.case), f"j2a.{result.level}", round(result.duration_s, 3))
     texts = requirements.load()
     rules = [f"{name}: {texts[name].text}" for name in result.requirements]
-    reason = printable(result.reason)
     if result.verdict is Verdict.FAILED:
-        failure = Failure(reason, result.verdict.value)
+        failure = Failure(printable(result.reason), result.verdict.value)
         failure.text = printable("\n".join((*rules, *evidence_lines(result))))
         case.result = [failure]
     elif result.verdict in (Verdict.UNIMPLEMENTED, Verdict.KNOWN_DEVIATION):
-        case.result = [Skipped(reason, result.verdict.value)]
+        case.result = [Skipped(printable(result.reason), result.verdict.value)]
     about = [result.description, f"Expected: {result.expectation}", *rules]
-    case.system_out = "\n".join(about + ([reason] if reason else []))
+    case.system_out = printable("\n".join(filter(None, (*about, result.reason))))
     return case

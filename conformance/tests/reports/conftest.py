@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import pytest
 from j2a_spec import constants as c
 
-CASES = ["frame.layout", "frame.interrupted", "many.wrong-function", "sif.start", "limits.overrun"]
+CASES = ["frame.layout", "frame.interrupted", "stuff.replies", "many.wrong-function", "sif.start"]
 _ANSWER_S = 30.0
 # The browser reads commands from file descriptor 3 and answers on 4.
 _START = "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); {}".format(
@@ -126,7 +126,7 @@ def browser(need, tmp_path_factory):
 
 
 class LosesTheFrameThatInterrupts:
-    """Breaks J2A-FRAME-007, and says of itself what a page must not believe."""
+    """Breaks J2A-FRAME-007 and J2A-ECHO-001, and says of itself what a page must not believe."""
 
     properties = (("name", "<script>alert('me')</script>\x01"), ("&amp;", '"><img src=x>'))
     names = tuple(c.BUILTINS)
@@ -136,6 +136,10 @@ class LosesTheFrameThatInterrupts:
             self.abandon(c.ERR_FRAMING)
         else:
             super().byte(byte)
+
+    def do_a2jEcho(self, payload):  # noqa: N802
+        code, answer = super().do_a2jEcho(payload)
+        return code, answer.replace(b"UAU", b"TAU")
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,31 @@
-"""The JSON report: nothing is lost, the schema fits, and other files are refused with a reason."""
+"""The JSON report: nothing is lost, the schema fits, and other files are refused with a reason.
+
+Any run that JSON can hold gives sound reports of the other kinds, too.
+"""
 
 import json
 from dataclasses import fields
 from importlib.resources import files
 from typing import get_args
+from xml.etree import ElementTree
 
 import jsonschema
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from j2a_conformance import Claims, Evidence, HarnessError, Result, Run, Verdict
+from j2a_conformance import (
+    Claims,
+    Evidence,
+    HarnessError,
+    Result,
+    Run,
+    Verdict,
+    _badge,
+    _html,
+    _junit,
+    _matrix,
+)
+from j2a_conformance._compare import compare, report
 from j2a_conformance._json import parse, read, render
 from j2a_spec import requirements
 from j2a_spec.requirements import Level
@@ -71,10 +87,24 @@ runs = st.builds(
 
 
 @given(runs)
+@settings(deadline=None)
 def test_any_run_comes_back_and_fits_the_schema(run):
     text = render(run).decode()
     assert parse(text) == run
     VALIDATOR.validate(json.loads(text))
+
+
+@given(runs)
+@settings(max_examples=50, deadline=None)
+def test_any_run_gives_sound_reports(run):
+    ElementTree.fromstring(_junit.render(run))
+    ElementTree.fromstring(_badge.render(run))
+    for page in (_html.render(run), _matrix.render([run, run])):
+        text = page.decode()
+        assert text.count("<details") == text.count("</details>")
+        assert text.count("<script>") == text.count("</script>") == 1
+        assert "\0" not in text
+    assert report(compare(run, run)).endswith("no regression.")
 
 
 def test_a_real_run_comes_back_and_fits_the_schema(failed_run, tmp_path):
