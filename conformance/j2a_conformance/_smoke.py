@@ -57,22 +57,31 @@ class Answers(Case):
     def _run(self, peer: Peer) -> None:
         seen: deque[Arrival] = deque(maxlen=_KEPT)
         earlier: set[int] = set()
+        late = False
         for _ in range(peer.link.lossy or _TRIES):
             request = peer.request(0)
             peer.link.send(request.wire)
             for arrival in peer.link.arrivals(peer.link.reply_timeout_s):
-                seen.append(arrival)
                 event = arrival.event
                 if isinstance(event, Frame) and request.expected.matches(event):
                     if event.opcode in (c.RET_OK, c.ERR_OPCODE):
                         self._once(peer, request)
                         return
+                    seen.append(arrival)
                     break
                 # A device that boots slowly answers the requests before this one first.
-                late = isinstance(event, Frame) and event.seq in earlier
-                if not late and not isinstance(event, Skipped):
+                if isinstance(event, Frame) and event.seq in earlier:
+                    late = True
+                    continue
+                seen.append(arrival)
+                if not isinstance(event, Skipped):
                     break
             earlier.add(request.seq)
+        if late and all(isinstance(arrival.event, Skipped) for arrival in seen):
+            raise HarnessError(
+                f"answers come later than after {peer.link.reply_timeout_s:.1f} s; a slow link "
+                "needs --baud or --timeout-scale"
+            )
         _diagnose(peer, seen)
 
     @staticmethod
@@ -98,13 +107,14 @@ def _diagnose(peer: Peer, seen: Collection[Arrival]) -> None:
     if peer.link.sifs:
         fail("the answer starts with SOS (J2A-FRAME-002)")
     if tail[:1] == bytes((c.SOF,)) and len(tail) > 1:
-        fail(f"the answer has no end: {tail.hex(' ')} (J2A-FRAME-001, J2A-FRAME-004)")
+        no_end = f"the answer has no end: {tail.hex(' ')} (J2A-FRAME-001, J2A-FRAME-004)"
+        fail(f"{no_end}; a slow link needs --baud or --timeout-scale")
     if seen or tail:
         raise HarnessError(f"bytes arrive, but nothing like a J2A frame: {noise}. {_LINE}")
     raise HarnessError(
         "nothing answers. Is the URL right, the device powered, and no other program on the link? "
-        "A board that boots slowly needs the option boot=SECONDS in its URL, a slow link a larger "
-        "--timeout-scale."
+        "A board that boots slowly needs the option boot=SECONDS in its URL, a slow link --baud or "
+        "a larger --timeout-scale."
     )
 
 

@@ -150,7 +150,9 @@ class SeqUnknown(Case):
     @staticmethod
     def _late(peer: Peer, first: bytes, rest: bytes) -> None:
         peer.link.send(first)
-        if peer.next_frame(0.03 * max(peer.link.scale, 1.0)) is not None:
+        # Counted from the end of the last byte, which may still be on its way.
+        sending_s = len(first) * peer.link.byte_s
+        if peer.next_frame(0.03 * max(peer.link.scale, 1.0) + sending_s) is not None:
             fail("a frame whose seq was not received was answered")
         if rest:
             peer.link.send(rest)
