@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     kept = matrix.read(matrix.MATRIX) if matrix.MATRIX.exists() else {}
     every = args.all_cases or args.write
-    found = _judge_all(list(_jobs(chosen, {} if args.write else kept, every)), args)
+    found = _judge_all(list(_jobs(chosen, {} if args.write else kept, every, args.write)), args)
     problems = found.problems
     rows = {
         mutant.id: _row(target, mutant, found.failed[mutant.id])
@@ -79,7 +79,9 @@ def _parser() -> argparse.ArgumentParser:
         "--all-cases", action="store_true", help="every case, not only those that kill"
     )
     parser.add_argument(
-        "--write", action="store_true", help="write matrix.json, after a run of every case"
+        "--write",
+        action="store_true",
+        help="write matrix.json: every case, and again those that fail",
     )
     parser.add_argument(
         "-j", "--jobs", type=int, default=2, metavar="N", help="mutants at a time (2)"
@@ -100,7 +102,7 @@ def _chosen(
 
 
 def _jobs(
-    chosen: Iterable[tuple[str, Mutant]], kept: dict[str, Row], every: bool
+    chosen: Iterable[tuple[str, Mutant]], kept: dict[str, Row], every: bool, twice: bool
 ) -> Iterator[tuple[Job, int]]:
     """Yield each job and how often it may be done: first the targets without a mutant."""
     jobs: list[Job] = []
@@ -111,7 +113,7 @@ def _jobs(
         named = (
             frozenset(known) if every else due or matrix.killers(mutant.requirement, known, known)
         )
-        jobs.append(Job(variant(target, mutant), mutant, named, due))
+        jobs.append(Job(variant(target, mutant), mutant, named, due, twice))
         used[jobs[-1].how] |= named
     for how, named in used.items():
         yield Job(how, None, named), _BASELINES

@@ -71,6 +71,7 @@ class Mutant:
         port: for the C core, the port that it is built for.
         app: for the C core, the application.
         options: for the C core, build options such as "-DJ2A_WITH_MAPPING=0".
+        program: for the host library, the host program, "client" or "aio", in conformance/hosts.
     """
 
     id: str
@@ -80,6 +81,7 @@ class Mutant:
     port: str = "posix"
     app: str = "demo"
     options: str = ""
+    program: str = "client"
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Container, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -41,6 +41,7 @@ class Variant:
     port: str = ""
     app: str = ""
     options: str = ""
+    program: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +53,14 @@ class Job:
         mutant: the mutant, or None.
         cases: ids of the cases; those of the smoke step run in any case.
         due: ids of cases that must fail; where one does not, the job is done once more.
+        twice: what fails must fail again.
     """
 
     how: Variant
     mutant: Mutant | None
     cases: frozenset[str]
     due: frozenset[str] = frozenset()
+    twice: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,7 @@ def variant(target: str, mutant: Mutant) -> Variant:
     """Return how a mutant is built."""
     if target == "core":
         return Variant(target, mutant.port, mutant.app, mutant.options)
-    return Variant(target)
+    return Variant(target, program=mutant.program if target == "host" else "")
 
 
 def cases(target: str) -> dict[str, tuple[str, ...]]:
@@ -89,7 +92,12 @@ def cases(target: str) -> dict[str, tuple[str, ...]]:
 def judge(job: Job) -> Outcome:
     """Do a job; in a process of its own, because standard error is taken away from it."""
     outcome = _once(job)
-    if outcome.trouble or job.due <= outcome.failed:
+    if outcome.trouble:
+        return outcome
+    if job.twice and outcome.failed:
+        again = _once(replace(job, cases=outcome.failed))
+        return Outcome(outcome.failed & again.failed, again.trouble)
+    if job.due <= outcome.failed:
         return outcome
     again = _once(job)
     return Outcome(outcome.failed | again.failed, again.trouble)
@@ -143,8 +151,9 @@ def _device(job: Job, folder: Path) -> Run:
 
 
 def _host(job: Job, folder: Path) -> Run:
-    """Judge the blocking client of `folder`."""
-    program = host.Program(_python(folder, str(ROOT / "conformance/hosts/client.py")))
+    """Judge the host library of `folder`, by one of its clients."""
+    path = ROOT / f"conformance/hosts/{job.how.program}.py"
+    program = host.Program(_python(folder, str(path)))
     with host.Listening("tcp://127.0.0.1:0", program, _START_S) as place:
         cases = [case for name, case in _HOST_CASES.items() if name in job.cases]
         return host.run(place, cases, timeout_scale=_HOST_SCALE)
