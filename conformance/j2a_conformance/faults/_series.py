@@ -31,7 +31,7 @@ __all__ = ["Found", "Series"]
 
 _GIVE_UP_S: Final = 0.04
 """How long the host waits for a reply; an error for a byte timeout comes within 20 ms."""
-_PATIENCE_S: Final = 2.0
+_PATIENCE_S: Final = 1.0
 _LOOK_S: Final = 0.005
 _HISTORY: Final = 8
 # How many damaged frames the theory looks at: many more than the experiment.
@@ -119,7 +119,7 @@ class Series:
         self._history: deque[Stream] = deque(maxlen=_HISTORY)
         self._clean_ms: list[float] = []
         self._hit_ms: float | None = None  # when the last exchange began that a fault has spoilt
-        self._give_up_s = _GIVE_UP_S * player.scale + 2 * c.MAX_WIRE * player.byte_s
+        self._give_up_s = _GIVE_UP_S * player.scale + 4 * (setup.payload + 6) * player.byte_s
         self._late_s = rates.delay_ms / 1e3 if rates.delay else 0.0
 
     def run(self) -> Row:

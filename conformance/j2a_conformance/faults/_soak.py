@@ -23,7 +23,7 @@ from j2a_conformance._peer import Peer, Request
 from j2a_conformance._wire import Link, Splitter
 
 from ._player import PAUSE_S, Player
-from ._rules import difference
+from ._rules import Stream, difference
 from ._series import Found
 from ._theory import damage
 
@@ -157,9 +157,13 @@ def soak(
             batch = source.batch()
             state.batches += 1
             state.sent += len(batch)
-            if reason := _wrong(player, peer, batch, state):
+            stream: Stream = (batch,)
+            if state.batches % _STALL == 0:
+                stream = (batch[: len(batch) // 2], batch[len(batch) // 2 :])
+                state.kinds["stall"] += 1
+            if reason := _wrong(player, peer, stream, state):
                 transport.close()
-                _suspect(player, batch, reason, state)
+                _suspect(player, stream, reason, state)
                 transport = None
             state.seconds = time.monotonic() - began_s
             if state.seconds > shown_s + _SHOWN_S:
@@ -173,18 +177,18 @@ def soak(
     return state
 
 
-def _wrong(player: Player, peer: Peer, batch: bytes, state: Soak) -> str:
+def _wrong(player: Player, peer: Peer, stream: Stream, state: Soak) -> str:
     """Send a batch; return what was wrong with the answers, or ""."""
     barrier = peer.probe()
+    # A segment is written at once, because a busy machine may stop between two writes.
+    *before, last = stream
+    sent = (*before, last + barrier.wire)
     try:
-        cut = len(batch)
-        if state.batches % _STALL == 0:
-            cut //= 2
-            state.kinds["stall"] += 1
-        peer.link.transport.write(batch[:cut])
-        if cut < len(batch):
-            peer.link.wait_until(peer.link.now_s() + PAUSE_S + cut * player.byte_s)
-        peer.link.transport.write(batch[cut:] + barrier.wire)
+        for number, segment in enumerate(sent):
+            if number:
+                pause_s = PAUSE_S + len(sent[0]) * player.byte_s
+                peer.link.wait_until(peer.link.now_s() + pause_s)
+            peer.link.transport.write(segment)
         answer = _until_barrier(player, peer, barrier)
     except TransportError as error:
         return f"the link ended: {error}"
@@ -194,16 +198,15 @@ def _wrong(player: Player, peer: Peer, batch: bytes, state: Soak) -> str:
         return "a good request behind the batch was not answered"
     if not _WHOLE.fullmatch(answer):
         return "what came is not a row of whole frames"
-    if replies > batch.count(c.SOF) + 1:
-        return f"{replies} replies to {batch.count(c.SOF) + 1} start bytes"
-    paused = cut < len(batch)
-    if (state.batches % _EXACT and not paused) or not player.rules.is_exact((batch,)):
+    starts = b"".join(sent).count(c.SOF)
+    if replies > starts:
+        return f"{replies} replies to {starts} start bytes"
+    sampled = state.batches % _EXACT == 0 or len(stream) > 1
+    if not sampled or not player.rules.is_exact(sent):
         return ""
     state.exact += 1
-    whole = batch + barrier.wire
-    stream = (whole[:cut], whole[cut:]) if paused else (whole,)
     events = [arrival.event for arrival in Splitter().feed(answer, 0.0)]
-    return difference(events, player.rules.due(stream))
+    return difference(events, player.rules.due(sent))
 
 
 def _until_barrier(player: Player, peer: Peer, barrier: Request) -> bytes:
@@ -216,10 +219,10 @@ def _until_barrier(player: Player, peer: Peer, barrier: Request) -> bytes:
     return bytes(answer)
 
 
-def _suspect(player: Player, batch: bytes, reason: str, state: Soak) -> None:
+def _suspect(player: Player, stream: Stream, reason: str, state: Soak) -> None:
     """Try the batch with a fresh device; raise `Found` unless it is answered rightly then."""
-    if again := player.fault((batch,)):
-        raise Found(again, (batch,))
+    if again := player.fault(stream):
+        raise Found(again, stream)
     if "link ended" in reason or "not answered" in reason:
         raise Found(reason)
     state.strays.append(reason)
