@@ -5,9 +5,10 @@ device. On the command line it is `j2a-conform host`. Nothing here imports the l
 """
 
 from ._case import HostCase
-from ._program import Listening, Program
+from ._device import Device
+from ._program import Listening, Program, Runner
 from ._runner import run
 from ._start import START
 from .cases import load
 
-__all__ = ["START", "HostCase", "Listening", "Program", "load", "run"]
+__all__ = ["START", "Device", "HostCase", "Listening", "Program", "Runner", "load", "run"]
