@@ -7,6 +7,7 @@ sent and expected come from the oracle of `j2a_spec`.
 
 from ._case import Case
 from ._coverage import coverage
+from ._deviations import Deviation, Rules
 from ._model import Claims, Evidence, HarnessError, Result, Run, Verdict
 from ._runner import run
 from .cases import load
@@ -14,9 +15,11 @@ from .cases import load
 __all__ = [
     "Case",
     "Claims",
+    "Deviation",
     "Evidence",
     "HarnessError",
     "Result",
+    "Rules",
     "Run",
     "Verdict",
     "coverage",

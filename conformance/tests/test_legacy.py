@@ -4,14 +4,13 @@ The device is made from what is known about that firmware, on top of the referen
 """
 
 import pytest
-from j2a_conformance import Verdict, load
+from j2a_conformance import Rules, Verdict, load
 from j2a_conformance import run as run_suite
 from j2a_conformance._console import report
-from j2a_conformance._deviations import Rules, profile
 from j2a_spec import constants as c
 from j2a_transports import pair
 
-LEGACY = Rules("legacy-2014", profile("legacy-2014"))
+LEGACY = Rules.of("legacy-2014")
 
 
 class WedgedError(Exception):

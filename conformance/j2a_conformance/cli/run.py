@@ -180,9 +180,8 @@ def _list(cases: Sequence[Case]) -> None:
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     reports = _reports.Reports(args)
     known = _deviations.read(args.deviations) if args.deviations else ()
-    allowed = _deviations.profile(args.profile)
     with reach(args.url, args.baud or 0) as target:
-        rules = _deviations.Rules(args.profile, allowed, _deviations.joined(target.known, known))
+        rules = _deviations.Rules.of(args.profile, _deviations.joined(target.known, known))
         if args.repeat == 1:
             found = _judge(target, rules, args, cases)
             code = status(found)

@@ -1,0 +1,56 @@
+"""Which levels a device reaches, by the verdicts of a run."""
+
+import pytest
+from j2a_conformance import Result, Run, Verdict
+from j2a_conformance._console import report
+
+OK, FAILED = Verdict.OK, Verdict.FAILED
+
+
+def run_of(*verdicts, **fields):
+    results = tuple(
+        Result(f"case.{number}", "Does.", "Expects.", ("J2A-FRAME-001",), level, verdict)
+        for number, (level, verdict) in enumerate(verdicts)
+    )
+    return Run(url="", started="", duration_s=0.0, claims=None, results=results, **fields)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "reached"),
+    [
+        ([("frame", OK), ("core", OK)], {"frame": True, "core": True, "many": None}),
+        ([("frame", FAILED), ("core", OK)], {"frame": False, "core": False, "many": False}),
+        ([("frame", OK), ("core", FAILED), ("many", OK)], {"core": False, "many": False}),
+        ([("frame", OK), ("core", OK), ("core", FAILED)], {"frame": True, "core": False}),
+        ([("frame", OK), ("core", OK), ("many", FAILED)], {"core": True, "many": False}),
+        ([("frame", OK), ("core", OK), ("sif", Verdict.UNIMPLEMENTED)], {"sif": None}),
+        ([("frame", OK), ("core", OK), ("sif", Verdict.INFORMATIONAL)], {"sif": None}),
+        ([("frame", Verdict.NON_STRICT), ("core", OK)], {"frame": True, "core": True}),
+        ([("frame", Verdict.KNOWN_DEVIATION), ("core", OK)], {"frame": False, "core": False}),
+        ([("core", OK), ("many", OK)], {"frame": None, "core": None, "many": None}),
+    ],
+)
+def test_levels_rest_on_each_other(verdicts, reached):
+    levels = run_of(*verdicts).levels()
+    assert {level: levels[level] for level in reached} == reached
+
+
+def test_a_level_that_was_run_in_part_is_neither_reached_nor_missed():
+    verdicts = [("frame", OK), ("core", OK)]
+    assert run_of(*verdicts, not_run={"other": "core"}).levels()["core"] is None
+    assert run_of(*verdicts, ("core", FAILED), not_run={"other": "core"}).levels()["core"] is False
+
+
+def test_the_report_ends_with_the_levels():
+    text = report(run_of(("frame", OK), ("core", OK), ("mapping", OK), ("many", FAILED)))
+    assert "\nLevels: reaches frame, core, mapping; not many.\n" in text
+    assert "reaches none; not frame" in report(run_of(("frame", FAILED)))
+    assert "Levels" not in report(run_of(("core", Verdict.UNIMPLEMENTED)))
+
+
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_what_counts_as_tested(verdict):
+    run = run_of(("frame", OK), ("many", verdict), asked=("case.1",))
+    seen = verdict not in (Verdict.UNIMPLEMENTED, Verdict.INFORMATIONAL)
+    assert run.tested == seen
+    assert run_of(("frame", verdict)).tested == seen
