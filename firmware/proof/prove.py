@@ -1,11 +1,11 @@
 """Proves with Frama-C Eva that no input makes the core do something undefined.
 
 What flows in: the core's sources (--core), and parser.c, sender.c and program.c beside this file,
-which call it with arbitrary values. What flows out: a line for each analysis, and exit status 0 when
-all hold, 1 when one does not, 2 when Frama-C or the compiler is missing.
+which call it with arbitrary values. What flows out: a line for each analysis, and exit status 0
+when all hold, 1 when one does not, 2 when Frama-C or the compiler is missing.
 Rules: one alarm, one contract or check that is not proven, one warning that is not in EXPECTED, or
-one statement that is not reached and not in UNREACHED fails. docs/conformance/proof.md names
-what these proofs cannot see.
+one statement that is not reached and not in UNREACHED fails. docs/conformance/proof.md names what
+these proofs cannot see.
 """
 
 import argparse
@@ -25,7 +25,8 @@ TIME_LIMIT_S = 300
 # without (void) it sees no number. Calls are still compared with the function that is called.
 PREPROCESS = (
     "gcc -E -C -nostdinc -dD -I{libc} -I{core} -I{here} -D__FRAMAC__ -D__FC_MACHDEP_{machine_upper}"
-    " -Dvolatile= {defines} -o %o.i %i && sed 's/(\\*j2a_function)(void)/(*j2a_function)()/' %o.i > %o"
+    " -Dvolatile= {defines} -o %o.i %i"
+    " && sed 's/(\\*j2a_function)(void)/(*j2a_function)()/' %o.i > %o"
 )
 # Of that cast: the type of the call is the kind that the table gives for the function.
 EXPECTED = {"kernel:typing:incompatible-types-call": 2}
