@@ -236,10 +236,11 @@ class Host:
             self._strange(request, self._due(opcode, payload))
         return request
 
-    def requests(self, quiet_ms: float) -> list[Request]:
-        """Return the requests that come until none has come for `quiet_ms`."""
-        found = []
-        while (arrival := self._next_arrival(quiet_ms / 1e3)) is not None:
+    def requests(self, at_most: int, quiet_ms: float) -> list[Request]:
+        """Return the requests that come until there are `at_most`, or none came for `quiet_ms`."""
+        found: list[Request] = []
+        quiet_s = quiet_ms / 1e3 * self.link.scale
+        while len(found) < at_most and (arrival := self._next_arrival(quiet_s)) is not None:
             request = self._judge(arrival)
             if request is None:
                 self._too_early()
