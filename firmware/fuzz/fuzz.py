@@ -1,0 +1,80 @@
+"""Runs the C core under libFuzzer, and keeps the corpus.
+
+What flows in: link.c, the core (--core), and the inputs in corpus/ and seeds made of the golden
+vectors. What flows out: what libFuzzer reports, exit status 0 when nothing was found, 1 when
+something was (the input is then named), 2 when clang is missing. With --keep, corpus/ afterwards
+holds the fewest inputs that reach everything that was ever reached.
+Rules: the same seed and corpus give the same first runs; corpus/ is written with --keep only, and
+beside it the input that breaks the core, into the folder of --inputs.
+"""
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from j2a_spec.vectors import load
+
+HERE = Path(__file__).parent
+CORPUS = HERE / "corpus"
+EVENT = 0xA5
+FLAGS = (
+    "-std=c99 -Wall -Wextra -Wpedantic -Werror -Wmissing-prototypes -Wno-overlength-strings -O1 -g"
+    " -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all"
+)
+
+
+def build(core: Path, folder: Path) -> Path:
+    """Build the target over the core in this folder; returns the program."""
+    program = folder / "link"
+    sources = [HERE / "link.c", *sorted(core.glob("*.c"))]
+    command = ["clang", *FLAGS.split(), f"-I{core}", f"-I{HERE}", *map(str, sources)]
+    subprocess.run([*command, "-o", str(program)], check=True)
+    return program
+
+
+def seed(folder: Path) -> None:
+    """Write the streams of the golden vectors as inputs; bytes that begin events are doubled."""
+    for vector in load("stream"):
+        stream = bytes.fromhex(vector["stream"])
+        escaped = stream.replace(bytes((EVENT,)), bytes((EVENT, EVENT)))
+        (folder / str(vector["id"])).write_bytes(escaped)
+
+
+def main() -> int:
+    """Fuzz; see the module."""
+    parser = argparse.ArgumentParser(description="Run the C core under libFuzzer.")
+    parser.add_argument("--core", type=Path, default=HERE.parent / "core", help="the core's folder")
+    parser.add_argument("--seconds", type=int, default=60, help="how long; 0: replay the corpus")
+    parser.add_argument("--seed", type=int, default=1, help="of the fuzzer (default: 1)")
+    parser.add_argument("--inputs", default=".", help="folder for what breaks the core")
+    parser.add_argument("--keep", action="store_true", help="merge what was found into corpus/")
+    arguments = parser.parse_args()
+    if shutil.which("clang") is None:
+        print("clang is missing: install the packages clang and libclang-rt-dev", file=sys.stderr)
+        return 2
+    with tempfile.TemporaryDirectory(prefix="j2a-fuzz-") as name:
+        folder = Path(name)
+        program = build(arguments.core.resolve(), folder)
+        grown = folder / "grown"
+        grown.mkdir()
+        seed(grown)
+        shutil.copytree(CORPUS, grown, dirs_exist_ok=True)
+        limit = [f"-max_total_time={arguments.seconds}"] if arguments.seconds else ["-runs=0"]
+        command = [str(program), *limit, f"-seed={arguments.seed}", f"-dict={HERE}/markers.dict"]
+        command += [f"-artifact_prefix={arguments.inputs}/", "-print_final_stats=1"]
+        command += ["-max_len=2048", "-timeout=10", "-detect_leaks=0", str(grown)]
+        result = subprocess.run(command, check=False)
+        if result.returncode == 0 and arguments.keep:
+            merged = folder / "merged"
+            merged.mkdir()
+            subprocess.run([str(program), "-merge=1", str(merged), str(grown)], check=True)
+            shutil.rmtree(CORPUS)
+            shutil.copytree(merged, CORPUS)
+    return int(result.returncode != 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

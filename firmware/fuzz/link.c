@@ -1,0 +1,435 @@
+/* A libFuzzer target: the whole core, on a link with time and losses, against a second opinion.
+ * In: the bytes of the link; 0xA5 begins an event (see LLVMFuzzerTestOneInput()). Out: an abort where the core sends
+ * anything but what is due. Rules: what is due is found here by other means than the core's: a frame
+ * is collected whole and then judged, as the oracle of the specification does it. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "j2a_functions.h"
+#include "j2a_internal.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count);
+
+enum {
+    EVENT = 0xA5,
+    QUEUE = 4096,
+    OUTPUT = 1 << 16,
+    ACCEPTED_TICKS = J2A_BYTE_TIMEOUT_MIN_MS * J2A_TICKS_PER_MS,
+    ENDED_TICKS = J2A_BYTE_TIMEOUT_MAX_MS * J2A_TICKS_PER_MS
+};
+
+#define CHECK(condition) \
+    do { \
+        if (!(condition)) { \
+            fprintf(stderr, "link.c:%d: not so: %s\n", __LINE__, #condition); \
+            abort(); \
+        } \
+    } while (0)
+
+/* ------------------------------------------------------------------------- a second opinion --- */
+
+/* One direction of the link. body: what came of the frame that is open, unstuffed. */
+typedef struct {
+    uint8_t start; /* 0 between frames */
+    bool escaped;
+    size_t length;
+    uint8_t body[4 + J2A_MAX_PAYLOAD];
+} receiver;
+
+enum { NOTHING, GOOD, MARKER, ESCAPE, CHECKSUM };
+
+static uint8_t sum(const uint8_t *body) {
+    uint8_t value = (uint8_t)(body[0] ^ (body[1] + J2A_CHK_OPCODE) ^ (body[2] + J2A_CHK_LENGTH));
+    size_t i;
+    for (i = 0; i < body[2]; i++)
+        value ^= body[3 + i];
+    return value;
+}
+
+/* Takes a byte. Returns what ended with it; the frame is in old. */
+static int receive(receiver *r, uint8_t byte, receiver *old) {
+    if (byte == J2A_SOF || byte == J2A_SOS) {
+        const int result = r->start ? MARKER : NOTHING;
+        *old = *r;
+        memset(r, 0, sizeof *r);
+        r->start = byte;
+        return result;
+    }
+    if (!r->start)
+        return NOTHING;
+    if (!r->escaped && byte == J2A_ESC) {
+        r->escaped = true;
+        return NOTHING;
+    }
+    *old = *r;
+    if (r->escaped && byte == 0xFF) {
+        r->start = 0;
+        return ESCAPE;
+    }
+    r->body[r->length++] = (uint8_t)(byte + r->escaped);
+    r->escaped = false;
+    if (r->length < 4 || r->length != 4u + r->body[2])
+        return NOTHING;
+    *old = *r;
+    r->start = 0;
+    return old->body[r->length - 1] == sum(old->body) ? GOOD : CHECKSUM;
+}
+
+/* ------------------------------------------------------------------- what is due, and what came */
+
+static uint8_t due[OUTPUT], sent[OUTPUT];
+static size_t due_length, sent_length;
+static uint8_t sif_seq;
+
+static void owe_byte(uint8_t byte) {
+    CHECK(due_length + 2 <= sizeof due);
+    if (byte == J2A_SOF || byte == J2A_SOS || byte == J2A_ESC) {
+        due[due_length++] = J2A_ESC;
+        byte--;
+    }
+    due[due_length++] = byte;
+}
+
+static void owe(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload) {
+    uint8_t body[4 + J2A_MAX_PAYLOAD];
+    size_t i;
+    body[0] = seq;
+    body[1] = opcode;
+    body[2] = length;
+    memcpy(body + 3, payload, length);
+    body[3 + length] = sum(body);
+    CHECK(due_length < sizeof due);
+    due[due_length++] = start;
+    for (i = 0; i < 4u + length; i++)
+        owe_byte(body[i]);
+}
+
+static void owe_error(const receiver *frame, uint8_t code, uint8_t site) {
+    const uint8_t payload[2] = {site, 0};
+    if (frame->start == J2A_SOF && frame->length > 0)
+        owe(J2A_SOF, frame->body[0], code, 2, payload);
+}
+
+void j2a_port_tx(uint8_t byte) {
+    CHECK(sent_length < sizeof sent);
+    sent[sent_length++] = byte;
+}
+
+/* ------------------------------------------------------------------------- the application --- */
+
+/* What the functions do is in the request: return value, length of the reply, and how. */
+static uint8_t elsewhere[J2A_MAX_PAYLOAD];
+enum { POINT_ELSEWHERE = 1, SEND_SIF = 2, POINT_BEHIND = 4, OTHER_OFFSET = 8, FLIP_LAST = 16 };
+
+uint8_t fuzz_call(uint8_t *const length, uint8_t **const payload) {
+    const uint8_t *const p = *payload;
+    const uint8_t code = p[0];
+    const uint8_t how = p[2];
+    if (*length < 3)
+        return J2A_RET_FAILED;
+    *length = p[1];
+    if (how & SEND_SIF)
+        j2a_send_sif(how, *length, elsewhere);
+    if (how & POINT_ELSEWHERE)
+        *payload = elsewhere;
+    else if ((how & POINT_BEHIND) && *length < J2A_MAX_PAYLOAD)
+        *payload += J2A_MAX_PAYLOAD - *length;
+    return code;
+}
+
+uint8_t fuzz_many(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
+                  uint8_t **const data) {
+    const uint8_t *const p = *data;
+    const uint8_t code = p[0];
+    const uint8_t how = p[2];
+    if (*length < 3)
+        return is_write ? 1 : J2A_RET_FAILED;
+    *length = p[1];
+    if (how & SEND_SIF)
+        j2a_send_sif(how, *length, elsewhere);
+    if (how & OTHER_OFFSET)
+        *offset = ~*offset;
+    if (how & FLIP_LAST)
+        *is_last = !*is_last;
+    if (how & POINT_ELSEWHERE)
+        *data = elsewhere;
+    return code;
+}
+
+static char text[2 * J2A_DEBUGBUF];
+static size_t text_length;
+static bool text_lost;
+
+static void debug(uint8_t count) {
+    char line[UINT8_MAX + 1];
+    size_t i;
+    memset(line, 'a' + count % 26, count);
+    line[count] = 0;
+    j2a_debug(line);
+    for (i = 0; i < count && !text_lost; i++) {
+        if (text_length == J2A_DEBUGBUF)
+            text_lost = true;
+        else
+            text[text_length++] = line[i];
+    }
+}
+
+/* -------------------------------------------------------------------- what a request deserves */
+
+enum { GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, ECHO, ECHO_MANY, USER_CALL, USER_MANY, FUNCTIONS };
+
+static const char map[] =
+    "a2jGetMapping\0a2jMany\0a2jGetProperties\0a2jDebug\0a2jEcho\0a2jEchoMany\0call\0many";
+
+static bool is_many(uint8_t opcode) {
+    return opcode == GET_PROPERTIES || opcode == ECHO_MANY || opcode == USER_MANY;
+}
+
+static uint8_t judged(uint8_t code) {
+    return code > J2A_RET_MAX ? J2A_RET_FAILED : code;
+}
+
+static void owe_many(uint8_t seq, const uint8_t *p, uint8_t length) {
+    uint8_t reply[J2A_MAX_PAYLOAD] = {0};
+    const uint8_t n = (uint8_t)(length - J2A_MANY_HEADER);
+    uint8_t left = n;
+    uint8_t code = J2A_ECHO_MANY;
+    bool last = p[1] & J2A_FLAG_LAST;
+
+    memcpy(reply, p, length);
+    if (p[0] == GET_PROPERTIES) {
+        const uint32_t offset = p[2] | p[3] << 8 | p[4] << 16 | (uint32_t)p[5] << 24;
+        size_t size = 0;
+        while (j2a_properties[size] || j2a_properties[size + 1])
+            size++;
+        size++; /* the NUL of the last value */
+        left = 0;
+        code = p[1] & J2A_FLAG_WRITE ? J2A_RET_FAILED : 0;
+        if (code == 0) {
+            const size_t rest = offset < size ? size - offset : 0;
+            left = (uint8_t)(rest < J2A_MANY_DATA ? rest : J2A_MANY_DATA);
+            last = left == rest;
+            if (left)
+                memcpy(reply + J2A_MANY_HEADER, j2a_properties + offset, left);
+        }
+    } else if (p[0] == USER_MANY && n < 3) {
+        code = p[1] & J2A_FLAG_WRITE ? 1 : J2A_RET_FAILED;
+    } else if (p[0] == USER_MANY) {
+        const uint8_t how = p[8];
+        code = judged(p[6]);
+        left = p[7];
+        if (how & SEND_SIF)
+            owe(J2A_SOS, sif_seq++, how, left, elsewhere);
+        if (left > J2A_MANY_DATA) {
+            left = 0;
+            code = J2A_RET_FAILED;
+        } else if (how & POINT_ELSEWHERE) {
+            memcpy(reply + J2A_MANY_HEADER, elsewhere, left);
+        } else {
+            memcpy(reply + J2A_MANY_HEADER, j2a_rx.payload + J2A_MANY_HEADER, left);
+        }
+        if (how & OTHER_OFFSET) {
+            uint8_t i;
+            for (i = 2; i < J2A_MANY_HEADER; i++)
+                reply[i] = (uint8_t)~p[i];
+        }
+        if (how & FLIP_LAST)
+            last = !last;
+    }
+    reply[0] = code;
+    reply[1] = last;
+    owe(J2A_SOF, seq, 0, (uint8_t)(left + J2A_MANY_HEADER), reply);
+}
+
+static void owe_reply(const receiver *request) {
+    const uint8_t seq = request->body[0];
+    const uint8_t opcode = request->body[1];
+    const uint8_t length = request->body[2];
+    const uint8_t *const p = request->body + 3;
+
+    if (opcode >= FUNCTIONS || (opcode == MANY && length >= J2A_MANY_HEADER && p[0] >= FUNCTIONS)) {
+        owe_error(request, J2A_ERR_OPCODE, J2A_SITE_OPCODE);
+    } else if (is_many(opcode) || (opcode == MANY && length >= J2A_MANY_HEADER && !is_many(p[0]))) {
+        owe_error(request, J2A_ERR_OPCODE, J2A_SITE_KIND);
+    } else if (opcode == GET_MAPPING) {
+        owe(J2A_SOF, seq, 0, sizeof map, (const uint8_t *)map);
+    } else if (opcode == MANY && length < J2A_MANY_HEADER) {
+        owe(J2A_SOF, seq, J2A_RET_FAILED, 0, p);
+    } else if (opcode == MANY) {
+        owe_many(seq, p, length);
+    } else if (opcode == GET_DEBUG) {
+        owe(J2A_SOF, seq, text_lost ? J2A_DEBUG_LOST : 0, (uint8_t)text_length, (uint8_t *)text);
+        text_length = 0;
+        text_lost = false;
+    } else if (opcode == ECHO) {
+        owe(J2A_SOF, seq, J2A_ECHO, length, p);
+    } else if (length < 3) {
+        owe(J2A_SOF, seq, J2A_RET_FAILED, length, p);
+    } else {
+        const uint8_t *reply = j2a_rx.payload;
+        if (p[2] & SEND_SIF)
+            owe(J2A_SOS, sif_seq++, p[2], p[1], elsewhere);
+        if (p[2] & POINT_ELSEWHERE)
+            reply = elsewhere;
+        else if (p[2] & POINT_BEHIND)
+            reply += J2A_MAX_PAYLOAD - p[1];
+        owe(J2A_SOF, seq, judged(p[0]), p[1], reply);
+    }
+}
+
+/* ---------------------------------------------------------------------------------- the link --- */
+
+enum { LOST = 0x100 };
+static uint16_t queue[QUEUE];
+static size_t queue_next, queue_end;
+static uint16_t ticks;
+static uint32_t idle_ticks; /* since the last byte */
+static receiver requests;
+
+uint16_t j2a_port_ticks(void) {
+    return ticks;
+}
+
+int16_t j2a_port_rx(void) {
+    while (queue_next < queue_end && queue[queue_next] == LOST) {
+        queue_next++;
+        j2a_rx_lost();
+        if (j2a_rx.event != J2A_EVENT_NONE)
+            return -1;
+    }
+    return queue_next == queue_end ? -1 : (int16_t)queue[queue_next++];
+}
+
+/* Owes what the next entry of the queue deserves. */
+static void judge(uint16_t entry) {
+    receiver old;
+    if (entry == LOST) {
+        owe_error(requests.start ? &requests : &(receiver){0}, J2A_ERR_FRAMING, J2A_SITE_LOST);
+        requests.start = 0;
+        return;
+    }
+    switch (receive(&requests, (uint8_t)entry, &old)) {
+    case GOOD:
+        if (old.start == J2A_SOF)
+            owe_reply(&old);
+        break;
+    case MARKER:
+        owe_error(&old, J2A_ERR_FRAMING, J2A_SITE_MARKER);
+        break;
+    case ESCAPE:
+        owe_error(&old, J2A_ERR_FRAMING, J2A_SITE_ESCAPE);
+        break;
+    case CHECKSUM:
+        owe_error(&old, J2A_ERR_CHECKSUM, J2A_SITE_CHECKSUM);
+        break;
+    }
+}
+
+static void compare(void) {
+    CHECK(sent_length == due_length && memcmp(sent, due, due_length) == 0);
+    sent_length = due_length = 0;
+}
+
+/* A turn of the main loop. What a request deserves is found before its function writes over it. */
+static void turn(void) {
+    size_t i = queue_next;
+    j2a_poll();
+    CHECK(sent_length == 0);
+    for (; i < queue_next; i++, idle_ticks = 0)
+        judge(queue[i]);
+    if (requests.start && idle_ticks >= ENDED_TICKS) {
+        owe_error(&requests, J2A_ERR_TIMEOUT, J2A_SITE_TIMEOUT);
+        requests.start = 0;
+    }
+    j2a_process();
+    compare();
+}
+
+static void run_until_idle(void) {
+    unsigned turns = 0;
+    while (queue_next < queue_end) {
+        CHECK(turns++ <= 2 * QUEUE);
+        turn();
+    }
+    queue_next = queue_end = 0;
+    turn(); /* sees that nothing came, so that a pause begins */
+}
+
+/* A pause that every device accepts, or one that none does. */
+static void pass_time(uint8_t pause_ticks) {
+    uint32_t passed = pause_ticks;
+    run_until_idle();
+    if (idle_ticks + passed > ACCEPTED_TICKS && idle_ticks + passed < ENDED_TICKS)
+        passed = ENDED_TICKS - idle_ticks;
+    idle_ticks += passed;
+    ticks = (uint16_t)(ticks + passed);
+    turn();
+}
+
+/* Queues a good request, whose checksum a mutation would seldom hit. */
+static void request(uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload) {
+    size_t i;
+    owe(J2A_SOF, seq, opcode, length, payload);
+    for (i = 0; i < due_length; i++)
+        queue[queue_end++] = due[i];
+    due_length = 0;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count) {
+    size_t i;
+    for (i = 0; i < sizeof elsewhere; i++)
+        elsewhere[i] = (uint8_t)(i * 7);
+    memset(&j2a_rx, 0, sizeof j2a_rx);
+    memset(&requests, 0, sizeof requests);
+    for (i = 0; i < count; i++) {
+        /* Of an event what is not there is 0. */
+        const uint8_t one = i + 1 < count ? bytes[i + 1] : 0;
+        const uint8_t two = i + 2 < count ? bytes[i + 2] : 0;
+        const uint8_t three = i + 3 < count ? bytes[i + 3] : 0;
+        if (queue_end > QUEUE - J2A_MAX_WIRE)
+            run_until_idle();
+        if (bytes[i] != EVENT) {
+            queue[queue_end++] = bytes[i];
+            continue;
+        }
+        switch (one) {
+        case 0:
+            run_until_idle();
+            break;
+        case 1:
+            queue[queue_end++] = LOST;
+            break;
+        case 2:
+            pass_time(two);
+            i++;
+            break;
+        case 3:
+            owe(J2A_SOS, sif_seq++, two, three, elsewhere);
+            j2a_send_sif(two, three, elsewhere);
+            compare();
+            i += 2;
+            break;
+        case 4:
+            debug(two);
+            i++;
+            break;
+        case 5:
+            turn();
+            break;
+        case 6: {
+            const size_t left = i + 4 < count ? count - i - 4 : 0;
+            const uint8_t length = left < three ? (uint8_t)left : three;
+            request((uint8_t)i, two, length, bytes + (length ? i + 4 : 0));
+            i += 2u + length;
+            break;
+        }
+        default:
+            queue[queue_end++] = one;
+        }
+        i++;
+    }
+    run_until_idle();
+    pass_time(UINT8_MAX);
+    return 0;
+}

@@ -1,0 +1,70 @@
+"""The C core under libFuzzer: the corpus, a few seconds more, and proof that it finds something."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).parents[1]
+CORPUS = FIRMWARE / "fuzz/corpus"
+SECONDS = 10
+
+
+def fuzz(missing, *arguments):
+    if shutil.which("clang") is None:
+        missing("clang is missing: install the packages clang and libclang-rt-dev")
+    command = [sys.executable, FIRMWARE / "fuzz/fuzz.py", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_corpus_is_small_and_there():
+    sizes = [path.stat().st_size for path in CORPUS.iterdir()]
+    assert len(sizes) > 100
+    assert sum(sizes) < 300_000
+
+
+@pytest.mark.slow
+def test_nothing_is_found(missing):
+    result = fuzz(missing, "--seconds", SECONDS)
+    assert result.returncode == 0, result.stderr[-4000:]
+    assert "stat::number_of_executed_units" in result.stderr
+
+
+DEFECTS = {
+    "an escape outlives the frame": (
+        "j2a_rx.c",
+        "    if (byte == J2A_SOF || byte == J2A_SOS) {\n        j2a_rx.escaped = false;\n",
+        "    if (byte == J2A_SOF || byte == J2A_SOS) {\n",
+    ),
+    "a payload longer than the room is sent": (
+        "j2a_builtins.c",
+        "if (n > J2A_MANY_DATA) {",
+        "if (n > J2A_MANY_DATA + 1u) {",
+    ),
+    "lost bytes are ignored in the checksum": (
+        "j2a_rx.c",
+        "        abandon(J2A_ERR_FRAMING, J2A_SITE_LOST);",
+        "        j2a_rx.escaped = false;",
+    ),
+    "a full debug ring loses text silently": (
+        "j2a_debug.c",
+        "            lost = true;\n",
+        "",
+    ),
+}
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_defect_is_found(missing, tmp_path, defect):
+    name, old, new = DEFECTS[defect]
+    core = tmp_path / "core"
+    shutil.copytree(FIRMWARE / "core", core)
+    source = (core / name).read_text()
+    assert source.count(old) == 1
+    (core / name).write_text(source.replace(old, new))
+    result = fuzz(missing, "--core", core, "--seconds", SECONDS, "--inputs", tmp_path)
+    assert result.returncode == 1, result.stderr[-2000:]
+    assert "link.c:" in result.stderr or "Sanitizer" in result.stderr
+    assert "Test unit written to" in result.stderr
