@@ -32,7 +32,7 @@ _SPELT: Final = 100
 _PATIENCE_S: Final = 5.0
 _LIMIT_MS: Final = 3000
 _SILENCE_MS: Final = 120
-_MOST: Final = 2000
+_MOST: Final = 200
 _LAST_WORDS_S: Final = 0.5
 
 

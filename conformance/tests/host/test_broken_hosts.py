@@ -611,7 +611,7 @@ def test_every_tested_requirement_is_broken_by_a_host():
 @pytest.mark.parametrize(("requirement", "mixin"), BROKEN)
 def test_a_case_of_the_requirement_fails(requirement, mixin, host_reference, host_judged):
     host = type(mixin.__name__, (mixin, host_reference), {})
-    found = host_judged(host, [requirement], timeout_scale=0.2, stop_on_failure=True)
+    found = host_judged(host, [requirement], timeout_scale=0.1, stop_on_failure=True)
     failed = found.with_verdict(Verdict.FAILED)
     assert failed, "the suite did not notice"
     assert requirement in failed[0].requirements, failed[0].reason

@@ -73,10 +73,10 @@ class _Chatter(_Ends):
 
     @staticmethod
     def chatter(host: Host, piece: Callable[[], bytes]) -> None:
-        """Send a piece every few milliseconds for much longer than the time limit."""
+        """Send pieces at short intervals for much longer than the time limit."""
         host.asked(limit_ms=host.silence_ms)
         deadline_s = host.link.now_s() + 10 * host.silence_ms / 1e3
-        while not host.has_sent(0.01):
+        while not host.has_sent(host.silence_ms / 12e3):
             if host.link.now_s() > deadline_s:
                 fail("the call went on for ten times its time limit", suspect=True)
             host.send(piece())
@@ -84,7 +84,7 @@ class _Chatter(_Ends):
 
 
 class SifsOnly(_Chatter):
-    """Sends a SIF every 10 ms, but no reply."""
+    """Sends twelve SIFs in each time limit, but no reply."""
 
     ID = "host.time.sifs-only"
     REQUIREMENTS = ("J2A-TIME-006", "J2A-SIF-003")
@@ -95,7 +95,7 @@ class SifsOnly(_Chatter):
 
 
 class NoiseOnly(_Chatter):
-    """Sends bytes that start no frame every 10 ms, but no reply."""
+    """Sends bytes that start no frame, twelve times in each time limit, but no reply."""
 
     ID = "host.time.noise-only"
     REQUIREMENTS = ("J2A-TIME-006", "J2A-FRAME-006")
