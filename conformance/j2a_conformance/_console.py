@@ -110,14 +110,14 @@ def _others(run: Run) -> Iterator[str]:
 def _table(run: Run) -> Iterator[str]:
     verdicts = list(Verdict)
     yield ""
-    yield f"{'level':12}" + "".join(f"{verdict.value:>15}" for verdict in verdicts)
+    yield f"{'level':12}" + "".join(f"{verdict.value:>17}" for verdict in verdicts)
     for level in get_args(Level):
         results = [r for r in run.results if r.level == level]
         counts = [sum(r.verdict is verdict for r in results) for verdict in verdicts]
         if results:
-            yield f"{level:12}" + "".join(f"{count or '-':>15}" for count in counts)
+            yield f"{level:12}" + "".join(f"{count or '-':>17}" for count in counts)
     counts = [len(run.with_verdict(verdict)) for verdict in verdicts]
-    yield f"{'all':12}" + "".join(f"{count or '-':>15}" for count in counts)
+    yield f"{'all':12}" + "".join(f"{count or '-':>17}" for count in counts)
 
 
 def _end(run: Run) -> Iterator[str]:
