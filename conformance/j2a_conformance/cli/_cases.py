@@ -4,6 +4,7 @@ What flows in: arguments. What flows out: the cases that they choose.
 """
 
 import argparse
+import sys
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from typing import TypeVar, get_args
@@ -74,3 +75,4 @@ def show(cases: Iterable[About], coverage: dict[str, str]) -> None:
     print()
     for name, by in coverage.items():
         print(f"{name}  {by}")
+    sys.stdout.flush()

@@ -7,7 +7,6 @@ What flows out: reports, and an exit code.
 import argparse
 import re
 import shlex
-import sys
 from collections.abc import Sequence
 
 from j2a_conformance import _console
@@ -67,7 +66,6 @@ def main(args: argparse.Namespace) -> int:
     cases = _cases.matching((START, *load()), args.level, args.case)
     if args.list:
         _cases.show(cases, host_coverage())
-        sys.stdout.flush()
         return CONFORMANT
     if not args.target:
         raise UsageError("a host is needed, e.g. -- python conformance/hosts/client.py")

@@ -4,29 +4,25 @@ What flows in: a URL or a testee file, and which cases. What flows out: reports,
 """
 
 import argparse
-import sys
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import get_args
 
 import j2a_transports
-from j2a_spec.requirements import Level
 
 from j2a_conformance import _console, _deviations
 from j2a_conformance._case import Case
 from j2a_conformance._coverage import coverage
-from j2a_conformance._model import HarnessError, Result, Run
+from j2a_conformance._model import Result, Run
 from j2a_conformance._runner import run
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance.cases import load
 
-from . import _reports
+from . import _cases, _reports
 from ._exit import CONFORMANT, UsageError, status
 from ._repeat import repeat
 from ._target import Target, reach
 
-__all__ = ["add_arguments", "main", "select"]
+__all__ = ["add_arguments", "main"]
 
 _LOSSY_ATTEMPTS = 100
 _BAUDS = range(50, 50_000_001)
@@ -47,24 +43,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         help="e.g. serial:///dev/ttyACM0?boot=2, or a testee file, see conformance/testees",
     )
     _reports.add_arguments(command)
-    command.add_argument(
-        "--level",
-        nargs="+",
-        action="extend",
-        choices=get_args(Level),
-        metavar="LEVEL",
-        help="only cases of these levels: " + ", ".join(get_args(Level)),
-    )
-    command.add_argument(
-        "--case",
-        nargs="+",
-        action="extend",
-        metavar="ID",
-        help="only these cases: ids, patterns like 'many.*', or ids of requirements",
-    )
-    command.add_argument(
-        "--list", action="store_true", help="show the cases and what they cover, and run nothing"
-    )
+    _cases.add_arguments(command, "many.*")
     command.add_argument(
         "--profile",
         choices=_deviations.profiles(),
@@ -117,8 +96,6 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help="do not use functions with the names of the demo application: they are something else",
     )
-    command.add_argument("--stop-on-failure", action="store_true", help="stop at the first failure")
-    command.add_argument("-v", "--verbose", action="store_true", help="show each case as it ends")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -127,9 +104,10 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         HarnessError: nothing can be said about the device.
     """
-    cases = select(args.level, args.case)
+    # Every run begins with the smoke step; to ask for a case of it is no mistake.
+    cases = _cases.matching((*SMOKE, *load()), args.level, args.case)
     if args.list:
-        _list(cases)
+        _cases.show(cases, coverage())
         return CONFORMANT
     if not args.url:
         raise UsageError("a URL is needed, e.g. tcp://127.0.0.1:5000")
@@ -146,35 +124,6 @@ def _check(args: argparse.Namespace) -> None:
         raise UsageError("--lossy takes a number from 2 to 10000, or none")
     if args.repeat < 1:
         raise UsageError("--repeat takes a number of at least 1")
-
-
-def select(levels: Sequence[str] | None, patterns: Sequence[str] | None) -> list[Case]:
-    """Return the cases of these levels that match one of these patterns; None means all.
-
-    The cases of the smoke step are among them, though every run begins with it.
-
-    Raises:
-        HarnessError: nothing matches.
-    """
-    found = [case for case in (*SMOKE, *load()) if levels is None or case.LEVEL in levels]
-    if patterns is not None:
-        found = [
-            case
-            for case in found
-            if any(fnmatchcase(name, p) for p in patterns for name in (case.ID, *case.REQUIREMENTS))
-        ]
-    if not found:
-        raise HarnessError("no case matches; `j2a-conform run --list` shows all")
-    return found
-
-
-def _list(cases: Sequence[Case]) -> None:
-    for case in cases:
-        print(f"{case.ID}  ({case.LEVEL})\n  {case.DESCRIPTION}\n  {' '.join(case.REQUIREMENTS)}")
-    print()
-    for name, by in coverage().items():
-        print(f"{name}  {by}")
-    sys.stdout.flush()
 
 
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
