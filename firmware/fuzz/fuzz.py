@@ -15,11 +15,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+from j2a_spec import constants as c
 from j2a_spec.vectors import load
 
 HERE = Path(__file__).parent
 CORPUS = HERE / "corpus"
 EVENT = 0xA5
+REQUEST = 6
+USER_CALL, USER_MANY = 6, 7  # opcodes, see link.c
 FLAGS = (
     "-std=c99 -Wall -Wextra -Wpedantic -Werror -Wmissing-prototypes -Wno-overlength-strings -O1 -g"
     " -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all"
@@ -36,11 +39,22 @@ def build(core: Path, folder: Path) -> Path:
 
 
 def seed(folder: Path) -> None:
-    """Write the streams of the golden vectors as inputs; bytes that begin events are doubled."""
+    """Write inputs to begin with: the streams of the golden vectors, and lengths at the limits.
+
+    In a stream the byte that would begin an event is doubled.
+    """
     for vector in load("stream"):
         stream = bytes.fromhex(vector["stream"])
         escaped = stream.replace(bytes((EVENT,)), bytes((EVENT, EVENT)))
         (folder / str(vector["id"])).write_bytes(escaped)
+    for left in (0, 1, c.MANY_DATA, c.MANY_DATA + 1, c.MAX_PAYLOAD):
+        for how in (0, *(1 << bit for bit in range(5))):
+            call = bytes((1, left, how))
+            many = bytes((USER_MANY, c.FLAG_WRITE, 0, 0, 0, 0)) + call
+            requests = (bytes((USER_CALL, len(call))) + call, bytes((1, len(many))) + many)
+            (folder / f"limit-{left}-{how}").write_bytes(
+                b"".join(bytes((EVENT, REQUEST)) + request for request in requests)
+            )
 
 
 def main() -> int:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 HERE = Path(__file__).parent
-TIME_LIMIT_S = 300
+TIME_LIMIT_S = 600
 # "volatile" is for ports that push from an interrupt; with it Eva takes each read as any value.
 # Frama-C refuses what C99 6.3.2.3 allows, a cast between functions of other numbers of arguments;
 # without (void) it sees no number. Calls are still compared with the function that is called.

@@ -20,7 +20,7 @@ def prove(missing, *arguments):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)  # half a minute on two cores that are free
+@pytest.mark.timeout(900)  # half a minute on two cores that are free
 def test_core_is_proved(missing):
     result = prove(missing)
     assert result.returncode == 0, result.stdout + result.stderr
