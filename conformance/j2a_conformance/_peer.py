@@ -263,17 +263,18 @@ class Peer:
         timeout_s = self.link.reply_timeout_s + wait_s
         return [self._receive(due, timeout_s)[1] for due in expected]
 
-    def ask_exact(self, request: Request) -> None:
-        """Send a request and compare its reply with the oracle, byte by byte."""
-        self.carried(lambda: self._ask_exact(request))
+    def ask_exact(self, request: Request) -> Frame:
+        """Send a request and compare its reply with the oracle, byte by byte; return it."""
+        return self.carried(lambda: self._ask_exact(request))
 
-    def _ask_exact(self, request: Request) -> None:
+    def _ask_exact(self, request: Request) -> Frame:
         self.link.send(request.wire)
         arrival, frame = self._receive(request.expected, self.link.reply_timeout_s)
         wanted = encode(frame)
         if arrival.raw != wanted:
             self.link.record("expected", wanted)
             fail("the bytes of the reply are not those of the oracle")
+        return frame
 
     def _receive(self, due: Expected, timeout_s: float) -> tuple[Arrival, Frame]:
         arrival = self.next_frame(timeout_s)

@@ -153,7 +153,10 @@ class Mapping(Case):
     """Takes the mapping; where there is none, looks for a2jEcho at the opcodes that it may have."""
 
     ID = "smoke.mapping"
-    EXPECTATION = "Names that each end in NUL, among them the built-in functions."
+    EXPECTATION = (
+        "Names that each end in NUL, a2jGetMapping and a2jMany first, and among them the other "
+        "built-in functions."
+    )
     REQUIREMENTS = ("J2A-MAP-001", "J2A-DISP-006", "J2A-FRAME-001")
     LEVEL = "core"
 
@@ -165,6 +168,8 @@ class Mapping(Case):
             if not payload.endswith(b"\0"):
                 fail("the mapping does not end in NUL")
             names = tuple(n.decode("latin-1") for n in payload[:-1].split(b"\0"))
+            if names[:2] != (c.GET_MAPPING, c.MANY):
+                fail(f"the mapping does not begin with {c.GET_MAPPING} and {c.MANY}")
         if missing := {c.GET_MAPPING, c.MANY, c.GET_ECHO, c.GET_ECHO_MANY} - set(names):
             fail(f"the mapping lacks {', '.join(sorted(missing))}")
         mapped = code == c.RET_OK

@@ -5,7 +5,7 @@ from j2a_spec.oracle import checksum
 
 from j2a_conformance._case import Case
 from j2a_conformance._judge import fail
-from j2a_conformance._peer import Expected, Peer, many_payload
+from j2a_conformance._peer import Expected, Peer, Request, many_payload
 
 from .sums import with_sum
 
@@ -60,11 +60,13 @@ class NotEarly(Case):
 
 
 class Payload(Case):
-    """Causes each kind of error reply and looks at its start byte and its payload."""
+    """Causes each kind of error reply, compares its bytes on the wire with the oracle, and looks
+    at its payload.
+    """
 
     ID = "error.payload"
     EXPECTATION = "SOF, like any reply, and two bytes of payload, whatever they are."
-    REQUIREMENTS = ("J2A-ERR-006", "J2A-FRAME-002", "J2A-FRAME-003")
+    REQUIREMENTS = ("J2A-ERR-006", "J2A-FRAME-002", "J2A-FRAME-003", "J2A-STUFF-002")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -80,8 +82,10 @@ class Payload(Case):
         streams.append((whole.seq, c.ERR_TIMEOUT, whole.wire[:4]))
         many = peer.many(c.GET_ECHO, code=c.ERR_OPCODE)
         streams.append((many.seq, c.ERR_OPCODE, many.wire))
+        many = peer.request(peer.opcode(c.GET_ECHO_MANY))
+        streams.append((many.seq, c.ERR_OPCODE, many.wire))
         for seq, code, stream in streams:
-            payload = peer.play(stream, Expected(seq, code))[0].payload
+            payload = peer.ask_exact(Request(stream, Expected(seq, code))).payload
             if len(payload) != 2:
                 fail(f"error 0x{code:02X} has {len(payload)} payload bytes, not 2")
 

@@ -54,6 +54,7 @@ class Start(Case):
         "J2A-FRAME-001",
         "J2A-FRAME-002",
         "J2A-STUFF-001",
+        "J2A-STUFF-002",
         "J2A-SUM-001",
         "J2A-SUM-002",
     )

@@ -74,7 +74,7 @@ class ShortPause(Case):
 
     ID = "timing.short-pause"
     EXPECTATION = "The request is answered as if there was no pause."
-    REQUIREMENTS = ("J2A-TIME-001",)
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-STUFF-003")
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
