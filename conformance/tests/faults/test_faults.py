@@ -126,10 +126,10 @@ def test_the_soak_finds_a_planted_fault(player_of):
 
 
 def test_the_same_seed_finds_the_same(player_of):
-    rows = [found(player_of(), frames=80, seed=3).rows[0] for _ in range(2)]
+    rows = [found(player_of(), frames=40, seed=3).rows[0] for _ in range(2)]
     counts = [(row.frames, row.faults, row.shares, row.theory) for row in rows]
     assert counts[0] == counts[1]
-    other = found(player_of(), frames=80, seed=4).rows[0]
+    other = found(player_of(), frames=40, seed=4).rows[0]
     assert other.shares != rows[0].shares
 
 
@@ -145,7 +145,7 @@ def test_what_does_not_come_again_is_counted_and_too_much_of_it_fails(player_of)
 
     experiment = found(player_of(OnceInAWhile), Kind(("split",), 0.001), frames=300)
     assert experiment.wrong is None
-    assert experiment.rows[0].strays == 300 // 60 or experiment.rows[0].strays >= 4
+    assert experiment.rows[0].strays >= 4
     assert "did not come again" in experiment.complaints[0]
     assert not experiment.passed
 
@@ -228,12 +228,12 @@ def check(url, tmp_path, capsys, *options):
 
 def test_the_posix_port(build_firmware, tmp_path, capsys):
     rows = check(
-        f"exec:{build_firmware('demo')}", tmp_path, capsys, "--frames", "60", "--rate", "0.006"
+        f"exec:{build_firmware('demo')}", tmp_path, capsys, "--frames", "40", "--rate", "0.008"
     )
     assert list(rows) == [kind for kind in KINDS if kind != "split"]
     for row in rows.values():
         assert row["faults"] > 5
-        assert row["right"] + sum(row["errors"].values()) + row["wrong"] + row["lost"] == 60
+        assert row["right"] + sum(row["errors"].values()) + row["wrong"] + row["lost"] == 40
         assert (
             row["recovery_ms"]["median"] <= row["recovery_ms"]["p95"] <= row["recovery_ms"]["max"]
         )

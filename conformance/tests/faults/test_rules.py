@@ -8,6 +8,7 @@ import pytest
 from j2a_conformance._model import Claims, HarnessError
 from j2a_conformance._peer import Expected
 from j2a_conformance.faults import _vectors
+from j2a_conformance.faults._proxy import Tap
 from j2a_conformance.faults._rules import Rules, difference
 from j2a_conformance.faults._shrink import shrink
 from j2a_conformance.faults._theory import Share, wilson
@@ -75,6 +76,43 @@ def test_a_difference_is_told_in_words():
     assert "where nothing more was due" in difference([right, right], due)
     assert "J2A-FRAME-010" in difference([right, Skipped(1)], due)
     assert "checksum is wrong" in difference([FrameError("checksum", c.SOF, 7)], due)
+
+
+class OwnTime:
+    """What a tap needs of a transport, with time that is set."""
+
+    url, write_timeout_s, now_s = "own:", None, 0.0
+
+    def clock(self):
+        return self.now_s
+
+    def write(self, data):
+        self.now_s += 0.001
+
+
+@pytest.mark.parametrize(
+    ("pause_s", "byte_s", "stream"),
+    [
+        (0.0, 0.0, (b"abcd",)),
+        (0.006, 0.0, (b"abcd",)),
+        (0.008, 0.0, None),
+        (0.020, 0.0, None),
+        (0.021, 0.0, (b"ab", b"cd")),
+        # What was written before was still on its way when the pause began.
+        (0.021, 0.001, None),
+        (0.023, 0.001, (b"ab", b"cd")),
+    ],
+)
+def test_the_tap_tells_pauses(pause_s, byte_s, stream):
+    link = OwnTime()
+    tap = Tap(link)
+    tap.write(b"before")
+    tap.clear()
+    tap.write(b"ab")
+    link.now_s += pause_s
+    tap.write(b"cd")
+    assert tap.sent == b"abcd"
+    assert tap.stream(byte_s) == stream
 
 
 # ---------------------------------------------------------------------- theory
