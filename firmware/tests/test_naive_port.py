@@ -1,0 +1,49 @@
+"""The guide to porting suffices: a port that was written from it alone conforms in the simulator.
+
+In: firmware/tests/naive over a copy of the template. Out: verdicts on the demo with the vectors
+in it. The polled port reaches every level; NOT_REACHED names those that it would not.
+"""
+
+import shutil
+from pathlib import Path
+
+import j2a_transports
+import pytest
+from j2a_conformance import Verdict, load, run
+
+from j2a.sim import ToolMissing
+
+FIRMWARE = Path(__file__).parents[1]
+NOT_REACHED: set[str] = set()
+
+
+@pytest.fixture
+def naive(need, make, tmp_path):
+    """The demo with the vectors in it, for the naive port; returns the ELF file."""
+    need("avr-gcc")
+    port = tmp_path / "naive"
+    shutil.copytree(FIRMWARE / "ports/template", port)
+    shutil.copytree(FIRMWARE / "tests/naive", port, dirs_exist_ok=True)
+    result = make(PORT_DIR=port, APP="demo", OUT=tmp_path, OPTIONS="-DJ2A_WITH_SELFTEST=1")
+    assert result.returncode == 0, result.stderr
+    return tmp_path / "demo.elf"
+
+
+@pytest.mark.avr
+def test_a_port_written_from_the_guide_alone(naive, missing):
+    url = f"sim:{naive}?mcu=atmega2560"
+
+    def connect():
+        try:
+            return j2a_transports.open(url)
+        except j2a_transports.OpenFailed as error:
+            if isinstance(error.__cause__, ToolMissing):
+                missing(str(error))
+            raise
+
+    found = run(connect, load(), url=url, fresh=True)
+    levels = found.levels()
+    assert levels["frame"] is True
+    assert levels["core"] is True
+    assert {level for level, reached in levels.items() if reached is not True} == NOT_REACHED
+    assert [r.case for r in found.results if r.verdict is not Verdict.OK] == []
