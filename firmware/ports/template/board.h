@@ -17,9 +17,9 @@ void board_init(void);
 /* Has a byte been received that was not read yet? Not called where BOARD_INTERRUPTS is 1. */
 bool board_has_byte(void);
 
-/* Were bytes lost since the last call? That is the overrun flag of the UART, and this clears it.
- * Called before each board_read(), because on many chips reading the byte moves the flag on. Where it
- * always says no, a frame with a hole in it can be taken for a good one, 1 time in 256. */
+/* Were bytes lost since the last call? That is the overrun flag of the UART, and this clears it, unless
+ * reading the byte does. Called before each board_read(), because on many chips that moves the flag on.
+ * Where it always says no, a frame with a hole in it can be taken for a good one, 1 time in 256. */
 bool board_lost(void);
 
 /* Takes the received byte; called only when there is one. */
@@ -31,8 +31,10 @@ bool board_can_write(void);
 /* Sends a byte; called only after board_can_write() said yes. */
 void board_write(uint8_t byte);
 
-/* Milliseconds since the start, wrapping at 2^32 (not before: extend a counter of 16 bits). One that
- * an interrupt counts is read with interrupts off where the chip has less than 32 bits. */
+/* Milliseconds since the start, wrapping at 2^32 (not before: extend a counter of 16 bits). Called in
+ * each turn of the main loop, so a counter may be extended here if it wraps later than any function of
+ * the application takes. One that an interrupt counts is read with interrupts off where the chip has
+ * less than 32 bits. */
 uint32_t board_ms(void);
 
 /* Called in each turn of the main loop. Does nothing, or sends what board_write() has collected (USB,

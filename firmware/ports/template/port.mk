@@ -1,5 +1,6 @@
 # How this port is compiled. FILL IN what your chip needs; as it stands here it is this machine.
 # Paths are seen from firmware/, those of this folder begin with $(PORT_DIR)/.
+# $(BAUD), should your board.c use it, is 115200, or what a line BAUD := ... here or the command says.
 # CC := arm-none-eabi-gcc
 # MACHINE := -mcpu=cortex-m0 -mthumb -DBAUD=$(BAUD) -ffunction-sections -fdata-sections
 # LINK := -T $(PORT_DIR)/board.ld -Wl,--gc-sections
@@ -11,5 +12,6 @@ CFLAGS ?= -Os
 PORT_RXBUF := 64
 # This port has no transmit buffer.
 PORT_TXBUF := 1
-# Apps that can do with less RAM then do; leave it out with 16 kB and more.
+# Apps that can do with less RAM then do (the demo also holds 128 received bytes, whatever stands
+# above); leave it out with 16 kB and more.
 SMALL := 1
