@@ -10,15 +10,15 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Container, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Final, TypeVar
 
 import j2a_transports
-from j2a_conformance import HarnessError, Run, Verdict, host, load, run
+from j2a_conformance import Case, HarnessError, Run, Verdict, host, load, run
 from j2a_conformance._smoke import SMOKE
 from tables import ROOT, Mutant, TableError, copy
 
@@ -30,6 +30,7 @@ _HOST_CASES: Final = {case.ID: case for case in (host.START, *host.load())}
 _SCALE: Final = 0.25
 _HOST_SCALE: Final = 0.5
 _START_S: Final = 20.0
+_AnyCase = TypeVar("_AnyCase", Case, host.HostCase)
 _DIED: Final = ("the link ended", "the host program ended")
 
 
@@ -140,14 +141,14 @@ def _core(job: Job, folder: Path) -> Run:
     if done.returncode:
         raise TableError(f"it is not built:\n{done.stderr}")
     if how.port == "posix":
-        return _judged(f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", job.cases, _SCALE)
-    return _judged(f"sim:{folder}/out/{how.app}.elf", job.cases, 1.0)
+        return _judged(f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", job, _SCALE)
+    return _judged(f"sim:{folder}/out/{how.app}.elf", job, 1.0)
 
 
 def _device(job: Job, folder: Path) -> Run:
     """Judge the Python Device of `folder`."""
     serve = ["-m", "j2a", "serve", "--listen", "stdio:", "--once"]
-    return _judged("exec:" + shlex.join(_python(folder, *serve)), job.cases, _SCALE)
+    return _judged("exec:" + shlex.join(_python(folder, *serve)), job, _SCALE)
 
 
 def _host(job: Job, folder: Path) -> Run:
@@ -155,8 +156,7 @@ def _host(job: Job, folder: Path) -> Run:
     path = ROOT / f"conformance/hosts/{job.how.program}.py"
     program = host.Program(_python(folder, str(path)))
     with host.Listening("tcp://127.0.0.1:0", program, _START_S) as place:
-        cases = [case for name, case in _HOST_CASES.items() if name in job.cases]
-        return host.run(place, cases, timeout_scale=_HOST_SCALE)
+        return host.run(place, _ordered(_HOST_CASES, job), timeout_scale=_HOST_SCALE)
 
 
 def _python(folder: Path, *arguments: str) -> list[str]:
@@ -164,14 +164,21 @@ def _python(folder: Path, *arguments: str) -> list[str]:
     return ["env", f"PYTHONPATH={folder}", sys.executable, "-P", *arguments]
 
 
-def _judged(url: str, cases: Container[str], scale: float) -> Run:
+def _judged(url: str, job: Job, scale: float) -> Run:
     return run(
         lambda: j2a_transports.open(url),
-        [case for name, case in _DEVICE_CASES.items() if name in cases],
+        _ordered(_DEVICE_CASES, job),
         url=url,
         timeout_scale=scale,
         fresh=True,
     )
+
+
+def _ordered(known: Mapping[str, _AnyCase], job: Job) -> list[_AnyCase]:
+    """Return the cases of a job, first those of the rule: a mutant may be lost on the way."""
+    rule = job.mutant.requirement if job.mutant else ""
+    found = [case for name, case in known.items() if name in job.cases]
+    return sorted(found, key=lambda case: rule not in case.REQUIREMENTS)
 
 
 _SUITES: Final = {"core": _core, "device": _device, "host": _host}
