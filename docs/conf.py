@@ -16,9 +16,11 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "docstrings",
+    "kill_matrix",
     "packet_figure",
     "program_help",
     "requirement_ids",
+    "requirement_pages",
 ]
 exclude_patterns = ["_build", "_ext", "tests", "examples"]
 

@@ -33,8 +33,8 @@ class Content(Case):
             names = MAPPING.parse(payload)
         except cs.ConstructError as error:
             fail(f"the mapping is not a list of names with NUL at their ends: {error}")
-        if names[0] != c.GET_MAPPING:
-            fail(f"the name at opcode 0 is {names[0]}")
+        if names[:1] != [c.GET_MAPPING]:
+            fail(f"the name at opcode 0 is {names[0]}" if names else "the mapping is empty")
         if len(names) < 256:
             peer.ask(peer.request(len(names), b"", c.ERR_OPCODE))
         known = {c.MANY: (b"", c.RET_FAILED), c.GET_ECHO: (b"map", c.ECHO)}

@@ -1,0 +1,178 @@
+"""The tables of mutants are sound, cover every requirement, and are those of the kill matrix; and
+the run that judges mutants is not fooled by one that survives, that is not built, or that dies.
+
+The run over all of them is a step of its own, tools/check.sh.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from j2a_conformance.cli import main as conform
+
+FOLDER = Path(__file__).parents[1] / "mutants"
+sys.path.insert(0, str(FOLDER))
+
+import edit  # noqa: E402  found through the line above, as those below
+import kill  # noqa: E402
+import matrix  # noqa: E402
+import targets  # noqa: E402
+from tables import ROOT, TARGETS, Edit, Table, TableError, copy, find, load  # noqa: E402
+
+TABLES = {target: load(target) for target in TARGETS}
+EXAMPLE, _ = find("core-stuff-004")
+
+
+def test_the_tables_are_those_of_the_folder():
+    assert {path.stem for path in FOLDER.glob("*.toml")} == set(TABLES)
+    assert sum(len(table.mutants) for table in TABLES.values()) >= 60
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_what_an_edit_looks_for_occurs_once(target):
+    for mutant in TABLES[target].mutants:
+        before = {e.file: (ROOT / e.file).read_text("utf-8") for e in mutant.edits}
+        after = dict(before)
+        for change in mutant.edits:
+            assert change.file.startswith(("firmware/", "j2a/")), mutant.id
+            # In the sources, where readers look for it, and after the edits that come before.
+            assert before[change.file].count(change.find) == 1, mutant.id
+            assert after[change.file].count(change.find) == 1, mutant.id
+            after[change.file] = after[change.file].replace(change.find, change.replace)
+        for file, text in after.items():
+            assert text != before[file], mutant.id
+            if file.endswith(".py"):
+                compile(text, file, "exec")
+        assert mutant.what.strip(" .") == mutant.what != "", mutant.id
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_every_requirement_has_a_mutant_or_a_reason(target):
+    assert matrix.uncovered(TABLES[target]) == []
+    assert all(len(entry.why) > 20 for entry in TABLES[target].exempt)
+
+
+def test_the_kill_matrix_is_that_of_the_tables():
+    rows = matrix.read(matrix.MATRIX)
+    assert matrix.strangers(TABLES.values(), rows) == []
+    for target, table in TABLES.items():
+        assert matrix.differences(table, rows) == []
+        known = targets.cases(target)
+        for mutant in table.mutants:
+            kept = rows[mutant.id]
+            assert matrix.killers(mutant.requirement, kept.killed_by, known) == {*kept.killed_by}
+            assert {*kept.also} <= {*known}
+
+
+def test_a_requirement_without_mutant_is_told():
+    table = TABLES["core"]
+    without = replace(
+        table, mutants=tuple(m for m in table.mutants if m.requirement != EXAMPLE.requirement)
+    )
+    assert matrix.uncovered(without) == [
+        "core.toml: J2A-STUFF-004 has neither a mutant nor an exception"
+    ]
+
+
+def test_the_copy_has_the_edit_and_nothing_else(tmp_path):
+    assert edit.main(["core-stuff-004", str(tmp_path / "copy")]) == 0
+    changed = [
+        path.relative_to(tmp_path / "copy")
+        for path in (tmp_path / "copy").rglob("*.[ch]")
+        if path.read_bytes() != (ROOT / path.relative_to(tmp_path / "copy")).read_bytes()
+    ]
+    assert changed == [Path("firmware/core/j2a_rx.c")]
+
+
+@pytest.mark.parametrize("arguments", [["core-stuff-999", "x"], ["nonsense", "x"], ["one"]])
+def test_what_cannot_be_copied_is_said(arguments, capsys):
+    assert edit.main(arguments) == 1
+    assert "edit.py" in capsys.readouterr().err
+
+
+def test_an_edit_that_does_not_fit_is_an_error(tmp_path):
+    stale = replace(EXAMPLE, edits=(Edit("firmware/core/j2a_rx.c", "no such text", "x"),))
+    with pytest.raises(TableError, match="occurs 0 times"):
+        copy("core", stale, tmp_path)
+
+
+def test_make_builds_a_mutant_that_the_suite_fails(make, need, tmp_path, capsys):
+    need("cc")
+    done = make(MUTANT="core-stuff-004", OUT=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "breaks J2A-STUFF-004" in done.stdout
+    assert conform(["run", f"exec:{tmp_path}/demo", "--case", "stuff.*"]) == 1
+    assert "stuff.escape-ff" in capsys.readouterr().out
+    assert make(MUTANT="core-stuff-999", OUT=tmp_path).returncode != 0
+
+
+@pytest.fixture
+def judge(monkeypatch, tmp_path, need, capsys):
+    """Run kill.py over a table of one mutant; return its exit code and what it printed."""
+    need("cc")
+    monkeypatch.setattr(matrix, "MATRIX", tmp_path / "matrix.json")
+
+    def run(*edits, killed_by=()):
+        mutant = replace(EXAMPLE, edits=edits)
+        table = Table("core", (mutant,), ())
+        monkeypatch.setattr(kill, "TARGETS", ("core",))
+        monkeypatch.setattr(kill, "load", lambda _: table)
+        if killed_by:
+            rows = {mutant.id: matrix.row(mutant, killed_by)}
+            matrix.write([table], rows, matrix.MATRIX)
+        status = kill.main(["--only", mutant.id, "-j", "1"])
+        return status, capsys.readouterr().out
+
+    return run
+
+
+RX = "firmware/core/j2a_rx.c"
+
+
+def test_a_mutant_that_is_noticed_is_killed(judge):
+    assert judge(*EXAMPLE.edits) == (0, "1 mutants, 1 killed\n")
+
+
+def test_a_mutant_that_breaks_nothing_survives(judge):
+    status, printed = judge(Edit(RX, "/* The push parser.", "/* A parser."))
+    assert (status, printed) == (1, "core-stuff-004: survives\n1 mutants, 0 killed\n")
+
+
+def test_a_mutant_that_breaks_another_rule_survives(judge):
+    status, printed = judge(Edit(RX, "j2a_rx.length = byte;", "j2a_rx.length = byte & 0x7F;"))
+    assert (status, printed) == (1, "core-stuff-004: survives\n1 mutants, 0 killed\n")
+
+
+def test_a_mutant_that_is_not_built_is_an_error(judge):
+    status, printed = judge(Edit(RX, "if (byte == 0xFF)", "if (byte == 0xFF"))
+    assert status == 1
+    assert "it is not built" in printed
+    assert "0 killed" in printed
+
+
+def test_a_mutant_that_dies_is_an_error(judge):
+    status, printed = judge(
+        Edit(RX, "if (byte == 0xFF)", "if (byte == 0xFF)\n *(volatile int *)1 = 0;\n if (false)")
+    )
+    assert status == 1
+    assert "it died in" in printed
+
+
+def test_a_mutant_that_answers_nothing_is_an_error(judge):
+    status, printed = judge(Edit(RX, "j2a_rx.event = J2A_EVENT_FRAME;", ""))
+    assert status == 1
+    assert "nothing answers" in printed
+
+
+def test_a_kill_that_does_not_come_again_is_told(judge):
+    status, printed = judge(*EXAMPLE.edits, killed_by=("stuff.escape-ff", "stuff.needless"))
+    assert status == 1
+    assert "stuff.needless does not fail any more" in printed
+
+
+def test_nothing_to_judge_is_a_failure(monkeypatch, capsys):
+    monkeypatch.setattr(kill, "TARGETS", ("core",))
+    monkeypatch.setattr(kill, "load", lambda target: Table(target, (), ()))
+    assert kill.main([]) == 1
+    assert "0 mutants, 0 killed" in capsys.readouterr().out
