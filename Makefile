@@ -4,7 +4,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint docs bench firmware venv constraints clean distclean
+.PHONY: help demo test lint conformance mutants trace docs bench firmware venv constraints clean distclean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -25,6 +25,17 @@ test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these
 
 lint: $(INSTALLED)  ## lint, layout, types and import arrows
 	@CHECK=ruff,format,mypy,mypy-tools,imports bash tools/check.sh
+
+conformance: $(INSTALLED)  ## the suite against every testee, with reports in build/conformance
+	@sh tools/system.sh demo
+	@$(BIN)/python tools/conformance.py
+
+mutants: $(INSTALLED)  ## each mutant against the cases of the rule that it breaks
+	@sh tools/system.sh demo
+	@$(BIN)/python conformance/mutants/kill.py
+
+trace: conformance  ## renew conformance/traceability.json, after make conformance
+	@$(BIN)/python tools/trace.py
 
 docs: $(INSTALLED)  ## the documentation, into docs/_build/html
 	@$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html

@@ -36,8 +36,8 @@ step generate "generated files are up to date" python -m j2a_spec.generate --che
 step ruff "lint" ruff check --quiet .
 step format "layout of the Python files" ruff format --check --quiet .
 step mypy "types of the packages" mypy
-step mypy-tools "types of the tools and of the extensions of the documentation" \
-    mypy tools/*.py docs/conf.py docs/_ext/*.py
+step mypy-tools "types of the tools, of the mutants and of the extensions of the documentation" bash -c \
+    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/mutants/*.py conformance/hosts/*.py' 
 step imports "arrows between the packages" lint-imports --no-cache --no-logo
 step firmware "the posix firmware" make -s --no-print-directory -C firmware PORT=posix APP=demo
 if command -v avr-gcc >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
@@ -46,6 +46,11 @@ if command -v avr-gcc >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
 else
     printf '\n==> budget: SKIPPED, there is no avr-gcc\n'
 fi
+step conformance "the suite against every testee and every host of ours" python tools/conformance.py
+step mutants "each mutant is killed by a case of the rule that it breaks" \
+    python conformance/mutants/kill.py
+step trace "each requirement, from clause to last result, as the snapshot says" \
+    python tools/trace.py --check
 step docs "documentation, warnings are errors" \
     python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 step dist "wheel and sdist hold the four packages" python tools/check_dist.py

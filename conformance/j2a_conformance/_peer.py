@@ -282,7 +282,7 @@ class Peer:
             tail = self.link.unfinished()
             self.link.record("expected", due.wire, str(due))
             rest = (
-                f", only the unfinished {tail.hex(' ')}; a slow link needs --baud or --timeout-scale"
+                f", only the unfinished {tail.hex(' ')}; is the link slow? See --baud"
                 if tail
                 else ""
             )

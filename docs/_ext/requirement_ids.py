@@ -109,9 +109,18 @@ class RequirementsTable(SphinxDirective):
             if r.role == "both":
                 facts += f" For hosts: {hosts[r.id]}."
             text = _entry(r.text)
-            text += nodes.paragraph("", facts, classes=["facts"])
+            text += nodes.paragraph("", "", nodes.Text(f"{facts} "), _page(r.id), classes=["facts"])
             levels.setdefault(r.level, []).append(nodes.row("", _entry(r.id), text))
         return [_table([row for rows in levels.values() for row in rows])]
+
+
+def _page(name: str) -> addnodes.pending_xref:
+    """Return a link to the page of a requirement, see requirement_pages.py."""
+    page = addnodes.pending_xref(
+        "", refdomain="std", reftype="doc", reftarget=f"/spec/requirement/{name}", refexplicit=True
+    )
+    page += nodes.inline("", "Vectors, cases, mutants, source, results")
+    return page
 
 
 def _proof(cases: str) -> str:

@@ -1,0 +1,71 @@
+"""Runs the conformance suite against all testees, and the suite for hosts against our hosts.
+
+What flows in: conformance/testees/*.toml and conformance/hosts/*.py. What flows out: reports of
+each in build/conformance, a matrix page over all of them, one line a testee, and exit status 0 when
+all conform. Rules: no more runs at a time than there are cores to spare, because some cases measure
+time; a testee that cannot be built here fails.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+OUT = ROOT / "build" / "conformance"
+CONFORM = [sys.executable, "-m", "j2a_conformance"]
+
+
+def commands() -> dict[str, list[str]]:
+    """Return the arguments of j2a-conform for each testee, by the name of its reports."""
+    found = {
+        path.stem: ["run", str(path)] for path in sorted(ROOT.glob("conformance/testees/*.toml"))
+    }
+    for path in sorted(ROOT.glob("conformance/hosts/*.py")):
+        found[f"host-{path.stem}"] = ["host", "--", sys.executable, str(path)]
+    return found
+
+
+def run(name: str, arguments: list[str]) -> tuple[bool, str]:
+    """Run the suite once; return whether it passed, and the line to print."""
+    start_s = time.monotonic()
+    kinds = {"json": "json", "html": "html", "junit": "xml", "badge": "svg"}
+    reports = [f"--{option}={OUT / name}.{suffix}" for option, suffix in kinds.items()]
+    command = [*CONFORM, arguments[0], *reports, *arguments[1:]]
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
+    (OUT / f"{name}.txt").write_text(done.stdout + done.stderr, "utf-8")
+    took_s = time.monotonic() - start_s
+    last = (done.stdout.strip() or done.stderr.strip() or "(nothing was printed)").splitlines()[-1]
+    if done.returncode:
+        last = f"exit code {done.returncode}\n{done.stdout}{done.stderr}"
+    return done.returncode == 0, f"{name:16} {took_s:5.1f} s  {last}"
+
+
+def main() -> int:
+    """Run what was asked for; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="only these testees")
+    args = parser.parse_args()
+    chosen = {n: a for n, a in commands().items() if not args.names or n in args.names}
+    if not chosen:
+        parser.error(f"no such testee; there are {', '.join(commands())}")
+    OUT.mkdir(parents=True, exist_ok=True)
+    for old in OUT.iterdir():
+        old.unlink()
+    good = True
+    with ThreadPoolExecutor(max_workers=max(1, (os.cpu_count() or 1) // 2)) as pool:
+        for passed, line in pool.map(run, chosen, chosen.values()):
+            print(line, flush=True)
+            good &= passed
+    reports = [str(OUT / f"{name}.json") for name in chosen if (OUT / f"{name}.json").exists()]
+    page = [*CONFORM, "matrix", *reports, "--html", str(OUT / "index.html")]
+    return 0 if subprocess.run(page, check=False).returncode == 0 and good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,188 @@
+"""Traces each requirement: clause, vectors, cases, tests, mutants, source lines, last results.
+
+What flows in: the specification, the cases, the tables and the kill matrix of conformance/mutants,
+the marks in tests/library, and the JSON reports of a run over all testees (tools/conformance.py).
+What flows out: conformance/traceability.json, from which the documentation makes a page for each
+requirement; with --check nothing is written, and a difference is an error. Rules: what is committed
+holds no line numbers and no times, so that it changes only when a link in the chain does.
+"""
+
+import argparse
+import ast
+import difflib
+import json
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from j2a_conformance import Verdict
+from j2a_conformance._smoke import SMOKE
+from j2a_conformance.cases import load as load_cases
+from j2a_conformance.host.cases import load as load_host_cases
+from j2a_spec import requirements
+
+ROOT = Path(__file__).resolve().parent.parent
+SNAPSHOT = ROOT / "conformance" / "traceability.json"
+RESULTS = ROOT / "build" / "conformance"
+MUTANTS = ROOT / "conformance" / "mutants"
+VECTORS = ROOT / "spec" / "j2a_spec" / "vectors"
+LIBRARY = ROOT / "tests" / "library"
+C_FUNCTION = re.compile(r"^[a-z].*?(\w+)\([^;]*\{$", re.MULTILINE | re.DOTALL)
+
+# The worst of the cases of a requirement is its result.
+WORST_FIRST = (
+    Verdict.FAILED,
+    Verdict.KNOWN_DEVIATION,
+    Verdict.NON_STRICT,
+    Verdict.OK,
+    Verdict.INFORMATIONAL,
+    Verdict.UNIMPLEMENTED,
+)
+
+
+def sections() -> dict[str, str]:
+    """Return, for each requirement, the heading of SPEC.md that it stands under."""
+    found, heading = {}, ""
+    for line in (ROOT / "spec" / "SPEC.md").read_text("utf-8").splitlines():
+        if line.startswith("#"):
+            heading = line.lstrip("# ")
+        elif match := re.match(r"\*\*(J2A-[A-Z]+-\d{3})\*\*", line):
+            found[match[1]] = heading
+    return found
+
+
+def vectors() -> Iterator[tuple[str, str]]:
+    """Yield (requirement, id) of each golden vector."""
+    for path in sorted(VECTORS.glob("*.json")):
+        for test in json.loads(path.read_text("utf-8")).get("tests", ()):
+            for name in test["requirements"]:
+                yield name, test["id"]
+
+
+def library_tests() -> Iterator[tuple[str, str]]:
+    """Yield (requirement, test) of each mark `requirement` in the tests of the library."""
+    for path in sorted(LIBRARY.glob("test_*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            for mark in getattr(node, "decorator_list", ()):
+                if isinstance(mark, ast.Call) and ast.unparse(mark.func).endswith("requirement"):
+                    for argument in mark.args:
+                        name = ast.literal_eval(argument)
+                        yield name, f"{path.relative_to(ROOT)}::{getattr(node, 'name', '')}"
+
+
+def mutants() -> Iterator[dict[str, Any]]:
+    """Yield the entries of all tables of mutants."""
+    for path in sorted(MUTANTS.glob("*.toml")):
+        yield from tomllib.loads(path.read_text("utf-8")).get("mutant", ())
+
+
+def edits(mutant: dict[str, Any]) -> list[dict[str, str]]:
+    """Return what a mutant changes: its own one edit, or several."""
+    return [*([mutant] if "find" in mutant else []), *mutant.get("edits", ())]
+
+
+def source(edit: dict[str, str]) -> dict[str, str]:
+    """Return the place of an edit: file, function, and the first line that it changes."""
+    path = ROOT / edit["file"]
+    text = path.read_text("utf-8")
+    at = text.index(edit["find"])
+    line = text[text.rfind("\n", 0, at) + 1 :].split("\n", 1)[0].strip()
+    number = text.count("\n", 0, at) + 1
+    if path.suffix == ".py":
+        function = _python_name(ast.parse(text), number)
+    else:
+        names = [m[1] for m in C_FUNCTION.finditer(text) if m.start() <= at]
+        function = names[-1] if names else ""
+    return {"file": edit["file"], "function": function, "line": line}
+
+
+def _python_name(node: ast.AST, number: int, prefix: str = "") -> str:
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            inside = child.lineno <= number <= (child.end_lineno or 0)
+            if inside:
+                return _python_name(child, number, f"{prefix}{child.name}.")
+    return prefix.rstrip(".")
+
+
+def results(folder: Path) -> dict[str, dict[str, str]]:
+    """Return, for each testee whose report is in `folder`, the verdict of each case."""
+    found = {}
+    for path in sorted(folder.glob("*.json")):
+        report = json.loads(path.read_text("utf-8"))
+        found[path.stem] = {result["case"]: result["verdict"] for result in report["results"]}
+    return found
+
+
+def collect(folder: Path) -> dict[str, Any]:
+    """Return the whole trace, with the results of the reports in `folder`."""
+    where = sections()
+    ran = results(folder)
+    matrix = json.loads((MUTANTS / "matrix.json").read_text("utf-8"))
+    killed_by = {row["id"]: row["killed_by"] for row in matrix["mutants"]}
+    if new := {mutant["id"] for mutant in mutants()} - set(killed_by):
+        sys.exit(f"matrix.json lacks {', '.join(sorted(new))}: run kill.py --write first")
+    of_vectors, of_library, of_mutants = list(vectors()), list(library_tests()), list(mutants())
+    trace = {}
+    for r in requirements.load().values():
+        cases = [case.ID for case in (*SMOKE, *load_cases()) if r.id in case.REQUIREMENTS]
+        host_cases = [case.ID for case in load_host_cases() if r.id in case.REQUIREMENTS]
+        ids = {*cases, *host_cases}
+        trace[r.id] = {
+            "section": where[r.id],
+            "level": r.level,
+            "role": r.role,
+            "source": r.source,
+            "text": r.text,
+            "exception": r.exception,
+            "vectors": [vector for name, vector in of_vectors if name == r.id],
+            "cases": cases,
+            "host_cases": host_cases,
+            "tests": [test for name, test in of_library if name == r.id],
+            "mutants": [
+                {
+                    "id": mutant["id"],
+                    "what": mutant["what"],
+                    "killed_by": killed_by[mutant["id"]],
+                    "sources": [source(edit) for edit in edits(mutant)],
+                }
+                for mutant in of_mutants
+                if mutant["requirement"] == r.id
+            ],
+            "results": {
+                testee: _worst([v for case, v in verdicts.items() if case in ids])
+                for testee, verdicts in ran.items()
+            },
+        }
+    return trace
+
+
+def _worst(verdicts: list[str]) -> str:
+    return next((v.value for v in WORST_FIRST if v.value in verdicts), "")
+
+
+def main() -> int:
+    """Write the snapshot, or compare it; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing, fail on a difference")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the reports")
+    args = parser.parse_args()
+    fresh = json.dumps(collect(args.results), indent=1, ensure_ascii=False) + "\n"
+    if not args.check:
+        SNAPSHOT.write_text(fresh, "utf-8")
+        return 0
+    committed = SNAPSHOT.read_text("utf-8")
+    if fresh == committed:
+        print(f"{len(json.loads(fresh))} requirements are traced as {SNAPSHOT.name} says")
+        return 0
+    lines = (committed.splitlines(), fresh.splitlines())
+    print("\n".join(difflib.unified_diff(*lines, "committed", "now", lineterm="")))
+    print("traceability.json is not what the sources say; look at the difference, then: make trace")
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
