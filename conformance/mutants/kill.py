@@ -84,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
         help="write matrix.json: every case, and again those that fail",
     )
     parser.add_argument(
-        "-j", "--jobs", type=int, default=2, metavar="N", help="mutants at a time (2)"
+        "-j", "--jobs", type=int, default=4, metavar="N", help="mutants at a time (4)"
     )
     parser.add_argument("-v", "--verbose", action="store_true", help="show each mutant as it ends")
     return parser
