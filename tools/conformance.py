@@ -51,18 +51,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these testees")
     args = parser.parse_args()
-    chosen = {n: a for n, a in commands().items() if not args.names or n in args.names}
-    if not chosen:
-        parser.error(f"no such testee; there are {', '.join(commands())}")
+    every = commands()
+    if unknown := set(args.names) - set(every):
+        parser.error(f"no testee {', '.join(sorted(unknown))}; there are {', '.join(every)}")
+    chosen = {name: every[name] for name in args.names} or every
     OUT.mkdir(parents=True, exist_ok=True)
     for old in OUT.iterdir():
-        old.unlink()
+        if chosen is every or old.stem in chosen:
+            old.unlink()
     good = True
     with ThreadPoolExecutor(max_workers=max(1, (os.cpu_count() or 1) // 2)) as pool:
         for passed, line in pool.map(run, chosen, chosen.values()):
             print(line, flush=True)
             good &= passed
-    reports = [str(OUT / f"{name}.json") for name in chosen if (OUT / f"{name}.json").exists()]
+    reports = [str(path) for path in sorted(OUT.glob("*.json"))]
     page = [*CONFORM, "matrix", *reports, "--html", str(OUT / "index.html")]
     return 0 if subprocess.run(page, check=False).returncode == 0 and good else 1
 

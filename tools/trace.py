@@ -21,6 +21,7 @@ from typing import Any
 from j2a_conformance import Verdict
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance.cases import load as load_cases
+from j2a_conformance.host import START
 from j2a_conformance.host.cases import load as load_host_cases
 from j2a_spec import requirements
 
@@ -84,19 +85,27 @@ def edits(mutant: dict[str, Any]) -> list[dict[str, str]]:
     return [*([mutant] if "find" in mutant else []), *mutant.get("edits", ())]
 
 
-def source(edit: dict[str, str]) -> dict[str, str]:
-    """Return the place of an edit: file, function, and the first line that it changes."""
+def source(edit: dict[str, str]) -> dict[str, Any]:
+    """Return the place of an edit: file, function, the first line that it changes, and which it is.
+
+    `occurrence` is the number of lines of the same text before this one.
+    """
     path = ROOT / edit["file"]
     text = path.read_text("utf-8")
-    at = text.index(edit["find"])
-    line = text[text.rfind("\n", 0, at) + 1 :].split("\n", 1)[0].strip()
+    pairs = zip(edit["find"], edit["replace"], strict=False)
+    kept = next((n for n, (old, new) in enumerate(pairs) if old != new), len(edit["replace"]))
+    # What is only added stands behind the last line that stays.
+    at = text.index(edit["find"]) + min(kept, len(edit["find"].rstrip()) - 1)
     number = text.count("\n", 0, at) + 1
+    lines = [line.strip() for line in text.splitlines()]
+    line = lines[number - 1]
     if path.suffix == ".py":
         function = _python_name(ast.parse(text), number)
     else:
         names = [m[1] for m in C_FUNCTION.finditer(text) if m.start() <= at]
         function = names[-1] if names else ""
-    return {"file": edit["file"], "function": function, "line": line}
+    occurrence = lines[: number - 1].count(line)
+    return {"file": edit["file"], "function": function, "line": line, "occurrence": occurrence}
 
 
 def _python_name(node: ast.AST, number: int, prefix: str = "") -> str:
@@ -129,7 +138,7 @@ def collect(folder: Path) -> dict[str, Any]:
     trace = {}
     for r in requirements.load().values():
         cases = [case.ID for case in (*SMOKE, *load_cases()) if r.id in case.REQUIREMENTS]
-        host_cases = [case.ID for case in load_host_cases() if r.id in case.REQUIREMENTS]
+        host_cases = [case.ID for case in (START, *load_host_cases()) if r.id in case.REQUIREMENTS]
         ids = {*cases, *host_cases}
         trace[r.id] = {
             "section": where[r.id],
@@ -170,6 +179,8 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="write nothing, fail on a difference")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the reports")
     args = parser.parse_args()
+    if not any(args.results.glob("*.json")):
+        parser.error(f"no reports in {args.results}: run `make conformance` first")
     fresh = json.dumps(collect(args.results), indent=1, ensure_ascii=False) + "\n"
     if not args.check:
         SNAPSHOT.write_text(fresh, "utf-8")

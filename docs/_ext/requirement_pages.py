@@ -14,6 +14,7 @@ from typing import Any
 from j2a_conformance import Case
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance.cases import load as load_cases
+from j2a_conformance.host import START
 from j2a_conformance.host.cases import load as load_host_cases
 from sphinx.application import Sphinx
 
@@ -29,7 +30,7 @@ def write_pages(app: Sphinx) -> None:
     folder = Path(app.srcdir) / FOLDER
     folder.mkdir(exist_ok=True)
     trace = json.loads(SNAPSHOT.read_text("utf-8"))
-    cases = {case.ID: case for case in (*SMOKE, *load_cases(), *load_host_cases())}
+    cases = {case.ID: case for case in (*SMOKE, *load_cases(), START, *load_host_cases())}
     tests = {test["id"]: test for path in VECTORS.glob("*.json") for test in _tests(path)}
     pages = {
         folder / f"{name}.md": "\n".join(_page(name, entry, cases, tests))
@@ -64,7 +65,8 @@ def _page(
         yield from (f"- `{test}`" for test in entry["tests"])
     yield from _mutants(entry["mutants"])
     if any(entry["results"].values()):
-        yield "\n## Last results\n\n| testee | verdict |\n|---|---|"
+        yield "\n## Last results\n\nThe worst verdict of its cases that were judged.\n"
+        yield "| testee | verdict |\n|---|---|"
         yield from (
             f"| {testee} | {verdict} |" for testee, verdict in entry["results"].items() if verdict
         )
@@ -94,7 +96,8 @@ def _mutants(mutants: list[dict[str, Any]]) -> Iterator[str]:
         yield "\n## Mutants, and where the rule lives\n"
     for mutant in mutants:
         killers = ", ".join(f"`{case}`" for case in mutant["killed_by"])
-        yield f"`{mutant['id']}`\n: It {_text(mutant['what'])}. Killed by {killers}.\n"
+        what = mutant["what"][:1].upper() + mutant["what"][1:]
+        yield f"`{mutant['id']}`\n: {_text(what)}. Killed by {killers}.\n"
         for source in mutant["sources"]:
             number = _line_number(source)
             inside = f", in `{source['function']}`" if source["function"] else ""
@@ -102,9 +105,12 @@ def _mutants(mutants: list[dict[str, Any]]) -> Iterator[str]:
             yield f"  ```text\n  {source['line']}\n  ```\n"
 
 
-def _line_number(source: dict[str, str]) -> int:
+def _line_number(source: dict[str, Any]) -> int:
+    """Return where the line stands now: the same text may stand in several functions."""
     lines = (ROOT / source["file"]).read_text("utf-8").splitlines()
-    return next((n for n, line in enumerate(lines, 1) if line.strip() == source["line"]), 1)
+    same = [n for n, line in enumerate(lines, 1) if line.strip() == source["line"]]
+    before: int = source["occurrence"]
+    return same[before]
 
 
 def _text(text: str) -> str:
