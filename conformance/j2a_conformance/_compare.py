@@ -132,11 +132,11 @@ def _cases(found: Comparison) -> Iterator[str]:
 
 
 def _others(found: Comparison) -> Iterator[str]:
-    pairs = zip(levels(found.before), levels(found.after), strict=True)
+    after = {entry.level: entry.standing for entry in levels(found.after)}
     changed = [
-        f"{old.level}  {old.standing.value} -> {new.standing.value}"
-        for old, new in pairs
-        if old.standing is not new.standing
+        f"{old.level}  {old.standing.value} -> {after[old.level].value}"
+        for old in levels(found.before)
+        if after.get(old.level, old.standing) is not old.standing
     ]
     yield from _part("levels", changed)
     yield from _part("claims", list(_claims(found.before.claims, found.after.claims)))

@@ -12,11 +12,13 @@ from j2a_spec.requirements import Level
 
 from ._annotate import annotate
 from ._deviations import STRICT
-from ._model import Evidence, Result, Run, Verdict
+from ._model import Evidence, Outcome, Result, Run, Verdict
+from ._summary import judgement
 
 __all__ = ["evidence_lines", "line", "report"]
 
 _EVIDENCE_SHOWN = 12
+_WIDEST = max(len(verdict.value) for verdict in Verdict)
 _EXPLAINED = (
     Verdict.UNIMPLEMENTED,
     Verdict.INFORMATIONAL,
@@ -31,7 +33,9 @@ def line(result: Result) -> str:
     again = f" ({result.attempts} attempts)" if result.attempts > 1 else ""
     again += f" ({result.repeated} exchanges repeated)" if result.repeated else ""
     reason = f": {result.reason}" if result.reason else ""
-    return f"{result.verdict.value:13} {result.case}  {result.duration_s:.2f} s{again}{reason}"
+    return (
+        f"{result.verdict.value:{_WIDEST}} {result.case}  {result.duration_s:.2f} s{again}{reason}"
+    )
 
 
 def report(run: Run) -> str:
@@ -124,8 +128,6 @@ def _end(run: Run) -> Iterator[str]:
     yield ""
     if run.stopped:
         yield f"The run ended early: {run.stopped}."
-    if run.stale:
-        yield "The list of known deviations is out of date; see STALE above."
     reached = [level for level, is_so in run.levels().items() if is_so]
     missed = [level for level, is_so in run.levels().items() if is_so is False]
     if reached or missed:
@@ -133,15 +135,13 @@ def _end(run: Run) -> Iterator[str]:
         yield f"Levels: reaches {', '.join(reached) or 'none'}{but}."
     unseen = ", ".join(result.case for result in run.with_verdict(Verdict.INFORMATIONAL))
     but = f"; not seen on this link: {unseen}" if unseen else ""
-    yield f"{_judgement(run)}{but}; {run.duration_s:.1f} s."
+    yield f"{_sentence(run)}{but}; {run.duration_s:.1f} s."
 
 
-def _judgement(run: Run) -> str:
-    if not run.conformant:
-        return f"The {run.role} is NOT conformant"
-    if not run.tested:
-        return f"Nothing was tested: the {run.role} has nothing that the chosen cases need"
-    part = " in what was run" if run.stopped else ""
-    judge = "" if run.profile == STRICT else f" by the profile {run.profile}"
-    known = " but for known deviations" if run.with_verdict(Verdict.KNOWN_DEVIATION) else ""
-    return f"The {run.role} is conformant{part}{judge}{known}"
+def _sentence(run: Run) -> str:
+    words = judgement(run)
+    if not run.tested and run.outcome is not Outcome.FAILED:
+        return words.capitalize()
+    if run.outcome is Outcome.FAILED:
+        words = f"NOT{words.removeprefix('not')}"  # what has no colour needs capitals
+    return f"The {run.role} is {words}"

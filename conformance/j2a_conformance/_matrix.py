@@ -27,7 +27,7 @@ class _Column:
     name: str
     judgement: str
     judged: str
-    levels: tuple[LevelSummary, ...]
+    levels: dict[Level, LevelSummary]
     cases: tuple[CaseView, ...]
 
     def cell(self, case: str) -> "_Cell":
@@ -60,7 +60,11 @@ def render(runs: Sequence[Run]) -> bytes:
         "matrix.html.j2",
         title="1 run" if len(runs) == 1 else f"{len(runs)} runs",
         columns=columns,
-        levels=list(zip(*(column.levels for column in columns), strict=True)),
+        levels=[
+            (level, [column.levels.get(level) for column in columns])
+            for level in get_args(Level)
+            if any(level in column.levels for column in columns)
+        ],
         groups=[
             (level, rows) for level in get_args(Level) if (rows := tuple(_rows(level, columns)))
         ],
@@ -76,7 +80,13 @@ def _column(number: int, run: Run) -> _Column:
     ]
     views.sort(key=lambda view: WORST_FIRST.index(view.result.verdict))
     return _Column(
-        f"run-{number}", run, name(run), judgement(run), tone(run), levels(run), tuple(views)
+        id=f"run-{number}",
+        run=run,
+        name=name(run),
+        judgement=judgement(run),
+        judged=tone(run),
+        levels={entry.level: entry for entry in levels(run)},
+        cases=tuple(views),
     )
 
 

@@ -1,7 +1,7 @@
 """What a run is, as data: every report is made from a `Run` and from nothing else.
 
-What flows in: the runner fills these classes. What flows out: console, JUnit and later reports.
-Rules: frozen; no report adds a judgement of its own.
+What flows in: the runner fills these classes. What flows out: every report, and the exit code.
+Rules: frozen; no report adds a judgement of its own, `Run.outcome` is what all of them say.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from typing import Final, Literal, get_args
 from j2a_spec import SPEC_VERSION
 from j2a_spec.requirements import Level
 
-__all__ = ["Claims", "Evidence", "HarnessError", "Kind", "Result", "Run", "Verdict"]
+__all__ = ["Claims", "Evidence", "HarnessError", "Kind", "Outcome", "Result", "Run", "Verdict"]
 
 Kind = Literal["sent", "received", "sif", "expected", "note"]
 
@@ -48,6 +48,20 @@ class Verdict(Enum):
     def judged(self) -> bool:
         """Something was seen of what the case is about."""
         return self not in (Verdict.INFORMATIONAL, Verdict.UNIMPLEMENTED)
+
+
+class Outcome(Enum):
+    """What a run comes to; where several are true, the first one."""
+
+    FAILED = "failed"
+    """A case failed."""
+    STOPPED = "stopped"
+    """The run ended early, so only a part was judged, which is no proof of anything."""
+    STALE = "stale"
+    """Nothing failed, but the list of known deviations is out of date."""
+    NOTHING = "nothing"
+    """None of the cases that were asked for was judged."""
+    CONFORMANT = "conformant"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,9 +188,23 @@ class Run:
         return tuple(result for result in self.results if result.verdict is verdict)
 
     @property
+    def outcome(self) -> Outcome:
+        """What the run comes to."""
+        if self.with_verdict(Verdict.FAILED):
+            return Outcome.FAILED
+        if self.stopped:
+            return Outcome.STOPPED
+        if self.stale:
+            return Outcome.STALE
+        return Outcome.CONFORMANT if self.tested else Outcome.NOTHING
+
+    @property
     def conformant(self) -> bool:
-        """No case failed, and at least one passed."""
-        return not self.with_verdict(Verdict.FAILED) and any(r.verdict.passed for r in self.results)
+        """Something was tested, no case failed, and the run did not end early.
+
+        A list of known deviations that is out of date is no fault of the device.
+        """
+        return self.tested and self.outcome in (Outcome.CONFORMANT, Outcome.STALE)
 
     @property
     def tested(self) -> bool:
@@ -187,6 +215,7 @@ class Run:
     def levels(self) -> dict[Level, bool | None]:
         """Return for each level whether the device reaches it; None where that is not known.
 
+        Only levels that the suite has a case of are among them; that for hosts has none of debug.
         A level is reached when the one below it is (frame, then core, then any other), no case of
         it failed, known deviation or not, and at least one passed. It is not known of a level that
         the device does not claim, or of which not every case was run.
@@ -195,6 +224,8 @@ class Run:
         for level in get_args(Level):
             verdicts = {r.verdict for r in self.results if r.level == level}
             whole = level not in self.not_run.values()
+            if whole and not verdicts:
+                continue
             below = found.get(_NEEDS.get(level, "core"), True)
             if below is False or verdicts & {Verdict.FAILED, Verdict.KNOWN_DEVIATION}:
                 found[level] = False

@@ -11,7 +11,7 @@ from typing import Final
 
 from j2a_spec.requirements import Level
 
-from ._model import Run, Verdict
+from ._model import Outcome, Run, Verdict
 
 __all__ = ["WORST_FIRST", "LevelSummary", "Standing", "judgement", "levels", "name", "tone"]
 
@@ -64,7 +64,7 @@ class LevelSummary:
 
 
 def levels(run: Run) -> tuple[LevelSummary, ...]:
-    """Return a summary for each level, in the order of the specification."""
+    """Return a summary for each level that has cases, in the order of the specification."""
     return tuple(_level(run, level, reached) for level, reached in run.levels().items())
 
 
@@ -87,26 +87,34 @@ def _level(run: Run, level: Level, reached: bool | None) -> LevelSummary:
 
 
 def judgement(run: Run) -> str:
-    """Return what the run says about the device, in a few words."""
-    if failed := len(run.with_verdict(Verdict.FAILED)):
+    """Return what the run says about the device, in a few words that every report shows."""
+    stale = "; the list of known deviations is out of date" if run.stale else ""
+    return _words(run) + stale
+
+
+def _words(run: Run) -> str:
+    if run.outcome is Outcome.FAILED:
+        failed = len(run.with_verdict(Verdict.FAILED))
         return f"not conformant: {failed} of {len(run.results)} cases failed"
-    if not run.conformant or not run.tested:
-        return "nothing was tested"
+    early = ": the run ended early" if run.stopped else ""
+    if not run.tested:
+        return f"nothing was tested{early}"
     if run.stopped:
-        return "the run ended early"
+        return f"not judged{early}"
     judge = "" if run.profile == "strict" else f" by the profile {run.profile}"
-    if run.with_verdict(Verdict.KNOWN_DEVIATION):
-        return f"conformant{judge} but for known deviations"
-    return f"conformant{judge}" + (" in what was run" if run.not_run else "")
+    known = " but for known deviations" if run.with_verdict(Verdict.KNOWN_DEVIATION) else ""
+    part = " in what was run" if run.not_run else ""
+    return f"conformant{judge}{known}{part}"
 
 
 def tone(run: Run) -> str:
     """Return the verdict whose colour fits the judgement, or "not-run"."""
-    if run.with_verdict(Verdict.FAILED):
+    if run.outcome is Outcome.FAILED:
         return "failed"
-    if not run.conformant or not run.tested or run.stopped:
+    if not run.conformant:
         return "not-run"
-    return "known-deviation" if run.with_verdict(Verdict.KNOWN_DEVIATION) else "ok"
+    known = run.stale or run.with_verdict(Verdict.KNOWN_DEVIATION)
+    return "known-deviation" if known else "ok"
 
 
 def name(run: Run) -> str:

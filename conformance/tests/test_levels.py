@@ -1,17 +1,26 @@
 """Which levels a device reaches, by the verdicts of a run."""
 
+from dataclasses import replace
+from typing import get_args
+
 import pytest
 from j2a_conformance import Result, Run, Verdict
 from j2a_conformance._console import report
+from j2a_conformance.host import START
+from j2a_conformance.host import load as load_host
+from j2a_spec.requirements import Level
 
 OK, FAILED = Verdict.OK, Verdict.FAILED
 
 
 def run_of(*verdicts, **fields):
+    """Return a run of a suite that has cases of all levels; those of the rest were not run."""
     results = tuple(
         Result(f"case.{number}", "Does.", "Expects.", ("J2A-FRAME-001",), level, verdict)
         for number, (level, verdict) in enumerate(verdicts)
     )
+    rest = {f"rest.{level}": level for level in get_args(Level) if level not in dict(verdicts)}
+    fields["not_run"] = rest | fields.get("not_run", {})
     return Run(url="", started="", duration_s=0.0, claims=None, results=results, **fields)
 
 
@@ -39,6 +48,14 @@ def test_a_level_that_was_run_in_part_is_neither_reached_nor_missed():
     verdicts = [("frame", OK), ("core", OK)]
     assert run_of(*verdicts, not_run={"other": "core"}).levels()["core"] is None
     assert run_of(*verdicts, ("core", FAILED), not_run={"other": "core"}).levels()["core"] is False
+
+
+def test_a_level_that_the_suite_has_no_case_of_is_not_listed():
+    cases = [case for case in (START, *load_host()) if case.LEVEL != "frame"]
+    run = replace(run_of(("frame", FAILED)), role="host")
+    run = replace(run, not_run={case.ID: case.LEVEL for case in cases})
+    assert set(run.levels()) == {*get_args(Level)} - {"debug"}
+    assert "; not frame, core, mapping, many, properties, sif, timing.\n" in report(run)
 
 
 def test_the_report_ends_with_the_levels():

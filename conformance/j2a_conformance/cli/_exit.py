@@ -1,6 +1,8 @@
 """The exit codes of `j2a-conform`. Rule: all but HARNESS are judgements."""
 
-from j2a_conformance._model import Run, Verdict
+from typing import Final
+
+from j2a_conformance._model import Outcome, Run
 
 __all__ = ["CONFORMANT", "FAILED", "HARNESS", "NOTHING", "UNEXPECTED", "UsageError", "status"]
 
@@ -15,6 +17,14 @@ HARNESS = 3
 NOTHING = 4
 """Nothing was tested: the device claims none of what was asked for."""
 
+_STATUS: Final = {
+    Outcome.FAILED: FAILED,
+    Outcome.STOPPED: HARNESS,
+    Outcome.STALE: UNEXPECTED,
+    Outcome.NOTHING: NOTHING,
+    Outcome.CONFORMANT: CONFORMANT,
+}
+
 
 class UsageError(Exception):
     """The arguments do not go together; the message says how they do."""
@@ -22,10 +32,4 @@ class UsageError(Exception):
 
 def status(run: Run) -> int:
     """Return the exit code of a run."""
-    if run.with_verdict(Verdict.FAILED):
-        return FAILED
-    if run.stopped:
-        return HARNESS  # only a part was judged, which is no proof of anything
-    if run.stale:
-        return UNEXPECTED
-    return CONFORMANT if run.tested else NOTHING
+    return _STATUS[run.outcome]

@@ -29,7 +29,8 @@ UNIMPLEMENTED, INFORMATIONAL = Verdict.UNIMPLEMENTED, Verdict.INFORMATIONAL
         (run_of(), "nothing was tested", "not-run"),
         (run_of(UNIMPLEMENTED), "nothing was tested", "not-run"),
         (run_of(OK, UNIMPLEMENTED, asked=("case.1",)), "nothing was tested", "not-run"),
-        (run_of(OK, stopped="interrupted"), "the run ended early", "not-run"),
+        (run_of(OK, stopped="interrupted"), "not judged: the run ended early", "not-run"),
+        (run_of(stopped="interrupted"), "nothing was tested: the run ended early", "not-run"),
         (run_of(OK, KNOWN), "conformant but for known deviations", "known-deviation"),
         (run_of(OK, not_run={"b": "core"}), "conformant in what was run", "ok"),
         (run_of(OK, profile="old"), "conformant by the profile old", "ok"),
@@ -49,11 +50,15 @@ def test_the_judgement(run, words, colour):
         (run_of(OK, not_run={"b": "frame"}), Standing.INCOMPLETE),
         (run_of(INFORMATIONAL), Standing.INCOMPLETE),
         (run_of(UNIMPLEMENTED), Standing.NOT_CLAIMED),
-        (run_of(), Standing.NOT_RUN),
+        (run_of(not_run={"b": "frame"}), Standing.NOT_RUN),
     ],
 )
 def test_the_standing_of_a_level(run, standing):
     assert levels(run)[0].standing is standing
+
+
+def test_a_level_without_a_case_is_not_listed():
+    assert [entry.level for entry in levels(run_of(OK, not_run={"b": "sif"}))] == ["frame", "sif"]
 
 
 def test_a_level_is_not_reached_above_one_that_failed():
