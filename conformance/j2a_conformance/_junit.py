@@ -1,19 +1,22 @@
 """The report for build servers: JUnit XML, a suite for each level.
 
-What flows in: a `Run`. What flows out: XML. JUnit knows no "informational": such a case passes,
-with its reason in the output; an unimplemented one and one that is known to fail are skipped.
+What flows in: a `Run`. What flows out: XML. Rules: it is green only where the exit code is 0, so what
+is wrong with the run as a whole is a test case, too. JUnit knows no "informational": such a case
+passes, with its reason in the output; an unimplemented one and one that is known to fail are skipped.
 """
 
+from collections.abc import Iterable, Iterator
 from io import BytesIO
 from typing import get_args
 
 from j2a_spec import requirements
 from j2a_spec.requirements import Level
-from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
+from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 
 from ._console import evidence_lines
-from ._model import Result, Run, Verdict
+from ._model import Outcome, Result, Run, Verdict
 from ._printable import printable
+from ._summary import judgement
 
 __all__ = ["render"]
 
@@ -22,19 +25,40 @@ def render(run: Run) -> bytes:
     """Return the report as XML."""
     xml = JUnitXml("J2A conformance")
     for level in get_args(Level):
-        results = [result for result in run.results if result.level == level]
-        if not results:
-            continue
-        suite = TestSuite(f"J2A {level}")
-        suite.timestamp = run.started
-        suite.add_property("url", printable(run.url))
-        for result in results:
-            suite.add_testcase(_case(result))
-        xml.add_testsuite(suite)
+        if cases := [_case(result) for result in run.results if result.level == level]:
+            xml.add_testsuite(_suite(run, level, cases))
+    if whole := list(_whole(run)):
+        xml.add_testsuite(_suite(run, "run", whole))
     xml.update_statistics()  # type: ignore[no-untyped-call]
     file = BytesIO()
     xml.write(file, pretty=True)
     return file.getvalue()
+
+
+def _suite(run: Run, name: str, cases: Iterable[TestCase]) -> TestSuite:
+    suite = TestSuite(f"J2A {name}")
+    suite.timestamp = run.started
+    for key, value in (("url", run.url), ("profile", run.profile), ("lossy", str(run.lossy))):
+        suite.add_property(key, printable(value))
+    for case in cases:
+        suite.add_testcase(case)
+    return suite
+
+
+def _whole(run: Run) -> Iterator[TestCase]:
+    """Yield a test case for all that is wrong with the run and not with a case of it."""
+    if run.stopped:
+        yield _wrong("stopped", Error(printable(f"the run ended early: {run.stopped}"), "stopped"))
+    elif run.outcome is Outcome.NOTHING:
+        yield _wrong("nothing", Error(judgement(run), "nothing"))
+    for number, sentence in enumerate(run.stale, 1):
+        yield _wrong(f"stale.{number}", Failure(printable(sentence), "stale"))
+
+
+def _wrong(name: str, what: Error | Failure) -> TestCase:
+    case = TestCase(f"run.{name}", "j2a.run")
+    case.result = [what]
+    return case
 
 
 def _case(result: Result) -> TestCase:
