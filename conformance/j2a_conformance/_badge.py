@@ -1,14 +1,14 @@
 """The badge: an SVG that says which levels a device or host reaches.
 
 What flows in: a `Run`. What flows out: SVG that needs nothing else and looks the same on light and
-dark pages. Rules: a run with a failed case gets no levels; the text is given its length, so it fits
-whatever font the viewer has.
+dark pages. Rules: only a device that the run calls conformant gets levels; the text is given its
+length, so it fits whatever font the viewer has.
 """
 
 from typing import Final
 from xml.sax.saxutils import escape
 
-from ._model import Run, Verdict
+from ._model import Outcome, Run
 from ._printable import printable
 from ._summary import Standing, levels
 
@@ -60,13 +60,16 @@ def _label(run: Run) -> str:
 
 
 def _message(run: Run) -> tuple[str, str]:
-    if run.with_verdict(Verdict.FAILED):
+    if run.outcome is Outcome.FAILED:
         return "failed", _RED
+    if not run.conformant:
+        return ("the run ended early" if run.tested else "nothing was tested"), _GREY
     entries = levels(run)
     names = [entry.level for entry in entries if entry.standing is Standing.REACHED]
     if not names:
         return "no level reached", _GREY
-    return "all levels" if len(names) == len(entries) else ", ".join(names), _GREEN
+    said = "all levels" if len(names) == len(entries) else ", ".join(names)
+    return f"{said}, lossy link" if run.lossy else said, _GREEN
 
 
 def _width(text: str) -> int:

@@ -14,10 +14,12 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def run_of(verdicts, **options):
-    """Return a run with a case of each level that `verdicts` names."""
+    """Return a run with a case of each level that `verdicts` names; the others were not run."""
     results = tuple(
         Result(f"{level}.case", "", "", (), level, verdict) for level, verdict in verdicts.items()
     )
+    rest = {f"{level}.rest": level for level in get_args(Level) if level not in verdicts}
+    options = {"not_run": rest} | options
     return Run("loopback", "2026-01-02T03:04:05+00:00", 1.0, None, results, **options)
 
 
@@ -33,7 +35,11 @@ RUNS = [
     ),
     (run_of(ALL | {"sif": Verdict.FAILED}), "failed"),
     (run_of(ALL | {"frame": Verdict.KNOWN_DEVIATION}), "no level reached"),
-    (run_of({}), "no level reached"),
+    (run_of({}), "nothing was tested"),
+    (run_of(ALL, stopped="interrupted"), "the run ended early"),
+    (run_of(ALL, lossy=100), "all levels, lossy link"),
+    (run_of({"frame": Verdict.OK}, lossy=100), "frame, lossy link"),
+    (run_of(ALL | {"sif": Verdict.FAILED}, lossy=100), "failed"),
 ]
 
 
