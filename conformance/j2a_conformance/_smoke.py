@@ -3,6 +3,7 @@
 What flows in: a peer without claims. What flows out: its claims. Rules: a silent link is a fault of
 the harness (`HarnessError`), an answer that is wrong is a fault of the device, and the reason names
 the requirement; when a smoke case fails nothing else is run, because nothing else could be judged.
+On a lossy link a device is wrong only by whole answers: broken ones may be the link's doing.
 """
 
 from collections import deque
@@ -11,7 +12,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import Event, Frame, FrameError, Skipped
+from j2a_spec.oracle import Event, Frame, FrameError, Skipped, decode
 
 from ._case import Case
 from ._judge import Judged, fail
@@ -34,7 +35,33 @@ _WITHOUT_MAPPING = (
 )
 
 
-class Answers(Case):
+class _Smoke(Case):
+    """A case of the smoke step."""
+
+    def run(self, peer: Peer) -> None:
+        """Judge the device; see `Case.run`.
+
+        Raises:
+            HarnessError: nothing answers, or the link loses too much to tell.
+        """
+        try:
+            super().run(peer)
+        except Judged as judged:
+            if peer.link.lossy and _mostly_broken(peer):
+                raise HarnessError(
+                    f"the link loses too much: hardly any answer is whole ({judged.reason}); "
+                    f"--lossy N makes more than {peer.link.lossy} attempts"
+                ) from judged
+            raise
+
+
+def _mostly_broken(peer: Peer) -> bool:
+    evidence, _ = peer.link.evidence()
+    events = [e for entry in evidence if entry.kind == "received" for e in decode(entry.data)]
+    return 2 * sum(isinstance(event, Frame) for event in events) <= len(events)
+
+
+class Answers(_Smoke):
     """Calls opcode 0 a few times."""
 
     ID = "smoke.answer"
@@ -96,7 +123,8 @@ class Answers(Case):
 def _diagnose(peer: Peer, seen: Collection[Arrival]) -> None:
     tail = peer.link.unfinished()
     noise = (b"".join(a.raw for a in seen) + tail)[:32].hex(" ")
-    if not peer.settle():
+    # A single late answer is no noise, however short the waits are.
+    if not peer.settle() and noise:
         raise HarnessError(
             f"bytes arrive without end: {noise}. {_LINE} Is it a J2A device that does not log "
             "on the same link?"
@@ -149,7 +177,7 @@ def _opcode_zero(peer: Peer) -> tuple[int, bytes]:
     return frame.opcode, frame.payload
 
 
-class Mapping(Case):
+class Mapping(_Smoke):
     """Takes the mapping; where there is none, looks for a2jEcho at the opcodes that it may have."""
 
     ID = "smoke.mapping"
@@ -193,7 +221,7 @@ class Mapping(Case):
         return (c.GET_MAPPING, c.MANY, *between, c.GET_ECHO, c.GET_ECHO_MANY)
 
 
-class Echo(Case):
+class Echo(_Smoke):
     """Exchanges a few short echoes, and reads the properties as a claim."""
 
     ID = "smoke.echo"
