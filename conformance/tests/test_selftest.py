@@ -98,6 +98,15 @@ def test_a_chip_with_little_flash_says_what_it_left_out(planted, capsys):
     assert f"it ran {len(SMALL)} of {len(KNOWN)}" in capsys.readouterr().out
 
 
+def test_the_smoke_step_is_shown(build_firmware, capsys):
+    url = f"faults:seed=1:exec:{shlex.quote(str(build_firmware('selftest')))}"
+    assert main(["selftest", url, "-v", "--baud", "115200"]) == 0
+    out = capsys.readouterr().out
+    assert [line.split()[:2] for line in out.splitlines()[:3]] == [
+        ["ok", f"smoke.{name}"] for name in ("answer", "mapping", "echo")
+    ]
+
+
 def test_a_device_without_a_self_test(build_firmware, capsys):
     url = f"exec:{shlex.quote(str(build_firmware('builtins')))}"
     assert main(["selftest", url]) == 4
@@ -110,7 +119,8 @@ def test_a_device_without_a_self_test(build_firmware, capsys):
         (["exec:cat"], 1),
         (["exec:true"], 3),
         (["nonsense:"], 3),
-        (["exec:cat", "--timeout-scale", "0"], 3),
+        (["exec:cat", "--timeout-scale", "0.009"], 3),
+        (["exec:cat", "--baud", "49"], 3),
     ],
 )
 def test_what_answers_wrongly_or_not_at_all(arguments, status, capsys):

@@ -1,12 +1,13 @@
-"""Where the device is: a URL or a testee file, and the rate of the link.
+"""Where the device is: a URL or a testee file, the rate of the link, and how patient to be.
 
 What flows in: what the user wrote. What flows out: a `Target`, for as long as the device runs.
 """
 
+import argparse
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -18,12 +19,14 @@ from j2a_conformance._testee import load_testee
 
 from ._exit import UsageError
 
-__all__ = ["FRESH", "Target", "reach"]
+__all__ = ["Target", "add_arguments", "check", "reach"]
 
-FRESH: Final = ("exec:", "pty:", "sim:")
+_FRESH: Final = ("exec:", "pty:", "sim:")
 """Opening a URL of one of these schemes starts the device."""
 
 _FAULTS: Final = re.compile(r"(?:faults:[^:]*:)*")
+_BAUDS: Final = range(50, 50_000_001)
+_SCALES: Final = (0.01, 1000)  # with less, no answer comes in time
 _BAUD: Final = re.compile(r"[?&]baud=([0-9]+)(?:&|$)")
 
 
@@ -44,6 +47,42 @@ class Target:
     title: str
     known: tuple[Deviation, ...]
     opener: Callable[[], Transport]
+
+    @property
+    def inner(self) -> str:
+        """The URL without leading `faults:`."""
+        return self.url[len(_FAULTS.match(self.url)[0]) :]  # type: ignore[index]  # always matches
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments about the speed of the link."""
+    command.add_argument(
+        "--baud",
+        type=int,
+        metavar="N",
+        help="bits a second of a slow link: waits fit it from the start, and a serial port is set "
+        "to it",
+    )
+    command.add_argument(
+        "--timeout-scale",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="multiply every wait for an answer, for slow links",
+    )
+
+
+def check(args: argparse.Namespace) -> None:
+    """Refuse what the arguments of `add_arguments` cannot be.
+
+    Raises:
+        UsageError: a value is out of range.
+    """
+    least, most = _SCALES
+    if not least <= args.timeout_scale < most:
+        raise UsageError(f"--timeout-scale takes a number from {least} to below {most}")
+    if args.baud is not None and args.baud not in _BAUDS:
+        raise UsageError(f"--baud takes a number from {_BAUDS.start} to {_BAUDS.stop - 1}")
 
 
 @contextmanager
@@ -73,18 +112,12 @@ def _target(
     title: str = "",
     known: tuple[Deviation, ...] = (),
 ) -> Target:
-    inner = url[len(_FAULTS.match(url)[0]) :]  # type: ignore[index]  # the pattern matches anything
-    keywords = {}
-    if baud and inner.startswith("serial:"):
-        own = _BAUD.search(inner)
+    keywords: dict[str, int] = {}
+    target = Target(url, fresh, title, known, lambda: j2a_transports.open(url, **keywords))
+    if baud and target.inner.startswith("serial:"):
+        own = _BAUD.search(target.inner)
         if own is None:
             keywords["baud"] = baud
         elif int(own[1]) != baud:
             raise UsageError(f"--baud {baud} and baud={own[1]} in the URL are not the same")
-    return Target(
-        url=url,
-        fresh=fresh or inner.startswith(FRESH),
-        title=title,
-        known=known,
-        opener=lambda: j2a_transports.open(url, **keywords),
-    )
+    return replace(target, fresh=fresh or target.inner.startswith(_FRESH))

@@ -6,19 +6,16 @@ vectors than those of this suite is no proof, so it fails.
 """
 
 import argparse
-from contextlib import ExitStack
-from pathlib import Path
 
-import j2a_transports
 from j2a_spec import constants as c
 
 from j2a_conformance import _console
-from j2a_conformance._model import Run
+from j2a_conformance._model import Result, Run
 from j2a_conformance._runner import run
 from j2a_conformance._selftest import HOW_TO_BUILD, SelfTest, read
-from j2a_conformance._testee import load_testee
 
-from ._exit import CONFORMANT, FAILED, NOTHING, UsageError
+from . import _target
+from ._exit import CONFORMANT, FAILED, NOTHING, status
 
 __all__ = ["add_arguments", "main"]
 
@@ -31,12 +28,9 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "than those of this suite, 3 harness or link wrong, 4 the device has no self-test."
     )
     command.add_argument("url", metavar="URL", help="the device, or a testee file")
+    _target.add_arguments(command)
     command.add_argument(
-        "--timeout-scale",
-        type=float,
-        default=1.0,
-        metavar="X",
-        help="multiply every wait for an answer, for slow links",
+        "-v", "--verbose", action="store_true", help="show each case of the smoke step as it ends"
     )
 
 
@@ -46,16 +40,26 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         HarnessError: nothing can be said about the device.
     """
-    if not 0 < args.timeout_scale < 1000:
-        raise UsageError("--timeout-scale takes a number above 0 and below 1000")
-    with ExitStack() as running:
-        url = args.url
-        if url.endswith(".toml"):
-            url = running.enter_context(load_testee(Path(url)).started())
-        found = run(lambda: j2a_transports.open(url), (), url=url, timeout_scale=args.timeout_scale)
+    _target.check(args)
+
+    def show(result: Result) -> None:
+        if args.verbose:
+            print(_console.line(result), flush=True)
+
+    baud = args.baud or 0
+    with _target.reach(args.url, baud) as target:
+        found = run(
+            target.opener,
+            (),
+            url=target.url,
+            timeout_scale=args.timeout_scale,
+            baud=baud,
+            fresh=target.fresh,
+            on_result=show,
+        )
     if found.claims is None:
         print(_console.report(found))
-        return FAILED
+        return status(found)
     return _judge(found)
 
 
