@@ -2,7 +2,8 @@
 
 What flows in: two runs, the older one first. What flows out: `Comparison`, and it as text. Rules: a
 regression is a case that both runs have and that has a worse verdict now; a case that one of them
-lacks is named, and is no regression.
+lacks is named, and is no regression. Every run begins with the same steps, so these are compared,
+but two runs that have nothing else in common do not count as compared.
 """
 
 from collections.abc import Iterator
@@ -10,7 +11,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from ._model import Claims, Result, Run, Verdict
+from ._smoke import SMOKE
 from ._summary import judgement, levels, name
+from .host import START
 
 __all__ = ["Comparison", "compare", "report"]
 
@@ -22,6 +25,8 @@ _BADNESS: Final = {
     Verdict.KNOWN_DEVIATION: 3,
     Verdict.FAILED: 4,
 }
+_FIRST: Final = frozenset(case.ID for case in (*SMOKE, START))
+"""What every run begins with, whatever is asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +54,7 @@ class Comparison:
     Attributes:
         before: the older run.
         after: the newer run.
-        compared: number of cases that both have.
+        compared: number of cases that both have, beside those that every run begins with.
         changes: the cases whose verdict differs, or the reason of a failure.
         added: results of cases that only the newer run has.
         gone: results of cases that only the older run has, or that were not run again.
@@ -82,7 +87,7 @@ def compare(before: Run, after: Run) -> Comparison:
     return Comparison(
         before,
         after,
-        len(both),
+        sum(change.after.case not in _FIRST for change in both),
         tuple(change for change in both if _differs(change)),
         tuple(new[case] for case in new if case not in old),
         tuple(old[case] for case in old if case not in new),
@@ -107,6 +112,7 @@ def _heads(found: Comparison) -> Iterator[str]:
         ("role", found.before.role, found.after.role),
         ("link", found.before.url, found.after.url),
         ("profile", found.before.profile, found.after.profile),
+        ("attempts on a lossy link", found.before.lossy, found.after.lossy),
         ("J2A", found.before.j2a_version, found.after.j2a_version),
         ("specification", found.before.spec_version, found.after.spec_version),
     ):
@@ -170,7 +176,10 @@ def _end(found: Comparison) -> Iterator[str]:
         left = _number(len(found.lost), "case")
         yield f"The newer run ended early: {found.after.stopped}; {left} unjudged."
     worse = _number(len(found.regressions), "regression")
-    yield f"{_number(found.compared, 'case')} compared: {worse}."
+    if found.compared:
+        yield f"{_number(found.compared, 'case')} compared: {worse}."
+    else:
+        yield f"no case in common beside those that every run begins with: {worse} in these."
 
 
 def _part(title: str, lines: list[str]) -> Iterator[str]:

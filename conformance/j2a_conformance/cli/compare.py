@@ -18,7 +18,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.description = (
         "Compares two runs: cases, levels and claims. A regression is a case with a worse verdict. "
         "Exit code: 0 no regression, 1 regressions, 3 a file is no report or the newer run ended "
-        "early, 4 no case in common."
+        "early, 4 no case in common beside those that every run begins with."
     )
     command.add_argument("before", type=Path, metavar="A.json", help="of `run --json`, the older")
     command.add_argument("after", type=Path, metavar="B.json", help="of `run --json`, the newer")
@@ -34,7 +34,6 @@ def main(args: argparse.Namespace) -> int:
     print(_compare.report(found), flush=True)
     if found.regressions:
         return FAILED
-    if not found.compared:
-        return NOTHING
-    # What a run that ended early did not judge may have become worse.
-    return HARNESS if found.lost else CONFORMANT
+    if found.lost:
+        return HARNESS  # what was not judged may have become worse
+    return CONFORMANT if found.compared else NOTHING

@@ -143,6 +143,35 @@ def test_nothing_in_common(files):
     assert main(["compare", *files(run_of(result("a")), run_of(result("b")))]) == 4
 
 
+@pytest.mark.parametrize("first", ["smoke.answer", "host.start"])
+def test_what_every_run_begins_with_is_nothing_in_common(first, files, capsys):
+    before = run_of(result(first), result("a"))
+    after = run_of(result(first), result("b"))
+    assert main(["compare", *files(before, after)]) == 4
+    assert "no case in common beside those that every run begins with" in capsys.readouterr().out
+    # It is compared all the same, and a run that ended early is one.
+    worse = run_of(result(first, Verdict.FAILED, "reason"), not_run={"a": "frame"})
+    assert main(["compare", *files(before, worse)]) == 1
+    early = run_of(result(first), stopped="interrupted", not_run={"a": "frame"})
+    assert main(["compare", *files(before, early)]) == 3
+    assert main(["compare", *files(before, replace(before, results=before.results[::-1]))]) == 0
+    assert capsys.readouterr().out.endswith("\n1 case compared: no regression.\n")
+
+
+def test_heads_that_differ():
+    one = run_of(result("a"))
+    other = replace(one, url="tcp://x", profile="old", lossy=100, role="host", spec_version="2")
+    lines = report(compare(one, replace(other, j2a_version="3"))).splitlines()
+    assert lines[2:8] == [
+        "role: device -> host",
+        "link: loopback -> tcp://x",
+        "profile: strict -> old",
+        "attempts on a lossy link: 0 -> 100",
+        f"J2A: {one.j2a_version} -> 3",
+        f"specification: {one.spec_version} -> 2",
+    ]
+
+
 def test_files_that_are_no_reports(files, tmp_path, capsys):
     good = files(run_of(result("a")))[0]
     other = tmp_path / "other.txt"

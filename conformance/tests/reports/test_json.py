@@ -104,7 +104,7 @@ def test_any_run_gives_sound_reports(run):
         assert text.count("<details") == text.count("</details>")
         assert text.count("<script>") == text.count("</script>") == 1
         assert "\0" not in text
-    assert report(compare(run, run)).endswith("no regression.")
+    assert "no regression" in report(compare(run, run)).splitlines()[-1]
 
 
 def test_a_real_run_comes_back_and_fits_the_schema(failed_run, tmp_path):
