@@ -10,7 +10,7 @@ from j2a_conformance import _json
 from j2a_conformance._model import HarnessError
 
 from . import _reports
-from ._exit import CONFORMANT
+from ._exit import CONFORMANT, UsageError
 
 __all__ = ["add_arguments", "main"]
 
@@ -18,8 +18,8 @@ __all__ = ["add_arguments", "main"]
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     command.description = (
-        "Makes one page of several runs. Exit code: 0 written, 3 a file is no report or the page "
-        "cannot be written."
+        "Makes one page of several runs. Exit code: 0 written, 3 a file is no report, or the page "
+        "cannot be written or would replace one of the reports."
     )
     command.add_argument(
         "reports", nargs="+", type=Path, metavar="FILE.json", help="of `run --json`"
@@ -34,7 +34,11 @@ def main(args: argparse.Namespace) -> int:
 
     Raises:
         HarnessError: a file is no report, a package is missing, or the page cannot be written.
+        UsageError: the page would replace a report.
     """
+    if args.html.resolve() in {path.resolve() for path in args.reports}:
+        raise UsageError(f"the page would replace the report {args.html}; give it another name")
+    _reports.check_writable(args.html)
     render = _reports.renderer("matrix", "matrix")
     runs = [_json.read(path) for path in args.reports]
     try:

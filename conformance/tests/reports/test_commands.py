@@ -97,7 +97,24 @@ def test_the_matrix_command(failed_run, good_run, tmp_path, capsys):
     assert "2 runs" in text
     assert 'href="#run-2-case-frame.interrupted"' in text
     assert 'id="run-2-case-frame.interrupted"' in text
-    assert main(["matrix", str(page), "--html", str(page)]) == 3
+    assert main(["matrix", str(page), "--html", str(tmp_path / "other.html")]) == 3
     assert f"{page} is no report of j2a-conform" in capsys.readouterr().err
-    assert main(["matrix", names[0], "--html", str(tmp_path)]) == 3
-    assert f"cannot write {tmp_path}" in capsys.readouterr().err
+    assert not (tmp_path / "other.html").exists()
+
+
+def test_the_matrix_command_replaces_no_report(good_run, tmp_path, capsys):
+    report, link = tmp_path / "a.json", tmp_path / "link.html"
+    report.write_bytes(render(good_run))
+    link.symlink_to(report)
+    for page in (report, tmp_path / ".." / tmp_path.name / "a.json", link):
+        with pytest.raises(SystemExit) as caught:
+            main(["matrix", str(report), "--html", str(page)])
+        assert caught.value.code == 3
+        assert "would replace the report" in capsys.readouterr().err
+    assert report.read_bytes() == render(good_run)
+
+
+def test_a_matrix_that_cannot_be_written_is_found_before_the_reports_are_read(tmp_path, capsys):
+    for page in (tmp_path, tmp_path / "none" / "page.html"):
+        assert main(["matrix", str(tmp_path / "none.json"), "--html", str(page)]) == 3
+        assert f"cannot write {page}" in capsys.readouterr().err
