@@ -1,8 +1,9 @@
 """The report for build servers: JUnit XML, a suite for each level.
 
-What flows in: a `Run`. What flows out: XML. Rules: it is green only where the exit code is 0, so what
-is wrong with the run as a whole is a test case, too. JUnit knows no "informational": such a case
-passes, with its reason in the output; an unimplemented one and one that is known to fail are skipped.
+What flows in: a `Run`. What flows out: XML. Rules: it is green only where the exit code is 0, so
+what is wrong with the run as a whole is a test case, too. JUnit knows no "informational": such a
+case passes, with its reason in the output; an unimplemented one and one that is known to fail are
+skipped.
 """
 
 from collections.abc import Iterable, Iterator
