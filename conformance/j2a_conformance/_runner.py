@@ -62,7 +62,7 @@ def run(
         on_result: called with each result as it comes.
 
     Returns:
-        The run; also when it was interrupted from the keyboard or the device was lost.
+        The run; also when it was interrupted or the device was lost.
 
     Raises:
         HarnessError: the link cannot be opened, or nothing answers.
@@ -93,7 +93,7 @@ def run(
             if stopped:
                 break
     except KeyboardInterrupt:
-        stopped = "interrupted from the keyboard"
+        stopped = "interrupted"
     finally:
         session.close()
     ran = {result.case for result in results}

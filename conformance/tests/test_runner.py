@@ -9,6 +9,8 @@ from j2a_conformance import HarnessError, Verdict, load, run
 from j2a_conformance._case import Case
 from j2a_conformance._console import report
 from j2a_conformance._judge import fail
+from j2a_conformance._peer import Peer
+from j2a_conformance.cases import sif
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 from j2a_transports import LinkClosed, LinkLost, OpenFailed, pair
@@ -115,7 +117,7 @@ def test_an_unfinished_reply_names_the_option(reference, judged):
             return super().wire(start, seq, opcode, payload)[: 100 if len(payload) == 255 else None]
 
     found = judged(Stops, ["frame.layout"], timeout_scale=0.1)
-    assert "--timeout-scale" in found.results[-1].reason
+    assert "--baud" in found.results[-1].reason
 
 
 class SilentDevice:
@@ -219,8 +221,55 @@ def test_an_interrupted_run_is_reported(reference, judged):
 
     found = judged(reference, on_result=interrupt)
     assert list(found.results) == seen
-    assert "keyboard" in found.stopped
+    assert found.stopped == "interrupted"
     assert "ended early: interrupted" in report(found)
+
+
+@pytest.mark.parametrize("name", ["sif.whole", "sif.during-delay"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_an_exception_within_a_case_is_no_verdict(name, error, reference, judged, monkeypatch):
+    """The answer that was waited for comes late; no later request may take it for its own."""
+    armed = []
+
+    def period(peer, ms):
+        started(peer, ms)
+        armed.append(ms)
+
+    def expect(peer, *expected, wait_s=0.0):
+        if armed == [1] or armed == [2]:
+            armed.append("only once")
+            raise error
+        return expected_before(peer, *expected, wait_s=wait_s)
+
+    started, expected_before = sif._period, Peer.expect
+    monkeypatch.setattr(sif, "_period", period)
+    monkeypatch.setattr(Peer, "expect", expect)
+    if error is KeyboardInterrupt:
+        found = judged(reference, [name])
+        assert found.stopped.startswith("interrupted")
+        assert name not in {result.case for result in found.results}
+    else:
+        with pytest.raises(error):
+            judged(reference, [name])
+    assert armed[1:] == ["only once"]
+
+
+def test_the_first_failure_within_a_case_is_the_reason(reference, judged):
+    class Forgets(reference):
+        """Has no answers any more once SIFs have come for a while."""
+
+        def do_sif(self, payload):
+            self.stopped = True
+            return super().do_sif(payload)
+
+        def send(self, start, seq, opcode, payload):
+            if getattr(self, "stopped", False):
+                start, opcode = c.SOF, 0x77
+            super().send(start, seq, opcode, payload)
+
+    found = judged(Forgets, ["sif.whole"], timeout_scale=0.1)
+    assert found.results[-1].verdict is Verdict.FAILED
+    assert "code 0x77" in found.results[-1].reason
 
 
 class AnotherStore:

@@ -2,14 +2,16 @@
 
 import random
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
+from j2a_transports import TransportError
 
 from j2a_conformance._case import Case
-from j2a_conformance._judge import fail, inform
+from j2a_conformance._judge import Judged, fail, inform
 from j2a_conformance._peer import Expected, Peer, refusal
 from j2a_conformance._wire import Arrival
 
@@ -18,8 +20,25 @@ from .frame import patterns
 PERIODIC = 0x20
 
 
-def period(peer: Peer, ms: int) -> None:
-    """Have the device send a SIF every `ms` milliseconds; 0 stops."""
+@contextmanager
+def periodic(peer: Peer, ms: int) -> Iterator[None]:
+    """Have the device send a SIF every `ms` milliseconds meanwhile.
+
+    What ends the block is never replaced: behind an exception that is no judgement the answers may
+    be out of step, and then nothing can be asked any more.
+    """
+    _period(peer, ms)
+    try:
+        yield
+    except Judged:
+        with suppress(Judged, TransportError):
+            _period(peer, 0)
+        raise
+    _period(peer, 0)
+
+
+def _period(peer: Peer, ms: int) -> None:
+    """Have a SIF sent every `ms` milliseconds; 0 stops."""
     peer.ask(peer.request(peer.opcode("sifPeriod"), struct.pack("<H", ms), c.RET_OK))
 
 
@@ -123,8 +142,7 @@ class Whole(Case):
     def _run(self, peer: Peer) -> None:
         before = len(peer.link.sifs)
         rng = random.Random(4)
-        period(peer, 1)
-        try:
+        with periodic(peer, 1):
             end_s = peer.link.now_s() + 0.3
             while peer.link.now_s() < end_s or len(peer.link.sifs) < before + 20:
                 peer.ask(peer.echo(rng.choice(patterns(rng.choice((1, 30, 254, 255))))))
@@ -132,8 +150,6 @@ class Whole(Case):
                 peer.ask(peer.request(peer.opcode("sif"), b"\x44" + payload))
                 if peer.link.now_s() > end_s + 5 * peer.link.reply_timeout_s:
                     fail("no SIFs come, though `sifPeriod` was asked for them")
-        finally:
-            period(peer, 0)
         check_counter(peer)
 
 
@@ -183,14 +199,11 @@ class DuringDelay(Case):
 
     def _run(self, peer: Peer) -> None:
         before = len(peer.link.sifs)
-        period(peer, 2)
-        try:
+        with periodic(peer, 2):
             for _ in range(3):
                 delay = peer.request(peer.opcode("delay"), struct.pack("<H", 60), c.RET_OK)
                 peer.play(delay.wire, delay.expected, wait_s=0.06)
                 peer.next_sif(len(peer.link.sifs))
-        finally:
-            period(peer, 0)
         check_counter(peer)
         counts = [
             int.from_bytes(sif.payload, "little")

@@ -47,7 +47,7 @@ def run(
         on_result: called with each result as it comes.
 
     Returns:
-        The run; also when it was interrupted from the keyboard or the host was lost.
+        The run; also when it was interrupted or the host was lost.
 
     Raises:
         HarnessError: the host does not start or does not connect.
@@ -74,7 +74,7 @@ def run(
         if results[-1].verdict is not Verdict.FAILED:
             host.job("bye")
     except KeyboardInterrupt:
-        stopped = "interrupted from the keyboard"
+        stopped = "interrupted"
     finally:
         host.close()
     ran = {result.case for result in results}
