@@ -11,7 +11,7 @@ from j2a_conformance import _html as html
 from j2a_conformance import _matrix as matrix
 from j2a_spec import requirements
 
-VOID = {"meta", "link", "img", "br", "input"}
+VOID = {"meta", "link", "img", "br", "input", "wbr"}
 
 
 class Page(HTMLParser):
@@ -190,6 +190,45 @@ def test_in_a_browser(browser, file, width, scheme):
     dark = browser.value("getComputedStyle(document.body).backgroundColor") == "rgb(20, 23, 27)"
     assert dark == (scheme == "dark")
     assert complaints(browser, file) == []
+
+
+PLACES = """
+(() => {
+  const box = document.querySelector(".scroll");
+  box.scrollTo(200, 150);
+  const at = (words) => box.querySelector(words).getBoundingClientRect();
+  const inner = box.getBoundingClientRect();
+  const name = at("tbody:last-child tr:last-child th");
+  return {
+    more: box.scrollWidth - box.clientWidth,
+    moved: [box.scrollLeft, box.scrollTop],
+    name: name.left - inner.left,
+    head: at("thead th").top - inner.top,
+    corner: [at("thead td").left - inner.left, at("thead td").top - inner.top],
+    share: [name.width / inner.width, inner.height / innerHeight],
+    behind: getComputedStyle(box).backgroundImage,
+  };
+})()
+"""
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nine_runs_side_by_side(browser, failed_run, good_run, tmp_path, width):
+    title = "A device with a title as long as titles are, at 115200 baud"
+    runs = [replace(run, title=title) for run in (good_run, failed_run, good_run) * 3]
+    path = tmp_path / "matrix.html"
+    path.write_bytes(matrix.render(runs))
+    browser.show(path.as_uri(), width, 500)
+    assert browser.value(OVERFLOW) == 0
+    assert "9 runs; where it is wider" in browser.value("document.body.innerText")
+    places = browser.value(PLACES)
+    assert places["more"] > 200
+    assert places["moved"] == [200, 150]
+    # Whatever is scrolled, the names of cases and of runs are where they were.
+    assert (places["name"], places["head"], places["corner"]) == (0, 0, [0, 0])
+    assert places["share"][0] < 0.5
+    assert places["share"][1] <= 0.9
+    assert "gradient" in places["behind"]
 
 
 @pytest.fixture
