@@ -1,4 +1,12 @@
-"""The step that every run begins with: is there a host program, and does it speak J2A at all?"""
+"""The step that every run begins with: is there a host program, and does it speak J2A at all?
+
+What flows in: a host that has connected. What flows out: what it says that it is. Rules: as with
+devices, a silent link is a fault of the harness (`HarnessError`), bytes that are wrong are one of
+the host.
+"""
+
+from j2a_conformance._judge import Judged
+from j2a_conformance._model import HarnessError
 
 from ._case import HostCase
 from ._host import Host
@@ -25,7 +33,17 @@ class Start(HostCase):
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:
-        host.title = host.outcome("ready").rest
+        try:
+            host.title = host.outcome("ready").rest
+        except Judged as judged:
+            lines, _ = host.link.evidence()
+            came = any(line.kind in ("received", "sif") for line in lines)
+            if came or host.link.unfinished():
+                raise
+            raise HarnessError(
+                f"{judged.reason}. A host program connects and calls the opcode 0xE0 by itself; "
+                "a slow one needs a larger --timeout-scale."
+            ) from judged
 
 
 START = Start()

@@ -53,12 +53,8 @@ def test_harness_errors_exit_with_3(arguments, message, capsys):
 @pytest.mark.parametrize(
     ("code", "reason"),
     [
-        ("time.sleep(60)", "nothing came from the host"),
-        ("s.close(); time.sleep(60)", "the host closed the link"),
-        ("raise SystemExit('oh no')", "exit code 1:\noh no"),
         ("s.send(b'GET / HTTP/1.0\\r\\n'); time.sleep(60)", "16 bytes outside a frame"),
         ("s.send(b'\\x12\\x00\\xe0'); time.sleep(60)", "12 00 e0 has no end"),
-        ("[s.send(s.recv(100) or b'\\x12') for _ in range(99)]", "nothing came"),
     ],
 )
 def test_programs_that_speak_no_j2a_fail(code, reason, capsys):
@@ -69,6 +65,20 @@ def test_programs_that_speak_no_j2a_fail(code, reason, capsys):
     assert reason in out
     assert "host.start failed, so nothing else can be judged" in out
     assert "The host is NOT conformant" in out
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("time.sleep(60)", "nothing came from the host"),
+        ("s.close(); time.sleep(60)", "the host closed the link"),
+        ("raise SystemExit('oh no')", "exit code 1:\noh no"),
+        ("[s.send(s.recv(100) or b'\\x12') for _ in range(99)]", "nothing came"),
+    ],
+)
+def test_of_programs_that_send_nothing_nothing_is_said(code, reason, capsys):
+    assert main(["host", "--timeout-scale", "0.05", *program(code)]) == 3
+    assert reason in capsys.readouterr().err
 
 
 def test_a_program_that_ends_after_each_failure_is_started_anew(host_reference, host_judged):
