@@ -3,29 +3,36 @@
 What flows in: a file with `title`, and `url` or `serve`, and perhaps `build`, `needs`, `fresh` and
 `[[deviation]]` tables.
 What flows out: a URL to judge, for as long as the testee runs. Rules: commands run in the root of
-the repository, which is two folders above the file and the value of `{root}`; what was started is
-ended.
+the repository, which is two folders above the file and the value of `{root}`; nothing waits without
+an end; what was started is ended, with all that it started itself.
 """
 
 import os
 import re
+import shlex
 import shutil
-import subprocess
 import sys
-import threading
+import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final
+
+import j2a_transports
 
 from ._deviations import Deviation, parse
 from ._model import HarnessError
+from ._process import Process
 
 __all__ = ["Testee", "load_testee"]
 
-_URL = re.compile(r"\b[a-z]+:/\S+")
+_COMMANDS: Final = ("build", "serve", "needs")
+_ROOT: Final = "{root}"
+_BUILD_S = 600.0
 _START_S = 60.0
+_SLICE_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +41,7 @@ class Testee:
 
     Attributes:
         title: what it is.
-        url: where it answers; "" where `serve` prints that.
+        url: where it answers, `{root}` in place of the root; "" where `serve` prints that.
         build: command that builds it, or ().
         serve: command that serves it and prints its URL in a line of its own, or ().
         needs: programs without which it cannot be built.
@@ -57,20 +64,18 @@ class Testee:
         """Build the testee, start it, and give its URL.
 
         Raises:
-            HarnessError: a command failed; the message has what it printed.
+            HarnessError: a command failed or took too long; the message has what it printed.
         """
         if self.build:
             self._build()
         if not self.serve:
-            yield self.url
+            yield self.url.replace(_ROOT, str(self.root))
             return
-        with subprocess.Popen(
-            self._command(self.serve), cwd=self.root, stdout=subprocess.PIPE, text=True
-        ) as process:
-            try:
-                yield self._served_url(process)
-            finally:
-                process.terminate()
+        process = Process(self._command(self.serve), self.root)
+        try:
+            yield self._served_url(process)
+        finally:
+            process.end()
 
     def _command(self, words: tuple[str, ...]) -> list[str]:
         # The programs of this environment come first, also where it is not activated.
@@ -82,46 +87,73 @@ class Testee:
     def _build(self) -> None:
         # A make that runs this must not hand its job server to the make below.
         env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
-        done = subprocess.run(
-            self._command(self.build),
-            cwd=self.root,
-            env=env,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode:
-            raise HarnessError(f"{' '.join(self.build)} failed:\n{done.stdout}{done.stderr}")
-
-    def _served_url(self, process: subprocess.Popen[str]) -> str:
-        assert process.stdout is not None
-        timer = threading.Timer(_START_S, process.kill)
-        timer.start()
+        process = Process(self._command(self.build), self.root, env)
         try:
-            for line in process.stdout:
-                if match := _URL.search(line):
-                    return match[0]
+            code = process.code(_BUILD_S)
         finally:
-            timer.cancel()
-        raise HarnessError(f"{' '.join(self.serve)} ended without printing a URL")
+            process.end()
+        if code is None:
+            how = f"did not end within {_BUILD_S:g} s"
+        elif code:
+            how = "failed"
+        else:
+            return
+        raise HarnessError(f"{shlex.join(self.build)} {how}:\n{process.said()}")
+
+    def _served_url(self, process: Process) -> str:
+        # A server may print other addresses, too, such as that of its documentation.
+        url = re.compile(rf"\b(?:{'|'.join(map(re.escape, j2a_transports.schemes()))}):/\S+(?=\s)")
+        deadline_s = time.monotonic() + _START_S
+        how = f"printed no URL within {_START_S:g} s"
+        while time.monotonic() < deadline_s:
+            code = process.code(_SLICE_S)
+            if match := url.search(process.said()):
+                return match[0]
+            if code is not None:
+                how = f"ended with exit code {code} without printing a URL"
+                break
+        raise HarnessError(f"{shlex.join(self.serve)} {how}:\n{process.said()}")
 
 
 def load_testee(path: Path) -> Testee:
     """Read a testee file.
 
     Raises:
-        HarnessError: it cannot be read, or is not a testee.
+        HarnessError: it cannot be read, or is not a testee; the message says why.
     """
-    root = path.resolve().parents[2]
     try:
         entry = tomllib.loads(path.read_text("utf-8"))
-        for key in {"build", "serve", "needs"} & set(entry):
-            entry[key] = tuple(entry[key])
-        entry["deviations"] = parse(entry.pop("deviation", []), str(path))
-        entry["url"] = entry.get("url", "").replace("{root}", str(root))
-        testee = Testee(root=root, **entry)
-    except (OSError, TypeError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise HarnessError(f"{path} is no testee: {error}") from error
-    if bool(testee.url) == bool(testee.serve):
-        raise HarnessError(f"{path} is no testee: it needs either `url` or `serve`")
-    return testee
+    if mistake := _mistake(entry):
+        raise HarnessError(f"{path} is no testee: {mistake}")
+    folders = path.resolve().parents
+    if len(folders) < 3:
+        raise HarnessError(
+            f"{path} is no testee: it stands two folders below the root of its repository, such as "
+            "conformance/testees/NAME.toml, and the commands run in that root"
+        )
+    deviations = parse(entry.pop("deviation", []), str(path))
+    words: dict[str, Any] = {key: tuple(entry.pop(key, ())) for key in _COMMANDS}
+    return Testee(root=folders[2], deviations=deviations, **words, **entry)
+
+
+def _mistake(entry: dict[str, object]) -> str:
+    """Return what is wrong with a testee file, or ""; its deviations are another matter."""
+    if unknown := entry.keys() - {"title", "url", "fresh", "deviation", *_COMMANDS}:
+        return f"there is no key `{min(unknown)}`"
+    if not _is_text(entry.get("title")):
+        return "it needs a `title`, a text"
+    if not _is_text(entry.get("url", "-")):
+        return "`url` is a text"
+    if not isinstance(entry.get("fresh", False), bool):
+        return "`fresh` is true or false"
+    for key in _COMMANDS:
+        words = entry.get(key, ["-"])
+        if not isinstance(words, list) or not words or not all(map(_is_text, words)):
+            return f'`{key}` is a list of words, such as ["make", "-s"]'
+    return "" if ("url" in entry) != ("serve" in entry) else "it needs either `url` or `serve`"
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str) and bool(value)

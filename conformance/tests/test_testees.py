@@ -5,7 +5,7 @@ from pathlib import Path
 import j2a_transports
 import junitparser
 import pytest
-from j2a_conformance import Verdict, load, run
+from j2a_conformance import Verdict, _json, load, run
 from j2a_conformance._testee import load_testee
 from j2a_conformance.cli import main
 
@@ -45,6 +45,8 @@ def test_by_the_command_line(name, tmp_path, capsys):
     status = main(["run", str(FOLDER / f"{name}.toml"), *reports, "-v"])
     assert status == 0, capsys.readouterr().out
     assert "all levels" in (tmp_path / "badge").read_text("utf-8")
+    if name == "posix":
+        assert _json.read(tmp_path / "json").url == "exec:{root}/firmware/build/posix/demo"
     assert (tmp_path / "html").stat().st_size < 2_000_000
     xml = junitparser.JUnitXml.fromfile(str(tmp_path / "junit"))
     assert (xml.tests, xml.failures, xml.errors, xml.skipped) == (len(load()) + 3, 0, 0, 1)

@@ -35,7 +35,7 @@ class Target:
     """A device that can be reached.
 
     Attributes:
-        url: where.
+        url: where, as reports name it: `{root}` stands for the root of a testee's repository.
         fresh: opening the link resets it.
         title: what it is, or "".
         known: the deviations that it is known to have.
@@ -102,7 +102,8 @@ def reach(where: str, baud: int = 0) -> Iterator[Target]:
         return
     testee = load_testee(Path(where))
     with testee.started() as url:
-        yield _target(url, baud, testee.fresh, testee.title, testee.deviations)
+        target = _target(url, baud, testee.fresh, testee.title, testee.deviations)
+        yield replace(target, url=testee.url or url)
 
 
 def _target(

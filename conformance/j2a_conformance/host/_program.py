@@ -4,21 +4,16 @@ What flows in: a command, or a URL to listen at. What flows out: links to the ho
 waits without an end; what was started is ended, with all that it started itself.
 """
 
-import contextlib
-import os
-import signal
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
-from typing import IO, Protocol, Self
+from typing import Protocol, Self
 
 import j2a_transports
 from j2a_transports import Transport, TransportError
 
 from j2a_conformance._judge import fail
 from j2a_conformance._model import HarnessError
+from j2a_conformance._process import Process
 
 __all__ = ["Listening", "Program", "Runner"]
 
@@ -49,8 +44,7 @@ class Program:
 
     def __init__(self, command: Sequence[str]) -> None:
         self._command = list(command)
-        self._process: subprocess.Popen[bytes] | None = None
-        self._log: IO[bytes] | None = None
+        self._process: Process | None = None
 
     def start(self, url: str) -> None:
         """Start the program.
@@ -61,52 +55,20 @@ class Program:
         words = [word.replace("{url}", url) for word in self._command]
         if words == self._command:
             words.append(url)
-        log = self._log = tempfile.TemporaryFile()  # noqa: SIM115 - closed by `end`
-        try:
-            self._process = subprocess.Popen(
-                words,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=os.name == "posix",
-            )
-        except (OSError, ValueError) as error:
-            log.close()
-            raise HarnessError(f"cannot start {words[0]}: {error}") from error
+        self._process = Process(words)
 
     def ended(self) -> str:
         """Return how the program ended and its last output, or "" while it runs."""
-        if self._process is None or (code := self._process.poll()) is None:
+        if self._process is None or (code := self._process.code()) is None:
             return ""
-        assert self._log is not None
-        self._log.seek(0)
-        said = self._log.read().decode("utf-8", "replace").strip()[-_SHOWN:]
+        said = self._process.said().strip()[-_SHOWN:]
         return f"the host program ended with exit code {code}" + (f":\n{said}" if said else "")
 
     def end(self, at_once: bool = False) -> None:
         """End the program and what it started."""
         process, self._process = self._process, None
-        if process is None:
-            return
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(0.0 if at_once else _GRACE_S)
-        for name in ("SIGTERM", "SIGKILL"):
-            self._signal(process, name)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_GRACE_S)
-                break
-        process.wait()
-        assert self._log is not None
-        self._log.close()
-
-    @staticmethod
-    def _signal(process: subprocess.Popen[bytes], name: str) -> None:
-        if process.poll() is not None:
-            return
-        if sys.platform == "win32":
-            process.terminate()
-        else:
-            os.killpg(process.pid, getattr(signal, name))
+        if process is not None:
+            process.end(0.0 if at_once else _GRACE_S)
 
 
 class Listening:

@@ -1,0 +1,142 @@
+"""Testee files with mistakes, and testees whose commands do not do what they should."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+from j2a_conformance import HarnessError, _testee
+from j2a_conformance._testee import load_testee
+
+URL = 'url = "exec:true"'
+LEAVES_A_CHILD = "sleep 311 & echo $! > pid; "
+
+
+@pytest.fixture
+def testee(tmp_path):
+    """Write a testee file into a repository of its own and load it."""
+
+    def write(text):
+        path = tmp_path / "conformance" / "testees" / "mine.toml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        return load_testee(path)
+
+    return write
+
+
+@pytest.fixture
+def gone(tmp_path):
+    """Wait until the process has ended whose id a command wrote into the file `pid`."""
+
+    def wait():
+        pid = int((tmp_path / "pid").read_text())
+        with pytest.raises(ProcessLookupError):
+            for _ in range(500):  # init may take its time to notice
+                os.kill(pid, 0)
+                time.sleep(0.01)
+
+    return wait
+
+
+def script(key, code):
+    return f"{key} = ['sh', '-c', '''{code}''']"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("title = 'x'\nurl = 2", "`url` is a text"),
+        ("title = 'x'\nurl = ''", "`url` is a text"),
+        (URL, "needs a `title`"),
+        (f"title = 1\n{URL}", "needs a `title`"),
+        (f"title = 'x'\n{URL}\nbuild = 'make'", "`build` is a list of words"),
+        (f"title = 'x'\n{URL}\nneeds = [1]", "`needs` is a list of words"),
+        ("title = 'x'\nserve = []", "`serve` is a list of words"),
+        (f"title = 'x'\n{URL}\nfresh = 1", "`fresh` is true or false"),
+        (f"title = 'x'\n{URL}\nroot = '/'", "no key `root`"),
+        (f"title = 'x'\n{URL}\nserve = ['true']", "either `url` or `serve`"),
+        ("title = 'x'", "either `url` or `serve`"),
+        ("title = ", "mine.toml is no testee"),
+    ],
+)
+def test_mistakes_are_named(text, words, testee):
+    with pytest.raises(HarnessError, match=r"mine\.toml is no testee") as error:
+        testee(text)
+    assert words in str(error.value)
+
+
+def test_a_file_without_a_repository_around_it(tmp_path, monkeypatch):
+    path = tmp_path / "mine.toml"
+    path.write_text(f"title = 'x'\n{URL}")
+    monkeypatch.setattr(Path, "resolve", lambda _: Path("/tmp/mine.toml"))
+    with pytest.raises(HarnessError, match="two folders below the root"):
+        load_testee(path)
+
+
+def test_the_root_stands_in_the_url_that_is_opened_only(testee, tmp_path):
+    found = testee("title = 'x'\nurl = 'exec:{root}/demo'")
+    assert found.url == "exec:{root}/demo"
+    with found.started() as url:
+        assert url == f"exec:{tmp_path}/demo"
+
+
+def test_a_server_that_ignores_signals_and_prints_without_end_is_ended(testee, gone):
+    code = (
+        f"trap : TERM INT; {LEAVES_A_CHILD} echo see https://x/y; echo at tcp://127.0.0.1:5; "
+        "while :; do echo log log log log log log log log; done"
+    )
+    with testee(f"title = 'x'\n{script('serve', code)}").started() as url:
+        assert url == "tcp://127.0.0.1:5"
+    gone()
+
+
+def test_a_server_that_logs_does_not_wait_for_a_reader(testee, tmp_path):
+    code = "echo tcp://127.0.0.1:5; head -c 1000000 /dev/zero; echo > written; sleep 60"
+    with testee(f"title = 'x'\n{script('serve', code)}").started():
+        deadline_s = time.monotonic() + 30
+        while not (tmp_path / "written").exists():
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+
+
+def test_what_a_server_left_behind_is_ended(testee, gone):
+    code = f"{LEAVES_A_CHILD} echo tcp://127.0.0.1:5"
+    with testee(f"title = 'x'\n{script('serve', code)}").started() as url:
+        assert url == "tcp://127.0.0.1:5"
+    gone()
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [("echo oh; exit 7", "exit code 7 without printing a URL:\noh"), ("sleep 60", "within 0.3 s")],
+)
+def test_a_server_without_a_url(code, words, testee, monkeypatch):
+    if "sleep" in code:
+        monkeypatch.setattr(_testee, "_START_S", 0.3)
+    with (
+        pytest.raises(HarnessError) as error,
+        testee(f"title = 'x'\n{script('serve', code)}").started(),
+    ):
+        pass
+    assert words in str(error.value)
+
+
+def test_a_build_that_does_not_end_is_ended(testee, gone, monkeypatch):
+    monkeypatch.setattr(_testee, "_BUILD_S", 0.5)
+    build = script("build", f"echo oh; {LEAVES_A_CHILD} wait")
+    with (
+        pytest.raises(HarnessError, match=r"did not end within 0\.5 s:\noh"),
+        testee(f"title = 'x'\n{URL}\n{build}").started(),
+    ):
+        pass
+    gone()
+
+
+def test_a_build_that_fails_shows_what_it_printed(testee):
+    build = script("build", "echo one; echo two >&2; exit 1")
+    with (
+        pytest.raises(HarnessError, match="failed:\none\ntwo"),
+        testee(f"title = 'x'\n{URL}\n{build}").started(),
+    ):
+        pass
