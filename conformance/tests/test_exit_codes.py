@@ -137,12 +137,38 @@ def test_a_run_that_ends_early_is_the_last(reference, judged, capsys):
     run, code = repeat(9, lambda: judged(reference, on_result=interrupt))
     assert code == 3
     assert [result.verdict for result in run.results] == [Verdict.OK]
-    assert len(capsys.readouterr().out.splitlines()) == 4
+    out = capsys.readouterr().out
+    assert out.splitlines()[-1] == "Ended after 0 of 9 runs: interrupted."
+    assert "the same" not in out
 
 
-def test_a_harness_error_ends_the_series():
-    def fails():
-        raise HarnessError("gone")
+@pytest.mark.parametrize("error", [HarnessError("gone"), KeyboardInterrupt()])
+def test_an_error_ends_the_series(error, reference, judged, capsys):
+    """Of the first run it is all that there is to say; of a later one not."""
 
-    with pytest.raises(HarnessError, match="gone"):
-        repeat(3, fails)
+    def once():
+        if not left:
+            raise error
+        return left.pop()
+
+    left = []
+    with pytest.raises(type(error)):
+        repeat(3, once)
+    left = [judged(reference, ["mapping.names"])] * 2
+    run, code = repeat(3, once)
+    assert (run.stopped, code) == ("", 3)
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == f"Ended after 2 of 3 runs: {str(error) or 'interrupted'}."
+
+
+def test_a_failure_counts_more_than_the_end_of_the_series(reference, judged, capsys):
+    wrong = type("Wrong", (Flaps, reference), {"mapping": lambda _: b"a d"})
+    runs = [judged(wrong, ["mapping.names"])]
+
+    def once():
+        if not runs:
+            raise HarnessError("gone")
+        return runs.pop()
+
+    assert repeat(3, once)[1] == 1
+    assert "Ended after 0 of 3 runs" in capsys.readouterr().out
