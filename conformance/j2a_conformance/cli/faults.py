@@ -6,32 +6,43 @@ statistics, a vector where the device is wrong, and an exit code.
 
 import argparse
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+import sys
+from collections.abc import Sequence
 from pathlib import Path
-
-import j2a_transports
+from typing import Any, Final
 
 from j2a_conformance._model import HarnessError
-from j2a_conformance._testee import load_testee
 from j2a_conformance.faults import _report, _vectors
 from j2a_conformance.faults._experiment import KINDS, Kind, Wrong, player_for, run, shortest
-from j2a_conformance.faults._player import STARTING, Player
+from j2a_conformance.faults._player import Player
 from j2a_conformance.faults._row import Row, Setup, Side
 from j2a_conformance.faults._series import Found
 from j2a_conformance.faults._soak import Soak, soak
 
-from ._exit import CONFORMANT, FAILED, UsageError
+from . import _target
+from ._exit import CONFORMANT, FAILED, HARNESS, NOTHING, UsageError
+from ._reports import check_writable
 
 __all__ = ["add_arguments", "kinds_of", "main"]
 
-_RATE = 0.004
-_PIPE = 4096  # bytes that a pipe holds at least
-_SIDES: dict[str, tuple[Side, ...]] = {
+_PIPE: Final = 4096  # bytes that a pipe holds at least
+_SIDES: Final[dict[str, tuple[Side, ...]]] = {
     "both": ("requests", "replies"),
     "requests": ("requests",),
     "replies": ("replies",),
 }
+_VECTOR: Final = Path("failing-stream.json")
+_OF_ROWS: Final[dict[str, Any]] = {
+    "kind": ",".join(name for name in KINDS if name != "split"),
+    "rate": 0.004,
+    "frames": 2000,
+    "seconds": math.inf,
+    "payload": 32,
+    "direction": "both",
+    "json": None,
+}
+_DEFAULTS: Final[dict[str, Any]] = {**_OF_ROWS, "seed": 1, "vector": _VECTOR}
+_WITHOUT_EFFECT: Final = {"soak": tuple(_OF_ROWS), "replay": tuple(_DEFAULTS)}
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -39,40 +50,34 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.description = (
         "Sends echo requests through seeded faults and counts what becomes of them. A stream that "
         "the device answers wrongly is shrunk and saved. Exit code: 0 the device is right, 1 it is "
-        "not, 3 harness, link or arguments wrong."
+        "not, 3 harness, link or arguments wrong, or interrupted, 4 nothing was tested: a row had "
+        "no faults, more than half of its exchanges with faults could not be judged, no batch of "
+        "a soak could be compared, or no stream could be played."
     )
     command.add_argument("url", metavar="URL", help="a URL, or a testee file")
     command.add_argument(
         "--kind",
-        default=",".join(name for name in KINDS if name != "split"),
         metavar="K,K,...",
         help=f"kinds of fault, of {', '.join(KINDS)}; with a rate: flip=0.01; together: flip+drop",
     )
     command.add_argument(
-        "--rate", type=float, default=_RATE, metavar="R", help=f"faults per byte ({_RATE})"
+        "--rate", type=float, metavar="R", help=f"faults per byte ({_OF_ROWS['rate']})"
     )
+    command.add_argument("--frames", type=int, metavar="N", help="requests of each kind (2000)")
+    command.add_argument("--seconds", type=float, metavar="S", help="end each kind after so long")
+    command.add_argument("--seed", type=int, metavar="S", help="of the faults (1)")
     command.add_argument(
-        "--frames", type=int, default=2000, metavar="N", help="requests of each kind (2000)"
+        "--payload", type=int, metavar="N", help="payload bytes of each request (32)"
     )
-    command.add_argument(
-        "--seconds", type=float, default=math.inf, metavar="S", help="end each kind after so long"
-    )
-    command.add_argument("--seed", type=int, default=1, metavar="S", help="of the faults (1)")
-    command.add_argument(
-        "--payload", type=int, default=32, metavar="N", help="payload bytes of each request (32)"
-    )
-    command.add_argument("--direction", choices=_SIDES, default="both", help="which is damaged")
+    command.add_argument("--direction", choices=_SIDES, help="which is damaged (both)")
     command.add_argument("--json", type=Path, metavar="FILE", help="write a JSON report")
     command.add_argument(
         "--vector",
         type=Path,
-        default=Path("failing-stream.json"),
         metavar="FILE",
-        help="where bytes that the device answers wrongly are saved (failing-stream.json)",
+        help=f"where bytes that the device answers wrongly are saved ({_VECTOR})",
     )
-    command.add_argument(
-        "--timeout-scale", type=float, default=1.0, metavar="X", help="multiply every wait"
-    )
+    _target.add_arguments(command)
     mode = command.add_mutually_exclusive_group()
     mode.add_argument("--replay", type=Path, metavar="FILE", help="play the vectors of a file")
     mode.add_argument(
@@ -109,56 +114,76 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         HarnessError: nothing can be said about the device.
     """
-    kinds = kinds_of(args.kind, args.rate)
     _check(args)
-    with _started(args.url) as (url, starts):
-        try:
-            player = player_for(
-                lambda: j2a_transports.open(url),
-                starts=starts,
-                held=_PIPE if url.startswith("exec:") else 0,
-                scale=args.timeout_scale,
-            )
-        except Found as found:
-            print(f"{url}: {found.reason}")
-            return FAILED
-        if args.replay:
-            return _replay(player, args.replay)
-        if args.soak:
-            return _soak(player, args)
-        setup = Setup(args.frames, args.seconds, args.seed, args.payload, _SIDES[args.direction])
-        found_all = run(player, setup, kinds, url, _progress if args.verbose else lambda _: None)
-        print(_report.report(found_all), flush=True)
-        if found_all.wrong:
-            _save(player, found_all.wrong, args.vector)
-        if args.json:
-            try:
-                args.json.write_text(_report.as_json(found_all), "utf-8")
-            except OSError as error:
-                raise HarnessError(f"cannot write the JSON report: {error}") from error
-    return CONFORMANT if found_all.passed else FAILED
+    kinds = kinds_of(args.kind, args.rate)
+    with _target.reach(args.url, args.baud or 0) as target:
+        code = _judge(target, args, kinds)
+    if code == FAILED and target.url != target.inner:
+        raise HarnessError(
+            "what is wrong may be the doing of faults: in the URL, which are no part of the "
+            "experiment; leave them out, --kind and --rate make faults"
+        )
+    return code
 
 
 def _check(args: argparse.Namespace) -> None:
+    for mode, names in _WITHOUT_EFFECT.items():
+        for name in names if getattr(args, mode) is not None else ():
+            if getattr(args, name) is not None:
+                raise UsageError(f"--{name} has no effect with --{mode}")
+    for path in {args.json, args.vector} - {None}:
+        check_writable(path)
+    if args.json and args.vector and args.json.resolve() == args.vector.resolve():
+        raise UsageError("--json and --vector need a file each")
+    for name, value in _DEFAULTS.items():
+        if getattr(args, name) is None:
+            setattr(args, name, value)
+    _target.check(args)
     if not 0 <= args.payload <= 255:
         raise UsageError("--payload takes 0 to 255 bytes")
     if args.frames < 1 or (args.soak is not None and args.soak < 1):
         raise UsageError("--frames and --soak take a number above 0")
     if not args.seconds > 0:
         raise UsageError("--seconds takes a number above 0")
-    if not 0 < args.timeout_scale < 1000:
-        raise UsageError("--timeout-scale takes a number above 0 and below 1000")
 
 
-@contextmanager
-def _started(text: str) -> Iterator[tuple[str, bool]]:
-    """Yield the URL of the device, and whether opening it starts the device."""
-    if not text.endswith(".toml"):
-        yield text, text.startswith(STARTING)
-        return
-    testee = load_testee(Path(text))
-    with testee.started() as url:
-        yield url, url.startswith(STARTING)
+def _judge(target: _target.Target, args: argparse.Namespace, kinds: Sequence[Kind]) -> int:
+    try:
+        player = player_for(
+            target.opener,
+            starts=target.fresh,
+            held=_PIPE if target.inner.startswith("exec:") else 0,
+            scale=args.timeout_scale,
+            baud=args.baud or 0,
+        )
+    except Found as found:
+        print(f"{target.url}: {found.reason}")
+        return FAILED
+    if args.replay:
+        return _replay(player, args)
+    if args.soak:
+        return _soak(player, args)
+    return _rows(player, target.url, args, kinds)
+
+
+def _rows(player: Player, url: str, args: argparse.Namespace, kinds: Sequence[Kind]) -> int:
+    setup = Setup(args.frames, args.seconds, args.seed, args.payload, _SIDES[args.direction])
+    found = run(player, setup, kinds, url, _progress if args.verbose else lambda _: None)
+    print(_report.report(found), flush=True)
+    if found.wrong:
+        _save(player, found.wrong, args.vector)
+    if args.json:
+        try:
+            args.json.write_text(_report.as_json(found), "utf-8")
+        except OSError as error:
+            if not found.failed:
+                raise HarnessError(f"cannot write the JSON report: {error}") from error
+            print(f"j2a-conform: cannot write the JSON report: {error}", file=sys.stderr)
+    if found.failed:
+        return FAILED
+    if found.interrupted:
+        return HARNESS
+    return NOTHING if found.gaps else CONFORMANT
 
 
 def _progress(row: Row) -> None:
@@ -166,20 +191,39 @@ def _progress(row: Row) -> None:
 
 
 def _save(player: Player, wrong: Wrong, path: Path) -> None:
-    if wrong.stream:
+    """Save the bytes, which were shown already: where it fails, the judgement stands."""
+    if not wrong.stream:
+        return
+    try:
         _vectors.save(path, wrong.stream, wrong.reason, player.rules)
+    except HarnessError as error:
+        print(f"j2a-conform: {error}", file=sys.stderr)
+    else:
         print(f"saved as {path}; j2a-conform faults --replay {path} URL plays it again")
 
 
-def _replay(player: Player, path: Path) -> int:
-    failed = 0
-    streams = _vectors.load(path)
-    for name, stream in streams.items():
-        if reason := player.fault(stream):
+def _replay(player: Player, args: argparse.Namespace) -> int:
+    streams = _vectors.load(args.replay)
+    failed = unplayed = 0
+    for name, whole in streams.items():
+        stream = player.rules.apart(whole)
+        if not player.rules.is_exact(stream):
+            unplayed += 1
+            outcome = "not played"
+        elif reason := player.fault(stream):
             failed += 1
-            print(f"{name}: {reason}")
-    print(f"{len(streams) - failed} of {len(streams)} streams are answered rightly")
-    return FAILED if failed else CONFORMANT
+            print(f"{name}: {reason}", flush=True)
+            continue
+        else:
+            outcome = "right"
+        if args.verbose:
+            print(f"{name}: {outcome}", flush=True)
+    right = len(streams) - failed - unplayed
+    rest = f", {unplayed} not played: more than the device has room for" if unplayed else ""
+    print(f"{right} of {len(streams)} streams are answered rightly{rest}")
+    if failed:
+        return FAILED
+    return CONFORMANT if right else NOTHING
 
 
 def _soak(player: Player, args: argparse.Namespace) -> int:
@@ -188,10 +232,20 @@ def _soak(player: Player, args: argparse.Namespace) -> int:
             print(state, flush=True)
 
     try:
-        print(soak(player, args.soak, args.seed, show))
+        state = soak(player, args.soak, args.seed, show)
     except Found as found:
         wrong = shortest(player, found)
-        print("\n".join(_report.wrong_lines(wrong)))
+        print("\n".join(_report.wrong_lines(wrong)), flush=True)
         _save(player, wrong, args.vector)
         return FAILED
+    print(state)
+    if state.complaint:
+        print(f"the device is wrong: {state.complaint}")
+        return FAILED
+    if state.interrupted:
+        print("INTERRUPTED")
+        return HARNESS
+    if not state.exact:
+        print("NOT TESTED: no batch could be compared, they are more than the device has room for")
+        return NOTHING
     return CONFORMANT

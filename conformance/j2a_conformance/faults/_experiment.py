@@ -14,8 +14,9 @@ from j2a_transports import Transport, TransportError
 from j2a_transports.faults import Rates
 
 from j2a_conformance._judge import Judged
-from j2a_conformance._model import Claims, HarnessError
+from j2a_conformance._model import Claims, HarnessError, Verdict
 from j2a_conformance._peer import Peer
+from j2a_conformance._runner import run as judge
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance._wire import Link
 
@@ -41,6 +42,7 @@ KINDS: Final = {
 """Kinds of fault, with their names in `j2a_transports.faults.Rates`."""
 
 _CONFIRMATIONS: Final = 2
+_ATTEMPTS: Final = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +94,7 @@ class Experiment:
         claims: what the device says about itself.
         rows: by kind of fault.
         wrong: why it ended early, or None.
+        interrupted: it was ended from the keyboard; the rows that were complete by then are here.
     """
 
     url: str
@@ -99,6 +102,7 @@ class Experiment:
     claims: Claims
     rows: tuple[Row, ...]
     wrong: Wrong | None = None
+    interrupted: bool = False
 
     @property
     def complaints(self) -> list[str]:
@@ -106,13 +110,28 @@ class Experiment:
         return [text for row in self.rows for text in row.complaints()]
 
     @property
+    def gaps(self) -> list[str]:
+        """What was asked for but not tested, in words."""
+        return [text for row in self.rows if (text := row.gap())]
+
+    @property
+    def failed(self) -> bool:
+        """Something was wrong."""
+        return self.wrong is not None or bool(self.complaints)
+
+    @property
     def passed(self) -> bool:
-        """Nothing was wrong."""
-        return self.wrong is None and not self.complaints
+        """Everything was tested, and nothing was wrong."""
+        return not (self.failed or self.gaps or self.interrupted)
 
 
 def player_for(
-    opener: Callable[[], Transport], *, starts: bool, held: int = 0, scale: float = 1.0
+    opener: Callable[[], Transport],
+    *,
+    starts: bool,
+    held: int = 0,
+    scale: float = 1.0,
+    baud: int = 0,
 ) -> Player:
     """Ask the device what it has, and return what judges it.
 
@@ -121,23 +140,43 @@ def player_for(
         starts: opening the link starts the device.
         held: bytes that the link holds back until the device takes them.
         scale: factor for every wait.
+        baud: rate of the link in bits a second, or 0 where it is not known.
 
     Raises:
-        HarnessError: the link cannot be opened, nothing answers, or a2jEcho is missing.
+        HarnessError: the link cannot be opened, nothing answers, a2jEcho is missing, or the link
+            loses or damages bytes by itself.
         Found: the device does not even answer undamaged requests rightly.
     """
     try:
         with opener() as transport:
-            link = Link(transport, scale)
+            link = Link(transport, scale, baud)
             peer = Peer(link, Claims(mapped=False, functions=()))
             for case in SMOKE:
                 case.run(peer)
     except Judged as judged:
-        raise Found(f"undamaged requests are answered wrongly: {judged.reason}") from judged
+        raise _blamed(opener, judged.reason, scale, baud) from judged
     except (TransportError, OSError) as error:
         raise HarnessError(f"cannot open the link: {error}") from error
     rules = Rules(peer.claims, held)
     return Player(opener, rules, starts=starts, byte_s=link.byte_s, scale=scale)
+
+
+def _blamed(
+    opener: Callable[[], Transport], reason: str, scale: float, baud: int
+) -> Found | HarnessError:
+    """Return whose fault it is: a device is wrong each time, and a link only now and then."""
+    try:
+        again = judge(opener, (), timeout_scale=scale, baud=baud, lossy=_ATTEMPTS)
+    except HarnessError:
+        wrong = ()
+    else:
+        wrong = again.with_verdict(Verdict.FAILED)
+    if wrong:
+        return Found(f"undamaged requests are answered wrongly: {wrong[-1].reason}")
+    return HarnessError(
+        f"{reason}, before any fault was injected, and not each time: the link, or else the device,"
+        " is unreliable by itself, so nothing can be said about faults"
+    )
 
 
 def run(
@@ -163,16 +202,25 @@ def run(
             row = Series(player, setup, str(kind), rates, kind.rate).run()
         except Found as found:
             return replace(experiment, wrong=shortest(player, found))
+        except KeyboardInterrupt:
+            return replace(experiment, interrupted=True)
         experiment = replace(experiment, rows=(*experiment.rows, row))
         on_row(row)
     return experiment
 
 
 def shortest(player: Player, found: Found) -> Wrong:
-    """Shrink the stream of what was found, where there is one."""
-    size = sum(map(len, found.stream))
+    """Shrink the stream of what was found, where there is one and nobody interrupts it."""
     if not found.stream:
         return Wrong(found.reason)
+    try:
+        return _shortest(player, found)
+    except KeyboardInterrupt:
+        return Wrong(found.reason, found.stream, sum(map(len, found.stream)))
+
+
+def _shortest(player: Player, found: Found) -> Wrong:
+    size = sum(map(len, found.stream))
     for waits in (QUICK, SURE):
         short = shrink(found.stream, partial(_is_wrong, player, waits))
         reasons = [player.seems_wrong(short, SURE) for _ in range(_CONFIRMATIONS)]

@@ -17,10 +17,7 @@ from j2a_conformance._wire import Link
 
 from ._rules import Rules, Stream, difference
 
-__all__ = ["PAUSE_S", "QUICK", "STARTING", "SURE", "Player", "Waits"]
-
-STARTING = ("exec:", "pty:", "sim:")
-"""URLs that start their device when they are opened."""
+__all__ = ["PAUSE_S", "QUICK", "SURE", "Player", "Waits"]
 
 PAUSE_S = 0.03
 """Longer than the longest byte timeout (J2A-TIME-002), with room for the machine's own delays."""
@@ -74,7 +71,8 @@ class Player:
         """Return what a fresh device answers wrongly, or "".
 
         What is wrong is tried again with longer waits, since a busy machine may look the same. A
-        stream that is more than the device has to take is never answered wrongly.
+        stream that is more than the device has to take is not played, and "" says nothing about it:
+        see `Rules.is_exact`.
 
         Raises:
             HarnessError: the link cannot be opened, or is not answered before the stream.
@@ -86,7 +84,7 @@ class Player:
         if not self.rules.is_exact(stream):
             return ""
         with self.open() as transport:
-            link = Link(transport, self.scale)
+            link = self.link(transport)
             peer = Peer(link, self.rules.claims)
             if not self.starts and not peer.resync():
                 raise HarnessError("the device does not answer after the link was opened anew")
@@ -107,6 +105,12 @@ class Player:
             return self.opener()
         except (TransportError, OSError) as error:
             raise HarnessError(f"the link cannot be opened: {error}") from error
+
+    def link(self, transport: Transport) -> Link:
+        """Return the link over a transport, with waits that fit its rate."""
+        link = Link(transport, self.scale)
+        link.measured(1, self.byte_s)
+        return link
 
     def _play(
         self, link: Link, peer: Peer, stream: Stream, waits: Waits

@@ -38,11 +38,21 @@ def report(experiment: Experiment) -> str:
     unjudged = sum(row.unjudged for row in experiment.rows)
     strays = sum(row.strays for row in experiment.rows)
     if unjudged or strays:
-        lines += ["", f"{unjudged} exchanges not judged, {strays} wrong answers not seen again"]
-    lines += ["", *experiment.complaints]
+        frames = sum(row.frames for row in experiment.rows)
+        not_judged = f"{unjudged} of {frames} exchanges not judged"
+        lines += ["", f"{not_judged}, {strays} wrong answers not seen again"]
+    lines += ["", *experiment.complaints, *experiment.gaps]
     if experiment.wrong is not None:
         lines += wrong_lines(experiment.wrong)
-    return "\n".join([*lines, "passed" if experiment.passed else "FAILED"])
+    return "\n".join([*lines, _outcome(experiment)])
+
+
+def _outcome(experiment: Experiment) -> str:
+    if experiment.failed:
+        return "FAILED"
+    if experiment.interrupted:
+        return "INTERRUPTED: not all kinds were tested"
+    return "NOT TESTED" if experiment.gaps else "passed"
 
 
 def wrong_lines(wrong: Wrong) -> list[str]:
@@ -126,6 +136,8 @@ def as_json(experiment: Experiment) -> str:
         "confidence": CONFIDENCE,
         "passed": experiment.passed,
         "complaints": experiment.complaints,
+        "not_tested": experiment.gaps,
+        "interrupted": experiment.interrupted,
         "wrong": wrong
         and {
             "reason": wrong.reason,
@@ -158,6 +170,8 @@ def _row(row: Row) -> dict[str, Any]:
             side: {"measured": _share(share), "theory": _share(row.theory[side])}
             for side, share in row.shares.items()
         },
+        "exchanges_with_faults": row.hit,
+        "not_judged_with_faults": row.hit_unjudged,
         "not_judged": row.unjudged,
         "not_seen_again": row.strays,
     }

@@ -16,13 +16,19 @@ from j2a_spec.oracle import Frame, encode
 
 from ._theory import Share
 
-__all__ = ["Row", "Setup", "Side"]
+__all__ = ["Row", "Setup", "Side", "too_many_strays"]
 
 Side = Literal["requests", "replies"]
 
 # What a stall of this machine may explain: so many, or so large a share of the exchanges.
 _STRAYS: Final = 2
 _STRAY_SHARE: Final = 0.001
+_UNJUDGED_SHARE: Final = 0.5
+
+
+def too_many_strays(strays: int, exchanges: int) -> bool:
+    """Tell whether so many wrong answers that did not come again are the device's doing."""
+    return strays > max(_STRAYS, exchanges * _STRAY_SHARE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +81,8 @@ class Row:
         strays: wrong answers that did not come again from a fresh device.
         unjudged: exchanges whose due replies were uncertain: more at once than the device takes,
             or a pause of this machine inside a frame.
+        hit: exchanges with a fault in them.
+        hit_unjudged: those of them that are unjudged too.
     """
 
     kind: str
@@ -92,6 +100,8 @@ class Row:
     elapsed_ms: float = 0.0
     strays: int = 0
     unjudged: int = 0
+    hit: int = 0
+    hit_unjudged: int = 0
 
     @property
     def frames_per_fault(self) -> float:
@@ -105,6 +115,18 @@ class Row:
             return 0.0
         return max(self.elapsed_ms - self.right * self.clean_ms, 0.0) / self.faults
 
+    def gap(self) -> str:
+        """Return why the row is no proof of anything, in words, or ""."""
+        if not self.hit:
+            return f"{self.kind}: no fault in {self.frames} exchanges; a higher rate makes some"
+        if self.hit_unjudged > self.hit * _UNJUDGED_SHARE:
+            return (
+                f"{self.kind}: {self.hit_unjudged} of {self.hit} exchanges with faults could not "
+                "be judged, because the device has no room for them (j2a.rxbuf) or this machine "
+                "made pauses; shorter payloads and lower rates help"
+            )
+        return ""
+
     def complaints(self) -> list[str]:
         """Return what does not agree with the theory, in words."""
         found = [
@@ -113,6 +135,6 @@ class Row:
             for side, share in self.shares.items()
             if not share.agrees(self.theory[side])
         ]
-        if self.strays > max(_STRAYS, self.frames * _STRAY_SHARE):
+        if too_many_strays(self.strays, self.frames):
             found.append(f"{self.kind}: {self.strays} wrong answers that did not come again")
         return found

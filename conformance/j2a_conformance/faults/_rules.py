@@ -50,6 +50,17 @@ class Rules:
         """
         return all(len(s) <= self.room or self._behind(s) <= self.room for s in stream)
 
+    def apart(self, stream: Stream) -> Stream:
+        """Return the stream with a pause between two frames where the device has no room for both.
+
+        The bytes mean the same then, and what is due is certain where it was not.
+        """
+        return tuple(
+            piece
+            for segment in stream
+            for piece in ([segment] if self.is_exact((segment,)) else _pieces(segment))
+        )
+
     def _behind(self, segment: bytes) -> int:
         """Return how many bytes follow the first one that makes a reply due."""
         for size in range(len(segment)):
@@ -85,6 +96,19 @@ class Rules:
         if name == c.MANY and len(frame.payload) < c.MANY_HEADER:
             return Expected(seq, c.RET_FAILED)
         return Expected(seq)
+
+
+def _pieces(segment: bytes) -> list[bytes]:
+    """Cut wherever a pause changes nothing."""
+    pieces, rest = [], segment
+    for at in range(1, len(segment)):
+        size = at - (len(segment) - len(rest))
+        before, behind = decode(rest[:size]), decode(rest[size:])
+        whole = not any(isinstance(event, Incomplete) for event in before)
+        if before and whole and before + behind == decode(rest):
+            pieces.append(rest[:size])
+            rest = rest[size:]
+    return [*pieces, rest]
 
 
 def difference(events: Sequence[Event], due: Sequence[Expected]) -> str:

@@ -19,7 +19,7 @@ from j2a_transports import TransportError
 from j2a_transports.faults import Direction, FaultyTransport, Rates
 
 from j2a_conformance._peer import Expected, Peer
-from j2a_conformance._wire import Link, Splitter
+from j2a_conformance._wire import Splitter
 
 from ._player import Player
 from ._proxy import Tap
@@ -203,6 +203,7 @@ class Series:
         injected = self._injected()
         row.frames += 1
         row.faults += injected
+        row.hit += bool(injected)
         self._note(exchange)
         if lost:
             if not (self._proxy.tx.ended or self._proxy.rx.ended):
@@ -213,7 +214,9 @@ class Series:
             self._count_missed(exchange)
         self._note_time(took_s * 1e3, injected, exchange.is_right)
         if not lost:
+            before = row.unjudged
             self._judge(exchange)
+            row.hit_unjudged += bool(injected and row.unjudged > before)
 
     def _due(self, exchange: _Exchange) -> None:
         exchange.stream = self._tap.stream(self._player.byte_s)
@@ -322,6 +325,6 @@ class Series:
         """Bring the device between two frames, without faults."""
         self._device, self._host = Splitter(), Splitter()
         with contextlib.suppress(TransportError):
-            if Peer(Link(self._tap, self._player.scale), self._rules.claims).resync():
+            if Peer(self._player.link(self._tap), self._rules.claims).resync():
                 return
         self._confirm("good requests are not answered without faults", certain=True)

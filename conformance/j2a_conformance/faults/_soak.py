@@ -2,8 +2,9 @@
 
 What flows in: a player, a number, a seed. What flows out: counts, or `Found`. Rules: a batch is as
 large as what may wait for the device, and ends with an echo whose reply is waited for; each batch
-is answered by whole frames, and not by more than it holds start bytes; every `_EXACT`th is
-compared with the oracle, reply by reply. Only frames that the faults changed are counted.
+is answered by whole frames, and not by more than it holds start bytes; the first and then every
+`_EXACT`th is compared with the oracle, reply by reply. Only frames that the faults changed are
+counted.
 """
 
 import re
@@ -20,9 +21,10 @@ from j2a_transports import Transport, TransportError
 from j2a_transports.faults import Direction, Rates
 
 from j2a_conformance._peer import Peer, Request
-from j2a_conformance._wire import Link, Splitter
+from j2a_conformance._wire import Splitter
 
 from ._player import PAUSE_S, Player
+from ._row import too_many_strays
 from ._rules import Stream, difference
 from ._series import Found
 from ._theory import damage
@@ -60,6 +62,7 @@ class Soak:
         exact: batches whose replies were compared one by one.
         strays: what was wrong with batches that were answered rightly when they were sent again.
         seconds: how long it took.
+        interrupted: it was ended from the keyboard.
     """
 
     frames: int = 0
@@ -71,6 +74,14 @@ class Soak:
     exact: int = 0
     strays: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    interrupted: bool = False
+
+    @property
+    def complaint(self) -> str:
+        """Why the device is wrong, in words, or ""."""
+        if not too_many_strays(len(self.strays), self.batches):
+            return ""
+        return f"{len(self.strays)} wrong answers that did not come again"
 
     def __str__(self) -> str:
         kinds = ", ".join(f"{number} {kind}" for kind, number in sorted(self.kinds.items()))
@@ -152,7 +163,7 @@ def soak(
                     transport.close()
                     state.kinds["reset"] += 1
                 transport = player.open()
-                peer = Peer(Link(transport, player.scale), player.rules.claims)
+                peer = Peer(player.link(transport), player.rules.claims)
                 peer.resync()
             batch = source.batch()
             state.batches += 1
@@ -170,6 +181,8 @@ def soak(
                 shown_s = state.seconds
                 source.count()
                 on_progress(state)
+    except KeyboardInterrupt:
+        state.interrupted = True
     finally:
         if transport is not None:
             transport.close()
@@ -180,13 +193,18 @@ def soak(
 def _wrong(player: Player, peer: Peer, stream: Stream, state: Soak) -> str:
     """Send a batch; return what was wrong with the answers, or ""."""
     barrier = peer.probe()
+    # The first exact batch is owed from the start, so that a short soak has one too.
+    compared = state.exact * _EXACT < state.batches or len(stream) > 1
     # A segment is written at once, because a busy machine may stop between two writes.
     *before, last = stream
     sent = (*before, last + barrier.wire)
+    if compared and not player.rules.is_exact(sent):
+        sent = (*stream, barrier.wire)
+        compared = player.rules.is_exact(sent)
     try:
         for number, segment in enumerate(sent):
             if number:
-                pause_s = PAUSE_S + len(sent[0]) * player.byte_s
+                pause_s = PAUSE_S + len(sent[number - 1]) * player.byte_s
                 peer.link.wait_until(peer.link.now_s() + pause_s)
             peer.link.transport.write(segment)
         answer = _until_barrier(player, peer, barrier)
@@ -201,8 +219,7 @@ def _wrong(player: Player, peer: Peer, stream: Stream, state: Soak) -> str:
     starts = b"".join(sent).count(c.SOF)
     if replies > starts:
         return f"{replies} replies to {starts} start bytes"
-    sampled = state.batches % _EXACT == 0 or len(stream) > 1
-    if not sampled or not player.rules.is_exact(sent):
+    if not compared:
         return ""
     state.exact += 1
     events = [arrival.event for arrival in Splitter().feed(answer, 0.0)]

@@ -10,18 +10,20 @@ from pathlib import Path
 import j2a_transports
 import jsonschema
 import pytest
+from j2a_conformance import HarnessError
 from j2a_conformance.cli import main
 from j2a_conformance.cli.faults import kinds_of
-from j2a_conformance.faults import _report
-from j2a_conformance.faults._experiment import KINDS, Kind, Wrong, run, shortest
+from j2a_conformance.faults import _experiment, _report, _soak
+from j2a_conformance.faults._experiment import KINDS, Kind, Wrong, player_for, run, shortest
 from j2a_conformance.faults._row import Row, Setup
-from j2a_conformance.faults._series import Found
-from j2a_conformance.faults._soak import soak
+from j2a_conformance.faults._rules import Rules
+from j2a_conformance.faults._series import Found, Series
+from j2a_conformance.faults._soak import Soak, soak
 from j2a_conformance.faults._theory import Share
 from j2a_spec import constants as c
 from j2a_spec import vectors
 from j2a_spec.oracle import decode
-from j2a_transports import TransportError
+from j2a_transports import TransportError, faults
 
 from j2a.demo import DemoDevice
 
@@ -296,7 +298,8 @@ def test_a_testee_file(tmp_path, capsys):
 
 
 def test_seconds_end_a_row(served, reference, tmp_path, capsys):
-    rows = check(served(reference), tmp_path, capsys, "--kind", "split", "--seconds", "0.05")
+    options = ("--kind", "split", "--rate", "0.2", "--seconds", "0.05")
+    rows = check(served(reference), tmp_path, capsys, *options)
     assert 0 < rows["split"]["frames"] < 2000
 
 
@@ -311,7 +314,13 @@ def test_seconds_end_a_row(served, reference, tmp_path, capsys):
         (["--frames", "0"], "above 0"),
         (["--soak", "0"], "above 0"),
         (["--seconds", "0"], "--seconds"),
-        (["--timeout-scale", "0"], "--timeout-scale"),
+        (["--timeout-scale", "0.001"], "--timeout-scale takes a number from 0.01"),
+        (["--baud", "1"], "--baud takes a number from 50"),
+        (["--soak", "9", "--json", "x.json"], "--json has no effect with --soak"),
+        (["--soak", "9", "--kind", "flip"], "--kind has no effect with --soak"),
+        (["--replay", "x.json", "--seed", "1"], "--seed has no effect with --replay"),
+        (["--replay", "x.json", "--vector", "y.json"], "--vector has no effect with --replay"),
+        (["--json", "same.json", "--vector", "./same.json"], "need a file each"),
     ],
 )
 def test_bad_arguments(options, message, capsys):
@@ -333,6 +342,168 @@ def test_a_device_that_is_wrong_without_faults(served, reference, capsys):
 
     assert main(["faults", served(Deaf)]) == 1
     assert "undamaged requests are answered wrongly" in capsys.readouterr().out
+
+
+# ---------------------------------------------------------------------- what proves nothing
+
+
+@pytest.fixture
+def silent_about_room(reference):
+    """A device that does not say how much room it has."""
+    return type("Silent", (reference,), {"properties": (("name", "silent"),)})
+
+
+GOLDEN = Path(vectors.__file__).parent / "stream.json"
+
+
+def test_streams_that_are_not_played_are_not_right(served, silent_about_room, capsys):
+    assert main(["faults", served(silent_about_room), "--replay", str(GOLDEN)]) == 0
+    told = capsys.readouterr().out
+    right, of, unplayed = map(int, re.findall(r"\d+", told.splitlines()[-1]))
+    assert "not played: more than the device has room for" in told
+    assert 0 < unplayed < right
+    assert right + unplayed == of == len(vectors.load("stream"))
+
+
+def test_no_stream_played_is_no_proof(served, silent_about_room, tmp_path, capsys):
+    stream = {"id": "one", "stream": "12071208", "events": []}
+    path = tmp_path / "vector.json"
+    path.write_text(json.dumps({"kind": "stream", "tests": [stream]}), "utf-8")
+    assert main(["faults", served(silent_about_room), "--replay", str(path), "-v"]) == 4
+    assert capsys.readouterr().out == (
+        "one: not played\n0 of 1 streams are answered rightly, "
+        "1 not played: more than the device has room for\n"
+    )
+
+
+def test_no_faults_are_no_proof(served, reference, tmp_path, capsys):
+    path = tmp_path / "faults.json"
+    options = ["--frames", "20", "--kind", "flip", "--rate", "1e-12", "--json", str(path)]
+    assert main(["faults", served(reference), *options]) == 4
+    told = capsys.readouterr().out
+    assert "flip: no fault in 20 exchanges" in told
+    assert told.endswith("\nNOT TESTED\n")
+    data = json.loads(path.read_text("utf-8"))
+    assert not data["passed"]
+    assert len(data["not_tested"]) == 1
+
+
+def test_what_is_mostly_not_judged_is_no_proof():
+    row = Row("flip", 0.01, frames=100, hit=40, hit_unjudged=20, unjudged=30)
+    assert row.gap() == ""
+    row.hit_unjudged += 1
+    assert "21 of 40 exchanges with faults could not be judged" in row.gap()
+
+
+def test_unjudged_exchanges_are_counted_with_their_faults(served, silent_about_room, capsys):
+    options = ["--kind", "duplicate", "--rate", "0.05", "--frames", "60", "--payload", "200"]
+    assert main(["faults", served(silent_about_room), *options]) == 4
+    told = capsys.readouterr().out
+    assert re.search(r"duplicate: \d+ of 60 exchanges with faults could not be judged", told)
+    assert re.search(r"\d+ of 60 exchanges not judged", told)
+
+
+def test_a_short_soak_compares_a_batch(player_of, served, silent_about_room, capsys):
+    assert soak(player_of(), 5, seed=1).exact >= 1
+    assert main(["faults", served(silent_about_room), "--soak", "200"]) == 0
+    assert int(re.search(r"(\d+) batches compared", capsys.readouterr().out)[1]) >= 1
+
+
+def test_a_soak_without_a_comparison_is_no_proof(served, reference, monkeypatch, capsys):
+    monkeypatch.setattr(Rules, "is_exact", lambda *_: False)
+    assert main(["faults", served(reference), "--soak", "5"]) == 4
+    assert "NOT TESTED" in capsys.readouterr().out
+
+
+def test_a_soak_with_many_strays_fails():
+    strays = ["wrong"] * 3
+    assert Soak(batches=3001, strays=strays).complaint == ""
+    assert "3 wrong answers" in Soak(batches=100, strays=strays).complaint
+
+
+# ---------------------------------------------------------------------- the link's own faults
+
+
+def test_a_bad_link_is_not_the_device(reference):
+    def opener():
+        here, there = j2a_transports.pair()
+        reference(there)
+        return faults.wrap(here, seed=4, drop=0.005, flip=0.005)
+
+    with pytest.raises(HarnessError, match="unreliable by itself"):
+        player_for(opener, starts=True)
+
+
+def test_faults_in_the_url_are_not_the_device(served, reference, tmp_path, capsys):
+    broken = served(type("Broken", (IgnoresTheChecksum, reference), {}))
+    options = ["--kind", "flip=0.03", "--payload", "8", "--vector", str(tmp_path / "v.json")]
+    assert main(["faults", f"faults:seed=1:{broken}", *options]) == 3
+    assert "faults: in the URL" in capsys.readouterr().err
+
+
+def test_harmless_faults_in_the_url(build_firmware, capsys):
+    url = f"faults:seed=1:exec:{build_firmware('demo')}"
+    assert main(["faults", url, "--replay", str(GOLDEN), "--baud", "1000000"]) == 0
+    assert "not played" not in capsys.readouterr().out
+
+
+# ---------------------------------------------------------------------- files and interruptions
+
+
+@pytest.mark.parametrize("option", ["--json", "--vector"])
+def test_files_are_tried_before_the_experiment(option, tmp_path, capsys):
+    path = tmp_path / "no" / "folder"
+    assert main(["faults", "loopback:nobody", option, str(path)]) == 3
+    assert f"cannot write {path}" in capsys.readouterr().err
+
+
+def test_a_vector_that_cannot_be_saved_leaves_the_judgement(
+    served, reference, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "failing-stream.json").mkdir()
+    broken = served(type("Broken", (IgnoresTheChecksum, reference), {}))
+    options = ["--kind", "flip=0.03", "--direction", "requests", "--payload", "8"]
+    assert main(["faults", broken, *options]) == 1
+    told = capsys.readouterr()
+    assert "12 00 00 00 00" in told.out
+    assert "the vector cannot be saved" in told.err
+
+
+def test_an_interruption_keeps_the_rows(served, reference, tmp_path, monkeypatch, capsys):
+    def once(self):
+        if self._row.kind == "drop":
+            raise KeyboardInterrupt
+        return whole(self)
+
+    whole = Series.run
+    monkeypatch.setattr(Series, "run", once)
+    path = tmp_path / "faults.json"
+    options = ["--kind", "flip,drop", "--rate", "0.02", "--frames", "20", "--json", str(path)]
+    assert main(["faults", served(reference), *options]) == 3
+    assert capsys.readouterr().out.endswith("\nINTERRUPTED: not all kinds were tested\n")
+    data = json.loads(path.read_text("utf-8"))
+    assert [row["kind"] for row in data["rows"]] == ["flip"]
+    assert data["interrupted"]
+    assert not data["passed"]
+
+
+def test_an_interruption_of_the_shrinking_keeps_the_stream(player_of, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_experiment, "shrink", interrupted)
+    wrong = found(player_of(LosesTheFrameThatInterrupts)).wrong
+    assert sum(map(len, wrong.stream)) == wrong.before > 30
+
+
+def test_a_soak_that_is_interrupted(served, reference, monkeypatch, capsys):
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_soak._Source, "batch", interrupted)
+    assert main(["faults", served(reference), "--soak", "9"]) == 3
+    assert capsys.readouterr().out.endswith("\nINTERRUPTED\n")
 
 
 def test_kinds_and_rates():

@@ -65,6 +65,23 @@ def test_more_than_the_device_has_room_for_is_not_judged():
     assert Rules(RULES.claims, held=4096).is_exact((small + large,))
 
 
+@pytest.mark.parametrize(
+    ("segment", "pieces"),
+    [
+        (request(ECHO) * 2, (request(ECHO),) * 2),
+        (request(ECHO) + b"noise", (request(ECHO), b"noise")),
+        (b"noise" + request(ECHO) + request(ECHO), (b"noise", request(ECHO), request(ECHO))),
+        # A frame that another one interrupts stays as it is.
+        (b"\x12\x07" + request(ECHO), (b"\x12\x07" + request(ECHO),)),
+    ],
+)
+def test_streams_are_taken_apart_between_frames(segment, pieces):
+    rules = Rules(Claims(mapped=True, functions=c.BUILTINS))
+    assert rules.apart((b"\x12\x07", segment)) == (b"\x12\x07", *pieces)
+    assert rules.due(pieces) == rules.due((segment,))
+    assert Rules(rules.claims, held=4096).apart((segment,)) == (segment,)
+
+
 def test_a_difference_is_told_in_words():
     due = [Expected(7, c.ECHO, b"x")]
     right, sif = Frame(c.SOF, 7, c.ECHO, b"x"), Frame(c.SOS, 0, 1, b"")
