@@ -8,7 +8,7 @@ import time
 import junitparser
 import pytest
 from j2a_conformance import load
-from j2a_conformance.cli import main, run
+from j2a_conformance.cli import compare, main, run
 
 
 @pytest.mark.parametrize(
@@ -80,9 +80,19 @@ def test_a_fault_of_the_suite_is_no_verdict(capsys, monkeypatch):
     monkeypatch.setattr(run, "run", broken)
     assert main(["run", "exec:cat"]) == 3
     assert "Traceback" not in (err := capsys.readouterr().err)
-    assert "ZeroDivisionError: oh" in err
+    assert "a fault of the suite, -v shows more: ZeroDivisionError: oh" in err
     assert main(["run", "exec:cat", "-v"]) == 3
-    assert "Traceback" in capsys.readouterr().err
+    assert "Traceback" in (err := capsys.readouterr().err)
+    assert "-v shows more" not in err
+
+
+def test_a_command_without_v_does_not_speak_of_it(capsys, monkeypatch):
+    def broken(_args):
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr(compare, "main", broken)
+    assert main(["compare", "a", "b"]) == 3
+    assert "a fault of the suite: ZeroDivisionError: oh" in capsys.readouterr().err
 
 
 def test_junit_without_its_package_ends_before_the_run(tmp_path, capsys, monkeypatch):
@@ -119,6 +129,42 @@ def test_selection(pattern, capsys):
     for case in load():
         if pattern == "J2A-MANY-007":
             assert (case.ID in cases) == (pattern in case.REQUIREMENTS)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--case", "frame.layout", "frame.layuot"], "no case matches frame.layuot; --list"),
+        (["--level", "sif", "--case", "many.*"], "no case of the levels sif matches many.*"),
+        (["--level", "frame", "python"], "there is no level python; the levels are frame, core"),
+        (["tcp://127.0.0.1:1", "--level", "frame", "exec:cat"], "there is no level exec:cat"),
+    ],
+)
+def test_what_chooses_nothing_is_refused(words, message, capsys):
+    try:
+        assert main(["run", "exec:cat", *words] if words[0][0] == "-" else ["run", *words]) == 3
+    except SystemExit as error:
+        assert error.code == 3
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--level", "frame", "exec:cat"],
+        ["--level", "frame", "core", "exec:cat", "--case", "smoke.*"],
+        ["--case", "smoke.*", "exec:cat", "-v"],
+        ["-v", "exec:cat", "--level", "frame"],
+    ],
+)
+def test_the_url_may_stand_behind_the_options(words, capsys):
+    assert main(["run", *words]) == 1
+    assert "exec:cat" in capsys.readouterr().out
+
+
+def test_a_testee_may_stand_behind_the_options(capsys):
+    assert main(["run", "--level", "frame", "/does/not/exist.toml"]) == 3
+    assert "/does/not/exist.toml is no testee" in capsys.readouterr().err
 
 
 def test_ctrl_c_ends_without_a_traceback():

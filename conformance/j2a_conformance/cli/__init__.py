@@ -2,16 +2,17 @@
 
 What flows in: arguments. What flows out: reports, and an exit code of `_exit`. Rules: each command
 is a module of its own, with `add_arguments(parser)` and `main(args)`, named in the table below and
-imported when it is used.
+imported when it is used; SIGTERM ends the program in order, with all that was started.
 """
 
 import argparse
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Final, NoReturn
 
 from j2a_conformance._model import HarnessError
@@ -60,12 +61,23 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, _Parser | None]:
     return parser, chosen
 
 
+def _end(number: int, _frame: FrameType | None) -> NoReturn:
+    """End like Ctrl-C does; a second signal must not cut that short."""
+    signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code."""
+    """Run the command line; return the exit code.
+
+    Args:
+        argv: the arguments; None: this is the program itself, with those of the process.
+    """
+    if argv is None:
+        signal.signal(signal.SIGTERM, _end)
     words = sys.argv[1:] if argv is None else list(argv)
     parser, command = _parser(words)
     args = parser.parse_args(words)
-    verbose = getattr(args, "verbose", False)
     try:
         status: int = _module(args.command).main(args)
         sys.stdout.flush()
@@ -81,8 +93,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Nobody reads the output any more; Python would write the rest at exit, and complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except Exception as error:
+        verbose = getattr(args, "verbose", None)  # None: the command has no -v
         if verbose:
             traceback.print_exc()
+        hint = ", -v shows more" if verbose is False else ""
         what = f"{type(error).__name__}: {error}"
-        print(f"j2a-conform: a fault of the suite, -v shows more: {what}", file=sys.stderr)
+        print(f"j2a-conform: a fault of the suite{hint}: {what}", file=sys.stderr)
     return HARNESS

@@ -1,6 +1,7 @@
 """Which cases run, and how: the options that all commands share that judge by cases.
 
-What flows in: arguments. What flows out: the cases that they choose.
+What flows in: arguments. What flows out: the cases that they choose. Rules: what chooses nothing is
+a mistake, also beside what does.
 """
 
 import argparse
@@ -14,7 +15,9 @@ from j2a_spec.requirements import Level
 from j2a_conformance._case import About
 from j2a_conformance._model import HarnessError
 
-__all__ = ["add_arguments", "matching", "show"]
+from ._exit import UsageError
+
+__all__ = ["add_arguments", "matching", "misplaced_url", "show"]
 
 _Case = TypeVar("_Case", bound=About)
 
@@ -30,7 +33,6 @@ def add_arguments(command: argparse.ArgumentParser, example: str) -> None:
         "--level",
         nargs="+",
         action="extend",
-        choices=get_args(Level),
         metavar="LEVEL",
         help="only cases of these levels: " + ", ".join(get_args(Level)),
     )
@@ -48,24 +50,46 @@ def add_arguments(command: argparse.ArgumentParser, example: str) -> None:
     command.add_argument("-v", "--verbose", action="store_true", help="show each case as it ends")
 
 
+def misplaced_url(args: argparse.Namespace) -> str:
+    """Take the URL out of the values of `--level` and `--case`, which come before it; "" for none.
+
+    These options take all the words that follow; a URL or a testee file is no level and no case.
+    """
+    for words in (args.level, args.case):
+        for word in words or ():
+            if ":" in word or word.endswith(".toml"):
+                words.remove(word)
+                return str(word)
+    return ""
+
+
 def matching(
     cases: Iterable[_Case], levels: Sequence[str] | None, patterns: Sequence[str] | None
 ) -> list[_Case]:
     """Return the cases of these levels that match one of these patterns; None means all.
 
     Raises:
-        HarnessError: nothing matches.
+        HarnessError: nothing matches, or one of the patterns matches nothing.
+        UsageError: there is no such level.
     """
+    if unknown := set(levels or ()) - set(get_args(Level)):
+        raise UsageError(
+            f"there is no level {min(unknown)}; the levels are {', '.join(get_args(Level))}"
+        )
     found = [case for case in cases if levels is None or case.LEVEL in levels]
     if patterns is not None:
-        found = [
-            case
-            for case in found
-            if any(fnmatchcase(name, p) for p in patterns for name in (case.ID, *case.REQUIREMENTS))
-        ]
+        chosen = {p: [case for case in found if _matches(case, p)] for p in patterns}
+        if missed := [pattern for pattern in chosen if not chosen[pattern]]:
+            where = f" of the levels {', '.join(levels)}" if levels else ""
+            raise HarnessError(f"no case{where} matches {missed[0]}; --list shows all")
+        found = [case for case in found if any(case in some for some in chosen.values())]
     if not found:
         raise HarnessError("no case matches; --list shows all")
     return found
+
+
+def _matches(case: About, pattern: str) -> bool:
+    return any(fnmatchcase(name, pattern) for name in (case.ID, *case.REQUIREMENTS))
 
 
 def show(cases: Iterable[About], coverage: dict[str, str]) -> None:

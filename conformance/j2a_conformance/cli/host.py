@@ -8,6 +8,7 @@ import argparse
 import re
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 from j2a_conformance import _console
 from j2a_conformance._coverage import host_coverage
@@ -63,6 +64,8 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         HarnessError: nothing can be said about the host.
     """
+    if not args.target and (url := _cases.misplaced_url(args)):
+        args.target = [url]
     cases = _cases.matching((START, *load()), args.level, args.case)
     if args.list:
         _cases.show(cases, host_coverage())
@@ -104,8 +107,18 @@ def _judge(place: Listening, args: argparse.Namespace, cases: Sequence[HostCase]
     return run(
         place,
         cases,
-        url=shlex.join(args.target),
+        url=shlex.join(_shown(args.target)),
         timeout_scale=args.timeout_scale,
         stop_on_failure=args.stop_on_failure,
         on_result=show,
     )
+
+
+def _shown(words: Sequence[str]) -> list[str]:
+    """Return the command as reports show it: without the places of this machine."""
+    here = Path.cwd()
+    program, *rest = (
+        str(path.relative_to(here)) if (path := Path(word)).is_relative_to(here) else word
+        for word in words
+    )
+    return [Path(program).name if Path(program).is_absolute() else program, *rest]

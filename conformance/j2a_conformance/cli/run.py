@@ -104,6 +104,7 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         HarnessError: nothing can be said about the device.
     """
+    args.url = args.url or _cases.misplaced_url(args)
     # Every run begins with the smoke step; to ask for a case of it is no mistake.
     cases = _cases.matching((*SMOKE, *load()), args.level, args.case)
     if args.list:

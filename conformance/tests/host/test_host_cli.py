@@ -120,15 +120,21 @@ def test_nothing_to_test_exits_with_4(tmp_path, capsys):
     assert "does not know the job sifs" in capsys.readouterr().out
 
 
-def test_reports(tmp_path, capsys):
+def test_reports(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(Path(CLIENT[1]).parents[2])
     kinds = ("json", "junit", "html", "badge")
     options = [f"--{kind}={tmp_path / kind}" for kind in kinds]
     assert main(["host", "--case", "host.error.*", "-v", *options, "--", *CLIENT]) == 0
     out = capsys.readouterr().out
-    assert "ok            host.error.payloads" in out
+    assert ["ok", "host.error.payloads"] in [line.split()[:2] for line in out.splitlines()]
     assert "The host is conformant" in out
     run = _json.read(tmp_path / "json")
-    assert (run.role, run.title, run.url) == ("host", "j2a.Client", " ".join(CLIENT))
+    python = Path(sys.executable)
+    inside = python.is_relative_to(Path.cwd())
+    shown = (
+        f"{python.relative_to(Path.cwd()) if inside else python.name} conformance/hosts/client.py"
+    )
+    assert (run.role, run.title, run.url) == ("host", "j2a.Client", shown)
     assert {"host.start", "host.error.early"} <= {result.case for result in run.results}
     assert "host.sif.burst" in run.not_run
     assert junitparser.JUnitXml.fromfile(str(tmp_path / "junit")).tests == len(run.results)
@@ -164,7 +170,8 @@ def test_a_host_that_somebody_starts_by_hand():
     assert "The host is conformant" in out
 
 
-def test_ctrl_c_ends_the_suite_the_program_and_what_that_started(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_suite_the_program_and_what_that_started(number, tmp_path):
     pid_file = tmp_path / "pid"
     code = (
         "import pathlib, subprocess\n"
@@ -176,13 +183,24 @@ def test_ctrl_c_ends_the_suite_the_program_and_what_that_started(tmp_path):
         try:
             while not (pid_file.exists() and pid_file.read_text()):
                 time.sleep(0.02)
-            suite.send_signal(signal.SIGINT)
+            suite.send_signal(number)
             out, err = suite.communicate(timeout=30)
         finally:
             suite.kill()
     assert suite.returncode == 3, err
     assert "Traceback" not in out + err
+    check_gone(int(pid_file.read_text()))
+
+
+def test_what_a_program_left_behind_is_ended(tmp_path):
+    pid_file = tmp_path / "pid"
+    code = f"sleep 311 & echo $! > {pid_file}; exit 0"
+    assert main(["host", "--", "sh", "-c", code]) == 3
+    check_gone(int(pid_file.read_text()))
+
+
+def check_gone(pid):
     with pytest.raises(ProcessLookupError):
         for _ in range(500):  # init may take its time to notice
-            os.kill(int(pid_file.read_text()), 0)
+            os.kill(pid, 0)
             time.sleep(0.01)
