@@ -1,0 +1,99 @@
+"""Requests, the replies that they are due, and what came instead, in words.
+
+What flows in: the fields of frames. What flows out: wire bytes of the oracle, and texts.
+"""
+
+from dataclasses import dataclass, field
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Event, Frame, FrameError, Skipped, encode
+
+__all__ = ["DAMAGE", "Expected", "ManyReply", "Request", "describe", "many_payload", "refusal"]
+
+DAMAGE = frozenset({c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING})
+"""Codes that say that the request was damaged on its way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """A reply that is due. None leaves a field open, but no answer says the request was damaged."""
+
+    seq: int
+    code: int | None = None
+    payload: bytes | None = None
+
+    def matches(self, frame: Frame) -> bool:
+        """Tell whether `frame` is this reply."""
+        return (
+            frame.start == c.SOF
+            and frame.seq == self.seq
+            and (frame.opcode not in DAMAGE if self.code is None else frame.opcode == self.code)
+            and self.payload in (None, frame.payload)
+        )
+
+    @property
+    def wire(self) -> bytes:
+        """Its bytes on the wire, or b"" where a field is open."""
+        if self.code is None or self.payload is None:
+            return b""
+        return encode(Frame(c.SOF, self.seq, self.code, self.payload))
+
+    def __str__(self) -> str:
+        code = "any code" if self.code is None else f"code 0x{self.code:02X}"
+        payload = "any payload" if self.payload is None else _payload(self.payload)
+        return f"a reply with seq 0x{self.seq:02X}, {code}, {payload}"
+
+
+def refusal(seq: int, code: int) -> Expected:
+    """The error reply `code` to the request `seq`; its payload is left open."""
+    return Expected(seq, code)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Wire bytes of a request and the reply that it is due."""
+
+    wire: bytes
+    expected: Expected
+    seq: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seq", self.expected.seq)
+
+
+@dataclass(frozen=True, slots=True)
+class ManyReply:
+    """The payload of a reply of a2jMany, taken apart; offset in bytes."""
+
+    code: int
+    flags: int
+    offset: int
+    data: bytes
+
+
+def many_payload(func: int, flags: int = 0, offset: int = 0, data: bytes = b"") -> bytes:
+    """Return the payload of a request to a2jMany; `flags` may hold any bits."""
+    return bytes((func, flags)) + offset.to_bytes(4, "little") + data
+
+
+def describe(event: Event) -> str:
+    """Return what an event is, in words."""
+    match event:
+        case Frame(start, seq, opcode, payload):
+            name = "SOF" if start == c.SOF else "SOS"
+            return f"a {name} frame with seq 0x{seq:02X}, code 0x{opcode:02X}, {_payload(payload)}"
+        case FrameError("checksum"):
+            return "a frame whose checksum is wrong"
+        case FrameError("marker"):
+            return "a frame that a raw start byte cuts short"
+        case FrameError():
+            return "a frame with ESC 0xFF in it"
+        case Skipped(count):
+            return f"{count} bytes outside a frame"
+        case _:
+            return "a frame without its end"
+
+
+def _payload(payload: bytes) -> str:
+    shown = payload[:16].hex(" ") + (" ..." if len(payload) > 16 else "")
+    return f"{len(payload)} payload bytes [{shown}]" if payload else "no payload"
