@@ -8,7 +8,7 @@ sent and expected come from the oracle of `j2a_spec`.
 from ._case import Case
 from ._coverage import coverage
 from ._deviations import Deviation, Rules
-from ._model import Claims, Evidence, HarnessError, Result, Run, Verdict
+from ._model import Claims, Evidence, HarnessError, Outcome, Result, Run, Verdict
 from ._runner import run
 from .cases import load
 
@@ -18,6 +18,7 @@ __all__ = [
     "Deviation",
     "Evidence",
     "HarnessError",
+    "Outcome",
     "Result",
     "Rules",
     "Run",

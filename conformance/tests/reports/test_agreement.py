@@ -4,8 +4,18 @@ import json
 from xml.etree import ElementTree
 
 import pytest
-from j2a_conformance import Result, Run, Verdict, _badge, _console, _html, _json, _junit, _matrix
-from j2a_conformance._model import Outcome
+from j2a_conformance import (
+    Outcome,
+    Result,
+    Run,
+    Verdict,
+    _badge,
+    _console,
+    _html,
+    _json,
+    _junit,
+    _matrix,
+)
 from j2a_conformance.cli._exit import status
 
 OK, FAILED, KNOWN = Verdict.OK, Verdict.FAILED, Verdict.KNOWN_DEVIATION
