@@ -91,7 +91,7 @@ def test_bad_urls_are_value_errors() -> None:
         ("loopback:a?b=c", "expected loopback:name"),
         ("faults:drop=0.1", "expected faults:seed=1,drop=0.001:inner-url"),
         ("faults:drop=2:loopback:x", "drop='2' takes a number from 0 to 1"),
-        ("faults:dorp=0.1:loopback:x", "unknown option 'dorp'; faults has: delay,"),
+        ("faults:dorp=0.1:loopback:x", "unknown option 'dorp'; faults has: burst,"),
         ("faults:drop=0.1:telnet:x", "unknown scheme 'telnet'"),
         ("faults:write_timeout=1:tcp://127.0.0.1:5?write_timeout=2", "given twice"),
     ],
