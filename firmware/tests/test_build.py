@@ -1,6 +1,7 @@
 """Every combination of build options compiles without a warning and keeps the order of opcodes."""
 
 import itertools
+import os
 import re
 import shutil
 from pathlib import Path
@@ -192,3 +193,32 @@ def test_wrong_options_do_not_compile(make, tmp_path, option, message):
 @pytest.mark.parametrize("path", sorted(FIRMWARE.glob("ports/*/port.c")), ids=lambda p: p.parts[-2])
 def test_ports_are_small(path):
     assert len(path.read_text().splitlines()) < 150
+
+
+@pytest.mark.parametrize("target", ["proof", "fuzz"])
+def test_targets_with_the_name_of_a_folder_run(make, target):
+    result = make("-n", target)
+    assert result.returncode == 0, result.stderr
+    assert f"{target}/{'prove' if target == 'proof' else target}.py" in result.stdout
+
+
+def test_mutant_of_a_port_and_an_app_in_other_folders(make, tmp_path):
+    port, out = tmp_path / "port", tmp_path / "out"
+    shutil.copytree(FIRMWARE / "ports/posix", port)
+    folder = app(tmp_path / "other", "J2A_CALL(f, f)\n")
+    result = make(
+        MUTANT="core-stuff-004",
+        PORT_DIR=os.path.relpath(port, FIRMWARE),
+        APP="other",
+        APP_DIR=os.path.relpath(folder, FIRMWARE),
+        OUT=os.path.relpath(out, FIRMWARE),
+    )
+    assert result.returncode == 0, result.stderr
+    assert (out / "other").exists()
+
+
+def test_mutants_of_python_are_refused(make, tmp_path):
+    result = make(MUTANT="device-stuff-004", OUT=tmp_path)
+    assert result.returncode != 0
+    assert "device-stuff-004: not a mutant of the C core" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
