@@ -1,6 +1,6 @@
 /* An ATmega2560 at 16 MHz, UART 0 at 250000 baud: everything is polled, the clock too.
- * Written from docs/porting.md, the template and the chip's data sheet alone, without a look at another
- * port, and kept as the proof that these suffice: test_naive_port.py lays this folder over a copy of the
+ * Written from docs/porting.md with the example that it prints, the template and the chip's data sheet,
+ * and kept as the proof that these suffice: test_naive_port.py lays this folder over a copy of the
  * template and judges the result. So nothing here is to be made better than the guide asks for. */
 #include "board.h"
 
