@@ -14,7 +14,7 @@ from j2a_transports import Transport, TransportError
 from j2a_transports.faults import Rates
 
 from j2a_conformance._judge import Judged
-from j2a_conformance._model import Claims, HarnessError, Verdict
+from j2a_conformance._model import Claims, HarnessError, Result, Verdict
 from j2a_conformance._peer import Peer
 from j2a_conformance._runner import run as judge
 from j2a_conformance._smoke import SMOKE
@@ -168,7 +168,7 @@ def _blamed(
     try:
         again = judge(opener, (), timeout_scale=scale, baud=baud, lossy=_ATTEMPTS)
     except HarnessError:
-        wrong = ()
+        wrong: tuple[Result, ...] = ()
     else:
         wrong = again.with_verdict(Verdict.FAILED)
     if wrong:
