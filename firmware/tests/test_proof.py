@@ -20,11 +20,11 @@ def prove(missing, *arguments):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)  # half a minute on two cores that are free
+@pytest.mark.timeout(900)  # about a minute on two cores that are free
 def test_core_is_proved(missing):
     result = prove(missing)
     assert result.returncode == 0, result.stdout + result.stderr
-    assert result.stdout.count("proven  ") == 9
+    assert result.stdout.count("proven  ") == 11
 
 
 DEFECTS = {
@@ -63,6 +63,13 @@ DEFECTS = {
         "    j2a_rx.event = J2A_EVENT_NONE;\n    j2a_rx.count = 0;",
         "read-only",
     ),
+    "the self-test sets the parser's count": (
+        "sender gcc_x86_64",
+        "j2a_selftest.c",
+        "    due = wire;\n",
+        "    due = wire;\n    j2a_rx.count = 0;\n",
+        "read-only",
+    ),
 }
 
 
@@ -78,3 +85,19 @@ def test_proof_of_a_broken_core_fails(missing, tmp_path, defect):
     assert result.returncode == 1, result.stdout + result.stderr
     assert "FAILED" in result.stdout
     assert reason in result.stdout
+
+
+def test_file_of_the_core_that_no_analysis_has_fails(missing, tmp_path):
+    core = tmp_path / "core"
+    shutil.copytree(FIRMWARE / "core", core)
+    (core / "j2a_new.c").write_text("extern int j2a_new;\n")
+    result = prove(missing, "--core", core, "--only", "sender gcc_x86_64")
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "j2a_new.c is in no analysis" in result.stdout
+
+
+def test_folder_without_a_core_is_refused(missing, tmp_path):
+    result = prove(missing, "--core", tmp_path / "nowhere")
+    assert result.returncode == 2
+    assert "no j2a_internal.h there" in result.stderr
+    assert "Traceback" not in result.stderr
