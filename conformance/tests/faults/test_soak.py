@@ -35,8 +35,8 @@ def test_a_fault_planted_in_the_core_is_found(need, tmp_path, capfd, pytestconfi
     subprocess.run(command, env=env, check=True)
     program = firmware / "build" / "posix" / "builtins"
     vector = tmp_path / "vector.json"
-    arguments = ["faults", f"exec:{program}", "--vector", str(vector), "--seed", "7"]
-    assert main([*arguments, "--soak", "20000"]) == 1
+    arguments = ["faults", f"exec:{program}"]
+    assert main([*arguments, "--vector", str(vector), "--seed", "7", "--soak", "20000"]) == 1
     assert "shortest bytes that show it (5 of " in capfd.readouterr().out
     assert main([*arguments, "--replay", str(vector)]) == 1
 
