@@ -2,10 +2,11 @@
 
 What flows in: the tables, and `matrix.json`. What flows out: what each mutant was killed by, and an
 exit code: 0 when each of them was. Rules: the targets without a mutant pass the same cases in the
-same run, else a failure would prove nothing; a mutant that survives, a requirement without mutant
-or exception, and a kill of `matrix.json` that does not come again are each a failure; so is a run
-in which there was nothing to judge. To save time a mutant that `matrix.json` knows is judged only
-by the cases that kill it there.
+same run, else a failure would prove nothing; a mutant that survives, and a requirement without
+mutant or exception, are each a failure; so is a run in which there was nothing to judge. To save
+time a mutant that `matrix.json` knows is judged first by the cases that kill it there, the quickest
+first, and one is enough. Only when none of them fails, all cases of the rule are done, twice if
+need be: a stall of this machine may hide one kill, so a kill that does not come is a mere note.
 """
 
 import argparse
@@ -23,14 +24,15 @@ from targets import Job, Outcome, Variant, cases, judge, variant
 
 __all__ = ["main"]
 
+_JOBS = 3  # both cores of a runner; most mutants wait most of the time
 _BASELINES = 3  # a stall of this machine may spoil one run of the unmutated target, not all
 
 
 @dataclass
 class Found:
-    """What the jobs have shown: cases that failed, by mutant, and what is wrong."""
+    """What the jobs have shown: the outcomes of mutants, by id, and what is wrong."""
 
-    failed: dict[str, frozenset[str]] = field(default_factory=dict)
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
 
 
@@ -43,26 +45,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TableError as error:
         print(f"kill.py: {error}", file=sys.stderr)
         return 1
-    kept = matrix.read(matrix.MATRIX) if matrix.MATRIX.exists() else {}
-    every = args.all_cases or args.write
-    found = _judge_all(list(_jobs(chosen, {} if args.write else kept, every, args.write)), args)
+    known = matrix.MATRIX.exists()
+    kept = matrix.read(matrix.MATRIX) if known else {}
+    found = _judge_all(chosen, kept, args)
     problems = found.problems
     rows = {
-        mutant.id: _row(target, mutant, found.failed[mutant.id])
+        mutant.id: _row(target, mutant, found.outcomes[mutant.id].failed)
         for target, mutant in chosen
-        if mutant.id in found.failed
+        if mutant.id in found.outcomes
     }
+    for note in _not_seen(rows, kept, found):
+        print(note)
     if args.write:
         kept = kept | rows
         matrix.write(tables, kept, matrix.MATRIX)
+        known = True
     if not args.only:
+        exceptions = matrix.exceptions(matrix.MATRIX) if known else []
         for table in tables:
             if not args.target or table.target in args.target:
-                problems += matrix.uncovered(table) + matrix.differences(table, kept)
+                problems += matrix.uncovered(table)
+                problems += matrix.differences(table, kept, exceptions)
         problems += matrix.strangers(tables, kept)
     killed = [row for row in rows.values() if row.killed_by]
     problems += [f"{row.id}: survives" for row in rows.values() if not row.killed_by]
-    problems += _missing(rows, kept)
     for problem in problems:
         print(problem)
     print(f"{len(chosen)} mutants, {len(killed)} killed")
@@ -84,57 +90,80 @@ def _parser() -> argparse.ArgumentParser:
         help="write matrix.json: every case, and again those that fail",
     )
     parser.add_argument(
-        "-j", "--jobs", type=int, default=4, metavar="N", help="mutants at a time (4)"
+        "-j", "--jobs", type=_count, default=_JOBS, metavar="N", help=f"mutants at a time ({_JOBS})"
     )
     parser.add_argument("-v", "--verbose", action="store_true", help="show each mutant as it ends")
     return parser
 
 
+def _count(text: str) -> int:
+    """Return a number of at least 1; argparse turns a ValueError into an error of the usage."""
+    if (count := int(text)) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is too few, 1 is the least")
+    return count
+
+
 def _chosen(
     tables: Iterable[Table], targets: Sequence[str] | None, only: Sequence[str] | None
 ) -> list[tuple[str, Mutant]]:
-    every = [(t.target, m) for t in tables if not targets or t.target in targets for m in t.mutants]
+    every = [(table.target, mutant) for table in tables for mutant in table.mutants]
+    chosen = [(target, mutant) for target, mutant in every if not targets or target in targets]
     if only is None:
-        return every
+        return chosen
     if unknown := set(only) - {mutant.id for _, mutant in every}:
         raise TableError(f"no such mutant: {', '.join(sorted(unknown))}")
-    return [(target, mutant) for target, mutant in every if mutant.id in only]
+    if others := set(only) - {mutant.id for _, mutant in chosen}:
+        raise TableError(f"--target leaves out {', '.join(sorted(others))}")
+    return [(target, mutant) for target, mutant in chosen if mutant.id in only]
 
 
-def _jobs(
-    chosen: Iterable[tuple[str, Mutant]], kept: dict[str, Row], every: bool, twice: bool
-) -> Iterator[tuple[Job, int]]:
-    """Yield each job and how often it may be done: first the targets without a mutant."""
-    jobs: list[Job] = []
-    used: defaultdict[Variant, frozenset[str]] = defaultdict(frozenset)
+def _jobs(chosen: Iterable[tuple[str, Mutant]], kept: dict[str, Row], every: bool) -> Iterator[Job]:
     for target, mutant in chosen:
-        due = frozenset(kept[mutant.id].killed_by if mutant.id in kept else ())
         known = cases(target)
-        named = (
-            frozenset(known) if every else due or matrix.killers(mutant.requirement, known, known)
-        )
-        jobs.append(Job(variant(target, mutant), mutant, named, due, twice))
-        used[jobs[-1].how] |= named
-    for how, named in used.items():
-        yield Job(how, None, named), _BASELINES
-    for job in jobs:
-        yield job, 1
+        if every:
+            named = tuple(known)
+        elif mutant.id in kept and kept[mutant.id].killed_by:
+            named = kept[mutant.id].killed_by
+        else:
+            named = tuple(sorted(matrix.killers(mutant.requirement, known, known)))
+        yield Job(variant(target, mutant), mutant, named, every)
 
 
-def _judge_all(jobs: Sequence[tuple[Job, int]], args: argparse.Namespace) -> Found:
-    """Do the jobs, side by side."""
+def _judge_all(
+    chosen: Sequence[tuple[str, Mutant]], kept: dict[str, Row], args: argparse.Namespace
+) -> Found:
+    """Judge the mutants, and the targets without one by all cases that were of use."""
     found = Found()
+    jobs = list(_jobs(chosen, kept, args.all_cases or args.write))
+    passed: defaultdict[Variant, set[str]] = defaultdict(set)
+    for job in jobs:
+        passed[job.how].update(job.cases)
     with ProcessPoolExecutor(args.jobs, get_context("spawn")) as pool:
-        waiting = {pool.submit(_do, *job): job[0] for job in jobs}
-        for done in as_completed(waiting):
-            job, error = waiting[done], done.exception()
-            outcome = Outcome(trouble=repr(error)) if error else done.result()
-            _note(job, outcome, found, args.verbose)
+        _all(pool, [*_unmutated(passed), *jobs], found, args.verbose)
+        # Where no kill that was known came, more cases were done.
+        more: defaultdict[Variant, set[str]] = defaultdict(set)
+        for job in jobs:
+            if job.mutant and job.mutant.id in found.outcomes:
+                more[job.how] |= found.outcomes[job.mutant.id].tried - passed[job.how]
+        _all(pool, _unmutated(more), found, args.verbose)
     return found
 
 
-def _do(job: Job, attempts: int) -> Outcome:
-    for _ in range(attempts):
+def _unmutated(used: dict[Variant, set[str]]) -> list[Job]:
+    return [Job(how, None, tuple(sorted(names))) for how, names in used.items() if names]
+
+
+def _all(pool: ProcessPoolExecutor, jobs: Iterable[Job], found: Found, verbose: bool) -> None:
+    """Do the jobs, side by side."""
+    waiting = {pool.submit(_do, job): job for job in jobs}
+    for done in as_completed(waiting):
+        error = done.exception()
+        outcome = Outcome(trouble=repr(error)) if error else done.result()
+        _note(waiting[done], outcome, found, verbose)
+
+
+def _do(job: Job) -> Outcome:
+    for _ in range(1 if job.mutant else _BASELINES):
         outcome = judge(job)
         if not outcome.failed and not outcome.trouble:
             break
@@ -144,29 +173,30 @@ def _do(job: Job, attempts: int) -> Outcome:
 def _note(job: Job, outcome: Outcome, found: Found, verbose: bool) -> None:
     name = job.mutant.id if job.mutant else f"unmutated {job.how}"
     if verbose:
-        print(f"{name}: {outcome.trouble or ', '.join(sorted(outcome.failed)) or 'nothing failed'}")
+        print(f"{name}: {outcome.trouble or ', '.join(outcome.failed) or 'nothing failed'}")
         sys.stdout.flush()
     if outcome.trouble:
         found.problems.append(f"{name}: {outcome.trouble}")
     elif job.mutant:
-        found.failed[job.mutant.id] = outcome.failed
+        found.outcomes[job.mutant.id] = outcome
     elif outcome.failed:
         found.problems.append(f"{name}: fails {', '.join(sorted(outcome.failed))}")
 
 
-def _row(target: str, mutant: Mutant, failed: frozenset[str]) -> Row:
+def _row(target: str, mutant: Mutant, failed: Sequence[str]) -> Row:
     named = matrix.killers(mutant.requirement, failed, cases(target))
-    return matrix.row(mutant, named, failed - named)
+    killed_by = [name for name in failed if name in named]
+    return matrix.row(mutant, killed_by, set(failed) - named)
 
 
-def _missing(rows: dict[str, Row], kept: dict[str, Row]) -> list[str]:
-    """Say which kills of `matrix.json` did not come again."""
+def _not_seen(rows: dict[str, Row], kept: dict[str, Row], found: Found) -> list[str]:
+    """Say which kills of `matrix.json` did not come, though the mutant is killed."""
     return [
-        f"{name}: {case} does not fail any more, as matrix.json says"
+        f"note: {name}: {case} kills it, says matrix.json; not seen this time"
         for name, row in rows.items()
-        if name in kept
+        if name in kept and row.killed_by
         for case in kept[name].killed_by
-        if case not in row.killed_by
+        if case in found.outcomes[name].tried and case not in row.killed_by
     ]
 
 

@@ -18,6 +18,7 @@ __all__ = [
     "MATRIX",
     "Row",
     "differences",
+    "exceptions",
     "killers",
     "read",
     "row",
@@ -39,7 +40,7 @@ class Row:
         requirement: id of the requirement that it breaks.
         what: what it does.
         files: the files that it changes.
-        killed_by: ids of the cases that name the requirement and fail.
+        killed_by: ids of the cases that name the requirement and fail, the quickest first.
         also: ids of the other cases that fail.
     """
 
@@ -54,8 +55,9 @@ class Row:
 def row(mutant: Mutant, killed_by: Iterable[str] = (), also: Iterable[str] = ()) -> Row:
     """Return the row of a mutant."""
     files = tuple(dict.fromkeys(edit.file for edit in mutant.edits))
-    named = tuple(sorted(killed_by))
-    return Row(mutant.id, mutant.requirement, mutant.what, files, named, tuple(sorted(also)))
+    return Row(
+        mutant.id, mutant.requirement, mutant.what, files, tuple(killed_by), tuple(sorted(also))
+    )
 
 
 def killers(
@@ -83,8 +85,10 @@ def uncovered(table: Table) -> list[str]:
     return found
 
 
-def differences(table: Table, rows: Mapping[str, Row]) -> list[str]:
-    """Say where the rows are not those of the table."""
+def differences(
+    table: Table, rows: Mapping[str, Row], exceptions: Sequence[dict[str, str]]
+) -> list[str]:
+    """Say where the rows and the exceptions are not those of the table."""
     found = []
     for mutant in table.mutants:
         kept, due = rows.get(mutant.id), row(mutant)
@@ -92,7 +96,16 @@ def differences(table: Table, rows: Mapping[str, Row]) -> list[str]:
             found.append(f"{mutant.id}: is not so in matrix.json; run kill.py --write")
         elif not kept.killed_by:
             found.append(f"{mutant.id}: survives, says matrix.json")
+    if [entry for entry in exceptions if entry["target"] == table.target] != _exempt(table):
+        found.append(
+            f"{table.target}.toml: its exceptions are not so in matrix.json; run kill.py --write"
+        )
     return found
+
+
+def _exempt(table: Table) -> list[dict[str, str]]:
+    """Return the exceptions of a table as `matrix.json` holds them."""
+    return [{"target": table.target, **asdict(entry)} for entry in table.exempt]
 
 
 def strangers(tables: Iterable[Table], rows: Iterable[str]) -> list[str]:
@@ -109,10 +122,16 @@ def read(path: Path) -> dict[str, Row]:
     return {row.id: row for row in rows}
 
 
+def exceptions(path: Path) -> list[dict[str, str]]:
+    """Return the exceptions of the file."""
+    found: list[dict[str, str]] = json.loads(path.read_text("utf-8"))["exceptions"]
+    return found
+
+
 def write(tables: Sequence[Table], rows: Mapping[str, Row], path: Path) -> None:
     """Write the rows, each in a line, in the order of the tables, and the exceptions."""
     kept = [rows[m.id] for table in tables for m in table.mutants if m.id in rows]
-    exempt = [{"target": t.target, **asdict(entry)} for t in tables for entry in t.exempt]
+    exempt = [entry for table in tables for entry in _exempt(table)]
     parts = (("mutants", [asdict(entry) for entry in kept]), ("exceptions", exempt))
     blocks = [
         f'"{name}": [\n' + ",\n".join(json.dumps(e, ensure_ascii=False) for e in entries) + "\n]"

@@ -1,25 +1,28 @@
 """Builds or starts a target, mutated or not, and judges it by conformance cases.
 
 What flows in: `Job`s. What flows out: `Outcome`s. Rules: what a mutant is judged by is the suite as
-it is, over the ordinary link; a target that is not built, does not start or dies in a case says
-nothing about the rule, so that is no kill. Each job has a folder of its own, so that jobs can run
-side by side.
+it is, over the ordinary link; a target that is not built, does not start, dies in a case or is
+silent after it says nothing about the rule, so that is no kill. What does not fail is done again
+before a mutant survives, because a stall of this machine can hide a kill. Each job has a folder of
+its own, so that jobs can run side by side.
 """
 
 import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, TypeVar
 
 import j2a_transports
-from j2a_conformance import Case, HarnessError, Run, Verdict, host, load, run
+from j2a_conformance import Case, HarnessError, Result, Run, Verdict, host, load, run
 from j2a_conformance._smoke import SMOKE
+from j2a_transports import Transport
+from matrix import killers
 from tables import ROOT, Mutant, TableError, copy
 
 __all__ = ["Job", "Outcome", "Variant", "cases", "judge", "variant"]
@@ -30,6 +33,7 @@ _HOST_CASES: Final = {case.ID: case for case in (host.START, *host.load())}
 _SCALE: Final = 0.25
 _HOST_SCALE: Final = 0.5
 _START_S: Final = 20.0
+_ATTEMPTS: Final = 3
 _AnyCase = TypeVar("_AnyCase", Case, host.HostCase)
 # The clients begin with a random seq; which frames hold bytes to escape must not be left to chance.
 _SEEDED: Final = (
@@ -56,16 +60,15 @@ class Job:
     Attributes:
         how: what is built.
         mutant: the mutant, or None.
-        cases: ids of the cases; those of the smoke step run in any case.
-        due: ids of cases that must fail; where one does not, the job is done once more.
-        twice: what fails must fail again.
+        cases: ids of the cases, in the order in which they are tried; those of the smoke step run
+            in any case.
+        every: do all cases at once and again those that fail, instead of one by one up to a kill.
     """
 
     how: Variant
     mutant: Mutant | None
-    cases: frozenset[str]
-    due: frozenset[str] = frozenset()
-    twice: bool = False
+    cases: tuple[str, ...]
+    every: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +76,13 @@ class Outcome:
     """What came of a job.
 
     Attributes:
-        failed: ids of the cases that failed.
+        failed: ids of the cases that failed, the quickest first where every case was done.
+        tried: ids of the cases that were done.
         trouble: why nothing can be said about the mutant, or "".
     """
 
-    failed: frozenset[str] = frozenset()
+    failed: tuple[str, ...] = ()
+    tried: frozenset[str] = frozenset()
     trouble: str = ""
 
 
@@ -96,40 +101,140 @@ def cases(target: str) -> dict[str, tuple[str, ...]]:
 
 def judge(job: Job) -> Outcome:
     """Do a job; in a process of its own, because standard error is taken away from it."""
-    outcome = _once(job)
-    if outcome.trouble:
-        return outcome
-    if job.twice and outcome.failed:
-        again = _once(replace(job, cases=outcome.failed))
-        return Outcome(outcome.failed & again.failed, again.trouble)
-    if job.due <= outcome.failed:
-        return outcome
-    again = _once(job)
-    return Outcome(outcome.failed | again.failed, again.trouble)
-
-
-def _once(job: Job) -> Outcome:
     with TemporaryDirectory(prefix="j2a-mutant-") as name:
-        folder = Path(name)
+        trial = _Trial(job, Path(name))
         try:
-            copy(job.how.target, job.mutant, folder)
-            with _stderr_in(folder / "stderr"):
-                found = _SUITES[job.how.target](job, folder)
+            copy(job.how.target, job.mutant, trial.folder)
+            if job.how.target == "core":
+                _build(job.how, trial.folder)
+            failed = trial.unmutated() if job.mutant is None else trial.mutated(job.mutant)
         except (HarnessError, TableError) as error:
             return Outcome(trouble=str(error))
-        printed = (folder / "stderr").read_text("utf-8", "replace")
-    if "Traceback" in printed:
-        return Outcome(trouble=f"an exception that is no breach of this rule:\n{printed}")
-    failed = {result.case: result.reason for result in found.with_verdict(Verdict.FAILED)}
-    died = [name for name, reason in failed.items() if reason.startswith(_DIED)]
-    if died and len(died) == len(failed):
-        return Outcome(trouble=f"it died in {died[0]}: {failed[died[0]]}")
-    return Outcome(frozenset(failed) - frozenset(died))
+    return Outcome(failed, frozenset(trial.tried), "" if failed else trial.gone)
 
 
-def _core(job: Job, folder: Path) -> Run:
-    """Build the firmware in `folder` and judge it."""
-    how = job.how
+class _Trial:
+    """A target that is built, and what its cases have shown.
+
+    Attributes:
+        folder: where it is.
+        tried: ids of the cases that were done.
+        gone: how it died in a case or was silent after it, which is no kill; or "".
+    """
+
+    def __init__(self, job: Job, folder: Path) -> None:
+        self.folder = folder
+        self.tried: set[str] = set()
+        self.gone = ""
+        self._job = job
+
+    def unmutated(self) -> tuple[str, ...]:
+        """Do all cases; return those that failed, in whatever way."""
+        found = self._run(self._job.cases)
+        return tuple(result.case for result in found.with_verdict(Verdict.FAILED))
+
+    def mutated(self, mutant: Mutant) -> tuple[str, ...]:
+        """Return the cases that failed, at least one that kills if there is one."""
+        known = cases(self._job.how.target)
+        naming = sorted(killers(mutant.requirement, known, known))
+        if self._job.every:
+            return self._twice(naming)
+        for attempt in range(_ATTEMPTS):
+            try:
+                for name in naming if attempt else self._job.cases:
+                    failed = self._failed(name)
+                    if killers(mutant.requirement, failed, known):
+                        return failed
+            except HarnessError as error:  # so no other case can be done either
+                self.gone = str(error)
+            if attempt and self.gone:
+                break
+        return ()
+
+    def _twice(self, naming: Collection[str]) -> tuple[str, ...]:
+        """Do all cases; return those that failed also when they were done again."""
+        found = self._run(self._job.cases).with_verdict(Verdict.FAILED)
+        first = [result.case for result in sorted(found, key=lambda result: result.duration_s)]
+        killed = [name for name in first if name in naming and name in self._failed(name)]
+        others = tuple(name for name in first if name not in naming)
+        again = self._run(others).with_verdict(Verdict.FAILED) if others else ()
+        return (*killed, *(r.case for r in again if r.case in others and not _died(r)))
+
+    def _failed(self, name: str) -> tuple[str, ...]:
+        """Do one case; return what failed, unless the target is gone."""
+        heard = _Heard()
+        failed = self._run((name,), heard).with_verdict(Verdict.FAILED)
+        if died := [result for result in failed if _died(result)]:
+            self.gone = f"it died in {died[0].case}: {died[0].reason}"
+        elif failed and heard.is_silent:
+            self.gone = f"nothing answers after {failed[-1].case}: {failed[-1].reason}"
+        else:
+            return tuple(result.case for result in failed)
+        return ()
+
+    def _run(self, names: Collection[str], heard: "_Heard | None" = None) -> Run:
+        self.tried.update(names)
+        path = self.folder / "stderr"
+        with _stderr_in(path):
+            found = self._suite(names, heard or _Heard())
+        if "Traceback" in (printed := path.read_text("utf-8", "replace")):
+            raise TableError(f"an exception that is no breach of this rule:\n{printed}")
+        return found
+
+    def _suite(self, names: Collection[str], heard: "_Heard") -> Run:
+        how = self._job.how
+        if how.target == "host":
+            return _host(how, _ordered(_HOST_CASES, names, self._job.mutant), self.folder)
+        url, scale = _device(how, self.folder)
+        return run(
+            lambda: heard.listen(j2a_transports.open(url)),
+            _ordered(_DEVICE_CASES, names, self._job.mutant),
+            url=url,
+            timeout_scale=scale,
+            fresh=True,
+            on_result=heard.judged,
+        )
+
+
+class _Heard:
+    """Hears whether a device still says something after the case that failed.
+
+    The suite then asks it three times before it opens the link anew, which would hide that the
+    device hangs.
+
+    Attributes:
+        is_silent: it did not, and another link was opened.
+    """
+
+    def __init__(self) -> None:
+        self.is_silent = False
+        self._awaited = False
+
+    def listen(self, transport: Transport) -> Transport:
+        """Return the transport with ears."""
+        self.is_silent |= self._awaited
+        self._awaited = False
+        read = transport.read
+
+        def heard(timeout_s: float | None) -> bytes:
+            data = read(timeout_s)
+            self._awaited &= not data
+            return data
+
+        transport.read = heard  # type: ignore[method-assign]
+        return transport
+
+    def judged(self, result: Result) -> None:
+        """Note that a case was judged."""
+        self._awaited = result.verdict is Verdict.FAILED
+
+
+def _died(result: Result) -> bool:
+    return result.reason.startswith(_DIED)
+
+
+def _build(how: Variant, folder: Path) -> None:
+    """Build the firmware in `folder`."""
     # A make that runs this must not hand its variables and its job server to the make below.
     env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     settings = [f"PORT={how.port}", f"APP={how.app}", f"OPTIONS={how.options}", f"OUT={folder}/out"]
@@ -144,23 +249,24 @@ def _core(job: Job, folder: Path) -> Run:
     )
     if done.returncode:
         raise TableError(f"it is not built:\n{done.stderr}")
+
+
+def _device(how: Variant, folder: Path) -> tuple[str, float]:
+    """Return the URL of the device that `folder` holds, and the factor for the waits."""
+    if how.target == "device":
+        serve = ["-m", "j2a", "serve", "--listen", "stdio:", "--once"]
+        return "exec:" + shlex.join(_python(folder, *serve)), _SCALE
     if how.port == "posix":
-        return _judged(f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", job, _SCALE)
-    return _judged(f"sim:{folder}/out/{how.app}.elf", job, 1.0)
+        return f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", _SCALE
+    return f"sim:{folder}/out/{how.app}.elf", 1.0
 
 
-def _device(job: Job, folder: Path) -> Run:
-    """Judge the Python Device of `folder`."""
-    serve = ["-m", "j2a", "serve", "--listen", "stdio:", "--once"]
-    return _judged("exec:" + shlex.join(_python(folder, *serve)), job, _SCALE)
-
-
-def _host(job: Job, folder: Path) -> Run:
+def _host(how: Variant, chosen: list[host.HostCase], folder: Path) -> Run:
     """Judge the host library of `folder`, by one of its clients."""
-    path = ROOT / f"conformance/hosts/{job.how.program}.py"
+    path = ROOT / f"conformance/hosts/{how.program}.py"
     program = host.Program(_python(folder, "-c", _SEEDED, str(path)))
     with host.Listening("tcp://127.0.0.1:0", program, _START_S) as place:
-        return host.run(place, _ordered(_HOST_CASES, job), timeout_scale=_HOST_SCALE)
+        return host.run(place, chosen, timeout_scale=_HOST_SCALE)
 
 
 def _python(folder: Path, *arguments: str) -> list[str]:
@@ -168,24 +274,13 @@ def _python(folder: Path, *arguments: str) -> list[str]:
     return ["env", f"PYTHONPATH={folder}", sys.executable, "-P", *arguments]
 
 
-def _judged(url: str, job: Job, scale: float) -> Run:
-    return run(
-        lambda: j2a_transports.open(url),
-        _ordered(_DEVICE_CASES, job),
-        url=url,
-        timeout_scale=scale,
-        fresh=True,
-    )
-
-
-def _ordered(known: Mapping[str, _AnyCase], job: Job) -> list[_AnyCase]:
-    """Return the cases of a job, first those of the rule: a mutant may be lost on the way."""
-    rule = job.mutant.requirement if job.mutant else ""
-    found = [case for name, case in known.items() if name in job.cases]
+def _ordered(
+    known: Mapping[str, _AnyCase], names: Collection[str], mutant: Mutant | None
+) -> list[_AnyCase]:
+    """Return the cases, first those of the rule: a mutant may be lost on the way."""
+    rule = mutant.requirement if mutant else ""
+    found = [case for name, case in known.items() if name in names]
     return sorted(found, key=lambda case: rule not in case.REQUIREMENTS)
-
-
-_SUITES: Final = {"core": _core, "device": _device, "host": _host}
 
 
 @contextmanager

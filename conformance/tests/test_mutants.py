@@ -7,6 +7,7 @@ The run over all of them is a step of its own, tools/check.sh.
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from j2a_conformance.cli import main as conform
@@ -55,9 +56,11 @@ def test_every_requirement_has_a_mutant_or_a_reason(target):
 
 def test_the_kill_matrix_is_that_of_the_tables():
     rows = matrix.read(matrix.MATRIX)
+    exceptions = matrix.exceptions(matrix.MATRIX)
+    assert {entry["target"] for entry in exceptions} <= set(TABLES)
     assert matrix.strangers(TABLES.values(), rows) == []
     for target, table in TABLES.items():
-        assert matrix.differences(table, rows) == []
+        assert matrix.differences(table, rows, exceptions) == []
         known = targets.cases(target)
         for mutant in table.mutants:
             kept = rows[mutant.id]
@@ -75,6 +78,14 @@ def test_a_requirement_without_mutant_is_told():
     ]
 
 
+def test_an_exception_that_is_not_in_the_matrix_is_told():
+    rows = matrix.read(matrix.MATRIX)
+    changed = [{**entry, "why": "no reason"} for entry in matrix.exceptions(matrix.MATRIX)]
+    assert matrix.differences(TABLES["device"], rows, changed) == [
+        "device.toml: its exceptions are not so in matrix.json; run kill.py --write"
+    ]
+
+
 def test_the_copy_has_the_edit_and_nothing_else(tmp_path):
     assert edit.main(["core-stuff-004", str(tmp_path / "copy")]) == 0
     changed = [
@@ -83,6 +94,20 @@ def test_the_copy_has_the_edit_and_nothing_else(tmp_path):
         if path.read_bytes() != (ROOT / path.relative_to(tmp_path / "copy")).read_bytes()
     ]
     assert changed == [Path("firmware/core/j2a_rx.c")]
+
+
+def test_only_a_folder_that_was_made_for_it_is_made_anew(tmp_path, capsys):
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    assert edit.main(["core-stuff-004", str(folder)]) == 0  # it was empty
+    (folder / "stale").touch()
+    assert edit.main(["core-stuff-004", str(folder)]) == 0
+    assert not (folder / "stale").exists()
+    thesis = tmp_path / "thesis.txt"
+    thesis.touch()
+    assert edit.main(["core-stuff-004", str(tmp_path)]) == 1
+    assert thesis.exists()
+    assert "is not deleted" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [["core-stuff-999", "x"], ["nonsense", "x"], ["one"]])
@@ -113,10 +138,11 @@ def judge(monkeypatch, tmp_path, need, capsys):
     need("cc")
     monkeypatch.setattr(matrix, "MATRIX", tmp_path / "matrix.json")
 
-    def run(*edits, killed_by=()):
-        mutant = replace(EXAMPLE, edits=edits)
-        table = Table("core", (mutant,), ())
-        monkeypatch.setattr(kill, "TARGETS", ("core",))
+    def run(*edits, killed_by=(), like=EXAMPLE):
+        mutant = replace(like, edits=edits)
+        target = mutant.id.partition("-")[0]
+        table = Table(target, (mutant,), ())
+        monkeypatch.setattr(kill, "TARGETS", (target,))
         monkeypatch.setattr(kill, "load", lambda _: table)
         if killed_by:
             rows = {mutant.id: matrix.row(mutant, killed_by)}
@@ -165,10 +191,82 @@ def test_a_mutant_that_answers_nothing_is_an_error(judge):
     assert "nothing answers" in printed
 
 
-def test_a_kill_that_does_not_come_again_is_told(judge):
-    status, printed = judge(*EXAMPLE.edits, killed_by=("stuff.escape-ff", "stuff.needless"))
+def test_a_core_that_hangs_is_an_error(judge):
+    hang = """void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length,
+                 const uint8_t *payload) {
+    static uint8_t sent;
+    if (++sent > 13)
+        for (;;)
+            ;"""
+    find = (
+        "void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, "
+        "const uint8_t *payload) {"
+    )
+    status, printed = judge(Edit("firmware/core/j2a_tx.c", find, hang))
     assert status == 1
-    assert "stuff.needless does not fail any more" in printed
+    assert "nothing answers after" in printed
+    assert "0 killed" in printed
+
+
+def test_a_host_that_sends_nothing_is_an_error(judge):
+    like, _ = find("host-frame-001")
+    silent = Edit("j2a/_engine.py", "self._transport.write(data)", "pass")
+    status, printed = judge(silent, killed_by=("host.start",), like=like)
+    assert status == 1
+    assert "nothing came from the host" in printed
+    assert "0 killed" in printed
+
+
+def test_a_kill_that_does_not_come_is_a_note_when_another_comes(judge):
+    status, printed = judge(*EXAMPLE.edits, killed_by=("stuff.needless", "stuff.escape-ff"))
+    assert status == 0
+    assert printed == (
+        "note: core-stuff-004: stuff.needless kills it, says matrix.json; not seen this time\n"
+        "1 mutants, 1 killed\n"
+    )
+
+
+def test_one_kill_is_enough(judge):
+    status, printed = judge(*EXAMPLE.edits, killed_by=("stuff.escape-ff", "stuff.needless"))
+    assert (status, printed) == (0, "1 mutants, 1 killed\n")
+
+
+def test_all_cases_of_the_rule_are_done_when_no_known_kill_comes(judge):
+    status, printed = judge(*EXAMPLE.edits, killed_by=("stuff.needless",))
+    assert status == 0
+    assert "stuff.needless kills it, says matrix.json; not seen this time" in printed
+
+
+def test_a_kill_may_come_late(monkeypatch, tmp_path):
+    stalled = ["stuff.escape-ff", "error.seq-unknown"]  # in the first attempt
+
+    def run(trial, names, heard=None):
+        failed = [name for name in names if name == "stuff.escape-ff" and name not in stalled]
+        stalled[:] = [name for name in stalled if name not in names]
+        trial.tried.update(names)
+        return SimpleNamespace(
+            with_verdict=lambda _: [SimpleNamespace(case=name, reason="") for name in failed]
+        )
+
+    monkeypatch.setattr(targets._Trial, "_run", run)
+    job = targets.Job(targets.variant("core", EXAMPLE), EXAMPLE, ("stuff.escape-ff",))
+    trial = targets._Trial(job, tmp_path)
+    assert trial.mutated(EXAMPLE) == ("stuff.escape-ff",)
+    assert stalled != ["stuff.escape-ff", "error.seq-unknown"]
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "many"])
+def test_a_number_of_jobs_is_at_least_1(count, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        kill.main(["-j", count])
+    assert "-j" in capsys.readouterr().err
+
+
+def test_a_mutant_that_the_target_leaves_out_is_said(capsys):
+    assert kill.main(["--only", "core-stuff-004", "--target", "host"]) == 1
+    assert "--target leaves out core-stuff-004" in capsys.readouterr().err
+    assert kill.main(["--only", "core-stuff-999"]) == 1
+    assert "no such mutant: core-stuff-999" in capsys.readouterr().err
 
 
 def test_nothing_to_judge_is_a_failure(monkeypatch, capsys):
