@@ -54,9 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         for target, mutant in chosen
         if mutant.id in found.outcomes
     }
-    for note in _not_seen(rows, kept, found):
-        print(note)
-    if args.write:
+    if not args.write:
+        for note in _not_seen(rows, kept, found):
+            print(note)
+    else:
         kept = kept | rows
         matrix.write(tables, kept, matrix.MATRIX)
         known = True

@@ -1,8 +1,10 @@
 """Sphinx directive `kill-matrix`: which mutant breaks which requirement, and which cases notice.
 
-What flows in: conformance/mutants/matrix.json, which `kill.py` writes and CI compares. What flows
-out: a sentence with the counts, and a table with a row for each requirement. Rules: nothing is
-judged here; a requirement without a mutant shows the reason that is written down for it.
+What flows in: conformance/mutants/matrix.json, which `kill.py --write` writes. What flows out: a
+sentence with the counts, and a table with a row for each requirement. Rules: nothing is judged
+here; a requirement without a mutant shows the reason that is written down for it. CI compares
+mutants and exceptions with the tables and sees each mutant killed; the other cases that fail, and
+all kills but one, are those of the last `--write`.
 """
 
 import json
