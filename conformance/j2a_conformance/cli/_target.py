@@ -19,7 +19,7 @@ from j2a_conformance._testee import load_testee
 
 from ._exit import UsageError
 
-__all__ = ["Target", "add_arguments", "check", "reach"]
+__all__ = ["Target", "add_arguments", "check", "check_scale", "reach"]
 
 _FRESH: Final = ("exec:", "pty:", "sim:")
 """Opening a URL of one of these schemes starts the device."""
@@ -78,11 +78,20 @@ def check(args: argparse.Namespace) -> None:
     Raises:
         UsageError: a value is out of range.
     """
-    least, most = _SCALES
-    if not least <= args.timeout_scale < most:
-        raise UsageError(f"--timeout-scale takes a number from {least} to below {most}")
+    check_scale(args.timeout_scale)
     if args.baud is not None and args.baud not in _BAUDS:
         raise UsageError(f"--baud takes a number from {_BAUDS.start} to {_BAUDS.stop - 1}")
+
+
+def check_scale(scale: float) -> None:
+    """Refuse what --timeout-scale cannot be.
+
+    Raises:
+        UsageError: it is out of range.
+    """
+    least, most = _SCALES
+    if not least <= scale < most:
+        raise UsageError(f"--timeout-scale takes a number from {least} to below {most}")
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from j2a_conformance.host import START, HostCase, Listening, Program, load, run
 
 from . import _cases, _reports
 from ._exit import CONFORMANT, UsageError, status
+from ._target import check_scale
 
 __all__ = ["add_arguments", "main"]
 
@@ -72,8 +73,7 @@ def main(args: argparse.Namespace) -> int:
         return CONFORMANT
     if not args.target:
         raise UsageError("a host is needed, e.g. -- python conformance/hosts/client.py")
-    if not 0 < args.timeout_scale < 1000:
-        raise UsageError("--timeout-scale takes a number above 0 and below 1000")
+    check_scale(args.timeout_scale)
     if not 0 < args.wait < 1e6:
         raise UsageError("--wait takes a number above 0 and below 1000000")
     reports = _reports.Reports(args)

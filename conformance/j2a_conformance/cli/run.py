@@ -17,7 +17,7 @@ from j2a_conformance._runner import run
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance.cases import load
 
-from . import _cases, _reports
+from . import _cases, _reports, _target
 from ._exit import CONFORMANT, UsageError, status
 from ._repeat import repeat
 from ._target import Target, reach
@@ -25,7 +25,6 @@ from ._target import Target, reach
 __all__ = ["add_arguments", "main"]
 
 _LOSSY_ATTEMPTS = 100
-_BAUDS = range(50, 50_000_001)
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -56,13 +55,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a list of what the device is known to do wrong, in TOML",
     )
-    command.add_argument(
-        "--baud",
-        type=int,
-        metavar="N",
-        help="bits a second of a slow link: waits fit it from the start, and a serial port is set "
-        "to it",
-    )
+    _target.add_arguments(command)
     command.add_argument(
         "--lossy",
         type=int,
@@ -78,13 +71,6 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         default=1,
         metavar="N",
         help="run N times and compare the verdicts; reports are of the last run",
-    )
-    command.add_argument(
-        "--timeout-scale",
-        type=float,
-        default=1.0,
-        metavar="X",
-        help="multiply every wait for an answer, for slow links",
     )
     command.add_argument(
         "--fresh",
@@ -117,10 +103,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    if not 0 < args.timeout_scale < 1000:
-        raise UsageError("--timeout-scale takes a number above 0 and below 1000")
-    if args.baud is not None and args.baud not in _BAUDS:
-        raise UsageError(f"--baud takes a number from {_BAUDS.start} to {_BAUDS.stop - 1}")
+    _target.check(args)
     if args.lossy is not None and not 2 <= args.lossy <= 10_000:
         raise UsageError("--lossy takes a number from 2 to 10000, or none")
     if args.repeat < 1:
