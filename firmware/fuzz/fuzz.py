@@ -1,9 +1,9 @@
 """Runs the C core under libFuzzer, and keeps the corpus.
 
-What flows in: link.c, the core (--core), and the inputs in corpus/ and seeds made of the golden
-vectors. What flows out: what libFuzzer reports, exit status 0 when nothing was found, 1 when
-something was (the input is then named), 2 when clang is missing. With --keep, corpus/ afterwards
-holds the fewest inputs that reach everything that was ever reached.
+What flows in: link.c and receiver.c, the core (--core), the inputs in corpus/, and seeds made of
+the golden vectors. What flows out: what libFuzzer reports, exit status 0 when nothing was found, 1
+when something was (the input is then named), 2 when clang is missing. With --keep, corpus/
+afterwards holds the fewest inputs that reach everything that was ever reached.
 Rules: the same seed and corpus give the same first runs; corpus/ is written with --keep only, and
 beside it the input that breaks the core, into the folder of --inputs.
 """
@@ -32,7 +32,7 @@ FLAGS = (
 def build(core: Path, folder: Path) -> Path:
     """Build the target over the core in this folder; returns the program."""
     program = folder / "link"
-    sources = [HERE / "link.c", *sorted(core.glob("*.c"))]
+    sources = [*sorted(HERE.glob("*.c")), *sorted(core.glob("*.c"))]
     command = ["clang", *FLAGS.split(), f"-I{core}", f"-I{HERE}", *map(str, sources)]
     subprocess.run([*command, "-o", str(program)], check=True)
     return program

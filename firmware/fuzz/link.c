@@ -8,6 +8,7 @@
 
 #include "j2a_functions.h"
 #include "j2a_internal.h"
+#include "receiver.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count);
 
@@ -26,55 +27,6 @@ enum {
             abort(); \
         } \
     } while (0)
-
-/* ------------------------------------------------------------------------- a second opinion --- */
-
-/* One direction of the link. body: what came of the frame that is open, unstuffed. */
-typedef struct {
-    uint8_t start; /* 0 between frames */
-    bool escaped;
-    size_t length;
-    uint8_t body[4 + J2A_MAX_PAYLOAD];
-} receiver;
-
-enum { NOTHING, GOOD, MARKER, ESCAPE, CHECKSUM };
-
-static uint8_t sum(const uint8_t *body) {
-    uint8_t value = (uint8_t)(body[0] ^ (body[1] + J2A_CHK_OPCODE) ^ (body[2] + J2A_CHK_LENGTH));
-    size_t i;
-    for (i = 0; i < body[2]; i++)
-        value ^= body[3 + i];
-    return value;
-}
-
-/* Takes a byte. Returns what ended with it; the frame is in old. */
-static int receive(receiver *r, uint8_t byte, receiver *old) {
-    if (byte == J2A_SOF || byte == J2A_SOS) {
-        const int result = r->start ? MARKER : NOTHING;
-        *old = *r;
-        memset(r, 0, sizeof *r);
-        r->start = byte;
-        return result;
-    }
-    if (!r->start)
-        return NOTHING;
-    if (!r->escaped && byte == J2A_ESC) {
-        r->escaped = true;
-        return NOTHING;
-    }
-    *old = *r;
-    if (r->escaped && byte == 0xFF) {
-        r->start = 0;
-        return ESCAPE;
-    }
-    r->body[r->length++] = (uint8_t)(byte + r->escaped);
-    r->escaped = false;
-    if (r->length < 4 || r->length != 4u + r->body[2])
-        return NOTHING;
-    *old = *r;
-    r->start = 0;
-    return old->body[r->length - 1] == sum(old->body) ? GOOD : CHECKSUM;
-}
 
 /* ------------------------------------------------------------------- what is due, and what came */
 
@@ -98,7 +50,7 @@ static void owe(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, cons
     body[1] = opcode;
     body[2] = length;
     memcpy(body + 3, payload, length);
-    body[3 + length] = sum(body);
+    body[3 + length] = receiver_sum(body);
     CHECK(due_length < sizeof due);
     due[due_length++] = start;
     for (i = 0; i < 4u + length; i++)
@@ -309,7 +261,7 @@ static void judge(uint16_t entry) {
         requests.start = 0;
         return;
     }
-    switch (receive(&requests, (uint8_t)entry, &old)) {
+    switch (receiver_take(&requests, (uint8_t)entry, &old)) {
     case GOOD:
         if (old.start == J2A_SOF)
             owe_reply(&old);
