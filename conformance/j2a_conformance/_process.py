@@ -23,7 +23,7 @@ __all__ = ["Process"]
 
 _GRACE_S: Final = 1.0
 _SLICE_S: Final = 0.02
-_KEPT: Final = 1 << 20
+_KEPT: Final = 1 << 19  # bytes, at the beginning and at the end
 
 
 class Process:
@@ -62,7 +62,8 @@ class Process:
         with self._popen.stdout as pipe:
             while data := os.read(pipe.fileno(), 1 << 16):
                 self._said += data
-                del self._said[:-_KEPT]
+                # The beginning may say where a server answers, the end why it failed.
+                del self._said[_KEPT : max(_KEPT, len(self._said) - _KEPT)]
 
     def code(self, wait_s: float = 0.0) -> int | None:
         """Return the exit code, or None where the program still runs after `wait_s`."""
@@ -71,7 +72,7 @@ class Process:
         return None
 
     def said(self) -> str:
-        """Return the last that the program printed, up to 1 MB; all of it once it has ended."""
+        """Return what the program printed, of more than 1 MiB the beginning and the end."""
         if self._popen.poll() is not None:
             self._reader.join(_GRACE_S)  # what it left behind may hold the pipe open
         return self._said.decode("utf-8", "replace")
