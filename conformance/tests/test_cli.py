@@ -97,7 +97,7 @@ def test_a_command_without_v_does_not_speak_of_it(capsys, monkeypatch):
 
 def test_junit_without_its_package_ends_before_the_run(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "junitparser", None)
-    monkeypatch.delitem(sys.modules, "j2a_conformance._junit", raising=False)
+    monkeypatch.delitem(sys.modules, "j2a_conformance.reports._junit", raising=False)
     assert main(["run", "exec:cat", "--junit", str(tmp_path / "report.xml")]) == 3
     captured = capsys.readouterr()
     assert "j2a[conformance]" in captured.err

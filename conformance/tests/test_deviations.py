@@ -2,9 +2,9 @@
 
 import pytest
 from j2a_conformance import HarnessError, Verdict
-from j2a_conformance._console import report
 from j2a_conformance._deviations import Rules, parse, profile, profiles, read
 from j2a_conformance._testee import load_testee
+from j2a_conformance.reports._console import report
 from j2a_spec import constants as c
 
 GOOD = {"case": "mapping.names", "reason": "not printable", "why": "names with spaces"}

@@ -6,7 +6,7 @@ The device is made from what is known about that firmware, on top of the referen
 import pytest
 from j2a_conformance import Rules, Verdict, load
 from j2a_conformance import run as run_suite
-from j2a_conformance._console import report
+from j2a_conformance.reports._console import report
 from j2a_spec import constants as c
 from j2a_transports import pair
 

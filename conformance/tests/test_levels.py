@@ -5,9 +5,9 @@ from typing import get_args
 
 import pytest
 from j2a_conformance import Result, Run, Verdict
-from j2a_conformance._console import report
 from j2a_conformance.host import START
 from j2a_conformance.host import load as load_host
+from j2a_conformance.reports._console import report
 from j2a_spec.requirements import Level
 
 OK, FAILED = Verdict.OK, Verdict.FAILED

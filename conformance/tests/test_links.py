@@ -6,9 +6,9 @@ from itertools import count
 import j2a_transports
 import pytest
 from j2a_conformance import HarnessError, Verdict, load, run
-from j2a_conformance._console import report
 from j2a_conformance.cli import _target
 from j2a_conformance.cli._exit import UsageError
+from j2a_conformance.reports._console import report
 from j2a_spec import constants as c
 from j2a_transports import LinkClosed, Transport, faults, pair
 

@@ -77,7 +77,7 @@ def renderer(name: str, what: str) -> Render:
         HarnessError: a package is missing that `what` needs.
     """
     try:
-        render: Render = import_module(f"j2a_conformance._{name}").render
+        render: Render = import_module(f"j2a_conformance.reports._{name}").render
     except ModuleNotFoundError as error:
         raise HarnessError(f"{what}: {error}; install j2a[conformance]") from error
     return render

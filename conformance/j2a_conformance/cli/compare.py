@@ -6,7 +6,7 @@ What flows in: two reports in JSON. What flows out: text, and an exit code.
 import argparse
 from pathlib import Path
 
-from j2a_conformance import _compare, _json
+from j2a_conformance.reports import _compare, _json
 
 from ._exit import CONFORMANT, FAILED, HARNESS, NOTHING
 

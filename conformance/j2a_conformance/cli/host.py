@@ -10,10 +10,10 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from j2a_conformance import _console
 from j2a_conformance._coverage import host_coverage
 from j2a_conformance._model import Result, Run
 from j2a_conformance.host import START, HostCase, Listening, Program, load, run
+from j2a_conformance.reports import _console
 
 from . import _cases, _reports
 from ._exit import CONFORMANT, UsageError, status

@@ -6,8 +6,8 @@ What flows in: reports in JSON. What flows out: a page in HTML.
 import argparse
 from pathlib import Path
 
-from j2a_conformance import _json
 from j2a_conformance._model import HarnessError
+from j2a_conformance.reports import _json
 
 from . import _reports
 from ._exit import CONFORMANT, UsageError

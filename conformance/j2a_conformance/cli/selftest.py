@@ -9,10 +9,10 @@ import argparse
 
 from j2a_spec import constants as c
 
-from j2a_conformance import _console
 from j2a_conformance._model import Result, Run
 from j2a_conformance._runner import run
 from j2a_conformance._selftest import HOW_TO_BUILD, SelfTest, read
+from j2a_conformance.reports import _console
 
 from . import _target
 from ._exit import CONFORMANT, FAILED, NOTHING, status

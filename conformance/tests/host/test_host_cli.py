@@ -9,8 +9,8 @@ from pathlib import Path
 
 import junitparser
 import pytest
-from j2a_conformance import _json
 from j2a_conformance.cli import main
+from j2a_conformance.reports import _json
 
 # A host program that connects and does what the text says.
 CONNECTS = """

@@ -4,19 +4,9 @@ import json
 from xml.etree import ElementTree
 
 import pytest
-from j2a_conformance import (
-    Outcome,
-    Result,
-    Run,
-    Verdict,
-    _badge,
-    _console,
-    _html,
-    _json,
-    _junit,
-    _matrix,
-)
+from j2a_conformance import Outcome, Result, Run, Verdict
 from j2a_conformance.cli._exit import status
+from j2a_conformance.reports import _badge, _console, _html, _json, _junit, _matrix
 
 OK, FAILED, KNOWN = Verdict.OK, Verdict.FAILED, Verdict.KNOWN_DEVIATION
 UNIMPLEMENTED, INFORMATIONAL = Verdict.UNIMPLEMENTED, Verdict.INFORMATIONAL

@@ -5,8 +5,8 @@ from xml.etree import ElementTree
 
 import pytest
 from j2a_conformance import Result, Run, Verdict
-from j2a_conformance._badge import render, text
-from j2a_conformance._pages import data_url
+from j2a_conformance.reports._badge import render, text
+from j2a_conformance.reports._pages import data_url
 from j2a_spec import SPEC_VERSION
 from j2a_spec.requirements import Level, get_args
 

@@ -6,9 +6,9 @@ from xml.etree import ElementTree
 
 import junitparser
 import pytest
-from j2a_conformance import _badge
-from j2a_conformance._json import read, render
 from j2a_conformance.cli import main, run
+from j2a_conformance.reports import _badge
+from j2a_conformance.reports._json import read, render
 
 KINDS = ("junit", "json", "html", "badge")
 
@@ -35,7 +35,7 @@ def test_a_report_that_fails_costs_no_other(kind, tmp_path, capsys, monkeypatch)
     def broken(_run):
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr(f"j2a_conformance._{kind}.render", broken)
+    monkeypatch.setattr(f"j2a_conformance.reports._{kind}.render", broken)
     assert main(["run", "exec:cat", *options(tmp_path, *KINDS)]) == 3
     captured = capsys.readouterr()
     assert f"a fault of --{kind}: ZeroDivisionError: oh" in captured.err
@@ -65,7 +65,7 @@ def test_a_file_that_cannot_be_written_is_found_before_the_run(kind, tmp_path, c
 def test_a_package_that_is_missing_is_found_before_the_run(kind, package, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     for module in ("_junit", "_html", "_pages"):
-        monkeypatch.delitem(sys.modules, f"j2a_conformance.{module}", raising=False)
+        monkeypatch.delitem(sys.modules, f"j2a_conformance.reports.{module}", raising=False)
     assert main(["run", "exec:cat", f"--{kind}", "report"]) == 3
     assert "install j2a[conformance]" in capsys.readouterr().err
 

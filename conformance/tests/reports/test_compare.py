@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 from j2a_conformance import Claims, Result, Run, Verdict
-from j2a_conformance._compare import compare, report
-from j2a_conformance._json import render
 from j2a_conformance.cli import main
+from j2a_conformance.reports._compare import compare, report
+from j2a_conformance.reports._json import render
 
 
 def result(case, verdict=Verdict.OK, reason=""):

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from j2a_conformance import Claims, Result, Run, Verdict
-from j2a_conformance._compare import compare, report
-from j2a_conformance._json import FORMAT
-from j2a_conformance._views import _LINES_OF_A_PASS
+from j2a_conformance.reports._compare import compare, report
+from j2a_conformance.reports._json import FORMAT
+from j2a_conformance.reports._views import _LINES_OF_A_PASS
 
 PAGE = Path(__file__).parents[3] / "docs/conformance/reports.md"
 

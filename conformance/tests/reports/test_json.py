@@ -13,24 +13,16 @@ import jsonschema
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from j2a_conformance import (
-    Claims,
-    Evidence,
-    HarnessError,
-    Result,
-    Run,
-    Verdict,
-    _badge,
-    _html,
-    _junit,
-    _matrix,
-)
-from j2a_conformance._compare import compare, report
-from j2a_conformance._json import parse, read, render
+from j2a_conformance import Claims, Evidence, HarnessError, Result, Run, Verdict
+from j2a_conformance.reports import _badge, _html, _junit, _matrix
+from j2a_conformance.reports._compare import compare, report
+from j2a_conformance.reports._json import parse, read, render
 from j2a_spec import requirements
 from j2a_spec.requirements import Level
 
-SCHEMA = json.loads(files("j2a_conformance").joinpath("report.schema.json").read_text("utf-8"))
+SCHEMA = json.loads(
+    files("j2a_conformance.reports").joinpath("report.schema.json").read_text("utf-8")
+)
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 TIMES = st.floats(0, 1e9)
 LEVELS = st.sampled_from(get_args(Level))

@@ -7,8 +7,8 @@ from itertools import cycle, pairwise
 
 import pytest
 from j2a_conformance import Verdict
-from j2a_conformance import _html as html
-from j2a_conformance import _matrix as matrix
+from j2a_conformance.reports import _html as html
+from j2a_conformance.reports import _matrix as matrix
 from j2a_spec import requirements
 
 VOID = {"meta", "link", "img", "br", "input", "wbr"}

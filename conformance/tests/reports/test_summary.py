@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from j2a_conformance import Claims, Result, Run, Verdict
-from j2a_conformance._summary import Standing, judgement, levels, name, tone
+from j2a_conformance.reports._summary import Standing, judgement, levels, name, tone
 
 
 def run_of(*verdicts, level="frame", **options):

@@ -8,7 +8,8 @@ length, so it fits whatever font the viewer has.
 from typing import Final
 from xml.sax.saxutils import escape
 
-from ._model import Outcome, Run
+from j2a_conformance._model import Outcome, Run
+
 from ._printable import printable
 from ._summary import Standing, levels
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from j2a_spec.requirements import Level
 
-from ._model import Outcome, Run, Verdict
+from j2a_conformance._model import Outcome, Run, Verdict
 
 __all__ = ["WORST_FIRST", "LevelSummary", "Standing", "judgement", "levels", "name", "tone"]
 

@@ -14,7 +14,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
-from ._model import HarnessError, Run
+from j2a_conformance._model import HarnessError, Run
+
 from ._summary import levels
 
 __all__ = ["FORMAT", "parse", "read", "render"]

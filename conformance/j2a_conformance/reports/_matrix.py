@@ -10,7 +10,8 @@ from typing import get_args
 
 from j2a_spec.requirements import Level
 
-from ._model import Run, Verdict
+from j2a_conformance._model import Run, Verdict
+
 from ._pages import page
 from ._summary import WORST_FIRST, LevelSummary, judgement, levels, name, tone
 from ._views import CaseView, case_view

@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from ._model import Claims, Result, Run, Verdict
-from ._smoke import SMOKE
+from j2a_conformance._model import Claims, Result, Run, Verdict
+from j2a_conformance._smoke import SMOKE
+from j2a_conformance.host import START
+
 from ._summary import judgement, levels, name
-from .host import START
 
 __all__ = ["Comparison", "compare", "report"]
 

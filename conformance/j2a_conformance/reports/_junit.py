@@ -14,8 +14,9 @@ from j2a_spec import requirements
 from j2a_spec.requirements import Level
 from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 
+from j2a_conformance._model import Outcome, Result, Run, Verdict
+
 from ._console import evidence_lines
-from ._model import Outcome, Result, Run, Verdict
 from ._printable import printable
 from ._summary import judgement
 

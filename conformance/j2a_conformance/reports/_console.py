@@ -10,9 +10,10 @@ from j2a_spec import constants as c
 from j2a_spec import requirements
 from j2a_spec.requirements import Level
 
+from j2a_conformance._deviations import STRICT
+from j2a_conformance._model import Evidence, Outcome, Result, Run, Verdict
+
 from ._annotate import annotate
-from ._deviations import STRICT
-from ._model import Evidence, Outcome, Result, Run, Verdict
 from ._summary import judgement
 
 __all__ = ["evidence_lines", "line", "report"]

@@ -12,8 +12,9 @@ from typing import Final
 
 from j2a_spec import requirements
 
+from j2a_conformance._model import Evidence, Result, Verdict
+
 from ._annotate import Annotated, Field, annotate
-from ._model import Evidence, Result, Verdict
 
 __all__ = ["CaseView", "case_view"]
 

@@ -11,8 +11,9 @@ from typing import Final, get_args
 from j2a_spec import requirements
 from j2a_spec.requirements import Level
 
+from j2a_conformance._model import Run, Verdict
+
 from . import _badge
-from ._model import Run, Verdict
 from ._pages import data_url, page
 from ._summary import WORST_FIRST, judgement, levels, name, tone
 from ._views import CaseView, case_view
