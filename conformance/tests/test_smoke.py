@@ -43,7 +43,10 @@ def test_the_command_says_that_the_link_loses_too_much(build_firmware, capsys):
     assert "the link loses too much" in capsys.readouterr().err
 
 
-def test_a_late_answer_is_no_noise(build_firmware):
-    url = f"exec:{build_firmware('demo')}"
+def test_a_late_answer_is_no_noise(build_firmware, tmp_path):
+    late = tmp_path / "late"
+    late.write_text(f"#!/bin/sh\nsleep 2\nexec {build_firmware('demo')}\n")
+    late.chmod(0o755)
+    url = f"exec:{late}"
     with pytest.raises(HarnessError, match=r"^nothing answers|^answers come later"):
         run(lambda: j2a_transports.open(url), (), timeout_scale=1e-9)

@@ -215,7 +215,9 @@ def test_boot_discards_what_the_board_says_first(terminal: Listener) -> None:
 
 def test_a_board_that_goes_away_while_booting(terminal: Listener) -> None:
     def board() -> None:
-        accepted(terminal).close()
+        far = accepted(terminal)
+        time.sleep(1)  # the host has opened the port, and needs a moment to set it up
+        far.close()
         terminal.close()
 
     booting = Background(board)
