@@ -34,7 +34,9 @@ typedef uint8_t j2a_many_fn(bool *is_last, bool is_write, uint32_t *const offset
 
 /* Receives and answers: j2a_poll(), then j2a_process(). Called in each turn of the main loop, at
  * least every 5 ms while frames arrive: a byte timeout comes late by the time between two calls, which
- * includes what functions and sending take (a SIF of 255 bytes up to 45 ms at 115200 baud). */
+ * includes what functions and sending take (a SIF of 255 bytes up to 45 ms at 115200 baud).
+ * With J2A_LINKS of more than 1 each link has its turn, and j2a_link is in the end what it was before.
+ * Within a function j2a_link is the link that the request came from. */
 void j2a_task(void);
 
 /* The first half of j2a_task(): takes received bytes from the port, and watches the byte timeout. */
@@ -45,8 +47,9 @@ void j2a_poll(void);
 void j2a_process(void);
 
 #if J2A_WITH_SIF
-/* Sends a server-initiated frame, opcode 0..255, length 0..255 bytes of payload. From the main context
- * only. From within a function it goes out at once, before the reply. Returns when the transmit buffer
+/* Sends a server-initiated frame, opcode 0..255, length 0..255 bytes of payload, on the link j2a_link: from
+ * within a function to the host that called it, elsewhere to the one that was chosen by setting j2a_link (0
+ * to begin with). From the main context only. From within a function it goes out at once, before the reply. Returns when the transmit buffer
  * holds its end. */
 void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
 #endif

@@ -27,7 +27,7 @@ uint8_t j2a_get_mapping(uint8_t *const length, uint8_t **const payload) {
         const char *name = j2a_flash_pointer(&j2a_functions[i].name);
         uint8_t c;
         do {
-            if (n == J2A_MAX_PAYLOAD) { /* never a truncated map */
+            if (n == J2A_ROOM) { /* never a truncated map */
                 *length = 0;
                 return J2A_RET_FAILED;
             }
@@ -40,6 +40,7 @@ uint8_t j2a_get_mapping(uint8_t *const length, uint8_t **const payload) {
 }
 #endif
 
+#if J2A_WITH_MANY
 uint8_t j2a_many(uint8_t *const length, uint8_t **const payload) {
     uint8_t *const p = *payload;
     uint8_t *data = p + J2A_MANY_HEADER;
@@ -60,7 +61,7 @@ uint8_t j2a_many(uint8_t *const length, uint8_t **const payload) {
     is_last = p[1] & J2A_FLAG_LAST;
     offset = j2a_get_u32(p + 2);
     code = ((j2a_many_fn *)function)(&is_last, p[1] & J2A_FLAG_WRITE, &offset, &n, &data);
-    if (n > J2A_MANY_DATA) {
+    if (n > J2A_ROOM_MANY) {
         n = 0;
         code = J2A_RET_FAILED;
     }
@@ -72,6 +73,7 @@ uint8_t j2a_many(uint8_t *const length, uint8_t **const payload) {
     *length = (uint8_t)(n + J2A_MANY_HEADER);
     return 0;
 }
+#endif
 
 #if J2A_WITH_PROPERTIES
 uint8_t j2a_get_properties(bool *is_last, bool is_write, uint32_t *const offset,
@@ -89,7 +91,7 @@ uint8_t j2a_get_properties(bool *is_last, bool is_write, uint32_t *const offset,
     for (; (c = j2a_flash_u8(next)) != 0 || before != 0; before = c, next++, at++) {
         if (at < *offset)
             continue;
-        if (n == J2A_MANY_DATA) {
+        if (n == J2A_ROOM_MANY) {
             *is_last = false;
             break;
         }
@@ -110,6 +112,7 @@ uint8_t j2a_echo(uint8_t *const length, uint8_t **const payload) {
     return J2A_ECHO;
 }
 
+#if J2A_WITH_MANY
 uint8_t j2a_echo_many(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
                       uint8_t **const data) {
     (void)is_last;
@@ -119,3 +122,4 @@ uint8_t j2a_echo_many(bool *is_last, bool is_write, uint32_t *const offset, uint
     (void)data;
     return J2A_ECHO_MANY;
 }
+#endif

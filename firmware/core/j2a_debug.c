@@ -23,7 +23,7 @@ uint8_t j2a_get_debug(uint8_t *const length, uint8_t **const payload) {
     uint8_t n = 0;
     uint8_t code = lost ? J2A_DEBUG_LOST : 0;
     lost = false;
-    while (used != 0 && n < J2A_MAX_PAYLOAD) {
+    while (used != 0 && n < J2A_ROOM) {
         (*payload)[n++] = (uint8_t)ring[first];
         first = (uint16_t)((first + 1) % J2A_DEBUGBUF);
         used--;

@@ -9,21 +9,27 @@
 /* What waits for j2a_process(): nothing, a frame, or the error code to be sent (0xF0 and up). */
 enum { J2A_EVENT_NONE, J2A_EVENT_FRAME };
 
-/* The parser's state; bytes are refused while an event waits, so the frame stays as it is. */
+/* The state of one link, most of it the parser's; bytes are refused while an event waits, so the frame stays as it is. */
 typedef struct {
     volatile uint8_t event;
-    uint8_t site;        /* of the error, for its payload */
     volatile bool fed;   /* a byte came since j2a_poll() last looked */
-    uint8_t state;       /* what the next byte is */
-    bool escaped;        /* the last byte was ESC */
+    uint8_t state;       /* what the next byte is, and whether the last one was ESC */
     uint8_t checksum;    /* over the bytes so far */
     uint8_t count;       /* payload bytes so far */
     uint8_t seq;
-    uint8_t opcode;
-    uint8_t length;
-    uint8_t payload[J2A_MAX_PAYLOAD];
+    uint8_t opcode;      /* of the request */
+    uint8_t length;      /* of the request's payload; of the error's where event is one */
+    uint8_t payload[J2A_ROOM];
+    uint16_t last_ticks; /* when j2a_poll() last found a byte */
+#if J2A_WITH_SIF
+    uint8_t sif_seq;     /* of the next SIF */
+#endif
 } j2a_rx_t;
-extern j2a_rx_t j2a_rx;
+extern j2a_rx_t j2a_rx_of[J2A_LINKS];
+#define j2a_rx (j2a_rx_of[j2a_link]) /* of the link that is served */
+
+/* Takes one byte; only while no event waits. */
+void j2a_rx_parse(uint8_t byte);
 
 /* Is a frame being received? */
 bool j2a_rx_busy(void);

@@ -11,9 +11,18 @@
 #define J2A_WITH_MAPPING 1
 #endif
 
+/* a2jMany and a2jEchoMany, for what is longer than a frame, and properties. Off: the opcodes after it move
+ * down. */
+#ifndef J2A_WITH_MANY
+#define J2A_WITH_MANY 1
+#endif
+
 /* Properties: a2jGetProperties. Off: the opcodes after it move down by one. */
 #ifndef J2A_WITH_PROPERTIES
-#define J2A_WITH_PROPERTIES 1
+#define J2A_WITH_PROPERTIES J2A_WITH_MANY
+#endif
+#if J2A_WITH_PROPERTIES && !J2A_WITH_MANY
+#error "J2A_WITH_PROPERTIES=1 needs J2A_WITH_MANY=1, by which properties are read"
 #endif
 
 /* Self-test: j2a_selftest() runs golden vectors through parser and sender at the start, the property
@@ -27,6 +36,20 @@
 #endif
 #if J2A_WITH_SELFTEST && !J2A_WITH_PROPERTIES
 #error "J2A_WITH_SELFTEST=1 needs J2A_WITH_PROPERTIES=1: the result is a property"
+#endif
+
+/* Links that the device serves at once, 1..255: J2A_ROOM and about 13 bytes of RAM each; see j2a_link in
+ * j2a.h. A port must be made for it, such as those with ports/common/board.h. */
+#ifndef J2A_LINKS
+#define J2A_LINKS 1
+#endif
+#if J2A_LINKS < 1 || J2A_LINKS > 255
+#error "J2A_LINKS must be 1..255"
+#endif
+
+/* The device's clock: j2a_port_time_us(). Off: it is not declared, and a port need not have it. */
+#ifndef J2A_WITH_CLOCK
+#define J2A_WITH_CLOCK 1
 #endif
 
 /* Server-initiated frames: j2a_send_sif(). Off: it is not declared. */
@@ -54,6 +77,17 @@
 #define J2A_RXBUF 32
 #endif
 
+/* Room for the payload of a request or a reply, 32..255 bytes. Longer requests are answered with 0xFF; with less
+ * than 255 the device says so in its property j2a.payload (J2A-LIMIT-006). */
+#ifndef J2A_ROOM
+#define J2A_ROOM J2A_MAX_PAYLOAD
+#endif
+#if J2A_ROOM < 32 || J2A_ROOM > J2A_MAX_PAYLOAD
+#error "J2A_ROOM must be 32..255 (J2A-LIMIT-006)"
+#endif
+/* Of it, what is left for a chunk of a2jMany. */
+#define J2A_ROOM_MANY (J2A_ROOM - J2A_MANY_HEADER)
+
 /* Longest accepted pause between two bytes of a frame in milliseconds. */
 #ifndef J2A_PAUSE_MS
 #define J2A_PAUSE_MS J2A_BYTE_TIMEOUT_MS
@@ -62,12 +96,13 @@
 #error "J2A_PAUSE_MS must be 9..19 (J2A-TIME-001, J2A-TIME-002)"
 #endif
 
-/* Bytes that a port holds until they are sent. On avr-serial 1..255, costs J2A_TXBUF + 1 bytes. */
+/* Bytes that a port holds until they are sent; 0 where it has no such buffer and waits for the
+ * transmitter. On avr-serial 0..255: 1 and more cost J2A_TXBUF + 3 bytes of RAM and 170 of flash. */
 #ifndef J2A_TXBUF
-#define J2A_TXBUF 8
+#define J2A_TXBUF 0
 #endif
-#if J2A_RXBUF < 1 || J2A_TXBUF < 1
-#error "J2A_RXBUF and J2A_TXBUF must be 1 or more"
+#if J2A_RXBUF < 1 || J2A_TXBUF < 0
+#error "J2A_RXBUF must be 1 or more, J2A_TXBUF 0 or more"
 #endif
 
 #endif

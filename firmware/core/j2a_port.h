@@ -10,6 +10,15 @@
 
 #include "j2a_options.h"
 
+/* The link that is served, 0..J2A_LINKS-1. Where there is more than one, j2a_task() sets it before it
+ * calls anything below, and so may the main context. An interrupt that pushes bytes with j2a_rx_byte() sets
+ * it for that call, and then back. */
+#if J2A_LINKS > 1
+extern uint8_t j2a_link;
+#else
+#define j2a_link 0
+#endif
+
 /* ------------------------------------------------------------------ the port implements ------ */
 
 /* Gives J2A_TICKS_PER_MS: ticks of j2a_port_ticks() in a millisecond, rounded up. With 1 a pause ends a
@@ -31,7 +40,9 @@ void j2a_port_tx(uint8_t byte);
 uint16_t j2a_port_ticks(void);
 
 /* Time since the start in microseconds, monotonic, without steps. */
+#if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void);
+#endif
 
 /* Times that received bytes were lost because the device was too slow, since the start. */
 uint16_t j2a_port_overruns(void);

@@ -155,7 +155,7 @@ void j2a_selftest_property(size_t at, uint32_t offset, bool *is_last, uint8_t *l
     for (i = 0; i < used; i++, at++) {
         if (at < offset)
             continue;
-        if (*length == J2A_MANY_DATA) {
+        if (*length == J2A_ROOM_MANY) {
             *is_last = false;
             break;
         }

@@ -8,11 +8,11 @@
 /* The map must fit into one frame: a negative array size stops the build when it does not. */
 #define J2A_CALL(name, function) + sizeof #name
 #define J2A_MANY(name, function) + sizeof #name
-typedef char j2a_names_longer_than_255_bytes[
-    sizeof "a2jGetMapping" + sizeof "a2jMany" + sizeof "a2jEcho" + sizeof "a2jEchoMany"
+typedef char j2a_names_longer_than_a_payload[
+    sizeof "a2jGetMapping" + sizeof "a2jEcho" + (J2A_WITH_MANY ? sizeof "a2jMany" + sizeof "a2jEchoMany" : 0)
     + (J2A_WITH_PROPERTIES ? sizeof "a2jGetProperties" : 0) + (J2A_WITH_DEBUG ? sizeof "a2jDebug" : 0)
 #include "functions.def"
-    <= J2A_MAX_PAYLOAD ? 1 : -1];
+    <= J2A_ROOM ? 1 : -1];
 #undef J2A_CALL
 #undef J2A_MANY
 #endif

@@ -9,8 +9,7 @@
 enum {
     J2A_KIND_CALL,
     J2A_KIND_MANY,
-    J2A_KIND_ROUTER, /* a2jMany: a call that may return error codes of the protocol */
-    J2A_KIND_NONE    /* opcode 0 without the map */
+    J2A_KIND_NONE /* opcode 0 without the map */
 };
 
 /* C99 allows no other common type for both kinds of functions; they are cast back before use. */
@@ -48,6 +47,18 @@ j2a_many_fn j2a_get_properties, j2a_echo_many;
 #endif
 #define J2A_NAMED(function, name) J2A_NAME(function, #name, j2a_name_##name)
 
+#if J2A_WITH_MANY
+#define J2A_NAME_MANY J2A_NAMED(j2a_many, a2jMany)
+#define J2A_ENTRY_MANY , J2A_ENTRY(j2a_many, J2A_KIND_CALL)
+#define J2A_NAME_ECHO_MANY J2A_NAMED(j2a_echo_many, a2jEchoMany)
+#define J2A_ENTRY_ECHO_MANY , J2A_ENTRY(j2a_echo_many, J2A_KIND_MANY)
+#else
+#define J2A_NAME_MANY
+#define J2A_ENTRY_MANY
+#define J2A_NAME_ECHO_MANY
+#define J2A_ENTRY_ECHO_MANY
+#endif
+
 #if J2A_WITH_PROPERTIES
 #define J2A_NAME_PROPERTIES J2A_NAMED(j2a_get_properties, a2jGetProperties)
 #define J2A_ENTRY_PROPERTIES , J2A_ENTRY(j2a_get_properties, J2A_KIND_MANY)
@@ -66,18 +77,18 @@ j2a_many_fn j2a_get_properties, j2a_echo_many;
 
 #define J2A_BUILTIN_NAMES \
     J2A_NAMED(j2a_get_mapping, a2jGetMapping) \
-    J2A_NAMED(j2a_many, a2jMany) \
+    J2A_NAME_MANY \
     J2A_NAME_PROPERTIES \
     J2A_NAME_DEBUG \
     J2A_NAMED(j2a_echo, a2jEcho) \
-    J2A_NAMED(j2a_echo_many, a2jEchoMany)
+    J2A_NAME_ECHO_MANY
 
 #define J2A_BUILTIN_ENTRIES \
-    J2A_ENTRY_0, \
-    J2A_ENTRY(j2a_many, J2A_KIND_ROUTER) \
+    J2A_ENTRY_0 \
+    J2A_ENTRY_MANY \
     J2A_ENTRY_PROPERTIES \
     J2A_ENTRY_DEBUG, \
-    J2A_ENTRY(j2a_echo, J2A_KIND_CALL), \
-    J2A_ENTRY(j2a_echo_many, J2A_KIND_MANY)
+    J2A_ENTRY(j2a_echo, J2A_KIND_CALL) \
+    J2A_ENTRY_ECHO_MANY
 
 #endif

@@ -25,7 +25,6 @@ void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const 
 
 #if J2A_WITH_SIF
 void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
-    static uint8_t seq;
-    j2a_send(J2A_SOS, seq++, opcode, length, payload);
+    j2a_send(J2A_SOS, j2a_rx.sif_seq++, opcode, length, payload);
 }
 #endif

@@ -1,10 +1,14 @@
+# MCU and FREQ say which chip it is, and its clock in Hz.
+MCU ?= atmega328p
+FREQ ?= 16000000
 CC := avr-gcc
 CFLAGS ?= -Os -flto
-MACHINE := -mmcu=atmega328p -DF_CPU=16000000UL -DBAUD=$(BAUD)UL \
-	-ffunction-sections -fdata-sections -fshort-enums -mcall-prologues
+MACHINE := -mmcu=$(MCU) -DF_CPU=$(FREQ)UL -DBAUD=$(BAUD)UL \
+	-ffunction-sections -fdata-sections -fshort-enums
 LINK := -Wl,--gc-sections -mrelax
 SUFFIX := .elf
 SIZE := avr-size
-PORT_RXBUF := 32
-PORT_TXBUF := 8
+PORT_RXBUF := 16
+# The USART itself holds two bytes.
+PORT_TXBUF := 0
 SMALL := 1

@@ -8,10 +8,13 @@
 # SIZE := arm-none-eabi-size
 CFLAGS ?= -Os
 
+# Ring, clocks and all that boards have in common; in your own folder are only the functions of board.h.
+PORT_SOURCES := ports/common/board_port.c
+
 # Received bytes that are held while a function runs; 32 and more. Costs so much RAM and one byte.
 PORT_RXBUF := 64
 # This port has no transmit buffer.
-PORT_TXBUF := 1
+PORT_TXBUF := 0
 # Apps that can do with less RAM then do (the demo also holds 128 received bytes, whatever stands
 # above); leave it out with 16 kB and more.
 SMALL := 1

@@ -7,7 +7,7 @@
 #include <avr/interrupt.h>
 #include <avr/io.h>
 
-#include "j2a.h"
+#include "j2a_internal.h"
 
 static uint8_t wire[2 * J2A_MAX_PAYLOAD + 8];
 
@@ -46,7 +46,7 @@ int main(void) {
     cli();
     GPIOR0 = 1;
     for (i = length; i != 0; i--)
-        j2a_rx_byte(*byte++);
+        j2a_rx_parse(*byte++);
     GPIOR0 = 0;
     sei();
     j2a_process();
@@ -56,7 +56,7 @@ int main(void) {
     cli();
     GPIOR0 = 2;
     for (i = length; i != 0; i--)
-        j2a_rx_byte(*byte++);
+        j2a_rx_parse(*byte++);
     GPIOR0 = 0;
     sei();
     j2a_process();

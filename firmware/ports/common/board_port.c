@@ -20,10 +20,14 @@ typedef uint16_t ring_index;
 
 enum { BYTES_IN_A_ROW = 32 }; /* then the main loop goes on, also when bytes come without end */
 
-static volatile uint8_t ring[J2A_RXBUF + 1u]; /* one place stays free, so that full and empty differ */
-static volatile ring_index head, tail;
-static volatile bool lost;
-static uint16_t overruns;
+typedef struct {
+    volatile uint8_t bytes[J2A_RXBUF + 1u]; /* one place stays free, so that full and empty differ */
+    volatile ring_index head, tail;
+    volatile bool lost;
+    uint16_t overruns;
+} ring_of_link;
+static ring_of_link rings[J2A_LINKS];
+#define ring (rings[j2a_link])
 
 static ring_index after(ring_index index) {
     return index == J2A_RXBUF ? 0 : (ring_index)(index + 1);
@@ -37,23 +41,35 @@ void port_receive(void) {
     const bool lost_before = board_lost();
     const uint8_t byte = board_read();
 
-    if (!lost) {
-        const ring_index next = after(head);
-        if (lost_before || next == tail) {
-            lost = true;
+    if (!ring.lost) {
+        const ring_index next = after(ring.head);
+        if (lost_before || next == ring.tail) {
+            ring.lost = true;
         } else {
-            ring[head] = byte;
-            head = next;
+            ring.bytes[ring.head] = byte;
+            ring.head = next;
         }
     }
 }
+
+#if J2A_LINKS > 1
+#if !BOARD_INTERRUPTS
+#error "J2A_LINKS of more than 1 needs BOARD_INTERRUPTS 1: while one link sends, the others receive"
+#endif
+void port_receive_from(uint8_t link) {
+    const uint8_t served = j2a_link;
+    j2a_link = link;
+    port_receive();
+    j2a_link = served;
+}
+#endif
 
 /* While the ring is full bytes stay where they are: a pipe makes the host wait, a UART loses them and
  * says so. */
 static void poll_receiver(void) {
 #if !BOARD_INTERRUPTS
     uint8_t i;
-    for (i = 0; i < BYTES_IN_A_ROW && after(head) != tail && board_has_byte(); i++)
+    for (i = 0; i < BYTES_IN_A_ROW && after(ring.head) != ring.tail && board_has_byte(); i++)
         port_receive();
 #endif
 }
@@ -68,16 +84,16 @@ int16_t j2a_port_rx(void) {
     bool after_loss;
     poll_receiver();
     /* Read before the ring is looked at: once it is set the ring gets no more, so "empty" stays true. */
-    after_loss = lost;
-    if (tail != head) {
-        const uint8_t byte = ring[tail];
-        tail = after(tail);
+    after_loss = ring.lost;
+    if (ring.tail != ring.head) {
+        const uint8_t byte = ring.bytes[ring.tail];
+        ring.tail = after(ring.tail);
         return byte;
     }
     if (after_loss) {
         j2a_rx_lost();
-        overruns++;
-        lost = false;
+        ring.overruns++;
+        ring.lost = false;
     }
     return -1;
 }
@@ -93,6 +109,7 @@ uint16_t j2a_port_ticks(void) {
     return (uint16_t)board_ms();
 }
 
+#if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void) {
     static uint32_t last_ms, wraps;
     const uint32_t now_ms = board_ms();
@@ -102,9 +119,10 @@ uint64_t j2a_port_time_us(void) {
     poll_receiver(); /* a function that waits looks at the clock */
     return ((uint64_t)wraps << 32 | now_ms) * 1000;
 }
+#endif
 
 uint16_t j2a_port_overruns(void) {
-    return overruns;
+    return ring.overruns;
 }
 
 void j2a_port_idle(void) {

@@ -1,4 +1,4 @@
-/* What a port made from this template asks of a board; board.c answers. Bytes of a UART, or of
+/* What the port in board_port.c asks of a board; the board.c of a port answers. Bytes of a UART, or of
  * anything else that keeps bytes in order, and a counter of milliseconds: no more is needed.
  * Rule: all of it is called from the main loop, but where BOARD_INTERRUPTS is 1 board_lost() and
  * board_read() are called by port_receive(), so from the receive interrupt. */
@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "j2a_port_config.h"
+#include "j2a_port.h"
 
 /* Sets up clock, UART (8 data bits, no parity, 1 stop bit) and millisecond counter, and switches
  * interrupts on where there are any. Called once. */
@@ -44,6 +44,12 @@ void board_idle(void);
 /* The port gives, where BOARD_INTERRUPTS is 1: call it from the receive interrupt, once for each byte. */
 #if BOARD_INTERRUPTS
 void port_receive(void);
+#endif
+
+/* The same where the board has several links: the interrupt of each names its own. Then the functions above
+ * that read and write are about the link j2a_link, and board_init() sets all of them up. */
+#if J2A_LINKS > 1
+void port_receive_from(uint8_t link);
 #endif
 
 #endif
