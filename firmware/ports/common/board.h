@@ -37,6 +37,15 @@ void board_write(uint8_t byte);
  * less than 32 bits. */
 uint32_t board_ms(void);
 
+/* Microseconds since the start, monotonic, without steps. Asked for where j2a_port_config.h defines
+ * BOARD_MICROSECONDS as 1; elsewhere applications measure time by board_ms(). */
+#ifndef BOARD_MICROSECONDS
+#define BOARD_MICROSECONDS 0
+#endif
+#if BOARD_MICROSECONDS
+uint64_t board_us(void);
+#endif
+
 /* Called in each turn of the main loop. Does nothing, or sends what board_write() has collected (USB,
  * an operating system), or sleeps until the next interrupt, at most for a millisecond. */
 void board_idle(void);

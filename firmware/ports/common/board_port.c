@@ -111,6 +111,10 @@ uint16_t j2a_port_ticks(void) {
 
 #if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void) {
+#if BOARD_MICROSECONDS
+    poll_receiver(); /* a function that waits looks at the clock */
+    return board_us();
+#else
     static uint32_t last_ms, wraps;
     const uint32_t now_ms = board_ms();
     if (now_ms < last_ms)
@@ -118,6 +122,7 @@ uint64_t j2a_port_time_us(void) {
     last_ms = now_ms;
     poll_receiver(); /* a function that waits looks at the clock */
     return ((uint64_t)wraps << 32 | now_ms) * 1000;
+#endif
 }
 #endif
 

@@ -1,0 +1,4 @@
+#define J2A_PORT_NAME "cortex-m"
+#define J2A_TICKS_PER_MS 1u
+#define BOARD_INTERRUPTS 1
+#define BOARD_MICROSECONDS 1
