@@ -14,6 +14,7 @@
 #define J2A_MAX_WIRE 518u /* largest frame on the wire */
 #define J2A_MANY_HEADER 6u /* header of an a2jMany request or reply */
 #define J2A_MANY_DATA 249u /* largest a2jMany chunk */
+#define J2A_MIN_ROOM 32u /* payload of a request that fits into every device */
 
 /* a2jMany flags */
 #define J2A_FLAG_LAST 0x01u /* isLast: the chunk is the last one */

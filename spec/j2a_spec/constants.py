@@ -29,6 +29,7 @@ MAX_WIRE: Final = 1 + 2 * (1 + 1 + MAX_PAYLOAD + 1) + 1
 MANY_HEADER: Final = 6
 MANY_DATA: Final = MAX_PAYLOAD - MANY_HEADER
 MAX_MAPPING: Final = MAX_PAYLOAD
+MIN_ROOM: Final = 32
 
 # Flags of the a2jMany header.
 FLAG_LAST: Final = 0x01
@@ -72,11 +73,13 @@ GET_DEBUG: Final = "a2jDebug"
 GET_ECHO: Final = "a2jEcho"
 GET_ECHO_MANY: Final = "a2jEchoMany"
 BUILTINS: Final = (GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO, GET_ECHO_MANY)
-OPTIONAL_BUILTINS: Final = frozenset({GET_MAPPING, GET_PROPERTIES, GET_DEBUG})
+OPTIONAL_BUILTINS: Final = frozenset({GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO_MANY})
+WITH_MANY: Final = frozenset({MANY, GET_PROPERTIES, GET_ECHO_MANY})
 
 # Property keys that the specification gives a meaning.
 PROP_SPEC: Final = "j2a.spec"
 PROP_RXBUF: Final = "j2a.rxbuf"
+PROP_ROOM: Final = "j2a.room"
 PROP_SELFTEST: Final = "j2a.selftest"
 
 
@@ -109,6 +112,7 @@ TABLE: Final = (
         ("MAX_WIRE", MAX_WIRE, "largest frame on the wire"),
         ("MANY_HEADER", MANY_HEADER, "header of an a2jMany request or reply"),
         ("MANY_DATA", MANY_DATA, "largest a2jMany chunk"),
+        ("MIN_ROOM", MIN_ROOM, "payload of a request that fits into every device"),
     ),
     *_rows(
         "a2jMany flags",

@@ -35,7 +35,7 @@ class PayloadVector:
 
 def payload_vectors() -> list[PayloadVector]:
     """Return every payload vector, in a fixed order."""
-    groups = (_errors(), _mappings(), _properties(), _many())
+    groups = (_errors(), _mappings(), _properties(), _many(), _small())
     return [
         PayloadVector(f"payload-{n:03}", comment, tuple(f"J2A-{i}" for i in ids.split()), *rest)
         for n, (comment, ids, *rest) in enumerate((row for group in groups for row in group), 1)
@@ -72,7 +72,7 @@ def _mappings() -> Iterator[_Row]:
     ids = "MAP-001 MAP-003"
     full = list(c.BUILTINS)
     yield _built("all built-in functions", ids + " DISP-006", "mapping", full)
-    small = [name for name in full if name not in c.OPTIONAL_BUILTINS or name == c.GET_MAPPING]
+    small = [name for name in full if name not in (c.GET_PROPERTIES, c.GET_DEBUG)]
     yield _built("without properties and debug", ids + " DISP-006", "mapping", small)
     yield _built("with functions of an application", ids, "mapping", [*full, "getTime", "add"])
     longest = [*full, "x" * (c.MAX_MAPPING - len(GRAMMARS["mapping"].build(full)) - 1)]
@@ -129,3 +129,17 @@ def _many() -> Iterator[_Row]:
         for length in range(c.MANY_HEADER):
             comment = f"header of {length} bytes"
             yield _invalid(comment, ids + " MANY-003", grammar, bytes(length))
+
+
+def _small() -> Iterator[_Row]:
+    """What devices with little RAM send. Behind the others, whose numbers stay as they are."""
+    ids = "MAP-001 MAP-003 DISP-006"
+    names = [name for name in c.BUILTINS if name not in c.WITH_MANY]
+    yield _built("without a2jMany", ids, "mapping", names)
+    bare = [c.GET_MAPPING, c.GET_ECHO, "get"]
+    yield _built("without a2jMany and debug, with a function", ids, "mapping", bare)
+    for room in (c.MIN_ROOM, c.MAX_PAYLOAD - 1):
+        pairs = [{"key": "j2a.spec", "value": c.SPEC_VERSION}]
+        pairs.append({"key": c.PROP_ROOM, "value": str(room)})
+        ids = "PROP-001 LIMIT-006"
+        yield _built(f"a room of {room} bytes", ids, "properties", pairs)
