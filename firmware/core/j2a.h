@@ -13,6 +13,10 @@
 #include "j2a_port.h"
 #include "j2a_progmem.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* A function of kind "call", J2A_CALL(name, function) in functions.def.
  * length: in the bytes of the request's payload, out those of the reply's, 0..255.
  * payload: where they are. The reply may be written over the request (255 bytes of room), or
@@ -75,5 +79,9 @@ void j2a_put_u32(uint8_t *bytes, uint32_t value);
 
 /* The application implements: its share of the main loop; must return soon. */
 void j2a_app_task(void);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -6,10 +6,18 @@
 
 #include "j2a.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define J2A_CALL(name, function) j2a_call_fn function;
 #define J2A_MANY(name, function) j2a_many_fn function;
 #include "functions.def"
 #undef J2A_CALL
 #undef J2A_MANY
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif
