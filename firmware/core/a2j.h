@@ -19,7 +19,7 @@ typedef j2a_many_fn *const CMD_P_MANY;
 #define STARTJ STARTJT /* as printed in listing 7.2 */
 #define ADDLJT ADDJT /* as printed in listing 7.3 */
 #define ADDJT(function) , J2A_ENTRY(function, A2J_KIND(function))
-#define ENDJT }; const uint8_t J2A_FLASH j2a_function_count = sizeof j2a_functions / sizeof(j2a_entry);
+#define ENDJT }; const uint8_t j2a_function_count = sizeof j2a_functions / sizeof(j2a_entry);
 
 #define A2J_IS(function, type) __builtin_types_compatible_p(__typeof__(&(function)), type)
 /* The array has a negative size when the function is neither a CMD_P nor a CMD_P_MANY. */

@@ -20,7 +20,7 @@ void j2a_put_u32(uint8_t *bytes, uint32_t value) {
 
 #if J2A_WITH_MAPPING
 uint8_t j2a_get_mapping(uint8_t *const length, uint8_t **const payload) {
-    const uint8_t count = j2a_flash_u8(&j2a_function_count);
+    const uint8_t count = j2a_function_count;
     uint8_t n = 0;
     uint8_t i;
     for (i = 0; i < count; i++) {

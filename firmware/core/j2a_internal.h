@@ -9,32 +9,36 @@
 /* What waits for j2a_process(): nothing, a frame, or the error code to be sent (0xF0 and up). */
 enum { J2A_EVENT_NONE, J2A_EVENT_FRAME };
 
-/* The state of one link, most of it the parser's; bytes are refused while an event waits, so the frame stays as it is. */
+/* The state of one link, most of it the parser's. Bytes are refused while an event waits, so the frame
+ * stays as it is. */
 typedef struct {
     volatile uint8_t event;
-    volatile bool fed;   /* a byte came since j2a_poll() last looked */
     uint8_t state;       /* what the next byte is, and whether the last one was ESC */
     uint8_t checksum;    /* over the bytes so far */
     uint8_t count;       /* payload bytes so far */
     uint8_t seq;
     uint8_t opcode;      /* of the request */
     uint8_t length;      /* of the request's payload; of the error's where event is one */
-    uint8_t payload[J2A_ROOM];
-    uint16_t last_ticks; /* when j2a_poll() last found a byte */
+    uint16_t last_ticks; /* when j2a_poll() had last taken a byte */
 #if J2A_WITH_SIF
     uint8_t sif_seq;     /* of the next SIF */
 #endif
+    uint8_t payload[J2A_ROOM]; /* last: what is near the start is reached by shorter code */
 } j2a_rx_t;
 extern j2a_rx_t j2a_rx_of[J2A_LINKS];
-#define j2a_rx (j2a_rx_of[j2a_link]) /* of the link that is served */
+
+/* Returns the state of the link that is served. Functions keep it: on an AVR what is reached by a pointer
+ * takes half the code of what has an address. */
+static inline j2a_rx_t *j2a_served(void) {
+    j2a_rx_t *served = &j2a_rx_of[j2a_link];
+    J2A_KEEP_POINTER(served);
+    return served;
+}
 
 /* Takes one byte; only while no event waits. */
 void j2a_rx_parse(uint8_t byte);
 
-/* Is a frame being received? */
-bool j2a_rx_busy(void);
-
-/* Ends a frame whose next byte did not come. */
+/* Ends a frame whose next byte did not come, if one is being received. */
 void j2a_rx_timeout(void);
 
 /* Sends one frame. start: J2A_SOF or J2A_SOS. */
@@ -51,8 +55,8 @@ void j2a_tx_byte(uint8_t byte);
 #define j2a_tx_byte j2a_port_tx
 #endif
 
-/* Looks an opcode up. Returns 0 and the function when it is of this kind (a call may be the
- * router), else the site for the error payload. */
+/* Looks an opcode up. Returns 0 and the function when it is of this kind, else the site for the error
+ * payload. */
 uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function);
 
 /* Makes an error reply: writes the site into the payload. Returns code. */

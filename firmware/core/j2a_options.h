@@ -85,6 +85,9 @@
 #if J2A_ROOM < 32 || J2A_ROOM > J2A_MAX_PAYLOAD
 #error "J2A_ROOM must be 32..255 (J2A-LIMIT-006)"
 #endif
+#if J2A_WITH_SELFTEST && J2A_ROOM < J2A_MAX_PAYLOAD
+#error "J2A_WITH_SELFTEST=1 needs J2A_ROOM=255: golden vectors are as long"
+#endif
 /* Of it, what is left for a chunk of a2jMany. */
 #define J2A_ROOM_MANY (J2A_ROOM - J2A_MANY_HEADER)
 

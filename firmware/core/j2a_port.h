@@ -26,6 +26,10 @@ extern uint8_t j2a_link;
  * missed when 65536 ticks pass between two calls of j2a_poll(). */
 #include "j2a_port_config.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Sets the link and the clocks up. A port without a command line ignores the arguments. */
 void j2a_port_init(int argc, char **argv);
 
@@ -36,7 +40,7 @@ int16_t j2a_port_rx(void);
 /* Sends one byte; waits while the transmit buffer is full, even with interrupts off. */
 void j2a_port_tx(uint8_t byte);
 
-/* Time in ticks, free-running, wrapping at 65536. */
+/* Time in ticks, free-running, wrapping at 65536. Called by j2a_rx_byte(), too. */
 uint16_t j2a_port_ticks(void);
 
 /* Time since the start in microseconds, monotonic, without steps. */
@@ -61,5 +65,9 @@ bool j2a_rx_byte(uint8_t byte);
 
 /* Says that bytes were lost between the last byte pushed and the next one. */
 void j2a_rx_lost(void);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

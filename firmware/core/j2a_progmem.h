@@ -7,12 +7,16 @@
 #include <stdint.h>
 
 #ifdef __AVR__
+#define J2A_KEEP_POINTER(pointer) __asm__("" : "+b"(pointer))
+#define J2A_NOINLINE __attribute__((noinline))
 #include <avr/pgmspace.h>
 #define J2A_FLASH PROGMEM
 #define j2a_flash_u8(address) pgm_read_byte(address)
 #define j2a_flash_pointer(address) ((const char *)pgm_read_word(address))
 #define j2a_flash_function(address) ((void (*)(void))pgm_read_word(address))
 #else
+#define J2A_KEEP_POINTER(pointer) ((void)0)
+#define J2A_NOINLINE
 #define J2A_FLASH
 #define j2a_flash_u8(address) (*(const uint8_t *)(address))
 #define j2a_flash_pointer(address) (*(address))

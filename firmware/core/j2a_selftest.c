@@ -24,7 +24,7 @@ static const unsigned char J2A_FLASH vectors[] = J2A_VECTORS_SMALL(BYTES) LARGE(
 #define KEY "j2a.selftest"
 #define NOT_RUN KEY "\0failed 0/0 00000000 0"
 static char property[sizeof KEY + sizeof "failed 65535/65535 01234567 65535"] = NOT_RUN;
-static uint8_t used = sizeof NOT_RUN;
+static uint8_t property_used = sizeof NOT_RUN;
 
 static const unsigned char *due; /* the bytes that the sender must send next */
 static uint16_t due_count;
@@ -43,78 +43,81 @@ void j2a_tx_byte(uint8_t byte) {
 
 /* Sends the frame that is in flash, and compares. */
 static bool send(const unsigned char *frame, const unsigned char *wire, uint16_t count) {
+    j2a_rx_t *const rx = j2a_served();
     const uint8_t length = j2a_flash_u8(frame + 3);
     uint8_t i;
     for (i = 0; i < length; i++)
-        j2a_rx.payload[i] = j2a_flash_u8(frame + 4 + i);
+        rx->payload[i] = j2a_flash_u8(frame + 4 + i);
     due = wire;
     due_count = count;
     wrong = false;
     sending = true;
-    j2a_send(j2a_flash_u8(frame), j2a_flash_u8(frame + 1), j2a_flash_u8(frame + 2), length, j2a_rx.payload);
+    j2a_send(j2a_flash_u8(frame), j2a_flash_u8(frame + 1), j2a_flash_u8(frame + 2), length, rx->payload);
     sending = false;
     return !wrong && due_count == 0;
 }
 
 /* Compares the parser's event with what is due. Returns the bytes that it takes there, or 0. */
 static uint16_t compare(const unsigned char *answer, uint16_t count) {
+    j2a_rx_t *const rx = j2a_served();
     uint8_t i;
-    if (count < 2 || j2a_flash_u8(answer + 1) != j2a_rx.seq)
+    if (count < 2 || j2a_flash_u8(answer + 1) != rx->seq)
         return 0;
-    if (j2a_rx.event != J2A_EVENT_FRAME)
-        return j2a_flash_u8(answer) == j2a_rx.event ? 2 : 0;
-    if ((j2a_flash_u8(answer) != 0 && j2a_flash_u8(answer) != J2A_SOF) || count < 4u + j2a_rx.length
-        || j2a_flash_u8(answer + 2) != j2a_rx.opcode || j2a_flash_u8(answer + 3) != j2a_rx.length)
+    if (rx->event != J2A_EVENT_FRAME)
+        return j2a_flash_u8(answer) == rx->event ? 2 : 0;
+    if ((j2a_flash_u8(answer) != 0 && j2a_flash_u8(answer) != J2A_SOF) || count < 4u + rx->length
+        || j2a_flash_u8(answer + 2) != rx->opcode || j2a_flash_u8(answer + 3) != rx->length)
         return 0;
-    for (i = 0; i < j2a_rx.length; i++)
-        if (j2a_flash_u8(answer + 4 + i) != j2a_rx.payload[i])
+    for (i = 0; i < rx->length; i++)
+        if (j2a_flash_u8(answer + 4 + i) != rx->payload[i])
             return 0;
-    return (uint16_t)(4 + j2a_rx.length);
+    return (uint16_t)(4 + rx->length);
 }
 
 /* Parses the bytes on the wire, and compares each event. */
 static bool parse(const unsigned char *wire, uint16_t count, const unsigned char *answers, uint16_t left) {
-    memset(&j2a_rx, 0, sizeof j2a_rx);
+    j2a_rx_t *const rx = j2a_served();
+    memset(j2a_served(), 0, sizeof(j2a_rx_t));
     for (; count--; wire++) {
         uint16_t taken;
         if (!j2a_rx_byte(j2a_flash_u8(wire)))
             return false;
-        if (j2a_rx.event == J2A_EVENT_NONE)
+        if (rx->event == J2A_EVENT_NONE)
             continue;
         taken = compare(answers, left);
         if (taken == 0 || j2a_rx_byte(J2A_SOF)) /* refused while the event waits */
             return false;
         answers += taken;
         left = (uint16_t)(left - taken);
-        j2a_rx.event = J2A_EVENT_NONE;
+        rx->event = J2A_EVENT_NONE;
     }
     return left == 0;
 }
 
 static void put_number(char before, uint16_t number) {
     uint16_t unit = 10000;
-    property[used++] = before;
+    property[property_used++] = before;
     while (unit > 1 && number < unit)
         unit /= 10;
     for (; unit != 0; unit /= 10)
-        property[used++] = (char)('0' + number / unit % 10);
+        property[property_used++] = (char)('0' + number / unit % 10);
 }
 
 static void put_result(uint16_t ran, uint32_t digest, bool good, uint16_t failed) {
     uint8_t i;
-    used = sizeof KEY;
-    strcpy(property + used, good ? "ok" : "failed");
-    used = (uint8_t)(used + (good ? 2 : 6));
+    property_used = sizeof KEY;
+    strcpy(property + property_used, good ? "ok" : "failed");
+    property_used = (uint8_t)(property_used + (good ? 2 : 6));
     put_number(' ', ran);
     put_number('/', J2A_VECTORS_COUNT);
-    property[used++] = ' ';
+    property[property_used++] = ' ';
     for (i = 0; i < 8; i++, digest <<= 4) {
         const uint8_t digit = (uint8_t)(digest >> 28);
-        property[used++] = (char)(digit < 10 ? '0' + digit : 'a' + digit - 10);
+        property[property_used++] = (char)(digit < 10 ? '0' + digit : 'a' + digit - 10);
     }
     if (!good)
         put_number(' ', failed);
-    property[used++] = '\0';
+    property[property_used++] = '\0';
 }
 
 static uint16_t get_u16(const unsigned char *bytes) {
@@ -147,12 +150,12 @@ void j2a_selftest(void) {
         next = answers + answer_count;
     }
     put_result(ran, digest, digest == DIGEST && failed == 0, failed);
-    memset(&j2a_rx, 0, sizeof j2a_rx);
+    memset(j2a_served(), 0, sizeof(j2a_rx_t));
 }
 
 void j2a_selftest_property(size_t at, uint32_t offset, bool *is_last, uint8_t *length, uint8_t *data) {
     uint8_t i;
-    for (i = 0; i < used; i++, at++) {
+    for (i = 0; i < property_used; i++, at++) {
         if (at < offset)
             continue;
         if (*length == J2A_ROOM_MANY) {

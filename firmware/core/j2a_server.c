@@ -6,22 +6,21 @@
 /* One more, because the first tick of a pause may be cut short. */
 #define PAUSE_TICKS ((uint16_t)(J2A_PAUSE_MS * J2A_TICKS_PER_MS + 1))
 
+/* Bytes in one call of j2a_poll(): bounded, so that endless noise does not keep the application waiting. */
+enum { TURNS = 255 };
+
 void j2a_poll(void) {
+    j2a_rx_t *const rx = &j2a_rx_of[j2a_link];
     /* Read before the bytes are taken: only then does "no byte" mean that none came before now. */
     const uint16_t now_ticks = j2a_port_ticks();
-    uint8_t turns = 255; /* bounded, so that endless noise does not keep the application waiting */
+    uint8_t turns = TURNS;
     int16_t byte;
 
-    if (j2a_rx.fed) { /* since the last call; taking bytes may have lasted until now */
-        j2a_rx.fed = false;
-        j2a_rx.last_ticks = now_ticks;
-    }
-    while (turns-- && j2a_rx.event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0) {
-        j2a_rx.fed = true;
+    for (; turns != 0 && rx->event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0; turns--)
         j2a_rx_parse((uint8_t)byte);
-    }
-    if (j2a_rx.event == J2A_EVENT_NONE && !j2a_rx.fed && j2a_rx_busy()
-        && (uint16_t)(now_ticks - j2a_rx.last_ticks) >= PAUSE_TICKS)
+    if (turns != TURNS)
+        rx->last_ticks = j2a_port_ticks(); /* anew, because taking the bytes took its time */
+    else if (rx->event == J2A_EVENT_NONE && (uint16_t)(now_ticks - rx->last_ticks) >= PAUSE_TICKS)
         j2a_rx_timeout();
 }
 
@@ -34,13 +33,17 @@ uint8_t j2a_error(uint8_t code, uint8_t site, uint8_t *length, uint8_t *payload)
 
 uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function) {
     const j2a_entry *entry;
-    if (opcode >= j2a_flash_u8(&j2a_function_count))
+    if (opcode >= j2a_function_count)
         return J2A_SITE_OPCODE;
     entry = &j2a_functions[opcode];
+#if J2A_WITH_MANY
     if (j2a_flash_u8(&entry->kind) != kind)
         return J2A_SITE_KIND;
+#else
+    (void)kind;
+#endif
     *function = j2a_flash_function(&entry->function);
-    return 0;
+    return *function ? 0 : J2A_SITE_OPCODE;
 }
 
 /* a2jMany alone may answer with an error code of the protocol. */
@@ -54,9 +57,9 @@ static bool may_refuse(j2a_function function) {
 }
 
 /* Calls the function that the frame asks for. Returns the code of the reply. */
-static uint8_t execute(uint8_t *length, uint8_t **payload) {
+static uint8_t execute(uint8_t opcode, uint8_t *length, uint8_t **payload) {
     j2a_function function;
-    const uint8_t site = j2a_find(j2a_rx.opcode, J2A_KIND_CALL, &function);
+    const uint8_t site = j2a_find(opcode, J2A_KIND_CALL, &function);
     uint8_t code;
 
     if (site != 0)
@@ -72,17 +75,16 @@ static uint8_t execute(uint8_t *length, uint8_t **payload) {
 }
 
 void j2a_process(void) {
-    uint8_t code = j2a_rx.event;
-    uint8_t length = j2a_rx.length;
-    uint8_t *payload = j2a_rx.payload;
+    j2a_rx_t *const rx = &j2a_rx_of[j2a_link];
+    uint8_t code = rx->event;
+    uint8_t *payload = rx->payload;
 
     if (code == J2A_EVENT_NONE)
         return;
     if (code == J2A_EVENT_FRAME)
-        code = execute(&length, &payload);
-    j2a_send(J2A_SOF, j2a_rx.seq, code, length, payload);
-    j2a_rx.fed = true; /* bytes had to wait meanwhile: the pause is measured from now on */
-    j2a_rx.event = J2A_EVENT_NONE;
+        code = execute(rx->opcode, &rx->length, &payload);
+    j2a_send(J2A_SOF, rx->seq, code, rx->length, payload);
+    rx->event = J2A_EVENT_NONE;
 }
 
 void j2a_task(void) {

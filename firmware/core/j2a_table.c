@@ -30,7 +30,7 @@ const j2a_entry J2A_FLASH j2a_functions[] = {
 #define J2A_MANY(name, function) , J2A_ENTRY(function, J2A_KIND_MANY)
 #include "functions.def"
 };
-const uint8_t J2A_FLASH j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0];
+const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0];
 
 #if J2A_WITH_PROPERTIES
 #define J2A_TEXT_(value) #value

@@ -8,23 +8,28 @@
 
 enum {
     J2A_KIND_CALL,
-    J2A_KIND_MANY,
-    J2A_KIND_NONE /* opcode 0 without the map */
+    J2A_KIND_MANY
 };
+
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 /* C99 allows no other common type for both kinds of functions; they are cast back before use. */
 typedef void (*j2a_function)(void);
 
 typedef struct {
-    j2a_function function;
+    j2a_function function; /* none at opcode 0 without the map */
 #if J2A_WITH_MAPPING
     const char *name;
 #endif
+#if J2A_WITH_MANY
     uint8_t kind;
+#endif
 } j2a_entry;
 
 extern const j2a_entry j2a_functions[];
-extern const uint8_t j2a_function_count;
+extern const uint8_t j2a_function_count; /* not in flash, so that link-time optimisation folds it */
 
 /* key NUL value NUL ..., and one more NUL (an empty key) at the end */
 extern const unsigned char j2a_properties[];
@@ -38,21 +43,24 @@ j2a_many_fn j2a_get_properties, j2a_echo_many;
     enum { enumerator }; \
     extern char j2a_name_is_empty[sizeof text > 1 ? 1 : -1]; \
     static const char J2A_FLASH function##_map[] = text;
-#define J2A_ENTRY(function, kind) {(j2a_function)(function), function##_map, kind}
+#define J2A_ENTRY(function, kind) {(j2a_function)(function), function##_map J2A_OF_KIND(kind)}
 #define J2A_ENTRY_0 J2A_ENTRY(j2a_get_mapping, J2A_KIND_CALL)
 #else
 #define J2A_NAME(function, text, enumerator)
-#define J2A_ENTRY(function, kind) {(j2a_function)(function), kind}
-#define J2A_ENTRY_0 {0, J2A_KIND_NONE}
+#define J2A_ENTRY(function, kind) {(j2a_function)(function) J2A_OF_KIND(kind)}
+#define J2A_ENTRY_0 {0 J2A_OF_KIND(J2A_KIND_CALL)}
 #endif
 #define J2A_NAMED(function, name) J2A_NAME(function, #name, j2a_name_##name)
 
+/* Without a2jMany there is but one kind. */
 #if J2A_WITH_MANY
+#define J2A_OF_KIND(kind) , kind
 #define J2A_NAME_MANY J2A_NAMED(j2a_many, a2jMany)
 #define J2A_ENTRY_MANY , J2A_ENTRY(j2a_many, J2A_KIND_CALL)
 #define J2A_NAME_ECHO_MANY J2A_NAMED(j2a_echo_many, a2jEchoMany)
 #define J2A_ENTRY_ECHO_MANY , J2A_ENTRY(j2a_echo_many, J2A_KIND_MANY)
 #else
+#define J2A_OF_KIND(kind)
 #define J2A_NAME_MANY
 #define J2A_ENTRY_MANY
 #define J2A_NAME_ECHO_MANY
@@ -90,5 +98,9 @@ j2a_many_fn j2a_get_properties, j2a_echo_many;
     J2A_ENTRY_DEBUG, \
     J2A_ENTRY(j2a_echo, J2A_KIND_CALL) \
     J2A_ENTRY_ECHO_MANY
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

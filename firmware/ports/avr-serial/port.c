@@ -34,15 +34,19 @@ static volatile uint8_t rx_head, rx_tail;
 static volatile bool lost;
 static uint16_t overruns;
 
+/* Downwards, because a comparison with 0 is shorter. */
 static inline uint8_t after(uint8_t index, uint8_t last) {
-    return index == last ? 0 : (uint8_t)(index + 1);
+    if (index == 0)
+        index = (uint8_t)(last + 1);
+    return (uint8_t)(index - 1);
 }
 
 void j2a_port_init(int argc, char **argv) {
     (void)argc;
     (void)argv;
     /* All of it: a boot loader may leave other values than a reset does. */
-    UBRRn = DIVIDER - 1;
+    UBRRnH = (DIVIDER - 1) >> 8;
+    UBRRnL = (DIVIDER - 1) & 0xFF;
     UCSRnA = _BV(BIT_U2X);
     UCSRnC = BIT_8N1;
     UCSRnB = RECEIVING;

@@ -2,7 +2,8 @@
 MCU ?= atmega328p
 FREQ ?= 16000000
 CC := avr-gcc
-CFLAGS ?= -Os -flto
+# The last four save 40 to 120 bytes of flash, measured with avr-gcc 5.4.
+CFLAGS ?= -Os -flto -fno-move-loop-invariants -fno-tree-pre -fno-split-wide-types -fno-gcse
 MACHINE := -mmcu=$(MCU) -DF_CPU=$(FREQ)UL -DBAUD=$(BAUD)UL \
 	-ffunction-sections -fdata-sections -fshort-enums
 LINK := -Wl,--gc-sections -mrelax

@@ -16,7 +16,8 @@
 #define USART_PASTE(before, number, after) before##number##after
 #define USART_NAME(before, number, after) USART_PASTE(before, number, after)
 
-#define UBRRn USART_NAME(UBRR, J2A_USART, )
+#define UBRRnL USART_NAME(UBRR, J2A_USART, L)
+#define UBRRnH USART_NAME(UBRR, J2A_USART, H)
 #define UCSRnA USART_NAME(UCSR, J2A_USART, A)
 #define UCSRnB USART_NAME(UCSR, J2A_USART, B)
 #define UCSRnC USART_NAME(UCSR, J2A_USART, C)
