@@ -17,13 +17,16 @@
 extern "C" {
 #endif
 
+/* The declarations of functions are macros, because SDCC declares no function by a typedef. */
+
 /* A function of kind "call", J2A_CALL(name, function) in functions.def.
  * length: in the bytes of the request's payload, out those of the reply's, 0..255.
  * payload: where they are. The reply may be written over the request (255 bytes of room), or
  * *payload may be pointed at memory that stays valid after the return.
  * Returns the return value, 0x00..J2A_RET_MAX, or J2A_RET_FAILED; anything else is sent as
  * J2A_RET_FAILED. */
-typedef uint8_t j2a_call_fn(uint8_t *const length, uint8_t **const payload);
+#define J2A_DECLARE_CALL(function) uint8_t function(uint8_t *const length, uint8_t **const payload)
+typedef J2A_DECLARE_CALL(j2a_call_fn);
 
 /* A function of kind "many", J2A_MANY(name, function) in functions.def, called once for each chunk.
  * is_last: in the host's mark of the last chunk, out the same for the reply.
@@ -33,8 +36,9 @@ typedef uint8_t j2a_call_fn(uint8_t *const length, uint8_t **const payload);
  * length, data: as for a call, with at most J2A_MANY_DATA bytes; *data may be pointed at memory
  * outside the request.
  * Returns as a call does. */
-typedef uint8_t j2a_many_fn(bool *is_last, bool is_write, uint32_t *const offset,
-                            uint8_t *const length, uint8_t **const data);
+#define J2A_DECLARE_MANY(function) uint8_t function(bool *is_last, bool is_write, uint32_t *const offset, \
+                                                    uint8_t *const length, uint8_t **const data)
+typedef J2A_DECLARE_MANY(j2a_many_fn);
 
 /* Receives and answers: j2a_poll(), then j2a_process(). Called in each turn of the main loop, at
  * least every 5 ms while frames arrive: a byte timeout comes late by the time between two calls, which

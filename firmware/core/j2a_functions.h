@@ -10,8 +10,8 @@
 extern "C" {
 #endif
 
-#define J2A_CALL(name, function) j2a_call_fn function;
-#define J2A_MANY(name, function) j2a_many_fn function;
+#define J2A_CALL(name, function) J2A_DECLARE_CALL(function);
+#define J2A_MANY(name, function) J2A_DECLARE_MANY(function);
 #include "functions.def"
 #undef J2A_CALL
 #undef J2A_MANY

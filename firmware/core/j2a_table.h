@@ -34,8 +34,12 @@ extern const uint8_t j2a_function_count; /* not in flash, so that link-time opti
 /* key NUL value NUL ..., and one more NUL (an empty key) at the end */
 extern const unsigned char j2a_properties[];
 
-j2a_call_fn j2a_get_mapping, j2a_many, j2a_get_debug, j2a_echo;
-j2a_many_fn j2a_get_properties, j2a_echo_many;
+J2A_DECLARE_CALL(j2a_get_mapping);
+J2A_DECLARE_CALL(j2a_many);
+J2A_DECLARE_CALL(j2a_get_debug);
+J2A_DECLARE_CALL(j2a_echo);
+J2A_DECLARE_MANY(j2a_get_properties);
+J2A_DECLARE_MANY(j2a_echo_many);
 
 /* A name that comes twice declares an enumerator twice, an empty one an array of negative size. */
 #if J2A_WITH_MAPPING
