@@ -29,21 +29,24 @@ uint8_t demo_add(uint8_t *const length, uint8_t **const payload) {
     return 0;
 }
 
-/* Keeps what was written last. A write at offset 0 starts anew; the next ones follow on. */
+/* Keeps what was written last, for each link. A write at offset 0 starts anew; the next ones follow on. */
 uint8_t demo_store(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
                    uint8_t **const data) {
-    static uint8_t content[DEMO_STORE_BYTES];
-    static uint32_t size;
+    static uint8_t contents[J2A_LINKS][DEMO_STORE_BYTES];
+    static uint32_t sizes[J2A_LINKS];
+    uint8_t *const content = contents[j2a_link];
+    uint32_t size = sizes[j2a_link];
     uint32_t left;
 
     if (is_write) {
         uint8_t i;
         if (*offset == 0)
-            size = 0;
+            size = sizes[j2a_link] = 0;
         if (*offset != size || *length > DEMO_STORE_BYTES - size)
             return failed(length);
         for (i = 0; i < *length; i++)
             content[size++] = (*data)[i];
+        sizes[j2a_link] = size;
         *length = 0;
         return 0;
     }
@@ -97,7 +100,11 @@ uint8_t demo_overruns(uint8_t *const length, uint8_t **const payload) {
 
 enum { SIF_PERIODIC = 0x20 };
 
-static uint32_t period_us, next_us, counter;
+/* Of the SIFs that each link is sent. */
+static struct {
+    uint32_t period_us, next_us, counter;
+} timers[J2A_LINKS];
+#define timer (timers[j2a_link])
 
 /* Takes an opcode and a payload, and sends them as a SIF before it returns. */
 uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
@@ -113,27 +120,35 @@ uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
 uint8_t demo_sif_period(uint8_t *const length, uint8_t **const payload) {
     if (*length != 2)
         return failed(length);
-    period_us = get_u16(*payload) * (uint32_t)1000;
-    next_us = (uint32_t)j2a_port_time_us() + period_us;
-    counter = 0;
+    timer.period_us = get_u16(*payload) * (uint32_t)1000;
+    timer.next_us = (uint32_t)j2a_port_time_us() + timer.period_us;
+    timer.counter = 0;
     *length = 0;
     return 0;
 }
 
 /* The lower 32 bits will do for differences of up to 65 s. */
 static int32_t time_left_us(void) {
-    return (int32_t)(next_us - (uint32_t)j2a_port_time_us());
+    return (int32_t)(timer.next_us - (uint32_t)j2a_port_time_us());
+}
+
+static void send_when_due(void) {
+    uint8_t payload[4];
+    if (timer.period_us == 0 || time_left_us() > 0)
+        return;
+    j2a_put_u32(payload, timer.counter++);
+    j2a_send_sif(SIF_PERIODIC, sizeof payload, payload);
+    timer.next_us += timer.period_us;
+    if (time_left_us() < 0) /* too slow for this period: what was missed is left out */
+        timer.next_us = (uint32_t)j2a_port_time_us() + timer.period_us;
 }
 
 void j2a_app_task(void) {
-    uint8_t payload[4];
-    if (period_us == 0 || time_left_us() > 0)
-        return;
-    j2a_put_u32(payload, counter++);
-    j2a_send_sif(SIF_PERIODIC, sizeof payload, payload);
-    next_us += period_us;
-    if (time_left_us() < 0) /* too slow for this period: what was missed is left out */
-        next_us = (uint32_t)j2a_port_time_us() + period_us;
+#if J2A_LINKS > 1
+    for (j2a_link = J2A_LINKS - 1; j2a_link != 0; j2a_link--) /* and at last 0, as it was */
+        send_when_due();
+#endif
+    send_when_due();
 }
 
 #else /* the opcodes stay, and fail */
