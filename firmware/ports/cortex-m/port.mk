@@ -7,7 +7,7 @@ LINK := -nostartfiles -L ports/common -T $(PORT_DIR)/board.ld -Wl,--gc-sections
 SUFFIX := .elf
 SIZE := arm-none-eabi-size
 PORT_SOURCES := ports/common/board_port.c ports/common/cortex_m.c
-PORT_RXBUF := 1024
+PORT_RXBUF := 256
 PORT_TXBUF := 0
 # The 16 kB of RAM that board.ld gives have no room for 2 MB, but for more than 128 received bytes.
 SMALL := 1

@@ -1,0 +1,75 @@
+"""Runs QEMU for as long as somebody is at the other end of its standard input.
+
+In: the command line of QEMU, `python3 qemu.py qemu-system-arm -M ... -serial stdio`. Out: its own
+input and output, untouched. QEMU goes on when its input ends, and so would stay behind when a host
+is gone; here it ends, a moment after the last byte was taken, and without the message that it
+prints when it is told to.
+Rules: the input is a pipe, a socket or a terminal; no byte passes through here; when QEMU ends by
+itself, its exit code is ours.
+"""
+
+import array
+import fcntl
+import os
+import select
+import signal
+import subprocess
+import sys
+import termios
+import time
+
+STDIN = 0
+HUNG_UP_MS = 200  # how often is looked whether QEMU has ended by itself
+LAST_WORDS_S = 0.1  # for the device to work on what it took last
+LEFT_BEHIND_S = 2.0  # for the device to take what is left
+
+
+def left() -> int:
+    """Return how many bytes of the input QEMU has not taken yet."""
+    count = array.array("i", [0])
+    try:
+        fcntl.ioctl(STDIN, termios.FIONREAD, count)
+    except OSError:  # neither a pipe nor a terminal
+        return 0
+    return count[0]
+
+
+def hung_up(qemu: "subprocess.Popen[bytes]") -> bool:
+    """Wait for the end of the input, or of QEMU; return whether it was that of the input."""
+    poll = select.poll()
+    poll.register(STDIN, 0)  # asked for no event, it tells of a hang-up only
+    while qemu.poll() is None:
+        if poll.poll(HUNG_UP_MS):
+            return True
+    return False
+
+
+def main() -> int:
+    """Run the command line; return the exit code."""
+    if len(sys.argv) < 2:
+        print("usage: qemu.py qemu-system-... OPTIONS", file=sys.stderr)
+        return 2
+    try:
+        qemu = subprocess.Popen(sys.argv[1:])
+    except OSError as error:
+        print(f"{sys.argv[1]} cannot be run: {error}; install it, or look at PATH", file=sys.stderr)
+        return 127
+    # Whoever ends this process ends QEMU, too: SystemExit gets to the end of the block below.
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, lambda *_: sys.exit(0))
+    try:
+        if not hung_up(qemu):
+            return qemu.returncode if qemu.returncode >= 0 else 1
+        end_s = time.monotonic() + LEFT_BEHIND_S
+        while left() and time.monotonic() < end_s:
+            time.sleep(0.01)
+        time.sleep(LAST_WORDS_S)
+        return 0
+    finally:
+        if qemu.poll() is None:
+            os.kill(qemu.pid, signal.SIGKILL)
+        qemu.wait()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
