@@ -71,7 +71,9 @@ static uint8_t execute(uint8_t opcode, uint8_t *length, uint8_t **payload) {
     }
 #endif
     code = ((j2a_call_fn *)function)(length, payload);
-    return code > J2A_RET_MAX && !may_refuse(function) ? J2A_RET_FAILED : code;
+    if (code > J2A_RET_MAX && !may_refuse(function))
+        code = J2A_RET_FAILED;
+    return code;
 }
 
 void j2a_process(void) {
