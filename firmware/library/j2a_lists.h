@@ -1,0 +1,159 @@
+/* Functions and properties as lists in one of the user's own files, without functions.def and
+ * properties.def. In: two lists, each once in the whole image, at file scope, in C99 or C++:
+ *   J2A_FUNCTIONS(J2A_CALL(add, my_add), J2A_MANY(store, my_store))
+ *   J2A_PROPERTIES(J2A_PROPERTY("name", "My board"))
+ * Out: the tables that the core expects. Opcodes are in the order of the list, after the
+ * built-in functions. j2a.spec belongs to each device and is the first property. Lists may be empty, may
+ * end in a comma, and hold 64 items; beyond that functions.def is the way.
+ * Rules: names that are macros are replaced first. A function of the wrong kind, a name or key that is empty, a name
+ * that comes twice and names too long for a payload do not compile. That keys do not repeat is the user's care. */
+#ifndef J2A_LISTS_H
+#define J2A_LISTS_H
+
+#include "j2a_table.h"
+
+/* J2A_EACH_(WHAT, item, item, ...) gives WHAT_item WHAT_item ...: an item such as J2A_CALL(add, my_add) is no macro,
+ * and becomes one when WHAT_ is put before it. An item that is empty gives WHAT_ alone, so that is a macro, too.
+ * A macro is not replaced within itself, so there is one for each number of items that is left. */
+#define J2A_EACH_(what, ...) J2A_JOIN_(J2A_EACH_, J2A_COUNT_(__VA_ARGS__))(what, __VA_ARGS__)
+#define J2A_JOIN_(left, right) J2A_JOINED_(left, right)
+#define J2A_JOINED_(left, right) left##right
+#define J2A_COUNT_(...) J2A_NUMBER_65_(__VA_ARGS__, 64, 63, 62, 61, 60, 59, 58, 57, 56, 55, 54, 53, 52, \
+    51, 50, 49, 48, 47, 46, 45, 44, 43, 42, 41, 40, 39, 38, 37, 36, 35, 34, 33, 32, 31, 30, 29, 28, 27, \
+    26, 25, 24, 23, 22, 21, 20, 19, 18, 17, 16, 15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0)
+#define J2A_NUMBER_65_(i1, i2, i3, i4, i5, i6, i7, i8, i9, i10, i11, i12, i13, i14, i15, i16, i17, i18, \
+    i19, i20, i21, i22, i23, i24, i25, i26, i27, i28, i29, i30, i31, i32, i33, i34, i35, i36, i37, i38, \
+    i39, i40, i41, i42, i43, i44, i45, i46, i47, i48, i49, i50, i51, i52, i53, i54, i55, i56, i57, i58, \
+    i59, i60, i61, i62, i63, i64, number, ...) number
+#define J2A_EACH_1(what, item) what##_##item
+#define J2A_EACH_2(what, item, ...) what##_##item J2A_EACH_1(what, __VA_ARGS__)
+#define J2A_EACH_3(what, item, ...) what##_##item J2A_EACH_2(what, __VA_ARGS__)
+#define J2A_EACH_4(what, item, ...) what##_##item J2A_EACH_3(what, __VA_ARGS__)
+#define J2A_EACH_5(what, item, ...) what##_##item J2A_EACH_4(what, __VA_ARGS__)
+#define J2A_EACH_6(what, item, ...) what##_##item J2A_EACH_5(what, __VA_ARGS__)
+#define J2A_EACH_7(what, item, ...) what##_##item J2A_EACH_6(what, __VA_ARGS__)
+#define J2A_EACH_8(what, item, ...) what##_##item J2A_EACH_7(what, __VA_ARGS__)
+#define J2A_EACH_9(what, item, ...) what##_##item J2A_EACH_8(what, __VA_ARGS__)
+#define J2A_EACH_10(what, item, ...) what##_##item J2A_EACH_9(what, __VA_ARGS__)
+#define J2A_EACH_11(what, item, ...) what##_##item J2A_EACH_10(what, __VA_ARGS__)
+#define J2A_EACH_12(what, item, ...) what##_##item J2A_EACH_11(what, __VA_ARGS__)
+#define J2A_EACH_13(what, item, ...) what##_##item J2A_EACH_12(what, __VA_ARGS__)
+#define J2A_EACH_14(what, item, ...) what##_##item J2A_EACH_13(what, __VA_ARGS__)
+#define J2A_EACH_15(what, item, ...) what##_##item J2A_EACH_14(what, __VA_ARGS__)
+#define J2A_EACH_16(what, item, ...) what##_##item J2A_EACH_15(what, __VA_ARGS__)
+#define J2A_EACH_17(what, item, ...) what##_##item J2A_EACH_16(what, __VA_ARGS__)
+#define J2A_EACH_18(what, item, ...) what##_##item J2A_EACH_17(what, __VA_ARGS__)
+#define J2A_EACH_19(what, item, ...) what##_##item J2A_EACH_18(what, __VA_ARGS__)
+#define J2A_EACH_20(what, item, ...) what##_##item J2A_EACH_19(what, __VA_ARGS__)
+#define J2A_EACH_21(what, item, ...) what##_##item J2A_EACH_20(what, __VA_ARGS__)
+#define J2A_EACH_22(what, item, ...) what##_##item J2A_EACH_21(what, __VA_ARGS__)
+#define J2A_EACH_23(what, item, ...) what##_##item J2A_EACH_22(what, __VA_ARGS__)
+#define J2A_EACH_24(what, item, ...) what##_##item J2A_EACH_23(what, __VA_ARGS__)
+#define J2A_EACH_25(what, item, ...) what##_##item J2A_EACH_24(what, __VA_ARGS__)
+#define J2A_EACH_26(what, item, ...) what##_##item J2A_EACH_25(what, __VA_ARGS__)
+#define J2A_EACH_27(what, item, ...) what##_##item J2A_EACH_26(what, __VA_ARGS__)
+#define J2A_EACH_28(what, item, ...) what##_##item J2A_EACH_27(what, __VA_ARGS__)
+#define J2A_EACH_29(what, item, ...) what##_##item J2A_EACH_28(what, __VA_ARGS__)
+#define J2A_EACH_30(what, item, ...) what##_##item J2A_EACH_29(what, __VA_ARGS__)
+#define J2A_EACH_31(what, item, ...) what##_##item J2A_EACH_30(what, __VA_ARGS__)
+#define J2A_EACH_32(what, item, ...) what##_##item J2A_EACH_31(what, __VA_ARGS__)
+#define J2A_EACH_33(what, item, ...) what##_##item J2A_EACH_32(what, __VA_ARGS__)
+#define J2A_EACH_34(what, item, ...) what##_##item J2A_EACH_33(what, __VA_ARGS__)
+#define J2A_EACH_35(what, item, ...) what##_##item J2A_EACH_34(what, __VA_ARGS__)
+#define J2A_EACH_36(what, item, ...) what##_##item J2A_EACH_35(what, __VA_ARGS__)
+#define J2A_EACH_37(what, item, ...) what##_##item J2A_EACH_36(what, __VA_ARGS__)
+#define J2A_EACH_38(what, item, ...) what##_##item J2A_EACH_37(what, __VA_ARGS__)
+#define J2A_EACH_39(what, item, ...) what##_##item J2A_EACH_38(what, __VA_ARGS__)
+#define J2A_EACH_40(what, item, ...) what##_##item J2A_EACH_39(what, __VA_ARGS__)
+#define J2A_EACH_41(what, item, ...) what##_##item J2A_EACH_40(what, __VA_ARGS__)
+#define J2A_EACH_42(what, item, ...) what##_##item J2A_EACH_41(what, __VA_ARGS__)
+#define J2A_EACH_43(what, item, ...) what##_##item J2A_EACH_42(what, __VA_ARGS__)
+#define J2A_EACH_44(what, item, ...) what##_##item J2A_EACH_43(what, __VA_ARGS__)
+#define J2A_EACH_45(what, item, ...) what##_##item J2A_EACH_44(what, __VA_ARGS__)
+#define J2A_EACH_46(what, item, ...) what##_##item J2A_EACH_45(what, __VA_ARGS__)
+#define J2A_EACH_47(what, item, ...) what##_##item J2A_EACH_46(what, __VA_ARGS__)
+#define J2A_EACH_48(what, item, ...) what##_##item J2A_EACH_47(what, __VA_ARGS__)
+#define J2A_EACH_49(what, item, ...) what##_##item J2A_EACH_48(what, __VA_ARGS__)
+#define J2A_EACH_50(what, item, ...) what##_##item J2A_EACH_49(what, __VA_ARGS__)
+#define J2A_EACH_51(what, item, ...) what##_##item J2A_EACH_50(what, __VA_ARGS__)
+#define J2A_EACH_52(what, item, ...) what##_##item J2A_EACH_51(what, __VA_ARGS__)
+#define J2A_EACH_53(what, item, ...) what##_##item J2A_EACH_52(what, __VA_ARGS__)
+#define J2A_EACH_54(what, item, ...) what##_##item J2A_EACH_53(what, __VA_ARGS__)
+#define J2A_EACH_55(what, item, ...) what##_##item J2A_EACH_54(what, __VA_ARGS__)
+#define J2A_EACH_56(what, item, ...) what##_##item J2A_EACH_55(what, __VA_ARGS__)
+#define J2A_EACH_57(what, item, ...) what##_##item J2A_EACH_56(what, __VA_ARGS__)
+#define J2A_EACH_58(what, item, ...) what##_##item J2A_EACH_57(what, __VA_ARGS__)
+#define J2A_EACH_59(what, item, ...) what##_##item J2A_EACH_58(what, __VA_ARGS__)
+#define J2A_EACH_60(what, item, ...) what##_##item J2A_EACH_59(what, __VA_ARGS__)
+#define J2A_EACH_61(what, item, ...) what##_##item J2A_EACH_60(what, __VA_ARGS__)
+#define J2A_EACH_62(what, item, ...) what##_##item J2A_EACH_61(what, __VA_ARGS__)
+#define J2A_EACH_63(what, item, ...) what##_##item J2A_EACH_62(what, __VA_ARGS__)
+#define J2A_EACH_64(what, item, ...) what##_##item J2A_EACH_63(what, __VA_ARGS__)
+
+/* Is the function of the kind given in the list? C compares two declarations. C++ would take the second for
+ * another function of the same name, so there it is given to one that takes only this kind. */
+#ifdef __cplusplus
+char j2a_needs_a_call(j2a_call_fn *function);
+char j2a_needs_a_many(j2a_many_fn *function);
+#define J2A_KIND_OF_J2A_CALL(name, function) extern char j2a_kind_checked[sizeof j2a_needs_a_call(function)];
+#define J2A_KIND_OF_J2A_MANY(name, function) extern char j2a_kind_checked[sizeof j2a_needs_a_many(function)];
+#else
+#define J2A_KIND_OF_J2A_CALL(name, function) j2a_call_fn function;
+#define J2A_KIND_OF_J2A_MANY(name, function) j2a_many_fn function;
+#endif
+#define J2A_KIND_OF_
+
+#define J2A_NAME_OF_J2A_CALL(name, function) J2A_NAMED(function, name)
+#define J2A_NAME_OF_J2A_MANY(name, function) J2A_NAMED(function, name)
+#define J2A_NAME_OF_
+
+#define J2A_ENTRY_OF_J2A_CALL(name, function) , J2A_ENTRY(function, J2A_KIND_CALL)
+#define J2A_ENTRY_OF_J2A_MANY(name, function) , J2A_ENTRY(function, J2A_KIND_MANY)
+#define J2A_ENTRY_OF_
+
+/* The map must fit into one frame: a negative array size stops the build when it does not. */
+#if J2A_WITH_MAPPING
+#define J2A_SIZE_OF_J2A_CALL(name, function) + sizeof #name
+#define J2A_SIZE_OF_J2A_MANY(name, function) + sizeof #name
+#define J2A_SIZE_OF_
+#define J2A_CHECK_SIZE_(...) \
+    extern char j2a_names_longer_than_a_payload[ \
+        sizeof "a2jGetMapping" + sizeof "a2jEcho" + (J2A_WITH_MANY ? sizeof "a2jMany" + sizeof "a2jEchoMany" : 0) \
+        + (J2A_WITH_PROPERTIES ? sizeof "a2jGetProperties" : 0) + (J2A_WITH_DEBUG ? sizeof "a2jDebug" : 0) \
+        J2A_EACH_(J2A_SIZE_OF, __VA_ARGS__) <= J2A_ROOM ? 1 : -1];
+#else
+#define J2A_CHECK_SIZE_(...)
+#endif
+
+#define J2A_FUNCTIONS(...) \
+    J2A_EACH_(J2A_KIND_OF, __VA_ARGS__) \
+    J2A_BUILTIN_NAMES \
+    J2A_EACH_(J2A_NAME_OF, __VA_ARGS__) \
+    J2A_CHECK_SIZE_(__VA_ARGS__) \
+    const j2a_entry J2A_FLASH j2a_functions[] = {J2A_BUILTIN_ENTRIES J2A_EACH_(J2A_ENTRY_OF, __VA_ARGS__)}; \
+    const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0]; \
+    extern const uint8_t j2a_function_count /* takes the semicolon of the user */
+
+/* The number that a macro stands for, as text: J2A_PROPERTY("j2a.rxbuf", J2A_TEXT(J2A_RXBUF)). */
+#ifndef J2A_TEXT
+#define J2A_TEXT_(value) #value
+#define J2A_TEXT(value) J2A_TEXT_(value)
+#endif
+
+#define J2A_VALUE_OF_J2A_PROPERTY(key, value) key "\0" value "\0"
+#define J2A_VALUE_OF_
+#define J2A_FULL_OF_J2A_PROPERTY(key, value) \
+    extern char j2a_property_is_empty[sizeof key > 1 && sizeof value > 1 ? 1 : -1];
+#define J2A_FULL_OF_
+
+#if J2A_WITH_PROPERTIES
+#define J2A_PROPERTIES(...) \
+    J2A_EACH_(J2A_FULL_OF, __VA_ARGS__) \
+    const unsigned char J2A_FLASH j2a_properties[] = "j2a.spec\0" J2A_SPEC_VERSION "\0" \
+        J2A_EACH_(J2A_VALUE_OF, __VA_ARGS__); \
+    extern const unsigned char j2a_properties[]
+#else
+#define J2A_PROPERTIES(...) extern const unsigned char j2a_properties[]
+#endif
+
+#endif
