@@ -2,7 +2,7 @@
 
 from j2a_spec.constants import MAX_PAYLOAD
 
-from j2a.errors import LocalError
+from j2a.errors import LocalError, PayloadTooLong
 
 __all__ = ["check_bytes", "check_opcode", "check_payload", "check_timeout"]
 
@@ -26,7 +26,7 @@ def check_payload(payload: object) -> bytes:
     """Return a payload, 0 to 255 bytes."""
     data = check_bytes(payload)
     if len(data) > MAX_PAYLOAD:
-        raise LocalError(
+        raise PayloadTooLong(
             f"a payload is {MAX_PAYLOAD} bytes at most, not {len(data)}; "
             "longer data goes through write_many, if the function is made for it"
         )

@@ -139,10 +139,14 @@ class FunctionTable:
     Args:
         properties: keys and values that `a2jGetProperties` tells, in this order.
         debug: executes `a2jDebug`.
+        room: the longest payload of a request that is acted on, 32..255 bytes (J2A-LIMIT-005).
     """
 
-    def __init__(self, properties: Mapping[str, str], debug: CallFunction) -> None:
+    def __init__(
+        self, properties: Mapping[str, str], debug: CallFunction, room: int = MAX_PAYLOAD
+    ) -> None:
         content = pack_properties(properties)
+        self._room = room
         self._calls: dict[int, CallFunction] = {}
         self._manys: dict[int, ManyFunction] = {}
         self.names: list[str] = []
@@ -191,11 +195,13 @@ class FunctionTable:
 
     def execute(self, opcode: int, payload: bytes) -> Reply:
         """Return the reply to a request, error replies included."""
-        if opcode == self._many_opcode:
-            return self._execute_many(payload)
         function = self._calls.get(opcode)
         if function is None:
             return _refuse(SITE_KIND if opcode in self._manys else SITE_OPCODE)
+        if len(payload) > self._room:
+            return Reply(RET_FAILED, b"")
+        if opcode == self._many_opcode:
+            return self._execute_many(payload)
         try:
             code, data = _split(function(payload))
             _check(code, data, MAX_PAYLOAD)

@@ -137,14 +137,20 @@ def read_chunks(
 
 
 def write_chunks(
-    what: str, opcode: int, data: bytes, *, progress: Progress | None = None
+    what: str,
+    opcode: int,
+    data: bytes,
+    *,
+    chunk_size: int = MANY_DATA,
+    progress: Progress | None = None,
 ) -> Steps[int]:
-    """Write all data in chunks of 249 bytes; no data is one empty chunk (J2A-MANY-013).
+    """Write all data in chunks; no data is one empty chunk (J2A-MANY-013, J2A-LIMIT-007).
 
     Args:
         what: how messages name the transfer.
         opcode: of the function that is written to, 0..255.
         data: up to 2**32-1 bytes.
+        chunk_size: the most data of a chunk, 1..249 bytes.
         progress: see `Progress`.
 
     Returns: the return value of the function for the last chunk, 0..0xEF.
@@ -154,7 +160,7 @@ def write_chunks(
         ProtocolError: the device answered another offset.
     """
     code = RET_OK
-    for offset, part, flags in _split(data):
+    for offset, part, flags in _split(data, chunk_size):
         chunk = yield from exchange(what, opcode, flags | FLAG_WRITE, offset, part)
         code = chunk.code
         if progress is not None:
@@ -163,14 +169,19 @@ def write_chunks(
 
 
 def echo_chunks(
-    what: str, opcode: int, data: bytes, *, progress: Progress | None = None
+    what: str,
+    opcode: int,
+    data: bytes,
+    *,
+    chunk_size: int = MANY_DATA,
+    progress: Progress | None = None,
 ) -> Steps[bytes]:
     """Send data through a2jEchoMany and check that each chunk comes back as it was (J2A-ECHO-002).
 
     Args and raises: as `write_chunks`. Returns: what came back.
     """
     content = bytearray()
-    for offset, part, flags in _split(data):
+    for offset, part, flags in _split(data, chunk_size):
         chunk = yield from exchange(what, opcode, flags | FLAG_WRITE, offset, part)
         if chunk != (ECHO_MANY, bool(flags & FLAG_LAST), offset, part):
             raise ProtocolError(f"{what}: the chunk at offset {offset} came back changed")
@@ -209,8 +220,8 @@ def probe_offsets(what: str, opcode: int, content: bytes, first: Chunk) -> Steps
         )
 
 
-def _split(data: bytes) -> Iterator[tuple[int, bytes, int]]:
+def _split(data: bytes, size: int) -> Iterator[tuple[int, bytes, int]]:
     """Return offset, data and flags of each chunk, at least one."""
-    starts = range(0, max(len(data), 1), MANY_DATA)
+    starts = range(0, max(len(data), 1), size)
     for start in starts:
-        yield start, data[start : start + MANY_DATA], FLAG_LAST if start == starts[-1] else 0
+        yield start, data[start : start + size], FLAG_LAST if start == starts[-1] else 0

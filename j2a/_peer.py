@@ -14,7 +14,10 @@ from j2a_spec.constants import (
     GET_MAPPING,
     GET_PROPERTIES,
     MANY,
-    MANY_DATA,
+    MANY_HEADER,
+    MAX_PAYLOAD,
+    MIN_ROOM,
+    PROP_ROOM,
     PROP_RXBUF,
     PROP_SPEC,
     RET_OK,
@@ -33,14 +36,22 @@ from j2a._many import (
     read_chunks,
     write_chunks,
 )
-from j2a.errors import LocalError, ProtocolError, UnknownFunction
+from j2a.errors import (
+    FunctionFailed,
+    LegacyLimit,
+    LocalError,
+    OpcodeRefused,
+    PayloadTooLong,
+    ProtocolError,
+    UnknownFunction,
+)
 from j2a.events import Reply
 
 __all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "Peer"]
 
 DEFAULT_MAX_BYTES: Final = 64 * 2**20
 MANY_OPCODE: Final = 1
-"""Of a2jMany, in every function table (J2A-DISP-006)."""
+"""Of a2jMany, in every function table that has it (J2A-DISP-006)."""
 
 
 class Peer:
@@ -49,11 +60,14 @@ class Peer:
     Attributes:
         functions: names and opcodes; None until the map was fetched, empty when there is none.
         properties: keys and values; None until they were read, empty when there are none.
+        room: the longest payload of a request that the device is known to take: 32 bytes, which
+            every device does, until `learn_room` was run.
     """
 
     def __init__(self) -> None:
         self.functions: dict[str, int] | None = None
         self.properties: dict[str, str] | None = None
+        self.room = MIN_ROOM
         self._no_map = "its function map was not fetched"
         # Opcodes of the functions for which a probe has shown that all of the offset counts.
         self._probed: set[int] = set()
@@ -69,6 +83,7 @@ class Peer:
             ProtocolError: it is none, so whoever answers is no device.
         """
         self.functions = self.properties = None
+        self.room = MIN_ROOM
         self._probed = set()
         functions: dict[str, int] = {}
         if reply is None:
@@ -116,7 +131,8 @@ class Peer:
     def read_properties(self) -> Steps[dict[str, str]]:
         """Read the properties unless they are known; a device without the function has none."""
         if self.properties is None:
-            opcode = (self.functions or {}).get(GET_PROPERTIES)
+            known = self.functions or {}
+            opcode = known.get(GET_PROPERTIES) if MANY in known else None
             content = b""
             if opcode is not None:
                 content = yield from read_chunks(
@@ -133,6 +149,37 @@ class Peer:
         """How many wire bytes the device holds while it is busy; 0 when it does not say."""
         text = (self.properties or {}).get(PROP_RXBUF, "")
         return int(text) if text.isascii() and text.isdecimal() else 0
+
+    def learn_room(self) -> Steps[None]:
+        """Find out how long a payload may be (J2A-LIMIT-006), by the properties.
+
+        A device whose properties cannot be read does not say, so that it is taken to be 255 bytes.
+
+        Raises:
+            RemoteError: the request was damaged on its way.
+        """
+        try:
+            properties = yield from self.read_properties()
+        except (OpcodeRefused, FunctionFailed, ProtocolError, LegacyLimit):
+            properties = {}
+        text = properties.get(PROP_ROOM, "")
+        room = int(text) if text.isascii() and text.isdecimal() else MAX_PAYLOAD
+        self.room = max(MIN_ROOM, min(room, MAX_PAYLOAD))
+
+    def check_room(self, what: str, payload: bytes) -> Steps[None]:
+        """Refuse a payload that the device has no room for (J2A-LIMIT-007).
+
+        Raises:
+            PayloadTooLong: it has not.
+        """
+        if len(payload) > self.room:
+            yield from self.learn_room()
+        if len(payload) > self.room:
+            raise PayloadTooLong(
+                f"{what}: the payload has {len(payload)} bytes, but the device has room for "
+                f"{self.room} ({PROP_ROOM}); send less at a time, or write it by write_many if "
+                "the function is made for that"
+            )
 
     # ------------------------------------------------------------------ transfers
 
@@ -157,21 +204,46 @@ class Peer:
     def echo(self, data: object, progress: Progress | None) -> Steps[bytes]:
         """Send data through a2jEchoMany; see `echo_chunks`. Old devices do this right."""
         what, opcode = self.resolve(GET_ECHO_MANY)
-        return echo_chunks(what, opcode, _check_transfer(data), progress=progress)
+        return self._echo(what, opcode, _check_transfer(data), progress)
+
+    def _echo(self, what: str, opcode: int, data: bytes, progress: Progress | None) -> Steps[bytes]:
+        chunk_size = yield from self._chunk_size(data)
+        return (
+            yield from echo_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
+        )
 
     @property
     def many_opcode(self) -> int:
-        """The opcode of a2jMany."""
-        return (self.functions or {}).get(MANY, MANY_OPCODE)
+        """The opcode of a2jMany.
+
+        Raises:
+            UnknownFunction: the device has a function map without it (J2A-DISP-008).
+        """
+        opcode = self.functions.get(MANY) if self.functions else MANY_OPCODE
+        if opcode is None:
+            raise UnknownFunction(
+                f"the device was built without {MANY}, so nothing can be read or written in "
+                "chunks; call its functions with payloads that fit into a frame"
+            )
+        return opcode
+
+    def _chunk_size(self, data: bytes) -> Steps[int]:
+        """Return how much data a chunk of a write may have, 26..249 bytes (J2A-LIMIT-007)."""
+        if len(data) + MANY_HEADER > self.room:
+            yield from self.learn_room()
+        return self.room - MANY_HEADER
 
     # ------------------------------------------------------------------ old devices
 
     def _write(self, what: str, opcode: int, data: bytes, progress: Progress | None) -> Steps[int]:
-        last_offset = (max(len(data), 1) - 1) // MANY_DATA * MANY_DATA
+        chunk_size = yield from self._chunk_size(data)
+        last_offset = (max(len(data), 1) - 1) // chunk_size * chunk_size
         if last_offset > LEGACY_OFFSET and not (yield from self._is_trusted(opcode)):
             first = yield from exchange(f"{what} (probe)", opcode, 0, 0, b"")
             yield from self._probe(what, opcode, first.data, first)
-        return (yield from write_chunks(what, opcode, data, progress=progress))
+        return (
+            yield from write_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
+        )
 
     def _guard_read(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
         if not (yield from self._is_trusted(opcode)):

@@ -133,6 +133,15 @@ class Shell:
                 break
         return text.decode("utf-8", "replace")
 
+    def _read_room(self) -> Steps[int]:
+        yield from self._load_map()
+        yield from self._peer.learn_room()
+        return self._peer.room
+
+    def _check_room(self, what: str, payload: bytes) -> Steps[None]:
+        yield from self._load_map()
+        yield from self._peer.check_room(what, payload)
+
     def _read_properties(self) -> Steps[dict[str, str]]:
         yield from self._load_map()
         return dict((yield from self._peer.read_properties()))

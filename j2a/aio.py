@@ -88,7 +88,7 @@ class AsyncClient(Shell):
 
         Args:
             function: its name in the function map, or its opcode 0..255.
-            payload: 0 to 255 bytes.
+            payload: 0 to 255 bytes, and not more than the device has room for (J2A-LIMIT-007).
             timeout: the time limit in seconds; None takes the client's, `math.inf` has no limit.
 
         Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
@@ -101,6 +101,8 @@ class AsyncClient(Shell):
         if self._peer.functions is None and isinstance(function, str):
             await self.refresh()
         what, opcode = self._peer.resolve(function)
+        if len(data) > self._peer.room:
+            await self._drive(self._check_room(what, data), timeout)
         return await self._call(what, opcode, data, limit_s)
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
@@ -188,6 +190,13 @@ class AsyncClient(Shell):
         Raises: as `read_many`.
         """
         return await self._drive(self._read_properties())
+
+    async def room(self) -> int:
+        """Return the longest payload that a call may have, 32..255 bytes (J2A-LIMIT-006).
+
+        Raises: CallTimeout and LinkError, as `call`.
+        """
+        return await self._drive(self._read_room())
 
     async def refresh(self, boot_time: float | None = None) -> None:
         """Fetch the function map anew and forget the properties (J2A-MAP-001).

@@ -74,14 +74,16 @@ class Client(Shell):
 
         Args:
             function: its name in the function map, or its opcode 0..255.
-            payload: 0 to 255 bytes.
+            payload: 0 to 255 bytes, and not more than the device has room for. Of the first one
+                above 32 bytes its properties are read before (J2A-LIMIT-007).
             timeout: the time limit in seconds, from now until the reply is here; None takes the
                 client's, `math.inf` waits for ever.
 
         Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
 
         Raises:
-            LocalError: an argument is wrong; `UnknownFunction` if it is the name.
+            LocalError: an argument is wrong; `UnknownFunction` if it is the name,
+                `PayloadTooLong` if the device has no room for the payload.
             RemoteError: the device refused the request; the type says why.
             CallTimeout: there was no reply in time.
             LinkError: the link is lost or closed.
@@ -91,6 +93,8 @@ class Client(Shell):
         if self._peer.functions is None and isinstance(function, str):
             self.refresh()
         what, opcode = self._peer.resolve(function)
+        if len(data) > self._peer.room:
+            self._drive(self._check_room(what, data), timeout)
         return self._engine.call(what, opcode, data, limit_s)
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
@@ -190,6 +194,14 @@ class Client(Shell):
         Raises: as `read_many`.
         """
         return self._drive(self._read_properties())
+
+    @property
+    def room(self) -> int:
+        """The longest payload that a call may have, 32..255 bytes (J2A-LIMIT-006, J2A-LIMIT-007).
+
+        It is 255 where the device does not say. Raises: CallTimeout and LinkError, as `call`.
+        """
+        return self._drive(self._read_room())
 
     def refresh(self, boot_time: float | None = None) -> None:
         """Fetch the function map anew and forget the properties (J2A-MAP-001).

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-from j2a_spec.constants import RET_FAILED
+from j2a_spec.constants import MAX_PAYLOAD, RET_FAILED
 
 from j2a._functions import ManyReply, ManyRequest, Result, read_chunk
 from j2a._trace import Trace
@@ -31,14 +31,18 @@ class DemoDevice(Device):
 
     Args:
         properties: in addition to, or instead of, the demo's own.
-        trace: see `Device`.
+        room, trace: see `Device`.
     """
 
     def __init__(
-        self, properties: Mapping[str, str] | None = None, *, trace: Trace | None = None
+        self,
+        properties: Mapping[str, str] | None = None,
+        *,
+        room: int = MAX_PAYLOAD,
+        trace: Trace | None = None,
     ) -> None:
         own = {"name": "J2A demo", "serial": "0001", "port": "python"}
-        super().__init__({**own, **(properties or {})}, trace=trace)
+        super().__init__({**own, **(properties or {})}, room=room, trace=trace)
         self._start_us = time.monotonic_ns() // 1000
         self._content = bytearray()
         self._ticker = _Ticker(self)

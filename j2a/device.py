@@ -13,7 +13,15 @@ import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final, Self, TypeVar, overload
 
-from j2a_spec.constants import BYTE_TIMEOUT_MS, PROP_RXBUF, PROP_SPEC, SPEC_VERSION
+from j2a_spec.constants import (
+    BYTE_TIMEOUT_MS,
+    MAX_PAYLOAD,
+    MIN_ROOM,
+    PROP_ROOM,
+    PROP_RXBUF,
+    PROP_SPEC,
+    SPEC_VERSION,
+)
 
 from j2a._arguments import check_opcode, check_payload
 from j2a._functions import CallFunction, DebugText, FunctionTable, ManyFunction
@@ -52,7 +60,9 @@ class Device:
 
     Args:
         properties: keys and values that a host can read. `j2a.spec` and `j2a.rxbuf` are added
-            unless they are given.
+            unless they are given, and `j2a.room` where the room is less than 255.
+        room: the longest payload of a request that it takes, 32..255 bytes; longer ones are
+            answered by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). To try what hosts do with less.
         byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
             (J2A-TIME-001, J2A-TIME-002).
         trace: called with everything that passes; see `j2a.Trace`.
@@ -61,7 +71,7 @@ class Device:
         trace: the trace of links that begin from now on; None is none.
 
     Raises:
-        LocalError: `byte_timeout_s` is out of range.
+        LocalError: `room` or `byte_timeout_s` is out of range.
         RegistrationError: a property is empty or holds NUL.
     """
 
@@ -69,6 +79,7 @@ class Device:
         self,
         properties: Mapping[str, str] | None = None,
         *,
+        room: int = MAX_PAYLOAD,
         byte_timeout_s: float = BYTE_TIMEOUT_MS / 1000,
         trace: Trace | None = None,
     ) -> None:
@@ -76,9 +87,15 @@ class Device:
             raise LocalError(
                 f"byte_timeout_s is a number of seconds from 0.009 to 0.02, not {byte_timeout_s!r}"
             )
+        if not isinstance(room, int) or not MIN_ROOM <= room <= MAX_PAYLOAD:
+            raise LocalError(
+                f"room is a number of bytes from {MIN_ROOM} to {MAX_PAYLOAD}, not {room!r}"
+            )
         self._debug_text = DebugText()
         known = {PROP_SPEC: SPEC_VERSION, PROP_RXBUF: str(_RXBUF)}
-        self._table = FunctionTable({**known, **(properties or {})}, self._take_debug)
+        if room < MAX_PAYLOAD:
+            known[PROP_ROOM] = str(room)
+        self._table = FunctionTable({**known, **(properties or {})}, self._take_debug, room)
         self._byte_timeout_s = byte_timeout_s
         self.trace = trace
         self._calling = threading.Lock()
@@ -100,7 +117,7 @@ class Device:
     @overload
     def function(self, name: str | None = None) -> Callable[[_CallF], _CallF]: ...
     def function(self, name: CallFunction | str | None = None) -> object:
-        """Register a function that hosts call with up to 255 bytes; a decorator.
+        """Register a function that hosts call with up to 255 bytes, or its room; a decorator.
 
         The function takes the payload of the request and returns the payload of the reply, a
         return code 0..0xEF (0xFF is failure), a tuple of both, or None. An exception or any other

@@ -26,6 +26,7 @@ __all__ = [
     "OpcodeRefused",
     "OpenFailed",
     "PauseRefused",
+    "PayloadTooLong",
     "ProtocolError",
     "RegistrationError",
     "RemoteError",
@@ -43,6 +44,10 @@ class LocalError(J2AError, ValueError):
 
 class UnknownFunction(LocalError, LookupError):
     """The device has no function of that name."""
+
+
+class PayloadTooLong(LocalError):
+    """A payload is longer than a frame holds, or than the device has room for (J2A-LIMIT-007)."""
 
 
 class RegistrationError(LocalError):

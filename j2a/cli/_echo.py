@@ -34,6 +34,7 @@ from j2a.cli._progress import Progress, size_text
 
 _FILLS = (SOF, SOS, ESC, SOF - 1, SOS - 1, ESC - 1)
 _PATTERNS = len(_FILLS) + 2
+_SIZE = 64
 _GIVE_UP_AFTER = 5
 _MANY_MAX = 64 * 2**20  # the data is in memory twice
 
@@ -50,14 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     size.add_argument(
         "--size",
         type=whole_number(0, MAX_PAYLOAD),
-        default=64,
         metavar="N",
-        help="payload bytes of each, 0..255 (64)",
+        help="payload bytes of each, 0..255 (64, or what the device has room for)",
     )
     size.add_argument(
         "--all-lengths",
         action="store_true",
-        help=f"each of the 256 lengths with {_PATTERNS} patterns: {256 * _PATTERNS} echoes",
+        help=f"each length that the device has room for with {_PATTERNS} patterns: "
+        f"{256 * _PATTERNS} echoes where that is 255 bytes",
     )
     size.add_argument(
         "--many",
@@ -106,15 +107,16 @@ def run(args: argparse.Namespace) -> int:
     return result.code
 
 
-def payloads(args: argparse.Namespace) -> Iterator[bytes]:
-    """Yield what to send, the same in every run."""
+def payloads(args: argparse.Namespace, room: int = MAX_PAYLOAD) -> Iterator[bytes]:
+    """Yield what to send, the same in every run; `room` is how long a payload may be."""
     if args.all_lengths:
         for _ in range(args.count or 1):
-            for length in range(MAX_PAYLOAD + 1):
+            for length in range(room + 1):
                 yield from (pattern(kind, length) for kind in range(_PATTERNS))
     else:
+        size = min(_SIZE, room) if args.size is None else args.size
         for number in range(args.count or 100):
-            yield pattern(number % _PATTERNS, args.size)
+            yield pattern(number % _PATTERNS, size)
 
 
 def pattern(kind: int, length: int) -> bytes:
@@ -127,13 +129,14 @@ def pattern(kind: int, length: int) -> bytes:
 
 
 def _echo(client: j2a.Client, args: argparse.Namespace) -> Result:
-    wanted = 256 * _PATTERNS * (args.count or 1) if args.all_lengths else args.count or 100
-    result = Result("echoes", wanted)
+    room = _room(client)
+    each = (room + 1) * _PATTERNS
+    result = Result("echoes", each * (args.count or 1) if args.all_lengths else args.count or 100)
     in_a_row = 0
     start = time.monotonic()
     try:
         with Progress("echo", enabled=not args.no_progress) as progress:
-            for payload in payloads(args):
+            for payload in payloads(args, room):
                 sent_at = time.monotonic()
                 result.sent += 1
                 try:
@@ -157,6 +160,14 @@ def _echo(client: j2a.Client, args: argparse.Namespace) -> Result:
         result.code = INTERRUPTED
     result.took_s = time.monotonic() - start
     return result
+
+
+def _room(client: j2a.Client) -> int:
+    """Return how long a payload may be; over a link that fails, as long as any may be."""
+    try:
+        return client.room
+    except (j2a.CallTimeout, j2a.RemoteError):
+        return MAX_PAYLOAD
 
 
 def _transfer(client: j2a.Client, args: argparse.Namespace) -> Result:

@@ -27,6 +27,7 @@ def run(args: argparse.Namespace) -> int:
     with connect(args) as client:
         functions = client.functions
         properties = client.properties
+        room = client.room
         counters = client.counters
     rxbuf = properties.get(PROP_RXBUF, "")
     facts = {
@@ -34,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
         "name": properties.get("name"),
         "spec": properties.get(PROP_SPEC, "1.0"),
         "rxbuf": int(rxbuf) if rxbuf.isascii() and rxbuf.isdecimal() else None,
+        "room": room,
         "functions": functions,
         "properties": properties,
         "counters": dataclasses.asdict(counters),
@@ -45,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
     assumed = "" if PROP_SPEC in properties else "   (does not say; assumed)"
     print(f"spec      {facts['spec']}{assumed}")
     print(f"rxbuf     {f'{rxbuf} bytes' if rxbuf else '(does not say; one request at a time)'}")
+    print(f"room      {room} bytes of payload in a request")
     print("functions" if functions else "functions (no map; call by opcode)")
     for name, opcode in functions.items():
         print(f"  {opcode:>3}  {name}")
