@@ -1,0 +1,146 @@
+// Runs a program for the Raspberry Pi Pico: UART0 is stdin and stdout. The board is switched on before the host
+// is there: the input is put on the line once the program listens.
+//   node run.mjs [--fast] [--stats] IMAGE       IMAGE: .elf, .uf2 or the bare contents of the flash
+// Bytes come and go at the rate that the program has set, and simulated time follows real time. After the
+// end of the input it goes on, as fast as it can, until the program sleeps and has been silent for 50 ms.
+// Exit code 0; 2 when the program cannot be run, or does what the emulator does not have.
+//   --fast   takes the whole input first, and never waits for real time: each run is the same
+//   --stats  says on stderr in the end how long it was in simulated time, and how fast
+// Rule: a moment of real time in which the emulator gets no processor is no pause on the line. So what has
+// come meanwhile is put on the line first, before simulated time catches up.
+import { readFileSync } from 'node:fs';
+
+const SLICE_NANOS = 1e6; // then stdin is looked at
+const SILENCE_NANOS = 50e6; // longer than the 20 ms after which a cut frame is answered
+const LONGEST_END_NANOS = 10e9; // a program that never sleeps, or sends by itself
+const LONGEST_START_NANOS = 60e9; // until the program listens
+const FORGIVEN_NANOS = 2e9; // behind by more, it does not catch up (a process that was stopped)
+
+function fail(message) {
+  process.stderr.write(`run.mjs: ${message}\n`);
+  process.exit(2);
+}
+
+const words = process.argv.slice(2);
+const options = words.filter((word) => word.startsWith('--'));
+const images = words.filter((word) => !word.startsWith('--'));
+const unknown = options.find((word) => !['--fast', '--stats'].includes(word));
+if (unknown) fail(`there is no ${unknown}`);
+if (images.length !== 1) fail('usage: node run.mjs [--fast] [--stats] IMAGE');
+const fast = options.includes('--fast');
+
+let modules;
+try {
+  modules = await Promise.all([import('./machine.mjs'), import('./image.mjs')]);
+} catch (error) {
+  if (error.code !== 'ERR_MODULE_NOT_FOUND') throw error;
+  fail('rp2040js is not installed; run: sh tools/npm.sh firmware/emulators/rp2040');
+}
+const [{ Machine }, { flashOf }] = modules;
+
+let output = [];
+let machine;
+try {
+  machine = new Machine(flashOf(readFileSync(images[0])), (byte) => output.push(byte));
+} catch (error) {
+  fail(`${images[0]}: ${error.message}`);
+}
+
+const started = process.hrtime.bigint();
+let origin = 0; // real time that was when simulated time was 0
+let asleep; // the timer that ends it
+let endOfInput; // when it was, in simulated time
+
+function flush() {
+  if (output.length) process.stdout.write(Buffer.from(output));
+  output = [];
+}
+
+const realNanos = () => Number(process.hrtime.bigint() - started) - origin;
+
+function finished() {
+  const { clock, chip, uart } = machine;
+  if (endOfInput === undefined) return false;
+  if (clock.nanos > endOfInput + LONGEST_END_NANOS) return true;
+  const since = Math.max(uart.lastByte, endOfInput, awake);
+  return uart.idle && chip.core.waiting && clock.nanos > since + SILENCE_NANOS;
+}
+
+// When the program last computed for a whole slice, as it does in a function that waits.
+let awake = 0;
+
+function slice(until) {
+  const before = machine.cycles;
+  const from = machine.clock.nanos;
+  machine.run(until);
+  const busy = ((machine.cycles - before) * 1e9) / machine.chip.clkSys;
+  if (busy > 0.9 * (machine.clock.nanos - from)) awake = machine.clock.nanos;
+  flush();
+}
+
+function wake() {
+  if (!asleep) return;
+  clearTimeout(asleep);
+  asleep = undefined;
+  setImmediate(turn);
+}
+
+function end() {
+  if (options.includes('--stats')) {
+    const real = Number(process.hrtime.bigint() - started) / 1e9;
+    const { clock, cycles, uart } = machine;
+    process.stderr.write(
+      `${(clock.nanos / 1e9).toFixed(3)} s simulated in ${real.toFixed(3)} s, ` +
+        `${(cycles / 1e6).toFixed(2)} Mcycles executed, ${uart.baud.toFixed(0)} baud, ` +
+        `${uart.overruns} bytes overrun, ${uart.unheard} unheard\n`,
+    );
+  }
+  process.exit(0);
+}
+
+function start() {
+  const { clock, uart } = machine;
+  while (!uart.listening) {
+    if (clock.nanos > LONGEST_START_NANOS) throw new Error('the program has not switched UART0 on');
+    slice(clock.nanos + SLICE_NANOS);
+  }
+  origin = realNanos() - clock.nanos;
+  if (fast) {
+    uart.feed(readFileSync(0));
+    endOfInput = clock.nanos;
+  } else {
+    process.stdin.on('data', (bytes) => {
+      uart.feed(bytes);
+      wake();
+    });
+    process.stdin.on('end', () => {
+      endOfInput = clock.nanos;
+      wake();
+    });
+  }
+  turn();
+}
+
+function turn() {
+  asleep = undefined;
+  const { clock } = machine;
+  try {
+    const paced = endOfInput === undefined;
+    const now = paced ? realNanos() : Infinity;
+    if (paced && now - clock.nanos > FORGIVEN_NANOS) origin += now - clock.nanos;
+    slice(Math.min(now, clock.nanos + SLICE_NANOS));
+    if (finished()) return end();
+    if (clock.nanos < now) setImmediate(turn);
+    else asleep = setTimeout(turn, 1);
+  } catch (error) {
+    flush();
+    fail(`${images[0]}: ${error.message}`);
+  }
+}
+
+process.stdout.on('error', () => process.exit(0)); // nobody reads any more
+try {
+  start();
+} catch (error) {
+  fail(`${images[0]}: ${error.message}`);
+}

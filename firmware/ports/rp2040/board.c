@@ -1,0 +1,118 @@
+/* A Raspberry Pi Pico (RP2040), UART0 on GPIO0 (TX) and GPIO1 (RX): bytes flow from the UART's FIFO of 32
+ * into the ring by interrupt, and back by its transmit FIFO. Everything runs at the 12 MHz of the crystal.
+ * Rules: an interrupt handler and the main loop share no variable; a read of UART_DATA takes a byte out of the
+ * FIFO, together with the flag that bytes were lost before it, so only board_lost() reads it. */
+#include "board.h"
+#include "cortex_m.h"
+#include "rp2040.h"
+
+#define REGISTER CORTEX_M_REG
+
+#define CLOCK_HZ 12000000u
+/* The UART divides by 16 and by this many 64ths: off by 0.8 % at most. */
+#define DIVIDER_64 ((CLOCK_HZ * 4 + BAUD / 2) / BAUD)
+#if BAUD > CLOCK_HZ / 16 || DIVIDER_64 >> 6 > 65535
+#error "BAUD: 12 MHz of clock allow up to 750000"
+#endif
+#if J2A_LINKS > 1
+#error "LINKS: this port serves one UART"
+#endif
+
+static uint8_t received;
+static bool sent; /* since the last board_idle() */
+static uint32_t ms, counted_us;
+
+/* The bits become 1 (or 0) in one step, whatever else does to that register meanwhile. */
+static void set_bits(uint32_t address, uint32_t bits) {
+    REGISTER(address + ATOMIC_SET) = bits;
+}
+
+static void take_out_of_reset(uint32_t blocks) {
+    REGISTER(RESETS_RESET + ATOMIC_CLEAR) = blocks;
+    while (~REGISTER(RESETS_DONE) & blocks) {
+    }
+}
+
+/* The crystal for all but USB: clk_ref, clk_sys, which follows it, clk_peri for the UART, and a tick of 1 us. */
+static void start_clocks(void) {
+    REGISTER(XOSC_STARTUP) = CLOCK_HZ / 1000 / 256 + 1; /* 1 ms, in units of 256 cycles */
+    REGISTER(XOSC_CTRL) = XOSC_ENABLE_1_TO_15_MHZ;
+    while (!(REGISTER(XOSC_STATUS) & XOSC_STABLE)) {
+    }
+    REGISTER(CLK_REF_CTRL) = CLK_REF_FROM_XOSC;
+    while (!(REGISTER(CLK_REF_SELECTED) & 1u << CLK_REF_FROM_XOSC)) {
+    }
+    REGISTER(CLK_PERI_CTRL) = CLK_PERI_ENABLE_FROM_SYS;
+    REGISTER(WATCHDOG_TICK) = WATCHDOG_TICK_ENABLE | CLOCK_HZ / 1000000;
+}
+
+/* An empty FIFO withdraws the request. */
+static void uart0_received(void) {
+    while (!(REGISTER(UART_FLAGS) & UART_RX_EMPTY))
+        port_receive();
+}
+
+static void millisecond(void) {
+    REGISTER(TIMER_INTERRUPT) = TIMER_ALARM0;
+}
+
+CORTEX_M_INTERRUPTS = {[IRQ_TIMER0] = millisecond, [IRQ_UART0] = uart0_received};
+
+void board_init(void) {
+    start_clocks();
+    take_out_of_reset(RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_TIMER | RESET_UART0);
+    REGISTER(UART_DIVIDER) = DIVIDER_64 >> 6;
+    REGISTER(UART_FRACTION) = DIVIDER_64 & 63;
+    REGISTER(UART_LINE) = UART_8_BITS | UART_FIFOS; /* takes the divider over, too */
+    REGISTER(UART_LEVELS) = 0;                      /* interrupt at 4 bytes ... */
+    REGISTER(UART_INTERRUPTS) = UART_RX | UART_RX_TIMEOUT; /* ... or 32 bit times after the last one */
+    REGISTER(UART_CONTROL) = UART_ENABLE | UART_TX_ENABLE | UART_RX_ENABLE;
+    set_bits(PADS_GPIO1, PADS_PULL_UP); /* with nothing connected no bytes come */
+    REGISTER(PADS_GPIO1 + ATOMIC_CLEAR) = PADS_PULL_DOWN;
+    REGISTER(GPIO0_CTRL) = GPIO_FUNCTION_UART;
+    REGISTER(GPIO1_CTRL) = GPIO_FUNCTION_UART;
+    REGISTER(TIMER_INTERRUPTS) = TIMER_ALARM0;
+    cortex_m_enable(IRQ_UART0);
+    cortex_m_enable(IRQ_TIMER0);
+}
+
+bool board_lost(void) {
+    const uint32_t data = REGISTER(UART_DATA);
+    received = (uint8_t)data;
+    return data & UART_OVERRUN;
+}
+
+uint8_t board_read(void) {
+    return received;
+}
+
+bool board_can_write(void) {
+    return !(REGISTER(UART_FLAGS) & UART_TX_FULL);
+}
+
+void board_write(uint8_t byte) {
+    REGISTER(UART_DATA) = byte;
+    sent = true;
+}
+
+/* The lower half of the clock wraps after 71 minutes; the main loop turns more often. */
+uint32_t board_ms(void) {
+    const uint32_t more_ms = (REGISTER(TIMER_RAW_LOW) - counted_us) / 1000;
+    counted_us += more_ms * 1000;
+    return ms += more_ms;
+}
+
+uint64_t board_us(void) {
+    const uint32_t low = REGISTER(TIMER_LOW); /* keeps the other half as it is now */
+    return (uint64_t)REGISTER(TIMER_HIGH) << 32 | low;
+}
+
+/* Sleeps until an interrupt, or a millisecond. One since the last sleep has left its mark in the processor,
+ * and WFE goes on at once. After a reply the ring may hold the next request, which nothing announces. */
+void board_idle(void) {
+    if (!sent) {
+        REGISTER(TIMER_ALARM) = REGISTER(TIMER_RAW_LOW) + 1000;
+        __asm__ volatile("wfe");
+    }
+    sent = false;
+}

@@ -1,0 +1,4 @@
+#define J2A_PORT_NAME "rp2040"
+#define BOARD_INTERRUPTS 1
+#define BOARD_MICROSECONDS 1
+#define J2A_TICKS_PER_MS 1u
