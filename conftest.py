@@ -18,6 +18,17 @@ PACKAGES = {
     "make": "the package build-essential",
     "cc": "the package build-essential",
     "avr-gcc": "the packages gcc-avr and avr-libc",
+    "arm-none-eabi-gcc": "the packages gcc-arm-none-eabi and picolibc-arm-none-eabi",
+    "riscv64-unknown-elf-gcc": "the package gcc-riscv64-unknown-elf",
+    "qemu-system-arm": "the package qemu-system-arm",
+    "qemu-system-riscv32": "the package qemu-system-misc",
+    "node": "the packages nodejs and npm",
+}
+COMPILERS = {
+    "avr-serial": "avr-gcc",
+    "cortex-m": "arm-none-eabi-gcc",
+    "rp2040": "arm-none-eabi-gcc",
+    "riscv": "riscv64-unknown-elf-gcc",
 }
 Make = Callable[..., subprocess.CompletedProcess[str]]
 Build = Callable[..., Path]
@@ -73,14 +84,13 @@ def build_firmware(
     done: dict[tuple[object, ...], Path] = {}
 
     def run(app: str = "demo", port: str = "posix", **variables: object) -> Path:
-        is_avr = port == "avr-serial"
-        need("avr-gcc" if is_avr else str(variables.get("CC", "cc")))
+        need(str(variables.get("CC", COMPILERS.get(port, "cc"))))
         key = (app, port, *sorted((name, str(value)) for name, value in variables.items()))
         if key not in done:
             out = tmp_path_factory.mktemp(f"{port}-{app}")
             result = make(APP=app, PORT=port, OUT=out, **variables)
             assert result.returncode == 0, result.stderr
-            done[key] = out / (f"{app}.elf" if is_avr else app)
+            done[key] = out / (f"{app}.elf" if port in COMPILERS else app)
         return done[key]
 
     return run

@@ -42,7 +42,7 @@ void j2a_tx_byte(uint8_t byte) {
 /* Not by memset(), so that the core needs no header of a library. */
 static void reset_parser(void) {
     uint8_t *const bytes = (uint8_t *)j2a_served();
-    uint16_t i;
+    size_t i;
     for (i = 0; i < sizeof(j2a_rx_t); i++)
         bytes[i] = 0;
 }

@@ -43,7 +43,9 @@ uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function) {
     (void)kind;
 #endif
     *function = j2a_flash_function(&entry->function);
-    return *function ? 0 : J2A_SITE_OPCODE;
+    if (!*function)
+        return J2A_SITE_OPCODE;
+    return 0;
 }
 
 /* a2jMany alone may answer with an error code of the protocol. */
