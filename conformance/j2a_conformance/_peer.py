@@ -18,12 +18,23 @@ from ._judge import Judged, fail, skip
 from ._model import Claims, Verdict
 from ._wire import Arrival, Link
 
-__all__ = ["Expected", "ManyReply", "Peer", "Request", "describe", "many_payload", "refusal"]
+__all__ = [
+    "MANY_ONLY",
+    "Expected",
+    "ManyReply",
+    "Peer",
+    "Request",
+    "describe",
+    "many_payload",
+    "refusal",
+]
 
 _QUIET_S = 0.025  # longer than the longest byte timeout (J2A-TIME-002)
 _ATTEMPTS = 6
 _UNHURRIED = 25  # of the attempts on a lossy link, each so-many-th waits for a slow answer
 _LOSSY_ROOM = 256
+MANY_ONLY = frozenset({c.GET_PROPERTIES, c.GET_ECHO_MANY, "store"})
+"""Functions made for a2jMany, which refuse a direct call."""
 _Result = TypeVar("_Result")
 
 
@@ -37,12 +48,14 @@ class Peer:
     Attributes:
         strict: bytes outside frames are a failure (J2A-FRAME-010); set when the device is known to
             have received requests, because what it prints while it boots is its own affair.
+        longest: the room of the device, the longest payload of a request that it acts on, 32..255.
     """
 
     def __init__(self, link: Link, claims: Claims) -> None:
         self.link = link
         self.claims = claims
         self.strict = False
+        self.longest = c.MAX_PAYLOAD
         self._seq = 0
         self._barriers = 0
         self._trying = False
@@ -81,6 +94,19 @@ class Peer:
         """
         return min(self.rxbuf, _LOSSY_ROOM if self.link.lossy else at_most)
 
+    @property
+    def longest_chunk(self) -> int:
+        """How much data a request to a2jMany may carry, in bytes."""
+        return self.longest - c.MANY_HEADER
+
+    def is_too_long(self, opcode: int, payload: bytes) -> bool:
+        """Tell whether a request is due 0xFF because of its length: its opcode comes first."""
+        names = self.claims.functions
+        is_callable = opcode < len(names) and names[opcode] not in MANY_ONLY
+        if opcode == 0:
+            is_callable = self.claims.mapped
+        return is_callable and len(payload) > self.longest
+
     # Requests
 
     def seq(self) -> int:
@@ -96,8 +122,13 @@ class Peer:
         answer: bytes | None = None,
         seq: int | None = None,
     ) -> Request:
-        """Return a request and its due reply; None for `code` or `answer` leaves them open."""
+        """Return a request and its due reply; None for `code` or `answer` leaves them open.
+
+        Where the device has no room for the payload, that is the reply (J2A-LIMIT-005).
+        """
         seq = self.seq() if seq is None else seq
+        if self.is_too_long(opcode, payload):
+            code, answer = c.RET_FAILED, b""
         wire = encode(Frame(c.SOF, seq, opcode, payload))
         return Request(wire, Expected(seq, code, answer))
 

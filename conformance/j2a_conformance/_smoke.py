@@ -29,9 +29,11 @@ _BARRIER = 11  # bytes on the wire of the request of a barrier, and of its reply
 _LINE = "Are baud rate, parity and stop bits those of the device?"
 _WITHOUT_MAPPING = (
     (),
-    (c.GET_PROPERTIES,),
     (c.GET_DEBUG,),
-    (c.GET_PROPERTIES, c.GET_DEBUG),
+    (c.MANY,),
+    (c.MANY, c.GET_PROPERTIES),
+    (c.MANY, c.GET_DEBUG),
+    (c.MANY, c.GET_PROPERTIES, c.GET_DEBUG),
 )
 
 
@@ -182,8 +184,8 @@ class Mapping(_Smoke):
 
     ID = "smoke.mapping"
     EXPECTATION = (
-        "Names that each end in NUL, a2jGetMapping and a2jMany first, and among them the other "
-        "built-in functions."
+        "Names that each end in NUL, a2jGetMapping first, and among them a2jEcho; if a2jMany is "
+        "there, it is the second, and a2jEchoMany is there, too."
     )
     REQUIREMENTS = ("J2A-MAP-001", "J2A-DISP-006", "J2A-FRAME-001")
     LEVEL = "core"
@@ -196,33 +198,52 @@ class Mapping(_Smoke):
             if not payload.endswith(b"\0"):
                 fail("the mapping does not end in NUL")
             names = tuple(n.decode("latin-1") for n in payload[:-1].split(b"\0"))
-            if names[:2] != (c.GET_MAPPING, c.MANY):
-                fail(f"the mapping does not begin with {c.GET_MAPPING} and {c.MANY}")
-        if missing := {c.GET_MAPPING, c.MANY, c.GET_ECHO, c.GET_ECHO_MANY} - set(names):
-            fail(f"the mapping lacks {', '.join(sorted(missing))}")
+            has_many = c.MANY in names
+            first = (c.GET_MAPPING, c.MANY) if has_many else (c.GET_MAPPING,)
+            if names[: len(first)] != first:
+                fail(f"the mapping does not begin with {' and '.join(first)}")
+            due = {c.GET_ECHO, c.GET_ECHO_MANY} if has_many else {c.GET_ECHO}
+            if missing := due - set(names):
+                fail(f"the mapping lacks {', '.join(sorted(missing))}")
+            if not has_many and (strange := c.WITH_MANY & set(names)):
+                fail(f"the mapping has {', '.join(sorted(strange))} without {c.MANY}")
         mapped = code == c.RET_OK
         peer.claims = replace(peer.claims, mapped=mapped, functions=names)
 
     @staticmethod
     def _search(peer: Peer) -> tuple[str, ...]:
         """Return the built-in functions of a device without a mapping."""
-        codes = []
-        for opcode in range(2, 5):
-            frame = peer.ask(peer.request(opcode, b"j2a"))
-            codes.append(frame.opcode)
-            if (frame.opcode, frame.payload) == (c.ECHO, b"j2a"):
-                break
-        else:
-            fail("no mapping, and no a2jEcho at opcode 2, 3 or 4 (J2A-DISP-006)")
+        before: list[str] = []
+        while (name := _found_at(peer, len(before) + 1)) != c.GET_ECHO:
+            before.append(name)
+            if tuple(before) not in _WITHOUT_MAPPING:
+                fail(
+                    "no mapping, and no a2jEcho behind a2jMany, a2jGetProperties and a2jDebug, or "
+                    "those of them that are built in (J2A-DISP-006)"
+                )
+        last = (c.GET_ECHO_MANY,) if c.MANY in before else ()
+        return (c.GET_MAPPING, *before, c.GET_ECHO, *last)
+
+
+def _found_at(peer: Peer, opcode: int) -> str:
+    """Return which built-in function stands at an opcode, by how it answers."""
+    frame = peer.ask(peer.request(opcode, b"j2a"))
+    if (frame.opcode, frame.payload) == (c.ECHO, b"j2a"):
+        return c.GET_ECHO
+    if opcode > 1:
         # A function for a2jMany refuses a direct call (J2A-MANY-006), a2jDebug does not.
-        between = [c.GET_PROPERTIES if code == c.ERR_OPCODE else c.GET_DEBUG for code in codes[:-1]]
-        if tuple(between) not in _WITHOUT_MAPPING:
-            fail("no mapping, and unknown functions before a2jEcho (J2A-DISP-006)")
-        return (c.GET_MAPPING, c.MANY, *between, c.GET_ECHO, c.GET_ECHO_MANY)
+        return c.GET_PROPERTIES if frame.opcode == c.ERR_OPCODE else c.GET_DEBUG
+    # a2jMany finds 3 bytes too short (J2A-MANY-003) and the function 0 wrong (J2A-MANY-005).
+    if frame.opcode == c.RET_FAILED:
+        return c.MANY
+    refused = peer.ask(peer.request(opcode, bytes(c.MANY_HEADER))).opcode == c.ERR_OPCODE
+    return c.MANY if refused else c.GET_DEBUG
 
 
 class Echo(_Smoke):
-    """Exchanges a few short echoes, and reads the properties as a claim."""
+    """Exchanges a few short echoes, and reads the properties as a claim. A device without
+    properties cannot say how long a payload may be, so that is tried out.
+    """
 
     ID = "smoke.echo"
     EXPECTATION = "Every echo comes back unchanged."
@@ -238,6 +259,8 @@ class Echo(_Smoke):
         peer.claims = replace(peer.claims, rtt_s=min(times))
         peer.link.measured(2 * _BARRIER, min(times))
         if not peer.has(c.GET_PROPERTIES):
+            peer.longest = _agreed(peer, lambda: _room(peer))
+            peer.link.note(f"the device takes payloads of up to {peer.longest} bytes")
             return
         try:
             data = _agreed(peer, lambda: peer.read_all(c.GET_PROPERTIES))
@@ -248,6 +271,23 @@ class Echo(_Smoke):
         texts = [text.decode("utf-8", "replace") for text in data.split(b"\0")[:-1]]
         properties = dict(zip(texts[::2], texts[1::2], strict=False))
         peer.claims = replace(peer.claims, properties=properties)
+        room = properties.get(c.PROP_ROOM, "")
+        if room.isascii() and room.isdigit() and c.MIN_ROOM <= int(room) <= c.MAX_PAYLOAD:
+            peer.longest = int(room)
+
+
+def _room(peer: Peer) -> int:
+    """Return the longest payload that comes back from a2jEcho; one length is judged by `ask`."""
+    fits, fails = c.MIN_ROOM, c.MAX_PAYLOAD + 1
+    length = c.MAX_PAYLOAD
+    while fails - fits > 1:
+        frame = peer.ask(peer.request(peer.opcode(c.GET_ECHO), bytes(length)))
+        if frame.opcode == c.RET_FAILED:
+            fails = length
+        else:
+            fits = length
+        length = (fits + fails) // 2
+    return fits
 
 
 SMOKE: tuple[Case, ...] = (Answers(), Mapping(), Echo())

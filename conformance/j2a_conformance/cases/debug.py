@@ -57,7 +57,7 @@ class Nothing(Case):
 
     def _run(self, peer: Peer) -> None:
         drain(peer)
-        for payload in (b"", b"x", b"\xff" * 255):
+        for payload in (b"", b"x", b"\xff" * peer.longest):
             if take(peer, payload) != (b"", 0):
                 fail(f"text or a code for a request with {len(payload)} payload bytes")
 
@@ -78,7 +78,7 @@ class Text(Case):
 
     def _run(self, peer: Peer) -> None:
         line = peer.carried(lambda: write_line(peer))
-        for payload in (b"", b"x", bytes(255)):
+        for payload in (b"", b"x", bytes(peer.longest)):
             peer.carried(lambda p=payload: self._taken(peer, line, p))  # type: ignore[misc]
         newer = peer.carried(lambda: write_line(peer, 0x06))
         peer.carried(lambda: self._in_order(peer, line + newer))

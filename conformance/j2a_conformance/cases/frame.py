@@ -50,7 +50,10 @@ class Lengths(Case):
     """
 
     ID = "frame.lengths"
-    EXPECTATION = "2048 of 2048 echoes come back unchanged."
+    EXPECTATION = (
+        "2048 of 2048 echoes come back unchanged, but those that are longer than the room of the "
+        "device, which are answered by 0xFF."
+    )
     REQUIREMENTS = (
         "J2A-FRAME-004",
         "J2A-FRAME-005",

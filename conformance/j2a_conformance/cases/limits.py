@@ -1,13 +1,15 @@
-"""Requests without waiting: what j2a.rxbuf promises, and what happens beyond (J2A-LIMIT)."""
+"""What a device has room for: j2a.rxbuf, j2a.room, and what happens beyond (J2A-LIMIT)."""
 
 import struct
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import Frame
+from j2a_spec.oracle import Frame, checksum
 
 from j2a_conformance._case import Case
 from j2a_conformance._judge import fail, inform, skip
-from j2a_conformance._peer import Peer, Request, describe, refusal
+from j2a_conformance._peer import MANY_ONLY, Peer, Request, describe, many_payload, refusal
+
+from .sums import with_sum
 
 _DELAY_MS = 80
 _REQUESTS = 200  # no seq stands for two
@@ -143,3 +145,87 @@ class Overrun(Case):
         if not peer.resync():
             fail("the device does not recover from an overrun")
         return len(requests) - answered
+
+
+class Room(Case):
+    """Calls functions with payloads as long as the room of the device, and with longer ones up to
+    255 bytes: a2jEcho, the other built-in functions, `ret`, `sif` and `store`; also with a wrong
+    checksum and with opcodes that are refused.
+    """
+
+    ID = "limits.room"
+    EXPECTATION = (
+        "What fits is done. What does not is answered by 0xFF with an empty payload, and nothing "
+        "of it is done; errors 0xF3 and 0xF0 come first."
+    )
+    REQUIREMENTS = ("J2A-LIMIT-005", "J2A-FRAME-005")
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        room = peer.longest
+        if room == c.MAX_PAYLOAD:
+            skip("the device has room for every payload")
+        for length in (room - 1, room, room + 1, room + 2, (room + 255) // 2, 254, 255):
+            for value in (0x00, c.SOF, c.ESC):
+                peer.ask_exact(peer.echo(bytes((value,)) * length))
+        for length in (room + 1, 255):
+            self._others(peer, length)
+            self._refused(peer, length)
+        self._not_done(peer, room)
+        peer.barrier()
+
+    @staticmethod
+    def _others(peer: Peer, length: int) -> None:
+        """Call the other functions whose calls move nothing."""
+        if peer.claims.mapped:
+            peer.ask_exact(peer.request(0, bytes(length)))
+        if peer.has(c.MANY):
+            funcs = (0, peer.opcode(c.MANY), peer.opcode(c.GET_ECHO_MANY), 0xFF)
+            for payload in (many_payload(func).ljust(length, b"m") for func in funcs):
+                peer.ask_exact(peer.request(peer.opcode(c.MANY), payload))
+        if peer.has("getTime"):
+            peer.ask_exact(peer.request(peer.opcode("getTime"), bytes(length)))
+
+    @staticmethod
+    def _refused(peer: Peer, length: int) -> None:
+        """Send what is refused for another reason first."""
+        for opcode in peer.out_of_range()[-1:]:
+            peer.ask(peer.request(opcode, bytes(length), c.ERR_OPCODE))
+        for name in sorted(n for n in MANY_ONLY if peer.has(n)):
+            peer.ask(peer.request(peer.opcode(name), bytes(length), c.ERR_OPCODE))
+        seq, opcode, payload = peer.seq(), peer.opcode(c.GET_ECHO), b"w" * length
+        wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x04)
+        peer.play(wire, refusal(seq, c.ERR_CHECKSUM), alone=True)
+
+    @staticmethod
+    def _not_done(peer: Peer, room: int) -> None:
+        """Call functions whose calls leave something to be seen."""
+        if peer.has("ret"):
+            if peer.has(c.GET_DEBUG):
+                while peer.call(c.GET_DEBUG).opcode & c.DEBUG_MORE:
+                    pass
+            peer.ask(peer.request(peer.opcode("ret"), b"\x05" * (room + 1)))
+            if peer.has(c.GET_DEBUG):
+                if peer.call(c.GET_DEBUG).payload:
+                    fail("`ret` was executed with a payload that is longer than the room")
+                peer.call("ret", b"\x05")
+                peer.ask(peer.request(peer.opcode(c.GET_DEBUG), bytes(room + 1)))
+                if not peer.call(c.GET_DEBUG).payload:
+                    fail("debug text was taken by a request that is longer than the room")
+        if peer.has("sif"):
+            before = len(peer.link.sifs)
+            peer.ask(peer.request(peer.opcode("sif"), b"\x35" * (room + 1)))
+            peer.barrier()
+            if any(frame.opcode == 0x35 for frame in _frames(peer, before)):
+                fail("a SIF was sent for a request that is longer than the room")
+        if peer.has(c.MANY) and peer.has("store"):
+            flags = c.FLAG_WRITE | c.FLAG_LAST
+            peer.ask(peer.many("store", flags, 0, b"kept"))
+            peer.ask(peer.many("store", flags, 0, b"x" * (peer.longest_chunk + 1)))
+            if (data := peer.read_all("store")) != b"kept":
+                fail(f"`store` holds {data[:16].hex(' ')} after a write longer than the room")
+
+
+def _frames(peer: Peer, first: int) -> list[Frame]:
+    """Return the SIFs from number `first` on."""
+    return [a.event for a in peer.link.sifs[first:] if isinstance(a.event, Frame)]

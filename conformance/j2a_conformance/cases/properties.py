@@ -64,7 +64,8 @@ class Written(Case):
 
     def _run(self, peer: Peer) -> None:
         before = peer.read_all(c.GET_PROPERTIES)
-        for offset, data in ((0, b""), (0, b"name\0evil\0"), (3, bytes(249)), (2**31, b"x")):
+        whole = bytes(peer.longest_chunk)
+        for offset, data in ((0, b""), (0, b"name\0evil\0"), (3, whole), (2**31, b"x")):
             for flags in (c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST):
                 reply = peer.ask_many(peer.many(c.GET_PROPERTIES, flags, offset, data))
                 if reply.code != c.RET_FAILED:
@@ -149,3 +150,27 @@ class RxBuf(Case):
             skip(f"the device has no property {c.PROP_RXBUF}")
         if not (value.isascii() and value.isdigit()) or value.startswith("0"):
             fail(f"{c.PROP_RXBUF} is {value!r}")
+
+
+class Room(Case):
+    """Looks at the property j2a.room, and sends an echo of 255 bytes where there is none."""
+
+    ID = "properties.room"
+    EXPECTATION = (
+        "A decimal number from 32 to 254, without sign or leading zero; without the property, the "
+        "echo."
+    )
+    REQUIREMENTS = ("J2A-LIMIT-006",)
+    LEVEL = "core"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        value = peer.claims.properties.get(c.PROP_ROOM)
+        if value is None:
+            frame = peer.ask(peer.request(peer.opcode(c.GET_ECHO), bytes(c.MAX_PAYLOAD)))
+            if frame.opcode == c.RET_FAILED:
+                fail(f"the device has no room for 255 bytes, and no property {c.PROP_ROOM}")
+            return
+        is_number = value.isascii() and value.isdigit() and not value.startswith("0")
+        if not is_number or not c.MIN_ROOM <= int(value) < c.MAX_PAYLOAD:
+            fail(f"{c.PROP_ROOM} is {value!r}")

@@ -59,6 +59,9 @@ class Scenario(Case):
 
     @staticmethod
     def _send(peer: Peer, steps: list[dict[str, Any]]) -> None:
+        longest = max((len(s["send"]["payload"]) // 2 for s in steps if "send" in s), default=0)
+        if longest > peer.longest:
+            skip(f"the device has no room for its payload of {longest} bytes (J2A-LIMIT-005)")
         whole = [_wire(peer, s) for s in steps if "send" in s and "damage" not in s]
         if len(whole) > 1 and sum(map(len, whole)) > peer.rxbuf:
             skip("the device announces no j2a.rxbuf that holds these requests")

@@ -145,8 +145,9 @@ class Whole(Case):
         with periodic(peer, 1):
             end_s = peer.link.now_s() + 0.3
             while peer.link.now_s() < end_s or len(peer.link.sifs) < before + 20:
-                peer.ask(peer.echo(rng.choice(patterns(rng.choice((1, 30, 254, 255))))))
-                payload = rng.choice(patterns(rng.choice((0, 9, 254))))
+                echoed = rng.choice(patterns(rng.choice((1, 30, 254, 255))))
+                peer.ask(peer.echo(echoed[: peer.longest]))
+                payload = rng.choice(patterns(rng.choice((0, 9, 254))))[: peer.longest - 1]
                 peer.ask(peer.request(peer.opcode("sif"), b"\x44" + payload))
                 if peer.link.now_s() > end_s + 5 * peer.link.reply_timeout_s:
                     fail("no SIFs come, though `sifPeriod` was asked for them")
@@ -164,7 +165,9 @@ class DuringRequest(Case):
 
     def _run(self, peer: Peer) -> None:
         refused = 0
-        for length in (0, 1, 2, 17, 60, 61, 62, 63, 64, 100, 253, 254):
+        most = peer.longest - 1
+        lengths = (0, 1, 2, 17, 60, 61, 62, 63, 64, 100, 253, 254)
+        for length in (n for n in lengths if n <= most):
             for payload in patterns(length)[:8:3]:
                 refused += peer.carried(lambda p=payload: self._refused(peer, p))  # type: ignore[misc]
         if refused:

@@ -86,8 +86,9 @@ class Needless(Case):
         values = [v for v in range(256) if escapable(v)]
         for value in values:
             self._exchange(peer, opcode, bytes((value,)), peer.seq(), {3})
-        many = bytes(values)[:255]
-        self._exchange(peer, opcode, many, peer.seq(), set(range(3, 3 + len(many))))
+        for first in range(0, len(values), peer.longest):
+            many = bytes(values[first : first + peer.longest])
+            self._exchange(peer, opcode, many, peer.seq(), set(range(3, 3 + len(many))))
         for field in (0, 1, 2, 4):
             self._exchange(peer, opcode, b"x", peer.seq(), {field})
         self._exchange(peer, opcode, b"x", peer.seq(), {0, 1, 2, 3, 4})

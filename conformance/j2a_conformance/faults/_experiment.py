@@ -157,7 +157,7 @@ def player_for(
         raise _blamed(opener, judged.reason, scale, baud) from judged
     except (TransportError, OSError) as error:
         raise HarnessError(f"cannot open the link: {error}") from error
-    rules = Rules(peer.claims, held)
+    rules = Rules(peer.claims, held, peer.longest)
     return Player(opener, rules, starts=starts, byte_s=link.byte_s, scale=scale)
 
 

@@ -27,14 +27,16 @@ class Rules:
     Args:
         claims: what it says about itself.
         held: bytes that the link holds back until the device takes them, such as a pipe does.
+        longest: the room of the device, the longest payload that it acts on.
 
     Attributes:
         echo: opcode of a2jEcho.
         room: bytes that may wait, in the device and on the link.
     """
 
-    def __init__(self, claims: Claims, held: int = 0) -> None:
+    def __init__(self, claims: Claims, held: int = 0, longest: int = c.MAX_PAYLOAD) -> None:
         self.claims = claims
+        self.longest = longest
         self.echo = claims.functions.index(c.GET_ECHO)
         value = claims.properties.get(c.PROP_RXBUF, "")
         self.room = max(held, int(value) if value.isascii() and value.isdigit() else 0)
@@ -87,12 +89,14 @@ class Rules:
         if frame.opcode >= len(functions):
             return refusal(seq, c.ERR_OPCODE) if self.claims.mapped else Expected(seq)
         name = functions[frame.opcode]
+        if name in _MANY_ONLY or (name == c.GET_MAPPING and not self.claims.mapped):
+            return refusal(seq, c.ERR_OPCODE)
+        if len(frame.payload) > self.longest:
+            return Expected(seq) if name not in c.BUILTINS else Expected(seq, c.RET_FAILED, b"")
         if name == c.GET_ECHO:
             return Expected(seq, c.ECHO, frame.payload)
         if name == c.GET_MAPPING:
-            return Expected(seq, c.RET_OK if self.claims.mapped else c.ERR_OPCODE)
-        if name in _MANY_ONLY:
-            return refusal(seq, c.ERR_OPCODE)
+            return Expected(seq, c.RET_OK)
         if name == c.MANY and len(frame.payload) < c.MANY_HEADER:
             return Expected(seq, c.RET_FAILED)
         return Expected(seq)

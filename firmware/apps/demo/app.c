@@ -51,8 +51,8 @@ uint8_t demo_store(bool *is_last, bool is_write, uint32_t *const offset, uint8_t
         return 0;
     }
     left = *offset < size ? size - *offset : 0;
-    *is_last = left <= J2A_MANY_DATA;
-    *length = (uint8_t)(*is_last ? left : J2A_MANY_DATA);
+    *is_last = left <= J2A_ROOM_MANY;
+    *length = (uint8_t)(*is_last ? left : J2A_ROOM_MANY);
     if (left)
         *data = content + *offset;
     return 0;
