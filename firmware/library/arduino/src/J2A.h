@@ -1,0 +1,63 @@
+/* J2A for sketches: a host calls the sketch's functions by name, over any Stream. In: one or more streams, the lists
+ * J2A_FUNCTIONS and J2A_PROPERTIES of the sketch (see j2a_core.h). Out: replies, and frames sent unasked.
+ * Rules: the stream belongs to J2A alone, so the sketch prints nothing to it; loop() calls J2A.task() and returns soon;
+ * nothing of this is called from an interrupt. */
+#ifndef J2A_ARDUINO_H
+#define J2A_ARDUINO_H
+
+#include <Arduino.h>
+
+#include "j2a_core.h"
+
+class J2ADevice {
+public:
+    /* Serves a stream, which the sketch has begun.
+     * holds: how many bytes wait in it at most, where it then drops what comes; 0: it makes the sender wait (USB),
+     * or nobody knows, and then a loss is only noticed by the checksum. Of a Serial on an AVR it is known. */
+    template <class StreamType> void begin(StreamType &stream) {
+        serve(0, stream, heldBy(&stream));
+    }
+    void begin(Stream &stream, uint16_t holds) {
+        serve(0, stream, holds);
+    }
+
+#if J2A_LINKS > 1
+    /* The same for link 0..J2A_LINKS-1, each of which has a host of its own. */
+    template <class StreamType> void beginLink(uint8_t link, StreamType &stream) {
+        serve(link, stream, heldBy(&stream));
+    }
+    void beginLink(uint8_t link, Stream &stream, uint16_t holds) {
+        serve(link, stream, holds);
+    }
+#endif
+
+    /* Receives and answers. */
+    void task();
+
+#if J2A_WITH_SIF
+    /* Sends a frame unasked: an opcode 0..255 that host and sketch agree on, and up to 255 bytes. Of several links it
+     * goes out on j2a_link: within a function the one that called it, else 0 or what the sketch has set. */
+    void sendSif(uint8_t opcode, const void *payload, uint8_t length);
+#endif
+
+    /* Adds text to what the host gets by a2jDebug. */
+    void debug(const char *text);
+
+    /* Times that received bytes were lost, as far as that is known. */
+    uint16_t overruns();
+
+private:
+    static void serve(uint8_t link, Stream &stream, uint16_t holds);
+    static uint16_t heldBy(Stream *) {
+        return 0;
+    }
+#if defined(__AVR__) && defined(SERIAL_RX_BUFFER_SIZE)
+    static uint16_t heldBy(HardwareSerial *) {
+        return SERIAL_RX_BUFFER_SIZE - 1;
+    }
+#endif
+};
+
+extern J2ADevice J2A;
+
+#endif

@@ -1,0 +1,210 @@
+"""Compiles sketches for Arduino boards without the Arduino IDE, and tells their sizes.
+
+What flows in: the packaged library (made first when it is not given), Debian's package
+arduino-core-avr, sketches by the name of an example or as folders. What flows out: BOARD/SKETCH.elf
+in --out, and a line of sizes each. Rules: the commands are those of the package's platform.txt and
+boards.txt; our own files are compiled with all warnings as errors, the core's with none. Headers of
+libraries are found by the #include lines of the sketch.
+"""
+
+import argparse
+import re
+import shlex
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import arduino_library
+
+PLATFORM = Path("/usr/share/arduino/hardware/arduino/avr")
+BOARDS = {"uno": "uno", "mega": "mega.menu.cpu.atmega2560", "leonardo": "leonardo"}
+STRICT = "-Wall -Wextra -Wundef -Werror"
+INCLUDE = re.compile(r'^\s*#\s*include\s+[<"](\w+)\.h[>"]', re.M)
+
+
+class Board:
+    """The commands for one board.
+
+    Args:
+        name: a key of BOARDS.
+        defines: words for the compiler, for all files of the library and the sketch.
+    """
+
+    def __init__(self, name: str, defines: str = "") -> None:
+        self.name, self.defines = name, defines
+        settings = _settings(PLATFORM / "platform.txt")
+        boards = _settings(PLATFORM / "boards.txt")
+        for prefix in (name, BOARDS[name]):
+            settings |= {
+                key.removeprefix(f"{prefix}."): value
+                for key, value in boards.items()
+                if key.startswith(f"{prefix}.")
+            }
+        settings |= {
+            "runtime.ide.version": "10819",
+            "build.arch": "AVR",
+            "build.usb_manufacturer": '"Unknown"',
+            "compiler.warning_flags": "-w",
+            # avr-gcc 5.4 lacks a macro that the core asks for.
+            "compiler.cpp.extra_flags": "-DDECIMAL_DIG=__DECIMAL_DIG__",
+        }
+        self.settings = settings
+
+    def expanded(self, key: str, **values: str) -> str:
+        """Return a setting with all settings in it replaced."""
+        settings = self.settings | values
+        text = settings[key]
+        while match := re.search(r"\{([\w.]+)\}", text):
+            text = text.replace(match[0], settings.get(match[1], ""))
+        return text
+
+    def compile(self, source: Path, target: Path, includes: list[Path], *, ours: bool) -> Path:
+        """Compile one file; returns the object file."""
+        kind = {".c": "c", ".S": "S"}.get(source.suffix, "cpp")
+        folders = [
+            PLATFORM / "cores/arduino",
+            PLATFORM / "variants" / self.settings["build.variant"],
+        ]
+        flags = "".join(f" -I{shlex.quote(str(path))}" for path in [*folders, *includes])
+        command = self.expanded(
+            f"recipe.{kind}.o.pattern",
+            includes=f"{self.defines}{flags}" if ours else flags,
+            source_file=str(source),
+            object_file=str(target),
+            **({"compiler.warning_flags": STRICT} if ours else {}),
+        )
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _run(shlex.split(command))
+        return target
+
+    def core(self, out: Path) -> Path:
+        """Compile the core of the board into an archive, once."""
+        archive = out / "core.a"
+        if not archive.exists():
+            folder = PLATFORM / "cores/arduino"
+            sources = sorted(
+                path for path in folder.iterdir() if path.suffix in {".c", ".cpp", ".S"}
+            )
+            objects = [
+                self.compile(path, out / "core" / f"{path.name}.o", [], ours=False)
+                for path in sources
+            ]
+            _run(["avr-gcc-ar", "rcs", str(archive), *map(str, objects)])
+        return archive
+
+    def link(self, objects: list[Path], archive: Path, image: Path) -> None:
+        """Link an image, and leave its size checked against the board's memory."""
+        command = self.expanded(
+            "recipe.c.combine.pattern",
+            **{"build.path": str(archive.parent), "archive_file": archive.name},
+            **{"build.project_name": image.stem},
+            object_files=shlex.join(map(str, objects)),
+        )
+        words = shlex.split(command)
+        words[words.index("-o") + 1] = str(image)
+        _run(words)
+
+    def size(self, image: Path) -> tuple[int, int]:
+        """Return the bytes of flash and RAM of an image that fits the board.
+
+        Raises:
+            SystemExit: it does not fit.
+        """
+        printed = _run(["avr-size", str(image)]).splitlines()[1].split()
+        flash, ram = int(printed[0]) + int(printed[1]), int(printed[1]) + int(printed[2])
+        for what, used in (("maximum_size", flash), ("maximum_data_size", ram)):
+            if used > int(self.settings[f"upload.{what}"]):
+                sys.exit(f"{image}: {used} bytes are more than upload.{what} of {self.name}")
+        return flash, ram
+
+
+def _settings(path: Path) -> dict[str, str]:
+    """Read lines of key=value."""
+    lines = path.read_text("utf-8").splitlines()
+    pairs = (line.split("=", 1) for line in lines if "=" in line and not line.startswith("#"))
+    return {key.strip(): value.strip() for key, value in pairs}
+
+
+def _run(words: list[str]) -> str:
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        sys.exit(f"{words[0]} is missing: install the packages gcc-avr and avr-libc")
+    if done.returncode:
+        sys.exit(f"{shlex.join(words)}\n{done.stderr}")
+    return done.stdout
+
+
+def _libraries(sketch: str) -> list[Path]:
+    """Return the source folders of the board package's libraries that a sketch includes."""
+    folders = (PLATFORM / "libraries" / name / "src" for name in INCLUDE.findall(sketch))
+    return [folder for folder in folders if folder.is_dir()]
+
+
+def build(board: Board, library: Path, sketches: list[Path], out: Path) -> list[Path]:
+    """Compile the core and the library once, then each sketch; returns the images."""
+    folder = out / board.name
+    source = library / "src"
+    archive = board.core(folder)
+    shared = [
+        board.compile(path, folder / "J2A" / f"{path.name}.o", [source], ours=True)
+        for path in sorted([*source.glob("*.c"), *source.glob("*.cpp")])
+    ]
+    images = []
+    for sketch in sketches:
+        text = (sketch / f"{sketch.name}.ino").read_text("utf-8")
+        own = folder / "sketch" / sketch.name
+        own.mkdir(parents=True, exist_ok=True)
+        cpp = own / f"{sketch.name}.ino.cpp"
+        cpp.write_text(f'#include <Arduino.h>\n#line 1 "{sketch.name}.ino"\n{text}', "utf-8")
+        used = _libraries(text)
+        objects = [board.compile(cpp, own / f"{cpp.name}.o", [source, *used], ours=True), *shared]
+        for other in sorted(path for used_folder in used for path in used_folder.glob("*.cpp")):
+            objects.append(board.compile(other, own / f"{other.name}.o", used, ours=False))
+        image = folder / f"{sketch.name}.elf"
+        board.link(objects, archive, image)
+        images.append(image)
+    return images
+
+
+def main() -> int:
+    """Compile what was asked for; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("sketches", nargs="*", metavar="SKETCH", help="default: all examples")
+    parser.add_argument("--board", choices=[*BOARDS, "all"], default="all")
+    parser.add_argument("--library", type=Path, help="folder J2A (default: made first)")
+    parser.add_argument("--out", type=Path, default=arduino_library.DEFAULT_OUT)
+    parser.add_argument("--options", default="", help="for the compiler, such as -DJ2A_LINKS=2")
+    args = parser.parse_args()
+    if not (PLATFORM / "platform.txt").is_file():
+        sys.exit(f"{PLATFORM} is missing: install the package arduino-core-avr")
+    library = args.library
+    if library is None:
+        library = args.out / arduino_library.NAME
+        arduino_library.write_folder(library, "")
+    sketches = []
+    for name in args.sketches or arduino_library.examples():
+        here = Path(name)
+        sketch = here.resolve() if here.is_dir() else library / "examples" / name
+        if not (sketch / f"{sketch.name}.ino").is_file():
+            parser.error(f"{name} is no example, and no folder that holds {sketch.name}.ino")
+        sketches.append(sketch)
+    boards = list(BOARDS) if args.board == "all" else [args.board]
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        made = pool.map(
+            lambda name: [
+                (name, image, Board(name, args.options).size(image))
+                for image in build(Board(name, args.options), library, sketches, args.out)
+            ],
+            boards,
+        )
+        print(f"{'board':10} {'sketch':14} {'flash':>6} {'RAM':>5}")
+        for results in made:
+            for board, image, (flash, ram) in results:
+                print(f"{board:10} {image.stem:14} {flash:6} {ram:5}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
