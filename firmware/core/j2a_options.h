@@ -1,5 +1,5 @@
 /* Build options of the firmware. Each is a -D of the compiler; the Makefile passes them
- * (OPTIONS="-DJ2A_WITH_SIF=0", RXBUF=64, TXBUF=16). Rules: 1 is on and 0 is off, so that a misspelt
+ * (OPTIONS="-DJ2A_WITH_SIF=0", RXBUF=64). Rules: 1 is on and 0 is off, so that a misspelt
  * name cannot switch anything; every object file of one image sees the same values. */
 #ifndef J2A_OPTIONS_H
 #define J2A_OPTIONS_H
@@ -99,8 +99,8 @@
 #error "J2A_PAUSE_MS must be 9..19 (J2A-TIME-001, J2A-TIME-002)"
 #endif
 
-/* Bytes that a port holds until they are sent; 0 where it has no such buffer and waits for the
- * transmitter. On avr-serial 0..255: 1 and more cost J2A_TXBUF + 3 bytes of RAM and 170 of flash. */
+/* Bytes that a port collects before it sends them, for ports on which many at once are cheaper than one by
+ * one (posix, Arduino); 0 where a port has no such buffer. */
 #ifndef J2A_TXBUF
 #define J2A_TXBUF 0
 #endif

@@ -1,6 +1,5 @@
 /* AVR with the newer USART (ATmega48 to 328, 16U4, 32U4, 640 to 2560, 164 to 1284): the link is USART
- * J2A_USART, 8N1 at BAUD. The receive interrupt fills a ring; with a J2A_TXBUF of more than 0 an
- * interrupt empties another one into the transmitter. Timer 1 runs freely and is both clocks. Uses
+ * J2A_USART, 8N1 at BAUD. The receive interrupt fills a ring. Timer 1 runs freely and is both clocks. Uses
  * no other hardware.
  * Rule: after a loss nothing is stored until the ring is empty and the parser knows of the loss, so
  * that bytes from before and after it never end up in one frame. */
@@ -22,8 +21,8 @@
 #elif ERROR_PER_MILLE > 22
 #error "BAUD: the USART is off by more than 2.2 %; take 115200, or exactly 250000, 500000, 1000000"
 #endif
-#if J2A_RXBUF > 255 || J2A_TXBUF > 255
-#error "J2A_RXBUF must be 1..255, J2A_TXBUF 0..255"
+#if J2A_RXBUF > 255 || J2A_TXBUF > 0
+#error "J2A_RXBUF must be 1..255; this port has no transmit buffer, so J2A_TXBUF must be 0"
 #endif
 
 #define RECEIVING (_BV(BIT_RXEN) | _BV(BIT_TXEN) | _BV(BIT_RXCIE))
@@ -35,9 +34,9 @@ static volatile bool lost;
 static uint16_t overruns;
 
 /* Downwards, because a comparison with 0 is shorter. */
-static inline uint8_t after(uint8_t index, uint8_t last) {
+static inline uint8_t after(uint8_t index) {
     if (index == 0)
-        index = (uint8_t)(last + 1);
+        index = J2A_RXBUF + 1;
     return (uint8_t)(index - 1);
 }
 
@@ -64,7 +63,7 @@ ISR(USARTn_RX_vect) {
 
     if (!lost) {
         const uint8_t head = rx_head;
-        const uint8_t next = after(head, J2A_RXBUF);
+        const uint8_t next = after(head);
         if ((status & _BV(BIT_DOR)) || next == rx_tail) {
             lost = true;
         } else {
@@ -80,7 +79,7 @@ int16_t j2a_port_rx(void) {
     const uint8_t tail = rx_tail;
 
     if (tail != rx_head) {
-        rx_tail = after(tail, J2A_RXBUF);
+        rx_tail = after(tail);
         return rx[tail];
     }
     if (after_loss) {
@@ -91,40 +90,11 @@ int16_t j2a_port_rx(void) {
     return -1;
 }
 
-#if J2A_TXBUF
-static volatile uint8_t tx[J2A_TXBUF + 1];
-static volatile uint8_t tx_head, tx_tail;
-
-ISR(USARTn_UDRE_vect) {
-    const uint8_t tail = tx_tail;
-    if (tail == tx_head) {
-        UCSRnB = RECEIVING;
-    } else {
-        UDRn = tx[tail];
-        tx_tail = after(tail, J2A_TXBUF);
-    }
-}
-
-void j2a_port_tx(uint8_t byte) {
-    const uint8_t head = tx_head;
-    const uint8_t next = after(head, J2A_TXBUF);
-    while (next == tx_tail) {
-        if (!(SREG & _BV(SREG_I))) { /* then the ring's first byte, at "next", is sent from here */
-            loop_until_bit_is_set(UCSRnA, BIT_UDRE);
-            UDRn = tx[next];
-            tx_tail = after(next, J2A_TXBUF);
-        }
-    }
-    tx[head] = byte;
-    tx_head = next;
-    UCSRnB = RECEIVING | _BV(BIT_UDRIE);
-}
-#else
+/* Waits for the transmitter, which itself holds two bytes: nothing else would be done meanwhile. */
 void j2a_port_tx(uint8_t byte) {
     loop_until_bit_is_set(UCSRnA, BIT_UDRE);
     UDRn = byte;
 }
-#endif
 
 uint16_t j2a_port_ticks(void) {
     uint16_t now;

@@ -10,6 +10,5 @@ LINK := -Wl,--gc-sections -mrelax
 SUFFIX := .elf
 SIZE := avr-size
 PORT_RXBUF := 16
-# The USART itself holds two bytes.
 PORT_TXBUF := 0
 SMALL := 1

@@ -25,10 +25,8 @@
 
 #ifdef USART_RX_vect /* chips with one USART do not number it */
 #define USARTn_RX_vect USART_RX_vect
-#define USARTn_UDRE_vect USART_UDRE_vect
 #else
 #define USARTn_RX_vect USART_NAME(USART, J2A_USART, _RX_vect)
-#define USARTn_UDRE_vect USART_NAME(USART, J2A_USART, _UDRE_vect)
 #endif
 
 /* Bits of the registers, at the same place in every USART. */
@@ -39,7 +37,6 @@ enum {
     BIT_8N1 = 1 << 1 | 1 << 2, /* the value of UCSRnC */
     BIT_TXEN = 3,
     BIT_RXEN = 4,
-    BIT_UDRIE = 5,
     BIT_RXCIE = 7
 };
 
