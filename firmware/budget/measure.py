@@ -1,0 +1,181 @@
+"""What the firmware takes: `python firmware/budget/measure.py`.
+
+In: budget.toml, snapshot.json, the sources. Out: a table; with --write the snapshot and table.md;
+with --check exit code 1 when a limit is broken or the snapshot differs; with --against a revision,
+what has changed since.
+Rules: everything is built by firmware/Makefile as a user builds it; every figure is exact, so that
+the same sources and compilers give the same figures on every machine. A missing tool leaves its
+builds out and says so; where J2A_REQUIRE_AVR=1 is set, as in CI, it is an error.
+"""
+
+import argparse
+import io
+import os
+import subprocess
+import sys
+import tarfile
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from fnmatch import fnmatch
+from pathlib import Path
+
+try:
+    import builds
+    import report
+    import runs
+    import snapshot
+    from builds import BudgetError, Build
+except ImportError as error:
+    sys.exit(f"{error}: run `make venv` in the project's folder, and take .venv/bin/python")
+
+__all__ = ["main"]
+
+_JOBS = 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    args = _parser().parse_args(argv)
+    try:
+        every = builds.load(args.budget)
+        chosen = [build for build in every if any(fnmatch(build.name, only) for only in args.only)]
+        if not chosen:
+            raise BudgetError(f"no build is called {' or '.join(args.only)}")
+        if args.write and len(chosen) != len(every):
+            raise BudgetError("--write needs all builds: leave --only out")
+        results = _measure(chosen, args.out, builds.FIRMWARE, strict=True)
+        if args.write and len(results) != len(every):
+            raise BudgetError("--write needs all builds, and tools are missing; nothing is written")
+        return _report(args, every, results, len(results) == len(every))
+    except BudgetError as error:
+        print(f"measure.py: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="measure.py", description="What the firmware takes: flash, RAM, stack, cycles."
+    )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--write", action="store_true", help="renew snapshot.json and table.md")
+    what.add_argument(
+        "--check", action="store_true", help="fail when a limit is broken or the snapshot differs"
+    )
+    what.add_argument("--against", metavar="REV", help="what has changed since a revision of git")
+    parser.add_argument(
+        "--rebuild",
+        action="store_true",
+        help="with --against: measure that revision",
+    )
+    parser.add_argument("--markdown", action="store_true", help="tables as Markdown")
+    parser.add_argument(
+        "--only", metavar="NAME", nargs="+", default=["*"], help="builds, such as avr-serial/*"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=builds.FIRMWARE / "build/budget",
+        help="folder for what is built (default: firmware/build/budget)",
+    )
+    parser.add_argument("--budget", type=Path, default=builds.BUDGET, help="another budget.toml")
+    parser.add_argument("--snapshot", type=Path, default=snapshot.SNAPSHOT, help="another snapshot")
+    return parser
+
+
+def _measure(
+    chosen: Sequence[Build], out: Path, firmware: Path, strict: bool
+) -> dict[str, snapshot.Result]:
+    """Measure builds. With `strict` one that cannot be built is an error, else it is left out."""
+    required = os.environ.get("J2A_REQUIRE_AVR") == "1"
+
+    def one(build: Build) -> snapshot.Result | BudgetError:
+        try:
+            return runs.measure(build, out.resolve(), firmware)
+        except BudgetError as error:
+            return error
+
+    results: dict[str, snapshot.Result] = {}
+    with ThreadPoolExecutor(_JOBS) as pool:
+        for build, result in zip(chosen, pool.map(one, chosen), strict=True):
+            if isinstance(result, snapshot.Result):
+                results[build.name] = result
+            elif strict and (required or not isinstance(result, runs.ToolMissing)):
+                raise result
+            else:
+                print(f"left out: {result}", file=sys.stderr)
+    return results
+
+
+def _revision(revision: str, chosen: Sequence[Build]) -> dict[str, snapshot.Result]:
+    """Build and measure another revision, in a folder that is deleted afterwards."""
+    done = subprocess.run(
+        ["git", "archive", revision, "firmware", "docs/examples"],
+        cwd=builds.FIRMWARE.parent,
+        capture_output=True,
+        check=False,
+    )
+    if done.returncode:
+        raise BudgetError(done.stderr.decode(errors="replace").strip())
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
+            archive.extractall(folder, filter="data")
+        firmware = Path(folder) / "firmware"
+        return _measure(chosen, firmware / "build/budget", firmware, strict=False)
+
+
+def _report(
+    args: argparse.Namespace,
+    every: Sequence[Build],
+    results: dict[str, snapshot.Result],
+    complete: bool,
+) -> int:
+    if args.against:
+        measured = [build for build in every if build.name in results]
+        old = _revision(args.against, measured) if args.rebuild else snapshot.read_of(args.against)
+        if not complete:
+            old = {name: result for name, result in old.items() if name in results}
+        for note in snapshot.differences(old, results, every=False)[1]:
+            print(f"{note}; the figures may differ for that reason alone\n")
+        print(report.changed(snapshot.changes(old, results), every, args.markdown))
+    else:
+        print(report.tables(every, results, args.markdown))
+    problems = list(snapshot.broken(every, results))
+    if args.write and not problems:
+        snapshot.write(results, args.snapshot)
+        report.TABLE.write_text(report.document(every, results))
+    if args.check:
+        problems += _differences(args, every, results, complete)
+    for problem in problems:
+        print(f"measure.py: {problem}", file=sys.stderr)
+    if args.write and problems:
+        print("measure.py: nothing is written while a limit is broken", file=sys.stderr)
+    return 1 if problems else 0
+
+
+def _differences(
+    args: argparse.Namespace,
+    every: Sequence[Build],
+    results: dict[str, snapshot.Result],
+    complete: bool,
+) -> list[str]:
+    """What the committed files say otherwise."""
+    kept = snapshot.read(args.snapshot)
+    found, notes = snapshot.differences(kept, results, complete)
+    for note in notes:
+        print(note)
+    problems = []
+    if found:
+        print(f"\n{report.changed(found, every)}")
+        problems.append(
+            f"{args.snapshot.name} says otherwise: commit what `measure.py --write` makes of it"
+        )
+    if args.snapshot == snapshot.SNAPSHOT and args.budget == builds.BUDGET:
+        table = report.TABLE.read_text() if report.TABLE.exists() else ""
+        if table != report.document(every, kept):
+            problems.append(f"{report.TABLE.name} does not show {args.snapshot.name}: --write it")
+    return problems
+
+
+if __name__ == "__main__":
+    sys.exit(main())

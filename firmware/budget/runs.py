@@ -1,0 +1,85 @@
+"""Measures one build: makes it, and asks each tool that its entry names.
+
+In: a build. Out: its figures, and the compiler that they belong to.
+"""
+
+import re
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import avr_run
+import avr_stack
+import builds
+import callgraph
+import counts
+import sizes
+from builds import BudgetError, Build, ToolMissing
+from snapshot import Result
+
+__all__ = ["ToolMissing", "measure"]
+
+_CC = re.compile(r"^CC\s*[:?]?=\s*(\S+)", re.MULTILINE)
+
+
+def _compiler(build: Build, firmware: Path) -> str:
+    """The name of the compiler, which is there."""
+    for folder in (*reversed(build.port_from), f"ports/{build.port}"):
+        if (path := firmware / folder / "port.mk").is_file():
+            found = _CC.search(path.read_text())
+            name = found[1] if found else "cc"
+            break
+    else:
+        raise BudgetError(f"{build.name}: there is no port {build.port}")
+    if shutil.which(name) is None:
+        raise ToolMissing(f"{build.name}: {name} is missing; see tools/apt-packages.txt")
+    return name
+
+
+@cache
+def _version(compiler: str) -> str:
+    """What a compiler says of itself and of its linker: the two that decide about sizes."""
+
+    def first_line(*command: str) -> str:
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        return done.stdout.splitlines()[0].strip()
+
+    linker = first_line(compiler, "-print-prog-name=ld")
+    return f"{first_line(compiler, '--version')}, {first_line(linker, '--version')}"
+
+
+def measure(build: Build, out: Path, firmware: Path) -> Result:
+    """Make and measure a build.
+
+    Raises:
+        ToolMissing: a compiler or a tool is not installed.
+        BudgetError: it does not compile, or cannot be measured.
+    """
+    compiler = _compiler(build, firmware)
+    program = builds.make(build, out, firmware)
+    objects = program.parent / f"{build.app}.obj"
+    figures: dict[str, float] = {}
+    for kind in build.measure:
+        match kind:
+            case "size":
+                figures["flash"], figures["ram"] = sizes.sizes(program)
+            case "core":
+                figures["flash"], figures["ram"] = sizes.core(sorted(objects.glob("j2a_*.o")))
+            case "stack":
+                figures["stack"] = avr_run.stack(program, build)
+            case "bound":
+                figures["bound"] = avr_stack.stack_bound(program, build)
+            case "callgraph":
+                functions = firmware / "apps" / build.app / "functions.def"
+                figures["bound"] = callgraph.callgraph_bound(
+                    objects, functions, build.interrupt_frame, build.external_frame
+                )
+            case "cycles":
+                figures |= avr_run.cycles(program, build)
+            case "counts":
+                figures |= counts.count(program, build)
+    deepest = figures.get("bound", figures.get("stack"))
+    if deepest is not None and "ram" in figures:
+        figures["total"] = figures["ram"] + deepest
+    return Result(_version(compiler), figures)
