@@ -26,7 +26,7 @@ export class Pl011 extends BasePeripheral {
   #raised = 0; // RIS
   #divider = 0; // as LCR_H has taken it over
   #sending = []; // the first of them is on the line
-  #line = []; // towards the firmware; the first of them is on the line
+  #line = []; // towards the firmware: bytes, and silences as negative nanoseconds; the first one is on the line
 
   // irq: the number of its interrupt. emit(byte): what a byte on the line is given to.
   // connected(): whether it is out of reset, and its two pins are.
@@ -58,7 +58,17 @@ export class Pl011 extends BasePeripheral {
   feed(bytes) {
     const first = !this.#line.length;
     for (const byte of bytes) this.#line.push(byte);
-    if (first && this.#line.length) this.arrival.schedule(this.#nanos(CHARACTER_BITS));
+    if (first) this.#next();
+  }
+
+  // Leaves the line alone for a while, before what is fed next.
+  rest(nanos) {
+    this.feed(nanos > 0 ? [-nanos] : []);
+  }
+
+  #next() {
+    if (!this.#line.length) return;
+    this.arrival.schedule(this.#line[0] < 0 ? -this.#line[0] : this.#nanos(CHARACTER_BITS));
   }
 
   // Before the firmware has set a rate the line has one all the same, and nobody listens.
@@ -80,6 +90,8 @@ export class Pl011 extends BasePeripheral {
 
   #arrived() {
     const byte = this.#line.shift();
+    this.#next();
+    if (byte < 0) return;
     this.lastByte = this.rp2040.clock.nanos;
     if (!this.listening) {
       this.unheard++;
@@ -94,7 +106,6 @@ export class Pl011 extends BasePeripheral {
       if (this.#received.length >= this.#level) this.#raise(INT_RX, true);
     }
     this.timeout.schedule(this.#nanos(TIMEOUT_BITS));
-    if (this.#line.length) this.arrival.schedule(this.#nanos(CHARACTER_BITS));
   }
 
   #departed() {

@@ -1,10 +1,11 @@
 // Runs a program for the Raspberry Pi Pico: UART0 is stdin and stdout. The board is switched on before the host
 // is there: the input is put on the line once the program listens.
-//   node run.mjs [--fast] [--stats] IMAGE       IMAGE: .elf, .uf2 or the bare contents of the flash
+//   node run.mjs [--fast [--pause=AT:MS]] [--stats] IMAGE    IMAGE: .elf, .uf2, bare contents of the flash
 // Bytes come and go at the rate that the program has set, and simulated time follows real time. After the
 // end of the input it goes on, as fast as it can, until the program sleeps and has been silent for 50 ms.
 // Exit code 0; 2 when the program cannot be run, or does what the emulator does not have.
 //   --fast   takes the whole input first, and never waits for real time: each run is the same
+//   --pause  leaves the line alone for MS milliseconds before the byte AT of the input (from 0 on)
 //   --stats  says on stderr in the end how long it was in simulated time, and how fast
 // Rule: a moment of real time in which the emulator gets no processor is no pause on the line. So what has
 // come meanwhile is put on the line first, before simulated time catches up.
@@ -24,10 +25,13 @@ function fail(message) {
 const words = process.argv.slice(2);
 const options = words.filter((word) => word.startsWith('--'));
 const images = words.filter((word) => !word.startsWith('--'));
-const unknown = options.find((word) => !['--fast', '--stats'].includes(word));
-if (unknown) fail(`there is no ${unknown}`);
-if (images.length !== 1) fail('usage: node run.mjs [--fast] [--stats] IMAGE');
 const fast = options.includes('--fast');
+const PAUSE = /^--pause=(\d+):(\d+(?:\.\d+)?)$/;
+const pause = options.map((word) => PAUSE.exec(word)).find(Boolean);
+const unknown = options.find((word) => !['--fast', '--stats'].includes(word) && !PAUSE.test(word));
+if (unknown) fail(`there is no ${unknown}`);
+if (pause && !fast) fail('--pause needs --fast');
+if (images.length !== 1) fail('usage: node run.mjs [--fast [--pause=AT:MS]] [--stats] IMAGE');
 
 let modules;
 try {
@@ -106,7 +110,11 @@ function start() {
   }
   origin = realNanos() - clock.nanos;
   if (fast) {
-    uart.feed(readFileSync(0));
+    const input = readFileSync(0);
+    const [at, ms] = pause ? [Number(pause[1]), Number(pause[2])] : [input.length, 0];
+    uart.feed(input.subarray(0, at));
+    uart.rest(ms * 1e6);
+    uart.feed(input.subarray(at));
     endOfInput = clock.nanos;
   } else {
     process.stdin.on('data', (bytes) => {

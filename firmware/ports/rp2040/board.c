@@ -14,6 +14,9 @@
 #if BAUD > CLOCK_HZ / 16 || DIVIDER_64 >> 6 > 65535
 #error "BAUD: 12 MHz of clock allow up to 750000"
 #endif
+/* With FIFOs a byte is seen up to 32 bit times late, and so a pause of 9 ms within a frame seems longer. At low
+ * rates it would be taken for the end of the frame; there the UART holds one byte, which lasts long enough. */
+#define LINE (BAUD < 50000 ? UART_8_BITS : UART_8_BITS | UART_FIFOS)
 #if J2A_LINKS > 1
 #error "LINKS: this port serves one UART"
 #endif
@@ -63,9 +66,9 @@ void board_init(void) {
     take_out_of_reset(RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_TIMER | RESET_UART0);
     REGISTER(UART_DIVIDER) = DIVIDER_64 >> 6;
     REGISTER(UART_FRACTION) = DIVIDER_64 & 63;
-    REGISTER(UART_LINE) = UART_8_BITS | UART_FIFOS; /* takes the divider over, too */
-    REGISTER(UART_LEVELS) = 0;                      /* interrupt at 4 bytes ... */
-    REGISTER(UART_INTERRUPTS) = UART_RX | UART_RX_TIMEOUT; /* ... or 32 bit times after the last one */
+    REGISTER(UART_LINE) = LINE; /* takes the divider over, too */
+    REGISTER(UART_LEVELS) = 0;  /* interrupt at 4 bytes, or 32 bit times after the last one */
+    REGISTER(UART_INTERRUPTS) = UART_RX | UART_RX_TIMEOUT;
     REGISTER(UART_CONTROL) = UART_ENABLE | UART_TX_ENABLE | UART_RX_ENABLE;
     set_bits(PADS_GPIO1, PADS_PULL_UP); /* with nothing connected no bytes come */
     REGISTER(PADS_GPIO1 + ATOMIC_CLEAR) = PADS_PULL_DOWN;
