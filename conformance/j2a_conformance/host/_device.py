@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING, PROPERTIES
 
-__all__ = ["DEMO", "FETCH", "OLD", "PING", "STORE", "Device", "chunk_reply", "pattern"]
+__all__ = ["BARE", "DEMO", "FETCH", "OLD", "PING", "STORE", "Device", "chunk_reply", "pattern"]
 
 PING = "ping"
 FETCH = "fetch"
@@ -54,6 +54,11 @@ class Device:
         return self.names.index(name)
 
     @property
+    def room(self) -> int:
+        """The property j2a.room in bytes, 255 where the device does not announce it."""
+        return int(dict(self.properties or ()).get(c.PROP_ROOM, str(c.MAX_PAYLOAD)))
+
+    @property
     def rxbuf(self) -> int:
         """The property j2a.rxbuf in bytes, or 0 where the device does not announce it."""
         return int(dict(self.properties or ()).get(c.PROP_RXBUF, "0"))
@@ -63,7 +68,7 @@ class Device:
 
         A host may ask for them whenever it likes, so cases leave such requests to the device.
         """
-        if opcode == self.names.index(c.MANY):
+        if c.MANY in self.names and opcode == self.names.index(c.MANY):
             return payload[:1] == bytes((self._properties_opcode,))
         return opcode == 0
 
@@ -76,6 +81,8 @@ class Device:
         if opcode == 0:
             return self._map()
         name = self.names[opcode] if opcode < len(self.names) else ""
+        if name and len(payload) > self.room:
+            return c.RET_FAILED, b""
         if name == c.GET_ECHO:
             return c.ECHO, payload
         if name == PING:
@@ -122,3 +129,6 @@ OLD = Device(
     offset_mask=0xFF,
 )
 """A device of 2014: without properties, with a2jMany that looks at the lowest byte of an offset."""
+
+BARE = Device(names=tuple(n for n in DEMO.names if n not in c.WITH_MANY), properties=None)
+"""A device without a2jMany; what it has at opcode 1 is a2jDebug."""

@@ -108,7 +108,10 @@ class ReferenceHost:
 
     def prepare(self, words: list[str]) -> SimpleNamespace:
         _, name, data, ms = words
-        return self.new_call(self.opcode(name), take(data), int(ms) / 1e3)
+        opcode, payload = self.opcode(name), take(data)
+        if len(payload) > self.longest(payload):
+            raise OutcomeError("refused too long")
+        return self.new_call(opcode, payload, int(ms) / 1e3)
 
     def outcome(self, call: SimpleNamespace) -> str:
         if call.code is None:
@@ -284,10 +287,23 @@ class ReferenceHost:
     def room(self) -> int:
         return int(self.props().get(c.PROP_RXBUF, "0"))
 
+    def longest(self, payload: bytes) -> int:
+        """Return how long a payload may be; the properties are read where it matters."""
+        if len(payload) <= c.MIN_ROOM:
+            return c.MIN_ROOM
+        return int(self.props().get(c.PROP_ROOM, "255"))
+
     # Transfers
 
+    def many_opcode(self) -> int:
+        names = self.mapping()
+        if names and c.MANY not in names:
+            raise OutcomeError("refused no a2jMany")
+        return 1
+
     def chunk(self, func: int, flags: int, offset: int, data: bytes, limit_s: float):
-        call = self.call(1, self.header(func, flags, offset) + data, limit_s)
+        payload = self.header(func, flags, offset) + data
+        call = self.call(self.many_opcode(), payload, limit_s)
         if call.code is None:
             raise OutcomeError("timeout")
         if call.code in c.ERRORS:
@@ -336,10 +352,14 @@ class ReferenceHost:
     def write_many(self, func: int, data: bytes, limit_s: float) -> None:
         if self.is_old() and len(data) > 249 + 256:
             raise OutcomeError("refused an old device")
-        for offset in range(0, max(len(data), 1), c.MANY_DATA):
-            is_last = offset + c.MANY_DATA >= len(data)
+        size = self.chunk_size()
+        for offset in range(0, max(len(data), 1), size):
+            is_last = offset + size >= len(data)
             flags = self.write_flags(is_last)
-            self.chunk(func, flags, offset, data[offset : offset + c.MANY_DATA], limit_s)
+            self.chunk(func, flags, offset, data[offset : offset + size], limit_s)
+
+    def chunk_size(self) -> int:
+        return self.longest(bytes(c.MAX_PAYLOAD)) - c.MANY_HEADER
 
     def write_flags(self, is_last: bool) -> int:
         return c.FLAG_WRITE | (c.FLAG_LAST if is_last else 0)

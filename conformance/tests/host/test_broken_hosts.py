@@ -319,6 +319,12 @@ class CannotDoWithoutAMapping:
         return super().opcode(word)
 
 
+@breaks("J2A-DISP-008")
+class TakesOpcodeOneForMany:
+    def many_opcode(self):
+        return 1
+
+
 # Errors
 
 
@@ -579,6 +585,31 @@ class EveryByteStartsTheTimeAnew:
 class HasATimeLimitOfItsOwn:
     def new_call(self, opcode, payload, limit_s):
         return super().new_call(opcode, payload, limit_s if opcode == 0xE0 else 0.01)
+
+
+@breaks("J2A-LIMIT-007")
+class NeverLooksAtTheRoom:
+    def longest(self, payload):
+        return 255
+
+
+@breaks("J2A-LIMIT-007")
+class HasRoomForOneMore:
+    def longest(self, payload):
+        found = super().longest(payload)
+        return found + 1 if found == 128 else found
+
+
+@breaks("J2A-LIMIT-007")
+class ForgetsTheHeader:
+    def chunk_size(self):
+        return min(super().chunk_size() + c.MANY_HEADER, c.MANY_DATA)
+
+
+@breaks("J2A-LIMIT-007")
+class SendsNothingLong:
+    def longest(self, payload):
+        return 32
 
 
 @breaks("J2A-LIMIT-003")

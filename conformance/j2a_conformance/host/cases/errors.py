@@ -65,6 +65,8 @@ class Early(HostCase):
     LEVEL = "core"
 
     def _run(self, host: Host) -> None:
+        # A host may ask for the properties before its first long request, and for nothing later.
+        host.do(f"call @6 255*12 {host.limit_ms}", f"reply 0 {spell(bytes((0x12,)) * 255)}")
         for code in (c.ERR_FRAMING, c.ERR_TIMEOUT):
             host.job(f"call @6 255*12 {host.limit_ms}")
             seq = host.early_request()

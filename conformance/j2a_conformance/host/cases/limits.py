@@ -1,4 +1,4 @@
-"""Several calls at once, and j2a.rxbuf (J2A-LIMIT-003)."""
+"""Calls at once and j2a.rxbuf (J2A-LIMIT-003); long payloads and j2a.room (J2A-LIMIT-007)."""
 
 from dataclasses import replace
 
@@ -6,8 +6,10 @@ from j2a_spec import constants as c
 
 from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO
+from j2a_conformance.host._device import DEMO, PING, STORE
 from j2a_conformance.host._host import Host, Request, spell
+
+from .many import next_chunk, reply
 
 _QUIET_MS = 40.0
 _LONG_QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time
@@ -106,3 +108,73 @@ class OutOfOrder(HostCase):
         for payload, part in zip(payloads, outcome.text.split(" ; "), strict=False):
             if part.startswith("reply") and part != f"reply 1 {payload.hex()}":
                 fail(f"the call with {payload.hex()} got `{part}`")
+
+
+def with_room(room: int) -> tuple[tuple[str, str], ...]:
+    """Return the properties of a device with this room."""
+    return ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_ROOM, str(room)))
+
+
+class Room(HostCase):
+    """Has the host call `ping` with 31 to 255 bytes, on a device with a room of 128 bytes."""
+
+    ID = "host.limits.room"
+    EXPECTATION = "Up to 128 bytes are sent; more is refused, and nothing is sent for it."
+    REQUIREMENTS = ("J2A-LIMIT-007",)
+    LEVEL = "core"
+    DEVICE = replace(DEMO, properties=with_room(128))
+
+    def _run(self, host: Host) -> None:
+        opcode = host.device.opcode(PING)
+        for function in (PING, f"@{opcode}"):
+            # None of 50 to 100 bytes: as hex digits they would make the outcome too long.
+            for size in (31, 129, 128, 255, 33, 130, 32):
+                host.job(f"call {function} {size}*12 {host.limit_ms}")
+                if size <= host.device.room:
+                    request = host.request(opcode, b"\x12" * size)
+                    host.reply(request, 1, request.payload)
+                    host.outcome(f"reply 1 {spell(request.payload)}")
+                else:
+                    host.outcome("refused")
+
+
+class RoomForAll(HostCase):
+    """Has the host call `ping` with 255 bytes, on a device with properties but without j2a.room."""
+
+    ID = "host.limits.no-room"
+    EXPECTATION = "The room of such a device is 255 bytes: all of them are sent."
+    REQUIREMENTS = ("J2A-LIMIT-007", "J2A-FRAME-004")
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        for size in (33, 254, 255):
+            host.job(f"call {PING} {size}*7d {host.limit_ms}")
+            request = host.request(host.device.opcode(PING), b"\x7d" * size)
+            host.reply(request, 1, request.payload)
+            host.outcome(f"reply 1 {spell(request.payload)}")
+
+
+class RoomForChunks(HostCase):
+    """Has the host write 0 to 1000 bytes to a device with a room of 32 bytes."""
+
+    ID = "host.limits.room-chunks"
+    EXPECTATION = "No chunk has more than 26 bytes of data; they follow each other up to isLast."
+    REQUIREMENTS = ("J2A-LIMIT-007", "J2A-MANY-013")
+    LEVEL = "many"
+    DEVICE = replace(DEMO, properties=with_room(c.MIN_ROOM))
+
+    def _run(self, host: Host) -> None:
+        most = host.device.room - c.MANY_HEADER
+        for size in (0, 1, most - 1, most, most + 1, 2 * most, 249, 1000):
+            host.job(f"write {STORE} {f'{size}*ed' if size else '-'} {host.limit_ms}")
+            offset, is_last = 0, False
+            while not is_last:
+                chunk = next_chunk(host, STORE, offset, is_write=True)
+                if len(chunk.data) > most:
+                    fail(f"a chunk has {len(chunk.data)} bytes of data, the device takes {most}")
+                offset += len(chunk.data)
+                is_last = bool(chunk.flags & c.FLAG_LAST)
+                if is_last != (offset == size):
+                    fail(f"isLast is {int(is_last)} after {offset} of {size} bytes")
+                reply(host, chunk)
+            host.outcome("written")

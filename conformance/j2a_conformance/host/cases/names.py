@@ -1,4 +1,5 @@
-"""Function maps: present, moved, missing, cut and full (J2A-DISP-007, J2A-MAP-005).
+"""Function maps: present, moved, missing, cut and full (J2A-DISP-007, J2A-DISP-008,
+J2A-MAP-005).
 
 An empty map is not among them: it is also what comes from a link that sends back what it is sent.
 """
@@ -9,7 +10,7 @@ from j2a_spec import constants as c
 
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, FETCH, OLD, PING, STORE
+from j2a_conformance.host._device import BARE, DEMO, FETCH, OLD, PING, STORE
 from j2a_conformance.host._host import Host, spell
 
 _FULL = (*c.BUILTINS, *(f"f{n:x}" for n in range(50)), "g0")  # a mapping of 255 bytes
@@ -186,3 +187,28 @@ class Short(HostCase):
         call_by_name(host, c.GET_ECHO)
         host.job(f"call {PING} - {host.limit_ms}")
         host.outcome("refused")
+
+
+class WithoutMany(HostCase):
+    """Is a device whose mapping has no a2jMany; has the host read and write, by name and by opcode,
+    and call functions.
+    """
+
+    ID = "host.names.no-many"
+    EXPECTATION = (
+        "What needs a2jMany is refused, and nothing is sent for it; functions are called as ever."
+    )
+    REQUIREMENTS = ("J2A-DISP-008", "J2A-DISP-007")
+    LEVEL = "many"
+    DEVICE = BARE
+
+    def _run(self, host: Host) -> None:
+        call_by_name(host, PING)
+        for name in (FETCH, f"@{host.device.opcode(FETCH)}"):
+            host.job(f"read {name} {host.limit_ms}")
+            host.outcome("refused")
+        for name in (STORE, f"@{host.device.opcode(STORE)}"):
+            host.job(f"write {name} 40*61 {host.limit_ms}")
+            host.outcome("refused")
+        call_by_name(host, PING)
+        host.do(f"call {c.GET_ECHO} 255*65 {host.limit_ms}", f"reply 186 {spell(b'e' * 255)}")
