@@ -92,12 +92,15 @@ void j2a_process(void) {
 }
 
 void j2a_task(void) {
+#if J2A_LINKS > 1
     uint8_t turns;
     for (turns = J2A_LINKS; turns != 0; turns--) {
         j2a_poll();
         j2a_process();
-#if J2A_LINKS > 1
         j2a_link = (uint8_t)((j2a_link + 1) % J2A_LINKS);
-#endif
     }
+#else
+    j2a_poll();
+    j2a_process();
+#endif
 }
