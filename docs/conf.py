@@ -15,6 +15,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
+    "c_api",
     "docstrings",
     "kill_matrix",
     "packet_figure",
@@ -44,6 +45,7 @@ nitpicky = True
 # The documentation is built without a network, so there are no links to Python's own.
 _ELSEWHERE = "asyncio|collections|concurrent|construct|enum|pathlib|threading|types|typing"
 nitpick_ignore_regex = [
+    (r"c:identifier", r"u?int\d+_t|bool"),
     (r"py:.*", rf"({_ELSEWHERE})\..*"),
     (r"py:class", r".*\._\w+"),  # private type variables of decorators
     (r"py:class", r".*\.Piece"),  # what Direction deals in

@@ -21,8 +21,8 @@ extern "C" {
 
 /* A function of kind "call", J2A_CALL(name, function) in functions.def.
  * length: in the bytes of the request's payload, out those of the reply's, 0..255.
- * payload: where they are. The reply may be written over the request (255 bytes of room), or
- * *payload may be pointed at memory that stays valid after the return.
+ * payload: where they are. The reply may be written over the request (J2A_ROOM bytes), or *payload may be
+ * pointed at up to 255 bytes elsewhere that stay valid after the return.
  * Returns the return value, 0x00..J2A_RET_MAX, or J2A_RET_FAILED; anything else is sent as
  * J2A_RET_FAILED. */
 #define J2A_DECLARE_CALL(function) uint8_t function(uint8_t *const length, uint8_t **const payload)
@@ -31,9 +31,9 @@ typedef J2A_DECLARE_CALL(j2a_call_fn);
 /* A function of kind "many", J2A_MANY(name, function) in functions.def, called once for each chunk.
  * is_last: in the host's mark of the last chunk, out the same for the reply.
  * is_write: the host writes *length bytes at *offset; else it reads from *offset, any number up to
- * J2A_MANY_DATA.
+ * J2A_ROOM_MANY, which is 249 unless the room is less.
  * offset: bytes from the start of the data; what is left here goes back to the host.
- * length, data: as for a call, with at most J2A_MANY_DATA bytes; *data may be pointed at memory
+ * length, data: as for a call, with at most J2A_ROOM_MANY bytes; *data may be pointed at memory
  * outside the request.
  * Returns as a call does. */
 #define J2A_DECLARE_MANY(function) uint8_t function(bool *is_last, bool is_write, uint32_t *const offset, \
@@ -55,15 +55,18 @@ void j2a_poll(void);
 void j2a_process(void);
 
 #if J2A_WITH_SIF
-/* Sends a server-initiated frame, opcode 0..255, length 0..255 bytes of payload, on the link j2a_link: from
- * within a function to the host that called it, elsewhere to the one that was chosen by setting j2a_link (0
- * to begin with). From the main context only. From within a function it goes out at once, before the reply. Returns when the transmit buffer
- * holds its end. */
+/* Sends a server-initiated frame (SIF) on the link j2a_link: from within a function to the host that called it,
+ * before the reply; elsewhere to the host of the link that j2a_link is set to, 0 to begin with. From the main
+ * context only. Returns when the transmitter, or the port's buffer, has its last byte.
+ * opcode: 0..255, what the host knows the frame by.
+ * length: bytes of the payload, 0..255; J2A_ROOM does not limit it.
+ * payload: where they are. */
 void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
 #endif
 
-/* Adds text (NUL-terminated, in RAM) to what a2jDebug gives the host. What does not fit is dropped
- * and reported to the host as lost. From the main context only. */
+/* Adds to what a2jDebug gives the host. What does not fit is dropped, and the host is told that text was
+ * lost. From the main context only.
+ * text: UTF-8 that ends with NUL, in RAM. */
 #if J2A_WITH_DEBUG
 void j2a_debug(const char *text);
 #else
@@ -77,8 +80,14 @@ void j2a_selftest(void);
 #define j2a_selftest() ((void)0)
 #endif
 
-/* Little-endian numbers of the payload. */
+/* Reads a number from a payload.
+ * bytes: 4 bytes, the least significant first.
+ * Returns the number. */
 uint32_t j2a_get_u32(const uint8_t *bytes);
+
+/* Writes a number into a payload.
+ * bytes: room for 4 bytes, the least significant first.
+ * value: the number. */
 void j2a_put_u32(uint8_t *bytes, uint32_t value);
 
 /* The application implements: its share of the main loop; must return soon. */
