@@ -42,11 +42,11 @@ export class Pl011 extends BasePeripheral {
   }
 
   get baud() {
-    return this.#divider && (this.rp2040.clkPeri * 4) / this.#divider;
+    return this.#divider && (this.rp2040.clocks.periFreq * 4) / this.#divider;
   }
 
   get listening() {
-    return this.connected() && this.#has(CR, CR_ENABLE | CR_RX);
+    return this.connected() && this.baud > 0 && this.#has(CR, CR_ENABLE | CR_RX);
   }
 
   // Is nothing on its way, on either side?

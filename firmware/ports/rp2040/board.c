@@ -1,5 +1,6 @@
 /* A Raspberry Pi Pico (RP2040), UART0 on GPIO0 (TX) and GPIO1 (RX): bytes flow from the UART's FIFO of 32
- * into the ring by interrupt, and back by its transmit FIFO. Everything runs at the 12 MHz of the crystal.
+ * into the ring by interrupt, and back by its transmit FIFO. Everything runs at the 12 MHz of the crystal, and
+ * the TIMER is the clock. Run in the emulator of ../../emulators/rp2040; not yet on a board, for which the .uf2 is.
  * Rules: an interrupt handler and the main loop share no variable; a read of UART_DATA takes a byte out of the
  * FIFO, together with the flag that bytes were lost before it, so only board_lost() reads it. */
 #include "board.h"
@@ -24,11 +25,6 @@
 static uint8_t received;
 static bool sent; /* since the last board_idle() */
 static uint32_t ms, counted_us;
-
-/* The bits become 1 (or 0) in one step, whatever else does to that register meanwhile. */
-static void set_bits(uint32_t address, uint32_t bits) {
-    REGISTER(address + ATOMIC_SET) = bits;
-}
 
 static void take_out_of_reset(uint32_t blocks) {
     REGISTER(RESETS_RESET + ATOMIC_CLEAR) = blocks;
@@ -69,11 +65,11 @@ void board_init(void) {
     REGISTER(UART_LINE) = LINE; /* takes the divider over, too */
     REGISTER(UART_LEVELS) = 0;  /* interrupt at 4 bytes, or 32 bit times after the last one */
     REGISTER(UART_INTERRUPTS) = UART_RX | UART_RX_TIMEOUT;
-    REGISTER(UART_CONTROL) = UART_ENABLE | UART_TX_ENABLE | UART_RX_ENABLE;
-    set_bits(PADS_GPIO1, PADS_PULL_UP); /* with nothing connected no bytes come */
     REGISTER(PADS_GPIO1 + ATOMIC_CLEAR) = PADS_PULL_DOWN;
+    REGISTER(PADS_GPIO1 + ATOMIC_SET) = PADS_PULL_UP; /* with nothing connected no bytes come */
     REGISTER(GPIO0_CTRL) = GPIO_FUNCTION_UART;
     REGISTER(GPIO1_CTRL) = GPIO_FUNCTION_UART;
+    REGISTER(UART_CONTROL) = UART_ENABLE | UART_TX_ENABLE | UART_RX_ENABLE;
     REGISTER(TIMER_INTERRUPTS) = TIMER_ALARM0;
     cortex_m_enable(IRQ_UART0);
     cortex_m_enable(IRQ_TIMER0);
