@@ -9,6 +9,10 @@
 
 #include "j2a_table.h"
 
+#if !J2A_WITH_MANY
+#error "a2j.h needs J2A_WITH_MANY=1: its tables hold functions of both kinds"
+#endif
+
 /* The listing's types; C11 allows them to be declared again. */
 typedef j2a_call_fn *const CMD_P;
 typedef j2a_many_fn *const CMD_P_MANY;

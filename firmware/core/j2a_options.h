@@ -12,7 +12,7 @@
 #endif
 
 /* a2jMany and a2jEchoMany, for what is longer than a frame, and properties. Off: the opcodes after it move
- * down. */
+ * down, and so do those behind the application's functions of kind many, which get none. */
 #ifndef J2A_WITH_MANY
 #define J2A_WITH_MANY 1
 #endif

@@ -4,10 +4,17 @@
 #include "j2a_functions.h"
 #include "j2a_table.h"
 
+/* Nobody could call a function of kind many without a2jMany, so it gets no opcode then. */
+#if J2A_WITH_MANY
+#define J2A_IF_MANY(text) text
+#else
+#define J2A_IF_MANY(text)
+#endif
+
 #if J2A_WITH_MAPPING
 /* The map must fit into one frame: a negative array size stops the build when it does not. */
 #define J2A_CALL(name, function) + sizeof #name
-#define J2A_MANY(name, function) + sizeof #name
+#define J2A_MANY(name, function) J2A_IF_MANY(+ sizeof #name)
 typedef char j2a_names_longer_than_a_payload[
     sizeof "a2jGetMapping" + sizeof "a2jEcho" + (J2A_WITH_MANY ? sizeof "a2jMany" + sizeof "a2jEchoMany" : 0)
     + (J2A_WITH_PROPERTIES ? sizeof "a2jGetProperties" : 0) + (J2A_WITH_DEBUG ? sizeof "a2jDebug" : 0)
@@ -19,7 +26,7 @@ typedef char j2a_names_longer_than_a_payload[
 
 J2A_BUILTIN_NAMES
 #define J2A_CALL(name, function) J2A_NAME(function, #name, j2a_name_##name)
-#define J2A_MANY(name, function) J2A_NAME(function, #name, j2a_name_##name)
+#define J2A_MANY(name, function) J2A_IF_MANY(J2A_NAME(function, #name, j2a_name_##name))
 #include "functions.def"
 #undef J2A_CALL
 #undef J2A_MANY
@@ -27,7 +34,11 @@ J2A_BUILTIN_NAMES
 const j2a_entry J2A_FLASH j2a_functions[] = {
     J2A_BUILTIN_ENTRIES
 #define J2A_CALL(name, function) , J2A_ENTRY(function, J2A_KIND_CALL)
+#if J2A_WITH_MANY
 #define J2A_MANY(name, function) , J2A_ENTRY(function, J2A_KIND_MANY)
+#else
+#define J2A_MANY(name, function)
+#endif
 #include "functions.def"
 };
 const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0];
