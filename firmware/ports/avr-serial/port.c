@@ -36,7 +36,7 @@ static uint16_t overruns;
 /* Downwards, because a comparison with 0 is shorter. */
 static inline uint8_t after(uint8_t index) {
     if (index == 0)
-        index = J2A_RXBUF + 1;
+        index = (uint8_t)(J2A_RXBUF + 1);
     return (uint8_t)(index - 1);
 }
 
