@@ -1,0 +1,129 @@
+# J2A for CMake, the same from the source tree and installed.
+# In: cache variables J2A_..., the options of core/j2a_options.h; those left empty have the values given there.
+# Out: the function j2a_add_app(), and targets that bring sources, so that they are compiled with the user's
+# compiler and options:
+#   j2a::core   the core; what links it implements a port, and has a j2a_port_config.h in its include path
+#   j2a::table  the tables of an app with functions.def and properties.def (without: j2a_lists.h)
+#   j2a::board  ports/common/board_port.c: ring and clock for a board.c that implements board.h
+#   j2a::posix  a port for this machine: stdin and stdout, or --pty
+#   j2a::main   the main loop that the apps share
+include_guard(GLOBAL)
+
+get_filename_component(_j2a_folder "${CMAKE_CURRENT_LIST_DIR}/.." ABSOLUTE)
+set(J2A_FOLDER "${_j2a_folder}" CACHE INTERNAL "Folder of core, ports and apps of J2A")
+
+file(GLOB _j2a_core_sources "${J2A_FOLDER}/core/*.c")
+list(REMOVE_ITEM _j2a_core_sources "${J2A_FOLDER}/core/j2a_table.c")
+
+add_library(j2a_core INTERFACE)
+target_sources(j2a_core INTERFACE ${_j2a_core_sources})
+target_include_directories(j2a_core INTERFACE "${J2A_FOLDER}/core" "${J2A_FOLDER}/library")
+
+add_library(j2a_table INTERFACE)
+target_sources(j2a_table INTERFACE "${J2A_FOLDER}/core/j2a_table.c")
+target_link_libraries(j2a_table INTERFACE j2a_core)
+
+add_library(j2a_board INTERFACE)
+target_sources(j2a_board INTERFACE "${J2A_FOLDER}/ports/common/board_port.c")
+target_include_directories(j2a_board INTERFACE "${J2A_FOLDER}/ports/common")
+target_link_libraries(j2a_board INTERFACE j2a_core)
+
+add_library(j2a_posix INTERFACE)
+target_sources(j2a_posix INTERFACE "${J2A_FOLDER}/ports/posix/port.c")
+target_include_directories(j2a_posix INTERFACE "${J2A_FOLDER}/ports/posix")
+target_link_libraries(j2a_posix INTERFACE j2a_core)
+
+add_library(j2a_main INTERFACE)
+target_sources(j2a_main INTERFACE "${J2A_FOLDER}/apps/main.c")
+target_link_libraries(j2a_main INTERFACE j2a_core)
+
+foreach(_j2a_name core table board posix main)
+  add_library(j2a::${_j2a_name} ALIAS j2a_${_j2a_name})
+endforeach()
+
+foreach(_j2a_name MAPPING MANY PROPERTIES CLOCK SIF DEBUG SELFTEST)
+  set(J2A_WITH_${_j2a_name} "" CACHE STRING "ON, OFF, or empty for what core/j2a_options.h says")
+  if(NOT "${J2A_WITH_${_j2a_name}}" STREQUAL "")
+    if(J2A_WITH_${_j2a_name})
+      target_compile_definitions(j2a_core INTERFACE J2A_WITH_${_j2a_name}=1)
+    else()
+      target_compile_definitions(j2a_core INTERFACE J2A_WITH_${_j2a_name}=0)
+    endif()
+  endif()
+endforeach()
+
+foreach(_j2a_name LINKS ROOM DEBUGBUF PAUSE_MS RXBUF TXBUF)
+  set(J2A_${_j2a_name} "" CACHE STRING "A number, or empty for what core/j2a_options.h says")
+  if("${J2A_${_j2a_name}}" MATCHES "^[0-9]+$")
+    target_compile_definitions(j2a_core INTERFACE J2A_${_j2a_name}=${J2A_${_j2a_name}})
+  elseif(NOT "${J2A_${_j2a_name}}" STREQUAL "")
+    message(FATAL_ERROR "J2A_${_j2a_name}=${J2A_${_j2a_name}}: give a whole number")
+  endif()
+endforeach()
+
+# This machine has room: the port needs some, and more makes it faster.
+foreach(_j2a_name RXBUF TXBUF)
+  if("${J2A_${_j2a_name}}" STREQUAL "")
+    target_compile_definitions(j2a_posix INTERFACE J2A_${_j2a_name}=4096)
+  endif()
+endforeach()
+
+# j2a_add_app(TARGET [PORT posix|NAME|FOLDER] [APP FOLDER] [SOURCES FILE ...] [OWN_MAIN])
+# Makes an executable of an app and a port.
+#   PORT      posix (the default), another port of ports/, or the folder of your own: its *.c and *.S, and
+#             j2a::board where it has a board.c and no port.c. Compiler flags, linker script and the like are
+#             given to the target as to any other; other sources of ports/common by SOURCES.
+#   APP       a folder: its *.c, and j2a::table where it has a functions.def
+#   SOURCES   further files
+#   OWN_MAIN  the app has a main() of its own
+function(j2a_add_app target)
+  cmake_parse_arguments(PARSE_ARGV 1 arg "OWN_MAIN" "PORT;APP" "SOURCES")
+  if(arg_UNPARSED_ARGUMENTS)
+    message(FATAL_ERROR "j2a_add_app(${target}): unknown arguments ${arg_UNPARSED_ARGUMENTS}")
+  endif()
+  if(NOT arg_PORT)
+    set(arg_PORT posix)
+  endif()
+
+  add_executable(${target} ${arg_SOURCES})
+  target_link_libraries(${target} PRIVATE j2a::core)
+  if(NOT arg_OWN_MAIN)
+    target_link_libraries(${target} PRIVATE j2a::main)
+  endif()
+
+  if(arg_PORT STREQUAL "posix")
+    target_link_libraries(${target} PRIVATE j2a::posix)
+  else()
+    get_filename_component(port "${arg_PORT}" ABSOLUTE)
+    if(NOT EXISTS "${port}/j2a_port_config.h")
+      set(port "${J2A_FOLDER}/ports/${arg_PORT}")
+    endif()
+    if(NOT EXISTS "${port}/j2a_port_config.h")
+      message(FATAL_ERROR "j2a_add_app(${target}): PORT ${arg_PORT} is no port of ${J2A_FOLDER}/ports, "
+                          "and no folder with a j2a_port_config.h")
+    endif()
+    file(GLOB sources "${port}/*.c")
+    file(GLOB startup "${port}/*.S")
+    if(startup AND NOT CMAKE_ASM_COMPILER)
+      message(FATAL_ERROR "j2a_add_app(${target}): ${startup} needs project(... LANGUAGES C ASM)")
+    endif()
+    target_sources(${target} PRIVATE ${sources} ${startup})
+    target_include_directories(${target} PRIVATE "${port}" "${J2A_FOLDER}/ports/common")
+    if(EXISTS "${port}/board.c" AND NOT EXISTS "${port}/port.c")
+      target_link_libraries(${target} PRIVATE j2a::board)
+    endif()
+  endif()
+
+  if(arg_APP)
+    get_filename_component(app "${arg_APP}" ABSOLUTE)
+    file(GLOB sources "${app}/*.c")
+    if(NOT sources)
+      message(FATAL_ERROR "j2a_add_app(${target}): APP ${arg_APP} holds no C file")
+    endif()
+    target_sources(${target} PRIVATE ${sources})
+    target_include_directories(${target} PRIVATE "${app}")
+    if(EXISTS "${app}/functions.def")
+      target_link_libraries(${target} PRIVATE j2a::table)
+    endif()
+  endif()
+endfunction()
