@@ -11,6 +11,7 @@ import struct
 import subprocess
 import time
 import zlib
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -239,16 +240,24 @@ def test_overrun_of_the_uart_itself(ask, build, error):
     ]
 
 
+@contextmanager
+def running(program):
+    with subprocess.Popen(
+        ["node", EMULATOR / "run.mjs", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
 @pytest.fixture
 def process(emulator, demo):
-    with subprocess.Popen(
-        ["node", EMULATOR / "run.mjs", demo], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as running:
-        yield running
-        running.kill()
+    with running(demo) as process:
+        yield process
 
 
-def get_time_us(process):
+def get_time_s(process):
     process.stdin.write(request("getTime"))
     process.stdin.flush()
     got = b""
@@ -256,27 +265,30 @@ def get_time_us(process):
         byte = process.stdout.read(1)
         assert byte
         got += byte
-    return int.from_bytes(events[0].payload, "little")
+    return int.from_bytes(events[0].payload, "little") / 1e6
 
 
-def test_pace(process):
+def test_pace(demo, emulator):
     """Simulated time is never ahead of real time, and does not stay behind."""
-    first_us = get_time_us(process)
-    start_s = time.monotonic()
-    while time.monotonic() - start_s < PATIENCE_S:
-        time.sleep(0.2)
-        asked_s = time.monotonic()
-        passed_s = (get_time_us(process) - first_us) / 1e6
-        # The first reading was made before start_s.
-        assert passed_s < time.monotonic() - start_s + 0.2
-        if passed_s > asked_s - start_s - 0.02:
-            return
+    spawned_s = time.monotonic()
+    with running(demo) as process:
+        first_s = get_time_s(process)
+        seen_s = time.monotonic()
+        while time.monotonic() - seen_s < PATIENCE_S:
+            time.sleep(0.2)
+            asked_s = time.monotonic()
+            now_s = get_time_s(process)
+            # The device's clock starts a few instructions after the process.
+            assert now_s < time.monotonic() - spawned_s
+            # On a busy machine either reading may be late; the rate is right all the same.
+            if now_s - first_s > 0.8 * (asked_s - seen_s):
+                return
     pytest.fail("simulated time stays behind")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_end_by_a_signal(process, number):
-    get_time_us(process)
+    get_time_s(process)
     process.send_signal(number)
     assert process.wait(PATIENCE_S) == -number
 
