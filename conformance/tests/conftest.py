@@ -24,6 +24,7 @@ class ReferenceDevice:
     properties = (("name", "reference"), (c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1024"))
     timeout_s = 0.0115
     debug_size = 100
+    room = c.MAX_PAYLOAD
 
     def __init__(self, link: Transport) -> None:
         self.link = link
@@ -133,6 +134,9 @@ class ReferenceDevice:
         if name is None or name in MANY:
             self.refuse(seq, opcode, payload)
             return
+        if len(payload) > self.room:
+            self.reply(seq, *self.too_long(name, payload))
+            return
         code, answer = self.execute(name, payload)
         if code is None:
             self.error(seq, c.ERR_OPCODE)
@@ -141,6 +145,9 @@ class ReferenceDevice:
 
     def refuse(self, seq: int, opcode: int, payload: bytes) -> None:
         self.error(seq, c.ERR_OPCODE)
+
+    def too_long(self, name: str, payload: bytes) -> tuple[int, bytes]:
+        return c.RET_FAILED, b""
 
     def name_of(self, opcode: int) -> str | None:
         return self.names[opcode] if opcode < len(self.names) else None

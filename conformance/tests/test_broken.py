@@ -856,6 +856,96 @@ class PiecesFramesTogether:
         return data[:1100] + data[1400:]
 
 
+class Small:
+    """A device with little room, as far as it is not broken."""
+
+    room = 64
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1024"), (c.PROP_ROOM, "64"))
+
+
+@breaks("J2A-LIMIT-005")
+class FailsAfterTheDeed(Small):
+    def too_long(self, name, payload):
+        self.execute(name, payload)
+        return c.RET_FAILED, b""
+
+
+@breaks("J2A-LIMIT-005")
+class ActsOnTheBeginning(Small):
+    def too_long(self, name, payload):
+        return self.execute(name, payload[: self.room])
+
+
+@breaks("J2A-LIMIT-005")
+class SendsBackWhatFits(Small):
+    def too_long(self, name, payload):
+        return c.RET_FAILED, payload[: self.room]
+
+
+@breaks("J2A-LIMIT-005")
+class HasRoomForOneMore(Small):
+    room = 65
+
+
+@breaks("J2A-LIMIT-005", "J2A-FRAME-005")
+class LongFramesAreBroken(Small):
+    def request(self, seq, opcode, payload):
+        if len(payload) > self.room:
+            self.error(seq, c.ERR_FRAMING)
+        else:
+            super().request(seq, opcode, payload)
+
+
+@breaks("J2A-LIMIT-005")
+class LengthBeforeOpcode(Small):
+    def refuse(self, seq, opcode, payload):
+        if len(payload) > self.room:
+            self.reply(seq, c.RET_FAILED, b"")
+        else:
+            super().refuse(seq, opcode, payload)
+
+
+@breaks("J2A-LIMIT-005")
+class LengthBeforeChecksum(Small):
+    def frame(self, start, body):
+        if len(body) > 4 + self.room and start == c.SOF and not self.sum_is_right(body):
+            self.start = None
+            self.reply(body[0], c.RET_FAILED, b"")
+        else:
+            super().frame(start, body)
+
+
+@breaks("J2A-LIMIT-006")
+class RoomIsNotTold(Small):
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION),)
+
+
+@breaks("J2A-LIMIT-006")
+class RoomWithLeadingZero(Small):
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_ROOM, "064"))
+
+
+@breaks("J2A-LIMIT-006")
+class RoomOfEverything:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_ROOM, "255"))
+
+
+@breaks("J2A-LIMIT-006")
+class HardlyAnyRoom:
+    room = 31
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_ROOM, "31"))
+
+
+@breaks("J2A-DISP-006")
+class EchoManyWithoutMany:
+    names = tuple(name for name in c.BUILTINS if name not in (c.MANY, c.GET_PROPERTIES))
+
+
+@breaks("J2A-DISP-006")
+class PropertiesWithoutMany:
+    names = tuple(name for name in c.BUILTINS if name not in (c.MANY, c.GET_ECHO_MANY))
+
+
 def test_every_tested_requirement_is_broken_by_a_device():
     of_devices = {r.id for r in requirements.load().values() if r.role != "host"}
     excepted = {name for name, by in coverage().items() if by.startswith("no case")}
