@@ -9,6 +9,7 @@ import shutil
 import signal
 import struct
 import subprocess
+import sys
 import time
 import zlib
 from contextlib import contextmanager
@@ -154,7 +155,7 @@ def test_unusable_image_is_deleted(tmp_path, content, message):
     image = tmp_path / "x.elf"
     image.write_bytes(content)
     result = subprocess.run(
-        ["python3", IMAGE_PY, image], capture_output=True, text=True, check=False
+        [sys.executable, IMAGE_PY, image], capture_output=True, text=True, check=False
     )
     assert result.returncode == 1
     assert message in result.stderr
@@ -309,6 +310,14 @@ def test_without_the_package(need, tmp_path):
     )
     assert result.returncode == 2
     assert "run: sh tools/npm.sh firmware/emulators/rp2040" in result.stderr
+
+
+def test_installing_needs_a_lock(need, tmp_path):
+    need("sh")
+    tool = FIRMWARE.parent / "tools/npm.sh"
+    result = subprocess.run(["sh", tool, tmp_path], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout) == (1, "")
+    assert result.stderr == f"npm.sh: there is no {tmp_path}/package-lock.json\n"
 
 
 def test_the_package_is_pinned():

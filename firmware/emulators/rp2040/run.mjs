@@ -7,15 +7,17 @@
 //   --fast   takes the whole input first, and never waits for real time: each run is the same
 //   --pause  leaves the line alone for MS milliseconds before the byte AT of the input (from 0 on)
 //   --stats  says on stderr in the end how long it was in simulated time, and how fast
-// Rule: a moment of real time in which the emulator gets no processor is no pause on the line. So what has
-// come meanwhile is put on the line first, before simulated time catches up.
+// Rules: a while in which the emulator gets no processor is no pause on the line: what has come meanwhile is
+// put on the line first. And what the program does about it comes no sooner than on a chip: simulated time
+// catches up only while nothing is on the line and the program sleeps.
 import { readFileSync } from 'node:fs';
 
 const SLICE_NANOS = 1e6; // then stdin is looked at
 const SILENCE_NANOS = 50e6; // longer than the 20 ms after which a cut frame is answered
 const LONGEST_END_NANOS = 10e9; // a program that never sleeps, or sends by itself
 const LONGEST_START_NANOS = 60e9; // until the program listens
-const FORGIVEN_NANOS = 2e9; // behind by more, it does not catch up (a process that was stopped)
+const QUIET_NANOS = 25e6; // the same, for catching up
+const LARGEST_DEBT_NANOS = 2e9; // more is not made up for (a process that was stopped)
 
 function fail(message) {
   process.stderr.write(`run.mjs: ${message}\n`);
@@ -51,7 +53,8 @@ try {
 }
 
 const started = process.hrtime.bigint();
-let origin = 0; // real time that was when simulated time was 0
+let origin = 0; // real time that was when simulated time was 0, and later by the debt
+let debt = 0; // by which simulated time is behind
 let asleep; // the timer that ends it
 let endOfInput; // when it was, in simulated time
 
@@ -62,16 +65,37 @@ function flush() {
 
 const realNanos = () => Number(process.hrtime.bigint() - started) - origin;
 
-function finished() {
-  const { clock, chip, uart } = machine;
-  if (endOfInput === undefined) return false;
-  if (clock.nanos > endOfInput + LONGEST_END_NANOS) return true;
-  const since = Math.max(uart.lastByte, endOfInput, awake);
-  return uart.idle && chip.core.waiting && clock.nanos > since + SILENCE_NANOS;
-}
-
 // When the program last computed for a whole slice, as it does in a function that waits.
 let awake = 0;
+
+function silentFor(nanos) {
+  const { clock, chip, uart } = machine;
+  return uart.idle && chip.core.waiting && clock.nanos > Math.max(uart.lastByte, awake) + nanos;
+}
+
+function finished() {
+  if (endOfInput === undefined) return false;
+  const since = machine.clock.nanos - endOfInput;
+  return since > LONGEST_END_NANOS || (since > SILENCE_NANOS && silentFor(SILENCE_NANOS));
+}
+
+// Returns the moment that simulated time may reach now.
+function due() {
+  if (endOfInput !== undefined) return Infinity;
+  const quiet = silentFor(QUIET_NANOS);
+  if (quiet) {
+    origin -= debt;
+    debt = 0;
+  }
+  const behind = realNanos() - machine.clock.nanos - SLICE_NANOS;
+  if (quiet) {
+    origin += Math.max(0, behind - LARGEST_DEBT_NANOS);
+  } else if (behind > 0) {
+    origin += behind;
+    debt = Math.min(debt + behind, LARGEST_DEBT_NANOS);
+  }
+  return realNanos();
+}
 
 function slice(until) {
   const before = machine.cycles;
@@ -133,9 +157,7 @@ function turn() {
   asleep = undefined;
   const { clock } = machine;
   try {
-    const paced = endOfInput === undefined;
-    const now = paced ? realNanos() : Infinity;
-    if (paced && now - clock.nanos > FORGIVEN_NANOS) origin += now - clock.nanos;
+    const now = due();
     slice(Math.min(now, clock.nanos + SLICE_NANOS));
     if (finished()) return end();
     if (clock.nanos < now) setImmediate(turn);
