@@ -1,7 +1,8 @@
 """One simulated AVR: run it by cycles, talk to its UART, measure it.
 
-In: an ELF file, bytes for the UART, cycles to run. Out: the UART's bytes with the cycle at which
-the host had them, exact cycle counts of marked spans, memory, counters.
+In: an ELF file, bytes for the UART, levels and voltages for the pins, cycles to run. Out: the
+UART's bytes with the cycle at which the host had them, edges of pins, exact cycle counts of marked
+spans, memory, counters.
 Simulated time passes only in the run methods, and the same calls give the same cycles each time.
 Bytes to the firmware take the time that they take on the wire (baud and format registers), so a
 firmware that reads too slowly loses them as on the chip.
@@ -13,71 +14,18 @@ import ctypes
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from j2a.sim import _build
 from j2a.sim._elf import Program, read_program
 from j2a.sim._errors import BadProgram, FirmwareStopped, SimError
 from j2a.sim._options import FREQUENCY_MAX_HZ
+from j2a.sim._pins import Adc, Pins
+from j2a.sim._records import Counters, Interrupts, OutByte, Span
 
 _PAINT = 0xC5  # what the shim fills the RAM above the static data with at each reset
 _CRASHES_SIMAVR = {"atmega16m1"}  # avr_init() of simavr 1.6 ends the process
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
-
-
-@dataclass(frozen=True, slots=True)
-class OutByte:
-    """A byte that the firmware sent.
-
-    Attributes:
-        cycle: when the host's UART had it: the middle of its stop bit.
-        value: 0..255.
-    """
-
-    cycle: int
-    value: int
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """A stretch that the firmware marked: GPIOR0 = mark ... GPIOR0 = 0.
-
-    Attributes:
-        mark: the value that opened it, 1..255.
-        start: the cycle at which the opening OUT began.
-        cycles: from there to the beginning of the closing OUT. An empty span counts the opening
-            OUT itself: 1 cycle. Interrupts that ran meanwhile are included.
-    """
-
-    mark: int
-    start: int
-    cycles: int
-
-
-@dataclass(frozen=True, slots=True)
-class Counters:
-    """Totals of the UART since the start.
-
-    Attributes:
-        bytes_in: bytes that the host put on the wire.
-        bytes_out: bytes that the host received.
-        overruns: bytes lost because the firmware read too slowly (UCSRnA.DOR was set).
-        unheard: bytes sent while the firmware's receiver was off.
-        rx_framing_errors: characters that reached the firmware with UCSRnA.FE.
-        tx_framing_errors: characters that reached the host without a stop bit.
-        tx_ignored: writes to UDR that the chip ignores (UDRE clear, or transmitter off).
-        queued: bytes of the host still waiting for their turn on the wire.
-    """
-
-    bytes_in: int
-    bytes_out: int
-    overruns: int
-    unheard: int
-    rx_framing_errors: int
-    tx_framing_errors: int
-    tx_ignored: int
-    queued: int
 
 
 class AvrSim:
@@ -85,7 +33,8 @@ class AvrSim:
 
     Args:
         elf: path of the firmware (ELF as avr-gcc links it).
-        mcu: its name as simavr knows it, such as "atmega328p".
+        mcu: its name as simavr knows it, such as "atmega328p", or "atmega32u2", "atmega16u2",
+            "atmega8u2", which simavr lacks and which run as its AT90USB162 with their own memories.
         frequency_hz: the clock.
         uart: the UART to use, "0" to "3".
         host_baud: bit rate of the host in bit/s; None: whatever the firmware has set. With another
@@ -330,6 +279,22 @@ class AvrSim:
         self._lib.sim_counters(self._handle, values)
         return Counters(**dict(zip(_build.COUNTERS, values, strict=True)))
 
+    # -- pins ---------------------------------------------------------------------------------
+
+    @property
+    def pins(self) -> Pins:
+        """The pins of the chip: to drive them, and to see their edges."""
+        return Pins(self._lib, self._lock, lambda: self._handle, self.mcu)
+
+    @property
+    def adc(self) -> Adc:
+        """The analog inputs: voltages at the channels.
+
+        Raises:
+            SimError: the MCU has no ADC.
+        """
+        return Adc(self._lib, self._lock, lambda: self._handle, self.mcu)
+
     # -- measuring ----------------------------------------------------------------------------
 
     def spans(self) -> list[Span]:
@@ -346,6 +311,26 @@ class AvrSim:
             starts, cycles = (ctypes.c_uint64 * count)(), (ctypes.c_uint64 * count)()
             self._lib.sim_take_spans(self._handle, marks, starts, cycles)
             return [Span(*item) for item in zip(marks, starts, cycles, strict=True)]
+
+    def interrupts(self, vector: int) -> Interrupts:
+        """What a vector's handler did since the start, or since clear_interrupts().
+
+        Args:
+            vector: its number as avr-libc counts, 18 for `__vector_18`, the ATmega328P's USART_RX.
+
+        Raises:
+            SimError: the MCU has no such vector, or simavr does not know it.
+        """
+        values = (ctypes.c_uint64 * 4)()
+        with self._lock:
+            if not 0 < vector < 64 or not self._lib.sim_interrupt(self._handle, vector, values):
+                raise SimError(f"{self.mcu} has no interrupt vector {vector}")
+        return Interrupts(*values)
+
+    def clear_interrupts(self) -> None:
+        """Let interrupts() count from 0 again."""
+        with self._lock:
+            self._lib.sim_clear_interrupts(self._handle)
 
     @property
     def log(self) -> str:

@@ -38,7 +38,11 @@ STOP_OUTPUT, STOP_SPAN = 1, 2
 STATES = ("limbo", "stopped", "running", "sleeping", "step", "step", "done", "crashed")
 
 _HERE = Path(__file__).parent
-_SOURCES = ("simavr_shim.c", "usart.c", "usart.h", "wire.c", "wire.h")
+_SOURCES = (
+    *("simavr_shim.c", "grown.h", "interrupts.c", "interrupts.h"),
+    *("adc.c", "adc.h", "board.c", "board.h", "mcu.c", "mcu.h"),
+    *("usart.c", "usart.h", "wire.c", "wire.h"),
+)
 _PACKAGES = "on Debian and Ubuntu: apt install gcc libc6-dev libsimavr-dev"
 
 
@@ -186,6 +190,19 @@ def library() -> ctypes.CDLL:
         "sim_span_count": (u32, [pointer]),
         "sim_take_out": (None, [pointer, u32, u8s, u64s]),
         "sim_take_spans": (None, [pointer, u8s, u64s, u64s]),
+        "sim_interrupt": (ctypes.c_int, [pointer, ctypes.c_int, u64s]),
+        "sim_clear_interrupts": (None, [pointer]),
+        "sim_pin": (ctypes.c_int, [pointer, ctypes.c_char, ctypes.c_int]),
+        "sim_pin_level": (ctypes.c_int, [pointer, ctypes.c_int]),
+        "sim_watch": (None, [pointer, ctypes.c_int]),
+        "sim_edge_count": (u32, [pointer, ctypes.c_int]),
+        "sim_take_edges": (None, [pointer, ctypes.c_int, u64s, u8s]),
+        "sim_waiting": (u32, [pointer]),
+        "sim_drive": (None, [pointer, u64, ctypes.c_int, ctypes.c_int]),
+        "sim_has_adc": (ctypes.c_int, [pointer]),
+        "sim_conversions": (u64, [pointer]),
+        "sim_set_volts": (None, [pointer, u64, ctypes.c_int, ctypes.c_double]),
+        "sim_set_references": (None, [pointer, ctypes.c_double, ctypes.c_double]),
     }
     for name, (result, arguments) in types.items():
         function = getattr(lib, name)

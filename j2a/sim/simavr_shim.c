@@ -14,6 +14,11 @@
 
 #include "sim_avr.h"
 #include "sim_core.h"
+#include "adc.h"
+#include "board.h"
+#include "grown.h"
+#include "interrupts.h"
+#include "mcu.h"
 #include "usart.h"
 
 enum { STOP_OUTPUT = 1, STOP_SPAN = 2 };                     /* what sim_run may stop for */
@@ -25,6 +30,10 @@ typedef struct { uint64_t start, cycles; uint8_t mark; } span_t;
 typedef struct {
     avr_t *avr;
     usart_t usart;
+    mcu_t mcu;
+    interrupts_t interrupts;
+    adc_t adc;
+    board_t board;
     int stop_mask, stopped;
     out_t *out;
     uint32_t out_count, out_size;
@@ -65,37 +74,15 @@ static void log_message(struct avr_t *avr, const int level, const char *text, va
     }
 }
 
-/* The chip takes 4 cycles (5 with a 3-byte program counter) to enter an interrupt handler, which
- * simavr leaves out. */
-static void on_interrupt(struct avr_irq_t *irq, uint32_t entered, void *param)
-{
-    avr_t *avr = param;
-    (void)irq;
-    if (!entered)
-        return;
-    avr->cycle += 2u + avr->address_size;
-    avr->run_cycle_count = 0; /* the next event is nearer now: look after one instruction */
-}
-
 /* Fills the RAM above the static data, so that one can see how deep the stack went. */
 static void on_reset(void *param)
 {
     sim_t *s = param;
     memset(s->avr->data + s->ram_end, PAINT, s->avr->ramend + 1u - s->ram_end);
+    board_reset(&s->board);
 }
 
 /* ---- what the firmware does ---- */
-
-static void *grown(void *items, uint32_t count, uint32_t *size, size_t item)
-{
-    if (count < *size)
-        return items;
-    *size = *size ? 2 * *size : 256;
-    items = realloc(items, *size * item);
-    if (!items)
-        abort(); /* a simulation that silently lost bytes would be worse */
-    return items;
-}
 
 static void stop_for(sim_t *s, int reason)
 {
@@ -136,6 +123,14 @@ static void run_burst(avr_t *avr)
     avr_flashaddr_t pc = avr->pc;
     if (avr->state == cpu_Running)
         pc = avr_run_one(avr); /* and those after it, up to the next event */
+    /* Events that came due during the last instruction happen at their own cycle, one after the other:
+     * so edges, bytes and what they cause are stamped exactly. */
+    avr_cycle_count_t now = avr->cycle;
+    while (avr->cycle_timers.timer && avr->cycle_timers.timer->when < now) {
+        avr->cycle = avr->cycle_timers.timer->when;
+        avr_cycle_timer_process(avr);
+    }
+    avr->cycle = now;
     avr_cycle_count_t sleep = avr_cycle_timer_process(avr);
     avr->pc = pc;
     if (avr->state == cpu_Sleeping) {
@@ -165,6 +160,7 @@ void sim_free(sim_t *s)
         avr_terminate(s->avr);
         free(s->avr);
     }
+    board_free(&s->board);
     free(s->usart.queue);
     free(s->out);
     free(s->spans);
@@ -187,7 +183,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     sim_t *s = calloc(1, sizeof *s);
     if (!s)
         return failed(NULL, error, error_size, "out of memory");
-    s->avr = avr_make_mcu_by_name(mcu);
+    s->avr = mcu_make(mcu);
     if (!s->avr)
         return failed(s, error, error_size, "simavr does not know this MCU");
     avr_t *avr = s->avr;
@@ -201,6 +197,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
         return failed(s, error, error_size, text);
     }
     avr_init(avr);
+    mcu_mend(&s->mcu, avr);
     avr->custom.data = s;
     avr->log = LOG_WARNING;
     avr->frequency = frequency_hz;
@@ -213,15 +210,15 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     if (!port)
         return failed(s, error, error_size, "the MCU has no such UART");
     s->ram_end = ram_end;
+    adc_attach(&s->adc, avr);
+    board_attach(&s->board, avr, &s->adc);
     s->usart.host_bit = host_bit;
     s->usart.on_byte = on_byte;
     s->usart.on_reset = on_reset;
     s->usart.param = s;
     if (usart_attach(&s->usart, avr, port))
         return failed(s, error, error_size, "this MCU's kind of UART is not modelled");
-    for (int i = 0; i < avr->interrupts.vector_count; i++)
-        avr_irq_register_notify(avr->interrupts.vector[i]->irq + AVR_INT_IRQ_RUNNING,
-                                on_interrupt, avr);
+    interrupts_attach(&s->interrupts, avr);
     if (!avr->io[AVR_DATA_TO_IO(GPIOR0)].w.c) { /* else another register lives there */
         avr_register_io_write(avr, GPIOR0, on_mark, s);
         s->spans_on = 1;
@@ -315,4 +312,47 @@ void sim_take_spans(sim_t *s, uint8_t *marks, uint64_t *starts, uint64_t *cycles
         cycles[i] = s->spans[i].cycles;
     }
     s->span_count = 0;
+}
+
+/* Copies what is known of an interrupt vector; see interrupts.h. Returns 0 for one that there is not. */
+int sim_interrupt(const sim_t *s, int vector, uint64_t *to)
+{
+    const interrupt_t *i = &s->interrupts.of[vector & (VECTORS - 1)];
+    uint64_t all[] = {i->count, i->longest, i->total, i->latest};
+    memcpy(to, all, sizeof all);
+    return i->avr != NULL;
+}
+
+void sim_clear_interrupts(sim_t *s) { interrupts_clear(&s->interrupts); }
+
+/* ---- what is wired to the pins; see board.h ---- */
+
+int sim_pin(const sim_t *s, char port, int bit) { return board_pin(&s->board, port, bit); }
+int sim_pin_level(const sim_t *s, int pin) { return board_level(&s->board, pin); }
+void sim_watch(sim_t *s, int pin) { board_watch(&s->board, pin); }
+uint32_t sim_edge_count(const sim_t *s, int pin) { return board_edge_count(&s->board, pin); }
+uint32_t sim_waiting(const sim_t *s) { return board_waiting(&s->board); }
+
+void sim_take_edges(sim_t *s, int pin, uint64_t *cycles, uint8_t *levels)
+{
+    board_take_edges(&s->board, pin, cycles, levels);
+}
+
+void sim_drive(sim_t *s, uint64_t cycle, int pin, int level)
+{
+    board_schedule(&s->board, cycle, pin, level);
+}
+
+int sim_has_adc(const sim_t *s) { return s->adc.port != NULL; }
+uint64_t sim_conversions(const sim_t *s) { return s->adc.conversions; }
+
+void sim_set_volts(sim_t *s, uint64_t cycle, int channel, double volts)
+{
+    board_schedule(&s->board, cycle, BOARD_PORTS * 8 + channel, volts);
+}
+
+void sim_set_references(sim_t *s, double avcc, double aref)
+{
+    s->adc.avcc = avcc;
+    s->adc.aref = aref;
 }

@@ -1,0 +1,99 @@
+/* See mcu.h. */
+#include "mcu.h"
+
+#include <string.h>
+
+#include "avr_ioport.h"
+#include "avr_timer.h"
+
+enum { PORTC_OF_USB162 = 0x28 };
+
+static const struct {
+    const char *name, *relative;
+    uint32_t flash_end;
+    uint16_t ram_end, eeprom_end;
+} relatives[] = {
+    {"atmega8u2", "at90usb162", 0x1fff, 0x2ff, 0x1ff},
+    {"atmega16u2", "at90usb162", 0x3fff, 0x2ff, 0x1ff},
+    {"atmega32u2", "at90usb162", 0x7fff, 0x4ff, 0x3ff},
+};
+
+avr_t *mcu_make(const char *name)
+{
+    for (unsigned i = 0; i < sizeof relatives / sizeof relatives[0]; i++) {
+        if (strcmp(relatives[i].name, name))
+            continue;
+        avr_t *avr = avr_make_mcu_by_name(relatives[i].relative);
+        if (!avr)
+            return NULL;
+        avr->mmcu = relatives[i].name;
+        avr->flashend = relatives[i].flash_end;
+        avr->ramend = relatives[i].ram_end;
+        avr->e2end = relatives[i].eeprom_end;
+        return avr;
+    }
+    return avr_make_mcu_by_name(name);
+}
+
+static int is_usb162(const avr_t *avr)
+{
+    for (unsigned i = 0; i < sizeof relatives / sizeof relatives[0]; i++)
+        if (!strcmp(avr->mmcu, relatives[i].name))
+            return 1;
+    return !strcmp(avr->mmcu, "at90usb162");
+}
+
+static void on_output(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    mcu_output_t *o = param;
+    avr_t *avr = o->timer->io.avr;
+    int level = (value & 0xff) != 0;
+    int pwm = o->timer->wgm_op_mode_kind >= avr_timer_wgm_pwm;
+    (void)irq;
+    switch (avr_regbit_get(avr, o->unit->com)) {
+    case avr_timer_com_toggle:
+        level = !avr_regbit_get(avr, o->port);
+        break;
+    case avr_timer_com_clear:
+        if (level && !pwm)
+            return;
+        break;
+    case avr_timer_com_set:
+        if (!level && !pwm)
+            return;
+        break;
+    }
+    avr_raise_irq(o->pin, AVR_IOPORT_OUTPUT | level);
+}
+
+static void mend_output(mcu_t *m, avr_timer_t *timer, int index)
+{
+    avr_t *avr = timer->io.avr;
+    avr_irq_t *output = timer->io.irq + TIMER_IRQ_OUT_COMP + index;
+    avr_timer_comp_t *unit = &timer->comp[index];
+    avr_ioport_getirq_t pin = {.bit = unit->com_pin};
+    if (m->count == MCU_OUTPUTS || avr_ioctl(avr, AVR_IOCTL_IOPORT_GETIRQ_REGBIT, &pin) <= 0)
+        return;
+    avr_unconnect_irq(output, pin.irq[0]);
+    unit->com_pin.reg = 0; /* or a reset would connect them again */
+    output->flags &= ~IRQ_FLAG_FILTERED;
+    mcu_output_t *o = &m->outputs[m->count++];
+    *o = (mcu_output_t){timer, unit, pin.bit, pin.irq[0]};
+    if (is_usb162(avr) && timer->name == '1' && index < 2) {
+        /* simavr has them on PB1 and PB2; OC1A is PC6, OC1B is PC5 */
+        int bit = 6 - index;
+        avr_ioport_getirq_t c = {.bit = {.reg = PORTC_OF_USB162, .bit = bit, .mask = 1}};
+        avr_ioctl(avr, AVR_IOCTL_IOPORT_GETIRQ_REGBIT, &c);
+        o->port = c.bit;
+        o->pin = c.irq[0];
+    }
+    avr_irq_register_notify(output, on_output, o);
+}
+
+void mcu_mend(mcu_t *m, avr_t *avr)
+{
+    for (avr_io_t *io = avr->io_port; io; io = io->next)
+        if (io->kind && !strcmp(io->kind, "timer"))
+            for (int i = 0; i < AVR_TIMER_COMP_COUNT; i++)
+                mend_output(m, (avr_timer_t *)io, i);
+}
