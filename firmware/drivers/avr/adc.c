@@ -1,0 +1,69 @@
+/* See adc.h. Empty on chips without an ADC. */
+#include "adc.h"
+
+#include <avr/interrupt.h>
+#include <avr/pgmspace.h>
+#include <stddef.h>
+#include <util/atomic.h>
+
+#include "pins.h"
+
+#ifdef ADC_INPUTS
+static const uint8_t PROGMEM inputs[ADC_COUNT] = ADC_INPUTS;
+static volatile bool busy;
+static uint8_t channel; /* that is being converted */
+static void (*callback)(uint8_t channel, uint16_t value);
+
+#define CONTROL (_BV(ADEN) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0)) /* F_CPU / 128 */
+
+static inline void convert(uint8_t which) {
+    channel = which;
+    ADMUX = _BV(REFS0) | pgm_read_byte(&inputs[which]); /* REFS0: AVCC is the reference */
+    ADCSRA = CONTROL | _BV(ADSC);
+}
+
+/* Other interrupts may come in between, above all the receiver's: this one comes again only after the next
+ * conversion. */
+ISR(ADC_vect, ISR_NOBLOCK) {
+    const uint8_t done = channel;
+    const uint16_t value = ADC;
+    if (done + 1 < ADC_COUNT)
+        convert(done + 1);
+    if (callback)
+        callback(done, value);
+    if (done + 1 == ADC_COUNT)
+        busy = false;
+}
+
+void adc_init(void) {
+    uint8_t i;
+    for (i = 0; i < ADC_COUNT; i++) { /* the digital input of an analog pin only takes power */
+        const uint8_t input = pgm_read_byte(&inputs[i]);
+        if (input < 8)
+            DIDR0 |= (uint8_t)_BV(input);
+    }
+    ADCSRB = 0;
+    ADCSRA = CONTROL;
+}
+
+void adc_set_cb(void (*new_value)(uint8_t channel, uint16_t value)) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        callback = new_value;
+    }
+}
+
+void adc_start(void) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (!busy) {
+            busy = true;
+            convert(0);
+        }
+    }
+}
+
+bool adc_busy(void) {
+    return busy;
+}
+#else
+typedef int adc_is_missing; /* C has no empty files */
+#endif

@@ -1,0 +1,26 @@
+/* Four analog inputs. In: their voltages. Out: a call for each conversion with its counts, 0..1023 for 0 V to
+ * AVCC.
+ * Rules: adc_start() begins a scan, one conversion for each input in turn; the conversions' interrupts do the
+ * rest, 104 us each at 16 MHz (13 periods of the ADC's clock, which is F_CPU / 128). The callback runs in
+ * the interrupt, with other interrupts on, and must be over before the next conversion is. A value is as it
+ * was 12 us after its conversion began. */
+#ifndef ADC_H
+#define ADC_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+enum { ADC_COUNT = 4 };
+
+void adc_init(void);
+
+/* The callback for new values, NULL for none. Called by the interrupt. */
+void adc_set_cb(void (*new_value)(uint8_t channel, uint16_t value));
+
+/* Begins a scan, unless one is running. May be called by an interrupt. */
+void adc_start(void);
+
+/* Is a scan running? */
+bool adc_busy(void);
+
+#endif

@@ -1,0 +1,84 @@
+/* See quad.h. */
+#include "quad.h"
+
+#include <avr/interrupt.h>
+#include <stddef.h>
+#include <util/atomic.h>
+
+#include "pins.h"
+#include "quadrature.h"
+
+static int16_t values[QUAD_COUNT];
+static uint16_t errors[QUAD_COUNT];
+static uint8_t levels; /* of the last interrupt: two bits for each encoder */
+
+#ifndef QUAD_CALLBACK
+static void (*callback)(uint8_t channel, int16_t value);
+
+void quad_set_cb(void (*new_value)(uint8_t channel, int16_t value)) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        callback = new_value;
+    }
+}
+#define QUAD_CALLBACK(channel, value) do { if (callback) callback(channel, value); } while (0)
+#endif
+
+static inline uint8_t read_levels(void) {
+    return (uint8_t)(QUAD_IN >> QUAD_SHIFT) & 0x0f;
+}
+
+/* Made for each channel anew, because constant addresses are faster. */
+static inline __attribute__((always_inline)) void step(uint8_t channel, uint8_t before, uint8_t now) {
+    const int8_t steps = quadrature_step(before, now);
+    if (steps == QUADRATURE_ILLEGAL) {
+        const uint16_t count = errors[channel] + 1;
+        if (count)
+            errors[channel] = count;
+    } else {
+        const int16_t value = values[channel] + steps;
+        values[channel] = value;
+        QUAD_CALLBACK(channel, value);
+    }
+}
+
+/* For all four wires. It reads the levels once, so what changes later interrupts again. */
+ISR(QUAD_vect) {
+    const uint8_t before = levels;
+    const uint8_t now = read_levels();
+    const uint8_t changed = before ^ now;
+    levels = now;
+    if (changed & 0x03)
+        step(0, before & 3, now & 3);
+    if (changed & 0x0c)
+        step(1, before >> 2, now >> 2);
+}
+
+void quad_init(void) {
+    QUAD_OUT |= 0x0f << QUAD_SHIFT;
+    levels = read_levels();
+    QUAD_MASK |= 0x0f << QUAD_SHIFT;
+    PCIFR = _BV(QUAD_ENABLE);
+    PCICR |= _BV(QUAD_ENABLE);
+}
+
+int16_t quad_get(uint8_t channel) {
+    int16_t value;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        value = values[channel];
+    }
+    return value;
+}
+
+void quad_set(uint8_t channel, int16_t value) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        values[channel] = value;
+    }
+}
+
+uint16_t quad_errors(uint8_t channel) {
+    uint16_t count;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        count = errors[channel];
+    }
+    return count;
+}

@@ -1,0 +1,44 @@
+/* See timer.h. */
+#include "timer.h"
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <util/atomic.h>
+
+#if F_CPU % 64000 || F_CPU / 64000 > 256
+#error "F_CPU must be a multiple of 64 kHz up to 16.384 MHz, so that timer 0 can count milliseconds"
+#endif
+
+static struct {
+    uint16_t period_ms, left_ms;
+    void (*callback)(void);
+} timers[TIMER_COUNT];
+
+/* Other interrupts may come in between, above all the receiver's: this one comes again only after a
+ * millisecond. */
+ISR(TIMER0_COMPA_vect, ISR_NOBLOCK) {
+    uint8_t i;
+    for (i = 0; i < TIMER_COUNT; i++) {
+        if (timers[i].period_ms && --timers[i].left_ms == 0) {
+            timers[i].left_ms = timers[i].period_ms;
+            timers[i].callback();
+        }
+    }
+}
+
+void timer_init(void) {
+    TCCR0A = _BV(WGM01); /* from 0 to OCR0A */
+    OCR0A = F_CPU / 64000 - 1;
+    TCNT0 = 0;
+    TIFR0 = _BV(OCF0A);
+    TIMSK0 = _BV(OCIE0A);
+    TCCR0B = _BV(CS01) | _BV(CS00); /* F_CPU / 64 */
+}
+
+void timer_start(uint8_t timer, uint16_t period_ms, void (*callback)(void)) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        timers[timer].period_ms = period_ms;
+        timers[timer].left_ms = period_ms;
+        timers[timer].callback = callback;
+    }
+}
