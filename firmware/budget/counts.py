@@ -25,6 +25,8 @@ __all__ = ["count"]
 _NAMES = ("rx_plain", "rx_escaped", "call", "tx_plain", "tx_escaped")
 _DONE = encode(Frame(c.SOS, 0, 0xC0, b""))
 _LIMIT_S = 60
+# QEMU looks up from its work before this instruction, and logs it once more when it goes on.
+_NOT_RUN = "Stopped execution of TB chain before"
 _LINE = re.compile(r"^Trace \d+: \S+ \[[0-9a-f]+/([0-9a-f]+)/")
 
 
@@ -107,6 +109,8 @@ def _by_qemu(elf: Path, build: Build) -> dict[str, int]:
         counting = ""
         with log.open() as lines:
             for line in lines:
+                if counting and line.startswith(_NOT_RUN):
+                    counts[counting] -= 1
                 if not (found := _LINE.match(line)):
                     continue
                 address = int(found[1], 16)

@@ -47,6 +47,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         results = _measure(chosen, args.out, builds.FIRMWARE, strict=True)
         if args.write and len(results) != len(every):
             raise BudgetError("--write needs all builds, and tools are missing; nothing is written")
+        if not results:
+            raise BudgetError("nothing was measured")
+        if args.save:
+            snapshot.write(results, args.save)
         return _report(args, every, results, len(results) == len(every))
     except BudgetError as error:
         print(f"measure.py: {error}", file=sys.stderr)
@@ -78,6 +82,7 @@ def _parser() -> argparse.ArgumentParser:
         default=builds.FIRMWARE / "build/budget",
         help="folder for what is built (default: firmware/build/budget)",
     )
+    parser.add_argument("--save", type=Path, metavar="FILE", help="write the figures there as well")
     parser.add_argument("--budget", type=Path, default=builds.BUDGET, help="another budget.toml")
     parser.add_argument("--snapshot", type=Path, default=snapshot.SNAPSHOT, help="another snapshot")
     return parser
@@ -96,14 +101,17 @@ def _measure(
             return error
 
     results: dict[str, snapshot.Result] = {}
+    problems = []
     with ThreadPoolExecutor(_JOBS) as pool:
         for build, result in zip(chosen, pool.map(one, chosen), strict=True):
             if isinstance(result, snapshot.Result):
                 results[build.name] = result
             elif strict and (required or not isinstance(result, runs.ToolMissing)):
-                raise result
+                problems.append(str(result))
             else:
                 print(f"left out: {result}", file=sys.stderr)
+    if problems:
+        raise BudgetError("\n".join(problems))
     return results
 
 
@@ -143,7 +151,8 @@ def _report(
     problems = list(snapshot.broken(every, results))
     if args.write and not problems:
         snapshot.write(results, args.snapshot)
-        report.TABLE.write_text(report.document(every, results))
+        if args.snapshot == snapshot.SNAPSHOT:
+            report.TABLE.write_text(report.document(every, results))
     if args.check:
         problems += _differences(args, every, results, complete)
     for problem in problems:

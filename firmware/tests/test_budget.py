@@ -1,0 +1,336 @@
+"""The budgets: each limit is a test, the snapshot is what is measured, and what is wrong is found.
+
+In: firmware/budget/budget.toml and snapshot.json. Out: one test for each limit. Everything is
+measured once, in a folder of its own; the controls change the limits, the snapshot and the
+firmware, and each must be noticed.
+"""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).parents[1]
+BUDGET = FIRMWARE / "budget"
+sys.path.insert(0, str(BUDGET))
+try:
+    import avr_run
+    import avr_stack
+    import builds
+    import callgraph
+    import report
+    import snapshot
+    from builds import BudgetError
+finally:
+    sys.path.remove(str(BUDGET))
+
+pytestmark = pytest.mark.avr
+
+ENTRIES = tomllib.loads((BUDGET / "budget.toml").read_text())["build"]
+LIMITS = [(entry["name"], *item) for entry in ENTRIES for item in entry.get("limit", {}).items()]
+TOOLS = {
+    "avr-gcc": "gcc-avr and avr-libc",
+    "arm-none-eabi-gcc": "gcc-arm-none-eabi",
+    "riscv64-unknown-elf-gcc": "gcc-riscv64-unknown-elf",
+    "qemu-system-arm": "qemu-system-arm",
+    "qemu-system-riscv32": "qemu-system-misc",
+    "valgrind": "valgrind",
+}
+FULL = "avr-serial/full"
+
+
+def measure(*arguments, **environment):
+    return subprocess.run(
+        [sys.executable, BUDGET / "measure.py", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **environment},
+    )
+
+
+@pytest.fixture(scope="session")
+def tools(missing):
+    for tool, package in TOOLS.items():
+        if shutil.which(tool) is None:
+            missing(f"{tool} is missing: install {package}")
+
+
+@pytest.fixture(scope="session")
+def out(tmp_path_factory):
+    return tmp_path_factory.mktemp("budget")
+
+
+@pytest.fixture(scope="session")
+def checked(tools, out):
+    """The run of --check over every build, and the figures."""
+    result = measure("--check", "--out", out, "--save", out / "figures.json")
+    assert result.returncode in (0, 1), result.stderr
+    return result, json.loads((out / "figures.json").read_text())
+
+
+@pytest.fixture
+def one(checked, out):
+    """Measure one build again, what is compiled already stays; with another budget or snapshot."""
+
+    def run(*arguments, name=FULL):
+        return measure("--only", name, "--out", out, *arguments)
+
+    return run
+
+
+@pytest.mark.parametrize(("name", "metric", "limit"), LIMITS)
+def test_limit(checked, name, metric, limit):
+    assert checked[1][name][metric] <= limit
+
+
+def test_what_was_promised_is_limited():
+    limits = {(name, metric): limit for name, metric, limit in LIMITS}
+    assert limits[FULL, "flash"] <= 2048
+    assert limits[FULL, "ram"] <= 300
+    assert limits["avr-serial/minimal", "flash"] <= 900
+    assert limits["avr-serial/minimal-room-32", "total"] <= 128
+    assert limits["avr-serial/cycles", "rx_plain"] <= 55
+    assert limits["avr-serial/cycles", "rx_escaped"] <= 55
+    assert limits["avr-serial/cycles", "received"] <= 160
+
+
+def test_snapshot_and_table_are_what_is_measured(checked):
+    result, _ = checked
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_each_port_is_measured():
+    ports = {path.parent.name for path in FIRMWARE.glob("ports/*/port.mk")}
+    assert ports <= {entry["name"].partition("/")[0] for entry in ENTRIES}
+
+
+def test_each_switch_is_measured():
+    """Each option of the core that is a switch is in a build in which nothing else is changed."""
+    text = (FIRMWARE / "core/j2a_options.h").read_text()
+    switches = set(re.findall(r"#ifndef (J2A_WITH_\w+)", text))
+    alone = {entry["options"][0] for entry in ENTRIES if len(entry.get("options", [])) == 1}
+    alone |= {
+        option for entry in ENTRIES for option in entry.get("options", []) if "SELF" in option
+    }
+    assert switches == {option.partition("=")[0] for option in alone if "_WITH_" in option}
+
+
+# ------------------------------------------------------------------- are the figures right?
+
+
+@pytest.mark.parametrize("name", [FULL, "avr-serial/demo", "cortex-m/full", "riscv/demo"])
+def test_sizes_are_those_of_binutils(checked, out, name):
+    (elf,) = (out / name).glob("*.elf")
+    tool = {"avr-serial": "avr-size", "cortex-m": "arm-none-eabi-size"}.get(
+        name.partition("/")[0], "riscv64-unknown-elf-size"
+    )
+    listed = subprocess.run([tool, "-A", elf], capture_output=True, text=True, check=True).stdout
+    size = {name: int(size) for name, size in re.findall(r"^(\.\w+) +(\d+) ", listed, re.MULTILINE)}
+    figures = checked[1][name]
+    assert figures["flash"] == size[".text"] + size.get(".data", 0)
+    assert figures["ram"] == size.get(".data", 0) + size[".bss"]
+
+
+def test_stack_is_bounded_from_both_sides(checked):
+    both = [figures for figures in checked[1].values() if {"stack", "bound"} <= figures.keys()]
+    assert len(both) > 8
+    for figures in both:
+        # What no load reaches is a few bytes; more would mean that the load does too little.
+        assert figures["stack"] <= figures["bound"] <= figures["stack"] + 4
+
+
+def deep_app(folder, body):
+    folder.mkdir()
+    (folder / "app.c").write_text(
+        '#include "j2a_functions.h"\nvoid j2a_app_task(void) {\n}\n'
+        f"{body}\n"
+        "uint8_t deep(uint8_t *const length, uint8_t **const payload) {\n"
+        "    return down(*length, *payload);\n}\n"
+    )
+    (folder / "functions.def").write_text("J2A_CALL(deep, deep)\n")
+    (folder / "properties.def").write_text("")
+    return folder
+
+
+def plain_build(app):
+    return builds.Build("test", "", "avr-serial", (), app, {}, {}, (), {})
+
+
+FRAME = """static uint8_t down(uint8_t length, uint8_t *payload) {
+    volatile uint8_t frame[100];
+    uint8_t i;
+    for (i = 0; i < 100; i++)
+        frame[i] = (uint8_t)(length + i);
+    payload[0] = frame[length % 100];
+    return 0;
+}"""
+RECURSION = """static __attribute__((noinline)) uint8_t down(uint8_t length, uint8_t *payload) {
+    payload[length] = length;
+    return length ? (uint8_t)(down((uint8_t)(length - 1), payload) + payload[0]) : 0;
+}"""
+
+
+def test_deep_stack_is_seen(build, tmp_path, checked):
+    elf = build("deep", "avr-serial", APP_DIR=str(deep_app(tmp_path / "deep", FRAME)))
+    stack = avr_run.stack(elf, plain_build("deep"))
+    bound = avr_stack.stack_bound(elf, plain_build("deep"))
+    # Deeper than a2jMany, which is the deepest otherwise, by nearly all of the 100 bytes.
+    assert 100 < stack <= bound < checked[1][FULL]["bound"] + 100
+
+
+def test_recursion_has_no_bound(build, tmp_path):
+    elf = build("deep", "avr-serial", APP_DIR=str(deep_app(tmp_path / "deep", RECURSION)))
+    with pytest.raises(BudgetError, match="down calls itself"):
+        avr_stack.stack_bound(elf, plain_build("deep"))
+
+
+CALLS = """graph: { title: "x.c"
+node: { title: "main" label: "main\\nx.c:1:1\\n8 bytes (static)" }
+node: { title: "j2a_process" label: "j2a_process\\nx.c:2:1\\n16 bytes (static)" }
+node: { title: "mine" label: "mine\\nx.c:3:1\\n100 bytes (static)" }
+node: { title: "handler" label: "handler\\nx.c:4:1\\n24 bytes (static)" }
+edge: { sourcename: "main" targetname: "j2a_process" label: "x.c:1:9" }
+edge: { sourcename: "j2a_process" targetname: "__indirect_call" label: "x.c:2:9" }
+edge: { sourcename: "mine" targetname: "memset" label: "x.c:3:9" }
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (CALLS, 8 + 16 + 100 + 32 + 24 + 36),
+        (CALLS.replace('targetname: "memset"', 'targetname: "main"'), "main calls j2a_process"),
+        (
+            CALLS.replace("100 bytes (static)", "100 bytes (dynamic)"),
+            "the frame of mine is dynamic",
+        ),
+        ("", r"no \*\.ci"),
+    ],
+)
+def test_bound_from_the_compiler(tmp_path, text, expected):
+    if text:
+        (tmp_path / "x.ci").write_text(text)
+    functions = tmp_path / "functions.def"
+    functions.write_text("J2A_CALL(name, mine)\n")
+    if isinstance(expected, int):
+        assert callgraph.callgraph_bound(tmp_path, functions, 36, 32) == expected
+    else:
+        with pytest.raises(BudgetError, match=expected):
+            callgraph.callgraph_bound(tmp_path, functions, 36, 32)
+
+
+# ------------------------------------------------------------------- is what is wrong found?
+
+
+@pytest.mark.parametrize("name", [FULL, "avr-serial/cycles", "avr-serial/minimal-room-32"])
+def test_broken_limits_are_found(one, tmp_path, name):
+    budget = (BUDGET / "budget.toml").read_text()
+    small = tmp_path / "budget.toml"
+    small.write_text(
+        re.sub(r"^limit = \{.*\}", lambda m: re.sub(r"\d+", "1", m[0]), budget, flags=re.M)
+    )
+    result = one("--budget", small, name=name)
+    assert result.returncode == 1
+    titles = [builds.METRICS[metric].title for build, metric, _ in LIMITS if build == name]
+    assert titles
+    for title in titles:
+        assert re.search(rf"{name}: {title} is [\d.]+, [\d.]+ more than the 1 that", result.stderr)
+
+
+def changed_snapshot(folder, name, **values):
+    table = json.loads((BUDGET / "snapshot.json").read_text())
+    table[name] |= values
+    path = folder / "snapshot.json"
+    path.write_text(json.dumps(table))
+    return path
+
+
+def test_snapshot_that_differs_is_found(one, tmp_path, checked):
+    flash = checked[1][FULL]["flash"]
+    result = one("--check", "--snapshot", changed_snapshot(tmp_path, FULL, flash=flash + 2))
+    assert result.returncode == 1
+    assert re.search(rf"{FULL} +flash +{flash + 2} +{flash} +-2 +2048", result.stdout)
+    assert "--write" in result.stderr
+
+
+def test_another_compiler_is_held_to_the_limits(one, tmp_path):
+    path = changed_snapshot(tmp_path, FULL, flash=1, compiler="avr-gcc 4.0")
+    result = one("--check", "--snapshot", path)
+    assert result.returncode == 0, result.stderr
+    assert "the snapshot by avr-gcc 4.0: only the limits count" in result.stdout
+
+
+def test_builds_come_and_go():
+    old = snapshot.Result("cc", {"flash": 10})
+    new = snapshot.Result("cc", {"flash": 12, "ram": 1})
+    found, notes = snapshot.differences({"a": old, "b": old}, {"b": new, "c": new}, every=True)
+    assert notes == []
+    text = report.changed(found, [], markdown=True)
+    assert text.splitlines()[2:] == [
+        "| a | flash | 10 |  | gone |  |",
+        "| b | flash | 10 | 12 | +2 |  |",
+        "| b | RAM |  | 1 | new |  |",
+        "| c | flash |  | 12 | new |  |",
+        "| c | RAM |  | 1 | new |  |",
+    ]
+    assert snapshot.differences({"a": old, "b": old}, {"b": old}, every=False) == ([], [])
+
+
+def test_what_a_change_costs(one):
+    """Against this very revision, built again: what is not committed yet is all that may differ."""
+    result = one("--against", "HEAD", "--rebuild", "--markdown", name="avr-serial/minimal")
+    assert result.returncode == 0, result.stderr
+    assert "No figure has changed." in result.stdout or "| avr-serial/minimal | " in result.stdout
+    result = one("--against", "no-such-revision")
+    assert result.returncode == 2
+    assert "no-such-revision" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "has no"),
+        ("[[build]]\nname = 'x'", "x: app, measure, port is missing"),
+        ("[[build]]\nname='x'\nport='p'\napp='a'\nmeasure=['speed']", "measure knows size"),
+        ("[[build]]\nname='x'\nport='p'\napp='a'\nmeasure=['size']\nlimit={rom=1}", "limit knows"),
+        ("[[build]]\nname='x'\nport='p'\napp='a'\nmeasure=['size']\noptions=['X']", "J2A_ROOM=32"),
+        ("[[build]]\nname='x'\nport='p'\napp='a'\nmeasure=['size']", "there is no port p"),
+        ("[[build]", "budget.toml"),
+    ],
+)
+def test_wrong_budgets_are_refused_in_one_line(tmp_path, text, message):
+    path = tmp_path / "budget.toml"
+    path.write_text(text)
+    result = measure("--budget", path, "--out", tmp_path)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_missing_tools_are_told(tmp_path):
+    result = measure("--only", FULL, "--out", tmp_path, PATH=str(tmp_path), J2A_REQUIRE_AVR="")
+    assert result.returncode == 2
+    assert f"left out: {FULL}: avr-gcc is missing" in result.stderr
+    result = measure("--only", FULL, "--out", tmp_path, PATH=str(tmp_path), J2A_REQUIRE_AVR="1")
+    assert result.returncode == 2
+    assert f"measure.py: {FULL}: avr-gcc is missing" in result.stderr
+
+
+def test_without_the_library_it_says_what_to_do(tmp_path):
+    result = subprocess.run(
+        [sys.executable, "-I", "-S", BUDGET / "measure.py"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode != 0
+    assert "make venv" in result.stderr
+    assert "Traceback" not in result.stderr
