@@ -39,6 +39,7 @@ void board_init(void) {
     UART_INTERRUPTS = INTERRUPT_RECEIVED;
     PLIC_PRIORITY_UART = 1;
     PLIC_ENABLE = 1u << UART_IRQ;
+    counted = MTIME;
     __asm__ volatile("csrw mie, %0" : : "r"(MIE_EXTERNAL));
     interrupts_on();
 }
