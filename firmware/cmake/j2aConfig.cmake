@@ -1,5 +1,5 @@
 # J2A for CMake, the same from the source tree and installed.
-# In: cache variables J2A_..., the options of core/j2a_options.h; those left empty have the values given there.
+# In: variables J2A_..., the options of core/j2a_options.h; those left empty have the values given there.
 # Out: the function j2a_add_app(), and targets that bring sources, so that they are compiled with the user's
 # compiler and options:
 #   j2a::core   the core; what links it implements a port, and has a j2a_port_config.h in its include path
@@ -41,23 +41,30 @@ foreach(_j2a_name core table board posix main)
   add_library(j2a::${_j2a_name} ALIAS j2a_${_j2a_name})
 endforeach()
 
+# What the project has set, as a plain variable, too, is left alone.
 foreach(_j2a_name MAPPING MANY PROPERTIES CLOCK SIF DEBUG SELFTEST)
-  set(J2A_WITH_${_j2a_name} "" CACHE STRING "ON, OFF, or empty for what core/j2a_options.h says")
-  if(NOT "${J2A_WITH_${_j2a_name}}" STREQUAL "")
-    if(J2A_WITH_${_j2a_name})
-      target_compile_definitions(j2a_core INTERFACE J2A_WITH_${_j2a_name}=1)
+  set(_j2a_option J2A_WITH_${_j2a_name})
+  if(NOT DEFINED ${_j2a_option})
+    set(${_j2a_option} "" CACHE STRING "ON, OFF, or empty for what core/j2a_options.h says")
+  endif()
+  if(NOT "${${_j2a_option}}" STREQUAL "")
+    if(${_j2a_option})
+      target_compile_definitions(j2a_core INTERFACE ${_j2a_option}=1)
     else()
-      target_compile_definitions(j2a_core INTERFACE J2A_WITH_${_j2a_name}=0)
+      target_compile_definitions(j2a_core INTERFACE ${_j2a_option}=0)
     endif()
   endif()
 endforeach()
 
 foreach(_j2a_name LINKS ROOM DEBUGBUF PAUSE_MS RXBUF TXBUF)
-  set(J2A_${_j2a_name} "" CACHE STRING "A number, or empty for what core/j2a_options.h says")
-  if("${J2A_${_j2a_name}}" MATCHES "^[0-9]+$")
-    target_compile_definitions(j2a_core INTERFACE J2A_${_j2a_name}=${J2A_${_j2a_name}})
-  elseif(NOT "${J2A_${_j2a_name}}" STREQUAL "")
-    message(FATAL_ERROR "J2A_${_j2a_name}=${J2A_${_j2a_name}}: give a whole number")
+  set(_j2a_option J2A_${_j2a_name})
+  if(NOT DEFINED ${_j2a_option})
+    set(${_j2a_option} "" CACHE STRING "A number, or empty for what core/j2a_options.h says")
+  endif()
+  if("${${_j2a_option}}" MATCHES "^[0-9]+$")
+    target_compile_definitions(j2a_core INTERFACE ${_j2a_option}=${${_j2a_option}})
+  elseif(NOT "${${_j2a_option}}" STREQUAL "")
+    message(FATAL_ERROR "${_j2a_option}=${${_j2a_option}}: give a whole number")
   endif()
 endforeach()
 

@@ -352,11 +352,57 @@ def test_two_links_on_a_mega(variant):
 
 
 @pytest.mark.avr
-def test_software_serial_compiles_and_collected_bytes_are_sent(variant, built):
+def test_collected_bytes_are_sent(variant):
     image = variant("uno", "Echo", "-DJ2A_TXBUF=64")
     data = bytes(range(200))
     assert Board(image).ask(ECHO, data, ms=60) == [reply(1, c.ECHO, data)]
-    tool("arduino_build.py", "--board", "uno", "--out", built[0], FAKE / "SoftSerial")
+
+
+@pytest.mark.avr
+def test_second_uart_of_a_leonardo(variant, tmp_path):
+    sketch = tmp_path / "Echo1"
+    sketch.mkdir()
+    echo_sketch = ROOT / "firmware/library/arduino/examples/Echo/Echo.ino"
+    text = re.sub(r"\bSerial\b", "Serial1", echo_sketch.read_text())
+    (sketch / "Echo1.ino").write_text(text)
+    board = Board(variant("leonardo", sketch), mcu="atmega32u4", uart="1")
+    assert board.call(1, b"J2A") == (0, b"A2J")
+
+
+def levels_of(data, start, bit):
+    """The levels of a line that carries bytes, 8N1: pairs of cycle and level."""
+    for index, byte in enumerate(data):
+        for place, level in enumerate((0, *((byte >> n) & 1 for n in range(8)), 1)):
+            yield round(start + (index * 10 + place) * bit), level
+
+
+def bytes_of(edges, bit):
+    """The bytes that a line carried, from its edges, each sampled in the middle of the bits."""
+    data, free = bytearray(), 0.0
+
+    def level(cycle):
+        return next((edge.level for edge in reversed(edges) if edge.cycle <= cycle), 1)
+
+    for edge in edges:
+        if edge.level == 0 and edge.cycle >= free:
+            middle = edge.cycle + bit * 1.5
+            data.append(sum(level(middle + bit * n) << n for n in range(8)))
+            free = edge.cycle + bit * 9.5
+    return bytes(data)
+
+
+@pytest.mark.avr
+def test_software_serial(variant):
+    bit = 16e6 / 9600
+    with AvrSim(variant("uno", FAKE / "SoftSerial")) as sim:
+        sim.pins.drive("PB2", 1)  # pin 10 of the board receives
+        sim.run(sim.cycles(0.005))
+        sim.pins.watch("PB3")  # pin 11 sends
+        request = encode(Frame(c.SOF, 3, ECHO, b"soft\x12\xed"))
+        sim.pins.play("PB2", levels_of(request, sim.cycle + 100, bit))
+        sim.run(sim.cycles(0.05))
+        answer = decode(bytes_of(sim.pins.edges("PB3"), bit))
+    assert answer == [reply(3, c.ECHO, b"soft\x12\xed")]
 
 
 # -- on this machine ---------------------------------------------------------------------------
