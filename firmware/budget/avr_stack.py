@@ -26,6 +26,8 @@ _TARGET = re.compile(r"; 0x([0-9a-f]+)")
 _SKIPS = {"cpse", "sbrc", "sbrs", "sbic", "sbis"}
 _KIND_CALL, _KIND_MANY = 0, 1
 _VECTOR = "__vector_"
+# What calls a function of the table, once; link-time optimisation moves the first into the next.
+_ROUTERS = {"j2a_process", "j2a_task", "main", "j2a_many"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +69,7 @@ class _Code:
         self._names: dict[int, str] = {}
         self._depths: dict[int, int] = {}
         self._open: list[int] = []
+        self._indirect: dict[str, set[int]] = {}
         self._table = function_table(elf, build)
         self._disassemble()
 
@@ -158,6 +161,10 @@ class _Code:
                 assert instruction.target is not None
                 called = depth + self._return_bytes + self.depth(instruction.target)
             case "icall" | "eicall":
+                calls = self._indirect.setdefault(name, set())
+                calls.add(instruction.address)
+                if name not in _ROUTERS or len(calls) > 1:
+                    raise self._fail(f"{name} calls through a pointer that is none of J2A's table")
                 kind = _KIND_MANY if name == "j2a_many" else _KIND_CALL
                 targets = [at for at, which in self._table if which == kind and at]
                 called = depth + self._return_bytes + max(map(self.depth, targets))
@@ -185,7 +192,7 @@ class _Code:
         if instruction.name in {"ret", "reti"}:
             return []
         if instruction.name in {"ijmp", "eijmp"}:
-            raise self._fail(f"{name} jumps through a register")
+            raise self._fail(f"{name} jumps through a pointer")
         if instruction.name in {"rjmp", "jmp"}:
             assert instruction.target is not None
             return [instruction.target]

@@ -185,6 +185,18 @@ def test_deep_stack_is_seen(build, tmp_path, checked):
     assert 100 < stack <= bound < checked[1][FULL]["bound"] + 100
 
 
+POINTER = """static uint8_t (*volatile chosen)(uint8_t);
+static __attribute__((noinline)) uint8_t down(uint8_t length, uint8_t *payload) {
+    return chosen ? chosen(length) : payload[0];
+}"""
+
+
+def test_pointers_to_functions_have_no_bound(build, tmp_path):
+    elf = build("deep", "avr-serial", APP_DIR=str(deep_app(tmp_path / "deep", POINTER)))
+    with pytest.raises(BudgetError, match=r"\w+ (calls|jumps) through a pointer"):
+        avr_stack.stack_bound(elf, plain_build("deep"))
+
+
 def test_recursion_has_no_bound(build, tmp_path):
     elf = build("deep", "avr-serial", APP_DIR=str(deep_app(tmp_path / "deep", RECURSION)))
     with pytest.raises(BudgetError, match="down calls itself"):
@@ -209,7 +221,7 @@ edge: { sourcename: "mine" targetname: "memset" label: "x.c:3:9" }
         (CALLS, 8 + 16 + 100 + 32 + 24 + 36),
         (CALLS.replace('targetname: "memset"', 'targetname: "main"'), "main calls j2a_process"),
         (
-            CALLS.replace("100 bytes (static)", "100 bytes (dynamic)"),
+            CALLS.replace("100 bytes (static)", "9 bytes (dynamic)"),
             "the frame of mine is dynamic",
         ),
         ("", r"no \*\.ci"),
