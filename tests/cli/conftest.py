@@ -111,7 +111,17 @@ def start() -> Iterator[Callable[..., Program]]:
 @pytest.fixture
 def demo() -> Iterator[str]:
     """The URL of a demo device in Python, in this process."""
-    device = DemoDevice()
+    yield from served(DemoDevice())
+
+
+@pytest.fixture
+def small() -> Iterator[str]:
+    """The URL of a demo device with a room of 48 bytes."""
+    yield from served(DemoDevice(room=48))
+
+
+def served(device: DemoDevice) -> Iterator[str]:
+    """Serve a device, and yield its URL."""
     listener = j2a_transports.listen("tcp://127.0.0.1:0")
     thread = threading.Thread(target=device.serve_forever, args=(listener,))
     thread.start()

@@ -39,6 +39,7 @@ def test_info_as_json(run, url):
     assert facts["name"] == "J2A demo"
     assert facts["spec"] == "1.1"
     assert facts["rxbuf"] == 4096
+    assert facts["room"] == 255
     assert facts["functions"] == {name: opcode for opcode, name in enumerate(DEMO)}
     assert facts["properties"]["serial"]
     assert facts["counters"]["frames_sent"] == facts["counters"]["frames_received"] == 2
@@ -54,6 +55,7 @@ def test_info_of_a_device_that_tells_nothing(run, fake, wire):
     facts = json.loads(run("info", url, "--json").out)
     assert facts["functions"] == facts["properties"] == {}
     assert (facts["name"], facts["spec"], facts["rxbuf"]) == (None, "1.0", None)
+    assert facts["room"] == 255
 
 
 def test_props(run, url):
@@ -247,6 +249,19 @@ def test_echo_of_all_lengths(run, url):
     times = facts["round_trip_s"]
     assert 0 < times["min"] <= times["median"] <= times["p99"] <= times["max"]
     assert facts["counters"]["checksum_errors"] == 0
+
+
+def test_a_device_with_little_room(run, small):
+    lines = [line.split()[:2] for line in run("info", small).out.splitlines()]
+    assert ["room", "48"] in lines
+    facts = json.loads(run("echo", small, "--count", "8", "--json").out)
+    assert (facts["correct"], facts["payload_bytes"]) == (8, 8 * 48)
+    facts = json.loads(run("echo", small, "--all-lengths", "--json").out)
+    assert facts["wanted"] == facts["correct"] == 49 * 8
+    assert json.loads(run("echo", small, "--many", "1000", "--json").out)["correct"] == 1
+    result = run("echo", small, "--size", "49")
+    assert result.code == 2
+    assert "the payload has 49 bytes, but the device has room for 48 (j2a.room)" in result.err
 
 
 @pytest.mark.parametrize("size", [0, 1000])

@@ -55,6 +55,20 @@ def test_what_is_due_without_a_mapping():
     assert rules.due((request(99),)) == [Expected(7)]
 
 
+def test_what_is_due_to_long_payloads_where_there_is_little_room():
+    rules = Rules(RULES.claims, longest=32)
+    fits, long, refused = bytes(32), bytes(33), [Expected(7, c.RET_FAILED, b"")]
+    assert rules.due((request(ECHO, fits),)) == [Expected(7, c.ECHO, fits)]
+    assert rules.due((request(0, fits),)) == [Expected(7, c.RET_OK)]
+    for opcode in (0, 1, ECHO):
+        assert rules.due((request(opcode, long),)) == refused
+    assert rules.due((request(c.BUILTINS.index(c.GET_ECHO_MANY), long),)) == [
+        Expected(7, c.ERR_OPCODE)
+    ]
+    assert rules.due((request(6, long),)) == [Expected(7)]
+    assert rules.due((request(99, long),)) == [Expected(7, c.ERR_OPCODE)]
+
+
 def test_more_than_the_device_has_room_for_is_not_judged():
     small, large = request(ECHO), request(ECHO, bytes(40))
     assert RULES.is_exact((small + small,))
