@@ -2,19 +2,21 @@
  * properties.def. In: two lists, each once in the whole image, at file scope, in C99 or C++:
  *   J2A_FUNCTIONS(J2A_CALL(add, my_add), J2A_MANY(store, my_store))
  *   J2A_PROPERTIES(J2A_PROPERTY("name", "My board"))
- * Out: the tables that the core expects. Opcodes are in the order of the list, after the
- * built-in functions. j2a.spec belongs to each device and is the first property. Lists may be empty, may
- * end in a comma, and hold 64 items; beyond that functions.def is the way.
- * Rules: names that are macros are replaced first. A function of the wrong kind, a name or key that is empty, a name
- * that comes twice and names too long for a payload do not compile. That keys do not repeat is the user's care. */
+ * Out: the tables that the core expects. Opcodes are in the order of the list, after the built-in functions.
+ * j2a.spec belongs to each device and is the first property. Lists may be empty, may end in a comma, and
+ * hold 64 items; beyond that functions.def is the way.
+ * Rules: names that are macros are replaced first. A function of the wrong kind, a name or key that is
+ * empty, a name that comes twice and names too long for a payload do not compile. That keys do not repeat is
+ * the user's care. */
 #ifndef J2A_LISTS_H
 #define J2A_LISTS_H
 
 #include "j2a_table.h"
 
-/* J2A_EACH_(WHAT, item, item, ...) gives WHAT_item WHAT_item ...: an item such as J2A_CALL(add, my_add) is no macro,
- * and becomes one when WHAT_ is put before it. An item that is empty gives WHAT_ alone, so that is a macro, too.
- * A macro is not replaced within itself, so there is one for each number of items that is left. */
+/* J2A_EACH_(WHAT, item, item, ...) gives WHAT_item WHAT_item ...: an item such as J2A_CALL(add, my_add) is
+ * no macro, and becomes one when WHAT_ is put before it. An item that is empty gives WHAT_ alone, so that is
+ * a macro, too. A macro is not replaced within itself, so there is one for each number of items that is
+ * left. */
 #define J2A_EACH_(what, ...) J2A_JOIN_(J2A_EACH_, J2A_COUNT_(__VA_ARGS__))(what, __VA_ARGS__)
 #define J2A_JOIN_(left, right) J2A_JOINED_(left, right)
 #define J2A_JOINED_(left, right) left##right
@@ -118,7 +120,8 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_SIZE_OF_
 #define J2A_CHECK_SIZE_(...) \
     extern char j2a_names_longer_than_a_payload[ \
-        sizeof "a2jGetMapping" + sizeof "a2jEcho" + (J2A_WITH_MANY ? sizeof "a2jMany" + sizeof "a2jEchoMany" : 0) \
+        sizeof "a2jGetMapping" + sizeof "a2jEcho" \
+        + (J2A_WITH_MANY ? sizeof "a2jMany" + sizeof "a2jEchoMany" : 0) \
         + (J2A_WITH_PROPERTIES ? sizeof "a2jGetProperties" : 0) + (J2A_WITH_DEBUG ? sizeof "a2jDebug" : 0) \
         J2A_EACH_(J2A_SIZE_OF, __VA_ARGS__) <= J2A_ROOM ? 1 : -1];
 #else

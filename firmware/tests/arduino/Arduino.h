@@ -1,5 +1,5 @@
-/* As much of an Arduino core as the library needs, for this machine: a Stream on a ring that drops what comes when it is
- * full, and a clock that the test sets. */
+/* As much of an Arduino core as the library needs, for this machine: a Stream on a ring that drops what
+ * comes when it is full, and a clock that the test sets. */
 #ifndef ARDUINO_H
 #define ARDUINO_H
 

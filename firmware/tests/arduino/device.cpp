@@ -1,5 +1,6 @@
-/* The Arduino library as a device of lines. In, one command a line: "b HEX" bytes arrive, "m N" micros() is N from now on,
- * "c 0" nobody takes what is written, "t" J2A.task(). Out: for each t a line of what was written, as hex. */
+/* The Arduino library as a device of lines. In, one command a line: "b HEX" bytes arrive, "m N" micros() is
+ * N from now on, "c 0" nobody takes what is written, "t" J2A.task(). Out: for each t a line of what was
+ * written, as hex. */
 #include <stdio.h>
 #include <string.h>
 

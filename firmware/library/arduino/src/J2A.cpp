@@ -1,8 +1,9 @@
-/* The port on top of Stream, millis() and micros(). Bytes flow from the stream into the parser, and from the sender
- * into the stream.
- * Rule: a Stream does not say that it lost bytes, but one that was never full has lost none. So whenever one with a
- * known size is found full, what it holds is still good, and what comes behind it is dropped until the stream is
- * empty and the parser knows of the loss; bytes from before and after it never end up in one frame. */
+/* The port on top of Stream, millis() and micros(). Bytes flow from the stream into the parser, and from the
+ * sender into the stream.
+ * Rule: a Stream does not say that it lost bytes, but one that was never full has lost none. So whenever one
+ * with a known size is found full, what it holds is still good, and what comes behind it is dropped until
+ * the stream is empty and the parser knows of the loss; bytes from before and after it never end up in one
+ * frame. */
 #include "J2A.h"
 
 J2ADevice J2A;

@@ -1,7 +1,8 @@
-/* J2A for sketches: a host calls the sketch's functions by name, over any Stream. In: one or more streams, the lists
- * J2A_FUNCTIONS and J2A_PROPERTIES of the sketch (see j2a_core.h). Out: replies, and frames sent unasked.
- * Rules: the stream belongs to J2A alone, so the sketch prints nothing to it; loop() calls J2A.task() and returns soon;
- * nothing of this is called from an interrupt. */
+/* J2A for sketches: a host calls the sketch's functions by name, over any Stream. In: one or more streams,
+ * the lists J2A_FUNCTIONS and J2A_PROPERTIES of the sketch (see j2a_core.h). Out: replies, and frames sent
+ * unasked.
+ * Rules: the stream belongs to J2A alone, so the sketch prints nothing to it; loop() calls J2A.task() and
+ * returns soon; nothing of this is called from an interrupt. */
 #ifndef J2A_ARDUINO_H
 #define J2A_ARDUINO_H
 
@@ -12,8 +13,9 @@
 class J2ADevice {
 public:
     /* Serves a stream, which the sketch has begun.
-     * holds: how many bytes wait in it at most, where it then drops what comes; 0: it makes the sender wait (USB),
-     * or nobody knows, and then a loss is only noticed by the checksum. Of a Serial on an AVR it is known. */
+     * holds: how many bytes wait in it at most, where it then drops what comes; 0: it makes the sender wait
+     * (USB), or nobody knows, and then a loss is only noticed by the checksum. Of a Serial on an AVR it is
+     * known. */
     template <class StreamType> void begin(StreamType &stream) {
         serve(0, stream, heldBy(&stream));
     }
@@ -35,8 +37,9 @@ public:
     void task();
 
 #if J2A_WITH_SIF
-    /* Sends a frame unasked: an opcode 0..255 that host and sketch agree on, and up to 255 bytes. Of several links it
-     * goes out on j2a_link: within a function the one that called it, else 0 or what the sketch has set. */
+    /* Sends a frame unasked: an opcode 0..255 that host and sketch agree on, and up to 255 bytes. Of several
+     * links it goes out on j2a_link: within a function the one that called it, else 0 or what the sketch has
+     * set. */
     void sendSif(uint8_t opcode, const void *payload, uint8_t length);
 #endif
 

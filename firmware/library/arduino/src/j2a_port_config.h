@@ -1,10 +1,10 @@
-/* Settings of the core in this library. Any option of j2a_core.h may be set here, before the lines below, or by the
- * compiler's -D for the library and the sketch alike (PlatformIO: build_flags). */
+/* Settings of the core in this library. Any option of j2a_core.h may be set here, before the lines below, or
+ * by the compiler's -D for the library and the sketch alike (PlatformIO: build_flags). */
 #define J2A_PORT_NAME "arduino"
 #define J2A_TICKS_PER_MS 1u /* of millis() */
 
-/* Bytes that are collected and written at once. An AVR's Serial has a buffer of its own; with USB elsewhere each write
- * may become a packet. */
+/* Bytes that are collected and written at once. An AVR's Serial has a buffer of its own; with USB elsewhere
+ * each write may become a packet. */
 #ifndef J2A_TXBUF
 #ifdef __AVR__
 #define J2A_TXBUF 0

@@ -41,7 +41,8 @@ uint8_t add(uint8_t *const length, uint8_t **const payload) {
 }
 
 /* Keeps what was written last; a write at 0 starts anew, others follow on. */
-uint8_t store(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length, uint8_t **const data) {
+uint8_t store(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
+              uint8_t **const data) {
   if (is_write) {
     if (*offset == 0)
       used = 0;

@@ -1,4 +1,5 @@
-/* Two functions that a host calls by name: led switches the LED of the board, reverse sends a text back to front.
+/* Two functions that a host calls by name: led switches the LED of the board, reverse sends a text back to
+ * front.
  *
  *   j2a call serial:///dev/ttyACM0?baud=115200 led 01
  *

@@ -1,15 +1,16 @@
 /* Data longer than a frame: 400 bytes that the host writes and reads as a whole.
  *
  * A function of the kind "many" is called once for each chunk. When the host writes, *length bytes in *data
- * belong at *offset; when it reads, the function gives at most J2A_MANY_DATA bytes from *offset on, and says by
- * *is_last when these were the last. *data may point into the sketch's own memory. */
+ * belong at *offset; when it reads, the function gives at most J2A_MANY_DATA bytes from *offset on, and says
+ * by *is_last when these were the last. *data may point into the sketch's own memory. */
 #include <J2A.h>
 
 const uint16_t SIZE = 400;
 uint8_t content[SIZE];
 uint16_t used = 0;
 
-uint8_t store(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length, uint8_t **const data) {
+uint8_t store(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
+              uint8_t **const data) {
   if (is_write) {
     const uint8_t given = *length;
     *length = 0;

@@ -1,9 +1,9 @@
 /* What a board says about itself: `j2a info URL` shows it.
  *
- * Properties are texts in flash. j2a.spec, the version of the protocol, is there without being listed. j2a.rxbuf
- * is a promise to the host: so many bytes of requests may be on their way at once. The Serial of an AVR
- * holds 63, and is taken to have lost something when it is full, so 62 can be promised. Leave the line out
- * where you do not know: then the host waits for each reply. */
+ * Properties are texts in flash. j2a.spec, the version of the protocol, is there without being listed.
+ * j2a.rxbuf is a promise to the host: so many bytes of requests may be on their way at once. The Serial of
+ * an AVR holds 63, and is taken to have lost something when it is full, so 62 can be promised. Leave the
+ * line out where you do not know: then the host waits for each reply. */
 #include <J2A.h>
 
 #if defined(__AVR__) && !defined(USBCON)

@@ -4,7 +4,8 @@
  *   every    takes 2 bytes of milliseconds; from then on A0 is reported in this rhythm, 0 ends it
  *   average  replies the average of A0 in 16 readings, in sixteenths
  *
- * A report is a frame with the opcode 0x20: 4 bytes of millis(), 2 bytes of value. Numbers are little-endian. */
+ * A report is a frame with the opcode 0x20: 4 bytes of millis(), 2 bytes of value. Numbers are
+ * little-endian. */
 #include <J2A.h>
 
 const uint8_t REPORT = 0x20;

@@ -1,11 +1,11 @@
 /* A model servo at pin 9, set by the host.
  *
- *   servo    takes 2 bytes of microseconds, 500 to 2500: the length of the pulse, 1500 is the middle; 0 switches off
+ *   servo    takes 2 bytes of microseconds, 500 to 2500: the length of the pulse; 1500 is the middle, 0 off
  *   position replies these 2 bytes
  *
- * The pulse is made here every 20 ms, so the sketch needs nothing but a pin; an interrupt may lengthen a pulse by a
- * few microseconds. The library Servo makes steadier ones with a timer: then servo calls writeMicroseconds(), and
- * loop() only J2A.task(). */
+ * The pulse is made here every 20 ms, so the sketch needs nothing but a pin; an interrupt may lengthen a
+ * pulse by a few microseconds. The library Servo makes steadier ones with a timer: then servo calls
+ * writeMicroseconds(), and loop() only J2A.task(). */
 #include <J2A.h>
 
 const uint8_t SERVO_PIN = 9;

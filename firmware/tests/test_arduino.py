@@ -1,0 +1,301 @@
+"""The Arduino library on boards: each example compiled for three, and run in the simulator."""
+
+import itertools
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from j2a_spec import constants as c
+from j2a_spec.grammar import MAPPING
+from j2a_spec.oracle import Frame, decode, encode
+
+from j2a.sim import AvrSim
+
+pytestmark = pytest.mark.avr
+
+ROOT = Path(__file__).parents[2]
+FAKE = Path(__file__).parent / "arduino"
+CORE = Path("/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h")
+EXAMPLES = ["Conformance", "Echo", "Many", "Properties", "Sensor", "Servo"]
+BOARDS = ["uno", "mega", "leonardo"]
+FLASH = {"uno": 32256, "mega": 253952, "leonardo": 28672}
+ECHO = c.BUILTINS.index(c.GET_ECHO)
+MANY = c.BUILTINS.index(c.MANY)
+FIRST = len(c.BUILTINS)
+
+
+def tool(name, *arguments):
+    command = [sys.executable, str(ROOT / "tools" / name), *map(str, arguments)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory):
+    """The folder of the library, with the zip beside it."""
+    out = tmp_path_factory.mktemp("arduino")
+    tool("arduino_library.py", "--out", out)
+    return out / "J2A"
+
+
+@pytest.fixture(scope="module")
+def arduino(need, missing):
+    need("avr-gcc")
+    if not CORE.is_file():
+        missing("there is no Arduino core for AVR: install the package arduino-core-avr")
+
+
+@pytest.fixture(scope="module")
+def built(arduino, packed):
+    """All examples for all boards: where the images are, and (flash, RAM) by board and sketch."""
+    out = packed.parent / "built"
+    printed = tool("arduino_build.py", "--library", packed, "--out", out)
+    rows = [line.split() for line in printed.splitlines()[1:]]
+    return out, {(board, sketch): (int(flash), int(ram)) for board, sketch, flash, ram in rows}
+
+
+@pytest.fixture
+def variant(built, packed, tmp_path):
+    """Build a sketch for a board with options; returns the image."""
+
+    def build(board, sketch, options=""):
+        (tmp_path / board).mkdir()
+        shutil.copy(built[0] / board / "core.a", tmp_path / board)
+        arguments = ("--board", board, "--library", packed, "--out", tmp_path, sketch)
+        tool("arduino_build.py", *arguments, f"--options={options}")
+        return tmp_path / board / f"{Path(sketch).name}.elf"
+
+    return build
+
+
+class Board:
+    """A board in the simulator, after the start of its sketch."""
+
+    def __init__(self, image, **options):
+        self.sim = AvrSim(image, **options)
+        self.sim.boot()
+        self.run_ms(3)
+
+    def run_ms(self, ms):
+        self.sim.run(self.sim.cycles(ms / 1000))
+
+    def frames(self, ms):
+        self.run_ms(ms)
+        return decode(self.sim.uart_read())
+
+    def ask(self, opcode, payload=b"", ms=40, seq=1):
+        """The frames that come within some time after a request."""
+        self.sim.uart_write(encode(Frame(c.SOF, seq, opcode, payload)))
+        return self.frames(ms)
+
+    def call(self, index, payload=b"", ms=40):
+        """Call a function of the sketch by its place in the list; returns code and payload."""
+        (reply,) = self.ask(FIRST + index, payload, ms)
+        return reply.opcode, reply.payload
+
+    def many(self, opcode, payload=b"", offset=0, flags=0, ms=60):
+        head = bytes((opcode, flags)) + offset.to_bytes(4, "little")
+        (reply,) = self.ask(MANY, head + payload, ms)
+        assert reply.opcode == 0
+        return reply.payload
+
+
+def reply(seq, code, payload=b""):
+    return Frame(c.SOF, seq, code, payload)
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_examples_fit_and_the_page_tells_their_size(built, board):
+    page = (ROOT / "docs" / "arduino.md").read_text().partition("## Sizes")[2]
+    for sketch in EXAMPLES:
+        flash, ram = built[1][board, sketch]
+        assert flash < FLASH[board]
+        (row,) = re.findall(rf"^\| {sketch} \|(.*)\|$", page, re.M)
+        cells = row.split("|")[BOARDS.index(board)]
+        told_flash, told_ram = map(int, re.findall(r"\d+", cells))
+        assert abs(told_flash - flash) <= 100, (board, sketch, flash, ram)
+        assert abs(told_ram - ram) <= 16, (board, sketch, flash, ram)
+
+
+def test_builder_of_the_ide_finds_the_library(arduino, need, packed, built, tmp_path):
+    need("arduino-builder")
+    need("arduino-ctags")
+    libraries, hardware, out = tmp_path / "libraries", tmp_path / "hardware", tmp_path / "out"
+    for folder in (libraries, hardware, out):
+        folder.mkdir()
+    shutil.copytree(packed, libraries / "J2A")
+    # What the builder's own platform.txt says of ctags, without the rest.
+    (hardware / "platform.txt").write_text(
+        "tools.ctags.path=/usr/bin\ntools.ctags.cmd.path={path}/arduino-ctags\n"
+        'tools.ctags.pattern="{cmd.path}" -u --language-force=c++ -f - --c++-kinds=svpf '
+        '--fields=KSTtzns --line-directives "{source_file}"\n'
+        "preproc.macros.flags=-w -x c++ -E -CC\n"
+    )
+    sketch = libraries / "J2A/examples/Echo/Echo.ino"
+    command = ["arduino-builder", "-compile", "-hardware", hardware]
+    command += ["-hardware", CORE.parents[4], "-tools", "/usr/bin", "-libraries", libraries]
+    command += ["-fqbn", "arduino:avr:uno", "-build-path", out]
+    command += ["-prefs", "compiler.cpp.extra_flags=-DDECIMAL_DIG=__DECIMAL_DIG__", sketch]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    flash, ram = built[1]["uno", "Echo"]
+    assert f"Sketch uses {flash} bytes" in result.stdout
+    assert f"Global variables use {ram} bytes" in result.stdout
+
+
+def test_echo(built):
+    board = Board(built[0] / "uno" / "Echo.elf")
+    names = MAPPING.build([*c.BUILTINS, "led", "reverse"])
+    assert board.ask(0) == [reply(1, 0, names)]
+    assert board.call(1, b"J2A\x12") == (0, b"\x12A2J")
+    assert board.call(1) == (0, b"")
+    for level in (1, 0):
+        assert board.call(0, bytes((level,))) == (0, b"")
+        assert board.sim.pins.level("PB5") == level  # the pin of LED_BUILTIN
+    assert board.call(0) == (c.RET_FAILED, b"")
+    assert board.ask(ECHO, b"\x7d\xed") == [reply(1, c.ECHO, b"\x7d\xed")]
+
+
+def test_sensor(built):
+    board = Board(built[0] / "uno" / "Sensor.elf")
+    board.sim.adc.set_volts(0, 1.25)
+    board.sim.adc.set_volts(3, 5.0)
+
+    def value(code_and_payload):
+        code, payload = code_and_payload
+        assert code == 0
+        return int.from_bytes(payload, "little")
+
+    assert abs(value(board.call(0, b"\x00")) - 256) <= 1
+    assert value(board.call(0, b"\x03")) == 1023
+    assert abs(value(board.call(2)) - 16 * 256) <= 16
+    assert board.call(0, b"\x06") == (c.RET_FAILED, b"")  # an Uno has six inputs
+    assert board.call(1, (20).to_bytes(2, "little"), ms=5) == (0, b"")
+    reports = board.frames(111)
+    assert [(r.start, r.seq, r.opcode) for r in reports] == [(c.SOS, n, 0x20) for n in range(5)]
+    times_ms = [int.from_bytes(r.payload[:4], "little") for r in reports]
+    assert {later - first for first, later in itertools.pairwise(times_ms)} == {20}
+    assert all(abs(int.from_bytes(r.payload[4:], "little") - 256) <= 1 for r in reports)
+    assert board.call(1, b"\x00\x00", ms=5) == (0, b"")
+    assert board.frames(100) == []
+
+
+def test_servo(built):
+    board = Board(built[0] / "uno" / "Servo.elf")
+    sim = board.sim
+    sim.pins.watch("PB1")  # the pin 9 of the board
+    assert board.call(0, (1500).to_bytes(2, "little")) == (0, b"")
+    assert board.call(1) == (0, (1500).to_bytes(2, "little"))
+    for wrong in (b"", b"\x10", (499).to_bytes(2, "little"), (2501).to_bytes(2, "little")):
+        assert board.call(0, wrong) == (c.RET_FAILED, b"")
+    board.run_ms(100)
+    edges = sim.pins.edges("PB1")
+    rises = [edge.cycle for edge in edges if edge.level]
+    widths_us = [
+        (fall.cycle - rise.cycle) / 16
+        for rise, fall in itertools.pairwise(edges)
+        if rise.level and not fall.level
+    ]
+    assert len(widths_us) >= 8
+    assert all(1490 < width < 1530 for width in widths_us), widths_us
+    periods_ms = [(b - a) / 16000 for a, b in itertools.pairwise(rises)]
+    assert all(19.9 < period < 20.6 for period in periods_ms), periods_ms
+    assert board.call(0, b"\x00\x00") == (0, b"")
+    board.run_ms(20)
+    sim.pins.edges("PB1")
+    board.run_ms(50)
+    assert sim.pins.edges("PB1") == []
+
+
+def test_properties_and_many(built):
+    board = Board(built[0] / "uno" / "Properties.elf")
+    index = c.BUILTINS.index(c.GET_PROPERTIES)
+    keys = (
+        "j2a.spec",
+        c.SPEC_VERSION,
+        "name",
+        "Properties",
+        "serial",
+        "0001",
+        "clock",
+        "16000000L",
+    )
+    listed = "".join(f"{word}\0" for word in (*keys, "j2a.rxbuf", "62")).encode()
+    head = bytes((0, c.FLAG_LAST, 0, 0, 0, 0))
+    assert board.many(index) == head + listed
+    (_, uptime) = board.call(0)
+    assert 40 < int.from_bytes(uptime, "little") < 1000
+
+    board = Board(built[0] / "uno" / "Many.elf")
+    data = bytes(i % 251 for i in range(400))
+    assert board.many(FIRST, data[:249], 0, c.FLAG_WRITE)[0] == 0
+    assert board.many(FIRST, data[249:], 249, c.FLAG_WRITE | c.FLAG_LAST)[0] == 0
+    assert board.many(FIRST, b"x", 400, c.FLAG_WRITE)[0] == c.RET_FAILED
+    assert board.many(FIRST, b"", 0) == bytes(6) + data[:249]
+    rest = bytes((0, c.FLAG_LAST)) + (249).to_bytes(4, "little")
+    assert board.many(FIRST, b"", 249) == rest + data[249:]
+
+
+def test_two_links_on_a_mega(variant):
+    image = variant("mega", FAKE / "TwoLinks", "-DJ2A_LINKS=2")
+    for link in (0, 1):
+        board = Board(image, mcu="atmega2560", uart=str(link))
+        assert board.ask(FIRST, seq=9) == [
+            Frame(c.SOS, 0, 7, b"hello"),
+            reply(9, 0, bytes((link,))),
+        ]
+
+
+def test_collected_bytes_are_sent(variant):
+    image = variant("uno", "Echo", "-DJ2A_TXBUF=64")
+    data = bytes(range(200))
+    assert Board(image).ask(ECHO, data, ms=60) == [reply(1, c.ECHO, data)]
+
+
+def test_second_uart_of_a_leonardo(variant, tmp_path):
+    sketch = tmp_path / "Echo1"
+    sketch.mkdir()
+    echo_sketch = ROOT / "firmware/library/arduino/examples/Echo/Echo.ino"
+    text = re.sub(r"\bSerial\b", "Serial1", echo_sketch.read_text())
+    (sketch / "Echo1.ino").write_text(text)
+    board = Board(variant("leonardo", sketch), mcu="atmega32u4", uart="1")
+    assert board.call(1, b"J2A") == (0, b"A2J")
+
+
+def levels_of(data, start, bit):
+    """The levels of a line that carries bytes, 8N1: pairs of cycle and level."""
+    for index, byte in enumerate(data):
+        for place, level in enumerate((0, *((byte >> n) & 1 for n in range(8)), 1)):
+            yield round(start + (index * 10 + place) * bit), level
+
+
+def bytes_of(edges, bit):
+    """The bytes that a line carried, from its edges, each sampled in the middle of the bits."""
+    data, free = bytearray(), 0.0
+
+    def level(cycle):
+        return next((edge.level for edge in reversed(edges) if edge.cycle <= cycle), 1)
+
+    for edge in edges:
+        if edge.level == 0 and edge.cycle >= free:
+            middle = edge.cycle + bit * 1.5
+            data.append(sum(level(middle + bit * n) << n for n in range(8)))
+            free = edge.cycle + bit * 9.5
+    return bytes(data)
+
+
+def test_software_serial(variant):
+    bit = 16e6 / 9600
+    with AvrSim(variant("uno", FAKE / "SoftSerial")) as sim:
+        sim.pins.drive("PB2", 1)  # pin 10 of the board receives
+        sim.run(sim.cycles(0.005))
+        sim.pins.watch("PB3")  # pin 11 sends
+        request = encode(Frame(c.SOF, 3, ECHO, b"soft\x12\xed"))
+        sim.pins.play("PB2", levels_of(request, sim.cycle + 100, bit))
+        sim.run(sim.cycles(0.05))
+        answer = decode(bytes_of(sim.pins.edges("PB3"), bit))
+    assert answer == [reply(3, c.ECHO, b"soft\x12\xed")]
