@@ -26,7 +26,7 @@ FIRMWARE = Path(__file__).parents[1]
 LAUNCHER = FIRMWARE / "ports/common/qemu.py"
 RAM, RAM_SIZE, FILL = 0x20000000, 0x4000, 0xA5
 STACK_MIN = 1024  # what cortex_m.ld asks for
-PATIENCE_S = 60
+PATIENCE_S = 40
 
 
 @pytest.fixture(scope="module")
@@ -224,18 +224,21 @@ def test_qemu_does_not_stay_behind(probe, how):
     words += ["-monitor", "none", "-serial", "stdio", "-kernel", probe]
     request = encode(Frame(c.SOF, 9, c.BUILTINS.index(c.GET_ECHO), b"last words"))
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as launcher:
-        child = qemu_below(launcher.pid)
-        launcher.stdin.write(request)
-        launcher.stdin.flush()
-        if how == "its input ends":
-            launcher.stdin.close()
-            assert decode(launcher.stdout.read()) == [Frame(c.SOF, 9, c.ECHO, b"last words")]
-        elif how == "SIGTERM":
-            launcher.send_signal(signal.SIGTERM)
-        else:
-            launcher.stdout.close()
-            launcher.stdin.close()
-        assert launcher.wait(PATIENCE_S) == 0
+        try:
+            child = qemu_below(launcher.pid)
+            launcher.stdin.write(request)
+            launcher.stdin.flush()
+            if how == "its input ends":
+                answer, _ = launcher.communicate(timeout=PATIENCE_S)
+                assert decode(answer) == [Frame(c.SOF, 9, c.ECHO, b"last words")]
+            elif how == "SIGTERM":
+                launcher.send_signal(signal.SIGTERM)
+            else:
+                launcher.stdout.close()
+                launcher.stdin.close()
+            assert launcher.wait(PATIENCE_S) == 0
+        finally:
+            launcher.terminate()
     assert not running(child)
 
 
