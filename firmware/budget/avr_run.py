@@ -16,7 +16,7 @@ from j2a_spec.oracle import Frame, decode, encode
 
 from j2a.sim import AvrSim, SimError, Span
 
-__all__ = ["cycles", "stack"]
+__all__ = ["cycles", "requests", "stack"]
 
 DELAY = 101  # cycles of a span of mark 3 in which no interrupt came
 CALL = 3 + 4  # rcall and ret
@@ -30,7 +30,7 @@ def _room(build: Build) -> int:
 # ------------------------------------------------------------------------------------ stack
 
 
-def _requests(functions: int, has_many: bool, room: int) -> Iterator[tuple[int, bytes]]:
+def requests(functions: int, has_many: bool, room: int) -> Iterator[tuple[int, bytes]]:
     """(opcode, payload): each function, known or not, with payloads of every kind of length."""
     for opcode in range(functions + 1):
         for length in (0, 1, 8, room):
@@ -60,12 +60,12 @@ def stack(elf: Path, build: Build) -> int:
 
 
 def _load(sim: AvrSim, build: Build) -> None:
-    requests = _requests(
+    load = requests(
         len(function_table(sim.program.path, build)),
         bool(build.option("J2A_WITH_MANY", 1)),
         _room(build),
     )
-    for number, (opcode, payload) in enumerate(requests):
+    for number, (opcode, payload) in enumerate(load):
         seq = number % 256
         sim.uart_write(encode(Frame(c.SOF, seq, opcode, payload)) + bytes(40))
         _expect(sim, build, seq, opcode)

@@ -301,6 +301,9 @@ def test_what_a_change_costs(one):
     result = one("--against", "HEAD", "--rebuild", "--markdown", name="avr-serial/minimal")
     assert result.returncode == 0, result.stderr
     assert "No figure has changed." in result.stdout or "| avr-serial/minimal | " in result.stdout
+    result = one("--against", "HEAD")
+    assert result.returncode == 0, result.stderr
+    assert f"{FULL} " in result.stdout or "No figure has changed." in result.stdout
     result = one("--against", "no-such-revision")
     assert result.returncode == 2
     assert "no-such-revision" in result.stderr
