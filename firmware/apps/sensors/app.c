@@ -23,6 +23,9 @@ static volatile uint8_t due; /* a bit for each transducer whose period is over *
 
 /* ------------------------------------------------------------ what interrupts call ---------- */
 
+#ifndef QUAD_CALLBACK
+static
+#endif
 void on_quad(uint8_t channel, int16_t value) {
     sample_put(&quads[channel], (uint16_t)value);
 }

@@ -27,12 +27,12 @@ ISR(TIMER0_COMPA_vect, ISR_NOBLOCK) {
 }
 
 void timer_init(void) {
-    TCCR0A = _BV(WGM01); /* from 0 to OCR0A */
+    TCCR0A = _BV(WGM01);            /* from 0 to OCR0A */
+    TCCR0B = _BV(CS01) | _BV(CS00); /* F_CPU / 64 */
     OCR0A = F_CPU / 64000 - 1;
     TCNT0 = 0;
     TIFR0 = _BV(OCF0A);
     TIMSK0 = _BV(OCIE0A);
-    TCCR0B = _BV(CS01) | _BV(CS00); /* F_CPU / 64 */
 }
 
 void timer_start(uint8_t timer, uint16_t period_ms, void (*callback)(void)) {
