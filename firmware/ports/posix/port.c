@@ -119,15 +119,21 @@ void j2a_port_idle(void) {
     }
 }
 
-uint64_t j2a_port_time_us(void) {
+static uint64_t time_us(void) {
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
     return (uint64_t)((int64_t)(now.tv_sec - start.tv_sec) * 1000000
                       + (now.tv_nsec - start.tv_nsec) / 1000);
 }
 
+#if J2A_WITH_CLOCK
+uint64_t j2a_port_time_us(void) {
+    return time_us();
+}
+#endif
+
 uint16_t j2a_port_ticks(void) {
-    return (uint16_t)(j2a_port_time_us() / (1000 / J2A_TICKS_PER_MS));
+    return (uint16_t)(time_us() / (1000 / J2A_TICKS_PER_MS));
 }
 
 uint16_t j2a_port_overruns(void) {
