@@ -4,6 +4,7 @@ MACHINE := -mmcu=atmega328p -ffunction-sections -fdata-sections -fshort-enums -m
 LINK := -Wl,--gc-sections -mrelax
 SUFFIX := .elf
 SIZE := avr-size
+PORT_SOURCES := ports/common/board_port.c
 PORT_RXBUF := 64
-PORT_TXBUF := 1
+PORT_TXBUF := 0
 SMALL := 1

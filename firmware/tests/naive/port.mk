@@ -6,6 +6,7 @@ SUFFIX := .elf
 SIZE := avr-size
 CFLAGS ?= -Os
 
+PORT_SOURCES := ports/common/board_port.c
 PORT_RXBUF := 64
-PORT_TXBUF := 1
+PORT_TXBUF := 0
 SMALL := 1
