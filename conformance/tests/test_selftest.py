@@ -15,7 +15,7 @@ KNOWN = selftest.load()
 SMALL = [vector for vector in KNOWN if vector.is_small]
 FAULTS = {
     "escape": ("core/j2a_rx.c", "byte++;", "byte += 2;", "vector 1 (frame-001, "),
-    "unescape": ("core/j2a_tx.c", "wire--;", "wire -= 2;", "vector 1 (frame-001, "),
+    "unescape": ("core/j2a_tx.c", "byte--;", "byte -= 2;", "vector 1 (frame-001, "),
     "saturation": (
         *("core/j2a_rx.c", "byte = (uint8_t)(byte + J2A_CHK_OPCODE)"),
         *("byte = (uint8_t)(byte > 255 - J2A_CHK_OPCODE ? 255 : byte + J2A_CHK_OPCODE)", "opcode"),

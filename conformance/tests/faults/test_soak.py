@@ -22,8 +22,8 @@ def test_damaged_frames_without_end(build_firmware, capsys):
 def test_a_fault_planted_in_the_core_is_found(need, tmp_path, capfd, pytestconfig):
     """A write behind the payload: the sanitizer ends the device, and five bytes show it."""
     need("gcc")
-    before = "j2a_rx.payload[count] = byte;"
-    after = "j2a_rx.payload[count + (byte == 0xFE ? 255 : 0)] = byte;"
+    before = "rx->payload[count] = byte;"
+    after = "rx->payload[count + (byte == 0xFE ? 255 : 0)] = byte;"
     firmware = tmp_path / "firmware"
     shutil.copytree(pytestconfig.rootpath / "firmware", firmware, ignore=_leave_out_builds)
     parser = firmware / "core" / "j2a_rx.c"
