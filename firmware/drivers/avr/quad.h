@@ -15,8 +15,8 @@ void quad_init(void);
 
 /* The callback for new counts. Called by the interrupt.
  * Either a function that is set, NULL for none, as in the thesis (listing 9.1); or, with
- * -DQUAD_CALLBACK=function, that function, which link-time optimisation makes part of the interrupt: this halves
- * its time. */
+ * -DQUAD_CALLBACK=function, that function, which link-time optimisation makes part of the interrupt: 140 cycles
+ * instead of 189 for a step, 195 instead of 281 when both encoders step at once. */
 #ifdef QUAD_CALLBACK
 void QUAD_CALLBACK(uint8_t channel, int16_t value);
 #else
