@@ -91,12 +91,12 @@ def _parser() -> argparse.ArgumentParser:
 def _measure(
     chosen: Sequence[Build], out: Path, firmware: Path, strict: bool
 ) -> dict[str, snapshot.Result]:
-    """Measure builds. With `strict` one that cannot be built is an error, else it is left out."""
+    """Measure builds. With `strict` what cannot be measured is an error, else left out."""
     required = os.environ.get("J2A_REQUIRE_AVR") == "1"
 
     def one(build: Build) -> snapshot.Result | BudgetError:
         try:
-            return runs.measure(build, out.resolve(), firmware)
+            return runs.measure(build, out.resolve(), firmware, strict)
         except BudgetError as error:
             return error
 
