@@ -1,8 +1,8 @@
 """The core compiles without a warning for many chips; other byte orders and word sizes run it.
 
-In: firmware/targets/targets.toml; the posix port, compiled by Zig for machines that QEMU's user mode
-has. Out: sizes of the core for each target, and the golden vectors on the machines of which the
-whole suite is not run (posix-big-endian and posix-32bit are testees).
+In: firmware/targets/targets.toml; the posix port, compiled by Zig for machines that QEMU runs
+programs of. Out: sizes of the core for each target, and the golden vectors on the machines of which
+the whole suite is not run (posix-big-endian and posix-32bit are testees).
 """
 
 import shutil
