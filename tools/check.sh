@@ -9,7 +9,7 @@ export PATH
 # What the user gave to make is not meant for the builds that happen in here.
 unset MAKEFLAGS MAKEOVERRIDES MFLAGS MAKELEVEL PYTHON
 if [ "${CI:-}" = true ]; then
-    # Tests that need the AVR toolchain or the simulator fail without them instead of being skipped.
+    # Tests that need a compiler, a simulator or an emulator fail without it instead of being skipped.
     export J2A_REQUIRE_AVR=1
 fi
 
@@ -37,15 +37,17 @@ step ruff "lint" ruff check --quiet .
 step format "layout of the Python files" ruff format --check --quiet .
 step mypy "types of the packages" mypy
 step mypy-tools "types of the tools, of the mutants and of the extensions of the documentation" bash -c \
-    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/mutants/*.py conformance/hosts/*.py' 
+    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/mutants/*.py conformance/hosts/*.py &&
+    mypy firmware/budget/*.py && mypy firmware/targets/*.py firmware/ports/*/*.py'
 step imports "arrows between the packages" lint-imports --no-cache --no-logo
 step firmware "the posix firmware" make -s --no-print-directory -C firmware PORT=posix APP=demo
-if command -v avr-gcc >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
-    step budget "the AVR firmware, and its size against the budget" \
-        make --no-print-directory -C firmware budget
+if command -v npm >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
+    step emulator "packages of the chip emulators" sh tools/npm.sh firmware/emulators/rp2040
 else
-    printf '\n==> budget: SKIPPED, there is no avr-gcc\n'
+    printf '\n==> emulator: SKIPPED, there is no npm\n'
 fi
+step budget "flash, RAM, stack and cycles of the firmware, against limits and snapshot" \
+    make --no-print-directory -C firmware budget
 step conformance "the suite against every testee and every host of ours" python tools/conformance.py
 step mutants "each mutant is killed by a case of the rule that it breaks" \
     python conformance/mutants/kill.py
@@ -61,7 +63,8 @@ if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
 fi
 # Under coverage a figure of speed would mislead, so the benchmarks only prove that they run.
-step pytest "tests" python -m pytest --cov --cov-report=term --benchmark-disable
+# Most of them wait for something, so more run at a time than there are cores.
+step pytest "tests" python -m pytest -n 3 --dist loadfile --cov --cov-report=term --benchmark-disable
 
 if ((${#failed[@]})); then
     printf '\n==> FAILED steps: %s\n' "${failed[*]}"

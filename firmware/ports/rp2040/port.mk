@@ -6,7 +6,8 @@ MACHINE := -mcpu=cortex-m0plus -mthumb -DBAUD=$(BAUD)u -ffunction-sections -fdat
 LINK := -nostartfiles -L ports/common -T $(PORT_DIR)/rp2040.ld -Wl,--gc-sections
 SUFFIX := .elf
 # Runs when the image is linked: writes the checksum that the boot ROM asks for, and the .uf2.
-SIZE = $(PYTHON) $(PORT_DIR)/image.py --size arm-none-eabi-size
+FINISH = $(PYTHON) $(PORT_DIR)/image.py
+SIZE := arm-none-eabi-size
 PORT_SOURCES := ports/common/board_port.c ports/common/cortex_m.c
 PORT_RXBUF := 128
 # The UART's own FIFO holds 32 bytes.
