@@ -78,11 +78,11 @@
 #endif
 
 /* Room for the payload of a request or a reply, 32..255 bytes. Longer requests are answered with 0xFF; with less
- * than 255 the device says so in its property j2a.payload (J2A-LIMIT-006). */
+ * than 255 the device says so in its property j2a.room (J2A-LIMIT-006). */
 #ifndef J2A_ROOM
 #define J2A_ROOM J2A_MAX_PAYLOAD
 #endif
-#if J2A_ROOM < 32 || J2A_ROOM > J2A_MAX_PAYLOAD
+#if J2A_ROOM < J2A_MIN_ROOM || J2A_ROOM > J2A_MAX_PAYLOAD
 #error "J2A_ROOM must be 32..255 (J2A-LIMIT-006)"
 #endif
 #if J2A_WITH_SELFTEST && J2A_ROOM < J2A_MAX_PAYLOAD
