@@ -46,8 +46,6 @@ if command -v npm >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
 else
     printf '\n==> emulator: SKIPPED, there is no npm\n'
 fi
-step budget "flash, RAM, stack and cycles of the firmware, against limits and snapshot" \
-    make --no-print-directory -C firmware budget
 step conformance "the suite against every testee and every host of ours" python tools/conformance.py
 step mutants "each mutant is killed by a case of the rule that it breaks" \
     python conformance/mutants/kill.py

@@ -1,8 +1,6 @@
 """The AVR firmware in the cycle-exact simulator: sizes, cycles, the serial port, exact timing."""
 
 import random
-import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -71,48 +69,6 @@ def board(elf):
     board = Board(elf)
     yield board
     board.sim.close()
-
-
-def test_budget(avr, make):
-    result = make("budget")
-    assert result.returncode == 0, result.stdout + result.stderr
-    flash, flash_limit, ram, ram_limit = map(int, re.findall(r"\d+", result.stdout)[-4:])
-    assert (flash_limit, ram_limit) == (2356, 339)
-    assert 1000 < flash <= flash_limit
-    assert 255 < ram <= ram_limit
-
-
-def test_budget_is_kept_to(avr, make):
-    assert make("budget", FLASH_BUDGET="1000").returncode != 0
-    assert make("budget", RAM_BUDGET="300").returncode != 0
-
-
-def test_budget_measures_what_it_built(avr, make, tmp_path):
-    assert make("budget").returncode == 0
-    result = make("budget", OUT=str(tmp_path), CFLAGS="-O3")
-    assert (tmp_path / "builtins.elf").exists()
-    assert result.returncode != 0  # that is much larger
-
-
-def test_cycles_without_the_library(avr, make, tmp_path):
-    (tmp_path / "python").write_text(f'#!/bin/sh\nexec {sys.executable} -I -S "$@"\n')
-    (tmp_path / "python").chmod(0o755)
-    result = make("cycles", PYTHON=str(tmp_path / "python"))
-    assert result.returncode != 0
-    assert "make venv" in result.stderr
-    assert "Traceback" not in result.stderr
-
-
-def test_cycles(avr, make):
-    result = make("cycles")
-    assert result.returncode == 0, result.stdout + result.stderr
-    numbers = [float(number) for number in re.findall(r"(?<=: )\d+(?:\.\d+)?", result.stdout)]
-    plain, loop, interrupt, total = numbers
-    escaped = float(re.search(r"([\d.]+) escaped", result.stdout).group(1))
-    assert 20 < escaped < plain <= 70
-    assert total == pytest.approx(loop + interrupt)
-    assert total < 160  # two bytes at 1 Mbaud are so far apart
-    assert make("cycles", CYCLES_BUDGET="50").returncode != 0
 
 
 @pytest.mark.parametrize(("baud", "step"), [(115200, 17), (1000000, 1)])
