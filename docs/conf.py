@@ -49,6 +49,7 @@ nitpick_ignore_regex = [
     (r"py:.*", rf"({_ELSEWHERE})\..*"),
     (r"py:class", r".*\._\w+"),  # private type variables of decorators
     (r"py:class", r".*\.Piece"),  # what Direction deals in
+    (r"py:class", r"Path"),  # of pathlib, as it stands in lists of arguments
     (r"py:exc", r"Judged"),  # raised inside of the suite, never out of it
 ]
 
