@@ -54,12 +54,12 @@ CHIPS = {
 class Board:
     """The sensors app in the simulator; all times are simulated ones."""
 
-    def __init__(self, elf, mcu="atmega328p"):
+    def __init__(self, elf, mcu="atmega328p", level=0):
         self.chip = CHIPS[mcu]
         self.sim = AvrSim(elf, mcu=mcu, uart=self.chip.uart)
         self.pins = self.sim.pins
         for pin in self.chip.encoders:
-            self.pins.drive(pin, 0)
+            self.pins.drive(pin, level)
         self.pins.watch(*self.chip.servos, self.chip.lamp)
         self.sim.boot()
         self.sim.run(5000)
@@ -246,6 +246,19 @@ def test_encoder_that_bounces(board):
             board.pins.drive(wire, level ^ (bounce & 1), start + 8000 * step + 400 * bounce)
     board.talk_until(start + 200 * 8000)
     assert board.encoder(0) == (200, 0)
+
+
+@pytest.mark.avr
+def test_encoders_begin_where_they_stand(build):
+    """Both wires are high when the chip starts: that is no step, and the first one is right."""
+    board = Board(build("sensors", "avr-serial", BAUD="500000"), level=1)
+    board.pause(0.001)
+    assert [board.encoder(channel) for channel in (0, 1)] == [(0, 0), (0, 0)]
+    board.pins.drive(board.chip.encoders[0], 0)
+    board.pins.drive(board.chip.encoders[3], 0)
+    board.pause(0.001)
+    assert [board.encoder(channel) for channel in (0, 1)] == [(1, 0), (-1, 0)]
+    board.sim.close()
 
 
 @pytest.mark.avr
