@@ -77,13 +77,17 @@ class Board:
         self.sifs += [frame for frame in events if frame.start == c.SOS]
         return [frame for frame in events if frame.start == c.SOF]
 
-    def call(self, opcode, payload=b""):
-        self.link.write(encode(Frame(c.SOF, 1, opcode, payload)))
+    def reply(self, request):
+        self.link.write(request)
         end_s = time.monotonic() + PATIENCE_S
         while not (replies := self.receive()):
             assert time.monotonic() < end_s
-        assert replies[0].opcode == 0
-        return replies[0].payload
+        return replies[0]
+
+    def call(self, opcode, payload=b""):
+        reply = self.reply(encode(Frame(c.SOF, 1, opcode, payload)))
+        assert reply.opcode == 0
+        return reply.payload
 
 
 def number(data):
@@ -128,6 +132,8 @@ def test_clock_across_the_wrap_of_its_counter(probe):
             # Without a request for a while only the timer ends a sleep.
             for _ in range(5):
                 board.receive()
+        # The clock of the byte timeout goes on, too.
+        assert board.reply(encode(Frame(c.SOF, 9, GET_TIME))[:-1]).opcode == c.ERR_TIMEOUT
         sifs = board.sifs
     assert upper == {0, 1}
     assert earliest_us <= latest_us + 2
