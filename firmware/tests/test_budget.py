@@ -43,6 +43,7 @@ TOOLS = {
     "valgrind": "valgrind",
 }
 FULL = "avr-serial/full"
+OURS = {"avr-serial", "cortex-m", "posix", "riscv", "rp2040", "template"}
 
 
 def measure(*arguments, **environment):
@@ -106,9 +107,11 @@ def test_snapshot_and_table_are_what_is_measured(checked):
     assert result.returncode == 0, result.stdout + result.stderr
 
 
-def test_each_port_is_measured():
-    ports = {path.parent.name for path in FIRMWARE.glob("ports/*/port.mk")}
-    assert ports <= {entry["name"].partition("/")[0] for entry in ENTRIES}
+def test_each_port_of_ours_is_measured():
+    """One that somebody adds may come without a budget: a port is its folder and a testee."""
+    there = {path.parent.name for path in FIRMWARE.glob("ports/*/port.mk")}
+    assert there >= OURS
+    assert {entry["name"].partition("/")[0] for entry in ENTRIES} >= OURS
 
 
 def test_each_switch_is_measured():
