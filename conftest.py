@@ -22,7 +22,9 @@ PACKAGES = {
     "riscv64-unknown-elf-gcc": "the package gcc-riscv64-unknown-elf",
     "qemu-system-arm": "the package qemu-system-arm",
     "qemu-system-riscv32": "the package qemu-system-misc",
+    **{f"qemu-{machine}": "the package qemu-user" for machine in ("arm", "i386", "mips", "s390x")},
     "node": "the packages nodejs and npm",
+    "npm": "the packages nodejs and npm",
 }
 COMPILERS = {
     "avr-serial": "avr-gcc",
