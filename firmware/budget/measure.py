@@ -9,6 +9,7 @@ builds out and says so; where J2A_REQUIRE_AVR=1 is set, as in CI, it is an error
 """
 
 import argparse
+import fcntl
 import io
 import os
 import subprocess
@@ -102,7 +103,9 @@ def _measure(
 
     results: dict[str, snapshot.Result] = {}
     problems = []
-    with ThreadPoolExecutor(_JOBS) as pool:
+    out.mkdir(parents=True, exist_ok=True)
+    with (out / "lock").open("w") as lock, ThreadPoolExecutor(_JOBS) as pool:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two runs must not build in the same folder at once
         for build, result in zip(chosen, pool.map(one, chosen), strict=True):
             if isinstance(result, snapshot.Result):
                 results[build.name] = result
