@@ -300,6 +300,33 @@ def test_edges_that_are_too_fast_are_noticed(board):
 
 
 @pytest.mark.avr
+@pytest.mark.parametrize("mcu", CHIPS)
+def test_a_storm_of_edges_does_no_harm(build, mcu):
+    """Edges each 200 cycles leave no time for anything; no interrupt piles up on the stack."""
+    board = Board(build("sensors", "avr-serial", BAUD="500000", MCU=mcu), mcu)
+    board.ask("setBlink", "", b"\1\0")
+    for transducer in (QUAD, DIST_IR, ADC) if board.chip.analog else (QUAD,):
+        board.ask("setPeriod", "", struct.pack("<BH", transducer, 1))
+    board.ask("a2j_set_servo", "", b"\0")
+    start = board.sim.cycle + 1000
+    for channel in (0, 1):
+        board.turn(channel, 8000, start, 200)
+    for seq in range(60):
+        request = Frame(c.SOF, seq, board.names.index("getTime"))
+        board.sim.uart_write(encode(request))
+        board.sim.run(30000)
+    assert board.sim.stack_bytes < 200
+    for transducer in (QUAD, DIST_IR, ADC) if board.chip.analog else (QUAD,):
+        stop = Frame(c.SOF, 99, board.names.index("setPeriod"), bytes((transducer, 0, 0)))
+        board.sim.uart_write(encode(stop))
+        board.sim.run(50000)
+    board.sim.uart_read()
+    assert board.encoder(0)[0] != 0
+    assert board.call(c.GET_ECHO, b"alive").payload == b"alive"
+    board.sim.close()
+
+
+@pytest.mark.avr
 def test_encoder_count_is_set_and_wraps(board):
     board.ask("setEncoder", "", struct.pack("<Bh", 1, 32767))
     assert board.encoder(1) == (32767, 0)
@@ -606,7 +633,7 @@ def test_the_full_build_fits_the_1_kb_of_an_atmega32u2(build):
     [("", 1000000, 140, 196), ("-UQUAD_CALLBACK", 500000, 190, 285)],
 )
 def test_interrupts_are_short(build, options, baud, one, both):
-    """At 1 Mbaud a byte comes each 160 cycles, and the third one must find the first one taken.
+    """The receiver holds two bytes: at 1 Mbaud its interrupt may be 320 cycles late.
 
     By a pointer, as in the thesis, the encoders' interrupt takes a third longer.
     """
@@ -622,7 +649,7 @@ def test_interrupts_are_short(build, options, baud, one, both):
     print({name: figure.longest_cycles for name, figure in figures.items()}, receive)
     assert one < figures["quad"].longest_cycles <= both
     assert max(figures[name].longest_cycles for name in ("servo_a", "servo_b")) <= 120
-    assert receive.latest_cycles < 2 * 160
+    assert receive.latest_cycles < 2 * 10 * 16_000_000 / baud
     assert sim.counters.overruns == 0
     assert board.ask("overruns", "H") == (0,)
     board.sim.close()

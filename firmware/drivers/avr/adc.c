@@ -22,16 +22,17 @@ static inline void convert(uint8_t which) {
     ADCSRA = CONTROL | _BV(ADSC);
 }
 
-/* Other interrupts may come in between, above all the receiver's: this one comes again only after the next
- * conversion. */
+/* Other interrupts may come in between, above all the receiver's. This one comes again only after the next
+ * conversion, which therefore begins last, with interrupts off: so it never piles up on the stack. */
 ISR(ADC_vect, ISR_NOBLOCK) {
     const uint8_t done = channel;
     const uint16_t value = ADC;
-    if (done + 1 < ADC_COUNT)
-        convert(done + 1);
     if (callback)
         callback(done, value);
-    if (done + 1 == ADC_COUNT)
+    cli();
+    if (done + 1 < ADC_COUNT)
+        convert(done + 1);
+    else
         busy = false;
 }
 

@@ -2,7 +2,7 @@
  * AVCC.
  * Rules: adc_start() begins a scan, one conversion for each input in turn; the conversions' interrupts do the
  * rest, 104 us each at 16 MHz (13 periods of the ADC's clock, which is F_CPU / 128). The callback runs in
- * the interrupt, with other interrupts on, and must be over before the next conversion is. A value is as it
+ * the interrupt, with other interrupts on, and the next conversion waits for it. A value is as it
  * was 12 us after its conversion began. */
 #ifndef ADC_H
 #define ADC_H

@@ -14,16 +14,19 @@ static struct {
     void (*callback)(void);
 } timers[TIMER_COUNT];
 
-/* Other interrupts may come in between, above all the receiver's: this one comes again only after a
- * millisecond. */
+/* Other interrupts may come in between, above all the receiver's, but not this one again: where others take all
+ * the time, it would pile up on the stack. */
 ISR(TIMER0_COMPA_vect, ISR_NOBLOCK) {
     uint8_t i;
+    TIMSK0 = 0;
     for (i = 0; i < TIMER_COUNT; i++) {
         if (timers[i].period_ms && --timers[i].left_ms == 0) {
             timers[i].left_ms = timers[i].period_ms;
             timers[i].callback();
         }
     }
+    cli();
+    TIMSK0 = _BV(OCIE0A);
 }
 
 void timer_init(void) {
