@@ -15,10 +15,20 @@ static struct {
 } timers[TIMER_COUNT];
 
 /* Other interrupts may come in between, above all the receiver's, but not this one again: where others take all
- * the time, it would pile up on the stack. */
-ISR(TIMER0_COMPA_vect, ISR_NOBLOCK) {
+ * the time, it would pile up on the stack. So it switches itself off before it lets them in, and the registers
+ * are saved only then. */
+ISR(TIMER0_COMPA_vect, ISR_NAKED) {
+    __asm__ volatile("push r24\n\t"
+                     "ldi r24, 0\n\t"
+                     "sts %0, r24\n\t"
+                     "pop r24\n\t"
+                     "sei\n\t"
+                     "jmp __vector_timer0_rest" ::"n"(_SFR_MEM_ADDR(TIMSK0)));
+}
+
+void __vector_timer0_rest(void) __attribute__((signal, used, externally_visible));
+void __vector_timer0_rest(void) {
     uint8_t i;
-    TIMSK0 = 0;
     for (i = 0; i < TIMER_COUNT; i++) {
         if (timers[i].period_ms && --timers[i].left_ms == 0) {
             timers[i].left_ms = timers[i].period_ms;
