@@ -70,7 +70,8 @@ class Mutant:
         edits: what makes it.
         port: for the C core, the port that it is built for.
         app: for the C core, the application.
-        options: for the C core, build options such as "-DJ2A_WITH_MAPPING=0".
+        options: for the C core, build options such as "-DJ2A_WITH_MAPPING=0"; for the
+            Python Device, arguments of its demo such as "room=119".
         program: for the host library, the host program, "client" or "aio", in conformance/hosts.
     """
 

@@ -90,7 +90,9 @@ def variant(target: str, mutant: Mutant) -> Variant:
     """Return how a mutant is built."""
     if target == "core":
         return Variant(target, mutant.port, mutant.app, mutant.options)
-    return Variant(target, program=mutant.program if target == "host" else "")
+    if target == "device":
+        return Variant(target, options=mutant.options)
+    return Variant(target, program=mutant.program)
 
 
 def cases(target: str) -> dict[str, tuple[str, ...]]:
@@ -255,6 +257,10 @@ def _device(how: Variant, folder: Path) -> tuple[str, float]:
     """Return the URL of the device that `folder` holds, and the factor for the waits."""
     if how.target == "device":
         serve = ["-m", "j2a", "serve", "--listen", "stdio:", "--once"]
+        if how.options:
+            text = f"from j2a.demo import DemoDevice\n\ndevice = DemoDevice({how.options})\n"
+            (folder / "judged.py").write_text(text, "utf-8")
+            serve += ["--device", "judged:device"]
         return "exec:" + shlex.join(_python(folder, *serve)), _SCALE
     if how.port == "posix":
         return f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", _SCALE
