@@ -28,12 +28,17 @@ FLAGS = (
     " -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all"
 )
 
+# Lengths that functions leave: what fits, just or just not, into a chunk, for both rooms.
+LIMITS = (0, 1, 26, 27, 32, 33, c.MANY_DATA, c.MANY_DATA + 1, c.MAX_PAYLOAD)
+# Room for few bytes; the map would not fit.
+SMALL = ["-DJ2A_ROOM=32", "-DJ2A_WITH_MAPPING=0"]
 
-def build(core: Path, folder: Path) -> Path:
-    """Build the target over the core in this folder; returns the program."""
+
+def build(core: Path, folder: Path, options: list[str]) -> Path:
+    """Build the target over the core in this folder with these options; returns the program."""
     program = folder / "link"
     sources = [*sorted(HERE.glob("*.c")), *sorted(core.glob("*.c"))]
-    command = ["clang", *FLAGS.split(), f"-I{core}", f"-I{HERE}", *map(str, sources)]
+    command = ["clang", *FLAGS.split(), *options, f"-I{core}", f"-I{HERE}", *map(str, sources)]
     subprocess.run([*command, "-o", str(program)], check=True)
     return program
 
@@ -47,7 +52,7 @@ def seed(folder: Path) -> None:
         stream = bytes.fromhex(vector["stream"])
         escaped = stream.replace(bytes((EVENT,)), bytes((EVENT, EVENT)))
         (folder / str(vector["id"])).write_bytes(escaped)
-    for left in (0, 1, c.MANY_DATA, c.MANY_DATA + 1, c.MAX_PAYLOAD):
+    for left in LIMITS:
         for how in (0, *(1 << bit for bit in range(5))):
             call = bytes((1, left, how))
             many = bytes((USER_MANY, c.FLAG_WRITE, 0, 0, 0, 0)) + call
@@ -64,14 +69,17 @@ def main() -> int:
     parser.add_argument("--seconds", type=int, default=60, help="how long; 0: replay the corpus")
     parser.add_argument("--seed", type=int, default=1, help="of the fuzzer (default: 1)")
     parser.add_argument("--inputs", default=".", help="folder for what breaks the core")
+    parser.add_argument("--small", action="store_true", help="a device with room for 32 bytes")
     parser.add_argument("--keep", action="store_true", help="merge what was found into corpus/")
     arguments = parser.parse_args()
+    if arguments.keep and arguments.small:
+        parser.error("--keep with --small: the corpus is kept for the whole device; leave one out")
     if shutil.which("clang") is None:
         print("clang is missing: install the packages clang and libclang-rt-dev", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory(prefix="j2a-fuzz-") as name:
         folder = Path(name)
-        program = build(arguments.core.resolve(), folder)
+        program = build(arguments.core.resolve(), folder, SMALL if arguments.small else [])
         grown = folder / "grown"
         grown.mkdir()
         seed(grown)

@@ -12,6 +12,8 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count);
 
+#define j2a_rx (*j2a_served())
+
 enum {
     EVENT = 0xA5,
     QUEUE = 4096,
@@ -74,19 +76,25 @@ void j2a_port_tx(uint8_t byte) {
 static uint8_t elsewhere[J2A_MAX_PAYLOAD];
 enum { POINT_ELSEWHERE = 1, SEND_SIF = 2, POINT_BEHIND = 4, OTHER_OFFSET = 8, FLIP_LAST = 16 };
 
+/* No more than there is where it points. */
+static uint8_t left_by_call(const uint8_t *p) {
+    const uint8_t room = p[2] & POINT_ELSEWHERE ? J2A_MAX_PAYLOAD : J2A_ROOM;
+    return p[1] < room ? p[1] : room;
+}
+
 uint8_t fuzz_call(uint8_t *const length, uint8_t **const payload) {
     const uint8_t *const p = *payload;
     const uint8_t code = p[0];
     const uint8_t how = p[2];
     if (*length < 3)
         return J2A_RET_FAILED;
-    *length = p[1];
+    *length = left_by_call(p);
     if (how & SEND_SIF)
         j2a_send_sif(how, *length, elsewhere);
     if (how & POINT_ELSEWHERE)
         *payload = elsewhere;
-    else if ((how & POINT_BEHIND) && *length < J2A_MAX_PAYLOAD)
-        *payload += J2A_MAX_PAYLOAD - *length;
+    else if (how & POINT_BEHIND)
+        *payload += J2A_ROOM - *length;
     return code;
 }
 
@@ -131,8 +139,10 @@ static void debug(uint8_t count) {
 
 enum { GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, ECHO, ECHO_MANY, USER_CALL, USER_MANY, FUNCTIONS };
 
+#if J2A_WITH_MAPPING
 static const char map[] =
     "a2jGetMapping\0a2jMany\0a2jGetProperties\0a2jDebug\0a2jEcho\0a2jEchoMany\0call\0many";
+#endif
 
 static bool is_many(uint8_t opcode) {
     return opcode == GET_PROPERTIES || opcode == ECHO_MANY || opcode == USER_MANY;
@@ -160,7 +170,7 @@ static void owe_many(uint8_t seq, const uint8_t *p, uint8_t length) {
         code = p[1] & J2A_FLAG_WRITE ? J2A_RET_FAILED : 0;
         if (code == 0) {
             const size_t rest = offset < size ? size - offset : 0;
-            left = (uint8_t)(rest < J2A_MANY_DATA ? rest : J2A_MANY_DATA);
+            left = (uint8_t)(rest < J2A_ROOM_MANY ? rest : J2A_ROOM_MANY);
             last = left == rest;
             if (left)
                 memcpy(reply + J2A_MANY_HEADER, j2a_properties + offset, left);
@@ -173,7 +183,7 @@ static void owe_many(uint8_t seq, const uint8_t *p, uint8_t length) {
         left = p[7];
         if (how & SEND_SIF)
             owe(J2A_SOS, sif_seq++, how, left, elsewhere);
-        if (left > J2A_MANY_DATA) {
+        if (left > J2A_ROOM_MANY) {
             left = 0;
             code = J2A_RET_FAILED;
         } else if (how & POINT_ELSEWHERE) {
@@ -199,20 +209,32 @@ static void owe_reply(const receiver *request) {
     const uint8_t opcode = request->body[1];
     const uint8_t length = request->body[2];
     const uint8_t *const p = request->body + 3;
+    const bool has_func = opcode == MANY && length >= J2A_MANY_HEADER && length <= J2A_ROOM;
 
-    if (opcode >= FUNCTIONS || (opcode == MANY && length >= J2A_MANY_HEADER && p[0] >= FUNCTIONS)) {
+    if (opcode >= FUNCTIONS || (has_func && p[0] >= FUNCTIONS)) {
         owe_error(request, J2A_ERR_OPCODE, J2A_SITE_OPCODE);
-    } else if (is_many(opcode) || (opcode == MANY && length >= J2A_MANY_HEADER && !is_many(p[0]))) {
+    } else if (is_many(opcode) || (has_func && !is_many(p[0]))) {
         owe_error(request, J2A_ERR_OPCODE, J2A_SITE_KIND);
+#if !J2A_WITH_MAPPING
+    } else if (opcode == GET_MAPPING) {
+        owe_error(request, J2A_ERR_OPCODE, J2A_SITE_OPCODE);
+#endif
+    } else if (length > J2A_ROOM) {
+        owe(J2A_SOF, seq, J2A_RET_FAILED, 0, p);
+#if J2A_WITH_MAPPING
     } else if (opcode == GET_MAPPING) {
         owe(J2A_SOF, seq, 0, sizeof map, (const uint8_t *)map);
+#endif
     } else if (opcode == MANY && length < J2A_MANY_HEADER) {
         owe(J2A_SOF, seq, J2A_RET_FAILED, 0, p);
     } else if (opcode == MANY) {
         owe_many(seq, p, length);
     } else if (opcode == GET_DEBUG) {
-        owe(J2A_SOF, seq, text_lost ? J2A_DEBUG_LOST : 0, (uint8_t)text_length, (uint8_t *)text);
-        text_length = 0;
+        const uint8_t taken = (uint8_t)(text_length < J2A_ROOM ? text_length : J2A_ROOM);
+        const uint8_t more = text_length > taken ? J2A_DEBUG_MORE : 0;
+        owe(J2A_SOF, seq, (text_lost ? J2A_DEBUG_LOST : 0) | more, taken, (uint8_t *)text);
+        text_length -= taken;
+        memmove(text, text + taken, text_length);
         text_lost = false;
     } else if (opcode == ECHO) {
         owe(J2A_SOF, seq, J2A_ECHO, length, p);
@@ -220,13 +242,14 @@ static void owe_reply(const receiver *request) {
         owe(J2A_SOF, seq, J2A_RET_FAILED, length, p);
     } else {
         const uint8_t *reply = j2a_rx.payload;
+        const uint8_t left = left_by_call(p);
         if (p[2] & SEND_SIF)
-            owe(J2A_SOS, sif_seq++, p[2], p[1], elsewhere);
+            owe(J2A_SOS, sif_seq++, p[2], left, elsewhere);
         if (p[2] & POINT_ELSEWHERE)
             reply = elsewhere;
         else if (p[2] & POINT_BEHIND)
-            reply += J2A_MAX_PAYLOAD - p[1];
-        owe(J2A_SOF, seq, judged(p[0]), p[1], reply);
+            reply += J2A_ROOM - left;
+        owe(J2A_SOF, seq, judged(p[0]), left, reply);
     }
 }
 
@@ -247,8 +270,6 @@ int16_t j2a_port_rx(void) {
     while (queue_next < queue_end && queue[queue_next] == LOST) {
         queue_next++;
         j2a_rx_lost();
-        if (j2a_rx.event != J2A_EVENT_NONE)
-            return -1;
     }
     return queue_next == queue_end ? -1 : (int16_t)queue[queue_next++];
 }
@@ -332,7 +353,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count) {
     size_t i;
     for (i = 0; i < sizeof elsewhere; i++)
         elsewhere[i] = (uint8_t)(i * 7);
-    memset(&j2a_rx, 0, sizeof j2a_rx);
+    memset(j2a_served(), 0, sizeof(j2a_rx_t));
+    sif_seq = 0;
     memset(&requests, 0, sizeof requests);
     for (i = 0; i < count; i++) {
         /* Of an event what is not there is 0. */

@@ -26,8 +26,9 @@ def test_corpus_is_small_and_there():
 
 
 @pytest.mark.slow
-def test_nothing_is_found(missing):
-    result = fuzz(missing, "--seconds", SECONDS)
+@pytest.mark.parametrize("size", [(), ("--small",)], ids=["255 bytes", "32 bytes"])
+def test_nothing_is_found(missing, size):
+    result = fuzz(missing, "--seconds", SECONDS // 2, *size)
     assert result.returncode == 0, result.stderr[-4000:]
     assert "stat::number_of_executed_units" in result.stderr
 
@@ -35,36 +36,48 @@ def test_nothing_is_found(missing):
 DEFECTS = {
     "an escape outlives the frame": (
         "j2a_rx.c",
-        "    if (byte == J2A_SOF || byte == J2A_SOS) {\n        j2a_rx.escaped = false;\n",
-        "    if (byte == J2A_SOF || byte == J2A_SOS) {\n",
+        "abandon(byte == J2A_SOF ? SEQ : IDLE,",
+        "abandon(byte == J2A_SOF ? (uint8_t)(SEQ | (state & ESCAPED)) : IDLE,",
     ),
     "a payload longer than the room is sent": (
         "j2a_builtins.c",
-        "if (n > J2A_MANY_DATA) {",
-        "if (n > J2A_MANY_DATA + 1u) {",
+        "if (n > J2A_ROOM_MANY) {",
+        "if (n > J2A_ROOM_MANY + 1u) {",
     ),
     "lost bytes are ignored in the checksum": (
         "j2a_rx.c",
-        "        abandon(J2A_ERR_FRAMING, J2A_SITE_LOST);",
-        "        j2a_rx.escaped = false;",
+        "    abandon(IDLE, J2A_ERR_FRAMING, J2A_SITE_LOST);",
+        "    j2a_served()->state &= (uint8_t)~ESCAPED;",
     ),
     "a full debug ring loses text silently": (
         "j2a_debug.c",
         "            lost = true;\n",
         "",
     ),
+    "bytes beyond a small room are stored": (
+        "j2a_rx.c",
+        "if (count < J2A_ROOM)",
+        "if (count <= J2A_ROOM)",
+        "--small",
+    ),
+    "the first bytes of a request beyond a small room are acted on": (
+        "j2a_server.c",
+        "        *length = 0;\n        return J2A_RET_FAILED;\n    }\n#endif",
+        "        *length = J2A_ROOM;\n    }\n#endif",
+        "--small",
+    ),
 }
 
 
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_defect_is_found(missing, tmp_path, defect):
-    name, old, new = DEFECTS[defect]
+    name, old, new, *size = DEFECTS[defect]
     core = tmp_path / "core"
     shutil.copytree(FIRMWARE / "core", core)
     source = (core / name).read_text()
     assert source.count(old) == 1
     (core / name).write_text(source.replace(old, new))
-    result = fuzz(missing, "--core", core, "--seconds", SECONDS, "--inputs", tmp_path)
+    result = fuzz(missing, "--core", core, "--seconds", SECONDS, "--inputs", tmp_path, *size)
     assert result.returncode == 1, result.stderr[-2000:]
     assert "link.c:" in result.stderr or "Sanitizer" in result.stderr
     assert "Test unit written to" in result.stderr
