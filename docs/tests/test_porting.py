@@ -197,6 +197,29 @@ def test_the_template_compiles_as_it_is(need, make, tmp_path, interrupts, settin
     assert result.returncode == 0, result.stderr
 
 
+def test_several_links_need_the_interrupt(need, make, tmp_path):
+    need("cc")
+    result = make(PORT_DIR=filled(tmp_path / "polled", 0), LINKS=2, OUT=tmp_path)
+    assert result.returncode != 0
+    assert "J2A_LINKS of more than 1 needs BOARD_INTERRUPTS 1" in result.stderr
+    result = make(PORT_DIR=filled(tmp_path / "port", 1), LINKS=2, OUT=tmp_path)
+    assert result.returncode == 0, result.stderr
+
+
+def test_a_finer_clock_needs_a_tenth_function(need, make, tmp_path):
+    need("cc")
+    port = filled(tmp_path / "port", 0)
+    with (port / "j2a_port_config.h").open("a") as config:
+        config.write("#define BOARD_MICROSECONDS 1\n")
+    result = make(PORT_DIR=port, OUT=tmp_path)
+    assert result.returncode != 0
+    assert "board_us" in result.stderr
+    with (port / "board.c").open("a") as source:
+        source.write("uint64_t board_us(void) {\n    return 0;\n}\n")
+    result = make(PORT_DIR=port, OUT=tmp_path)
+    assert result.returncode == 0, result.stderr
+
+
 def test_the_template_is_a_port_of_its_own(need, make, tmp_path):
     need("cc")
     result = make(PORT="template", APP="selftest", OUT=tmp_path)
