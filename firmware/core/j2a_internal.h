@@ -35,7 +35,7 @@ static inline j2a_rx_t *j2a_served(void) {
     return served;
 }
 
-/* Takes one byte; only while no event waits. */
+/* Takes one byte; only while no event waits, or directly after j2a_rx_lost(). */
 void j2a_rx_parse(uint8_t byte);
 
 /* Ends a frame whose next byte did not come, if one is being received. */
