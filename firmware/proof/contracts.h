@@ -6,20 +6,32 @@
 
 #include "j2a_internal.h"
 
+/* The state of the link that is served. */
+#define j2a_rx (j2a_rx_of[j2a_link])
+
 /* The states of j2a_rx.c, which keeps their names to itself. */
-enum { P_IDLE, P_SEQ, P_OPCODE, P_LENGTH, P_PAYLOAD, P_CHECKSUM };
+enum { P_IDLE, P_SEQ, P_OPCODE, P_LENGTH, P_PAYLOAD, P_CHECKSUM, P_ESCAPED = 0x80 };
+#define DUE(state) ((uint8_t)((state) & ~P_ESCAPED)) /* what the next byte is */
 
 /*@ predicate sound_event(integer event) =
       event == J2A_EVENT_NONE || event == J2A_EVENT_FRAME || event == J2A_ERR_TIMEOUT
       || event == J2A_ERR_CHECKSUM || event == J2A_ERR_FRAMING;
 
-    // What holds between any two calls. The third line keeps the payload inside its 255 bytes.
+    predicate is_due(integer what) = j2a_rx.state == what || j2a_rx.state == what + P_ESCAPED;
+
+    // What holds between any two calls. The third line keeps the payload inside its 255 bytes, the last
+    // one what is sent of it.
     predicate sound_parser =
-      j2a_rx.state <= P_CHECKSUM
-      && (P_SEQ <= j2a_rx.state <= P_LENGTH ==> j2a_rx.count == 0)
-      && (j2a_rx.state == P_PAYLOAD ==> j2a_rx.count < j2a_rx.length)
+      (j2a_rx.state <= P_CHECKSUM || P_SEQ + P_ESCAPED <= j2a_rx.state <= P_CHECKSUM + P_ESCAPED)
+      && (is_due(P_SEQ) || is_due(P_OPCODE) || is_due(P_LENGTH) ==> j2a_rx.count == 0)
+      && (is_due(P_PAYLOAD) ==> j2a_rx.count < j2a_rx.length)
       && (j2a_rx.event != J2A_EVENT_NONE ==> j2a_rx.state <= P_SEQ)
-      && sound_event(j2a_rx.event); */
+      && sound_event(j2a_rx.event)
+      && (j2a_rx.event > J2A_EVENT_FRAME ==> j2a_rx.length == 2); */
+
+/*@ requires sound_event(j2a_rx.event);
+    ensures sound_event(j2a_rx.event); */
+void j2a_rx_parse(uint8_t byte);
 
 /*@ requires sound_event(j2a_rx.event);
     ensures sound_event(j2a_rx.event);
@@ -50,12 +62,15 @@ void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
 uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function);
 
 /*@ requires \valid(length) && \valid(payload + (0 .. 1));
-    ensures *length == 2 && \initialized(payload + (0 .. 1)); */
+    ensures \result == code && *length == 2 && \initialized(payload + (0 .. 1)); */
 uint8_t j2a_error(uint8_t code, uint8_t site, uint8_t *length, uint8_t *payload);
 
-/*@ requires \valid(length) && \valid(payload) && \valid(*payload + (0 .. J2A_MAX_PAYLOAD - 1));
+#if J2A_WITH_MANY
+/*@ requires \valid(length) && \valid(payload) && \valid(*payload + (0 .. J2A_ROOM - 1));
+    requires *length <= J2A_ROOM;
     ensures \result <= J2A_RET_MAX || \result == J2A_RET_FAILED || \result == J2A_ERR_OPCODE; */
 uint8_t j2a_many(uint8_t *const length, uint8_t **const payload);
+#endif
 
 /*@ requires \valid_read(bytes + (0 .. 3)); */
 uint32_t j2a_get_u32(const uint8_t *bytes);

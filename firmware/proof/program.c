@@ -10,24 +10,41 @@ volatile uint8_t any_u8;
 volatile uint16_t any_u16;
 volatile uint32_t any_u32;
 
-j2a_rx_t j2a_rx;
+j2a_rx_t j2a_rx_of[J2A_LINKS];
+#if J2A_LINKS > 1
+uint8_t j2a_link;
+#endif
 
 static uint8_t elsewhere[J2A_MAX_PAYLOAD];
 static char text[9];
 
 /* ---------------------------------------------------------------------- the parser's model --- */
 
-/* The parser's own fields hold this, so that a write by anybody else is seen. */
+/* The parser's own fields hold this, so that a write by anybody else is seen; the length is its own while
+ * nothing waits. */
 enum { MINE = 0xA5 };
 
+/* Directly after a loss the parser is between frames, and takes one byte even while the error waits. */
+static bool after_loss;
+
+static enum { NOTHING, FRAME, ERROR } waits; /* what the parser left */
+
+static void see_what_waits(void) {
+    waits = j2a_rx.event == J2A_EVENT_NONE ? NOTHING : j2a_rx.event == J2A_EVENT_FRAME ? FRAME : ERROR;
+    //@ split waits;
+}
+
 static void own(void) {
+    see_what_waits();
     j2a_rx.state = j2a_rx.checksum = j2a_rx.count = MINE;
-    j2a_rx.escaped = true;
+    j2a_rx.length = waits == NOTHING ? MINE : waits == FRAME ? any_u8 : 2;
 }
 
 static void owned(void) {
     //@ check j2a_rx.state == MINE && j2a_rx.checksum == MINE && j2a_rx.count == MINE;
-    //@ check j2a_rx.escaped == 1;
+    if (j2a_rx.event == J2A_EVENT_NONE) {
+        //@ check j2a_rx.length == MINE;
+    }
 }
 
 static uint8_t any_error(void) {
@@ -35,18 +52,26 @@ static uint8_t any_error(void) {
 }
 
 /* Every byte of the payload may have any value from the start, so it need not be written here. */
-bool j2a_rx_byte(uint8_t byte) {
+void j2a_rx_parse(uint8_t byte) {
     (void)byte;
     owned();
-    if (j2a_rx.event != J2A_EVENT_NONE && any_bool)
+    if (j2a_rx.event == J2A_EVENT_NONE) {
+        j2a_rx.seq = any_u8;
+        j2a_rx.opcode = any_u8;
+        if (any_bool)
+            j2a_rx.event = any_bool ? J2A_EVENT_FRAME : any_error();
+        own();
+    } else {
+        //@ check after_loss == 1;
+    }
+    after_loss = false;
+}
+
+bool j2a_rx_byte(uint8_t byte) {
+    if (j2a_rx.event != J2A_EVENT_NONE)
         return false;
-    j2a_rx.fed = any_bool;
-    j2a_rx.site = any_u8;
-    j2a_rx.seq = any_u8;
-    j2a_rx.opcode = any_u8;
-    j2a_rx.length = any_u8;
-    if (any_bool)
-        j2a_rx.event = any_bool ? J2A_EVENT_FRAME : any_error();
+    j2a_rx_parse(byte);
+    j2a_rx.last_ticks = any_u16;
     return true;
 }
 
@@ -54,19 +79,15 @@ void j2a_rx_lost(void) {
     owned();
     if (j2a_rx.event == J2A_EVENT_NONE && any_bool)
         j2a_rx.event = J2A_ERR_FRAMING;
-    j2a_rx.site = any_u8;
+    own();
+    after_loss = true;
 }
 
 void j2a_rx_timeout(void) {
     owned();
     if (any_bool)
         j2a_rx.event = J2A_ERR_TIMEOUT;
-    j2a_rx.site = any_u8;
-}
-
-bool j2a_rx_busy(void) {
-    owned();
-    return any_bool;
+    own();
 }
 
 /* ---------------------------------------------------------------------- the sender's model --- */
@@ -97,8 +118,8 @@ void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
 void j2a_selftest_property(size_t at, uint32_t offset, bool *is_last, uint8_t *length, uint8_t *data) {
     (void)at;
     (void)offset;
-    //@ check *length <= J2A_MANY_DATA && \valid(data + (0 .. J2A_MANY_DATA - 1));
-    while (*length < J2A_MANY_DATA && any_bool)
+    //@ check *length <= J2A_ROOM_MANY && \valid(data + (0 .. J2A_ROOM_MANY - 1));
+    while (*length < J2A_ROOM_MANY && any_bool)
         data[(*length)++] = any_u8;
     *is_last = any_bool;
 }
@@ -107,7 +128,10 @@ void j2a_selftest_property(size_t at, uint32_t offset, bool *is_last, uint8_t *l
 /* ------------------------------------------------------------------------------ the port ------ */
 
 int16_t j2a_port_rx(void) {
-    if (any_bool)
+    const bool lost = any_bool;
+    after_loss = false;
+    //@ split lost;
+    if (lost)
         j2a_rx_lost();
     return any_bool ? (int16_t)any_u8 : -1;
 }
@@ -139,20 +163,25 @@ static void act(void) {
 }
 
 uint8_t any_call(uint8_t *const length, uint8_t **const payload) {
-    write_anything(*payload, J2A_MAX_PAYLOAD);
+    const bool points_elsewhere = any_bool;
+    //@ check *length <= J2A_ROOM && *payload == &j2a_rx.payload[0];
+    write_anything(*payload, J2A_ROOM);
     act();
+    //@ split points_elsewhere;
     *length = any_u8;
-    if (any_bool)
+    if (points_elsewhere)
         *payload = elsewhere;
+    else
+        *length = (uint8_t)(*length % (J2A_ROOM + 1u));
     return any_u8;
 }
 
 /* Leaves a part of the request, up to its last byte. */
 uint8_t any_part(uint8_t *const length, uint8_t **const payload) {
-    static const uint8_t firsts[] = {1, 6, 128, 254, 255};
+    static const uint8_t firsts[] = {1, 6, J2A_ROOM / 2, J2A_ROOM - 1, J2A_ROOM};
     const uint8_t first = firsts[any_u8 % sizeof firsts];
     //@ split first;
-    *length = (uint8_t)(any_u8 % (J2A_MAX_PAYLOAD + 1u - first));
+    *length = (uint8_t)(any_u8 % (J2A_ROOM + 1u - first));
     *payload += first;
     return any_u8;
 }
@@ -160,8 +189,8 @@ uint8_t any_part(uint8_t *const length, uint8_t **const payload) {
 uint8_t any_many(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
                  uint8_t **const data) {
     (void)is_write;
-    //@ check *length <= J2A_MANY_DATA && *data == &j2a_rx.payload[J2A_MANY_HEADER];
-    write_anything(*data, J2A_MANY_DATA);
+    //@ check *length <= J2A_ROOM_MANY && *data == &j2a_rx.payload[J2A_MANY_HEADER];
+    write_anything(*data, J2A_ROOM_MANY);
     act();
     *is_last = any_bool;
     *offset = any_u32;
@@ -172,20 +201,23 @@ uint8_t any_many(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *
 }
 
 int main(void) {
-    write_anything(j2a_rx.payload, J2A_MAX_PAYLOAD);
+    write_anything(j2a_rx.payload, J2A_ROOM);
     own();
     //@ loop unroll 0;
     for (;;) {
-        const bool waits = j2a_rx.event != J2A_EVENT_NONE;
-        //@ split waits;
+        see_what_waits();
         replies = 0;
         j2a_process();
-        //@ check replies == waits && j2a_rx.event == J2A_EVENT_NONE;
+        //@ check replies == (waits != NOTHING ? 1 : 0) && j2a_rx.event == J2A_EVENT_NONE;
+        own();
         j2a_poll();
         j2a_task();
+        own();
         act();
-        if (any_bool) /* a port that pushes */
+        if (any_bool) { /* a port that pushes */
             j2a_rx_byte(any_u8);
+            j2a_rx_byte(any_u8);
+        }
         if (any_bool)
             j2a_rx_lost();
     }

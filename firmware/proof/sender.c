@@ -7,6 +7,8 @@ volatile uint8_t any_u8;
 volatile uint16_t any_u16;
 volatile uint32_t any_u32;
 
+j2a_rx_t j2a_rx_of[J2A_LINKS]; /* of which the sender has the seq of SIFs */
+
 extern const uint8_t memory[J2A_MAX_PAYLOAD];
 
 /* What may be sent next, and how many fields were (J2A-FRAME-001, J2A-STUFF-001, J2A-STUFF-002). */

@@ -24,22 +24,22 @@ def prove(missing, *arguments):
 def test_core_is_proved(missing):
     result = prove(missing)
     assert result.returncode == 0, result.stdout + result.stderr
-    assert result.stdout.count("proven  ") == 11
+    assert result.stdout.count("proven  ") == 13
 
 
 DEFECTS = {
     "a payload one byte too short": (
         "parser gcc_x86_64",
         "j2a_internal.h",
-        "payload[J2A_MAX_PAYLOAD];",
-        "payload[J2A_MAX_PAYLOAD - 1];",
+        "payload[J2A_ROOM];",
+        "payload[J2A_ROOM - 1];",
         "eva:alarm",
     ),
     "a2jMany believes the length that a function leaves": (
         "program gcc_x86_64 -DJ2A_WITH_MAPPING=0",
         "j2a_builtins.c",
-        "if (n > J2A_MANY_DATA) {",
-        "if (n == J2A_MANY_DATA + 1u) {",
+        "if (n > J2A_ROOM_MANY) {",
+        "if (n == J2A_ROOM_MANY + 1u) {",
         "eva:alarm",
     ),
     "a debug ring without an end": (
@@ -59,16 +59,37 @@ DEFECTS = {
     "the server resets the parser's count": (
         "sender gcc_x86_64",
         "j2a_server.c",
-        "    j2a_rx.event = J2A_EVENT_NONE;",
-        "    j2a_rx.event = J2A_EVENT_NONE;\n    j2a_rx.count = 0;",
+        "    rx->event = J2A_EVENT_NONE;",
+        "    rx->event = J2A_EVENT_NONE;\n    rx->count = 0;",
         "read-only",
     ),
     "the self-test sets the parser's count": (
         "sender gcc_x86_64",
         "j2a_selftest.c",
         "    due = wire;\n",
-        "    due = wire;\n    j2a_rx.count = 0;\n",
+        "    due = wire;\n    rx->count = 0;\n",
         "read-only",
+    ),
+    "the server changes the length while a frame is being received": (
+        "program gcc_x86_64 -DJ2A_WITH_MAPPING=0",
+        "j2a_server.c",
+        "    uint8_t turns = TURNS;\n",
+        "    uint8_t turns = TURNS;\n    rx->length = 1;\n",
+        "eva:alarm",
+    ),
+    "bytes beyond a small room are stored": (
+        "parser gcc_x86_64 -DJ2A_ROOM=32",
+        "j2a_rx.c",
+        "if (count < J2A_ROOM)",
+        "if (count <= J2A_ROOM)",
+        "eva:alarm",
+    ),
+    "a request beyond a small room is acted on": (
+        "program gcc_x86_16 -DJ2A_ROOM=32",
+        "j2a_server.c",
+        "if (*length > J2A_ROOM) {",
+        "if (*length > J2A_ROOM + 1) {",
+        "eva:alarm",
     ),
 }
 
