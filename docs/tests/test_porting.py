@@ -199,10 +199,17 @@ def test_the_template_compiles_as_it_is(need, make, tmp_path, interrupts, settin
 
 def test_several_links_need_the_interrupt(need, make, tmp_path):
     need("cc")
-    result = make(PORT_DIR=filled(tmp_path / "polled", 0), LINKS=2, OUT=tmp_path)
+    polled, port = filled(tmp_path / "polled", 0), filled(tmp_path / "port", 1)
+    result = make(PORT_DIR=port, LINKS=2, OUT=tmp_path)
+    assert result.returncode != 0
+    assert "is more than this port has, see J2A_PORT_LINKS" in result.stderr
+    for folder in (polled, port):
+        with (folder / "j2a_port_config.h").open("a") as config:
+            config.write("#define J2A_PORT_LINKS 2\n")
+    result = make(PORT_DIR=polled, LINKS=2, OUT=tmp_path)
     assert result.returncode != 0
     assert "J2A_LINKS of more than 1 needs BOARD_INTERRUPTS 1" in result.stderr
-    result = make(PORT_DIR=filled(tmp_path / "port", 1), LINKS=2, OUT=tmp_path)
+    result = make(PORT_DIR=port, LINKS=2, OUT=tmp_path)
     assert result.returncode == 0, result.stderr
 
 

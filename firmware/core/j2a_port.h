@@ -26,6 +26,15 @@ extern uint8_t j2a_link;
  * missed when 65536 ticks pass between two calls of j2a_poll(). */
 #include "j2a_port_config.h"
 
+/* Links that the port has, which is the most that J2A_LINKS may be. A port with more than one says so in its
+ * j2a_port_config.h. */
+#ifndef J2A_PORT_LINKS
+#define J2A_PORT_LINKS 1
+#endif
+#if J2A_LINKS > J2A_PORT_LINKS
+#error "J2A_LINKS (make LINKS=) is more than this port has, see J2A_PORT_LINKS"
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

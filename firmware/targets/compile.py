@@ -38,7 +38,7 @@ OPTIONS: Final = {
 # The apps whose tables are taken, and what is switched on and off with them.
 BUILDS: Final = {
     "builtins": ["-DJ2A_WITH_DEBUG=0"],
-    "demo": ["-DJ2A_WITH_SELFTEST=1", "-DJ2A_LINKS=2"],
+    "demo": ["-DJ2A_WITH_SELFTEST=1", "-DJ2A_LINKS=2", "-DJ2A_PORT_LINKS=2"],
 }
 # SDCC's areas of memory that can be written; all others are in flash.
 RAM_AREAS: Final = {

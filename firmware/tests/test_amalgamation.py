@@ -119,7 +119,7 @@ def test_wrong_arguments_are_refused(tmp_path):
     "options",
     [
         ["-DJ2A_WITH_SELFTEST=1"],
-        ["-DJ2A_LINKS=3", "-DJ2A_ROOM=32", "-DJ2A_WITH_CLOCK=0"],
+        ["-DJ2A_LINKS=3", "-DJ2A_PORT_LINKS=3", "-DJ2A_ROOM=32", "-DJ2A_WITH_CLOCK=0"],
         ["-DJ2A_WITH_MANY=0", "-DJ2A_WITH_MAPPING=0", "-DJ2A_WITH_SIF=0", "-DJ2A_WITH_DEBUG=0"],
     ],
     ids=" ".join,

@@ -6,5 +6,4 @@ SUFFIX := .elf
 SIZE := avr-size
 PORT_SOURCES := ports/common/board_port.c
 PORT_RXBUF := 64
-PORT_TXBUF := 0
 SMALL := 1

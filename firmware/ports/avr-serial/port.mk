@@ -10,5 +10,4 @@ LINK := -Wl,--gc-sections -mrelax
 SUFFIX := .elf
 SIZE := avr-size
 PORT_RXBUF := 16
-PORT_TXBUF := 0
 SMALL := 1

@@ -8,10 +8,6 @@
 
 #include "cortex_m.h"
 
-#if J2A_LINKS > 2
-#error "LINKS must be 1 or 2 on this port"
-#endif
-
 enum { CLOCK_HZ = 25000000, BAUD_RATE = 115200 };
 
 /* UART 0 is at 0x40004000, UART 1 at 0x40005000. */

@@ -12,7 +12,6 @@ PORT_SOURCES := ports/common/board_port.c ports/common/cortex_m.c ports/common/f
 # loop has gone on. So a largest frame (518 bytes) must fit; and as it holds the host back while a byte is
 # there, what is lost is lost in this ring, which is little enough for that.
 PORT_RXBUF := 520
-PORT_TXBUF := 0
 # The 16 kB of RAM that board.ld gives have no room for a store of 2 MB, but for the ring.
 SMALL := 1
 RXBUF ?= $(PORT_RXBUF)

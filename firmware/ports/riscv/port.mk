@@ -9,4 +9,3 @@ SUFFIX := .elf
 SIZE := riscv64-unknown-elf-size
 PORT_SOURCES := ports/common/board_port.c ports/common/freestanding.c
 PORT_RXBUF := 255
-PORT_TXBUF := 0

@@ -18,9 +18,6 @@
 /* With FIFOs a byte is seen up to 32 bit times late, and so a pause of 9 ms within a frame seems longer. At low
  * rates it would be taken for the end of the frame; there the UART holds one byte, which lasts long enough. */
 #define LINE (BAUD < 50000 ? UART_8_BITS : UART_8_BITS | UART_FIFOS)
-#if J2A_LINKS > 1
-#error "LINKS: this port serves one UART"
-#endif
 
 static uint8_t received;
 static bool sent; /* since the last board_idle() */

@@ -10,6 +10,4 @@ FINISH = $(PYTHON) $(PORT_DIR)/image.py
 SIZE := arm-none-eabi-size
 PORT_SOURCES := ports/common/board_port.c ports/common/cortex_m.c
 PORT_RXBUF := 128
-# The UART's own FIFO holds 32 bytes.
-PORT_TXBUF := 0
 SMALL := 1

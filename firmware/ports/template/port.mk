@@ -13,8 +13,6 @@ PORT_SOURCES := ports/common/board_port.c
 
 # Received bytes that are held while a function runs; 32 and more. Costs so much RAM and one byte.
 PORT_RXBUF := 64
-# This port has no transmit buffer.
-PORT_TXBUF := 0
 # Apps that can do with less RAM then do (the demo also holds 128 received bytes, whatever stands
 # above); leave it out with 16 kB and more.
 SMALL := 1

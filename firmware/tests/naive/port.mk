@@ -8,5 +8,4 @@ CFLAGS ?= -Os
 
 PORT_SOURCES := ports/common/board_port.c
 PORT_RXBUF := 64
-PORT_TXBUF := 0
 SMALL := 1

@@ -2,6 +2,7 @@
  * by the compiler's -D for the library and the sketch alike (PlatformIO: build_flags). */
 #define J2A_PORT_NAME "arduino"
 #define J2A_TICKS_PER_MS 1u /* of millis() */
+#define J2A_PORT_LINKS 255  /* as many streams as a sketch has */
 
 /* Bytes that are collected and written at once. An AVR's Serial has a buffer of its own; with USB elsewhere
  * each write may become a packet. */
