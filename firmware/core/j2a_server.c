@@ -88,6 +88,7 @@ void j2a_process(void) {
     if (code == J2A_EVENT_FRAME)
         code = execute(rx->opcode, &rx->length, &payload);
     j2a_send(J2A_SOF, rx->seq, code, rx->length, payload);
+    rx->last_ticks = j2a_port_ticks(); /* bytes may have had to wait meanwhile */
     rx->event = J2A_EVENT_NONE;
 }
 
