@@ -24,6 +24,7 @@ import j2a_transports
 
 from ._deviations import Deviation, parse
 from ._model import HarnessError
+from ._packages import PACKAGES
 from ._process import Process
 
 __all__ = ["Testee", "load_testee"]
@@ -44,7 +45,7 @@ class Testee:
         url: where it answers, `{root}` in place of the root; "" where `serve` prints that.
         build: command that builds it, or ().
         serve: command that serves it and prints its URL in a line of its own, or ().
-        needs: programs without which it cannot be built.
+        needs: programs without which it cannot be built or started; looked for before that.
         fresh: it starts anew with each link, so that the first SIF has the seq 0.
         root: where the commands run.
         deviations: what it is known to do wrong.
@@ -64,8 +65,10 @@ class Testee:
         """Build the testee, start it, and give its URL.
 
         Raises:
-            HarnessError: a command failed or took too long; the message has what it printed.
+            HarnessError: a program is missing, or a command failed or took too long; the message
+                has which, or what it printed.
         """
+        self._check_needs()
         if self.build:
             self._build()
         if not self.serve:
@@ -77,11 +80,13 @@ class Testee:
         finally:
             process.end()
 
+    def _check_needs(self) -> None:
+        if missing := [name for name in self.needs if _program(name) is None]:
+            raise HarnessError(f"{self.title}: {', '.join(map(_not_installed, missing))}")
+
     def _command(self, words: tuple[str, ...]) -> list[str]:
-        # The programs of this environment come first, also where it is not activated.
-        path = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
-        if (program := shutil.which(words[0], path=path)) is None:
-            raise HarnessError(f"{self.title}: the program {words[0]} is not installed")
+        if (program := _program(words[0])) is None:
+            raise HarnessError(f"{self.title}: {_not_installed(words[0])}")
         return [program, *words[1:]]
 
     def _build(self) -> None:
@@ -113,6 +118,17 @@ class Testee:
                 how = f"ended with exit code {code} without printing a URL"
                 break
         raise HarnessError(f"{shlex.join(self.serve)} {how}:\n{process.said()}")
+
+
+def _program(name: str) -> str | None:
+    # The programs of this environment come first, also where it is not activated.
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
+    return shutil.which(name, path=path)
+
+
+def _not_installed(name: str) -> str:
+    where = f" (Debian and Ubuntu have it in {PACKAGES[name]})" if name in PACKAGES else ""
+    return f"the program {name} is not installed{where}"
 
 
 def load_testee(path: Path) -> Testee:

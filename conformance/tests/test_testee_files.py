@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 from j2a_conformance import HarnessError, _testee
+from j2a_conformance._packages import PACKAGES
 from j2a_conformance._testee import load_testee
+from j2a_conformance.cli import main
 
 URL = 'url = "exec:true"'
 LEAVES_A_CHILD = "sleep 311 & echo $! > pid; "
@@ -79,6 +81,43 @@ def test_the_root_stands_in_the_url_that_is_opened_only(testee, tmp_path):
     assert found.url == "exec:{root}/demo"
     with found.started() as url:
         assert url == f"exec:{tmp_path}/demo"
+
+
+def test_what_it_needs_is_looked_for_before_it_is_built(testee, tmp_path, monkeypatch, capsys):
+    needs = "needs = ['sh', 'j2a-no-such-compiler', 'avr-gcc']"
+    build = script("build", "echo > built")
+    testee(f"title = 'Mine'\n{URL}\n{needs}\n{build}")
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin/sh").symlink_to(Path("/bin/sh"))
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    assert main(["run", str(tmp_path / "conformance/testees/mine.toml")]) == 3
+    err = capsys.readouterr().err
+    assert "Mine: the program j2a-no-such-compiler is not installed, the program avr-gcc" in err
+    assert "avr-gcc is not installed (Debian and Ubuntu have it in gcc-avr and avr-libc)" in err
+    assert "program sh " not in err
+    assert not (tmp_path / "built").exists()
+
+
+@pytest.mark.parametrize("needs", ["", "needs = ['sh']"])
+def test_it_is_built_when_what_it_needs_is_there(needs, testee, tmp_path):
+    build = script("build", "echo > built")
+    with testee(f"title = 'x'\n{URL}\n{needs}\n{build}").started():
+        assert (tmp_path / "built").exists()
+
+
+def test_a_program_of_this_environment_is_there(testee, tmp_path, monkeypatch):
+    """As it is for the commands themselves."""
+    monkeypatch.setattr(_testee.sys, "executable", str(tmp_path / "python"))
+    (tmp_path / "j2a-mine").touch(0o755)
+    with testee(f"title = 'x'\n{URL}\nneeds = ['j2a-mine']").started() as url:
+        assert url == "exec:true"
+
+
+def test_every_program_that_a_testee_of_ours_needs_has_a_hint():
+    folder = Path(__file__).parents[1] / "testees"
+    needed = {name for path in folder.glob("*.toml") for name in load_testee(path).needs}
+    assert needed
+    assert needed <= PACKAGES.keys()
 
 
 def test_a_server_that_ignores_signals_and_prints_without_end_is_ended(testee, gone):
