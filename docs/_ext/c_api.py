@@ -27,6 +27,7 @@ FUNCTION = re.compile(r"^((?:const )?\w[\w ]*[ *]+)(\w+)\(([^;{]*)\);", re.MULTI
 VARIABLE = re.compile(r"^extern ([\w ]+[ *]+\w+(?:\[\])?);", re.MULTILINE)
 TYPE = re.compile(r"^typedef J2A_DECLARE_(CALL|MANY)\((\w+)\);", re.MULTILINE)
 OPTION = re.compile(r"^#ifndef (J2A_\w+)\n#define \1 (.+)$", re.MULTILINE)
+REQUIRED = re.compile(r"^#ifndef (J2A_\w+)\n#error ", re.MULTILINE)
 MACRO = re.compile(r"^#define ((?:J2A|j2a|BOARD)_\w+(?:\([^)]*\))?)", re.MULTILINE)
 PARAMETER = re.compile(r"^((?:[a-z]\w*, )*[a-z]\w*): ", re.MULTILINE)
 NAME = re.compile(
@@ -62,6 +63,8 @@ def _declared(code: str, comment: str) -> Iterator[Entry]:
     for match in OPTION.finditer(code):
         note = f"Unless given: `{match[2].split('/*')[0].strip()}`."
         yield Entry("macro", match[1], match[1], comment, note)
+    for match in REQUIRED.finditer(code):
+        yield Entry("macro", match[1], match[1], comment, "To be defined by the port.")
     for match in FUNCTION.finditer(code):
         if match[1].startswith("typedef"):
             continue
@@ -75,7 +78,7 @@ def _declared(code: str, comment: str) -> Iterator[Entry]:
         yield Entry("function", form, match[2], comment, TYPE_NOTE)
     for match in VARIABLE.finditer(code):
         yield Entry("var", match[1], match[1].split()[-1].strip("*[]"), comment)
-    if not any(pattern.search(code) for pattern in (OPTION, FUNCTION, TYPE, VARIABLE)):
+    if not any(pattern.search(code) for pattern in (OPTION, REQUIRED, FUNCTION, TYPE, VARIABLE)):
         for match in MACRO.finditer(code):
             name = match[1].split("(")[0]
             if not GUARD.search(name):

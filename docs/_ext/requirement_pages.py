@@ -17,6 +17,7 @@ from j2a_conformance.cases import load as load_cases
 from j2a_conformance.host import START
 from j2a_conformance.host.cases import load as load_host_cases
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 
 ROOT = Path(__file__).resolve().parents[2]
 SNAPSHOT = ROOT / "conformance" / "traceability.json"
@@ -110,6 +111,11 @@ def _line_number(source: dict[str, Any]) -> int:
     lines = (ROOT / source["file"]).read_text("utf-8").splitlines()
     same = [n for n, line in enumerate(lines, 1) if line.strip() == source["line"]]
     before: int = source["occurrence"]
+    if before >= len(same):
+        raise ExtensionError(
+            f"conformance/mutants/matrix.json knows a line that {source['file']} no longer has: "
+            f"{source['line']!r}; run python conformance/mutants/kill.py --write"
+        )
     return same[before]
 
 

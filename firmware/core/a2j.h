@@ -2,7 +2,7 @@
  * top of this core. In: one C file of the user with functions, jump table, properties and a main
  * loop in the old names. Out: the tables that the core expects. Such an app has no functions.def,
  * and its app.mk says OWN_MAIN := 1, and APP_OPTIONS := -std=gnu11 when it repeats the types. Rules: a
- * function's kind is taken from its type (needs GCC or Clang); a map longer than 255 bytes is only
+ * function's kind is taken from its type (needs GCC or Clang); a map longer than J2A_ROOM is only
  * refused at run time, by a2jGetMapping. */
 #ifndef A2J_H
 #define A2J_H
@@ -44,10 +44,10 @@ typedef j2a_many_fn *const CMD_P_MANY;
 #if J2A_WITH_PROPERTIES
 extern unsigned char const a2j_props[] __asm__("j2a_properties"); /* the name that the core looks for */
 
-/* a2jGetProperties of such a device: j2a.spec as the first chunk, then the user's. */
+/* a2jGetProperties of such a device: j2a.room and j2a.spec as the first chunk, then the user's. */
 static inline uint8_t a2j_get_properties(bool *is_last, bool is_write, uint32_t *const offset,
                                          uint8_t *const length, uint8_t **const data) {
-    static uint8_t spec[] = "j2a.spec\0" J2A_SPEC_VERSION;
+    static uint8_t spec[] = J2A_PROPERTY_ROOM "j2a.spec\0" J2A_SPEC_VERSION;
     uint8_t code;
     if (!is_write && *offset < sizeof spec) {
         *is_last = false;

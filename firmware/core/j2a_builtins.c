@@ -1,5 +1,5 @@
 /* The functions that each device has. A request's payload flows in, the reply's flows out in the
- * same 255 bytes. */
+ * same J2A_ROOM bytes. */
 #include <stddef.h>
 
 #include "j2a_internal.h"

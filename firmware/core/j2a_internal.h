@@ -19,7 +19,7 @@ typedef struct {
     uint8_t seq;
     uint8_t opcode;      /* of the request */
     uint8_t length;      /* of the request's payload; of the error's where event is one */
-    uint16_t last_ticks; /* when a byte was last taken, or a reply sent */
+    uint16_t last_ticks; /* when a byte was last taken */
 #if J2A_WITH_SIF
     uint8_t sif_seq;     /* of the next SIF */
 #endif

@@ -1,6 +1,6 @@
 /* Build options of the firmware. Each is a -D of the compiler; the Makefile passes them
- * (OPTIONS="-DJ2A_WITH_SIF=0", RXBUF=64). Rules: 1 is on and 0 is off, so that a misspelt
- * name cannot switch anything; every object file of one image sees the same values. */
+ * (OPTIONS="-DJ2A_WITH_SIF=0", RXBUF=64). Rules: 1 is on, 0 is off, and nothing else is
+ * taken; every object file of one image sees the same values. */
 #ifndef J2A_OPTIONS_H
 #define J2A_OPTIONS_H
 
@@ -38,8 +38,8 @@
 #error "J2A_WITH_SELFTEST=1 needs J2A_WITH_PROPERTIES=1: the result is a property"
 #endif
 
-/* Links that the device serves at once, 1..255: J2A_ROOM and about 13 bytes of RAM each; see j2a_link in
- * j2a.h. A port must be made for it, such as those with ports/common/board.h. */
+/* Links that the device serves at once, 1..255: J2A_ROOM, about 13 bytes and what the port holds, of RAM, each; see j2a_link in
+ * j2a_port.h. A port must be made for it, such as those with ports/common/board.h. */
 #ifndef J2A_LINKS
 #define J2A_LINKS 1
 #endif
@@ -77,7 +77,7 @@
 #define J2A_RXBUF 32
 #endif
 
-/* Room for the payload of a request or a reply, 32..255 bytes. Longer requests are answered with 0xFF; with less
+/* Room for the payload of a request, 32..255 bytes, and for a reply that is written over it. Longer requests are answered with 0xFF; with less
  * than 255 the device says so in its property j2a.room (J2A-LIMIT-006). */
 #ifndef J2A_ROOM
 #define J2A_ROOM J2A_MAX_PAYLOAD
@@ -88,7 +88,7 @@
 #if J2A_WITH_SELFTEST && J2A_ROOM < J2A_MAX_PAYLOAD
 #error "J2A_WITH_SELFTEST=1 needs J2A_ROOM=255: golden vectors are as long"
 #endif
-/* Of it, what is left for a chunk of a2jMany. */
+/* What J2A_ROOM leaves for the data of a chunk of a2jMany. */
 #define J2A_ROOM_MANY (J2A_ROOM - J2A_MANY_HEADER)
 
 /* Longest accepted pause between two bytes of a frame in milliseconds. */
@@ -106,6 +106,11 @@
 #endif
 #if J2A_RXBUF < 1 || J2A_TXBUF < 0
 #error "J2A_RXBUF must be 1 or more, J2A_TXBUF 0 or more"
+#endif
+
+#if ((J2A_WITH_MAPPING | J2A_WITH_MANY | J2A_WITH_PROPERTIES | J2A_WITH_SELFTEST | J2A_SELFTEST_SMALL \
+      | J2A_WITH_CLOCK | J2A_WITH_SIF | J2A_WITH_DEBUG) & ~1) != 0
+#error "J2A_WITH_... must be 0 or 1"
 #endif
 
 #endif

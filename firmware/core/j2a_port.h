@@ -1,7 +1,8 @@
 /* THE contract between the core and a port: link-time functions, no pointers to register.
  * Bytes of the link flow in through j2a_port_rx() (or are pushed with j2a_rx_byte()) and flow out
  * through j2a_port_tx(). Rules: the core calls these only from j2a_poll(), j2a_process() and
- * j2a_send_sif(), so from the one context in which the application calls those. */
+ * j2a_send_sif(), so from the one context in which the application calls those, which also calls the rest of
+ * them; and j2a_port_ticks() from j2a_rx_byte(). */
 #ifndef J2A_PORT_H
 #define J2A_PORT_H
 
@@ -21,10 +22,14 @@ extern uint8_t j2a_link;
 
 /* ------------------------------------------------------------------ the port implements ------ */
 
-/* Gives J2A_TICKS_PER_MS: ticks of j2a_port_ticks() in a millisecond, rounded up. With 1 a pause ends a
- * frame after 10 to 12 ms, with about 10 after 10.1 to 10.3; many more are no better, because a pause is
- * missed when 65536 ticks pass between two calls of j2a_poll(). */
 #include "j2a_port_config.h"
+
+/* Ticks of j2a_port_ticks() in a millisecond, rounded up; in the port's j2a_port_config.h. With 1 a pause ends
+ * a frame after 10 to 12 ms, with about 10 after 10.1 to 10.3; many more are no better, because a pause is
+ * missed when 65536 ticks pass between two calls of j2a_poll(). */
+#ifndef J2A_TICKS_PER_MS
+#error "the port's j2a_port_config.h must define J2A_TICKS_PER_MS"
+#endif
 
 /* Links that the port has, which is the most that J2A_LINKS may be. A port with more than one says so in its
  * j2a_port_config.h. */
@@ -49,7 +54,7 @@ int16_t j2a_port_rx(void);
 /* Sends one byte; waits while the transmit buffer is full, even with interrupts off. */
 void j2a_port_tx(uint8_t byte);
 
-/* Time in ticks, free-running, wrapping at 65536. Called by j2a_rx_byte(), too. */
+/* Time in ticks, free-running, wrapping at 65536. */
 uint16_t j2a_port_ticks(void);
 
 /* Time since the start in microseconds, monotonic, without steps. */
@@ -67,9 +72,9 @@ void j2a_port_idle(void);
 /* ------------------------------------------------------------------ the port calls ----------- */
 
 /* Pushes one received byte into the parser; j2a_poll() does so with what j2a_port_rx() returns.
- * Never waits and sends nothing, so a port may push from its interrupt instead: its j2a_port_rx()
- * then returns -1, and j2a_poll() runs with that interrupt off. Returns false, and takes no byte,
- * while a frame or an error waits for j2a_process(): offer the byte again, or call j2a_rx_lost(). */
+ * Never waits and sends nothing, so a port may push from its interrupt instead: j2a_poll() then runs with that
+ * interrupt off. Returns false, and takes no byte, while a frame or an error waits for j2a_process(): let
+ * j2a_port_rx() return that byte later, or call j2a_rx_lost(). */
 bool j2a_rx_byte(uint8_t byte);
 
 /* Says that bytes were lost between the last byte pushed and the next one. */

@@ -87,8 +87,10 @@ void j2a_process(void) {
         return;
     if (code == J2A_EVENT_FRAME)
         code = execute(rx->opcode, &rx->length, &payload);
+#if J2A_LINKS > 1
+    j2a_link = (uint8_t)(rx - j2a_rx_of); /* a function may have sent on another one */
+#endif
     j2a_send(J2A_SOF, rx->seq, code, rx->length, payload);
-    rx->last_ticks = j2a_port_ticks(); /* bytes may have had to wait meanwhile */
     rx->event = J2A_EVENT_NONE;
 }
 

@@ -44,15 +44,13 @@ const j2a_entry J2A_FLASH j2a_functions[] = {
 const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0];
 
 #if J2A_WITH_PROPERTIES
-#define J2A_TEXT_(value) #value
-#define J2A_TEXT(value) J2A_TEXT_(value)
 /* An empty key would end the list. */
 #define J2A_PROPERTY(key, value) \
     extern char j2a_property_is_empty[sizeof key > 1 && sizeof value > 1 ? 1 : -1];
 #include "properties.def"
 #undef J2A_PROPERTY
 #define J2A_PROPERTY(key, value) key "\0" value "\0"
-const unsigned char J2A_FLASH j2a_properties[] =
+const unsigned char J2A_FLASH j2a_properties[] = J2A_PROPERTY_ROOM
 #include "properties.def"
     "";
 #endif

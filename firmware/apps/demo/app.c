@@ -2,6 +2,10 @@
  * in as the functions' payloads (little-endian numbers); a wrong length returns J2A_RET_FAILED. */
 #include "j2a_functions.h"
 
+#if !J2A_WITH_CLOCK
+#error "the demo tells the time: it needs J2A_WITH_CLOCK=1"
+#endif
+
 static uint16_t get_u16(const uint8_t *bytes) {
     return (uint16_t)(bytes[0] | (uint16_t)bytes[1] << 8);
 }
