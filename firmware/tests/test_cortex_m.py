@@ -256,6 +256,20 @@ def test_qemu_does_not_stay_behind(probe, how):
     assert not running(child)
 
 
+@pytest.mark.parametrize("level", ["-Os", "-O2", "-O3"])
+def test_library_does_not_call_itself(tools, level):
+    """A compiler that sees a loop copy bytes makes it a call of memcpy(), also inside of memcpy()."""
+    words = ["arm-none-eabi-gcc", "-std=c99", "-mcpu=cortex-m3", "-mthumb", level, "-S", "-o", "-"]
+    listing = subprocess.run(
+        [*words, FIRMWARE / "ports/common/freestanding.c"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert {"memset:", "memcpy:"} <= set(listing.split())
+    assert not re.findall(r"^\s+bl?(?:\.w)?\s+mem\w+", listing, re.MULTILINE)
+
+
 def test_qemu_that_cannot_run(tools):
     for words, code in (
         (["qemu-system-nothing"], 127),

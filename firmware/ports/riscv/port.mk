@@ -1,8 +1,7 @@
 # A 32-bit RISC-V as QEMU's machine `virt` has it, without any library but the compiler's own.
 CC := riscv64-unknown-elf-gcc
 CFLAGS ?= -Os
-# The loops of freestanding.c must not be turned into calls of the functions that they are.
-MACHINE := -march=rv32imac_zicsr -mabi=ilp32 -ffreestanding -fno-tree-loop-distribute-patterns \
+MACHINE := -march=rv32imac_zicsr -mabi=ilp32 -ffreestanding \
 	-DBAUD=$(BAUD)u -ffunction-sections -fdata-sections
 LINK := -nostartfiles -nolibc -static -T $(PORT_DIR)/virt.ld -Wl,--gc-sections
 SUFFIX := .elf
