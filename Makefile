@@ -27,7 +27,7 @@ lint: $(INSTALLED)  ## lint, layout, types and import arrows
 	@CHECK=ruff,format,mypy,mypy-tools,imports bash tools/check.sh
 
 conformance: $(INSTALLED)  ## the suite against every testee, with reports in build/conformance
-	@sh tools/system.sh demo
+	@sh tools/system.sh test
 	@$(BIN)/python tools/conformance.py
 
 mutants: $(INSTALLED)  ## each mutant against the cases of the rule that it breaks
@@ -48,7 +48,6 @@ firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo
 	@$(FIRMWARE) PORT=posix APP=demo
 	@$(FIRMWARE) PORT=avr-serial APP=demo
-	@$(FIRMWARE) budget
 
 venv: $(INSTALLED)  ## the virtual environment .venv; PYTHON= names the interpreter for it
 	@echo "$(VENV) is ready"
