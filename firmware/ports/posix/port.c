@@ -15,9 +15,12 @@
 
 #include "j2a_port.h"
 
+/* Many bytes at once are far cheaper than one by one, so where J2A_TXBUF is left at 0 they are collected, too. */
+enum { TX_BYTES = J2A_TXBUF ? J2A_TXBUF : 4096 };
+
 static int in_fd = STDIN_FILENO;
 static int out_fd = STDOUT_FILENO;
-static uint8_t rx[J2A_RXBUF], tx[J2A_TXBUF];
+static uint8_t rx[J2A_RXBUF], tx[TX_BYTES];
 static size_t rx_next, rx_used, tx_used;
 static bool at_end;
 static struct timespec start;
