@@ -11,119 +11,26 @@ import random
 import re
 import struct
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from j2a_spec import constants as c
-from j2a_spec.oracle import Frame, decode, encode
 
-from j2a.sim import AvrSim, pulses
+from j2a.sim import pulses
+
+sys.path.insert(0, str(Path(__file__).parent))
+try:
+    from sensor_load import ADC, BACKWARD, CHIPS, DIST_IR, FORWARD, QUAD, Board
+finally:
+    sys.path.remove(str(Path(__file__).parent))
 
 DRIVERS = Path(__file__).parent.parent / "drivers"
 US = 16  # cycles
 TICK = 64  # cycles of timer 1
-FORWARD = ((1, 0), (1, 1), (0, 1), (0, 0))  # A and B after each step
-BACKWARD = ((0, 1), (1, 1), (1, 0), (0, 0))
-QUAD, DIST_IR, ADC = range(3)  # transducers
 # Distance in mm and volts: the typical curve in the data sheet of the GP2Y0A21YK.
 SHARP = ((100, 2.30), (120, 2.00), (150, 1.64), (200, 1.30), (250, 1.07), (300, 0.92))
 SHARP += ((400, 0.74), (500, 0.60), (600, 0.51), (700, 0.45), (800, 0.40))
-
-
-class Chip:
-    """What differs between the chips: where things are wired, and numbers of vectors."""
-
-    def __init__(self, uart, encoders, servos, lamp, analog, vectors):
-        self.uart, self.encoders, self.servos, self.lamp = (
-            uart,
-            encoders.split(),
-            servos.split(),
-            lamp,
-        )
-        self.analog = analog
-        self.quad, self.servo_a, self.servo_b, self.receive = vectors
-
-
-CHIPS = {
-    "atmega328p": Chip("0", "PD2 PD3 PD4 PD5", "PB1 PB2", "PB5", (0, 1, 2, 3), (5, 11, 12, 18)),
-    "atmega32u4": Chip("1", "PB0 PB1 PB2 PB3", "PB5 PB6", "PC7", (7, 6, 5, 4), (9, 17, 18, 25)),
-    "atmega32u2": Chip("1", "PB0 PB1 PB2 PB3", "PC6 PC5", "PD5", (), (9, 15, 16, 23)),
-}
-
-
-class Board:
-    """The sensors app in the simulator; all times are simulated ones."""
-
-    def __init__(self, elf, mcu="atmega328p", level=0):
-        self.chip = CHIPS[mcu]
-        self.sim = AvrSim(elf, mcu=mcu, uart=self.chip.uart)
-        self.pins = self.sim.pins
-        for pin in self.chip.encoders:
-            self.pins.drive(pin, level)
-        self.pins.watch(*self.chip.servos, self.chip.lamp)
-        self.sim.boot()
-        self.sim.run(5000)
-        self.seq, self.sifs, self._received = 0, [], b""
-        self.names = self.call(0).payload[:-1].decode().split("\0")
-
-    def call(self, function, payload=b"", limit_s=0.5):
-        """One call; the SIFs that come meanwhile go to `sifs`."""
-        opcode = function if isinstance(function, int) else self.names.index(function)
-        self.seq = (self.seq + 1) % 256
-        self.sim.uart_write(encode(Frame(c.SOF, self.seq, opcode, payload)))
-        end = self.sim.cycle + self.sim.cycles(limit_s)
-        while self.sim.cycle < end:
-            self.sim.run_until_output(2000)
-            for frame in self._frames():
-                assert (frame.start, frame.seq) == (c.SOF, self.seq)
-                return frame
-        raise AssertionError(f"no answer to {function}: {self._received.hex()}")
-
-    def ask(self, function, form="", payload=b""):
-        """The values in the reply to a call that succeeds."""
-        reply = self.call(function, payload)
-        assert reply.opcode == 0, reply
-        return struct.unpack(f"<{form}", reply.payload)
-
-    def encoder(self, channel):
-        """Count and errors."""
-        return self.ask("getEncoder", "QhH", bytes((channel,)))[1:]
-
-    def run_to(self, cycle):
-        self.sim.run(max(0, cycle - self.sim.cycle))
-        assert not self._frames()
-
-    def pause(self, seconds):
-        self.run_to(self.sim.cycle + self.sim.cycles(seconds))
-
-    def talk_until(self, cycle):
-        """Echoes of all lengths without a pause; returns how many, all of them answered right."""
-        count = 0
-        while self.sim.cycle < cycle:
-            payload = bytes(range(count % 120))
-            assert self.call(c.GET_ECHO, payload) == Frame(c.SOF, self.seq, c.ECHO, payload)
-            count += 1
-        return count
-
-    def turn(self, channel, steps, start, distance, levels=FORWARD):
-        """Schedule so many steps of an encoder, which stands at A = B = 0; returns the end."""
-        wires = self.chip.encoders[2 * channel : 2 * channel + 2]
-        now = [0, 0]
-        for step in range(steps):
-            for wire in (0, 1):
-                if levels[step % 4][wire] != now[wire]:
-                    now[wire] = levels[step % 4][wire]
-                    self.pins.drive(wires[wire], now[wire], start + step * distance)
-        return start + steps * distance
-
-    def _frames(self):
-        self._received += self.sim.uart_read()
-        events = decode(self._received)
-        if not all(isinstance(event, Frame) for event in events):
-            return []
-        self._received = b""
-        self.sifs += [frame for frame in events if frame.start == c.SOS]
-        return [frame for frame in events if frame.start == c.SOF]
 
 
 def samples(frame):
@@ -304,25 +211,8 @@ def test_edges_that_are_too_fast_are_noticed(board):
 def test_a_storm_of_edges_does_no_harm(build, mcu):
     """Edges each 205 cycles leave no time for anything; no interrupt piles up on the stack."""
     board = Board(build("sensors", "avr-serial", BAUD="500000", MCU=mcu), mcu)
-    board.ask("setBlink", "", b"\1\0")
-    for transducer in (QUAD, DIST_IR, ADC) if board.chip.analog else (QUAD,):
-        board.ask("setPeriod", "", struct.pack("<BH", transducer, 1))
-    board.ask("a2j_set_servo", "", b"\0")
-    start = board.sim.cycle + 1000
-    for channel in (0, 1):
-        board.turn(channel, 16000, start, 205)
-    for seq in range(115):
-        request = Frame(c.SOF, seq, board.names.index("getTime"))
-        board.sim.uart_write(encode(request))
-        board.sim.run(30000)
+    board.storm()
     assert board.sim.stack_bytes < 175
-    for transducer in (QUAD, DIST_IR, ADC) if board.chip.analog else (QUAD,):
-        stop = Frame(c.SOF, 99, board.names.index("setPeriod"), bytes((transducer, 0, 0)))
-        board.sim.uart_write(encode(stop))
-        board.sim.run(50000)
-    board.sim.uart_read()
-    assert board.encoder(0)[0] != 0
-    assert board.call(c.GET_ECHO, b"alive").payload == b"alive"
     board.sim.close()
 
 
@@ -583,33 +473,6 @@ def test_wrong_arguments(build, function, payloads):
     board.sim.close()
 
 
-def exercise(board, distance=617, period_ms=3):
-    """All interrupts at once, all functions, the longest frames: what makes the stack deepest."""
-    board.ask("a2j_set_servo", "", b"\x64")
-    board.ask("a2j_set_servo", "", b"\x9c\1")
-    board.ask("setBlink", "", b"\1\0")
-    for transducer in (QUAD, DIST_IR, ADC) if board.chip.analog else (QUAD,):
-        board.ask("setPeriod", "", struct.pack("<BH", transducer, period_ms))
-    for channel in (0, 1):
-        board.ask("setEncoder", "", bytes((channel, 0, 0)))
-    # Both encoders, at changing distances from the other interrupts.
-    start, end = board.sim.cycle + 1000, board.sim.cycle + 1000
-    for channel in (0, 1):
-        end = board.turn(channel, 4000, start, distance)
-    many = board.names.index(c.MANY)
-    header = struct.pack("<BBI", board.names.index("a2jEchoMany"), c.FLAG_WRITE, 0)
-    properties = struct.pack("<BBI", board.names.index("a2jGetProperties"), 0, 0)
-    marker = bytes((c.SOF, c.SOS, c.ESC))
-    while board.sim.cycle < end:
-        for name in ("getTime", "getEncoder", "getAdc", "getDistance", "a2jDebug"):
-            if name in board.names:
-                board.call(name, b"" if name in {"getTime", "a2jDebug"} else b"\1")
-        assert board.call(many, header + bytes(60)).opcode == 0
-        assert board.call(many, properties).opcode == 0
-        assert board.call(c.GET_ECHO, marker * 20).payload == marker * 20
-    assert [board.encoder(channel) for channel in (0, 1)] == [(4000, 0), (4000, 0)]
-
-
 @pytest.mark.avr
 def test_the_full_build_fits_the_1_kb_of_an_atmega32u2(build):
     """Function map, properties, SIF and debug text, two encoders, two servos: no option is off."""
@@ -617,7 +480,7 @@ def test_the_full_build_fits_the_1_kb_of_an_atmega32u2(build):
     board = Board(elf, "atmega32u2")
     assert {"a2jGetProperties", "a2jDebug", "getEncoder", "a2j_set_servo"} <= set(board.names)
     assert not {"getAdc", "getDistance"} & set(board.names)  # the chip has no ADC
-    exercise(board)
+    board.exercise()
     # The longest frames of the protocol, too.
     assert board.call(c.GET_ECHO, bytes((c.SOF,)) * 255).payload == bytes((c.SOF,)) * 255
     static = board.sim.program.ram_end - 0x100
@@ -643,7 +506,7 @@ def test_interrupts_are_short(build, options, baud, one, both):
     assert 100 < sim.interrupts(chip.quad).longest_cycles <= one
     board.pins.drive(chip.encoders[0], 0)
     sim.clear_interrupts()
-    exercise(board, 1601, 10)
+    board.exercise(1601, 10)
     figures = {name: sim.interrupts(getattr(chip, name)) for name in ("quad", "servo_a", "servo_b")}
     receive = sim.interrupts(chip.receive)
     print({name: figure.longest_cycles for name, figure in figures.items()}, receive)

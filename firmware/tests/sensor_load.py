@@ -1,0 +1,226 @@
+"""The sensors app in the simulator, and loads for it: what its tests and its budget drive it with.
+
+In: a simulator with the program of apps/sensors. Out: requests, edges and voltages at its pins;
+replies and SIFs.
+Rules: all times are simulated ones, so each run is the same; a wrong answer is an AssertionError.
+"""
+
+import struct
+from pathlib import Path
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, decode, encode
+
+from j2a.sim import AvrSim
+
+__all__ = ["ADC", "BACKWARD", "CHIPS", "DIST_IR", "FORWARD", "QUAD", "Board", "Chip", "load"]
+
+FORWARD = ((1, 0), (1, 1), (0, 1), (0, 0))  # A and B after each step
+BACKWARD = ((0, 1), (1, 1), (1, 0), (0, 0))
+QUAD, DIST_IR, ADC = range(3)  # transducers
+STORM_CYCLES = 205  # between two edges: about what the interrupt takes, so nothing else gets on
+
+
+class Chip:
+    """What differs between the chips: where things are wired, and numbers of vectors."""
+
+    def __init__(
+        self,
+        uart: str,
+        encoders: str,
+        servos: str,
+        lamp: str,
+        analog: tuple[int, ...],
+        vectors: tuple[int, int, int, int],
+    ) -> None:
+        self.uart, self.lamp, self.analog = uart, lamp, analog
+        self.encoders, self.servos = encoders.split(), servos.split()
+        self.quad, self.servo_a, self.servo_b, self.receive = vectors
+
+    @property
+    def transducers(self) -> tuple[int, ...]:
+        """Those that the app has on this chip."""
+        return (QUAD, DIST_IR, ADC) if self.analog else (QUAD,)
+
+
+CHIPS = {
+    "atmega328p": Chip("0", "PD2 PD3 PD4 PD5", "PB1 PB2", "PB5", (0, 1, 2, 3), (5, 11, 12, 18)),
+    "atmega32u4": Chip("1", "PB0 PB1 PB2 PB3", "PB5 PB6", "PC7", (7, 6, 5, 4), (9, 17, 18, 25)),
+    "atmega32u2": Chip("1", "PB0 PB1 PB2 PB3", "PC6 PC5", "PD5", (), (9, 15, 16, 23)),
+}
+
+
+class Board:
+    """The sensors app with its encoders, servos, lamp and host.
+
+    Args:
+        sim: the program's path, or a simulator that has not run yet.
+        mcu: the chip, one of CHIPS; with a simulator it is that one's.
+        level: of all the encoders' wires at the start; None: nobody drives them.
+    """
+
+    def __init__(
+        self, sim: AvrSim | Path | str, mcu: str = "atmega328p", level: int | None = 0
+    ) -> None:
+        self.sim = sim if isinstance(sim, AvrSim) else AvrSim(sim, mcu, uart=CHIPS[mcu].uart)
+        self.chip = CHIPS[self.sim.mcu]
+        self.pins = self.sim.pins
+        if level is not None:
+            for pin in self.chip.encoders:
+                self.pins.drive(pin, level)
+        self.pins.watch(*self.chip.servos, self.chip.lamp)
+        self.sim.boot()
+        self.sim.run(5000)
+        self.seq = 0
+        self.sifs: list[Frame] = []
+        self._received = b""
+        self.names = self.call(0).payload[:-1].decode().split("\0")
+
+    def call(self, function: int | str, payload: bytes = b"", limit_s: float = 0.5) -> Frame:
+        """One call; the SIFs that come meanwhile go to `sifs`."""
+        opcode = function if isinstance(function, int) else self.names.index(function)
+        self.seq = (self.seq + 1) % 256
+        self.sim.uart_write(encode(Frame(c.SOF, self.seq, opcode, payload)))
+        end = self.sim.cycle + self.sim.cycles(limit_s)
+        while self.sim.cycle < end:
+            self.sim.run_until_output(2000)
+            for frame in self._frames():
+                assert (frame.start, frame.seq) == (c.SOF, self.seq)
+                return frame
+        raise AssertionError(f"no answer to {function}: {self._received.hex()}")
+
+    def ask(self, function: int | str, form: str = "", payload: bytes = b"") -> tuple[int, ...]:
+        """The values in the reply to a call that succeeds."""
+        reply = self.call(function, payload)
+        assert reply.opcode == 0, reply
+        return struct.unpack(f"<{form}", reply.payload)
+
+    def encoder(self, channel: int) -> tuple[int, ...]:
+        """Count and errors."""
+        return self.ask("getEncoder", "QhH", bytes((channel,)))[1:]
+
+    def run_to(self, cycle: int) -> None:
+        """Run up to a cycle; SIFs may come."""
+        self.sim.run(max(0, cycle - self.sim.cycle))
+        assert not self._frames()
+
+    def pause(self, seconds: float) -> None:
+        """Run for a time; SIFs may come."""
+        self.run_to(self.sim.cycle + self.sim.cycles(seconds))
+
+    def talk_until(self, cycle: int) -> int:
+        """Echoes of all lengths without a pause; returns how many, all of them answered right."""
+        count = 0
+        while self.sim.cycle < cycle:
+            payload = bytes(range(count % 120))
+            assert self.call(c.GET_ECHO, payload) == Frame(c.SOF, self.seq, c.ECHO, payload)
+            count += 1
+        return count
+
+    def turn(
+        self,
+        channel: int,
+        steps: int,
+        start: int,
+        distance: int,
+        levels: tuple[tuple[int, int], ...] = FORWARD,
+    ) -> int:
+        """Schedule so many steps of an encoder, which stands at A = B = 0; returns the end."""
+        wires = self.chip.encoders[2 * channel : 2 * channel + 2]
+        now = [0, 0]
+        for step in range(steps):
+            for wire in (0, 1):
+                if levels[step % 4][wire] != now[wire]:
+                    now[wire] = levels[step % 4][wire]
+                    self.pins.drive(wires[wire], now[wire], start + step * distance)
+        return start + steps * distance
+
+    def set_periods(self, ms: int) -> None:
+        """SIFs of all transducers, or none."""
+        for transducer in self.chip.transducers:
+            self.ask("setPeriod", "", struct.pack("<BH", transducer, ms))
+
+    def exercise(self, distance: int = 617, period_ms: int = 3, steps: int = 4000) -> None:
+        """All interrupts at once, all functions, the longest frames: what makes the stack deepest.
+
+        Args:
+            distance: cycles between the steps of both encoders.
+            period_ms: of the SIFs.
+            steps: of each encoder, a multiple of 4; it lasts so long.
+        """
+        self.ask("a2j_set_servo", "", b"\x64")
+        self.ask("a2j_set_servo", "", b"\x9c\1")
+        self.ask("setBlink", "", b"\1\0")
+        self.set_periods(period_ms)
+        for channel in (0, 1):
+            self.ask("setEncoder", "", bytes((channel, 0, 0)))
+        # Both encoders, at changing distances from the other interrupts.
+        start = end = self.sim.cycle + 1000
+        for channel in (0, 1):
+            end = self.turn(channel, steps, start, distance)
+        many = self.names.index(c.MANY)
+        header = struct.pack("<BBI", self.names.index("a2jEchoMany"), c.FLAG_WRITE, 0)
+        properties = struct.pack("<BBI", self.names.index("a2jGetProperties"), 0, 0)
+        marker = bytes((c.SOF, c.SOS, c.ESC))
+        while self.sim.cycle < end:
+            for name in ("getTime", "getEncoder", "getAdc", "getDistance", "a2jDebug"):
+                if name in self.names:
+                    self.call(name, b"" if name in {"getTime", "a2jDebug"} else b"\1")
+            assert self.call(many, header + bytes(60)).opcode == 0
+            assert self.call(many, properties).opcode == 0
+            assert self.call(c.GET_ECHO, marker * 20).payload == marker * 20
+        assert [self.encoder(channel) for channel in (0, 1)] == [(steps, 0), (steps, 0)]
+
+    def storm(self, steps: int = 16000) -> None:
+        """Edges that leave no time for anything, while requests come in that nobody answers.
+
+        Afterwards the device answers again, and sends no SIFs.
+        """
+        self.ask("setBlink", "", b"\1\0")
+        self.set_periods(1)
+        self.ask("a2j_set_servo", "", b"\0")
+        start = end = self.sim.cycle + 1000
+        for channel in (0, 1):
+            end = self.turn(channel, steps, start, STORM_CYCLES)
+        while self.sim.cycle < end + 100_000:
+            self._send("getTime")
+            self.sim.run(30_000)
+        for transducer in self.chip.transducers:
+            self._send("setPeriod", bytes((transducer, 0, 0)))
+            self.sim.run(50_000)
+        while self.sim.run_until_output(self.sim.cycles(0.03)):  # longer than the byte timeout
+            self.sim.uart_read()
+        self._received = b""
+        assert self.encoder(0)[0] != 0
+        assert self.call(c.GET_ECHO, b"alive").payload == b"alive"
+
+    def _send(self, name: str, payload: bytes = b"") -> None:
+        self.seq = (self.seq + 1) % 256
+        self.sim.uart_write(encode(Frame(c.SOF, self.seq, self.names.index(name), payload)))
+
+    def _frames(self) -> list[Frame]:
+        self._received += self.sim.uart_read()
+        events = decode(self._received)
+        frames = [event for event in events if isinstance(event, Frame)]
+        if len(frames) != len(events):
+            return []
+        self._received = b""
+        self.sifs += [frame for frame in frames if frame.start == c.SOS]
+        return [frame for frame in frames if frame.start == c.SOF]
+
+
+def load(sim: AvrSim) -> None:
+    """All that makes the stack of apps/sensors deep, within a simulated second.
+
+    Args:
+        sim: with the program, for a chip in CHIPS, and its UART; it has not run yet.
+
+    Raises:
+        AssertionError: the device answers wrong, so it was not loaded.
+    """
+    board = Board(sim)
+    for channel in board.chip.analog[:2]:
+        sim.adc.set_volts(channel, 0.5)
+    distance = 617 if sim.baud <= 500_000 else 1601  # as much as it can do
+    board.exercise(distance, 3 if sim.baud <= 500_000 else 10)
+    board.storm()
