@@ -113,8 +113,8 @@ def _line_number(source: dict[str, Any]) -> int:
     before: int = source["occurrence"]
     if before >= len(same):
         raise ExtensionError(
-            f"conformance/mutants/matrix.json knows a line that {source['file']} no longer has: "
-            f"{source['line']!r}; run python conformance/mutants/kill.py --write"
+            f"conformance/traceability.json knows a line that {source['file']} no longer has: "
+            f"{source['line']!r}; run make trace"
         )
     return same[before]
 
