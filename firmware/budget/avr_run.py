@@ -6,11 +6,13 @@ specification; a device that does not answer all of the load is an error, becaus
 do was not measured. Every number comes out the same in every run.
 """
 
+import importlib
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from avr_stack import function_table
-from builds import BudgetError, Build
+from builds import FIRMWARE, BudgetError, Build
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 
@@ -18,9 +20,12 @@ from j2a.sim import AvrSim, SimError, Span
 
 __all__ = ["cycles", "requests", "stack"]
 
+sys.path.append(str(FIRMWARE / "tests"))
+sensor_load = importlib.import_module("sensor_load")
+
 DELAY = 101  # cycles of a span of mark 3 in which no interrupt came
 CALL = 3 + 4  # rcall and ret
-MARKS = range(1, 9)  # see tests/cycles/app.c
+MARKS = range(1, 11)  # see tests/cycles/app.c
 
 
 def _room(build: Build) -> int:
@@ -51,12 +56,27 @@ def stack(elf: Path, build: Build) -> int:
     more than it can hold are among them, and frames that break off.
     """
     try:
+        if build.stimuli:
+            return _stack_of_sensors(elf, build)
         with AvrSim(elf) as sim:
             sim.boot(limit_s=3)
             _load(sim, build)
             return sim.stack_bytes
     except SimError as error:
         raise BudgetError(f"{build.name}: {error}") from None
+
+
+def _stack_of_sensors(elf: Path, build: Build) -> int:
+    """The same under the drivers' own load: encoders, conversions, pulses, periodic calls."""
+    mcu = build.variables.get("MCU", "atmega328p")
+    with AvrSim(elf, mcu=mcu, uart=sensor_load.CHIPS[mcu].uart) as sim:
+        try:
+            sensor_load.load(sim)
+        except AssertionError as error:
+            raise BudgetError(
+                f"{build.name} answers the load of the drivers wrong: {error}"
+            ) from None
+        return sim.stack_bytes
 
 
 def _load(sim: AvrSim, build: Build) -> None:
@@ -125,22 +145,27 @@ def cycles(elf: Path, build: Build) -> dict[str, float]:
     try:
         with AvrSim(elf) as sim:
             sim.boot()
-            first = {span.mark: span.cycles for span in _spans(sim, 4)}
+            spans = _spans(sim, 4)
+            first = {span.mark: span.cycles for span in reversed(spans)}
+            dearest = max(span.cycles for span in spans if span.mark == 9)
             if missing := set(MARKS) - first.keys():
                 raise BudgetError(f"{build.name}: the app closes no spans {sorted(missing)}")
             head = encode(Frame(c.SOF, 1, echo, bytes(room)))[:4]
-            short, _ = _poll(sim, head + bytes(4))
-            long, interrupt = _poll(sim, bytes(24))
+            _poll(sim, head)
+            short, _ = _poll(sim, bytes(8))
+            long, interrupt = _poll(sim, bytes(20))  # both end inside the payload
     except SimError as error:
         raise BudgetError(f"{build.name}: {error}") from None
     loop_byte = first[8] / plain
-    loop = (long - short) / (24 - 8)  # both end inside the payload
+    loop = (long - short) / (20 - 8)
     return {
         "rx_plain": first[1] / plain - loop_byte + CALL,
         "rx_escaped": first[2] / escaped - loop_byte + CALL,
+        "rx_dearest": dearest - first[10] + CALL,
         "poll": loop,
         "interrupt": interrupt,
         "received": loop + interrupt,
+        "received_dearest": loop + interrupt + dearest - first[9],
         "call": first[5],
         "tx_plain": (first[6] - first[5]) / (plain - empty),
         "tx_escaped": (first[7] - first[5]) / (escaped - empty),

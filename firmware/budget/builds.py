@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,15 @@ __all__ = [
     "Metric",
     "ToolMissing",
     "load",
+    "loaded",
     "make",
 ]
 
 FIRMWARE = Path(__file__).resolve().parents[1]
 BUDGET = Path(__file__).with_name("budget.toml")
 KINDS = ("size", "stack", "bound", "callgraph", "cycles", "core", "counts")
-_KEYS = {"name", "note", "port", "port_from", "app", "make", "options", "measure", "limit"}
+_KEYS = {"name", "note", "port", "port_from", "app", "make", "load", "stimuli"}
+_KEYS |= {"options", "measure", "limit"}
 
 
 class BudgetError(Exception):
@@ -56,9 +58,11 @@ METRICS: dict[str, Metric] = {
     "total": Metric("RAM and stack", "B"),
     "rx_plain": Metric("parser, plain", "per byte"),
     "rx_escaped": Metric("parser, escaped", "per byte"),
+    "rx_dearest": Metric("parser, dearest byte", "of one byte"),
     "poll": Metric("main loop", "per byte"),
     "interrupt": Metric("interrupt", "per byte"),
     "received": Metric("received, in all", "per byte"),
+    "received_dearest": Metric("in all, dearest byte", "of one byte"),
     "tx_plain": Metric("sent, plain", "per byte"),
     "tx_escaped": Metric("sent, escaped", "per byte"),
     "call": Metric("call", "each"),
@@ -76,6 +80,8 @@ class Build:
         port_from: folders, as seen from firmware/, that make up the port, later files over
             earlier ones; none for a port of ports/.
         variables: of the Makefile, without OUT.
+        load: more of them, for the program whose stack is measured.
+        stimuli: "sensors" when the stack is measured under what moves the pins of that app, too.
         options: of core/j2a_options.h, by name.
         measure: which of `KINDS`.
         limit: metric -> the most that it may be.
@@ -95,13 +101,15 @@ class Build:
     emulator: tuple[str, ...] = ()
     interrupt_frame: int = 0
     external_frame: int = 0
+    load: Mapping[str, str] = field(default_factory=dict)
+    stimuli: str = ""
 
     def option(self, name: str, default: int) -> int:
         """The value of an option."""
         return self.options.get(name, default)
 
 
-_OF_PORTS = {"make", "emulator", "interrupt_frame", "external_frame"}
+_OF_PORTS = {"make", "load", "emulator", "interrupt_frame", "external_frame"}
 
 
 def _build(entry: dict[str, Any], ports: dict[str, Any]) -> Build:
@@ -117,6 +125,8 @@ def _build(entry: dict[str, Any], ports: dict[str, Any]) -> Build:
         raise BudgetError(f"{name}: measure knows {', '.join(KINDS)}, not {', '.join(wrong)}")
     if wrong := entry.get("limit", {}).keys() - METRICS.keys():
         raise BudgetError(f"{name}: limit knows {', '.join(METRICS)}, not {', '.join(wrong)}")
+    if (stimuli := entry.get("stimuli", "")) not in {"", "sensors"}:
+        raise BudgetError(f"{name}: stimuli knows sensors, not {stimuli}")
     options: dict[str, int] = {}
     for option in entry.get("options", []):
         key, equals, value = option.partition("=")
@@ -137,6 +147,11 @@ def _build(entry: dict[str, Any], ports: dict[str, Any]) -> Build:
         tuple(common.get("emulator", "").split()),
         common.get("interrupt_frame", 0),
         common.get("external_frame", 0),
+        {
+            key: str(value)
+            for key, value in {**common.get("load", {}), **entry.get("load", {})}.items()
+        },
+        stimuli,
     )
 
 
@@ -158,6 +173,14 @@ def load(path: Path = BUDGET) -> list[Build]:
     if not builds:
         raise BudgetError(f"{path.name} has no [[build]]")
     return builds
+
+
+def loaded(build: Build) -> Build:
+    """The build whose stack is measured, in a folder of its own where it is another one."""
+    if not build.load:
+        return build
+    variables = {**build.variables, **build.load}
+    return replace(build, name=f"load/{build.name}", variables=variables, measure=("stack",))
 
 
 def make(build: Build, out: Path, firmware: Path = FIRMWARE) -> Path:

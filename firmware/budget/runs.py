@@ -49,7 +49,7 @@ def _version(compiler: str) -> str:
     return f"{first_line(compiler, '--version')}, {first_line(linker, '--version')}"
 
 
-def _figures(kind: str, build: Build, program: Path, firmware: Path) -> dict[str, float]:
+def _figures(kind: str, build: Build, program: Path, out: Path, firmware: Path) -> dict[str, float]:
     """What one of the `measure` of a build gives."""
     objects = program.parent / f"{build.app}.obj"
     match kind:
@@ -59,6 +59,9 @@ def _figures(kind: str, build: Build, program: Path, firmware: Path) -> dict[str
             core = sizes.core(sorted(objects.glob("j2a_*.o")))
             return dict(zip(("flash", "ram"), core, strict=True))
         case "stack":
+            under_load = builds.loaded(build)
+            if under_load is not build:
+                program = builds.make(under_load, out, firmware)
             return {"stack": avr_run.stack(program, build)}
         case "bound":
             return {"bound": avr_stack.stack_bound(program, build)}
@@ -90,7 +93,7 @@ def measure(build: Build, out: Path, firmware: Path, strict: bool = True) -> Res
     figures: dict[str, float] = {}
     for kind in build.measure:
         try:
-            figures |= _figures(kind, build, program, firmware)
+            figures |= _figures(kind, build, program, out, firmware)
         except BudgetError:
             if strict:
                 raise
