@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from j2a_spec import constants as c
 
-from j2a.sim import pulses
+from j2a.sim import AvrSim, pulses
 
 sys.path.insert(0, str(Path(__file__).parent))
 try:
@@ -166,6 +166,55 @@ def test_encoders_begin_where_they_stand(build):
     board.pause(0.001)
     assert [board.encoder(channel) for channel in (0, 1)] == [(1, 0), (-1, 0)]
     board.sim.close()
+
+
+@pytest.mark.avr
+def test_encoders_with_open_collectors(build):
+    """Nobody drives a wire high: the pull-ups do, in up to 45 us, and that is no step."""
+    sim = AvrSim(build("sensors", "avr-serial", BAUD="500000"))
+    for pin, us in zip(CHIPS["atmega328p"].encoders, (45, 3, 20, 44), strict=True):
+        sim.pins.release(pin, rise_cycles=us * US)
+    board = Board(sim, level=None)
+    board.pause(0.001)
+    assert [board.encoder(channel) for channel in (0, 1)] == [(0, 0), (0, 0)]
+    a, b = board.chip.encoders[:2]
+    for number, wire in enumerate((a, b)):  # from 11 to 01 to 00: forward
+        board.pins.drive(wire, 0)
+        board.pause(0.001)
+        assert board.encoder(0) == (number + 1, 0)
+    for number, wire in enumerate((a, b)):  # to 10, to 11
+        board.pins.release(wire, rise_cycles=45 * US)
+        board.pause(0.001)
+        assert board.encoder(0) == (number + 3, 0)
+    sim.close()
+
+
+@pytest.mark.avr
+def test_an_edge_at_each_cycle_of_the_start(build):
+    """Before the levels are read it is where an encoder stands, after that a step; none is lost."""
+    pcicr = 0x68
+    sim = AvrSim(build("sensors", "avr-serial", BAUD="500000"))
+    a, b, *_ = CHIPS["atmega328p"].encoders
+    for wire in CHIPS["atmega328p"].encoders:
+        sim.pins.drive(wire, 0)
+    begin = sim.cycle
+    assert sim.run_until(lambda: sim.read_memory(pcicr, 1)[0] != 0, sim.cycles(0.1), 1)
+    on = sim.cycle - begin
+    counts = []
+    for cycle in range(on - 40, on + 40):
+        sim.pins.drive(a, 0)
+        sim.pins.drive(b, 0)
+        sim.reset()
+        begin = sim.cycle
+        sim.pins.drive(a, 1, begin + cycle)
+        sim.pins.drive(b, 1, begin + on + 2000)
+        board = Board(sim, level=None)
+        count, errors = board.encoder(0)
+        assert errors == 0, cycle - on
+        counts.append(count)
+    assert counts == sorted(counts)
+    assert set(counts) == {1, 2}
+    sim.close()
 
 
 @pytest.mark.avr

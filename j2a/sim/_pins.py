@@ -20,6 +20,7 @@ from j2a.sim._records import Edge
 
 _NAME = re.compile(r"P([A-L])([0-7])")
 _RELEASE = -1
+_RISE_MAX = 1_000_000_000
 _ADC_CHANNELS = 16
 _VOLTS_MAX = 5.5  # what the chips bear
 
@@ -88,18 +89,23 @@ class Pins(_Wires):
                     raise SimError(f"level {level} of {pin} is neither 0 nor 1")
                 self._lib.sim_drive(self._sim(), self._when(cycle), number, int(level))
 
-    def release(self, pin: str, cycle: int | None = None) -> None:
+    def release(self, pin: str, cycle: int | None = None, rise_cycles: int = 0) -> None:
         """Stop driving a pin; with its pull-up on it goes high, else it keeps its level.
 
         Args:
             pin: its name.
             cycle: when; None: now.
+            rise_cycles: a pin that is low goes high when its pull-up has been on for so long, as
+                an open collector does, whose wire has a capacitance. 0: at once.
 
         Raises:
-            SimError: no such pin, or the cycle is over.
+            SimError: no such pin, the cycle is over, or the rise is out of range.
         """
+        if not 0 <= rise_cycles <= _RISE_MAX:
+            raise SimError(f"rise_cycles {rise_cycles} is out of range 0..{_RISE_MAX}")
+        level = _RELEASE - rise_cycles
         with self._lock:
-            self._lib.sim_drive(self._sim(), self._when(cycle), self._number(pin), _RELEASE)
+            self._lib.sim_drive(self._sim(), self._when(cycle), self._number(pin), level)
 
     def level(self, pin: str) -> int:
         """The level of a pin now, 0 or 1, whoever drives it."""

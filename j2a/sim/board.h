@@ -1,11 +1,13 @@
 /* What is wired to the pins of the simulated AVR: levels and voltages that come from outside, by
- * schedule, and the edges that are seen from outside.
+ * schedule, and the edges that are seen from outside. And the flags of their interrupts.
  *
  * In:  drive or release a pin, or set a voltage, at once or at a cycle to come.
  * Out: for each watched pin its edges with the cycle of each.
  * Rules: what is driven stays so across a reset of the chip; a pin that is not driven has the level
  * that the chip gives it (output, pull-up), or its last one. Of two things scheduled for one cycle
  * the one scheduled first comes first.
+ * A pin that was released with a time for its rise stays low until its pull-up has been on for so
+ * long: an open collector, and the capacitance of its wire.
  */
 #ifndef J2A_SIM_BOARD_H
 #define J2A_SIM_BOARD_H
@@ -24,18 +26,22 @@ typedef struct {
     edge_t *edges; /* not yet taken */
     uint32_t count, size;
     uint8_t watched, level;
+    struct board_port *port;
+    uint32_t rise;     /* cycles that its pull-up takes */
+    uint64_t rises_at; /* the cycle at which it will have; 0: the pull-up is off */
 } board_pin_t;
 
-typedef struct {
+typedef struct board_port {
     avr_ioport_t *io;
     uint8_t driven, levels;
+    uint8_t charging; /* driven by nobody, and low until the pull-up has raised it */
     board_pin_t pins[8];
 } board_port_t;
 
 typedef struct {
     uint64_t cycle;
     int target;   /* port * 8 + bit, or BOARD_PORTS * 8 + channel of the ADC */
-    double value; /* level, BOARD_RELEASE, or volts */
+    double value; /* level, BOARD_RELEASE - cycles of its rise, or volts */
 } board_event_t;
 
 typedef struct {
@@ -53,7 +59,7 @@ void board_reset(board_t *);
 void board_free(board_t *);
 /* The number of a pin, port 'A'..'L' and bit 0..7; -1: the MCU has no such port. */
 int board_pin(const board_t *, char port, int bit);
-/* Level 0 or 1 or BOARD_RELEASE for a pin, volts for a channel of the ADC, when the cycle is reached. */
+/* Level 0 or 1 or BOARD_RELEASE - cycles of its rise for a pin, volts for a channel of the ADC, when the cycle is reached. */
 void board_schedule(board_t *, uint64_t cycle, int target, double value);
 uint32_t board_waiting(const board_t *);
 int board_level(const board_t *, int pin);

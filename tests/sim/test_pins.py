@@ -96,6 +96,59 @@ def test_a_pin_held_low_against_its_pull_up(sim):
     assert ask(sim, b"p", 1)[0] & 0x30 == 0x30
 
 
+def test_an_open_collector_rises_as_slowly_as_its_wire(sim):
+    """High a time after the pull-up was switched on, or after it was let go; held low meanwhile."""
+    sim.pins.release("PD4", rise_cycles=700)
+    sim.pins.watch("PD4", "PD5")
+    sim.run(5000)
+    assert sim.pins.edges("PD4") == []  # nothing pulls it up yet
+    assert ask(sim, b"p", 1)[0] & 0x30 == 0x20
+    on = sim.pins.edges("PD5")[0].cycle  # its pull-up is switched on next, by LDI or SBI
+    sim.run(5000)
+    (edge,) = sim.pins.edges("PD4")
+    assert edge.level == 1
+    assert -8 <= edge.cycle - 700 - on <= 0
+    assert ask(sim, b"p", 1)[0] & 0x30 == 0x30
+    start = sim.cycle + 100
+    sim.pins.drive("PD4", 0, start)
+    sim.pins.release("PD4", start + 300, rise_cycles=50)
+    sim.pins.drive("PD4", 0, start + 1000)
+    sim.pins.release("PD4", start + 1300, rise_cycles=50)
+    sim.pins.drive("PD4", 0, start + 1330)  # before it was high
+    sim.run(3000)
+    assert sim.pins.edges("PD4") == [*(Edge(start, 0), Edge(start + 350, 1), Edge(start + 1000, 0))]
+
+
+def test_a_reset_switches_the_pull_up_off(sim):
+    """It ends the rise, which begins anew with the next pull-up."""
+    sim.pins.release("PD4", rise_cycles=50_000)
+    ask(sim, b"p", 1)
+    sim.pins.watch("PD4")
+    sim.reset()
+    sim.boot()
+    sim.run(100_000)
+    assert sim.pins.edges("PD4") == []
+    ask(sim, b"p", 1)
+    sim.run(45_000)
+    assert sim.pins.edges("PD4") == []
+    sim.run(6_000)
+    assert [edge.level for edge in sim.pins.edges("PD4")] == [1]
+
+
+def test_the_flag_of_a_pin_change_interrupt(sim):
+    """Set by a change while the interrupt is off; served when it is switched on, unless cleared."""
+    assert ask(sim, b"i", 1) == b"\0"
+    sim.pins.drive("PC0", 1)
+    sim.run(500)
+    assert ask(sim, b"i", 1) == b"\1"
+    assert ask(sim, b"i", 1) == b"\1"
+    sim.pins.drive("PC0", 0)
+    sim.run(500)
+    assert ask(sim, b"x", 1) == bytes([1 << 1])  # the flag, which it then clears
+    assert ask(sim, b"x", 1) == b"\0"
+    assert ask(sim, b"i", 1) == b"\1"
+
+
 def test_what_is_driven_stays_across_a_reset(sim):
     sim.pins.drive("PD4", 1)
     sim.pins.drive("PD6", 1, sim.cycle + 3000)
@@ -113,6 +166,7 @@ def test_what_is_driven_stays_across_a_reset(sim):
         (lambda pins: pins.watch("PA0"), "atmega328p has no port A"),
         (lambda pins: pins.drive("PD2", 2), "level 2 of PD2 is neither 0 nor 1"),
         (lambda pins: pins.drive("PD2", 1, 5), "cycle 5 is over"),
+        (lambda pins: pins.release("PD2", rise_cycles=-1), "rise_cycles -1 is out of range"),
     ],
 )
 def test_wrong_pins(sim, call, text):

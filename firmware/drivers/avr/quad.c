@@ -4,6 +4,7 @@
 #include <avr/interrupt.h>
 #include <stddef.h>
 #include <util/atomic.h>
+#include <util/delay.h>
 
 #include "pins.h"
 #include "quadrature.h"
@@ -55,10 +56,13 @@ ISR(QUAD_vect) {
 
 void quad_init(void) {
     QUAD_OUT |= 0x0f << QUAD_SHIFT;
-    levels = read_levels();
-    QUAD_MASK |= 0x0f << QUAD_SHIFT;
-    PCIFR = _BV(QUAD_ENABLE);
-    PCICR |= _BV(QUAD_ENABLE);
+    _delay_us(QUAD_RISE_US);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        QUAD_MASK |= 0x0f << QUAD_SHIFT;
+        PCIFR = _BV(QUAD_ENABLE);
+        levels = read_levels(); /* after the flag is clear: what changes from now on interrupts */
+        PCICR |= _BV(QUAD_ENABLE);
+    }
 }
 
 int16_t quad_get(uint8_t channel) {

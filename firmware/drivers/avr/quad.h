@@ -10,7 +10,12 @@
 
 enum { QUAD_COUNT = 2 };
 
-/* Switches pull-ups and interrupts on: encoders with open collectors need nothing else. */
+/* Until an open collector that lets go is high: pull-ups have up to 50 kOhm, so a wire of 1 nF (about 10 m) has
+ * reached 63 %, and the input needs 60 %. */
+#define QUAD_RISE_US 50
+
+/* Switches pull-ups and interrupts on, and takes QUAD_RISE_US: encoders with open collectors need nothing else.
+ * Where they stand then is count 0. */
 void quad_init(void);
 
 /* The callback for new counts. Called by the interrupt.

@@ -2,13 +2,19 @@
  *   t  PB1 high for 160 cycles, by this program     c  PB1 by timer 1: high at 1000, low at 3000 cycles
  *   p  pull-up on at PD4; then says its level       a  ADC channel 0..7 (next byte), result as two bytes
  *   f  free running: 4 results of channel 0         d  a differential input
+ *   i  lets PC0's interrupt in for a moment; then says how many of them there were
+ *   x  says PCIFR, and clears the flag of PC0
  * PD2 and PD3 interrupt: PD2's handler adds 1 to the count that 'n' tells, PD3's turns PB0. */
 #include "uart.h"
 
-static volatile uint8_t count, results;
+static volatile uint8_t count, changes, results;
 
 ISR(INT0_vect) {
     count++;
+}
+
+ISR(PCINT1_vect) {
+    changes++;
 }
 
 ISR(INT1_vect, ISR_NAKED) {
@@ -30,6 +36,7 @@ int main(void) {
     DDRB = _BV(0) | _BV(1);
     EICRA = _BV(ISC00) | _BV(ISC10); /* each edge */
     EIMSK = _BV(INT0) | _BV(INT1);
+    PCMSK1 = _BV(0);
     sei();
     for (;;) {
         switch (get()) {
@@ -56,6 +63,16 @@ int main(void) {
             PORTD |= _BV(4);
             PORTD |= _BV(5);
             put(PIND);
+            break;
+        case 'i':
+            PCICR = _BV(PCIE1);
+            __builtin_avr_delay_cycles(100);
+            PCICR = 0;
+            put(changes);
+            break;
+        case 'x':
+            put(PCIFR);
+            PCIFR = _BV(PCIF1);
             break;
         case 'n':
             put(count);
