@@ -20,10 +20,31 @@ OPTIONS = {
     "minimal": ["-DJ2A_ROOM=32", *(f"-DJ2A_WITH_{name}=0" for name in MINIMAL.split())],
     "self-test": ["-DJ2A_WITH_SELFTEST=1"],
 }
-PORT = "ports/cortex-m"  # with interrupts; of it only j2a_port_config.h is read
-DEFINES = ["-DJ2A_RXBUF=64", "-DJ2A_TXBUF=64", "-DDEMO_STORE_BYTES=1024"]
+MAIN_PORT = "ports/cortex-m"  # with interrupts; its j2a_port_config.h is read with the core
+DEFINES = ["-DJ2A_RXBUF=64", "-DDEMO_STORE_BYTES=1024", "-DBAUD=115200u"]
 CORE = sorted(FIRMWARE.glob("core/*.c"))
-BOARD = FIRMWARE / "ports/common/board_port.c"
+COMMON = sorted(FIRMWARE.glob("ports/common/*.c"))
+# How Clang is told the machine of each port that shares ports/common.
+TARGETS = {
+    "cortex-m": ["--target=arm-none-eabi", "-mcpu=cortex-m3", "-mthumb"],
+    "rp2040": ["--target=arm-none-eabi", "-mcpu=cortex-m0plus", "-mthumb"],
+    "riscv": ["--target=riscv32", "-march=rv32imac"],
+}
+# The chips that sensors are wired to in three ways (drivers/avr/pins.h); the last one has no ADC.
+AVRS = {"atmega328p": 1, "atmega32u4": 1, "atmega32u2": 0}
+AVR_FOLDERS = ("ports/avr-serial", "apps/sensors", "drivers", "drivers/avr")
+AVR_SOURCES = sorted(path for name in AVR_FOLDERS for path in FIRMWARE.glob(f"{name}/*.c"))
+AVR_DEFINES = ["-DF_CPU=16000000UL", "-DQUAD_CALLBACK=on_quad"]
+# What clang-tidy is not asked where hardware is, beyond .clang-tidy:
+#   implicit-widening        times in us are multiplied in 32 bits, where the products fit
+#   infinite-loop            on RISC-V a trap that nothing causes stands still, for a debugger
+#   too-small-loop-variable  on AVR each constant is an int; -Wextra finds one that is too large
+#   named-parameter          `sample *` says all that a name would
+WIDENING = "-bugprone-implicit-widening-of-multiplication-result"
+UNCHECKED = {
+    "riscv": f"{WIDENING},-bugprone-infinite-loop",
+    "avr": f"{WIDENING},-bugprone-too-small-loop-variable,-readability-named-parameter",
+}
 
 
 def includes(*folders: str) -> list[str]:
@@ -36,10 +57,23 @@ def run(*command: object) -> subprocess.CompletedProcess[str]:
     )
 
 
+def port_sources(port: str) -> list[Path]:
+    """Return the C files of a port, with those of ports/common that its port.mk names."""
+    folder = FIRMWARE / "ports" / port
+    shared = re.findall(r"ports/common/\w+\.c", (folder / "port.mk").read_text("utf-8"))
+    return [*sorted(folder.glob("*.c")), *(FIRMWARE / name for name in shared)]
+
+
 def cppcheck(*arguments: object) -> subprocess.CompletedProcess[str]:
     quiet = ("--quiet", "--std=c99", "--error-exitcode=1", "--suppress=missingIncludeSystem")
     unwanted = ("--suppress=unusedFunction", "--suppress=unmatchedSuppression")
     return run("cppcheck", *quiet, *unwanted, *DEFINES, *arguments)
+
+
+def clang_tidy(
+    sources: list[Path], flags: list[str], *options: str
+) -> subprocess.CompletedProcess[str]:
+    return run("clang-tidy", "--quiet", *options, *sources, "--", "-std=c99", *DEFINES, *flags)
 
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
@@ -50,9 +84,9 @@ def test_cppcheck_finds_nothing(need: Callable[[str], None], options: list[str])
         "--inconclusive",
         "--suppress=constParameter",  # the types of callbacks are fixed
         *options,
-        *includes(PORT, "apps/builtins"),
+        *includes(MAIN_PORT, "apps/builtins"),
         *CORE,
-        BOARD,
+        *COMMON,
         FIRMWARE / "apps/main.c",
         FIRMWARE / "apps/builtins/app.c",
     )
@@ -68,21 +102,88 @@ def test_cppcheck_finds_nothing_in_posix_and_demo(need: Callable[[str], None], f
     assert (result.returncode, result.stdout + result.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("port", TARGETS)
+def test_cppcheck_finds_nothing_in_a_port(need: Callable[[str], None], port: str) -> None:
+    need("cppcheck")
+    where = includes(f"ports/{port}")
+    result = cppcheck("--enable=all", "--inconclusive", *where, *port_sources(port))
+    assert (result.returncode, result.stdout + result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("mcu", AVRS)
+def test_cppcheck_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: str) -> None:
+    """With cppcheck's own description of the AVR's library, in place of its headers."""
+    need("cppcheck")
+    name = mcu.replace("atmega", "ATmega").replace("p", "P").replace("u", "U")
+    result = cppcheck(
+        "--enable=all",
+        "--inconclusive",
+        "--platform=avr8",
+        "--library=avr",
+        "--suppress=constParameter",  # the types of callbacks are fixed
+        # It takes 65535 + 1 in 16 bits for "not 0", and the line asks just that.
+        "--suppress=knownConditionTrueFalse:*/drivers/avr/quad.c",
+        f"-D__AVR_{name}__",
+        f"-DSENSORS_ADC={AVRS[mcu]}",
+        *AVR_DEFINES,
+        *includes(*AVR_FOLDERS),
+        *AVR_SOURCES,
+    )
+    assert (result.returncode, result.stdout + result.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 def test_clang_tidy_finds_nothing(need: Callable[[str], None], options: list[str]) -> None:
     need("clang-tidy")
-    sources = [*CORE, BOARD, *sorted((FIRMWARE / "apps/builtins").glob("*.c"))]
-    where = includes(PORT, "apps/builtins")
-    result = run("clang-tidy", "--quiet", *sources, "--", "-std=c99", *DEFINES, *options, *where)
+    sources = [*CORE, *COMMON, *sorted((FIRMWARE / "apps/builtins").glob("*.c"))]
+    # The common files are for 32 bits; on 64 an address is cut.
+    machine = [*TARGETS["cortex-m"], "-ffreestanding"]
+    result = clang_tidy(sources, [*machine, *options, *includes(MAIN_PORT, "apps/builtins")])
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
 
 
 def test_clang_tidy_finds_nothing_in_posix_and_demo(need: Callable[[str], None]) -> None:
     need("clang-tidy")
     sources = [*FIRMWARE.glob("ports/posix/*.c"), *FIRMWARE.glob("apps/demo/*.c")]
-    where = includes("ports/posix", "apps/demo")
-    result = run("clang-tidy", "--quiet", *sources, "--", "-std=c99", *DEFINES, *where)
+    result = clang_tidy(sources, ["-DJ2A_TXBUF=64", *includes("ports/posix", "apps/demo")])
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
+
+
+@pytest.mark.parametrize("port", TARGETS)
+def test_clang_tidy_finds_nothing_in_a_port(need: Callable[[str], None], port: str) -> None:
+    need("clang-tidy")
+    machine = [*TARGETS[port], "-ffreestanding"]
+    options = [f"--checks={UNCHECKED[port]}"] if port in UNCHECKED else []
+    result = clang_tidy(port_sources(port), [*machine, *includes(f"ports/{port}")], *options)
+    assert (result.returncode, result.stdout) == (0, ""), result.stderr
+
+
+@pytest.mark.parametrize("mcu", AVRS)
+def test_clang_tidy_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: str) -> None:
+    """With the headers of avr-libc, which the compiler knows where to find."""
+    need("clang-tidy")
+    need("avr-gcc")
+    asked = subprocess.run(
+        ["avr-gcc", f"-mmcu={mcu}", "-M", "-x", "c", "-"],
+        input="#include <avr/io.h>",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    headers = re.search(r"(\S+)/avr/io\.h", asked.stdout)
+    assert headers
+    machine = ["--target=avr", f"-mmcu={mcu}", "-isystem", headers[1], "-fshort-enums"]
+    given = [*AVR_DEFINES, f"-DSENSORS_ADC={AVRS[mcu]}", "-O2"]  # delay.h wants to be optimised
+    flags = [*machine, *given, *includes(*AVR_FOLDERS)]
+    result = clang_tidy(AVR_SOURCES, flags, f"--checks={UNCHECKED['avr']}")
+    assert (result.returncode, result.stdout) == (0, ""), result.stderr
+
+
+def test_every_port_and_common_file_is_looked_at() -> None:
+    ports = {path.parent.name for path in FIRMWARE.glob("ports/*/port.mk")}
+    # The template is filled in first, and test_naive_port.py does so.
+    assert ports == {*TARGETS, "posix", "avr-serial", "template"}
+    assert {path for port in TARGETS for path in port_sources(port)} >= set(COMMON)
 
 
 def test_clang_tidy_finds_what_is_wrong(need: Callable[[str], None], tmp_path: Path) -> None:
@@ -95,14 +196,27 @@ def test_clang_tidy_finds_what_is_wrong(need: Callable[[str], None], tmp_path: P
     assert run("clang-tidy", "--quiet", wrong, "--", "-std=c99").returncode != 0
 
 
+def test_cppcheck_finds_what_is_wrong(need: Callable[[str], None], tmp_path: Path) -> None:
+    """Also for the AVR, and in code that only one of the chips has."""
+    need("cppcheck")
+    wrong = tmp_path / "wrong.c"
+    wrong.write_text(
+        "#include <avr/interrupt.h>\n#ifdef __AVR_ATmega32U2__\nstatic int values[2];\n"
+        "ISR(TIMER0_OVF_vect) {\n    values[2] = 1;\n}\n#endif\n"
+    )
+    result = cppcheck("--platform=avr8", "--library=avr", "-D__AVR_ATmega32U2__", wrong)
+    assert result.returncode != 0
+    assert "arrayIndexOutOfBounds" in result.stderr
+
+
 def test_misra_rules_are_those_of_the_page(need: Callable[[str], None]) -> None:
     need("cppcheck")
     result = cppcheck(
         "--enable=style",
         "--addon=misra",
-        *includes(PORT, "apps/demo"),
+        *includes(MAIN_PORT, "apps/demo"),
         *CORE,
-        BOARD,
+        *COMMON,
     )
     found = set(re.findall(r"misra-c2012-([0-9.]+)", result.stdout + result.stderr))
     rows = re.findall(r"^\| ([0-9., ]+) \|", MISRA_PAGE.read_text("utf-8"), re.MULTILINE)

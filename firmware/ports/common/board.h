@@ -34,11 +34,11 @@ void board_write(uint8_t byte);
 /* Milliseconds since the start, wrapping at 2^32 (not before: extend a counter of 16 bits). Called in
  * each turn of the main loop, so a counter may be extended here if it wraps later than any function of
  * the application takes. One that an interrupt counts is read with interrupts off where the chip has
- * less than 32 bits. */
+ * less than 32 bits. Not called, and need not be there, where BOARD_MICROSECONDS is 1. */
 uint32_t board_ms(void);
 
 /* Microseconds since the start, monotonic, without steps. Asked for where j2a_port_config.h defines
- * BOARD_MICROSECONDS as 1; elsewhere applications measure time by board_ms(). */
+ * BOARD_MICROSECONDS as 1, in each turn of the main loop; elsewhere applications measure time by board_ms(). */
 #ifndef BOARD_MICROSECONDS
 #define BOARD_MICROSECONDS 0
 #endif
@@ -46,8 +46,9 @@ uint32_t board_ms(void);
 uint64_t board_us(void);
 #endif
 
-/* Called in each turn of the main loop. Does nothing, or sends what board_write() has collected (USB,
- * an operating system), or sleeps until the next interrupt, at most for a millisecond. */
+/* Called in each turn of the main loop in which no received byte waits. Does nothing, or sends what board_write()
+ * has collected (USB, an operating system), or sleeps until the next interrupt, at most for a millisecond. What
+ * is collected must also go out when there is no room for more: bytes may come without end. */
 void board_idle(void);
 
 /* The port gives, where BOARD_INTERRUPTS is 1: call it from the receive interrupt, once for each byte. */

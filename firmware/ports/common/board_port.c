@@ -17,6 +17,9 @@ typedef uint16_t ring_index;
 #if J2A_RXBUF > 65535
 #error "J2A_RXBUF must be 1..65535"
 #endif
+#if J2A_TXBUF > 0
+#error "this port has no transmit buffer, so J2A_TXBUF must be 0; what a board collects itself is up to its board.c"
+#endif
 
 enum { BYTES_IN_A_ROW = 32 }; /* then the main loop goes on, also when bytes come without end */
 
@@ -105,9 +108,22 @@ void j2a_port_tx(uint8_t byte) {
     poll_receiver();
 }
 
+#if BOARD_MICROSECONDS
+/* Here only the lower half counts, which wraps after 71 minutes; the main loop turns more often. No division of
+ * 64 bits, which takes long. */
+uint16_t j2a_port_ticks(void) {
+    static uint32_t counted_us;
+    static uint16_t ms;
+    const uint32_t more_ms = ((uint32_t)board_us() - counted_us) / 1000;
+    counted_us += more_ms * 1000;
+    ms = (uint16_t)(ms + more_ms);
+    return ms;
+}
+#else
 uint16_t j2a_port_ticks(void) {
     return (uint16_t)board_ms();
 }
+#endif
 
 #if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void) {
@@ -130,7 +146,13 @@ uint16_t j2a_port_overruns(void) {
     return ring.overruns;
 }
 
+/* A board may sleep, so it is not asked to while something waits: each request would wait for a sleep to end. */
 void j2a_port_idle(void) {
+    uint8_t link;
     poll_receiver();
+    for (link = 0; link < J2A_LINKS; link++) {
+        if (rings[link].head != rings[link].tail || rings[link].lost)
+            return;
+    }
     board_idle();
 }

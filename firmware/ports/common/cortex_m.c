@@ -88,12 +88,6 @@ static uint32_t read_clock(uint64_t *periods_ms) {
     return period_cycles - left;
 }
 
-uint32_t cortex_m_ms(void) {
-    uint64_t periods_ms;
-    const uint32_t cycles = read_clock(&periods_ms);
-    return (uint32_t)periods_ms + cycles / (cycles_per_us * 1000);
-}
-
 uint64_t cortex_m_us(void) {
     uint64_t periods_ms;
     const uint32_t cycles = read_clock(&periods_ms);

@@ -31,9 +31,8 @@ static inline void cortex_m_enable(uint32_t interrupt) {
 /* Starts the clock. clock_hz: the frequency of the processor, a whole number of MHz. Called once. */
 void cortex_m_start_clock(uint32_t clock_hz);
 
-/* Time since then; from the main context and from interrupts, and with interrupts off for up to the period
- * of SysTick (134 ms at 125 MHz). The milliseconds wrap at 2^32. */
-uint32_t cortex_m_ms(void);
+/* Microseconds since then; from the main context and from interrupts, and with interrupts off for up to the
+ * period of SysTick (134 ms at 125 MHz). */
 uint64_t cortex_m_us(void);
 
 /* Sleeps until the next interrupt. */

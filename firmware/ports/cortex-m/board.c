@@ -96,10 +96,6 @@ void board_write(uint8_t byte) {
     UART_DATA(j2a_link) = byte;
 }
 
-uint32_t board_ms(void) {
-    return cortex_m_ms();
-}
-
 uint64_t board_us(void) {
     return cortex_m_us();
 }

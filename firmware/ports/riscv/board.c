@@ -12,8 +12,8 @@
 
 static bool overrun;
 static volatile bool received; /* since the last board_idle() */
-static uint64_t ms;
-static uint32_t counted; /* of mtime, in ms */
+static uint64_t us;
+static uint32_t counted; /* of mtime, in us */
 
 static void interrupts_off(void) {
     __asm__ volatile("csrc mstatus, %0" : : "i"(MSTATUS_MIE) : "memory");
@@ -82,16 +82,21 @@ void board_write(uint8_t byte) {
 }
 
 /* The lower half of mtime, which is used here, wraps after 7 minutes; the main loop turns more often. */
-uint32_t board_ms(void) {
-    const uint32_t more_ms = (MTIME - counted) / (MTIME_PER_US * 1000);
-    counted += more_ms * (MTIME_PER_US * 1000);
-    ms += more_ms;
-    return (uint32_t)ms;
+uint64_t board_us(void) {
+    const uint32_t more_us = (MTIME - counted) / MTIME_PER_US;
+    counted += more_us * MTIME_PER_US;
+    return us += more_us;
 }
 
-uint64_t board_us(void) {
-    board_ms();
-    return ms * 1000 + (MTIME - counted) / MTIME_PER_US;
+/* Both halves, read again when the lower one has wrapped in between. */
+static uint64_t mtime(void) {
+    uint32_t high;
+    uint32_t low;
+    do {
+        high = MTIME_HIGH;
+        low = MTIME;
+    } while (high != MTIME_HIGH);
+    return (uint64_t)high << 32 | low;
 }
 
 /* Sleeps until a byte comes, or a millisecond, unless one has come since the last call. With interrupts off
@@ -99,10 +104,10 @@ uint64_t board_us(void) {
 void board_idle(void) {
     interrupts_off();
     if (!received) {
-        const uint32_t then = MTIME + MTIME_PER_US * 1000;
+        const uint64_t then = mtime() + MTIME_PER_US * 1000;
         MTIMECMP_HIGH = 0xFFFFFFFF; /* never, while only one half is new */
-        MTIMECMP = then;
-        MTIMECMP_HIGH = MTIME_HIGH + (then < MTIME_PER_US * 1000);
+        MTIMECMP = (uint32_t)then;
+        MTIMECMP_HIGH = (uint32_t)(then >> 32);
         __asm__ volatile("csrs mie, %0\n\twfi\n\tcsrc mie, %0" : : "r"(MIE_TIMER));
     }
     received = false;

@@ -20,8 +20,6 @@
 #define LINE (BAUD < 50000 ? UART_8_BITS : UART_8_BITS | UART_FIFOS)
 
 static uint8_t received;
-static bool sent; /* since the last board_idle() */
-static uint32_t ms, counted_us;
 
 static void take_out_of_reset(uint32_t blocks) {
     REGISTER(RESETS_RESET + ATOMIC_CLEAR) = blocks;
@@ -88,14 +86,6 @@ bool board_can_write(void) {
 
 void board_write(uint8_t byte) {
     REGISTER(UART_DATA) = byte;
-    sent = true;
-}
-
-/* The lower half of the clock wraps after 71 minutes; the main loop turns more often. */
-uint32_t board_ms(void) {
-    const uint32_t more_ms = (REGISTER(TIMER_RAW_LOW) - counted_us) / 1000;
-    counted_us += more_ms * 1000;
-    return ms += more_ms;
 }
 
 uint64_t board_us(void) {
@@ -104,11 +94,8 @@ uint64_t board_us(void) {
 }
 
 /* Sleeps until an interrupt, or a millisecond. One since the last sleep has left its mark in the processor,
- * and WFE goes on at once. After a reply the ring may hold the next request, which nothing announces. */
+ * and WFE goes on at once. */
 void board_idle(void) {
-    if (!sent) {
-        REGISTER(TIMER_ALARM) = REGISTER(TIMER_RAW_LOW) + 1000;
-        __asm__ volatile("wfe");
-    }
-    sent = false;
+    REGISTER(TIMER_ALARM) = REGISTER(TIMER_RAW_LOW) + 1000;
+    __asm__ volatile("wfe");
 }
