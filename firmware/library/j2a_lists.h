@@ -2,7 +2,8 @@
  * properties.def. In: two lists, each once in the whole image, at file scope, in C99 or C++:
  *   J2A_FUNCTIONS(J2A_CALL(add, my_add), J2A_MANY(store, my_store))
  *   J2A_PROPERTIES(J2A_PROPERTY("name", "My board"))
- * Out: the tables that the core expects. Opcodes are in the order of the list, after the built-in functions.
+ * Out: the tables that the core expects. Opcodes are in the order of the list, after the built-in functions;
+ * without a2jMany (J2A_WITH_MANY 0) a J2A_MANY has none, and is as if it were not in the list.
  * j2a.spec belongs to each device and is the first property. Lists may be empty, may end in a comma, and
  * hold 64 items; beyond that functions.def is the way.
  * Rules: names that are macros are replaced first. A function of the wrong kind, a name or key that is
@@ -106,17 +107,31 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_KIND_OF_
 
 #define J2A_NAME_OF_J2A_CALL(name, function) J2A_NAMED(function, name)
-#define J2A_NAME_OF_J2A_MANY(name, function) J2A_NAMED(function, name)
 #define J2A_NAME_OF_
 
 #define J2A_ENTRY_OF_J2A_CALL(name, function) , J2A_ENTRY(function, J2A_KIND_CALL)
-#define J2A_ENTRY_OF_J2A_MANY(name, function) , J2A_ENTRY(function, J2A_KIND_MANY)
 #define J2A_ENTRY_OF_
+
+/* Nobody could call a function of kind many without a2jMany, so it gets no name and no opcode then. The
+ * pointer, which compilers leave out, keeps them from warning of a static function without use. */
+#if J2A_WITH_MANY
+#define J2A_NAME_OF_J2A_MANY(name, function) J2A_NAMED(function, name)
+#define J2A_ENTRY_OF_J2A_MANY(name, function) , J2A_ENTRY(function, J2A_KIND_MANY)
+#define J2A_SIZE_OF_J2A_MANY(name, function) + sizeof #name
+#else
+#ifdef __GNUC__
+#define J2A_NAME_OF_J2A_MANY(name, function) \
+    static j2a_many_fn *const j2a_kept_##name __attribute__((unused)) = function;
+#else
+#define J2A_NAME_OF_J2A_MANY(name, function)
+#endif
+#define J2A_ENTRY_OF_J2A_MANY(name, function)
+#define J2A_SIZE_OF_J2A_MANY(name, function)
+#endif
 
 /* The map must fit into one frame: a negative array size stops the build when it does not. */
 #if J2A_WITH_MAPPING
 #define J2A_SIZE_OF_J2A_CALL(name, function) + sizeof #name
-#define J2A_SIZE_OF_J2A_MANY(name, function) + sizeof #name
 #define J2A_SIZE_OF_
 #define J2A_CHECK_SIZE_(...) \
     extern char j2a_names_longer_than_a_payload[ \

@@ -94,7 +94,7 @@ def test_same_bytes_each_time_and_nothing_left_out(two_files, tmp_path):
     assert amalgamate(tmp_path, "--port", "posix").returncode == 0
     written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert written == {path.name: path.read_bytes() for path in two_files.iterdir()}
-    assert set(written) == {"j2a.h", "j2a.c", "port.c", "j2a_port_config.h"}
+    assert set(written) == {"j2a.h", "j2a.c", "port.c", "j2a_port_config.h", "port.mk"}
     everything = (two_files / "j2a.h").read_text() + (two_files / "j2a.c").read_text()
     for path in sorted((FIRMWARE / "core").iterdir()):
         count = everything.count(f"/* ---- core/{path.name} -")
@@ -172,6 +172,42 @@ def test_lists_in_c_and_cpp(need, two_files, tmp_path, ask, compiler, standard):
         Frame(c.SOF, 1, 0, bytes((3, 0, 0, 0))),
         Frame(c.SOF, 2, 0, bytes((5, c.FLAG_LAST, 77, 0, 0, 0))),
         Frame(c.SOF, 3, 0, bytes((0, c.FLAG_LAST, 0, 0, 0, 0)) + listed),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("compiler", "standard"),
+    [("gcc", "c99"), ("g++", "c++11"), ("clang", "c99"), ("clang++", "c++11")],
+)
+def test_without_many_its_functions_have_no_opcode(
+    need, two_files, tmp_path, ask, compiler, standard
+):
+    need(compiler)
+    app = tmp_path / ("app.c" if standard == "c99" else "app.cpp")
+    # The name of 180 bytes would leave the others no room, if it counted.
+    text = LISTS.replace("J2A_CALL(add,", f"J2A_MANY({'n' * 180}, my_log), J2A_CALL(add,")
+    # A static one must not count as unused.
+    text = text.replace("j2a_many_fn my_log;\n", "").replace(
+        "uint8_t my_log", "static uint8_t my_log"
+    )
+    app.write_text(text)
+    flags = ["-O1", *WARNINGS, f"-I{two_files}", "-DJ2A_WITH_MANY=0"]
+    compiled(compiler, f"-std={standard}", *flags, "-c", app, "-o", tmp_path / "app.o")
+    program = tmp_path / "program"
+    compiled(
+        "cc", *flags, two_files / "j2a.c", two_files / "port.c", tmp_path / "app.o", "-o", program
+    )
+    names = [*(name for name in c.BUILTINS if name not in c.WITH_MANY), "add"]
+    assert "my_log" not in compiled("nm", program).stdout
+    requests = [
+        Frame(c.SOF, 0, 0),
+        Frame(c.SOF, 1, names.index("add"), bytes((1, 0, 0, 0, 2, 0, 0, 0))),
+        Frame(c.SOF, 2, len(names)),
+    ]
+    assert ask(program, b"".join(map(encode, requests))) == [
+        Frame(c.SOF, 0, 0, MAPPING.build(names)),
+        Frame(c.SOF, 1, 0, bytes((3, 0, 0, 0))),
+        Frame(c.SOF, 2, c.ERR_OPCODE, bytes((c.SITE_OPCODE, 0))),
     ]
 
 
