@@ -11,6 +11,7 @@ include_guard(GLOBAL)
 
 get_filename_component(_j2a_folder "${CMAKE_CURRENT_LIST_DIR}/.." ABSOLUTE)
 set(J2A_FOLDER "${_j2a_folder}" CACHE INTERNAL "Folder of core, ports and apps of J2A")
+include("${CMAKE_CURRENT_LIST_DIR}/j2aPort.cmake")
 
 file(GLOB _j2a_core_sources "${J2A_FOLDER}/core/*.c")
 list(REMOVE_ITEM _j2a_core_sources "${J2A_FOLDER}/core/j2a_table.c")
@@ -41,9 +42,32 @@ foreach(_j2a_name core table board posix main)
   add_library(j2a::${_j2a_name} ALIAS j2a_${_j2a_name})
 endforeach()
 
-# What the project has set, as a plain variable, too, is left alone.
+set(_j2a_switches J2A_SELFTEST_SMALL)
 foreach(_j2a_name MAPPING MANY PROPERTIES CLOCK SIF DEBUG SELFTEST)
-  set(_j2a_option J2A_WITH_${_j2a_name})
+  list(APPEND _j2a_switches J2A_WITH_${_j2a_name})
+endforeach()
+set(_j2a_numbers)
+foreach(_j2a_name LINKS ROOM DEBUGBUF PAUSE_MS RXBUF TXBUF)
+  list(APPEND _j2a_numbers J2A_${_j2a_name})
+endforeach()
+
+# A misspelt option would leave the firmware as it is. Beside J2A_WITH_... the project may have names of its own.
+get_cmake_property(_j2a_variables VARIABLES)
+foreach(_j2a_option IN LISTS _j2a_variables)
+  if(_j2a_option MATCHES "^J2A_" AND NOT _j2a_option IN_LIST _j2a_switches
+     AND NOT _j2a_option IN_LIST _j2a_numbers)
+    get_property(_j2a_help CACHE ${_j2a_option} PROPERTY HELPSTRING)
+    string(REPLACE ";" " " _j2a_text "There is no option ${_j2a_option}, but ${_j2a_switches};${_j2a_numbers}")
+    if(_j2a_option MATCHES "^J2A_WITH_")
+      message(FATAL_ERROR "${_j2a_text}")
+    elseif(_j2a_help MATCHES "specified on the command line")
+      message(WARNING "${_j2a_text}")
+    endif()
+  endif()
+endforeach()
+
+# What the project has set, as a plain variable, too, is left alone.
+foreach(_j2a_option IN LISTS _j2a_switches)
   if(NOT DEFINED ${_j2a_option})
     set(${_j2a_option} "" CACHE STRING "ON, OFF, or empty for what core/j2a_options.h says")
   endif()
@@ -56,8 +80,7 @@ foreach(_j2a_name MAPPING MANY PROPERTIES CLOCK SIF DEBUG SELFTEST)
   endif()
 endforeach()
 
-foreach(_j2a_name LINKS ROOM DEBUGBUF PAUSE_MS RXBUF TXBUF)
-  set(_j2a_option J2A_${_j2a_name})
+foreach(_j2a_option IN LISTS _j2a_numbers)
   if(NOT DEFINED ${_j2a_option})
     set(${_j2a_option} "" CACHE STRING "A number, or empty for what core/j2a_options.h says")
   endif()
@@ -75,21 +98,50 @@ foreach(_j2a_name RXBUF TXBUF)
   endif()
 endforeach()
 
-# j2a_add_app(TARGET [PORT posix|NAME|FOLDER] [APP FOLDER] [SOURCES FILE ...] [OWN_MAIN])
+# j2a_add_app(TARGET [PORT posix|NAME|FOLDER] [APP FOLDER] [SOURCES FILE ...] [SET NAME=value ...] [OWN_MAIN])
 # Makes an executable of an app and a port.
 #   PORT      posix (the default), another port of ports/, or the folder of your own: its *.c and *.S, and
-#             j2a::board where it has a board.c and no port.c. Compiler flags, linker script and the like are
-#             given to the target as to any other; other sources of ports/common by SOURCES.
+#             j2a::board where it has a board.c and no port.c. Flags, linker script, buffer sizes and further
+#             sources are those of its port.mk; a folder without one leaves them to you.
 #   APP       a folder: its *.c, and j2a::table where it has a functions.def
 #   SOURCES   further files
+#   SET       variables of the port.mk, such as SET MCU=atmega2560 BAUD=9600
 #   OWN_MAIN  the app has a main() of its own
 function(j2a_add_app target)
-  cmake_parse_arguments(PARSE_ARGV 1 arg "OWN_MAIN" "PORT;APP" "SOURCES")
+  cmake_parse_arguments(PARSE_ARGV 1 arg "OWN_MAIN" "PORT;APP" "SOURCES;SET")
   if(arg_UNPARSED_ARGUMENTS)
     message(FATAL_ERROR "j2a_add_app(${target}): unknown arguments ${arg_UNPARSED_ARGUMENTS}")
   endif()
+  foreach(name PORT APP)
+    if(name IN_LIST ARGN AND "${arg_${name}}" STREQUAL "")
+      message(FATAL_ERROR "j2a_add_app(${target}): ${name} has no value: give one, or leave ${name} out")
+    endif()
+  endforeach()
+  if(NOT arg_APP AND NOT arg_SOURCES AND NOT arg_OWN_MAIN)
+    message(FATAL_ERROR "j2a_add_app(${target}): there is no app. Give APP folder, or SOURCES with functions "
+                        "and j2a_app_task(), or OWN_MAIN and the sources by target_sources()")
+  endif()
   if(NOT arg_PORT)
     set(arg_PORT posix)
+  endif()
+
+  if(NOT arg_PORT STREQUAL "posix")
+    get_filename_component(port "${arg_PORT}" ABSOLUTE)
+    if(NOT EXISTS "${port}/j2a_port_config.h")
+      set(port "${J2A_FOLDER}/ports/${arg_PORT}")
+    endif()
+    if(NOT EXISTS "${port}/j2a_port_config.h")
+      message(FATAL_ERROR "j2a_add_app(${target}): PORT ${arg_PORT} is no port of ${J2A_FOLDER}/ports, "
+                          "and no folder with a j2a_port_config.h")
+    endif()
+    file(GLOB startup "${port}/*.S")
+    if(startup AND NOT CMAKE_ASM_COMPILER)
+      message(FATAL_ERROR "j2a_add_app(${target}): ${startup} needs project(... LANGUAGES C ASM)")
+    endif()
+  endif()
+  if(arg_SET AND NOT EXISTS "${port}/port.mk")
+    message(FATAL_ERROR "j2a_add_app(${target}): SET is for the variables of a port.mk, and there is none "
+                        "for PORT ${arg_PORT}")
   endif()
 
   add_executable(${target} ${arg_SOURCES})
@@ -101,21 +153,12 @@ function(j2a_add_app target)
   if(arg_PORT STREQUAL "posix")
     target_link_libraries(${target} PRIVATE j2a::posix)
   else()
-    get_filename_component(port "${arg_PORT}" ABSOLUTE)
-    if(NOT EXISTS "${port}/j2a_port_config.h")
-      set(port "${J2A_FOLDER}/ports/${arg_PORT}")
-    endif()
-    if(NOT EXISTS "${port}/j2a_port_config.h")
-      message(FATAL_ERROR "j2a_add_app(${target}): PORT ${arg_PORT} is no port of ${J2A_FOLDER}/ports, "
-                          "and no folder with a j2a_port_config.h")
-    endif()
     file(GLOB sources "${port}/*.c")
-    file(GLOB startup "${port}/*.S")
-    if(startup AND NOT CMAKE_ASM_COMPILER)
-      message(FATAL_ERROR "j2a_add_app(${target}): ${startup} needs project(... LANGUAGES C ASM)")
-    endif()
     target_sources(${target} PRIVATE ${sources} ${startup})
     target_include_directories(${target} PRIVATE "${port}" "${J2A_FOLDER}/ports/common")
+    if(EXISTS "${port}/port.mk")
+      _j2a_use_port_mk(${target} "${port}" ${arg_SET})
+    endif()
     if(EXISTS "${port}/board.c" AND NOT EXISTS "${port}/port.c")
       target_link_libraries(${target} PRIVATE j2a::board)
     endif()

@@ -1,5 +1,6 @@
 """The firmware for CMake and for a Makefile of one's own: configured, built, installed, used."""
 
+import shlex
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING
 from j2a_spec.oracle import Frame, decode, encode
 
+from j2a import PauseRefused, connect
 from j2a.sim import AvrSim
 
 ROOT = Path(__file__).parents[2]
@@ -122,34 +124,103 @@ def check_adder(program, ask, without=()):
     assert ask(program, b"".join(map(encode, requests))) == answers
 
 
-@pytest.mark.avr
-def test_for_a_chip(cmake, need, tmp_path):
-    need("avr-gcc")
-    (tmp_path / "CMakeLists.txt").write_text(
-        PROJECT.format(languages="C") + f"add_subdirectory({FIRMWARE} j2a)\n"
-        f"j2a_add_app(chip.elf PORT avr-serial APP {FIRMWARE}/apps/builtins)\n"
-        "target_compile_definitions(chip.elf PRIVATE F_CPU=16000000UL BAUD=115200UL)\n"
+def for_chip(cmake, folder, port, cc, setting=""):
+    """Configure the builtins at -O2 for a port of a chip, whose flags are not given."""
+    (folder / "CMakeLists.txt").write_text(
+        PROJECT.format(languages="C ASM") + f"add_subdirectory({FIRMWARE} j2a)\n"
+        f"j2a_add_app(chip.elf PORT {port} APP {FIRMWARE}/apps/builtins {setting})\n"
     )
-    flags = f"CMAKE_C_FLAGS=-mmcu=atmega328p -Os -fshort-enums {STRICT}"
-    chip = ("CMAKE_SYSTEM_NAME=Generic", "CMAKE_C_COMPILER=avr-gcc", flags)
-    result = cmake(tmp_path, tmp_path / "build", *chip)
+    chip = ("CMAKE_SYSTEM_NAME=Generic", f"CMAKE_C_COMPILER={cc}")
+    return (*chip, "CMAKE_TRY_COMPILE_TARGET_TYPE=STATIC_LIBRARY", f"CMAKE_C_FLAGS=-O2 {STRICT}")
+
+
+def built_for_chip(cmake, folder, *words):
+    settings = for_chip(cmake, folder, *words)
+    result = cmake(folder, folder / "build", *settings)
     assert result.returncode == 0, result.stderr
-    done("cmake", "--build", tmp_path / "build")
-    with AvrSim(tmp_path / "build" / "chip.elf") as sim:
+    done("cmake", "--build", folder / "build")
+    return folder / "build" / "chip.elf"
+
+
+@pytest.mark.avr
+def test_for_an_avr(cmake, need, tmp_path):
+    need("avr-gcc")
+    elf = built_for_chip(cmake, tmp_path, "avr-serial", "avr-gcc", "SET MCU=atmega2560")
+    with AvrSim(elf, mcu="atmega2560") as sim:
         sim.boot()
         echo = Frame(c.SOF, 5, c.BUILTINS.index(c.GET_ECHO), b"hello")
         sim.uart_write(encode(echo))
         sim.run(sim.cycles(0.01))
         assert decode(sim.uart_read()) == [Frame(c.SOF, 5, c.ECHO, b"hello")]
+    for setting, flags, message in (
+        ("", ["CMAKE_C_FLAGS=-mmcu=atmega8"], "has -mmcu=atmega8"),
+        ("SET SPEED=3", [], "SET SPEED=3: give NAME=value, NAME one of BAUD;MCU;FREQ"),
+    ):
+        settings = for_chip(cmake, tmp_path, "avr-serial", "avr-gcc", setting)
+        result = cmake(tmp_path, tmp_path / "build", *settings, *flags)
+        assert result.returncode != 0
+        assert message in " ".join(result.stderr.split())
+
+
+def check_echo(elf):
+    """Ask the image, run as a Cortex-M3 in QEMU, which a busy machine may stop within a frame."""
+    launcher = FIRMWARE / "ports/common/qemu.py"
+    words = [*(sys.executable, launcher, "qemu-system-arm", "-M", "mps2-an385", "-display", "none")]
+    words += ["-monitor", "none", "-serial", "stdio", "-kernel", elf]
+    with connect("exec:" + shlex.join(map(str, words)), timeout=20) as device:
+        for attempt in range(5):
+            try:
+                device.echo(bytes(range(200)))
+            except PauseRefused:
+                assert attempt < 4
+            else:
+                break
+
+
+def test_for_a_cortex_m(cmake, need, tmp_path):
+    need("arm-none-eabi-gcc")
+    need("qemu-system-arm")
+    check_echo(built_for_chip(cmake, tmp_path, "cortex-m", "arm-none-eabi-gcc"))
+
+
+def check_finished(folder):
+    """Is there a .uf2, with a checksum at the end of the second stage?"""
+    (uf2,) = folder.glob("*.uf2")
+    block = uf2.read_bytes()[32 : 32 + 256]
+    crc = 0xFFFFFFFF
+    for byte in block[:252]:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x04C11DB7 if crc >> 31 else 0)) & 0xFFFFFFFF
+    assert block[252:] == crc.to_bytes(4, "little")
+
+
+def test_for_an_rp2040(cmake, need, tmp_path):
+    need("arm-none-eabi-gcc")
+    check_finished(built_for_chip(cmake, tmp_path, "rp2040", "arm-none-eabi-gcc").parent)
+
+
+NO_APP = "there is no app. Give APP folder, or SOURCES"
 
 
 @pytest.mark.parametrize(
     ("call", "settings", "message"),
     [
-        ("j2a_add_app(x PORT vax)", (), "PORT vax is no port of"),
+        ("j2a_add_app(x PORT vax OWN_MAIN)", (), "PORT vax is no port of"),
         ("j2a_add_app(x APP nowhere)", (), "APP nowhere holds no C file"),
         ("j2a_add_app(x APPS a)", (), "unknown arguments APPS;a"),
+        ("j2a_add_app(x OWN_MAIN PORT)", (), "PORT has no value"),
+        ('j2a_add_app(x PORT "${MISSPELT}" APP a)', (), "PORT has no value"),
+        ("j2a_add_app(x APP)", (), "APP has no value"),
+        ("j2a_add_app(x)", (), NO_APP),
+        ("j2a_add_app(x OWN_MAIN SET BAUD=9600)", (), "there is none for PORT posix"),
+        (
+            "j2a_add_app(x OWN_MAIN PORT avr-serial)",
+            (),
+            "-DCMAKE_SYSTEM_NAME=Generic -DCMAKE_C_COMPILER=avr-gcc",
+        ),
         ("", ("J2A_ROOM=big",), "J2A_ROOM=big: give a whole number"),
+        ("", ("J2A_WITH_DEBG=OFF",), "There is no option J2A_WITH_DEBG, but"),
     ],
 )
 def test_mistakes_are_told(cmake, tmp_path, call, settings, message):
@@ -160,6 +231,25 @@ def test_mistakes_are_told(cmake, tmp_path, call, settings, message):
     assert message in " ".join(result.stderr.split())
 
 
+def test_misspelt_number_is_warned_of_and_a_port_mk_must_be_understood(cmake, tmp_path):
+    port = tmp_path / "port"
+    port.mkdir()
+    (port / "j2a_port_config.h").touch()
+    text = PROJECT.format(languages="NONE") + f"include({FIRMWARE}/cmake/j2aConfig.cmake)\n"
+    text += "j2a_add_app(x OWN_MAIN PORT port)\n"
+    (tmp_path / "CMakeLists.txt").write_text(text)
+    for content, message in (
+        ("ifeq ($(A),)\n", "CMake understands NAME := value, but not"),
+        ("MACHINE := -mcpu=$(CORE)\n", "CMake does not know $(CORE)"),
+    ):
+        (port / "port.mk").write_text(content)
+        result = cmake(tmp_path, tmp_path / "build", "J2A_ROM=99")
+        assert result.returncode != 0
+        told = " ".join(result.stderr.split())
+        assert message in told
+        assert "There is no option J2A_ROM, but" in told
+
+
 def test_own_makefile(need, tmp_path, ask):
     need("make")
     need("cc")
@@ -168,3 +258,18 @@ def test_own_makefile(need, tmp_path, ask):
     done(sys.executable, tool, "--port", "posix", "--out", tmp_path / "own" / "j2a")
     done("make", "CC=cc -Werror", cwd=tmp_path / "own")
     check_adder(tmp_path / "own" / "device", ask)
+
+
+@pytest.mark.parametrize("port", ["cortex-m", "rp2040"])
+def test_own_makefile_for_a_chip(need, tmp_path, port):
+    need("arm-none-eabi-gcc")
+    shutil.copytree(LIBRARY / "make-example", tmp_path / "own")
+    tool = ROOT / "tools" / "amalgamate.py"
+    told = done(sys.executable, tool, "--port", port, "--out", tmp_path / "own" / "j2a").stdout
+    assert "port.mk, to be included by a Makefile" in told
+    done("make", "CFLAGS=-O2 -Werror", cwd=tmp_path / "own")
+    if port == "rp2040":
+        check_finished(tmp_path / "own")
+    else:
+        need("qemu-system-arm")
+        check_echo(tmp_path / "own" / "device.elf")
