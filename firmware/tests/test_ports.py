@@ -1,4 +1,10 @@
-"""What each port must be: small, on its own, and known to the suite."""
+"""What each port must be: small, on its own, and known to the suite.
+
+Small means two things. Each source file (.c, .h, .S) has under 150 lines, all lines counted. And the
+code lines of a port's .c and .S files together are under 150: neither empty lines, comments and
+`#include` count, nor headers, which hold registers and options. Not counted at all are port.mk,
+linker scripts, tools in Python, and what the port takes from ports/common.
+"""
 
 import re
 import tomllib
@@ -16,7 +22,7 @@ LIMIT = 150
 
 
 def code_lines(source: str) -> int:
-    """Lines that are neither empty nor comment."""
+    """Count the lines that are neither empty, nor comment, nor `#include`."""
     without = re.sub(
         r"/\*.*?\*/", lambda match: "\n" * match[0].count("\n"), source, flags=re.DOTALL
     )
@@ -24,8 +30,24 @@ def code_lines(source: str) -> int:
     return sum(1 for line in lines if line and not line.startswith(("//", "#include")))
 
 
+def test_what_counts_as_a_line_of_code() -> None:
+    source = """/* What it is,
+ * in two lines. */
+#include "board.h"
+
+#if BAUD > 9600 // counts
+// does not
+int x; /* counts */
+/* does
+   not */
+#endif
+"""
+    assert code_lines(source) == 3
+
+
 @pytest.mark.parametrize("port", PORTS, ids=lambda port: port.name)
 def test_a_port_is_small(port: Path) -> None:
+    """Each file with all its lines, and all code together without that of headers."""
     sources = {path.name: path.read_text("utf-8") for path in port.glob("*.[chS]")}
     assert sources
     for name, text in sources.items():
