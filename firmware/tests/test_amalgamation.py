@@ -1,5 +1,6 @@
 """The core in two files is the core: same answers, same size, clean in C and C++."""
 
+import re
 import shlex
 import shutil
 import subprocess
@@ -112,6 +113,17 @@ def test_wrong_arguments_are_refused(tmp_path):
         assert result.returncode == 2
         assert message in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_buffers_of_each_port_are_told(tmp_path):
+    page = (ROOT / "docs/library.md").read_text()
+    for path in FIRMWARE.glob("ports/*/port.mk"):
+        assert amalgamate(tmp_path / path.parent.name, "--port", path.parent.name).returncode == 0
+        if path.parent.name == "template":
+            continue
+        (row,) = re.findall(rf"^\| {path.parent.name} \| (\d+).*\| (\d+|none)", page, re.M)
+        numbers = dict(re.findall(r"^PORT_([RT]XBUF) := (\d+)$", path.read_text(), re.M))
+        assert row == (numbers["RXBUF"], numbers.get("TXBUF", "none"))
 
 
 @pytest.mark.parametrize("cc", C_COMPILERS)

@@ -124,10 +124,10 @@ def check_adder(program, ask, without=()):
     assert ask(program, b"".join(map(encode, requests))) == answers
 
 
-def for_chip(cmake, folder, port, cc, setting=""):
-    """Configure the builtins at -O2 for a port of a chip, whose flags are not given."""
+def for_chip(folder, port, cc, setting="", found=f"add_subdirectory({FIRMWARE} j2a)"):
+    """The builtins at -O2 for a port of a chip, whose flags are not given; returns settings."""
     (folder / "CMakeLists.txt").write_text(
-        PROJECT.format(languages="C ASM") + f"add_subdirectory({FIRMWARE} j2a)\n"
+        PROJECT.format(languages="C ASM") + f"{found}\n"
         f"j2a_add_app(chip.elf PORT {port} APP {FIRMWARE}/apps/builtins {setting})\n"
     )
     chip = ("CMAKE_SYSTEM_NAME=Generic", f"CMAKE_C_COMPILER={cc}")
@@ -135,7 +135,7 @@ def for_chip(cmake, folder, port, cc, setting=""):
 
 
 def built_for_chip(cmake, folder, *words):
-    settings = for_chip(cmake, folder, *words)
+    settings = for_chip(folder, *words)
     result = cmake(folder, folder / "build", *settings)
     assert result.returncode == 0, result.stderr
     done("cmake", "--build", folder / "build")
@@ -156,7 +156,7 @@ def test_for_an_avr(cmake, need, tmp_path):
         ("", ["CMAKE_C_FLAGS=-mmcu=atmega8"], "has -mmcu=atmega8"),
         ("SET SPEED=3", [], "SET SPEED=3: give NAME=value, NAME one of BAUD;MCU;FREQ"),
     ):
-        settings = for_chip(cmake, tmp_path, "avr-serial", "avr-gcc", setting)
+        settings = for_chip(tmp_path, "avr-serial", "avr-gcc", setting)
         result = cmake(tmp_path, tmp_path / "build", *settings, *flags)
         assert result.returncode != 0
         assert message in " ".join(result.stderr.split())
@@ -195,9 +195,11 @@ def check_finished(folder):
     assert block[252:] == crc.to_bytes(4, "little")
 
 
-def test_for_an_rp2040(cmake, need, tmp_path):
+def test_for_an_rp2040_as_installed(cmake, need, installed, tmp_path):
     need("arm-none-eabi-gcc")
-    check_finished(built_for_chip(cmake, tmp_path, "rp2040", "arm-none-eabi-gcc").parent)
+    found = f"set(CMAKE_PREFIX_PATH {installed / 'prefix'})\nfind_package(j2a CONFIG REQUIRED)"
+    words = ("rp2040", "arm-none-eabi-gcc", "", found)
+    check_finished(built_for_chip(cmake, tmp_path, *words).parent)
 
 
 NO_APP = "there is no app. Give APP folder, or SOURCES"

@@ -109,6 +109,22 @@ def test_folder_is_what_the_ide_expects(packed):
         assert path.is_dir() or not re.search(r"@[A-Z]+@", path.read_text())
 
 
+def test_the_sketch_is_the_same_on_the_page_and_in_the_package(packed):
+    page = (ROOT / "docs/arduino.md").read_text()
+    sketch, told = (
+        re.search(r"^```cpp\n(#include.*?)^```", text, re.M | re.S)[1]
+        for text in (page, (packed / "README.md").read_text())
+    )
+    assert sketch == told
+    assert "if (*length != 8)" in sketch
+
+
+def test_url_of_a_publisher(tmp_path):
+    tool("arduino_library.py", "--out", tmp_path, "--url", "https://example.org/j2a")
+    lines = (tmp_path / "J2A/library.properties").read_text().splitlines()
+    assert "url=https://example.org/j2a" in lines
+
+
 def test_keywords_are_names_of_the_library(packed):
     headers = "".join(path.read_text() for path in (packed / "src").glob("*.h"))
     for line in (packed / "keywords.txt").read_text().splitlines():
