@@ -21,8 +21,8 @@ RXBUF = 128
 class Board:
     """Demo firmware in the simulator; all times are simulated ones."""
 
-    def __init__(self, elf):
-        self.sim = AvrSim(elf)
+    def __init__(self, elf, frequency_hz=16_000_000):
+        self.sim = AvrSim(elf, frequency_hz=frequency_hz)
         self.sim.boot()
         self.pause(1)  # the first byte after the reset
 
@@ -247,6 +247,52 @@ def test_clock_has_no_steps(board):
     character_us = board.sim.char_cycles / 16
     assert max(offsets) - min(offsets) < 9 * character_us + 1000
     assert board.sim.time_s > 0.3
+
+
+@pytest.mark.parametrize("frequency_hz", [1843200, 3686400, 4433619, 7372800, 14745600, 20000000])
+def test_clock_of_other_crystals(build, error, frequency_hz):
+    """Right within 0.1 %, also where the clock is no whole number of MHz, and so are pauses."""
+    baud = frequency_hz // 64
+    board = Board(build(port="avr-serial", FREQ=frequency_hz, BAUD=baud), frequency_hz)
+    assert board.sim.baud == pytest.approx(baud, rel=0.001)
+
+    def read_us():
+        asked_s = board.sim.time_s
+        time_us = int.from_bytes(board.call("getTime").payload, "little")
+        return 1e6 * (asked_s + board.sim.time_s) / 2, time_us
+
+    before_us, first_us = read_us()
+    board.pause(9000)
+    after_us, last_us = read_us()
+    assert last_us - first_us == pytest.approx(after_us - before_us, rel=0.001)
+    frame = encode(Frame(c.SOF, 7, ECHO, b"abc"))
+    for pause_ms, answer in (
+        (9, Frame(c.SOF, 7, c.ECHO, b"abc")),
+        (19, error(7, c.ERR_TIMEOUT, c.SITE_TIMEOUT)),
+    ):
+        board.send(frame[:5])
+        board.pause(pause_ms - 1000 * board.sim.char_cycles / frequency_hz)
+        board.send(frame[5:])
+        assert board.listen(5) == [answer]
+    board.sim.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"FREQ": "999999"}, "F_CPU (make FREQ=) must be 1000000 or more"),
+        ({"FREQ": "8000000"}, "such as F_CPU / 16, / 32 or / 64"),
+        ({"RXBUF": "256"}, '"J2A_RXBUF must be 1..255"'),
+        ({"TXBUF": "1"}, '"this port has no transmit buffer, so J2A_TXBUF must be 0"'),
+        ({"MCU": "atmega8"}, "this chip has no USART of the newer kind, or no timer 1"),
+        ({"MCU": "attiny85"}, "this chip has no USART of the newer kind, or no timer 1"),
+    ],
+    ids=str,
+)
+def test_refuses(make, tmp_path, settings, message):
+    result = make(PORT="avr-serial", APP="builtins", OUT=tmp_path, **settings)
+    assert result.returncode != 0
+    assert message in result.stderr
 
 
 def test_clock_around_the_wraps(build):

@@ -258,7 +258,7 @@ def test_qemu_does_not_stay_behind(probe, how):
 
 @pytest.mark.parametrize("level", ["-Os", "-O2", "-O3"])
 def test_library_does_not_call_itself(tools, level):
-    """A compiler that sees a loop copy bytes makes it a call of memcpy(), also inside of memcpy()."""
+    """A compiler makes a loop that copies bytes a call of memcpy(), also inside of memcpy()."""
     words = ["arm-none-eabi-gcc", "-std=c99", "-mcpu=cortex-m3", "-mthumb", level, "-S", "-o", "-"]
     listing = subprocess.run(
         [*words, FIRMWARE / "ports/common/freestanding.c"],

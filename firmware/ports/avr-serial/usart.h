@@ -5,6 +5,10 @@
 
 #include <avr/io.h>
 
+#if !(defined UCSR0C || defined UCSR1C) || !defined TIMSK1
+#error "this chip has no USART of the newer kind, or no timer 1; see firmware/README.md"
+#endif
+
 #ifndef J2A_USART
 #ifdef UBRR0
 #define J2A_USART 0
