@@ -1,7 +1,7 @@
 """What each port must be: small, on its own, and known to the suite.
 
-Small means two things. Each source file (.c, .h, .S) has under 150 lines, all lines counted. And the
-code lines of a port's .c and .S files together are under 150: neither empty lines, comments and
+Small means two things. Each source file (.c, .h, .S) has under 150 lines, all lines counted. And
+the code lines of a port's .c and .S files together are under 150: neither empty lines, comments and
 `#include` count, nor headers, which hold registers and options. Not counted at all are port.mk,
 linker scripts, tools in Python, and what the port takes from ports/common.
 """
