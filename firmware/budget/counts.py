@@ -1,8 +1,9 @@
-"""Instructions of the marked functions of count/app.c: by callgrind, or by QEMU for other machines.
+"""Instructions of the marked functions of count/app.c: by callgrind, by QEMU, or by rp2040js.
 
-In: the program, and for a machine in QEMU the command that runs it. Out: instructions for a byte
-on the wire and for a call. Rules: the lengths on the wire come from the oracle of the
-specification; QEMU runs one instruction at a time and logs each, so a figure does not depend on
+In: the program, and for another machine than this the command that runs it. Out: instructions for
+a byte on the wire and for a call. Rules: the lengths on the wire come from the oracle of the
+specification; what waits for a transmitter is no figure, which rp2040js makes as slow as it is;
+QEMU runs one instruction at a time and logs each, so a figure does not depend on
 how fast this machine is.
 """
 
@@ -16,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import sizes
-from builds import BudgetError, Build, ToolMissing
+from builds import FIRMWARE, BudgetError, Build, ToolMissing
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 
@@ -25,6 +26,8 @@ __all__ = ["count"]
 _NAMES = ("rx_plain", "rx_escaped", "call", "tx_plain", "tx_escaped")
 _DONE = encode(Frame(c.SOS, 0, 0xC0, b""))
 _LIMIT_S = 60
+_EMULATOR = FIRMWARE / "emulators/rp2040"
+_INSTALL = "sh tools/npm.sh firmware/emulators/rp2040"
 # QEMU looks up from its work before this instruction, and logs it once more when it goes on.
 _NOT_RUN = "Stopped execution of TB chain before"
 _LINE = re.compile(r"^Trace \d+: \S+ \[[0-9a-f]+/([0-9a-f]+)/")
@@ -40,13 +43,21 @@ def _per_byte(counts: Mapping[str, int], build: Build) -> dict[str, float]:
     )
     if missing := set(_NAMES) - counts.keys():
         raise BudgetError(f"{build.name}: nothing was counted for {', '.join(sorted(missing))}")
-    return {
+    figures = {
         "rx_plain": counts["rx_plain"] / plain,
         "rx_escaped": counts["rx_escaped"] / escaped,
         "call": counts["call"],
         "tx_plain": (counts["tx_plain"] - counts["call"]) / (plain - empty),
         "tx_escaped": (counts["tx_escaped"] - counts["call"]) / (escaped - empty),
     }
+    if _waits(build):
+        del figures["tx_plain"], figures["tx_escaped"]
+    return figures
+
+
+def _waits(build: Build) -> bool:
+    """Whether the emulator's transmitter takes its time, so that instructions of waiting count."""
+    return build.emulator[:1] == ("node",)
 
 
 def _tool(build: Build, name: str) -> str:
@@ -57,7 +68,12 @@ def _tool(build: Build, name: str) -> str:
 
 def count(program: Path, build: Build) -> dict[str, float]:
     """Instructions for a byte on the wire and for a call, of the app count."""
-    counted = _by_qemu(program, build) if build.emulator else _by_callgrind(program, build)
+    if not build.emulator:
+        counted = _by_callgrind(program, build)
+    elif _waits(build):
+        counted = _by_node(program, build)
+    else:
+        counted = _by_qemu(program, build)
     return _per_byte(counted, build)
 
 
@@ -81,6 +97,27 @@ def _by_callgrind(program: Path, build: Build) -> dict[str, int]:
         elif function in _NAMES and line[:1].isdigit():  # its own, or of what the line before calls
             counts[function] = counts.get(function, 0) + int(line.split()[1])
     return counts
+
+
+def _by_node(elf: Path, build: Build) -> dict[str, int]:
+    """Of a program in an emulator of ours, which takes the functions' addresses and counts."""
+    symbols = sizes.symbols(elf)
+    names = [f"count_{name}" for name in _NAMES]
+    if missing := {*names, "counted"} - symbols.keys():
+        raise BudgetError(f"{build.name}: the program has no {', '.join(sorted(missing))}")
+    addresses = [str(symbols[name][0] & ~1) for name in ("counted", *names)]
+    if not (_EMULATOR / "node_modules").is_dir():
+        raise ToolMissing(f"{build.name}: rp2040js is missing: {_INSTALL}")
+    command = [_tool(build, "node"), str(FIRMWARE / build.emulator[1]), str(elf), *addresses]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, timeout=_LIMIT_S, check=False, text=True
+        )
+    except subprocess.TimeoutExpired:
+        raise BudgetError(f"{build.name}: no end within {_LIMIT_S} s in rp2040js") from None
+    if done.returncode:
+        raise BudgetError(f"{build.name}: {done.stderr.strip()}")
+    return dict(zip(_NAMES, map(int, done.stdout.split()), strict=True))
 
 
 def _by_qemu(elf: Path, build: Build) -> dict[str, int]:
