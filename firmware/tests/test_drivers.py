@@ -498,6 +498,27 @@ def test_periods_of_all_transducers(board):
     assert board.sifs == []
 
 
+@pytest.mark.avr
+def test_one_sif_in_a_turn_of_the_main_loop(build):
+    """The ring has to hold what arrives during one SIF, of 46 bytes and what is escaped, not two.
+
+    Those of the infrared and the ADC come due with the same scan, that of the encoders while the
+    one of the infrared goes out; with the ADC's each makes 72 bytes, and this ring holds 64.
+    """
+    board = Board(build("sensors", "avr-serial", BAUD="500000", RXBUF="64"))
+    board.set_periods(7)
+    board.ask("setPeriod", "", struct.pack("<BH", QUAD, 1))
+    board.turn(0, 1000, board.sim.cycle, 3200)
+    payload = bytes(255)
+    while len(board.sifs) < 200:
+        assert board.call(c.GET_ECHO, payload).payload == payload
+    order = [sif.opcode for sif in board.sifs]
+    assert order.count(ADC) >= 10
+    assert board.ask("overruns", "H") == (0,)
+    assert board.sim.counters.overruns == 0
+    board.sim.close()
+
+
 # -- the app, its size and its time ------------------------------------------------------------
 
 
