@@ -10,6 +10,7 @@ import re
 import shlex
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -103,13 +104,17 @@ class Board:
 
     def ram(self):
         """All of the RAM."""
+        return self.memory(RAM, RAM_SIZE)
+
+    def memory(self, address, size):
+        """What is there."""
         dump = self.folder / "dump"
         with socket.socket(socket.AF_UNIX) as control:
             control.settimeout(PATIENCE_S)
             control.connect(self.control)
             with control.makefile("rw") as qmp:
                 self._execute(qmp, "qmp_capabilities")
-                self._execute(qmp, "pmemsave", val=RAM, size=RAM_SIZE, filename=str(dump))
+                self._execute(qmp, "pmemsave", val=address, size=size, filename=str(dump))
         return dump.read_bytes()
 
     @staticmethod
@@ -254,6 +259,31 @@ def test_qemu_does_not_stay_behind(probe, how):
         finally:
             launcher.terminate()
     assert not running(child)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"BAUD": 2399}, "BAUD must be 2400 or more"),
+        ({"BAUD": 1562501}, "25 MHz of clock allow up to 1562500"),
+        ({"BAUD": 1500000}, "off by more than 1.5 %"),
+        ({"TXBUF": 1}, "J2A_TXBUF must be 0"),
+    ],
+    ids=str,
+)
+def test_refuses(tools, make, tmp_path, settings, message):
+    result = make(PORT="cortex-m", APP="builtins", OUT=tmp_path, **settings)
+    assert result.returncode != 0
+    assert message in result.stderr
+
+
+@pytest.mark.parametrize("baud", [2400, 115200, 1000000])
+def test_baud_rate(image, tmp_path, baud):
+    """QEMU tells what the UART's divider makes of 25 MHz."""
+    with Board(image("demo", BAUD=baud), tmp_path) as board:
+        board.call(c.BUILTINS.index(c.GET_ECHO))
+        (divider,) = struct.unpack("<I", board.memory(0x40004010, 4))
+    assert 25e6 / divider == pytest.approx(baud, rel=0.005)
 
 
 @pytest.mark.parametrize("level", ["-Os", "-O2", "-O3"])

@@ -201,11 +201,12 @@ def test_pause_inside_a_frame(ask, build, error, baud, cut):
     assert after(20) == [error(7, c.ERR_TIMEOUT, c.SITE_TIMEOUT)]
 
 
-def test_baud_rate_that_the_clock_does_not_allow(make, need, tmp_path):
+@pytest.mark.parametrize("baud", [2399, 750001])
+def test_baud_rate_that_is_refused(make, need, tmp_path, baud):
     need("arm-none-eabi-gcc")
-    result = make(PORT="rp2040", OUT=tmp_path, BAUD=750001)
+    result = make(PORT="rp2040", OUT=tmp_path, BAUD=baud)
     assert result.returncode != 0
-    assert "12 MHz of clock allow up to 750000" in result.stderr
+    assert "BAUD must be 2400 or more, and 12 MHz of clock allow up to 750000" in result.stderr
 
 
 def test_receive_buffer_holds_what_it_announces(ask, demo, error):

@@ -1,5 +1,5 @@
 /* A Cortex-M3 at 25 MHz, the MPS2 board with AN385, which QEMU has as mps2-an385: the links are its first
- * J2A_LINKS UARTs (CMSDK APB, 8N1 at 115200 baud), received by interrupt, sent by polling. SysTick is the clock
+ * J2A_LINKS UARTs (CMSDK APB, 8N1 at BAUD), received by interrupt, sent by polling. SysTick is the clock
  * (ports/common/cortex_m.c), timer 0 wakes the processor each millisecond.
  *   make PORT=cortex-m && qemu-system-arm -M mps2-an385 -display none -monitor none -serial stdio \
  *       -kernel build/cortex-m/demo.elf
@@ -8,7 +8,14 @@
 
 #include "cortex_m.h"
 
-enum { CLOCK_HZ = 25000000, BAUD_RATE = 115200 };
+#define CLOCK_HZ 25000000u
+/* A character must pass well within the byte timeout; the UART divides by 16 and more, without a fraction. */
+#define DIVIDER ((CLOCK_HZ + BAUD / 2) / BAUD)
+#if BAUD < 2400 || BAUD > CLOCK_HZ / 16
+#error "BAUD must be 2400 or more, and 25 MHz of clock allow up to 1562500"
+#elif DIVIDER * BAUD > CLOCK_HZ / 1000 * 1015 || DIVIDER * BAUD < CLOCK_HZ / 1000 * 985
+#error "BAUD: the UART is off by more than 1.5 %; give one that divides 25 MHz, such as 1000000, 1250000 or 1562500"
+#endif
 
 /* UART 0 is at 0x40004000, UART 1 at 0x40005000. */
 #define UART_REG(link, offset) CORTEX_M_REG(0x40004000 + 0x1000 * (uint32_t)(link) + (offset))
@@ -35,7 +42,7 @@ enum {
 };
 
 static void uart_init(uint32_t number) {
-    UART_BAUDDIV(number) = CLOCK_HZ / BAUD_RATE;
+    UART_BAUDDIV(number) = DIVIDER;
     UART_CTRL(number) = CTRL_TX | CTRL_RX | CTRL_RX_INTERRUPT;
     cortex_m_enable(2 * number); /* "received"; 2 * number + 1 is "sent" */
 }

@@ -1,7 +1,7 @@
 # A Cortex-M3 on an MPS2 board, as QEMU has it (mps2-an385), without any library but the compiler's own.
 CC := arm-none-eabi-gcc
 CFLAGS ?= -Os
-MACHINE := -mcpu=cortex-m3 -mthumb -ffreestanding \
+MACHINE := -mcpu=cortex-m3 -mthumb -ffreestanding -DBAUD=$(BAUD)u \
 	-ffunction-sections -fdata-sections
 LINK := -nostartfiles -nolibc -L ports/common -T $(PORT_DIR)/board.ld -Wl,--gc-sections
 SUFFIX := .elf

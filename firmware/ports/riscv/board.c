@@ -6,9 +6,14 @@
 #include "virt.h"
 
 #define DIVIDER ((UART_CLOCK_HZ + 8 * BAUD) / (16 * BAUD))
-#if UART_CLOCK_HZ != 16 * DIVIDER * BAUD
+#if BAUD < 2400
+#error "BAUD must be 2400 or more: a character must pass well within the byte timeout"
+#elif UART_CLOCK_HZ != 16 * DIVIDER * BAUD
 #error "BAUD: not one that the UART has exactly; take 230400, 115200, 57600, 38400, 19200 or 9600"
 #endif
+/* Bytes that are fewer than 8 are seen 4 characters late, and so a pause of 9 ms within a frame seems longer. At low
+ * rates it would be taken for the end of the frame; there each byte is announced. */
+#define FIFO (BAUD < 50000 ? FIFO_CLEARED_1 : FIFO_CLEARED_8)
 
 static bool overrun;
 static volatile bool received; /* since the last board_idle() */
@@ -35,7 +40,7 @@ void board_init(void) {
     UART_DIVIDER_LOW = (uint8_t)DIVIDER;
     UART_DIVIDER_HIGH = (uint8_t)(DIVIDER >> 8);
     UART_LINE = LINE_8N1;
-    UART_FIFO = FIFO_CLEARED_8;
+    UART_FIFO = FIFO;
     UART_INTERRUPTS = INTERRUPT_RECEIVED;
     PLIC_PRIORITY_UART = 1;
     PLIC_ENABLE = 1u << UART_IRQ;

@@ -16,6 +16,7 @@
 #define UART_STATUS REGISTER_8(0x10000005u)
 enum {
     INTERRUPT_RECEIVED = 0x01,
+    FIFO_CLEARED_1 = 0x07, /* on; interrupt at the first byte */
     FIFO_CLEARED_8 = 0x87, /* on; interrupt at 8 of 16 bytes, or when none has come for 4 characters */
     LINE_8N1 = 0x03,
     LINE_DIVIDER = 0x80,

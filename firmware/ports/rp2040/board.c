@@ -12,8 +12,9 @@
 #define CLOCK_HZ 12000000u
 /* The UART divides by 16 and by this many 64ths: off by 0.8 % at most. */
 #define DIVIDER_64 ((CLOCK_HZ * 4 + BAUD / 2) / BAUD)
-#if BAUD > CLOCK_HZ / 16 || DIVIDER_64 >> 6 > 65535
-#error "BAUD: 12 MHz of clock allow up to 750000"
+/* A character must pass well within the byte timeout. */
+#if BAUD < 2400 || BAUD > CLOCK_HZ / 16
+#error "BAUD must be 2400 or more, and 12 MHz of clock allow up to 750000"
 #endif
 /* With FIFOs a byte is seen up to 32 bit times late, and so a pause of 9 ms within a frame seems longer. At low
  * rates it would be taken for the end of the frame; there the UART holds one byte, which lasts long enough. */

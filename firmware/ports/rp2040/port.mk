@@ -1,5 +1,5 @@
 # A Raspberry Pi Pico without its SDK. Besides the .elf there is a .uf2, to be copied onto a Pico that was
-# switched on with BOOTSEL held down. BAUD: up to 750000.
+# switched on with BOOTSEL held down. BAUD: 2400 to 750000.
 CC := arm-none-eabi-gcc
 CFLAGS ?= -Os
 MACHINE := -mcpu=cortex-m0plus -mthumb -DBAUD=$(BAUD)u -ffunction-sections -fdata-sections --specs=picolibc.specs
