@@ -118,7 +118,7 @@ def _spans(sim: AvrSim, mark: int) -> list[Span]:
     spans: list[Span] = []
     end = sim.time_s + 20
     while not any(span.mark == mark for span in spans):
-        sim.run(500)
+        sim.run(5000)
         spans += sim.spans()
         if sim.time_s > end:
             raise BudgetError(f"{sim.program.path} closes no span with mark {mark}")

@@ -138,7 +138,7 @@ int main(void) {
     UCSRnB |= _BV(BIT_TXEN);
 
     for (;;) {
-        for (turns = 0; turns < 5000; turns++) {
+        for (turns = 0; turns < 1000; turns++) {
             GPIOR0 = 3;
             __builtin_avr_delay_cycles(100);
             GPIOR0 = 0;
