@@ -34,9 +34,11 @@ extern const uint8_t j2a_function_count; /* not in flash, so that link-time opti
 /* key NUL value NUL ..., and one more NUL (an empty key) at the end */
 extern const unsigned char j2a_properties[];
 
-/* What a device with less room than others says of it (J2A-LIMIT-006), whatever its application says. */
+/* The number that a macro stands for, as text: J2A_PROPERTY("j2a.rxbuf", J2A_TEXT(J2A_RXBUF)). */
 #define J2A_TEXT_(value) #value
 #define J2A_TEXT(value) J2A_TEXT_(value)
+
+/* What a device with less room than others says of it (J2A-LIMIT-006), whatever its application says. */
 #if J2A_ROOM < J2A_MAX_PAYLOAD
 #define J2A_PROPERTY_ROOM "j2a.room\0" J2A_TEXT(J2A_ROOM) "\0"
 extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100 ? 3 : 4) ? 1 : -1];

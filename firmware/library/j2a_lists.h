@@ -152,12 +152,6 @@ char j2a_needs_a_many(j2a_many_fn *function);
     const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0]; \
     extern const uint8_t j2a_function_count /* takes the semicolon of the user */
 
-/* The number that a macro stands for, as text: J2A_PROPERTY("j2a.rxbuf", J2A_TEXT(J2A_RXBUF)). */
-#ifndef J2A_TEXT
-#define J2A_TEXT_(value) #value
-#define J2A_TEXT(value) J2A_TEXT_(value)
-#endif
-
 #define J2A_VALUE_OF_J2A_PROPERTY(key, value) key "\0" value "\0"
 #define J2A_VALUE_OF_
 #define J2A_FULL_OF_J2A_PROPERTY(key, value) \
@@ -167,7 +161,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #if J2A_WITH_PROPERTIES
 #define J2A_PROPERTIES(...) \
     J2A_EACH_(J2A_FULL_OF, __VA_ARGS__) \
-    const unsigned char J2A_FLASH j2a_properties[] = "j2a.spec\0" J2A_SPEC_VERSION "\0" \
+    const unsigned char J2A_FLASH j2a_properties[] = J2A_PROPERTY_ROOM "j2a.spec\0" J2A_SPEC_VERSION "\0" \
         J2A_EACH_(J2A_VALUE_OF, __VA_ARGS__); \
     extern const unsigned char j2a_properties[]
 #else
