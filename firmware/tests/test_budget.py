@@ -18,6 +18,8 @@ from pathlib import Path
 
 import pytest
 
+from j2a.sim import AvrSim
+
 FIRMWARE = Path(__file__).parents[1]
 BUDGET = FIRMWARE / "budget"
 sys.path.insert(0, str(BUDGET))
@@ -175,6 +177,22 @@ def test_stack_is_bounded_from_both_sides(checked):
     for figures in both:
         # What no load reaches is a few bytes; more would mean that the load does too little.
         assert figures["stack"] <= figures["bound"] <= figures["stack"] + 4
+
+
+@pytest.mark.parametrize("name", ["avr-serial/cycles", "avr-serial/cycles-room-32"])
+def test_an_escape_takes_no_longer_than_two_bytes(checked, out, name):
+    """The second byte of an escape is the dearest; the one before it makes up for that."""
+    figures = checked[1][name]
+    with AvrSim(out / name / "cycles.elf") as sim:
+        sim.boot()
+        spans = avr_run._spans(sim, 4)
+    (nothing,) = (span.cycles for span in spans if span.mark == 10)
+    costs = [span.cycles - nothing + avr_run.CALL for span in spans if span.mark == 9]
+    assert max(costs) == figures["rx_dearest"]
+    before = costs[costs.index(max(costs)) - 1]
+    around = figures["received_dearest"] - figures["rx_dearest"]
+    assert before + max(costs) + 2 * around < 320
+    assert around + min(costs) < figures["received"] < figures["received_dearest"]
 
 
 def deep_app(folder, body):
