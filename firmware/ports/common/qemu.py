@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 STDIN = 0
+ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 HUNG_UP_MS = 200  # how often is looked whether QEMU has ended by itself
 LAST_WORDS_S = 0.1  # for the device to work on what it took last
 LEFT_BEHIND_S = 2.0  # for the device to take what is left
@@ -66,16 +67,21 @@ def main() -> int:
     if len(sys.argv) < 2:
         print("usage: qemu.py qemu-system-... OPTIONS", file=sys.stderr)
         return 2
+    # Whoever ends this process ends QEMU, too, and not before it is known here.
+    told_to_end: list[int] = []
+    for number in ENDING:
+        signal.signal(number, lambda given, _: told_to_end.append(given))
     take_precedence()
     try:
         qemu = subprocess.Popen(sys.argv[1:])
     except OSError as error:
         print(f"{sys.argv[1]} cannot be run: {error}; install it, or look at PATH", file=sys.stderr)
         return 127
-    # Whoever ends this process ends QEMU, too: SystemExit gets to the end of the block below.
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda *_: sys.exit(0))
     try:
+        for number in ENDING:  # SystemExit gets to the end of this block
+            signal.signal(number, lambda *_: sys.exit(0))
+        if told_to_end:
+            return 0
         if not hung_up(qemu):
             return qemu.returncode if qemu.returncode >= 0 else 1
         end_s = time.monotonic() + LEFT_BEHIND_S
