@@ -67,7 +67,7 @@ class Analysis:
 
 def _parser(machine: str, *defines: str) -> Analysis:
     precision = (
-        "-eva-ilevel 253 -eva-plevel 2 -eva-slevel 3000 -eva-split-limit 300"
+        "-eva-ilevel 254 -eva-plevel 2 -eva-slevel 3000 -eva-split-limit 300"
         " -eva-interprocedural-splits -eva-split-return-function j2a_rx_byte:full"
     )
     return Analysis("parser", ("j2a_rx.c",), tuple(precision.split()), machine, defines)
