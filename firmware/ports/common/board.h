@@ -31,7 +31,8 @@ bool board_can_write(void);
 /* Sends a byte; called only after board_can_write() said yes. */
 void board_write(uint8_t byte);
 
-/* Milliseconds since the start, wrapping at 2^32 (not before: extend a counter of 16 bits). Called in
+/* Milliseconds since the start, wrapping at 2^32 (not before: extend a counter of 16 bits), so each 49.7 days;
+ * j2a_port_time_us() goes on counting if it is asked at least that often. Called in
  * each turn of the main loop, so a counter may be extended here if it wraps later than any function of
  * the application takes. One that an interrupt counts is read with interrupts off where the chip has
  * less than 32 bits. Not called, and need not be there, where BOARD_MICROSECONDS is 1. */
