@@ -166,7 +166,7 @@ def test_a_mutant_that_breaks_nothing_survives(judge):
 
 
 def test_a_mutant_that_breaks_another_rule_survives(judge):
-    status, printed = judge(Edit(RX, "j2a_rx.length = byte;", "j2a_rx.length = byte & 0x7F;"))
+    status, printed = judge(Edit(RX, "rx->length = byte;", "rx->length = byte & 0x7F;"))
     assert (status, printed) == (1, "core-stuff-004: survives\n1 mutants, 0 killed\n")
 
 
@@ -186,14 +186,14 @@ def test_a_mutant_that_dies_is_an_error(judge):
 
 
 def test_a_mutant_that_answers_nothing_is_an_error(judge):
-    status, printed = judge(Edit(RX, "j2a_rx.event = J2A_EVENT_FRAME;", ""))
+    status, printed = judge(Edit(RX, "rx->event = J2A_EVENT_FRAME;", ""))
     assert status == 1
     assert "nothing answers" in printed
 
 
 def test_a_core_that_hangs_is_an_error(judge):
     like, _ = find("core-disp-004")
-    start = "    uint8_t checksum;\n    j2a_tx_byte(start);"
+    start = "    j2a_tx_byte(start);"
     hang = "    static uint8_t sent;\n    if (++sent > 13)\n        for (;;)\n            ;\n"
     status, printed = judge(Edit("firmware/core/j2a_tx.c", start, hang + start), like=like)
     assert status == 1
