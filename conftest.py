@@ -28,6 +28,7 @@ PACKAGES = {
 }
 COMPILERS = {
     "avr-serial": "avr-gcc",
+    "avr-usb": "avr-gcc",
     "cortex-m": "arm-none-eabi-gcc",
     "rp2040": "arm-none-eabi-gcc",
     "riscv": "riscv64-unknown-elf-gcc",

@@ -76,6 +76,21 @@ BUILTINS: Final = (GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO, GET_E
 OPTIONAL_BUILTINS: Final = frozenset({GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO_MANY})
 WITH_MANY: Final = frozenset({MANY, GET_PROPERTIES, GET_ECHO_MANY})
 
+# USB: the interface of a board, and SyncUSB, which takes the host's time (thesis 5.3, 6; wire facts).
+USB_VENDOR: Final = 0x6666
+USB_PRODUCT: Final = 0xCAFE
+USB_CLASS: Final = 0xFF
+USB_SUBCLASS: Final = 0x12
+USB_PROTOCOL: Final = 0xEF
+USB_IN: Final = 0x81
+USB_OUT: Final = 0x02
+USB_PACKET: Final = 64
+SYNCUSB_SUBCLASS: Final = 0x34
+SYNCUSB_PROTOCOL: Final = 0x01
+SYNCUSB_OUT: Final = 0x03
+SYNCUSB_SIZE: Final = 10
+SYNCUSB_NAME: Final = "SyncUSB"
+
 # Property keys that the specification gives a meaning.
 PROP_SPEC: Final = "j2a.spec"
 PROP_RXBUF: Final = "j2a.rxbuf"
@@ -138,6 +153,21 @@ TABLE: Final = (
         ("BYTE_TIMEOUT_MS", BYTE_TIMEOUT_MS, "nominal longest pause inside a frame"),
         ("BYTE_TIMEOUT_MIN_MS", BYTE_TIMEOUT_MIN_MS, "a pause up to this is always accepted"),
         ("BYTE_TIMEOUT_MAX_MS", BYTE_TIMEOUT_MAX_MS, "a pause of this ends the frame"),
+    ),
+    *_rows(
+        "USB",
+        ("USB_VENDOR", USB_VENDOR, "vendor id of boards that have none of their own"),
+        ("USB_PRODUCT", USB_PRODUCT, "product id of such boards"),
+        ("USB_CLASS", USB_CLASS, "class of both interfaces: vendor specific"),
+        ("USB_SUBCLASS", USB_SUBCLASS, "subclass of the interface that carries frames"),
+        ("USB_PROTOCOL", USB_PROTOCOL, "its protocol"),
+        ("USB_IN", USB_IN, "its bulk endpoint to the host, on boards that may choose"),
+        ("USB_OUT", USB_OUT, "its bulk endpoint to the board, on boards that may choose"),
+        ("USB_PACKET", USB_PACKET, "packet of a bulk endpoint at full speed"),
+        ("SYNCUSB_SUBCLASS", SYNCUSB_SUBCLASS, "subclass of the interface SyncUSB"),
+        ("SYNCUSB_PROTOCOL", SYNCUSB_PROTOCOL, "its protocol"),
+        ("SYNCUSB_OUT", SYNCUSB_OUT, "its interrupt endpoint to the board"),
+        ("SYNCUSB_SIZE", SYNCUSB_SIZE, "bytes of a packet of SyncUSB"),
     ),
     *_rows(
         "Site ids of error payloads",

@@ -21,6 +21,9 @@ ENTRY_POINT_GROUP: Final = "j2a.transports"
 _DRIVERS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "serial": "._serial",
+        "usb": "._usb",
+        "gadget": "._gadget",
+        "bt": "._bluetooth",
         "tcp": "._tcp",
         "exec": "._process",
         "pty": "._pty",
