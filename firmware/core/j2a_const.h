@@ -38,6 +38,20 @@
 #define J2A_BYTE_TIMEOUT_MIN_MS 9u /* a pause up to this is always accepted */
 #define J2A_BYTE_TIMEOUT_MAX_MS 20u /* a pause of this ends the frame */
 
+/* USB */
+#define J2A_USB_VENDOR 0x6666u /* vendor id of boards that have none of their own */
+#define J2A_USB_PRODUCT 0xCAFEu /* product id of such boards */
+#define J2A_USB_CLASS 0xFFu /* class of both interfaces: vendor specific */
+#define J2A_USB_SUBCLASS 0x12u /* subclass of the interface that carries frames */
+#define J2A_USB_PROTOCOL 0xEFu /* its protocol */
+#define J2A_USB_IN 0x81u /* its bulk endpoint to the host, on boards that may choose */
+#define J2A_USB_OUT 0x02u /* its bulk endpoint to the board, on boards that may choose */
+#define J2A_USB_PACKET 64u /* packet of a bulk endpoint at full speed */
+#define J2A_SYNCUSB_SUBCLASS 0x34u /* subclass of the interface SyncUSB */
+#define J2A_SYNCUSB_PROTOCOL 0x01u /* its protocol */
+#define J2A_SYNCUSB_OUT 0x03u /* its interrupt endpoint to the board */
+#define J2A_SYNCUSB_SIZE 10u /* bytes of a packet of SyncUSB */
+
 /* Site ids of error payloads */
 #define J2A_SITE_OPCODE 1u /* opcode or function index out of range */
 #define J2A_SITE_KIND 2u /* function of the other kind */

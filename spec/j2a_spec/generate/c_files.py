@@ -16,7 +16,7 @@ def constants() -> str:
     for group, rows in groupby(c.TABLE, key=lambda row: row.group):
         lines.append(f"/* {group} */")
         for row in rows:
-            value = f"0x{row.value:02X}" if row.value < 256 and not _is_count(row) else row.value
+            value = str(row.value) if _is_count(row) else f"0x{row.value:02X}"
             lines.append(f"#define J2A_{row.name} {value}u /* {row.meaning} */")
         lines.append("")
     lines += [
@@ -29,7 +29,9 @@ def constants() -> str:
 
 
 def _is_count(row: c.Constant) -> bool:
-    return row.group.startswith(("Sizes", "Times", "Site")) or row.name.startswith("CHK")
+    return row.group.startswith(("Sizes", "Times", "Site")) or row.name.startswith(
+        ("CHK", "USB_PACKET", "SYNCUSB_SIZE")
+    )
 
 
 def vectors(frames: list[dict[str, Any]], streams: list[dict[str, Any]]) -> str:

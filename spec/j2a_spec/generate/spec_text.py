@@ -48,7 +48,7 @@ def _constants() -> str:
     for group, rows in groupby(c.TABLE, key=lambda row: row.group):
         lines = [f"| {group} | value | meaning |", "|---|---|---|"]
         for row in rows:
-            number = f"{row.value} (0x{row.value:02X})" if row.value <= 0xFF else str(row.value)
+            number = f"{row.value} (0x{row.value:02X})"
             lines.append(f"| {row.name} | {number} | {row.meaning} |")
         blocks.append("\n".join(lines) + "\n")
     return "\n".join(blocks)
