@@ -76,7 +76,7 @@ BUILTINS: Final = (GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO, GET_E
 OPTIONAL_BUILTINS: Final = frozenset({GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO_MANY})
 WITH_MANY: Final = frozenset({MANY, GET_PROPERTIES, GET_ECHO_MANY})
 
-# USB: the interface of a board, and SyncUSB, which takes the time of the host (LINKS.md, thesis 6.3).
+# USB: the interface for frames, and SyncUSB, the one for the time (LINKS.md, thesis 6.3).
 USB_VENDOR: Final = 0x6666
 USB_PRODUCT: Final = 0xCAFE
 USB_CLASS: Final = 0xFF
