@@ -31,7 +31,8 @@ from j2a.cli._exit import (
 __all__ = ["EXIT_CODES", "main"]
 
 _COMMANDS: Final = {
-    "list": "serial ports of this computer, and which boards they probably are",
+    "list": "USB boards and serial ports of this computer",
+    "setup": "prepare this computer for USB boards: a rule for udev",
     "info": "what a device is and can do",
     "call": "call a function",
     "read": "read from a function that transfers data of any size (a2jMany)",
@@ -45,7 +46,9 @@ _COMMANDS: Final = {
 }
 _URLS: Final = """\
 a device is named by its URL:
-  serial:///dev/ttyACM0?baud=115200   a serial port; j2a list shows them
+  usb://                              the USB board, if there is one; j2a list shows all
+  serial:///dev/ttyACM0?baud=115200   a serial port
+  bt://00:11:22:33:44:55              a Bluetooth device
   tcp://127.0.0.1:5000                a TCP connection
   exec:./firmware                     a program, by its standard input and output
   pty:./firmware                      a program, on a pseudo terminal"""

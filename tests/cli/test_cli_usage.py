@@ -41,7 +41,7 @@ def test_version(run):
     ("argv", "says"),
     [
         (["cal"], "did you mean call?"),
-        (["zzz"], "commands are: list, info"),
+        (["zzz"], "commands are: list, setup, info"),
         (["--timeout", "1", "info"], "comes after a command"),
         (["info"], "required: URL"),
         (["call", NOWHERE], "required: FUNCTION\n"),
@@ -57,7 +57,7 @@ def test_version(run):
         (["info", NOWHERE, "--baud", "9600"], "unknown option 'baud'"),
         (["info", "/dev/ttyACM0"], "did you mean serial:///dev/ttyACM0"),
         (["info", "localhost:5000"], "did you mean tcp://localhost:5000"),
-        (["info", "foo:bar"], "known are: serial, tcp"),
+        (["info", "foo:bar"], "known are: serial, usb"),
         (["info", ""], "not a transport URL"),
         (["call", NOWHERE, "010"], "'010' is no opcode: write it as 10"),
         (["read", NOWHERE, "0x"], "'0x' is no opcode"),
