@@ -4,6 +4,7 @@ Expected bytes come from the oracle of the specification, never from the library
 """
 
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, decode
 
+ROOT = Path(__file__).parents[2]
 SITES = {"checksum": c.SITE_CHECKSUM, "marker": c.SITE_MARKER, "escape": c.SITE_ESCAPE}
 
 
@@ -24,6 +26,27 @@ def avr(need: Callable[[str], None]) -> None:
 def build(build_firmware: Callable[..., Path]) -> Callable[..., Path]:
     """Build an app, each set of variables once; returns the program."""
     return build_firmware
+
+
+@pytest.fixture(scope="session")
+def tool() -> Callable[..., str]:
+    """Run a program of the folder tools with arguments; returns what it printed."""
+
+    def run(name: str, *arguments: object) -> str:
+        command = [sys.executable, str(ROOT / "tools" / name), *map(str, arguments)]
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert result.returncode == 0, result.stdout + result.stderr
+        return result.stdout
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def packed(tmp_path_factory, tool: Callable[..., str]) -> Path:
+    """The folder of the Arduino library, with the zip beside it."""
+    out: Path = tmp_path_factory.mktemp("arduino")
+    tool("arduino_library.py", "--out", out)
+    return out / "J2A"
 
 
 @pytest.fixture(scope="session")

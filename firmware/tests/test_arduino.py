@@ -4,7 +4,6 @@ import itertools
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -27,21 +26,6 @@ MANY = c.BUILTINS.index(c.MANY)
 FIRST = len(c.BUILTINS)
 
 
-def tool(name, *arguments):
-    command = [sys.executable, str(ROOT / "tools" / name), *map(str, arguments)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout
-
-
-@pytest.fixture(scope="module")
-def packed(tmp_path_factory):
-    """The folder of the library, with the zip beside it."""
-    out = tmp_path_factory.mktemp("arduino")
-    tool("arduino_library.py", "--out", out)
-    return out / "J2A"
-
-
 @pytest.fixture(scope="module")
 def arduino(need, missing):
     need("avr-gcc")
@@ -50,7 +34,7 @@ def arduino(need, missing):
 
 
 @pytest.fixture(scope="module")
-def built(arduino, packed):
+def built(arduino, packed, tool):
     """All examples for all boards: where the images are, and (flash, RAM) by board and sketch."""
     out = packed.parent / "built"
     printed = tool("arduino_build.py", "--library", packed, "--out", out)
@@ -59,7 +43,7 @@ def built(arduino, packed):
 
 
 @pytest.fixture
-def variant(built, packed, tmp_path):
+def variant(built, packed, tmp_path, tool):
     """Build a sketch for a board with options; returns the image."""
 
     def build(board, sketch, options=""):

@@ -3,7 +3,6 @@
 import json
 import re
 import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -59,21 +58,6 @@ LIBRARY_JSON = {
 }
 
 
-def tool(name, *arguments):
-    command = [sys.executable, str(ROOT / "tools" / name), *map(str, arguments)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout
-
-
-@pytest.fixture(scope="module")
-def packed(tmp_path_factory):
-    """The folder of the library, with the zip beside it."""
-    out = tmp_path_factory.mktemp("arduino")
-    tool("arduino_library.py", "--out", out)
-    return out / "J2A"
-
-
 def reply(seq, code, payload=b""):
     return Frame(c.SOF, seq, code, payload)
 
@@ -81,7 +65,7 @@ def reply(seq, code, payload=b""):
 # -- the package -------------------------------------------------------------------------------
 
 
-def test_same_bytes_each_time(packed, tmp_path):
+def test_same_bytes_each_time(packed, tmp_path, tool):
     tool("arduino_library.py", "--out", tmp_path)
     (archive,) = packed.parent.glob("*.zip")
     assert (tmp_path / archive.name).read_bytes() == archive.read_bytes()
@@ -119,7 +103,7 @@ def test_the_sketch_is_the_same_on_the_page_and_in_the_package(packed):
     assert "if (*length != 8)" in sketch
 
 
-def test_url_of_a_publisher(tmp_path):
+def test_url_of_a_publisher(tmp_path, tool):
     tool("arduino_library.py", "--out", tmp_path, "--url", "https://example.org/j2a")
     lines = (tmp_path / "J2A/library.properties").read_text().splitlines()
     assert "url=https://example.org/j2a" in lines
