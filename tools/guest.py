@@ -1,0 +1,208 @@
+"""Run one command in a Linux guest of its own, with USB and Bluetooth that need no hardware.
+
+tools/guest.py [options] -- COMMAND [ARGUMENT ...]
+
+What flows in: a command line. What flows out: what it prints, and its exit code; 124 when the time
+is over, 125 when the guest cannot run. Rules: Debian's kernel runs in QEMU, emulated unless --kvm;
+it sees the host's files at the same paths, read-only, and can write to /run, /tmp and /dev/shm;
+the command runs as root of the guest in the folder of the repository with .venv in its PATH;
+10.0.2.2 is the host's 127.0.0.1.
+"""
+
+import argparse
+import contextlib
+import os
+import secrets
+import selectors
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import guest_kernel
+from guest_kernel import GuestError
+
+ROOT = Path(__file__).resolve().parent.parent
+QEMU = "qemu-system-x86_64"
+TIMED_OUT, CANNOT_RUN = 124, 125
+# What keeps the kernel from doing work that no job needs.
+COMMAND_LINE = "console=ttyS0 quiet panic=-1 mitigations=off nokaslr tsc=reliable"
+
+
+def job_script(command: Sequence[str]) -> str:
+    """Return the shell script that runs `command` in the guest."""
+    variables = {
+        "PATH": f"{ROOT}/.venv/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+        "HOME": "/run",
+        "LANG": "C.UTF-8",
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "PYTHONUNBUFFERED": "1",
+        "J2A_GUEST": "1",
+    }
+    lines = [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
+    return "\n".join([*lines, f"cd {shlex.quote(str(ROOT))}", f"exec {shlex.join(command)}", ""])
+
+
+def archive(kernel: Path, job: str) -> bytes:
+    """Return the initramfs with the modules in the folder `kernel` and the script `job`."""
+    busybox = shutil.which("busybox")
+    if busybox is None:
+        raise GuestError("busybox is missing: install the package busybox-static")
+    modules = {path.stem: path.read_bytes() for path in kernel.glob("*.ko")}
+    order = [one for one in guest_kernel.load_order(guest_kernel.WANTED, modules) if modules[one]]
+    return guest_kernel.initramfs(
+        {
+            "bin/busybox": Path(busybox).read_bytes(),
+            "init": (ROOT / "tools/guest_init.sh").read_bytes(),
+            "job": job.encode(),
+            "modules/order": "\n".join(order).encode(),
+            **{f"modules/{name}.ko": modules[name] for name in order},
+            "dev/console": os.makedev(5, 1),
+            **{f"{folder}/.keep": b"" for folder in ("proc", "sys", "host")},
+        }
+    )
+
+
+def machine(folder: Path, kernel: Path, words: str, *, cpus: int, memory: int, kvm: bool) -> list[str]:
+    """Return the command line of QEMU: its standard output is the guest's port "job"."""
+    if shutil.which(QEMU) is None:
+        raise GuestError(f"{QEMU} is missing: install the package qemu-system-x86")
+    options = {
+        "accel": "kvm" if kvm else "tcg",
+        "cpu": "qemu64,+rdrand,+ssse3,+sse4.1,+sse4.2,+popcnt",
+        "m": str(memory),
+        "smp": str(cpus),
+        "kernel": str(kernel / "vmlinux"),
+        "initrd": str(folder / "initramfs"),
+        "append": f"{COMMAND_LINE} {words}",
+        "serial": f"file:{folder / 'console'}",
+        "display": "none",
+        "monitor": "none",
+        "virtfs": "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap",
+        "netdev": "user,id=net,ipv6=off",
+        "chardev": "stdio,id=job,signal=off",
+    }
+    devices = ["virtio-net-pci,netdev=net,romfile=", "virtio-serial-pci", "virtserialport,chardev=job,name=job"]
+    return [
+        QEMU, "-nodefaults", "-no-reboot",
+        *(word for name, value in options.items() for word in (f"-{name}", value)),
+        *(word for device in devices for word in ("-device", device)),
+    ]  # fmt: skip
+
+
+@contextlib.contextmanager
+def process(command: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Start QEMU; it never outlives the block."""
+    # Its port counts as connected while the input is open.
+    started = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    try:
+        yield started
+    finally:
+        started.kill()
+        started.wait()
+
+
+def read_job(
+    qemu: subprocess.Popen[bytes], token: bytes, deadline: float, show: Callable[[bytes], object]
+) -> int | None:
+    """Show what the job prints until it ends.
+
+    Returns:
+        Its exit code; None when QEMU has ended without one.
+
+    Raises:
+        TimeoutError: `deadline` (of time.monotonic) has passed.
+    """
+    assert qemu.stdout is not None
+    end = b"\n" + token + b" exit "
+    pending = b""
+    with selectors.DefaultSelector() as selector:
+        selector.register(qemu.stdout, selectors.EVENT_READ)
+        while True:
+            if not selector.select(max(0.0, deadline - time.monotonic())):
+                show(pending)
+                raise TimeoutError
+            data = os.read(qemu.stdout.fileno(), 65536)
+            pending += data
+            before, found, after = pending.partition(end)
+            if found and after.endswith(b"\n"):
+                show(before)
+                return int(after)
+            if not data:
+                show(pending)
+                return None
+            # The beginning of what may be the last line waits for the rest.
+            keep = pending.rfind(b"\n") if not found else len(before)
+            keep = len(pending) if keep < 0 or len(pending) - keep > len(end) + 8 else keep
+            show(pending[:keep])
+            pending = pending[keep:]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Boot the guest, run the command, and return its exit code."""
+    kernel = guest_kernel.kernel(guest_kernel.cache_folder())
+    start_s = time.monotonic()
+    token = secrets.token_hex(8)
+    with tempfile.TemporaryDirectory(prefix="j2a-guest-") as scratch:
+        folder = Path(scratch)
+        (folder / "initramfs").write_bytes(archive(kernel, job_script(args.command)))
+        words = f"token={token} limit={args.timeout + 30} here={ROOT}"
+        command = machine(folder, kernel, words, cpus=args.cpus, memory=args.memory, kvm=args.kvm)
+        with process(command) as qemu:
+            try:
+                code = read_job(qemu, token.encode(), start_s + args.timeout, show)
+            except TimeoutError:
+                code = None
+                print(f"\nguest: no end after {args.timeout} s: killed", file=sys.stderr)
+        console = folder / "console"
+        log = console.read_text("utf-8", "replace").strip() if console.exists() else ""
+        if log and (code is None or args.verbose):
+            print(f"guest: messages of the kernel:\n{log}", file=sys.stderr)
+        if args.verbose:
+            print(f"guest: {time.monotonic() - start_s:.1f} s", file=sys.stderr)
+        if code is None and qemu.returncode != -signal.SIGKILL:
+            print(f"guest: QEMU has ended before the command, code {qemu.returncode}", file=sys.stderr)
+            return CANNOT_RUN
+        return TIMED_OUT if code is None else code
+
+
+def show(data: bytes) -> None:
+    """Print at once."""
+    sys.stdout.buffer.write(data)
+    sys.stdout.buffer.flush()
+
+
+def main() -> int:
+    """Read the command line, run the guest, and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--timeout", type=int, default=60, metavar="S", help="seconds (60)")
+    parser.add_argument("--cpus", type=int, default=2, help="processors of the guest (2)")
+    parser.add_argument("--memory", type=int, default=768, metavar="MIB", help="memory (768)")
+    parser.add_argument("--kvm", action="store_true", help="let the host's processor run the guest")
+    parser.add_argument("--verbose", action="store_true", help="show the kernel's messages, too")
+    parser.add_argument("command", nargs="+", metavar="COMMAND", help="what to run")
+    args = parser.parse_args()
+
+    def ended(*_: object) -> NoReturn:
+        raise SystemExit(128 + signal.SIGTERM)
+
+    signal.signal(signal.SIGTERM, ended)
+    try:
+        return run(args)
+    except GuestError as error:
+        print(f"guest: {error}", file=sys.stderr)
+        return CANNOT_RUN
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

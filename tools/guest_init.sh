@@ -1,0 +1,49 @@
+#!/bin/busybox sh
+# The first process of the test guest: loads the modules, makes the host's files the root, runs the
+# job in it and reports its exit code. What flows in: /job and /modules/order of the initramfs,
+# and the words token=, limit= and here= of the kernel's command line. What flows out, on the port
+# "job": all that the job prints, and the line "<token> exit <code>". Only /run, /tmp and /dev/shm
+# can be written; the guest ends with the job, or `limit` seconds after its start.
+B=/bin/busybox
+$B mount -t proc proc /proc
+$B mount -t sysfs sysfs /sys
+$B mount -t devtmpfs devtmpfs /dev
+# Should the host have died, nobody else ends this machine.
+($B sleep "$limit" && $B poweroff -f) &
+for module in $($B cat /modules/order); do
+    $B insmod "/modules/$module.ko" || echo "init: cannot load $module"
+done
+
+# The device of a port appears a moment after its driver.
+until set -- /dev/vport*p1 && [ -e "$1" ]; do $B usleep 10000; done
+exec >"$1" 2>&1
+$B mount -t 9p -o trans=virtio,version=9p2000.L,ro,msize=512000,cache=loose host /host ||
+    echo "init: cannot mount the host's files"
+$B mount -t tmpfs tmpfs /host/run
+$B mount -t tmpfs tmpfs /host/tmp
+case $here in
+/tmp/*)
+    # Hidden by the line above: bring it back.
+    $B mkdir -p "/host$here" /again
+    $B mount -t 9p -o trans=virtio,version=9p2000.L,ro,msize=512000,cache=loose host /again
+    $B mount -o bind "/again$here" "/host$here"
+    ;;
+esac
+$B mkdir -p /dev/shm /dev/pts
+$B mount -t tmpfs tmpfs /dev/shm
+$B mount -t devpts devpts /dev/pts
+for folder in proc sys dev; do $B mount -o rbind /$folder /host/$folder; done
+[ ! -d /sys/kernel/config ] || $B mount -t configfs configfs /host/sys/kernel/config
+$B ip link set lo up
+$B ip link set eth0 up
+$B ip address add 10.0.2.15/24 dev eth0
+$B ip route add default via 10.0.2.2
+$B cp /job /host/run/job
+
+$B chroot /host /bin/sh /run/job </dev/null
+code=$?
+echo
+echo "$token exit $code"
+# The host ends the machine when it has read that line.
+$B sleep 5
+$B poweroff -f
