@@ -1,8 +1,7 @@
 """TCP: `tcp://host:port`, as a client and as a listener.
 
 In: a URL; options `connect_timeout` (seconds, default 5) and `write_timeout`.  Out: bytes.
-Rules: no delay of small packets (Nagle off); a listener binds the address in the URL and no other;
-a peer that is gone before it is served is passed over, anything else that fails an accept is told.
+Rules: no delay of small packets (Nagle off); a listener binds the address in the URL and no other.
 """
 
 from __future__ import annotations
@@ -10,21 +9,13 @@ from __future__ import annotations
 import errno
 import os
 import socket
-import threading
-import time
 
-from ._base import LinkClosed, Listener, OpenFailed, Transport, TransportError
-from ._poll import CHUNK, PolledTransport, Readiness, Waker
+from ._accept import SocketListener
+from ._base import Listener, OpenFailed, Transport
+from ._poll import CHUNK, PolledTransport
 from ._url import Url, host_port, timeout
 
 _CONNECT_TIMEOUT_S = 5.0
-# What accept, or an option of the socket that it gave, says of one connection and not of the
-# listener: that it has ended already (EINVAL is how macOS says it of an option), or, on Linux, an
-# error of the network that had been waiting for that connection.
-_GONE = frozenset(
-    {errno.ECONNABORTED, errno.ECONNRESET, errno.EINVAL, errno.ENOTCONN, errno.EPROTO}
-    | {errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ETIMEDOUT}
-)
 
 
 class TcpTransport(PolledTransport):
@@ -61,7 +52,7 @@ class TcpTransport(PolledTransport):
         self._sock.close()
 
 
-class TcpListener(Listener):
+class TcpListener(SocketListener):
     """A listening TCP socket.
 
     Args:
@@ -70,49 +61,12 @@ class TcpListener(Listener):
     """
 
     def __init__(self, sock: socket.socket, write_timeout_s: float | None) -> None:
-        sock.setblocking(False)
-        super().__init__(_url_of(sock.getsockname()))
-        self._sock = sock
+        super().__init__(_url_of(sock.getsockname()), sock)
         self._write_timeout_s = write_timeout_s
-        self._waker = Waker()
-        self._readable = Readiness(sock.fileno(), self._waker, write=False)
-        self._accepting = threading.RLock()
-        self._closed = False
-        self._released = False
 
-    def accept(self, timeout_s: float | None) -> Transport | None:
-        """See `Listener.accept`."""
-        deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        with self._accepting:
-            while True:
-                if self._closed:
-                    raise LinkClosed(f"{self.url} is closed")
-                state = self._readable.wait(timeout_s)
-                if self._closed:
-                    raise LinkClosed(f"{self.url} was closed during accept")
-                if not state:
-                    return None
-                try:
-                    sock, address = self._sock.accept()
-                    return TcpTransport(_url_of(address), sock, self._write_timeout_s)
-                except OSError as error:
-                    if not isinstance(error, BlockingIOError) and error.errno not in _GONE:
-                        raise TransportError(
-                            f"{self.url}: cannot accept: {error.strerror or error}"
-                        ) from error
-                # The client gave up between its arrival and our call.
-                if deadline is not None:
-                    timeout_s = max(0.0, deadline - time.monotonic())
-
-    def close(self) -> None:
-        """See `Listener.close`."""
-        self._closed = True
-        self._waker.wake()
-        with self._accepting:
-            if not self._released:
-                self._released = True
-                self._sock.close()
-                self._waker.close()
+    def _take(self) -> Transport:
+        sock, address = self._sock.accept()
+        return TcpTransport(_url_of(address), sock, self._write_timeout_s)
 
 
 def open_url(url: Url) -> Transport:

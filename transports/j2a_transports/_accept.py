@@ -1,0 +1,85 @@
+"""A listener on a socket whose system can tell when a peer has arrived: TCP, Bluetooth.
+
+In: a bound and listening socket.  Out: the transports that a subclass makes of its peers.
+Rules: a peer that is gone before it is served is passed over, anything else that fails an accept is
+told.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+import threading
+import time
+from abc import abstractmethod
+
+from ._base import LinkClosed, Listener, Transport, TransportError
+from ._poll import Readiness, Waker
+
+# What accept, or an option of the socket that it gave, says of one connection and not of the
+# listener: that it has ended already (EINVAL is how macOS says it of an option), or, on Linux, an
+# error of the network that had been waiting for that connection.
+_GONE = frozenset(
+    {errno.ECONNABORTED, errno.ECONNRESET, errno.EINVAL, errno.ENOTCONN, errno.EPROTO}
+    | {errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ETIMEDOUT}
+)
+
+
+class SocketListener(Listener):
+    """A listening socket; a subclass says how to take the next peer.
+
+    Args:
+        url: what a client opens.
+        sock: bound and listening; the listener owns it from now on.
+    """
+
+    def __init__(self, url: str, sock: socket.socket) -> None:
+        sock.setblocking(False)
+        super().__init__(url)
+        self._sock = sock
+        self._waker = Waker()
+        self._readable = Readiness(sock.fileno(), self._waker, write=False)
+        self._accepting = threading.RLock()
+        self._closed = False
+        self._released = False
+
+    def accept(self, timeout_s: float | None) -> Transport | None:
+        """See `Listener.accept`."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        with self._accepting:
+            while True:
+                if self._closed:
+                    raise LinkClosed(f"{self.url} is closed")
+                state = self._readable.wait(timeout_s)
+                if self._closed:
+                    raise LinkClosed(f"{self.url} was closed during accept")
+                if not state:
+                    return None
+                try:
+                    return self._take()
+                except OSError as error:
+                    if not isinstance(error, BlockingIOError) and error.errno not in _GONE:
+                        raise TransportError(
+                            f"{self.url}: cannot accept: {error.strerror or error}"
+                        ) from error
+                # The client gave up between its arrival and our call.
+                if deadline is not None:
+                    timeout_s = max(0.0, deadline - time.monotonic())
+
+    @abstractmethod
+    def _take(self) -> Transport:
+        """Accept the next peer; OSError when it cannot be."""
+
+    def close(self) -> None:
+        """See `Listener.close`."""
+        self._closed = True
+        self._waker.wake()
+        with self._accepting:
+            if not self._released:
+                self._released = True
+                self._release()
+                self._waker.close()
+
+    def _release(self) -> None:
+        """Free the socket; called once, when nobody uses it."""
+        self._sock.close()
