@@ -1,0 +1,42 @@
+"""The checks of chapter 9 of the USB 2.0 specification, on the simulated chips.
+
+In: the demo of the port avr-usb. Out: each check of the list (usb9/) on each chip. Each has a chip
+of its own, whose first instruction is the first thing that happens.
+"""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+try:
+    from usb9 import CHECKS, Device, rows
+finally:
+    sys.path.remove(str(Path(__file__).parent))
+
+pytestmark = pytest.mark.avr
+
+CHIPS = ("atmega32u4", "atmega32u2")
+
+
+@pytest.fixture(scope="module", params=CHIPS)
+def chip(request, build):
+    return build(port="avr-usb", MCU=request.param), request.param
+
+
+@pytest.mark.requirement("USB-006")
+@pytest.mark.parametrize(
+    "check", [pytest.param(check, id=check.name, marks=check.marks) for check in CHECKS]
+)
+def test_chapter_9(chip, check):
+    with Device(*chip) as device:
+        check.run(device)
+
+
+def test_the_list():
+    names = [name for name, _section, _sentence in rows()]
+    assert len(names) == len(set(names)) >= 30
+    for name, section, sentence in rows():
+        assert section[0] in "5789", name
+        assert sentence.endswith("."), name
