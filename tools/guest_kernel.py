@@ -28,7 +28,7 @@ WANTED = (
     # USB: devices of USB/IP servers, a gadget with a host controller of its own, a kernel driver.
     *("vhci-hcd", "dummy_hcd", "libcomposite", "usb_f_fs", "usbserial"),
     # Bluetooth: pairing takes its ciphers and hashes from the kernel by sockets.
-    *("hci_vhci", "bluetooth", "rfcomm", "algif_hash", "algif_skcipher"),
+    *("hci_vhci", "bluetooth", "rfcomm", "algif_hash", "algif_skcipher", "cmac", "ecb"),
 )
 MANIFEST = "manifest.json"
 # The fields of a bzImage, from the boot protocol of x86: where its header says "HdrS", how many

@@ -1,0 +1,88 @@
+"""Two Bluetooth controllers for jobs in the test guest, and BlueZ with its service discovery.
+
+In: the guest's kernel with its Bluetooth modules, and the programs of BlueZ.  Out: controllers that are
+up and reach each other by radio waves that exist in one process only (btvirt).
+Rules: what is started ends with its block; everything is written below /run.
+"""
+
+import contextlib
+import fcntl
+import os
+import socket
+import struct
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from j2a_transports import _btsocket
+
+HCIDEVUP, HCIDEVDOWN, HCIDEVRESET, HCISETSCAN = 0x400448C9, 0x400448CA, 0x400448CB, 0x400448DD
+PAGE_AND_INQUIRY_SCAN = 3
+PATIENCE_S = 60.0
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    """Wait until something is so."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"not in {PATIENCE_S} s: {what}"
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def program(*command: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a program for as long as the block lasts; what it says goes to a file in /run."""
+    with Path(f"/run/{Path(command[0]).name}.log").open("wb") as log:
+        running = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
+        )
+    try:
+        yield running
+    finally:
+        running.terminate()
+        running.wait()
+
+
+def control(request: int, index: int, option: int | None = None) -> None:
+    """Tell the kernel to switch a controller up, down, or what it answers to (as root)."""
+    argument = index if option is None else struct.pack("=HxxI", index, option)
+    with socket.socket(31, socket.SOCK_RAW, 1) as sock:
+        fcntl.ioctl(sock, request, argument)
+
+
+def up(index: int) -> None:
+    """Switch a controller on, and let others find and connect it."""
+    control(HCIDEVUP, index)
+    control(HCISETSCAN, index, PAGE_AND_INQUIRY_SCAN)
+
+
+def down(index: int) -> None:
+    """Switch a controller off, as an unplugged one or one out of power."""
+    control(HCIDEVDOWN, index)
+
+
+@contextlib.contextmanager
+def controllers() -> Iterator[list[str]]:
+    """Make two controllers, hci0 and hci1, both up; yields their addresses."""
+    with program("btvirt", "-l2"):
+        until(lambda: len(_btsocket.adapters()) == 2, "two controllers")
+        for index in (0, 1):
+            up(index)
+        yield [adapter.address for adapter in _btsocket.adapters()]
+
+
+@contextlib.contextmanager
+def bluez() -> Iterator[None]:
+    """Run BlueZ with its local socket for service records, on a message bus of its own."""
+    Path("/run/dbus").mkdir(exist_ok=True)
+    bus = "unix:path=/run/dbus/system_bus_socket"
+    with (
+        program("dbus-daemon", "--system", "--nofork", "--nopidfile", f"--address={bus}"),
+        contextlib.ExitStack() as stack,
+    ):
+        until(lambda: Path("/run/dbus/system_bus_socket").exists(), "the message bus")
+        stack.enter_context(program("/usr/libexec/bluetooth/bluetoothd", "--nodetach", "--compat"))
+        until(lambda: Path("/run/sdp").exists(), "bluetoothd")
+        until(lambda: all(one.up for one in _btsocket.adapters()), "controllers up")
+        yield
