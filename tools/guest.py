@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -45,12 +45,17 @@ def job_script(command: Sequence[str]) -> str:
         "PYTHONUNBUFFERED": "1",
         "J2A_GUEST": "1",
     }
-    lines = [f"export {name}={shlex.quote(value)}" for name, value in variables.items()]
-    return "\n".join([*lines, f"cd {shlex.quote(str(ROOT))}", f"exec {shlex.join(command)}", ""])
+    there = shlex.quote(str(ROOT))
+    return f"{script_of(variables)}cd {there}\nexec {shlex.join(command)}\n"
 
 
-def archive(kernel: Path, job: str) -> bytes:
-    """Return the initramfs with the modules in the folder `kernel` and the script `job`."""
+def script_of(variables: Mapping[str, str]) -> str:
+    """Return the shell script that sets and exports variables."""
+    return "".join(f"export {name}={shlex.quote(value)}\n" for name, value in variables.items())
+
+
+def archive(kernel: Path, settings: Mapping[str, str], job: str) -> bytes:
+    """Return the initramfs: the modules in `kernel`, variables for the start, and the script."""
     busybox = shutil.which("busybox")
     if busybox is None:
         raise GuestError("busybox is missing: install the package busybox-static")
@@ -60,6 +65,7 @@ def archive(kernel: Path, job: str) -> bytes:
         {
             "bin/busybox": Path(busybox).read_bytes(),
             "init": (ROOT / "tools/guest_init.sh").read_bytes(),
+            "settings": script_of(settings).encode(),
             "job": job.encode(),
             "modules/order": "\n".join(order).encode(),
             **{f"modules/{name}.ko": modules[name] for name in order},
@@ -69,18 +75,18 @@ def archive(kernel: Path, job: str) -> bytes:
     )
 
 
-def machine(folder: Path, kernel: Path, words: str, *, cpus: int, memory: int, kvm: bool) -> list[str]:
+def machine(folder: Path, kernel: Path, *, cpus: int, memory: int, kvm: bool) -> list[str]:
     """Return the command line of QEMU: its standard output is the guest's port "job"."""
     if shutil.which(QEMU) is None:
         raise GuestError(f"{QEMU} is missing: install the package qemu-system-x86")
     options = {
         "accel": "kvm" if kvm else "tcg",
-        "cpu": "qemu64,+rdrand,+ssse3,+sse4.1,+sse4.2,+popcnt",
+        "cpu": "qemu64,+rdrand",
         "m": str(memory),
         "smp": str(cpus),
         "kernel": str(kernel / "vmlinux"),
         "initrd": str(folder / "initramfs"),
-        "append": f"{COMMAND_LINE} {words}",
+        "append": COMMAND_LINE,
         "serial": f"file:{folder / 'console'}",
         "display": "none",
         "monitor": "none",
@@ -88,12 +94,16 @@ def machine(folder: Path, kernel: Path, words: str, *, cpus: int, memory: int, k
         "netdev": "user,id=net,ipv6=off",
         "chardev": "stdio,id=job,signal=off",
     }
-    devices = ["virtio-net-pci,netdev=net,romfile=", "virtio-serial-pci", "virtserialport,chardev=job,name=job"]
+    devices = (
+        "virtio-net-pci,netdev=net,romfile=",
+        "virtio-serial-pci",
+        "virtserialport,chardev=job,name=job",
+    )
     return [
-        QEMU, "-nodefaults", "-no-reboot",
+        *(QEMU, "-nodefaults", "-no-reboot"),
         *(word for name, value in options.items() for word in (f"-{name}", value)),
         *(word for device in devices for word in ("-device", device)),
-    ]  # fmt: skip
+    ]
 
 
 @contextlib.contextmanager
@@ -110,40 +120,62 @@ def process(command: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
         started.wait()
 
 
-def read_job(
-    qemu: subprocess.Popen[bytes], token: bytes, deadline: float, show: Callable[[bytes], object]
-) -> int | None:
-    """Show what the job prints until it ends.
+class Output:
+    """What comes out of the guest: the job's output, and at last its exit code.
 
-    Returns:
-        Its exit code; None when QEMU has ended without one.
+    Args:
+        token: a word that no job prints; the last line begins with it.
+
+    Attributes:
+        code: the exit code, None as long as it has not come.
+    """
+
+    def __init__(self, token: str) -> None:
+        self.code: int | None = None
+        self._end = f"\n{token} exit ".encode()
+        self._kept = b""
+
+    def feed(self, data: bytes) -> bytes:
+        """Take what came; return what can be shown. The start of a possible last line is kept."""
+        self._kept += data
+        before, found, after = self._kept.partition(self._end)
+        if found and after.endswith(b"\n"):
+            self.code = int(after)
+            self._kept = b""
+            return before
+        last = len(before) if found else self._kept.rfind(b"\n")
+        if last < 0 or not (found or self._end.startswith(self._kept[last:])):
+            last = len(self._kept)
+        shown, self._kept = self._kept[:last], self._kept[last:]
+        return shown
+
+    def rest(self) -> bytes:
+        """Return what was kept, when nothing more comes."""
+        return self._kept
+
+
+def read_job(qemu: subprocess.Popen[bytes], token: str, deadline: float) -> int | None:
+    """Show what the job prints until it ends; return its exit code, None if QEMU ended before.
 
     Raises:
         TimeoutError: `deadline` (of time.monotonic) has passed.
     """
     assert qemu.stdout is not None
-    end = b"\n" + token + b" exit "
-    pending = b""
+    output = Output(token)
     with selectors.DefaultSelector() as selector:
         selector.register(qemu.stdout, selectors.EVENT_READ)
-        while True:
-            if not selector.select(max(0.0, deadline - time.monotonic())):
-                show(pending)
-                raise TimeoutError
-            data = os.read(qemu.stdout.fileno(), 65536)
-            pending += data
-            before, found, after = pending.partition(end)
-            if found and after.endswith(b"\n"):
-                show(before)
-                return int(after)
+        while output.code is None:
+            data = b""
+            in_time = selector.select(max(0.0, deadline - time.monotonic()))
+            if in_time:
+                data = os.read(qemu.stdout.fileno(), 65536)
+            show(output.feed(data))
             if not data:
-                show(pending)
-                return None
-            # The beginning of what may be the last line waits for the rest.
-            keep = pending.rfind(b"\n") if not found else len(before)
-            keep = len(pending) if keep < 0 or len(pending) - keep > len(end) + 8 else keep
-            show(pending[:keep])
-            pending = pending[keep:]
+                show(output.rest())
+                if in_time:
+                    return None
+                raise TimeoutError
+    return output.code
 
 
 def run(args: argparse.Namespace) -> int:
@@ -153,12 +185,13 @@ def run(args: argparse.Namespace) -> int:
     token = secrets.token_hex(8)
     with tempfile.TemporaryDirectory(prefix="j2a-guest-") as scratch:
         folder = Path(scratch)
-        (folder / "initramfs").write_bytes(archive(kernel, job_script(args.command)))
-        words = f"token={token} limit={args.timeout + 30} here={ROOT}"
-        command = machine(folder, kernel, words, cpus=args.cpus, memory=args.memory, kvm=args.kvm)
+        settings = {"token": token, "limit": str(args.timeout + 30), "here": str(ROOT)}
+        job = job_script(args.command)
+        (folder / "initramfs").write_bytes(archive(kernel, settings, job))
+        command = machine(folder, kernel, cpus=args.cpus, memory=args.memory, kvm=args.kvm)
         with process(command) as qemu:
             try:
-                code = read_job(qemu, token.encode(), start_s + args.timeout, show)
+                code = read_job(qemu, token, start_s + args.timeout)
             except TimeoutError:
                 code = None
                 print(f"\nguest: no end after {args.timeout} s: killed", file=sys.stderr)
@@ -169,7 +202,7 @@ def run(args: argparse.Namespace) -> int:
         if args.verbose:
             print(f"guest: {time.monotonic() - start_s:.1f} s", file=sys.stderr)
         if code is None and qemu.returncode != -signal.SIGKILL:
-            print(f"guest: QEMU has ended before the command, code {qemu.returncode}", file=sys.stderr)
+            print(f"guest: QEMU has ended early, exit code {qemu.returncode}", file=sys.stderr)
             return CANNOT_RUN
         return TIMED_OUT if code is None else code
 
@@ -182,7 +215,9 @@ def show(data: bytes) -> None:
 
 def main() -> int:
     """Read the command line, run the guest, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--timeout", type=int, default=60, metavar="S", help="seconds (60)")
     parser.add_argument("--cpus", type=int, default=2, help="processors of the guest (2)")
     parser.add_argument("--memory", type=int, default=768, metavar="MIB", help="memory (768)")

@@ -1,10 +1,11 @@
 #!/bin/busybox sh
 # The first process of the test guest: loads the modules, makes the host's files the root, runs the
-# job in it and reports its exit code. What flows in: /job and /modules/order of the initramfs,
-# and the words token=, limit= and here= of the kernel's command line. What flows out, on the port
-# "job": all that the job prints, and the line "<token> exit <code>". Only /run, /tmp and /dev/shm
-# can be written; the guest ends with the job, or `limit` seconds after its start.
+# job in it and reports its exit code. What flows in, from the initramfs: /job, /modules, and the
+# variables token, limit and here of /settings. What flows out, on the port "job": all that the job
+# prints, and the line "<token> exit <code>". Rules: only /run, /tmp and /dev/shm can be written; the
+# guest ends with the job, or `limit` seconds after its start.
 B=/bin/busybox
+. /settings
 $B mount -t proc proc /proc
 $B mount -t sysfs sysfs /sys
 $B mount -t devtmpfs devtmpfs /dev
@@ -22,8 +23,8 @@ $B mount -t 9p -o trans=virtio,version=9p2000.L,ro,msize=512000,cache=loose host
 $B mount -t tmpfs tmpfs /host/run
 $B mount -t tmpfs tmpfs /host/tmp
 case $here in
-/tmp/*)
-    # Hidden by the line above: bring it back.
+/tmp/* | /run/*)
+    # Hidden by the lines above: bring it back.
     $B mkdir -p "/host$here" /again
     $B mount -t 9p -o trans=virtio,version=9p2000.L,ro,msize=512000,cache=loose host /again
     $B mount -o bind "/again$here" "/host$here"

@@ -57,6 +57,8 @@ def kernel(folder: Path) -> Path:
             if is_whole(found):
                 return found
             shutil.rmtree(found)
+        for unfinished in folder.glob("new-*"):
+            shutil.rmtree(unfinished)
         return _fetch(folder)
 
 
