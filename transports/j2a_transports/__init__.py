@@ -8,6 +8,7 @@ URL                                            what it is
 =============================================  ==================================================
 ``serial:///dev/ttyACM0?baud=115200``          a serial port (also ``serial:COM3``)
 ``serial:rfc2217://host:2217``                 anything that pyserial opens
+``usb://``, ``usb://SERIAL``, ``usb://1-2.3``   a J2A board on the USB
 ``tcp://127.0.0.1:5000``                       a TCP connection; also a listener
 ``exec:./fw --flag``                           a child process, by pipes to its stdin and stdout
 ``pty:./fw``                                   a child process on a pseudo terminal
@@ -23,6 +24,9 @@ Every scheme has the option ``write_timeout``: seconds without progress before `
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from ._base import (
     BadUrl,
     LinkClosed,
@@ -37,6 +41,12 @@ from ._base import (
 from ._registry import listen, open, schemes
 from ._url import Url
 
+if TYPE_CHECKING:
+    from ._gadget import UsbGadget as UsbGadget
+    from ._usb import open_usb_device
+    from ._usb_find import UsbBoard, usb_boards
+    from ._usb_watch import UsbArrived, UsbLeft, UsbWatch, watch_usb
+
 __all__ = [
     "BadUrl",
     "LinkClosed",
@@ -47,12 +57,38 @@ __all__ = [
     "Transport",
     "TransportError",
     "Url",
+    "UsbArrived",
+    "UsbBoard",
+    "UsbGadget",
+    "UsbLeft",
+    "UsbWatch",
     "WriteTimeout",
     "listen",
     "open",
+    "open_usb_device",
     "pair",
     "schemes",
+    "usb_boards",
+    "watch_usb",
 ]
+
+# Names of drivers, which are loaded when they are first used.
+_LATER = {
+    "UsbArrived": "._usb_watch",
+    "UsbBoard": "._usb_find",
+    "UsbGadget": "._gadget",
+    "UsbLeft": "._usb_watch",
+    "UsbWatch": "._usb_watch",
+    "open_usb_device": "._usb",
+    "usb_boards": "._usb_find",
+    "watch_usb": "._usb_watch",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_LATER[name], __name__), name)
 
 
 def pair() -> tuple[Transport, Transport]:

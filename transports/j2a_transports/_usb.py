@@ -1,0 +1,375 @@
+"""J2A boards on the USB: `usb://`, `usb://SERIAL`, `usb://6666:cafe`, `usb://1-2.3` and more.
+
+In: a URL, or a pyusb device of a program that has its own way to find it.  Out: bytes.
+Rules: the board is told by the class of its interface; only that interface is touched, and the
+device gets a configuration only when it has none with it; a kernel driver of the interface is put
+back at the end. With libusb several transfers are under way (`_usb_async`); other backends, and
+`transfers=1`, make one after the other (`_usb_pipes`).
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import errno
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Iterator
+from typing import Any, Final
+
+from ._base import (
+    DEFAULT_WRITE_TIMEOUT_S,
+    LinkClosed,
+    LinkLost,
+    MissingExtra,
+    OpenFailed,
+    Transport,
+    WriteTimeout,
+)
+from ._loopback import Channel
+from ._url import Converter, Url, integer, number, text
+from ._usb_address import Address
+from ._usb_async import LIMIT, AsyncPipes
+from ._usb_find import (
+    UDEV_ADVICE,
+    WINUSB_ADVICE,
+    Found,
+    Pair,
+    is_open,
+    libusb,
+    link_interfaces,
+    link_interfaces_of,
+    scan,
+)
+from ._usb_libusb import asynchronous
+from ._usb_pipes import BlockingPipes, Ended, Pipes, Stuck
+
+TRANSFERS: Final = 4
+# How often a board that is not there yet is looked for.
+LOOK_S: Final = 0.2
+
+OPTIONS: Final[dict[str, Converter]] = {
+    "serial": text,
+    "interface": integer(0, 255),
+    "transfers": integer(1, 64),
+    "wait": number(0, 3600),
+}
+
+_BUSY: Final = "another program uses it; close that program"
+_GONE: Final = "it went away while it was opened; is it plugged in well?"
+_ADVICE: Final = {
+    errno.EACCES: UDEV_ADVICE,
+    errno.EPERM: UDEV_ADVICE,
+    errno.EBUSY: _BUSY,
+    errno.ENODEV: _GONE,
+    errno.ENOENT: _GONE,
+    errno.ESHUTDOWN: _GONE,
+}
+_NONE: Final = (
+    "no J2A board is on the USB; is it plugged in, by a cable that carries data, and does its "
+    "firmware run? `lsusb` shows all devices. Where it is shown, but may not be opened: "
+    "`j2a setup udev --print`"
+)
+
+_open: Final[weakref.WeakSet[UsbTransport]] = weakref.WeakSet()
+
+
+class UsbTransport(Transport):
+    """The stream through two endpoints of a claimed interface.
+
+    Args:
+        url: for messages.
+        device: an open `usb.core.Device`.
+        pair: interface and endpoints.
+        transfers: how many are under way in each direction where the backend can; 1 does without.
+        write_timeout_s: see `Transport`.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        device: Any,
+        pair: Pair,
+        *,
+        transfers: int,
+        write_timeout_s: float | None,
+    ) -> None:
+        super().__init__(url, write_timeout_s)
+        # Gives the interface back; filled by who has claimed it.
+        self.undo = contextlib.ExitStack()
+        self._failure: Exception = EOFError()
+        self._writing = threading.Lock()
+        self._ending = threading.Lock()
+        self._ended = False
+        self._pipes: Pipes
+        api = asynchronous(device) if transfers > 1 else None
+        if api is None:
+            self._incoming = Channel(LIMIT)
+            self._pipes = BlockingPipes(device, pair, self._received, self._lose)
+        else:
+            # Without a limit of its own: the pipes stop asking in time.
+            self._incoming = Channel(sys.maxsize)
+            self._pipes = AsyncPipes(*api, pair, self._received, self._lose, count=transfers)
+        _open.add(self)
+        # Last come, first served: before pyusb ends libusb.
+        atexit.unregister(_close_all)
+        atexit.register(_close_all)
+
+    def _received(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest and (taken := self._incoming.put(rest, None)):
+            rest = rest[taken:]
+
+    def _lose(self, error: Exception) -> None:
+        self._failure = error
+        self._incoming.close_writer()
+
+    def read(self, timeout_s: float | None) -> bytes:
+        """See `Transport.read`."""
+        data = self._incoming.get(timeout_s)
+        # The last bytes may have come between that and the end of the wait.
+        if not data and self._incoming.writer_closed:
+            data = self._incoming.get(0)
+        if self._incoming.reader_closed:
+            raise LinkClosed(f"{self.url} is closed")
+        if data:
+            self._pipes.taken(len(data))
+        elif self._incoming.writer_closed:
+            raise self._lost()
+        return data
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """See `Transport.write`; when it returns, the board has taken the bytes."""
+        view = memoryview(data).cast("B")
+        with self._writing:
+            if self.closed:
+                raise LinkClosed(f"{self.url} is closed")
+            if self._incoming.writer_closed:
+                raise self._lost()
+            if not view:
+                return
+            try:
+                self._pipes.write(view, self.write_timeout_s)
+            except Stuck as stuck:
+                raise WriteTimeout(
+                    f"{self.url} took no byte for {self.write_timeout_s} s "
+                    f"({len(view) - stuck.sent} of {len(view)} bytes not sent): "
+                    "the board does not read"
+                ) from None
+            except Ended:
+                if self.closed:
+                    raise LinkClosed(f"{self.url} is closed") from None
+                raise self._lost() from None
+
+    @property
+    def closed(self) -> bool:
+        """See `Transport.closed`."""
+        return self._incoming.reader_closed
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._incoming.close_reader()
+        with self._ending:
+            if self._ended:
+                return
+            self._pipes.cancel()
+            # A blocked write has ended before its transfers are freed.
+            with self._writing:
+                back = self._pipes.close()
+            if back:
+                self.undo.close()
+            else:
+                # Closing the handle under transfers that still run would crash.
+                self.undo.pop_all()
+            self._ended = True
+            _open.discard(self)
+
+    def _lost(self) -> LinkLost:
+        return LinkLost(f"{self.url} is lost: {_reason(self._failure)}")
+
+
+def _close_all() -> None:
+    """End the transfers at the end of the program: libusb must not go away under them."""
+    for transport in list(_open):
+        transport.close()
+
+
+def open_url(url: Url) -> Transport:
+    """Open the one board that the URL names."""
+    place, parts = url.split_query()
+    options = url.options(parts, OPTIONS)
+    interface: int | None = options.get("interface")
+    deadline = time.monotonic() + options.get("wait", 0.0)
+    while True:
+        try:
+            address = Address.parse(url.text, place, options.get("serial"))
+            board, device = _find(url.text, address, interface)
+            break
+        except MissingExtra:
+            raise
+        except OpenFailed:
+            if time.monotonic() >= deadline:
+                raise
+            time.sleep(LOOK_S)
+    return open_usb_device(
+        device,
+        board.interface,
+        url=url.text,
+        write_timeout_s=options["write_timeout"],
+        transfers=options.get("transfers", TRANSFERS),
+    )
+
+
+def _find(url: str, address: Address, interface: int | None) -> Found:
+    """Return the only board that fits."""
+    try:
+        found = scan(libusb(url), interface)
+    except (OSError, NotImplementedError) as error:
+        raise OpenFailed(f"{url}: the USB cannot be looked at: {error}") from error
+    fits = [each for each in found if address.fits(each.board)]
+    if len(fits) == 1:
+        return fits[0]
+    if not found:
+        if interface is not None:
+            raise OpenFailed(
+                f"{url}: no device on the USB has an interface {interface} with an endpoint in "
+                "each direction, bulk or interrupt; `lsusb -v` shows what devices have"
+            )
+        raise OpenFailed(f"{url}: {_NONE}")
+    what = "more than one fits; open one of these" if fits else "not there; there are only these"
+    raise OpenFailed(f"{url}: {what}: {', '.join(each.board.url for each in fits or found)}")
+
+
+def open_usb_device(
+    device: Any,
+    interface: int | None = None,
+    *,
+    url: str | None = None,
+    write_timeout_s: float | None = DEFAULT_WRITE_TIMEOUT_S,
+    transfers: int = TRANSFERS,
+) -> Transport:
+    """Open a device that the program has found by pyusb itself, on whatever backend.
+
+    Args:
+        device: a `usb.core.Device`; it may be open already, and then stays so.
+        interface: number of the interface; None takes the first of the J2A class.
+        url: what messages call it; None makes a name of bus and address.
+        write_timeout_s: see `Transport`.
+        transfers: how many are under way in each direction where the backend is libusb.
+
+    Returns:
+        The open transport. The device must not be used for this interface meanwhile.
+
+    Raises:
+        OpenFailed: there is no such interface, or it cannot be had; the message says what to do.
+    """
+    url = url or f"usb://{device.bus or 0:03}:{device.address or 0:03}"
+    with contextlib.ExitStack() as undo, _explained(url):
+        if not is_open(device):
+            undo.callback(_dispose, device)
+        pair = _claim(url, device, interface, undo)
+        for endpoint in (pair.incoming, pair.outgoing):
+            _clear_halt(device, endpoint.bEndpointAddress)
+        transport = UsbTransport(
+            url, device, pair, transfers=transfers, write_timeout_s=write_timeout_s
+        )
+        transport.undo = undo.pop_all()
+        return transport
+
+
+@contextlib.contextmanager
+def _explained(url: str) -> Iterator[None]:
+    try:
+        yield
+    except NotImplementedError as error:
+        advice = WINUSB_ADVICE if sys.platform == "win32" else f"its driver cannot do that: {error}"
+        raise OpenFailed(f"{url}: {advice}") from error
+    except OSError as error:
+        advice = _ADVICE.get(error.errno or 0, f"{error}; plug it in again")
+        raise OpenFailed(f"{url}: {advice}") from error
+
+
+def _claim(url: str, device: Any, interface: int | None, undo: contextlib.ExitStack) -> Pair:
+    """Configure the device where it is not, and take the interface."""
+    import usb.util  # noqa: PLC0415 - an extra; the device comes from it
+
+    configuration = _active(device)
+    pairs = link_interfaces_of(configuration, interface) if configuration is not None else []
+    if not pairs:
+        pairs = link_interfaces(device, interface)
+        if not pairs:
+            which = "of class FF/12/EF" if interface is None else str(interface)
+            raise OpenFailed(
+                f"{url}: the device has no interface {which} with an endpoint in each direction"
+            )
+        device.set_configuration(device[pairs[0].interface.configuration])
+    pair = pairs[0]
+    claimed = pair.interface.bInterfaceNumber
+    with contextlib.suppress(NotImplementedError):
+        # Only Linux and macOS have drivers to detach.
+        if device.is_kernel_driver_active(claimed):
+            device.detach_kernel_driver(claimed)
+            undo.callback(_attach, device, claimed)
+    usb.util.claim_interface(device, claimed)
+    undo.callback(_release, device, claimed)
+    if pair.interface.bAlternateSetting:
+        device.set_interface_altsetting(claimed, pair.interface.bAlternateSetting)
+    return pair
+
+
+def _active(device: Any) -> Any:
+    """Return the active configuration, None when the device has none."""
+    import usb.core  # noqa: PLC0415 - an extra; the device comes from it
+
+    try:
+        return device.get_active_configuration()
+    except usb.core.USBError as error:
+        # pyusb's own error for it has no number; those of the system have.
+        if error.errno is not None:
+            raise
+        return None
+
+
+def _clear_halt(device: Any, endpoint: int) -> None:
+    """Make both sides start with the same data toggle."""
+    try:
+        device.clear_halt(endpoint)
+    except NotImplementedError:
+        pass
+    except OSError as error:
+        # A device that does not know this request has no halts, and begins anew when claimed.
+        if error.errno != errno.EPIPE:
+            raise
+
+
+def _release(device: Any, interface: int) -> None:
+    import usb.util  # noqa: PLC0415 - an extra; the device comes from it
+
+    # A device that is gone refuses this and the next.
+    with contextlib.suppress(OSError, NotImplementedError):
+        usb.util.release_interface(device, interface)
+
+
+def _attach(device: Any, interface: int) -> None:
+    with contextlib.suppress(OSError, NotImplementedError):
+        device.attach_kernel_driver(interface)
+
+
+def _dispose(device: Any) -> None:
+    import usb.util  # noqa: PLC0415 - an extra; the device comes from it
+
+    with contextlib.suppress(OSError, NotImplementedError):
+        usb.util.dispose_resources(device)
+
+
+def _reason(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number in (errno.ENODEV, errno.ESHUTDOWN, errno.ENOENT):
+        return "the board was unplugged or reset"
+    if number == errno.EPIPE:
+        return "the board has halted the endpoint again"
+    if number == errno.EOVERFLOW:
+        return "the board sent more than was asked for"
+    return f"the board was unplugged or failed: {getattr(error, 'strerror', None) or error}"

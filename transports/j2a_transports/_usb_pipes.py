@@ -1,0 +1,199 @@
+"""The two endpoints of a claimed interface by pyusb's blocking calls, for any backend.
+
+In: the endpoints and bytes to send.  Out: the bytes that arrive, through a callback.
+Rules: what did go is never sent again and what has come is never dropped, also when a transfer
+times out; a halt is cleared once, a second one without a byte in between ends the link; the last
+transfer of a write is shorter than a packet, so empty where the rest was a multiple of it.
+`Pipes` is also what `_usb_async` implements.
+"""
+
+from __future__ import annotations
+
+import errno
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, Final
+
+from ._usb_find import BULK, Pair
+
+# How many packets a transfer has at most: enough to fill some frames of the bus, and few enough
+# that a slow board ends one within any sensible write timeout.
+PACKETS: Final = 64
+# How long a blocking transfer waits before it is looked at whether it shall end.
+SLICE_MS: Final = 100
+SLICE_END_S: Final = 2.0
+
+
+class Stuck(Exception):  # noqa: N818 - the board is, which is no error here
+    """The board took no byte for the write timeout; `sent` bytes of this write had gone before."""
+
+    def __init__(self, sent: int) -> None:
+        super().__init__(sent)
+        self.sent = sent
+
+
+class Ended(Exception):  # noqa: N818
+    """The pipes were cancelled or lost during the call."""
+
+
+class Endpoint:
+    """What the transfers of one endpoint need to know.
+
+    Attributes:
+        address: with the direction in bit 7.
+        bulk: whether it is a bulk endpoint, else an interrupt one.
+        packet: largest packet in bytes.
+        size: largest transfer in bytes, a multiple of the packet, so that nothing overflows.
+        halts: how often it was halted since a byte has gone through.
+    """
+
+    def __init__(self, descriptor: Any) -> None:
+        self.address: int = descriptor.bEndpointAddress
+        self.bulk: bool = descriptor.bmAttributes & 3 == BULK
+        # Zero in a broken descriptor would make empty transfers for ever.
+        self.packet: int = descriptor.wMaxPacketSize & 0x7FF or 64
+        self.size = self.packet * PACKETS
+        self.halts = 0
+
+    def may_recover(self) -> bool:
+        """Count a halt; False when it is the second in a row."""
+        self.halts += 1
+        return self.halts == 1
+
+
+class Pipes(ABC):
+    """Both endpoints, moved by a thread of their own until `close`.
+
+    Args:
+        pair: the endpoints.
+        received: takes what has arrived, in order; may block only where the driver says so.
+        lost: is called once, after all bytes, with why nothing more will arrive.
+    """
+
+    def __init__(
+        self, pair: Pair, received: Callable[[bytes], None], lost: Callable[[Exception], None]
+    ) -> None:
+        self.incoming = Endpoint(pair.incoming)
+        self.outgoing = Endpoint(pair.outgoing)
+        self._received = received
+        self._lost = lost
+
+    @abstractmethod
+    def taken(self, count: int) -> None:
+        """The user has read so many of the bytes."""
+
+    @abstractmethod
+    def write(self, data: memoryview, timeout_s: float | None) -> None:
+        """Send all bytes, at least one; one thread at a time.
+
+        Raises:
+            Stuck: the board took nothing for so long.
+            Ended: the pipes were cancelled or lost; `lost` has or will have the reason.
+        """
+
+    @abstractmethod
+    def cancel(self) -> None:
+        """End the transfers and the calls that wait for them, from any thread."""
+
+    @abstractmethod
+    def close(self) -> bool:
+        """End the threads; False when the driver does not give the transfers back."""
+
+
+class BlockingPipes(Pipes):
+    """Pipes on a `usb.core.Device`; see `Pipes`. `received` may block."""
+
+    def __init__(
+        self,
+        device: Any,
+        pair: Pair,
+        received: Callable[[bytes], None],
+        lost: Callable[[Exception], None],
+    ) -> None:
+        super().__init__(pair, received, lost)
+        self._device = device
+        self._ended = threading.Event()
+        self._telling = threading.Lock()
+        self._told = False
+        self._reader = threading.Thread(target=self._read, name="usb reader", daemon=True)
+        self._reader.start()
+
+    def taken(self, count: int) -> None:
+        """See `Pipes.taken`."""
+
+    def _read(self) -> None:
+        end = self.incoming
+        while not self._ended.is_set():
+            try:
+                data = bytes(self._device.read(end.address, end.size, SLICE_MS))
+            except Exception as error:
+                # A foreign backend may raise anything; whatever it is, it is a fault of the link.
+                self._failed(end, error)
+                continue
+            if data:
+                end.halts = 0
+                self._received(data)
+
+    def write(self, data: memoryview, timeout_s: float | None) -> None:
+        """See `Pipes.write`."""
+        end = self.outgoing
+        sent = 0
+        last = False
+        since = time.monotonic()
+        while not last:
+            if self._ended.is_set():
+                raise Ended
+            piece = data[sent : sent + end.size]
+            left_ms = SLICE_MS
+            if timeout_s is not None:
+                left_ms = min(SLICE_MS, int((since + timeout_s - time.monotonic()) * 1000) + 1)
+                if left_ms <= 0:
+                    raise Stuck(sent)
+            try:
+                count = self._device.write(end.address, bytes(piece), left_ms)
+            except Exception as error:
+                # pyusb does not say what has gone before a halt; of one packet, nothing.
+                self._failed(end, error, len(piece) <= end.packet)
+                continue
+            if count:
+                end.halts = 0
+                since = time.monotonic()
+            sent += count
+            # A transfer that has timed out on the way was shorter than it should be.
+            whole = count == len(piece)
+            last = whole and sent == len(data) and (not piece or count % end.packet != 0)
+
+    def _failed(self, end: Endpoint, error: Exception, again: bool = True) -> None:
+        """Do what a failed transfer asks for: nothing, clear the halt, or end everything.
+
+        Args:
+            end: where it failed.
+            error: what pyusb raised.
+            again: whether the transfer can be repeated after a halt.
+        """
+        number = getattr(error, "errno", None)
+        if number == errno.ETIMEDOUT or isinstance(error, TimeoutError):
+            return
+        if number == errno.EPIPE and again and end.may_recover():
+            try:
+                self._device.clear_halt(end.address)
+                return
+            except Exception as second:
+                error = second
+        self._ended.set()
+        with self._telling:
+            if not self._told:
+                self._told = True
+                self._lost(error)
+
+    def cancel(self) -> None:
+        """See `Pipes.cancel`."""
+        self._ended.set()
+
+    def close(self) -> bool:
+        """See `Pipes.close`."""
+        self.cancel()
+        self._reader.join(SLICE_END_S)
+        return not self._reader.is_alive()

@@ -1,0 +1,211 @@
+"""Hotplug: which boards come and go.
+
+In: a pyusb backend, or none for libusb.  Out: `UsbArrived` and `UsbLeft`, one after the other.
+Rules: the boards are looked for again and again, which works everywhere; Linux says at once when
+something has changed. A board that may not be opened is held back for a moment, in which udev
+gives the permission.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import socket
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+from ._base import LinkClosed
+from ._usb_find import UsbBoard, libusb, scan
+
+POLL_S: Final = 1.0
+# How long a board that may not be opened is held back, and how often it is looked at.
+SETTLE_S: Final = 2.0
+SETTLING_S: Final = 0.1
+# The kernel's messages, and those of udev after its rules.
+_UEVENTS: Final = 15
+_GROUPS: Final = 1 | 2
+
+
+@dataclass(frozen=True, slots=True)
+class UsbArrived:
+    """A board has been plugged in, or was there when the watch began."""
+
+    board: UsbBoard
+
+
+@dataclass(frozen=True, slots=True)
+class UsbLeft:
+    """A board is gone; `board` is what was said when it arrived."""
+
+    board: UsbBoard
+
+
+_Key = tuple[int, int, str | None, int, int, int]
+
+
+class UsbWatch:
+    """An iterator of `UsbArrived` and `UsbLeft`, and a context manager that closes it.
+
+    The boards that are there come first. `close` from any thread ends the iteration.
+
+    Args:
+        interval_s: how often to look where the system does not say that something has changed.
+        backend: a pyusb backend, None for libusb.
+
+    Raises:
+        MissingExtra: pyusb is not installed.
+        OpenFailed: libusb is not there or does not work.
+    """
+
+    def __init__(self, interval_s: float = POLL_S, backend: Any = None) -> None:
+        self._backend = backend or libusb()
+        self._interval_s = interval_s
+        self._boards: dict[_Key, UsbBoard] = {}
+        self._held_since: dict[_Key, float] = {}
+        self._events: deque[UsbArrived | UsbLeft] = deque()
+        self._closed = False
+        self._lock = threading.Lock()
+        self._closing = threading.Lock()
+        self._first = True
+        # One byte in the pipe ends the wait.
+        self._wake_read, self._wake_write = os.pipe() if os.name == "posix" else (-1, -1)
+        self._wake = threading.Event()
+        self._uevents = _uevent_socket()
+
+    def next(self, timeout_s: float | None = None) -> UsbArrived | UsbLeft | None:
+        """Wait for the next event; one thread at a time.
+
+        Args:
+            timeout_s: how long to wait, in seconds; 0 only looks, None waits for ever.
+
+        Returns:
+            The event, or None when the time ran out.
+
+        Raises:
+            LinkClosed: the watch is closed, also when that happens during the wait.
+        """
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        with self._lock:
+            while True:
+                if self._closed:
+                    raise LinkClosed("the watch of the USB is closed")
+                if not self._events:
+                    self._look()
+                if self._events:
+                    return self._events.popleft()
+                wait_s = SETTLING_S if self._held_since else self._interval_s
+                if deadline is not None:
+                    wait_s = min(wait_s, deadline - time.monotonic())
+                    if wait_s <= 0:
+                        return None
+                self._wait(wait_s)
+
+    def __iter__(self) -> Iterator[UsbArrived | UsbLeft]:
+        with contextlib.suppress(LinkClosed):
+            while event := self.next():
+                yield event
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the watch; idempotent, from any thread, and wakes a blocked `next`."""
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
+            self._wake.set()
+            if self._wake_write >= 0:
+                os.write(self._wake_write, b"!")
+            with self._lock:
+                for fd in (self._wake_read, self._wake_write):
+                    if fd >= 0:
+                        os.close(fd)
+                if self._uevents is not None:
+                    self._uevents.close()
+
+    def _look(self) -> None:
+        """Compare what is there with what was there."""
+        now = time.monotonic()
+        try:
+            found = [each.board for each in scan(self._backend)]
+        except (OSError, NotImplementedError):
+            # A moment in which devices come and go; the next look will tell.
+            return
+        there = {_key(board): board for board in found}
+        for key in self._boards.keys() - there.keys():
+            self._events.append(UsbLeft(self._boards.pop(key)))
+        held = {}
+        for key, board in there.items():
+            if key in self._boards:
+                continue
+            since = self._held_since.get(key, now)
+            if board.problem and not self._first and now - since < SETTLE_S:
+                held[key] = since
+                continue
+            self._boards[key] = board
+            self._events.append(UsbArrived(board))
+        self._held_since = held
+        self._first = False
+
+    def _wait(self, wait_s: float) -> None:
+        if self._wake_read < 0:
+            self._wake.wait(wait_s)
+            return
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._wake_read, selectors.EVENT_READ)
+            if self._uevents is not None:
+                selector.register(self._uevents, selectors.EVENT_READ)
+            selector.select(wait_s)
+        self._drain()
+
+    def _drain(self) -> None:
+        """Throw the messages away: that there are some is all that counts."""
+        if self._uevents is not None:
+            # An error also says that messages were lost because there were so many.
+            with contextlib.suppress(OSError):
+                while self._uevents.recv(65536):
+                    pass
+
+
+def watch_usb(interval_s: float = POLL_S, backend: Any = None) -> UsbWatch:
+    """Watch the boards come and go; see `UsbWatch`."""
+    return UsbWatch(interval_s, backend)
+
+
+def _key(board: UsbBoard) -> _Key:
+    return (
+        board.bus,
+        board.address,
+        board.port_path,
+        board.vendor,
+        board.product,
+        board.interface,
+    )
+
+
+def _uevent_socket() -> socket.socket | None:
+    """Return the kernel's messages about devices, None where there are none."""
+    if sys.platform != "linux":
+        return None
+    uevents = None
+    try:
+        uevents = socket.socket(
+            socket.AF_NETLINK, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK, _UEVENTS
+        )
+        uevents.bind((0, _GROUPS))
+        return uevents
+    except OSError:
+        # Not allowed in some containers.
+        if uevents is not None:
+            uevents.close()
+        return None
