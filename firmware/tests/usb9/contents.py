@@ -41,7 +41,7 @@ def find(device: Device, *kind: int):
 
 @check("9.6.1")
 def device_descriptor(device: Device) -> None:
-    """The device descriptor has 18 bytes, a legal packet size, and leaves the class to interfaces."""
+    """The device descriptor has 18 bytes, a legal packet size, and no class of its own."""
     found = head(device)
     assert found.bcdUSB in (0x0110, 0x0200)
     assert (found.bDeviceClass, found.bDeviceSubClass, found.bDeviceProtocol) == (0, 0, 0)

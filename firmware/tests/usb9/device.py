@@ -11,7 +11,7 @@ from pathlib import Path
 
 from j2a_spec import constants as c
 from j2a_spec import usb
-from j2a_spec.oracle import Frame, decode, encode
+from j2a_spec.oracle import Frame, Incomplete, decode, encode
 
 from j2a.sim import AvrSim
 
@@ -52,7 +52,8 @@ class Device:
         self.sim = AvrSim(elf, mcu)
         self.bus = self.sim.usb
         self.packet0 = 8
-        self._rest = b""
+        self._rest = b""  # the beginning of a frame
+        self._heard: list[Frame] = []
         self.pause(boot_ms)
 
     def close(self) -> None:
@@ -81,7 +82,7 @@ class Device:
         """Reset by the bus, and the 10 ms that a device has to get ready (7.1.7.5)."""
         self.bus.reset()
         self.pause(10)
-        self._rest = b""
+        self._forget()
 
     def to_default(self) -> None:
         """Powered, reset, the packet size of endpoint 0 known."""
@@ -110,7 +111,7 @@ class Device:
         """SET_CONFIGURATION; the host's toggles start anew."""
         self.put(SET_CONFIGURATION, value)
         self.bus.clear_toggle(None)
-        self._rest = b""
+        self._forget()
 
     # -- control transfers ------------------------------------------------------------------------
 
@@ -127,7 +128,9 @@ class Device:
                     if done.id == transfer:
                         return done
         self.bus.cancel(transfer)
-        self.bus.completed()
+        for done in self.bus.completed():  # it may have ended with the last cycle
+            if done.id == transfer and done.status != "cancelled":
+                return done
         return None
 
     def get(self, request: int, value: int = 0, index: int = 0, length: int = 0, to: int = DEVICE):
@@ -226,19 +229,44 @@ class Device:
         """Put a frame on the bus; returns the transfer."""
         return self.bus.submit_out(c.USB_OUT, encode(frame))
 
-    def listen(self, count: int, limit_ms: float = 1000) -> list[Frame]:
-        """So many frames from the device; fewer when time is up."""
+    def listen(self, count: int, limit_ms: float = 1000, keep: bool = False) -> list[Frame]:
+        """So many frames from the device; fewer when time is up.
+
+        Args:
+            count: how many.
+            limit_ms: how long to wait for them.
+            keep: whether the next call returns them again, with those that came since.
+
+        Raises:
+            AssertionError: something came that belongs to no frame, or a frame that is broken.
+        """
         end = self.sim.cycle + self.sim.cycles(limit_ms / 1000)
-        while True:
-            found = [event for event in decode(self._rest) if isinstance(event, Frame)]
-            left = end - self.sim.cycle
-            if len(found) >= count or left <= 0:
-                self._rest = b"" if len(found) == len(decode(self._rest)) else self._rest
-                return found
-            done = self.finish(self.bus.submit_in(c.USB_IN, 64), 1000 * left / 16e6)
+        while len(self._heard) < count and self.sim.cycle < end:
+            left_ms = (end - self.sim.cycle) / self.sim.frequency_hz * 1000
+            done = self.finish(self.bus.submit_in(c.USB_IN, 64), left_ms)
             if done is not None:
                 assert done.status == "ok", done
-                self._rest += done.data
+                self._hear(done.data)
+        found = list(self._heard)
+        if not keep:
+            self._heard.clear()
+        return found
+
+    def _hear(self, data: bytes) -> None:
+        self._rest += data
+        events = decode(self._rest)
+        start = len(self._rest)
+        if events and isinstance(events[-1], Incomplete):
+            events.pop()
+            start = max(self._rest.rfind(bytes((marker,))) for marker in (c.SOF, c.SOS))
+        self._rest = self._rest[start:]
+        for event in events:
+            assert isinstance(event, Frame), event
+            self._heard.append(event)
+
+    def _forget(self) -> None:
+        self._rest = b""
+        self._heard.clear()
 
     def call(self, function: str, payload: bytes = b"", seq: int = 1) -> Frame:
         """A call and its reply."""

@@ -1,0 +1,43 @@
+"""What the port avr-usb carries of what endpoint and cycles allow, in simulated time."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+try:
+    from usb_throughput import APP, CHIPS, WIRE, rows, table
+finally:
+    sys.path.remove(str(Path(__file__).parent))
+
+pytestmark = pytest.mark.avr
+
+
+@pytest.fixture(scope="module")
+def measured(build):
+    """The rows of each chip."""
+
+    def program(mcu, marks):
+        options = f"-DRATES_MARKS={marks}"
+        return build("usb_rates", "avr-usb", APP_DIR=str(APP), MCU=mcu, OPTIONS=options)
+
+    return {mcu: rows(program(mcu, 0), program(mcu, 1), mcu) for mcu in CHIPS}
+
+
+def test_nine_tenths_of_what_two_banks_can_carry(measured):
+    for row in measured["atmega32u4"]:
+        assert row.share >= 0.9, row
+
+
+def test_nothing_is_faster_than_it_can_be(measured):
+    """Else the cycles of a byte are not what is measured."""
+    for row in (row for found in measured.values() for row in found):
+        assert row.share <= 1.005, row
+        assert row.can <= WIRE
+
+
+def test_table(measured):
+    text = table(measured)
+    assert text.count("\n") == 1 + sum(map(len, measured.values()))
+    print(text)
