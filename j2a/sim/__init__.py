@@ -2,9 +2,13 @@
 
 In: an ELF file. Out: a J2A device on a transport. `AvrSim` runs the firmware cycle by cycle, drives
 and watches its pins, and measures it; `SimLink` is a transport into it whose time is simulated;
-`run` serves it on a listener in real time or faster. Needs a C compiler and simavr's library, and
-nothing of J2A.
+`run` serves it on a listener in real time or faster. A chip with USB has a bus,
+`AvrSim.usb`; over it go `UsbLink`, a transport like `SimLink`, `SimBackend`, for programs that use pyusb, and
+`UsbipServer`, for operating systems. Needs a C compiler and simavr's library, and knows no frame
+of J2A.
 """
+
+from typing import TYPE_CHECKING, Any
 
 from j2a.sim._avr import AvrSim
 from j2a.sim._errors import BadProgram, FirmwareStopped, SimError, ToolMissing
@@ -12,6 +16,12 @@ from j2a.sim._link import SimLink
 from j2a.sim._pins import Adc, Pins
 from j2a.sim._records import Counters, Edge, Interrupts, OutByte, Pulse, Span, pulses
 from j2a.sim._runner import Runner, run
+from j2a.sim._usb_link import UsbLink
+from j2a.sim._usbip import UsbipServer
+from j2a.sim._usbip_run import run_usbip
+
+if TYPE_CHECKING:
+    from j2a.sim._pyusb import SimBackend
 
 __all__ = [
     "Adc",
@@ -25,10 +35,24 @@ __all__ = [
     "Pins",
     "Pulse",
     "Runner",
+    "SimBackend",
     "SimError",
     "SimLink",
     "Span",
     "ToolMissing",
+    "UsbLink",
+    "UsbipServer",
     "pulses",
     "run",
+    "run_usbip",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "SimBackend":
+        try:
+            from j2a.sim._pyusb import SimBackend  # noqa: PLC0415 - pyusb is an extra
+        except ModuleNotFoundError as error:
+            raise ImportError("SimBackend needs the package pyusb: pip install j2a[usb]") from error
+        return SimBackend
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""The command line of the simulator: `j2a sim avr ELF --listen URL`.
+"""The command line of the simulator: `j2a sim avr ELF --listen URL`, `j2a sim usb ELF`.
 
 In: arguments. Out: the exit code, of the table in `j2a.cli._exit`.
 """
@@ -16,6 +16,7 @@ from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE
 from j2a.sim._errors import FirmwareStopped, SimError
 from j2a.sim._options import frequency, rate, speed
 from j2a.sim._runner import run
+from j2a.sim._usbip_run import parse_address, run_usbip
 
 
 def _argument(convert: Callable[[str], Any]) -> Callable[[str], Any]:
@@ -46,22 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help="where clients connect: tcp://HOST:PORT (port 0: any), pty:, stdio: (%(default)s)",
     )
-    avr.add_argument(
-        "--speed",
-        type=_argument(speed),
-        default=1.0,
-        metavar="N",
-        help="1: real time (default); 0: traffic as fast as possible; or simulated s per s",
-    )
-    avr.add_argument("--mcu", default="atmega328p", help="as simavr names it (%(default)s)")
-    avr.add_argument(
-        "--freq",
-        type=_argument(frequency),
-        default=16_000_000,
-        metavar="HZ",
-        help="clock of the MCU (%(default)s)",
-    )
-    avr.add_argument("--uart", default="0", choices="0123", help="which UART (%(default)s)")
+    _add_chip(avr, "atmega328p")
+    avr.add_argument("--uart", choices="0123", help="which UART (the first that the MCU has)")
     avr.add_argument(
         "--baud",
         type=_argument(rate),
@@ -71,6 +58,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     avr.add_argument("--once", action="store_true", help="end when the first client has gone")
     avr.add_argument("--reset", action="store_true", help="reset the MCU for each client")
 
+    usb = kinds.add_parser(
+        "usb",
+        help="firmware for an AVR with USB, for USB/IP clients such as Linux with vhci-hcd",
+        description="Run AVR firmware in simavr and export its USB device over USB/IP.",
+    )
+    usb.add_argument(
+        "elfs", metavar="ELF", nargs="+", help="the firmware of a board; several: several boards"
+    )
+    usb.add_argument(
+        "--usbip",
+        type=_argument(parse_address),
+        default="127.0.0.1:3240",
+        metavar="HOST:PORT",
+        help="where clients connect; port 0: any (%(default)s)",
+    )
+    _add_chip(usb, "atmega32u4")
+    usb.add_argument(
+        "--commands",
+        action="store_true",
+        help="take lines from standard input: unplug BUSID, plug BUSID",
+    )
+
+
+def _add_chip(parser: argparse.ArgumentParser, mcu: str) -> None:
+    """Add what each kind of simulation takes."""
+    parser.add_argument(
+        "--speed",
+        type=_argument(speed),
+        default=1.0,
+        metavar="N",
+        help="1: real time (default); 0: traffic as fast as possible; or simulated s per s",
+    )
+    parser.add_argument("--mcu", default=mcu, help="as simavr names it (%(default)s)")
+    parser.add_argument(
+        "--freq",
+        type=_argument(frequency),
+        default=16_000_000,
+        metavar="HZ",
+        help="clock of the MCU (%(default)s)",
+    )
+
 
 def main(args: argparse.Namespace) -> int:
     """Run what `add_arguments` parsed.
@@ -79,21 +107,35 @@ def main(args: argparse.Namespace) -> int:
         The exit code; 128 + the number of the signal that ended the run.
     """
     try:
-        number = run(
-            args.elf,
-            args.listen,
-            args.speed,
-            mcu=args.mcu,
-            frequency_hz=args.freq,
-            uart=args.uart,
-            host_baud=args.baud,
-            once=args.once,
-            reset=args.reset,
-        )
+        number = _run(args)
     except KeyboardInterrupt:  # before the firmware ran
         return INTERRUPTED
-    except (SimError, TransportError) as error:
+    except (SimError, TransportError, OSError) as error:
         print(f"j2a sim: {error}", file=sys.stderr)
         is_usage = isinstance(error, (SimError, BadUrl)) and not isinstance(error, FirmwareStopped)
         return USAGE if is_usage else LINK
     return OK if number is None else 128 + number
+
+
+def _run(args: argparse.Namespace) -> int | None:
+    """Run the simulator that was chosen; returns the number of the signal that ended it."""
+    if args.sim_kind == "usb":
+        return run_usbip(
+            args.elfs,
+            args.usbip,
+            args.speed,
+            mcu=args.mcu,
+            frequency_hz=args.freq,
+            commands=sys.stdin.fileno() if args.commands else None,
+        )
+    return run(
+        args.elf,
+        args.listen,
+        args.speed,
+        mcu=args.mcu,
+        frequency_hz=args.freq,
+        uart=args.uart,
+        host_baud=args.baud,
+        once=args.once,
+        reset=args.reset,
+    )

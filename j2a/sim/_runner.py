@@ -156,7 +156,7 @@ class Runner:
 
 
 @contextmanager
-def _stopped_by_signals(stop: threading.Event) -> Iterator[list[int]]:
+def stopped_by_signals(stop: threading.Event) -> Iterator[list[int]]:
     """Let Ctrl-C and SIGTERM set `stop`, and yield a list that their numbers are added to."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
@@ -195,7 +195,7 @@ def run(
     *,
     mcu: str = "atmega328p",
     frequency_hz: int = 16_000_000,
-    uart: str = "0",
+    uart: str | None = None,
     host_baud: float | None = None,
     once: bool = False,
     reset: bool = False,
@@ -214,7 +214,7 @@ def run(
         speed: simulated seconds per second; 0: as fast as possible (see the module's rules).
         mcu: as simavr names it.
         frequency_hz: the clock.
-        uart: "0" to "3".
+        uart: "0" to "3"; None: the first that the MCU has.
         host_baud: bit rate of the host; None: the firmware's.
         once: end when the first client has gone.
         reset: reset the chip when a client arrives.
@@ -231,9 +231,10 @@ def run(
     """
     stop = stop or threading.Event()
     began_s = time.monotonic()
+    chosen = {} if uart is None else {"uart": uart}
     with (
-        AvrSim(elf, mcu, frequency_hz, uart, host_baud) as sim,
-        _stopped_by_signals(stop) as signals,
+        AvrSim(elf, mcu, frequency_hz, host_baud=host_baud, **chosen) as sim,
+        stopped_by_signals(stop) as signals,
     ):
         try:
             sim.boot()
