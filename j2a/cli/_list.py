@@ -1,49 +1,143 @@
-"""`j2a list`: the serial ports of this computer, and which boards they probably are.
+"""`j2a list`: the USB boards and serial ports of this computer.
 
-In: what pyserial knows about the ports. Out: a block of lines for each port, or JSON.
-Rules: nothing is opened, because opening resets many boards.
+In: what libusb and pyserial know. Out: a block of lines for each board and port, or JSON.
+Rules: no port is opened, because opening resets many boards; what needs a package that is not
+installed is left out and named.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any, Final
+
+from j2a_transports import (
+    MissingExtra,
+    TransportError,
+    UsbArrived,
+    UsbBoard,
+    usb_boards,
+    watch_usb,
+)
 
 from j2a.cli._boards import board_name
 from j2a.cli._exit import OK, UsageError
 
+NOTES: Final = """\
+USB boards speak J2A themselves; of a serial port only its name and USB ids tell what is behind it.
+The URL of a board stays when it is plugged in elsewhere, if no other has its serial number."""
 _BY_ID: Final = Path("/dev/serial/by-id")
+_USB_LINES: Final = (
+    *("name", "manufacturer", "usb_id", "serial_number", "bus", "port_path", "speed"),
+    *("device", "sync", "problem"),
+)
+_SERIAL_LINES: Final = (
+    *("board", "description", "manufacturer", "usb_id", "serial_number", "stable"),
+)
+
+Facts = dict[str, str | int | float | bool | None]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("--json", action="store_true", help="print a JSON array of the ports")
+    parser.add_argument("--json", action="store_true", help="print a JSON array of all of them")
+    parser.add_argument(
+        "--watch",
+        action="store_true",
+        help="print the USB boards that come and go, until Ctrl-C",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """List the ports; returns the exit code."""
+    """List boards and ports; returns the exit code."""
+    if args.watch:
+        return _watch(args.json)
+    missing: list[str] = []
+    found = _usb(missing) + _serial(missing)
+    if len(missing) == 2:
+        raise UsageError("; ".join(missing))
+    for text in missing:
+        print(f"j2a: {text}", file=sys.stderr)
+    if args.json:
+        print(json.dumps(found))
+        return OK
+    if not found:
+        print("no boards, no serial ports; is it plugged in, by a cable that carries data?")
+    for facts in found:
+        print(facts["url"])
+        _print_lines(facts)
+    return OK
+
+
+def _usb(missing: list[str]) -> list[Facts]:
+    try:
+        return [describe_usb(board) for board in usb_boards()]
+    except MissingExtra as error:
+        missing.append(str(error))
+    except TransportError as error:  # libusb does not work here: the ports may be enough
+        print(f"j2a: {error}", file=sys.stderr)
+    return []
+
+
+def _serial(missing: list[str]) -> list[Facts]:
     try:
         from serial.tools import list_ports  # noqa: PLC0415 - an extra that may be missing
     except ImportError:
-        raise UsageError(
-            "serial ports need the package pyserial: pip install j2a[serial]"
-        ) from None
+        missing.append("serial ports need the package pyserial: pip install j2a[serial]")
+        return []
     stable = stable_names(_BY_ID)
-    ports = [describe(port, stable) for port in sorted(list_ports.comports())]
-    if args.json:
-        print(json.dumps(ports))
-        return OK
-    if not ports:
-        print("no serial ports; is the board plugged in, by a cable that carries data?")
-        return OK
-    for port in ports:
-        print(port["url"])
-        for key in ("board", "description", "manufacturer", "usb_id", "serial_number", "stable"):
-            if port[key]:
-                print(f"  {key.replace('_', ' '):<14} {port[key]}")
+    return [describe(port, stable) for port in sorted(list_ports.comports())]
+
+
+def _watch(as_json: bool) -> int:
+    try:
+        watch = watch_usb()
+    except MissingExtra as error:
+        raise UsageError(str(error)) from None
+    with watch as events:
+        for event in events:
+            arrived = isinstance(event, UsbArrived)
+            facts = describe_usb(event.board)
+            if as_json:
+                print(json.dumps({"event": "arrived" if arrived else "left", **facts}), flush=True)
+                continue
+            print(f"{'+' if arrived else '-'} {facts['url']}", flush=True)
+            if arrived:
+                _print_lines(facts)
     return OK
+
+
+def _print_lines(facts: Facts) -> None:
+    for key in _USB_LINES if facts["kind"] == "usb" else _SERIAL_LINES:
+        value = facts[key]
+        if value is None or value == "" or value is False:
+            continue
+        if key == "speed":
+            value = f"{value:g} Mbit/s"
+        print(f"  {key.replace('_', ' '):<14} {'yes' if value is True else value}", flush=True)
+
+
+def describe_usb(board: UsbBoard) -> Facts:
+    """Return what is known of a USB board, with the keys of ports where they mean the same."""
+    return {
+        "kind": "usb",
+        "url": board.url,
+        "device": board.device_file,
+        "name": board.name,
+        "manufacturer": board.manufacturer,
+        "usb_id": f"{board.vendor:04X}:{board.product:04X}",
+        "vid": board.vendor,
+        "pid": board.product,
+        "serial_number": board.serial,
+        "bus": f"{board.bus:03}:{board.address:03}",
+        "port_path": board.port_path,
+        "speed": board.speed,
+        "interface": board.interface,
+        "sync": board.sync,
+        "problem": board.problem,
+    }
 
 
 def stable_names(folder: Path) -> dict[str, str]:
@@ -53,10 +147,11 @@ def stable_names(folder: Path) -> dict[str, str]:
     return {str(link.resolve()): str(link) for link in sorted(folder.iterdir())}
 
 
-def describe(port: Any, stable: dict[str, str]) -> dict[str, str | int | None]:
+def describe(port: Any, stable: dict[str, str]) -> Facts:
     """Return what is known of one port, by pyserial's ListPortInfo."""
     usb_id = None if port.vid is None else f"{port.vid:04X}:{port.pid:04X}"
     return {
+        "kind": "serial",
         "url": port_url(port.device),
         "device": port.device,
         "board": board_name(port.vid, port.pid),

@@ -1,13 +1,41 @@
-"""`j2a list`, with ports that pyserial would report."""
+"""`j2a list`, with ports as pyserial and USB boards as the transports report them."""
 
 import json
 import sys
+from contextlib import nullcontext
+from dataclasses import replace
 
 import pytest
+from j2a_transports import MissingExtra, OpenFailed, UsbArrived, UsbBoard, UsbLeft
 from serial.tools.list_ports_common import ListPortInfo
 
 from j2a.cli._boards import BOARDS, board_name
 from j2a.cli._list import port_url, stable_names
+
+BOARD = UsbBoard(
+    url="usb://0001",
+    vendor=0x6666,
+    product=0xCAFE,
+    manufacturer="J2A",
+    name="demo",
+    serial="0001",
+    bus=1,
+    address=4,
+    port_path="1-2.3",
+    speed=12.0,
+    interface=0,
+    device_file="/dev/bus/usb/001/004",
+    sync=True,
+    problem=None,
+)
+
+
+@pytest.fixture(autouse=True)
+def boards(monkeypatch):
+    """The boards on the USB; a list to fill."""
+    found = []
+    monkeypatch.setattr("j2a.cli._list.usb_boards", lambda: found)
+    return found
 
 
 @pytest.fixture
@@ -29,7 +57,7 @@ def usb_port(device, vid, pid, **facts):
 def test_no_ports(run, ports):
     result = run("list")
     assert (result.code, ports) == (0, [])
-    assert "is the board plugged in" in result.out
+    assert "is it plugged in" in result.out
     assert json.loads(run("list", "--json").out) == []
 
 
@@ -55,6 +83,7 @@ def test_ports_and_boards(run, ports, tmp_path, monkeypatch):
     assert found["/dev/ttyS0"]["url"] == "serial:///dev/ttyS0"
     assert found["/dev/ttyS0"]["board"] is found["/dev/ttyS0"]["usb_id"] is None
     assert found[str(device)] == {
+        "kind": "serial",
         "url": f"serial://{device}",
         "device": str(device),
         "board": "Arduino Uno R3",
@@ -72,11 +101,95 @@ def test_ports_and_boards(run, ports, tmp_path, monkeypatch):
     assert "usb-Arduino_Uno_7543" in out
 
 
-def test_without_pyserial(run, monkeypatch):
+def test_usb_boards(run, ports, boards):
+    boards.append(BOARD)
+    ports.append(ListPortInfo("/dev/ttyS0"))
+    result = run("list")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.splitlines() == [
+        "usb://0001",
+        "  name           demo",
+        "  manufacturer   J2A",
+        "  usb id         6666:CAFE",
+        "  serial number  0001",
+        "  bus            001:004",
+        "  port path      1-2.3",
+        "  speed          12 Mbit/s",
+        "  device         /dev/bus/usb/001/004",
+        "  sync           yes",
+        "serial:///dev/ttyS0",
+    ]
+    usb, serial = json.loads(run("list", "--json").out)
+    assert (usb["kind"], usb["url"], usb["speed"]) == ("usb", "usb://0001", 12)
+    assert (serial["kind"], serial["url"]) == ("serial", "serial:///dev/ttyS0")
+
+
+def test_a_board_that_may_not_be_opened(run, ports, boards):
+    boards.append(replace(BOARD, serial=None, url="usb://1-2.3", problem="not allowed: ..."))
+    out = run("list").out
+    assert "  problem        not allowed: ...\n" in out
+    assert "serial number" not in out
+
+
+def test_boards_that_come_and_go(run, monkeypatch):
+    def watch():
+        return nullcontext(iter([UsbArrived(BOARD), UsbLeft(BOARD)]))
+
+    monkeypatch.setattr("j2a.cli._list.watch_usb", watch)
+    lines = run("list", "--watch").out.splitlines()
+    assert (lines[0], lines[1], lines[-1]) == (
+        "+ usb://0001",
+        "  name           demo",
+        "- usb://0001",
+    )
+    events = [json.loads(line) for line in run("list", "--watch", "--json").out.splitlines()]
+    assert [event["event"] for event in events] == ["arrived", "left"]
+    assert {event["serial_number"] for event in events} == {"0001"}
+
+
+def refuse(error):
+    def function():
+        raise error
+
+    return function
+
+
+def test_what_needs_a_missing_package_is_left_out(run, ports, monkeypatch):
+    ports.append(ListPortInfo("/dev/ttyS0"))
+    missing = refuse(MissingExtra("usb:", "pyusb", "usb"))
+    monkeypatch.setattr("j2a.cli._list.usb_boards", missing)
+    monkeypatch.setattr("j2a.cli._list.watch_usb", missing)
+    result = run("list")
+    assert (result.code, result.out) == (0, "serial:///dev/ttyS0\n")
+    assert "pip install j2a[usb]" in result.err
+    assert json.loads(run("list", "--json").out)[0]["kind"] == "serial"
+    assert run("list", "--watch").code == 2
+
+
+def test_without_libusb_there_are_still_the_ports(run, ports, monkeypatch):
+    ports.append(ListPortInfo("/dev/ttyS0"))
+    monkeypatch.setattr("j2a.cli._list.usb_boards", refuse(OpenFailed("no libusb")))
+    result = run("list")
+    assert (result.code, result.out) == (0, "serial:///dev/ttyS0\n")
+    assert "no libusb" in result.err
+
+
+def test_without_pyserial(run, boards, monkeypatch):
     monkeypatch.setitem(sys.modules, "serial.tools", None)
+    boards.append(BOARD)
+    result = run("list")
+    assert (result.code, result.out.splitlines()[0]) == (0, "usb://0001")
+    assert "pip install j2a[serial]" in result.err
+
+
+def test_without_both_packages(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "serial.tools", None)
+    missing = refuse(MissingExtra("usb:", "pyusb", "usb"))
+    monkeypatch.setattr("j2a.cli._list.usb_boards", missing)
     result = run("list")
     assert (result.code, result.out) == (2, "")
-    assert "pip install j2a[serial]" in result.err
+    assert "j2a[usb]" in result.err
+    assert "j2a[serial]" in result.err
 
 
 def test_board_names():
