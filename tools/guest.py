@@ -30,9 +30,18 @@ from guest_kernel import GuestError
 
 ROOT = Path(__file__).resolve().parent.parent
 QEMU = "qemu-system-x86_64"
+PACKAGES = {QEMU: "qemu-system-x86", "busybox": "busybox-static", "setpriv": "util-linux"}
 TIMED_OUT, CANNOT_RUN = 124, 125
 # What keeps the kernel from doing work that no job needs.
 COMMAND_LINE = "console=ttyS0 quiet panic=-1 mitigations=off nokaslr tsc=reliable"
+
+
+def tool(name: str) -> str:
+    """Return the path of a program; GuestError says what to install."""
+    found = shutil.which(name)
+    if found is None:
+        raise GuestError(f"{name} is missing: install the package {PACKAGES[name]}")
+    return found
 
 
 def job_script(command: Sequence[str]) -> str:
@@ -56,14 +65,11 @@ def script_of(variables: Mapping[str, str]) -> str:
 
 def archive(kernel: Path, settings: Mapping[str, str], job: str) -> bytes:
     """Return the initramfs: the modules in `kernel`, variables for the start, and the script."""
-    busybox = shutil.which("busybox")
-    if busybox is None:
-        raise GuestError("busybox is missing: install the package busybox-static")
     modules = {path.stem: path.read_bytes() for path in kernel.glob("*.ko")}
     order = [one for one in guest_kernel.load_order(guest_kernel.WANTED, modules) if modules[one]]
     return guest_kernel.initramfs(
         {
-            "bin/busybox": Path(busybox).read_bytes(),
+            "bin/busybox": Path(tool("busybox")).read_bytes(),
             "init": (ROOT / "tools/guest_init.sh").read_bytes(),
             "settings": script_of(settings).encode(),
             "job": job.encode(),
@@ -77,8 +83,6 @@ def archive(kernel: Path, settings: Mapping[str, str], job: str) -> bytes:
 
 def machine(folder: Path, kernel: Path, *, cpus: int, memory: int, kvm: bool) -> list[str]:
     """Return the command line of QEMU: its standard output is the guest's port "job"."""
-    if shutil.which(QEMU) is None:
-        raise GuestError(f"{QEMU} is missing: install the package qemu-system-x86")
     options = {
         "accel": "kvm" if kvm else "tcg",
         "cpu": "qemu64,+rdrand",
@@ -100,7 +104,8 @@ def machine(folder: Path, kernel: Path, *, cpus: int, memory: int, kvm: bool) ->
         "virtserialport,chardev=job,name=job",
     )
     return [
-        *(QEMU, "-nodefaults", "-no-reboot"),
+        # However this program ends, the kernel ends QEMU with it.
+        *(tool("setpriv"), "--pdeathsig=KILL", tool(QEMU), "-nodefaults", "-no-reboot"),
         *(word for name, value in options.items() for word in (f"-{name}", value)),
         *(word for device in devices for word in ("-device", device)),
     ]
@@ -180,12 +185,14 @@ def read_job(qemu: subprocess.Popen[bytes], token: str, deadline: float) -> int 
 
 def run(args: argparse.Namespace) -> int:
     """Boot the guest, run the command, and return its exit code."""
+    for name in PACKAGES:
+        tool(name)
     kernel = guest_kernel.kernel(guest_kernel.cache_folder())
     start_s = time.monotonic()
     token = secrets.token_hex(8)
     with tempfile.TemporaryDirectory(prefix="j2a-guest-") as scratch:
         folder = Path(scratch)
-        settings = {"token": token, "limit": str(args.timeout + 30), "here": str(ROOT)}
+        settings = {"token": token, "here": str(ROOT)}
         job = job_script(args.command)
         (folder / "initramfs").write_bytes(archive(kernel, settings, job))
         command = machine(folder, kernel, cpus=args.cpus, memory=args.memory, kvm=args.kvm)

@@ -1,0 +1,105 @@
+"""tools/guest.py: a command in a Linux kernel of its own, and what comes back."""
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from .conftest import ROOT, SCRIPT
+
+pytestmark = pytest.mark.guest
+# Echoes a line of the host, at the address that stands for it.
+JOB = """
+import os, pathlib, socket, sys
+port, outside = sys.argv[1:]
+with socket.create_connection(("10.0.2.2", int(port)), 30) as link:
+    link.sendall(link.recv(100).upper())
+for folder in ("/tmp", "/run", "/dev/shm"):
+    pathlib.Path(folder, "written").write_text("x")
+for folder in (".", "/etc"):
+    try:
+        pathlib.Path(folder, "written").write_text("x")
+    except OSError as error:
+        print(error.strerror)
+assert pathlib.Path("pyproject.toml").read_text() == pathlib.Path(outside).read_text()
+assert sys.executable.startswith(os.getcwd())
+print(os.uname().release != pathlib.Path("/proc/sys/kernel/osrelease").read_text())
+os.write(1, b"no line end: \\xc3\\xa4")
+sys.exit(7)
+"""
+
+
+def test_a_command_sees_the_host_and_its_code_comes_back(guest):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(90)
+        answers = []
+
+        def serve():
+            with server.accept()[0] as link:
+                link.sendall(b"hello")
+                answers.append(link.recv(100))
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        port = server.getsockname()[1]
+        done = guest("python", "-c", JOB, str(port), str(ROOT / "pyproject.toml"), code=7)
+        thread.join(30)
+    assert answers == [b"HELLO"]
+    lines = done.stdout.splitlines()
+    assert lines == ["Read-only file system"] * 2 + ["True", "no line end: ä"]
+    assert done.stderr == ""
+    assert not (ROOT / "written").exists()
+
+
+def test_what_it_can_load_is_there(guest):
+    script = """
+        set -e
+        test -e /dev/vhci                                  # Bluetooth controllers
+        test -e /sys/devices/platform/vhci_hcd.0/attach    # devices of USB/IP servers
+        test -e /sys/class/udc/dummy_udc.0                 # a gadget with its own host controller
+        test -d /sys/kernel/config/usb_gadget
+        grep '^usb_f_fs ' /proc/modules
+        ls /sys/bus/usb-serial/drivers
+    """
+    assert "generic" in guest("sh", "-c", script).stdout
+
+
+def test_a_job_that_does_not_end_is_ended(guest):
+    done = guest("sh", "-c", "echo begun; sleep 1000", timeout=15, code=124)
+    assert done.stdout == "begun\n"
+    assert "guest: no end after 15 s: killed" in done.stderr
+
+
+def test_a_kernel_that_dies_is_told(guest):
+    done = guest("sh", "-c", "echo c >/proc/sysrq-trigger", code=125)
+    assert "QEMU has ended early" in done.stderr
+    assert "sysrq triggered crash" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_signal_ends_qemu_too(guest, number):
+    started = subprocess.Popen(
+        [sys.executable, SCRIPT, "--", "sleep", "1000"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        deadline = time.monotonic() + 60
+        children = Path(f"/proc/{started.pid}/task/{started.pid}/children")
+        while not (child := children.read_text().split()):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        started.send_signal(number)
+        assert started.wait(30) == (-number if number == signal.SIGKILL else 128 + number)
+        assert started.stderr.read() == b""
+        while Path(f"/proc/{child[0]}").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        started.kill()
+        started.communicate()
