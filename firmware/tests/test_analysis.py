@@ -23,7 +23,8 @@ OPTIONS = {
 MAIN_PORT = "ports/cortex-m"  # with interrupts; its j2a_port_config.h is read with the core
 DEFINES = ["-DJ2A_RXBUF=64", "-DDEMO_STORE_BYTES=1024", "-DBAUD=115200u"]
 CORE = sorted(FIRMWARE.glob("core/*.c"))
-COMMON = sorted(FIRMWARE.glob("ports/common/*.c"))
+CLOCK = FIRMWARE / "ports/common/avr_clock.c"  # of the AVR's ports
+COMMON = sorted({*FIRMWARE.glob("ports/common/*.c")} - {CLOCK})
 # How Clang is told the machine of each port that shares ports/common.
 TARGETS = {
     "cortex-m": ["--target=arm-none-eabi", "-mcpu=cortex-m3", "-mthumb"],
@@ -37,6 +38,15 @@ AVRS = {"atmega328p": 1, "atmega32u4": 1, "atmega32u2": 0}
 AVR_HAS = {"atmega328p": "UBRR0 UCSR0C", "atmega32u4": "UCSR1C", "atmega32u2": "UCSR1C"}
 AVR_FOLDERS = ("ports/avr-serial", "apps/sensors", "drivers", "drivers/avr")
 AVR_SOURCES = sorted(path for name in AVR_FOLDERS for path in FIRMWARE.glob(f"{name}/*.c"))
+AVR_PORTS = {"avr-serial", "avr-usb"}
+USB_CHIPS = {
+    "atmega32u4": "TIMSK1 PLLCSR PINDIV PLLFRQ OTGPADE UHWCON",
+    "atmega32u2": "TIMSK1 PLLCSR PLLP0 REGDIS",
+}
+USB_DEFINES = [
+    *("-DUSB_VENDOR=J2A_USB_VENDOR", "-DUSB_PRODUCT=J2A_USB_PRODUCT"),
+    *("-DUSB_NAME=board", "-DUSB_SERIAL=", "-DJ2A_USB_SLEEP=1"),
+]
 AVR_DEFINES = ["-DF_CPU=16000000UL", "-DQUAD_CALLBACK=on_quad"]
 # What clang-tidy is not asked where hardware is, beyond .clang-tidy:
 #   implicit-widening        times in us are multiplied in 32 bits, where the products fit
@@ -136,6 +146,23 @@ def test_cppcheck_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: st
     assert (result.returncode, result.stdout + result.stderr) == (0, "")
 
 
+@pytest.mark.parametrize("mcu", USB_CHIPS)
+def test_cppcheck_finds_nothing_for_usb(need: Callable[[str], None], mcu: str) -> None:
+    need("cppcheck")
+    result = cppcheck(
+        "--enable=all",
+        "--inconclusive",
+        "--platform=avr8",
+        "--library=avr",
+        *(f"-D{register}={register}" for register in USB_CHIPS[mcu].split()),
+        *USB_DEFINES,
+        *AVR_DEFINES,
+        *includes("ports/avr-usb"),
+        *port_sources("avr-usb"),
+    )
+    assert (result.returncode, result.stdout + result.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 def test_clang_tidy_finds_nothing(need: Callable[[str], None], options: list[str]) -> None:
     need("clang-tidy")
@@ -162,11 +189,8 @@ def test_clang_tidy_finds_nothing_in_a_port(need: Callable[[str], None], port: s
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
 
 
-@pytest.mark.parametrize("mcu", AVRS)
-def test_clang_tidy_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: str) -> None:
-    """With the headers of avr-libc, which the compiler knows where to find."""
-    need("clang-tidy")
-    need("avr-gcc")
+def avr_machine(mcu: str) -> list[str]:
+    """Return how Clang is told of a chip, with the headers of avr-libc."""
     asked = subprocess.run(
         ["avr-gcc", f"-mmcu={mcu}", "-M", "-x", "c", "-"],
         input="#include <avr/io.h>",
@@ -177,16 +201,33 @@ def test_clang_tidy_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: 
     headers = re.search(r"(\S+)/avr/io\.h", asked.stdout)
     assert headers
     machine = ["--target=avr", f"-mmcu={mcu}", "-isystem", headers[1], "-fshort-enums"]
-    given = [*AVR_DEFINES, f"-DSENSORS_ADC={AVRS[mcu]}", "-O2"]  # delay.h wants to be optimised
-    flags = [*machine, *given, *includes(*AVR_FOLDERS)]
-    result = clang_tidy(AVR_SOURCES, flags, f"--checks={UNCHECKED['avr']}")
+    return [*machine, *AVR_DEFINES, "-O2"]  # delay.h wants to be optimised
+
+
+@pytest.mark.parametrize("mcu", AVRS)
+def test_clang_tidy_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: str) -> None:
+    """With the headers of avr-libc, which the compiler knows where to find."""
+    need("clang-tidy")
+    need("avr-gcc")
+    flags = [*avr_machine(mcu), f"-DSENSORS_ADC={AVRS[mcu]}", *includes(*AVR_FOLDERS)]
+    result = clang_tidy([*AVR_SOURCES, CLOCK], flags, f"--checks={UNCHECKED['avr']}")
+    assert (result.returncode, result.stdout) == (0, ""), result.stderr
+
+
+@pytest.mark.parametrize("mcu", USB_CHIPS)
+def test_clang_tidy_finds_nothing_for_usb(need: Callable[[str], None], mcu: str) -> None:
+    need("clang-tidy")
+    need("avr-gcc")
+    flags = [*avr_machine(mcu), "-ffreestanding", *USB_DEFINES, *includes("ports/avr-usb")]
+    result = clang_tidy(port_sources("avr-usb"), flags, f"--checks={UNCHECKED['avr']}")
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
 
 
 def test_every_port_and_common_file_is_looked_at() -> None:
     ports = {path.parent.name for path in FIRMWARE.glob("ports/*/port.mk")}
-    assert ports == {*TARGETS, "posix", "avr-serial"}
-    assert {path for port in TARGETS for path in port_sources(port)} >= set(COMMON)
+    assert ports == {*TARGETS, *AVR_PORTS, "posix"}
+    looked_at = {path for port in {*TARGETS, *AVR_PORTS} for path in port_sources(port)}
+    assert looked_at >= {*COMMON, CLOCK}
 
 
 def test_clang_tidy_finds_what_is_wrong(need: Callable[[str], None], tmp_path: Path) -> None:

@@ -1,2 +1,4 @@
-#define J2A_TICKS_PER_MS ((F_CPU + 63999) / 64000) /* of timer 1, rounded up */
+#include "avr_clock.h"
+
+#define J2A_TICKS_PER_MS AVR_CLOCK_TICKS_PER_MS
 #define J2A_PORT_NAME "avr-serial"

@@ -8,8 +8,8 @@
  * that bytes from before and after it never end up in one frame. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
-#include <util/atomic.h>
 
+#include "avr_clock.h"
 #include "j2a_port.h"
 #include "usart.h"
 
@@ -57,11 +57,7 @@ void j2a_port_init(int argc, char **argv) {
     UCSRnA = _BV(BIT_U2X);
     UCSRnC = BIT_8N1;
     UCSRnB = RECEIVING;
-#if J2A_WITH_CLOCK
-    TIMSK1 = _BV(TOIE1);
-#endif
-    TCCR1A = 0;
-    TCCR1B = _BV(CS11) | _BV(CS10); /* F_CPU / 64 */
+    avr_clock_start();
     sei();
 }
 
@@ -103,40 +99,6 @@ void j2a_port_tx(uint8_t byte) {
     loop_until_bit_is_set(UCSRnA, BIT_UDRE);
     UDRn = byte;
 }
-
-uint16_t j2a_port_ticks(void) {
-    uint16_t now;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { /* an interrupt may read the timer, too */
-        now = TCNT1;
-    }
-    return now;
-}
-
-#if J2A_WITH_CLOCK
-static uint32_t timer_overflows; /* each 262 ms at 16 MHz */
-
-ISR(TIMER1_OVF_vect) {
-    timer_overflows++;
-}
-
-uint64_t j2a_port_time_us(void) {
-    uint64_t cycles;
-    uint32_t high;
-    uint16_t low;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        low = TCNT1;
-        high = timer_overflows;
-        if ((TIFR1 & _BV(TOV1)) && low < 0x8000) /* wrapped, but its interrupt has not run yet */
-            high++;
-    }
-    cycles = ((uint64_t)high << 16 | low) * 64;
-#if F_CPU % 1000000 == 0
-    return cycles / (F_CPU / 1000000);
-#else /* exact, too, and in two steps nothing overflows */
-    return cycles / F_CPU * 1000000 + cycles % F_CPU * 1000000 / F_CPU;
-#endif
-}
-#endif
 
 uint16_t j2a_port_overruns(void) {
     return overruns;

@@ -9,5 +9,6 @@ MACHINE := -mmcu=$(MCU) -DF_CPU=$(FREQ)UL -DBAUD=$(BAUD)UL \
 LINK := -Wl,--gc-sections -mrelax
 SUFFIX := .elf
 SIZE := avr-size
+PORT_SOURCES := ports/common/avr_clock.c
 PORT_RXBUF := 16
 SMALL := 1

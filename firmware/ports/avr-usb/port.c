@@ -1,0 +1,134 @@
+/* AVR with a USB device controller (ATmega16U4, 32U4, 8U2, 16U2, 32U2, AT90USB162): the link are two bulk endpoints.
+ * Bytes flow straight out of the controller's memory and straight into it, there is no ring: while it is full the
+ * controller refuses packets, so none is lost. Timer 1 runs freely and is both clocks.
+ * Rules: an endpoint is chosen and used with interrupts off, because an interrupt may set all of them up anew. What is
+ * dropped is dropped up to the end of the frame, and that is where the main loop asks for a byte again. */
+#include <avr/interrupt.h>
+#include <util/atomic.h>
+
+#include "usb.h"
+#include "j2a_port.h"
+
+#if J2A_TXBUF > 0
+#error "this port has no transmit buffer, so J2A_TXBUF must be 0"
+#endif
+
+enum { DROPPING = USB_PORT }; /* what is sent, until the frame is over */
+
+static bool empty_packet_due; /* the last packet was full, and nothing has followed yet */
+
+/* Chooses an endpoint. Returns UEINTX. */
+static inline uint8_t flags_of(uint8_t endpoint) {
+    UENUM = endpoint;
+    return UEINTX;
+}
+
+void j2a_port_init(int argc, char **argv) {
+    (void)argc;
+    (void)argv;
+    avr_clock_start();
+    usb_start();
+    sei();
+}
+
+/* Called between frames. After a restart what had been received is given up first, and the error that the
+ * parser makes of it is dropped. */
+static void find_out(void) {
+    bool lost = false;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (usb_trouble & USB_RESTARTED) {
+            usb_trouble ^= USB_RESTARTED | DROPPING;
+            empty_packet_due = false;
+            lost = true;
+        } else {
+            usb_trouble &= (uint8_t)~DROPPING;
+        }
+    }
+    if (lost)
+        j2a_rx_lost();
+}
+
+int16_t j2a_port_rx(void) {
+    int16_t byte = -1;
+    bool trouble = true;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (usb_trouble == 0) {
+            trouble = false;
+            if (flags_of(USB_RX) & _BV(RWAL))
+                byte = UEDATX;
+            if ((UEINTX & (_BV(RXOUTI) | _BV(RWAL))) == _BV(RXOUTI)) /* that was the last one, or there was none */
+                UEINTX = USB_RELEASE;
+        }
+    }
+    if (trouble)
+        find_out();
+    return byte;
+}
+
+/* Sends what has been collected. */
+static inline void send_packet(bool full) {
+    UEINTX = USB_SEND;
+    empty_packet_due = full;
+}
+
+/* Waits for the host to take packets as long as it likes; what nobody is there to take is dropped. */
+void j2a_port_tx(uint8_t byte) {
+    bool waits = true;
+    do {
+        ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+            if (usb_trouble != 0 || usb_trouble_is_due()) {
+                usb_trouble |= DROPPING;
+                waits = false;
+            } else if (flags_of(USB_TX) & _BV(RWAL)) {
+                UEDATX = byte;
+                if (!(UEINTX & _BV(RWAL)))
+                    send_packet(true);
+                waits = false;
+            }
+        }
+    } while (waits);
+}
+
+#if J2A_WITH_SYNCUSB
+/* For applications that have none. */
+__attribute__((weak)) void j2a_app_sync_usb(const uint8_t *packet) {
+    (void)packet;
+}
+
+static void receive_sync(void) {
+    uint8_t packet[J2A_SYNCUSB_SIZE];
+    bool complete = false;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (usb_trouble == 0 && (flags_of(USB_SYNC) & _BV(RXOUTI))) {
+            if (UEBCLX == sizeof packet) {
+                uint8_t i;
+                for (i = 0; i < sizeof packet; i++)
+                    packet[i] = UEDATX;
+                complete = true;
+            }
+            UEINTX = USB_RELEASE;
+        }
+    }
+    if (complete)
+        j2a_app_sync_usb(packet);
+}
+#endif
+
+uint16_t j2a_port_overruns(void) {
+    return 0; /* the host waits instead */
+}
+
+/* The end of a burst: what has been collected is sent, and after a full packet an empty one, so that the host
+ * knows that nothing follows. */
+void j2a_port_idle(void) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (usb_trouble == 0 && (flags_of(USB_TX) & _BV(RWAL)) && (UEBCLX != 0 || empty_packet_due))
+            send_packet(false);
+    }
+#if J2A_WITH_SYNCUSB
+    receive_sync();
+#endif
+#if J2A_USB_SLEEP
+    usb_sleep();
+#endif
+}

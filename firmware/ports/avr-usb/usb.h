@@ -1,0 +1,109 @@
+/* The USB device driver of this port: the controller of an ATmega8U2 to 32U4 or AT90USB162. In: the requests of the
+ * host at endpoint 0, and what the bus does. Out: answers by chapter 9 of the USB 2.0 specification, endpoints as
+ * configured, and what the main loop must know of the link (usb_trouble).
+ * usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what they ask
+ * for, usb_descriptors.c is what the board says of itself, and its endpoints; port.c moves the bytes.
+ * Rules: endpoint 0 belongs to the interrupts, so that enumeration works while the application computes. All other
+ * endpoints belong to the main context, which has interrupts off from the look at usb_trouble and the choice in UENUM
+ * to the last access, so no interrupt need keep UENUM. Nothing waits for the host in an interrupt. */
+#ifndef USB_H
+#define USB_H
+
+#include <avr/io.h>
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "j2a_port_config.h"
+
+/* Largest packet of endpoint 0, see USB_SIZE_32. It is what the 176 bytes of an ATmega32U2 leave beside two endpoints of
+ * 64 and one of 16. */
+#define USB_PACKET0 32
+
+/* For UECFG0X and UECFG1X. */
+enum {
+    USB_CONTROL = 0,
+    USB_BULK_OUT = 2 << EPTYPE0,
+    USB_BULK_IN = 2 << EPTYPE0 | 1 << EPDIR,
+    USB_INTERRUPT_OUT = 3 << EPTYPE0,
+    USB_SIZE_16 = 1 << EPSIZE0 | 1 << ALLOC,
+    USB_SIZE_32 = 2 << EPSIZE0 | 1 << ALLOC,
+    USB_SIZE_64 = 3 << EPSIZE0 | 1 << ALLOC,
+    USB_TWO_BANKS = 1 << EPBK0
+};
+
+/* What UEINTX is set to when the main context is done with a bank: a full one of an IN endpoint goes to the host, an
+ * empty one of an OUT endpoint takes the next packet. Flags that are written as 1 stay as they are. */
+#define USB_SEND ((uint8_t)~(_BV(FIFOCON) | _BV(NAKINI) | _BV(RXOUTI) | _BV(TXINI)))
+#define USB_RELEASE ((uint8_t)~(_BV(FIFOCON) | _BV(NAKOUTI) | _BV(RXOUTI)))
+
+/* ------------------------------------------------------------------ usb_device.c ------------- */
+
+/* 0 while packets flow. The port clears USB_RESTARTED and may use USB_PORT for itself; interrupts off for that. */
+enum {
+    USB_UNCONFIGURED = 1, /* the host has not chosen the configuration, or the cable is out */
+    USB_SUSPENDED = 2,    /* the bus is still; the clock of the controller stands, so keep off its registers */
+    USB_RESTARTED = 4,    /* the endpoints were set up anew: what was in them is gone */
+    USB_PORT = 8
+};
+extern volatile uint8_t usb_trouble;
+
+/* Starts the controller and joins the bus; interrupts must be switched on afterwards. Called once. */
+void usb_start(void);
+
+/* Has the bus been reset or suspended, and its interrupt has not run yet? For who waits with interrupts off. */
+static inline bool usb_trouble_is_due(void) {
+    return UDINT & (_BV(EORSTI) | _BV(SUSPI));
+}
+
+/* Sleeps until the bus is no longer suspended, or another interrupt. */
+#if J2A_USB_SLEEP
+void usb_sleep(void);
+#endif
+
+/* Sets the endpoints up, or takes them away. Called with interrupts off; UENUM is any afterwards. */
+void usb_configure(bool on);
+
+/* ------------------------------------------------------------------ usb_descriptors.c -------- */
+
+enum { USB_INTERFACES = 1 + J2A_WITH_SYNCUSB, USB_ENDPOINTS = 2 + J2A_WITH_SYNCUSB };
+
+/* Endpoints as the main context chooses them. */
+enum { USB_TX = 1, USB_RX = 2, USB_SYNC = 3 };
+
+/* Of endpoint 1 and up, in flash. */
+typedef struct {
+    uint8_t address;      /* as in its descriptor */
+    uint8_t uecfg0x, uecfg1x;
+    uint8_t interface;
+} usb_endpoint;
+extern const usb_endpoint usb_endpoints[USB_ENDPOINTS];
+
+/* Looks a descriptor up. Returns its length, 1..254, or 0 when there is none. *at is its address in flash, or NULL
+ * when usb_descriptor_byte() has to be asked for each byte.
+ * type, number: the two bytes of wValue. language: wIndex. */
+uint8_t usb_descriptor(uint8_t type, uint8_t number, uint16_t language, const uint8_t **at);
+
+/* A byte of the descriptor whose address was NULL. */
+uint8_t usb_descriptor_byte(uint8_t index);
+
+/* ------------------------------------------------------------------ usb_control.c ------------ */
+
+/* Sets endpoint 0 up, and its requests to how they are after a bus reset. */
+void usb_control_reset(void);
+
+/* The address that the host has given, with ADDEN, until it knows that it is taken; else 0. */
+extern uint8_t usb_new_address;
+
+/* ------------------------------------------------------------------ usb_requests.c ----------- */
+
+/* A SETUP packet; none of the fields of 16 bits is aligned, and most need only their lower half. */
+typedef struct {
+    uint8_t type, request, value, value_high, index, index_high, length, length_high;
+} usb_setup;
+
+/* Does what a request asks for. Returns how many bytes are to be sent, 0 where the request is all there is, or
+ * USB_STALL; *source is where they are, as usb_descriptor() gives it. UENUM is any afterwards. */
+uint8_t usb_answer(const usb_setup *setup, const uint8_t **source);
+enum { USB_STALL = 0xFF };
+
+#endif

@@ -1,0 +1,89 @@
+/* Control transfers at endpoint 0, see usb.h. In: the interrupt USB_COM. Out: the answers of usb_answer() in packets,
+ * the status of a transfer, or a stall.
+ * Rule: no packet is waited for, each comes with an interrupt; so an aborted transfer is nothing but the next SETUP. */
+#include <avr/interrupt.h>
+#include <avr/pgmspace.h>
+
+#include "usb.h"
+
+static const uint8_t *source; /* what is being sent, in flash or by usb_descriptor_byte() */
+static uint8_t sent, size;    /* bytes of it */
+static bool sending;          /* another packet, perhaps an empty one, has to follow */
+static bool ends_short;       /* the host asked for more than there is */
+uint8_t usb_new_address;
+
+/* Sends the next packet. A short one is the last, and so is a full one after which the host expects no more. */
+static void send_packet(void) {
+    uint8_t room = USB_PACKET0;
+    for (; room != 0 && sent != size; room--, sent++)
+        UEDATX = source ? pgm_read_byte(source + sent) : usb_descriptor_byte(sent);
+    if (room != 0 || (sent == size && !ends_short))
+        sending = false;
+    UEINTX = (uint8_t)~_BV(TXINI);
+}
+
+static void take_setup(void) {
+    static usb_setup setup;
+    uint8_t *to = (uint8_t *)&setup;
+    uint8_t i;
+
+    for (i = sizeof setup; i != 0; i--)
+        *to++ = UEDATX;
+    UEINTX = (uint8_t)~(_BV(RXSTPI) | _BV(RXOUTI));
+    usb_new_address = 0;
+    sent = 0;
+    size = usb_answer(&setup, &source);
+    UENUM = 0;
+    if (size == USB_STALL) {
+        UEIENX = _BV(RXSTPE);
+        UECONX = _BV(EPEN) | _BV(STALLRQ); /* until the next SETUP */
+        return;
+    }
+    ends_short = true;
+    if (setup.length_high == 0 && setup.length <= size) {
+        size = setup.length;
+        ends_short = false;
+    }
+    sending = true; /* without a data stage it is the status that is sent, an empty packet */
+    UEIENX = _BV(RXSTPE) | _BV(RXOUTE) | _BV(TXINE);
+}
+
+/* The host has taken a packet. */
+static void packet_taken(void) {
+    if (sending) {
+        send_packet();
+        return;
+    }
+    UEIENX = _BV(RXSTPE) | _BV(RXOUTE);
+    if (usb_new_address != 0) { /* the two must not be written at once */
+        UDADDR = usb_new_address & (uint8_t)~_BV(ADDEN);
+        if (usb_new_address != _BV(ADDEN))
+            UDADDR = usb_new_address;
+        usb_new_address = 0;
+    }
+}
+
+ISR(USB_COM_vect) {
+    uint8_t flags;
+    UENUM = 0;
+    while ((flags = UEINTX & UEIENX) != 0) { /* an answer's first packet may be sent at once */
+        if (flags & _BV(RXSTPI)) {
+            take_setup();
+        } else if (flags & _BV(RXOUTI)) { /* the status of what was sent, perhaps before all of it was taken */
+            UEINTX = (uint8_t)~_BV(RXOUTI);
+            UEIENX = _BV(RXSTPE);
+        } else {
+            packet_taken();
+        }
+    }
+}
+
+void usb_control_reset(void) {
+    UENUM = 0;
+    UECONX = _BV(EPEN);
+    UECFG0X = USB_CONTROL;
+    UECFG1X = USB_SIZE_32;
+    UEIENX = _BV(RXSTPE);
+    UDADDR = 0;
+    usb_new_address = 0;
+}

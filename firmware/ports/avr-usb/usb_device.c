@@ -1,0 +1,147 @@
+/* The USB controller and the bus, see usb.h: start, reset, suspend, wake-up, plug and endpoints. In: the interrupt
+ * USB_GEN. Out: usb_trouble, and a controller in the state that the bus asks for.
+ * Rule: while the clock of the controller stands, only PLLCSR and the registers up to UDIEN are touched. */
+#include "usb.h"
+
+#include <avr/interrupt.h>
+#include <avr/pgmspace.h>
+#include <avr/power.h>
+#include <avr/sleep.h>
+
+#if !defined PLLCSR || !(defined PINDIV || (defined PLLP0 && defined REGDIS))
+#error "MCU: not a chip of the families ATmega8U2, 16U2, 32U2, AT90USB82, 162, ATmega16U4 and 32U4"
+#endif
+#if F_CPU == 16000000
+#ifdef PINDIV
+#define PLL_ON (_BV(PINDIV) | _BV(PLLE))
+#else
+#define PLL_ON (_BV(PLLP0) | _BV(PLLE))
+#endif
+#elif F_CPU == 8000000
+#define PLL_ON _BV(PLLE)
+#else
+#error "F_CPU (make FREQ=) must be 16000000 or 8000000, the crystals that USB can be clocked from"
+#endif
+
+#ifdef OTGPADE /* there is a pin that watches VBUS */
+#define USB_ON (_BV(USBE) | _BV(OTGPADE) | _BV(VBUSTE))
+#else
+#define USB_ON _BV(USBE)
+#endif
+
+volatile uint8_t usb_trouble = USB_UNCONFIGURED;
+
+/* Lets the clock go on. */
+static void wake(void) {
+#if J2A_USB_SLEEP
+    uint16_t turns = 0; /* 40 ms at most, and it takes less than one */
+    PLLCSR = PLL_ON;
+    while (!(PLLCSR & _BV(PLOCK)) && --turns != 0) {
+    }
+#endif
+    USBCON = USB_ON;
+    UDINT = (uint8_t)~(_BV(WAKEUPI) | _BV(SUSPI));
+    UDIEN = _BV(EORSTE) | _BV(SUSPE);
+    usb_trouble &= (uint8_t)~USB_SUSPENDED;
+}
+
+static void suspend(void) {
+    UDINT = (uint8_t)~(_BV(WAKEUPI) | _BV(SUSPI));
+    UDIEN = _BV(EORSTE) | _BV(WAKEUPE);
+    USBCON = USB_ON | _BV(FRZCLK);
+#if J2A_USB_SLEEP
+    PLLCSR = 0;
+#endif
+    usb_trouble |= USB_SUSPENDED;
+}
+
+/* A board with power of its own must not pull the line up while nobody is at the other end of the cable. */
+static void follow_vbus(void) {
+#ifdef OTGPADE
+    USBINT = 0;
+    if (!(USBSTA & _BV(VBUS))) {
+        UDCON = _BV(DETACH);
+        usb_configure(false);
+        return;
+    }
+#endif
+    UDCON = 0;
+}
+
+void usb_start(void) {
+    /* A boot loader may have left the watchdog on, and the chip runs at an eighth of its clock as it is sold. */
+    MCUSR = 0;
+    WDTCSR = _BV(WDCE) | _BV(WDE); /* so that it may be changed, for four cycles */
+    WDTCSR = 0;
+    clock_prescale_set(clock_div_1);
+#ifdef UHWCON
+    UHWCON = _BV(UVREGE);
+#endif
+    USBCON = 0; /* the controller as after a reset */
+    USBCON = USB_ON | _BV(FRZCLK);
+#ifdef PLLFRQ
+    PLLFRQ = _BV(PDIV2); /* 48 MHz */
+#endif
+    PLLCSR = PLL_ON;
+    while (!(PLLCSR & _BV(PLOCK))) {
+    }
+    wake();
+    follow_vbus();
+}
+
+ISR(USB_GEN_vect) {
+    uint8_t flags;
+#ifdef OTGPADE
+    if (USBINT & _BV(VBUSTI)) {
+        wake();
+        follow_vbus();
+    }
+#endif
+    flags = UDINT & UDIEN;
+    if (flags & _BV(WAKEUPI))
+        wake();
+    if (flags & _BV(EORSTI)) {
+        UDINT = (uint8_t)~(_BV(EORSTI) | _BV(SUSPI));
+        usb_configure(false);
+        usb_control_reset();
+    } else if (flags & _BV(SUSPI)) {
+        suspend();
+    }
+}
+
+void usb_configure(bool on) {
+    uint8_t endpoint;
+    usb_trouble = USB_RESTARTED | USB_UNCONFIGURED;
+    /* All memory is given back before any is taken: the controller hands it out in the order of the endpoints. */
+    for (endpoint = USB_ENDPOINTS; endpoint != 0; endpoint--) {
+        UENUM = endpoint;
+        UECONX = 0;
+        UECFG1X = 0;
+    }
+    if (!on)
+        return;
+    for (; endpoint < USB_ENDPOINTS; endpoint++) {
+        UENUM = (uint8_t)(endpoint + 1);
+        UECONX = _BV(EPEN);
+        UECFG0X = pgm_read_byte(&usb_endpoints[endpoint].uecfg0x);
+        UECFG1X = pgm_read_byte(&usb_endpoints[endpoint].uecfg1x);
+        UECONX = _BV(EPEN) | _BV(STALLRQC) | _BV(RSTDT);
+    }
+    UERST = (1 << (USB_ENDPOINTS + 1)) - 2;
+    UERST = 0;
+    usb_trouble = USB_RESTARTED;
+}
+
+#if J2A_USB_SLEEP
+void usb_sleep(void) {
+    set_sleep_mode(SLEEP_MODE_PWR_DOWN);
+    cli();
+    if (usb_trouble & USB_SUSPENDED) {
+        sleep_enable();
+        sei(); /* the next instruction comes before any interrupt */
+        sleep_cpu();
+        sleep_disable();
+    }
+    sei();
+}
+#endif

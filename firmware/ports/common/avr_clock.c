@@ -1,0 +1,52 @@
+/* Timer 1 as both clocks, see avr_clock.h. In: nothing but the timer. Out: its lower 16 bits as they are, and with
+ * J2A_WITH_CLOCK microseconds, for which an interrupt counts the overflows. */
+#include "avr_clock.h"
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <util/atomic.h>
+
+#include "j2a_port.h"
+
+void avr_clock_start(void) {
+    /* All of it: a boot loader may leave other values than a reset does. */
+#if J2A_WITH_CLOCK
+    TIMSK1 = _BV(TOIE1);
+#endif
+    TCCR1A = 0;
+    TCCR1B = _BV(CS11) | _BV(CS10); /* F_CPU / 64 */
+}
+
+uint16_t j2a_port_ticks(void) {
+    uint16_t now;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { /* an interrupt may read the timer, too */
+        now = TCNT1;
+    }
+    return now;
+}
+
+#if J2A_WITH_CLOCK
+static uint32_t timer_overflows; /* each 262 ms at 16 MHz */
+
+ISR(TIMER1_OVF_vect) {
+    timer_overflows++;
+}
+
+uint64_t j2a_port_time_us(void) {
+    uint64_t cycles;
+    uint32_t high;
+    uint16_t low;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        low = TCNT1;
+        high = timer_overflows;
+        if ((TIFR1 & _BV(TOV1)) && low < 0x8000) /* wrapped, but its interrupt has not run yet */
+            high++;
+    }
+    cycles = ((uint64_t)high << 16 | low) * 64;
+#if F_CPU % 1000000 == 0
+    return cycles / (F_CPU / 1000000);
+#else /* exact, too, and in two steps nothing overflows */
+    return cycles / F_CPU * 1000000 + cycles % F_CPU * 1000000 / F_CPU;
+#endif
+}
+#endif
