@@ -53,7 +53,9 @@ def control(request: int, index: int, option: int | None = None) -> None:
 
 def up(index: int) -> None:
     """Switch a controller on, and let others find and connect it."""
-    control(HCIDEVUP, index)
+    # A new one is up for its first two seconds, and this keeps it so.
+    with contextlib.suppress(BlockingIOError):
+        control(HCIDEVUP, index)
     control(HCISETSCAN, index, PAGE_AND_INQUIRY_SCAN)
 
 

@@ -147,7 +147,7 @@ def adapters() -> list[Adapter]:
                 found.append(
                     Adapter(name.rstrip(b"\0").decode(), _text(address), bool(flags & _UP))
                 )
-            return found
+            return sorted(found)
     except OSError:
         # No Bluetooth in this kernel, or an adapter went away meanwhile: what fails next says why.
         return []
