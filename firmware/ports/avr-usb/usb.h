@@ -15,9 +15,9 @@
 
 #include "j2a_port_config.h"
 
-/* Largest packet of endpoint 0, see USB_SIZE_32. It is what the 176 bytes of an ATmega32U2 leave beside two endpoints of
- * 64 and one of 16. */
-#define USB_PACKET0 32
+/* Largest packet of endpoint 0, see USB_SIZE_16. So small that an interrupt is short; an ATmega32U2 has 176 bytes of
+ * memory for endpoints, which would do for 32. */
+#define USB_PACKET0 16
 
 /* For UECFG0X and UECFG1X. */
 enum {
@@ -26,7 +26,6 @@ enum {
     USB_BULK_IN = 2 << EPTYPE0 | 1 << EPDIR,
     USB_INTERRUPT_OUT = 3 << EPTYPE0,
     USB_SIZE_16 = 1 << EPSIZE0 | 1 << ALLOC,
-    USB_SIZE_32 = 2 << EPSIZE0 | 1 << ALLOC,
     USB_SIZE_64 = 3 << EPSIZE0 | 1 << ALLOC,
     USB_TWO_BANKS = 1 << EPBK0
 };

@@ -30,6 +30,7 @@ static void take_setup(void) {
     for (i = sizeof setup; i != 0; i--)
         *to++ = UEDATX;
     UEINTX = (uint8_t)~(_BV(RXSTPI) | _BV(RXOUTI));
+    UECONX = _BV(EPEN) | _BV(STALLRQC); /* meant for the last one, if that was refused just now */
     usb_new_address = 0;
     sent = 0;
     size = usb_answer(&setup, &source);
@@ -82,7 +83,7 @@ void usb_control_reset(void) {
     UENUM = 0;
     UECONX = _BV(EPEN);
     UECFG0X = USB_CONTROL;
-    UECFG1X = USB_SIZE_32;
+    UECFG1X = USB_SIZE_16;
     UEIENX = _BV(RXSTPE);
     UDADDR = 0;
     usb_new_address = 0;
