@@ -73,6 +73,8 @@ _NONE: Final = (
     "`j2a setup udev --print`"
 )
 
+# What could not be given back; it holds the devices, which pyusb would close otherwise.
+_stranded: Final[list[contextlib.ExitStack]] = []
 _open: Final[weakref.WeakSet[UsbTransport]] = weakref.WeakSet()
 
 
@@ -99,7 +101,6 @@ class UsbTransport(Transport):
         super().__init__(url, write_timeout_s)
         # Gives the interface back; filled by who has claimed it.
         self.undo = contextlib.ExitStack()
-        self._failure: Exception = EOFError()
         self._writing = threading.Lock()
         self._ending = threading.Lock()
         self._ended = False
@@ -107,11 +108,13 @@ class UsbTransport(Transport):
         api = asynchronous(device) if transfers > 1 else None
         if api is None:
             self._incoming = Channel(LIMIT)
-            self._pipes = BlockingPipes(device, pair, self._received, self._lose)
+            self._pipes = BlockingPipes(device, pair, self._received, self._incoming.close_writer)
         else:
             # Without a limit of its own: the pipes stop asking in time.
             self._incoming = Channel(sys.maxsize)
-            self._pipes = AsyncPipes(*api, pair, self._received, self._lose, count=transfers)
+            self._pipes = AsyncPipes(
+                *api, pair, self._received, self._incoming.close_writer, count=transfers
+            )
         _open.add(self)
         # Last come, first served: before pyusb ends libusb.
         atexit.unregister(_close_all)
@@ -121,10 +124,6 @@ class UsbTransport(Transport):
         rest = memoryview(data)
         while rest and (taken := self._incoming.put(rest, None)):
             rest = rest[taken:]
-
-    def _lose(self, error: Exception) -> None:
-        self._failure = error
-        self._incoming.close_writer()
 
     def read(self, timeout_s: float | None) -> bytes:
         """See `Transport.read`."""
@@ -182,12 +181,12 @@ class UsbTransport(Transport):
                 self.undo.close()
             else:
                 # Closing the handle under transfers that still run would crash.
-                self.undo.pop_all()
+                _stranded.append(self.undo.pop_all())
             self._ended = True
             _open.discard(self)
 
     def _lost(self) -> LinkLost:
-        return LinkLost(f"{self.url} is lost: {_reason(self._failure)}")
+        return LinkLost(f"{self.url} is lost: {_reason(self._pipes.failure)}")
 
 
 def _close_all() -> None:
@@ -364,7 +363,7 @@ def _dispose(device: Any) -> None:
         usb.util.dispose_resources(device)
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: Exception | None) -> str:
     number = getattr(error, "errno", None)
     if number in (errno.ENODEV, errno.ESHUTDOWN, errno.ENOENT):
         return "the board was unplugged or reset"

@@ -82,7 +82,7 @@ class AsyncPipes(Pipes):
         handle: Any,
         pair: Pair,
         received: Callable[[bytes], None],
-        lost: Callable[[Exception], None],
+        lost: Callable[[], None],
         *,
         count: int,
     ) -> None:
@@ -99,7 +99,6 @@ class AsyncPipes(Pipes):
         self._unread = 0
         self._halted = False
         self._ended = False
-        self._failure: Exception | None = None
         self._told = False
         self._stopping = False
         # libusb looks at it before it waits: set when the thread has something else to do.
@@ -175,7 +174,7 @@ class AsyncPipes(Pipes):
                 self._api.cancel(slot.pointer)
 
     def _fail(self, error: Exception) -> None:
-        self._failure = self._failure or error
+        self.failure = self.failure or error
         self._end()
         self._tell()
 
@@ -188,9 +187,9 @@ class AsyncPipes(Pipes):
 
     def _tell(self) -> None:
         """Say that the link is lost, after the last byte."""
-        if self._failure is not None and not self._reading and not self._told:
+        if self.failure is not None and not self._reading and not self._told:
             self._told = True
-            self._lost(self._failure)
+            self._lost()
 
     def _run(self) -> None:
         while True:
@@ -289,7 +288,7 @@ class AsyncPipes(Pipes):
             if head.count:
                 end.halts = 0
             gone += head.count
-        status, rest, whole = self._recall(flying)
+        rest, status, whole = self._recall(flying)
         # All that was there to send may have gone in the very moment in which it was called back.
         return gone + rest, status, whole and at == len(data) and not empty
 

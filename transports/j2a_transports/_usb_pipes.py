@@ -69,14 +69,18 @@ class Pipes(ABC):
     Args:
         pair: the endpoints.
         received: takes what has arrived, in order; may block only where the driver says so.
-        lost: is called once, after all bytes, with why nothing more will arrive.
+        lost: is called once, after all bytes, when nothing more will arrive.
+
+    Attributes:
+        failure: why the link is lost; None as long as it is not.
     """
 
     def __init__(
-        self, pair: Pair, received: Callable[[bytes], None], lost: Callable[[Exception], None]
+        self, pair: Pair, received: Callable[[bytes], None], lost: Callable[[], None]
     ) -> None:
         self.incoming = Endpoint(pair.incoming)
         self.outgoing = Endpoint(pair.outgoing)
+        self.failure: Exception | None = None
         self._received = received
         self._lost = lost
 
@@ -90,7 +94,7 @@ class Pipes(ABC):
 
         Raises:
             Stuck: the board took nothing for so long.
-            Ended: the pipes were cancelled or lost; `lost` has or will have the reason.
+            Ended: the pipes were cancelled or lost.
         """
 
     @abstractmethod
@@ -110,13 +114,12 @@ class BlockingPipes(Pipes):
         device: Any,
         pair: Pair,
         received: Callable[[bytes], None],
-        lost: Callable[[Exception], None],
+        lost: Callable[[], None],
     ) -> None:
         super().__init__(pair, received, lost)
         self._device = device
         self._ended = threading.Event()
         self._telling = threading.Lock()
-        self._told = False
         self._reader = threading.Thread(target=self._read, name="usb reader", daemon=True)
         self._reader.start()
 
@@ -182,11 +185,11 @@ class BlockingPipes(Pipes):
                 return
             except Exception as second:
                 error = second
-        self._ended.set()
         with self._telling:
-            if not self._told:
-                self._told = True
-                self._lost(error)
+            if self.failure is None:
+                self.failure = error
+                self._ended.set()
+                self._lost()
 
     def cancel(self) -> None:
         """See `Pipes.cancel`."""

@@ -23,6 +23,8 @@ PATIENCE_S = 60.0
 # the call has to end all the same.
 SETTLE_S = 0.03
 MEGABYTE = 1 << 20
+# Around the packets of USB, of 64 and 512 bytes: where a transfer ends by itself, and where not.
+PACKET_SIZES = (63, 64, 65, 128, 512, 513, 1024)
 
 
 class Ends(NamedTuple):
@@ -133,6 +135,31 @@ class BackToBack:
         whole = b"".join(blocks)
         assert read_exactly(ends.there, len(whole)) == whole
         writer.result()
+
+    @pytest.mark.parametrize("size", PACKET_SIZES)
+    def test_one_write_around_a_packet_boundary(self, ends: Ends, size: int) -> None:
+        data = random.Random(size).randbytes(size)
+        ends.here.write(data)
+        assert read_exactly(ends.there, size) == data
+
+    def test_writes_around_packet_boundaries_in_a_row(self, ends: Ends) -> None:
+        blocks = [random.Random(size).randbytes(size) for size in PACKET_SIZES * 2]
+        for block in blocks:
+            ends.here.write(block)
+        whole = b"".join(blocks)
+        assert read_exactly(ends.there, len(whole)) == whole
+
+    @pytest.mark.parametrize("size", PACKET_SIZES)
+    def test_a_reply_around_a_packet_boundary_needs_nothing_after_it(
+        self, ends: Ends, size: int
+    ) -> None:
+        for _ in range(3):
+            data = random.Random(size).randbytes(size)
+            ends.here.write(data)
+            assert read_exactly(ends.there, size) == data
+            ends.there.write(data)
+            assert read_exactly(ends.here, size) == data
+        assert ends.here.read(0) == b""
 
     def test_any_buffer_can_be_written_also_an_empty_one(self, ends: Ends) -> None:
         ends.here.write(b"")

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import j2a_transports
 import pytest
+import usb.core
 from j2a_transports import Listener, Transport, faults
 from j2a_transports._process import Child, pumped
 
+from .fake_usb import FakeBackend, board, give_libusb
 from .suite import PATIENCE_S, BackToBack
 
 RELAY = [sys.executable, str(Path(__file__).with_name("relay.py"))]
@@ -115,6 +117,46 @@ class TestSerialByThreads(TestSerialOnPty):
         monkeypatch.setattr("j2a_transports._serial.POLLABLE", ())
         # Closing waits for the end of a slice.
         monkeypatch.setattr("j2a_transports._serial.SLICE_S", 0.01)
+
+
+class TestUsb(BackToBack):
+    """The way of backends other than libusb: one transfer after the other."""
+
+    # What the host has not read yet leaves with the board; and only that is a hang-up, because a
+    # board does not notice that a program closes the link.
+    discards = frozenset({"far"})
+
+    @pytest.fixture(autouse=True)
+    def short_slices(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        # Closing waits for the end of one.
+        monkeypatch.setattr("j2a_transports._usb_pipes.SLICE_MS", 10)
+
+    @contextmanager
+    def connect(self) -> Iterator[tuple[Transport, Transport]]:
+        self.board = board()
+        (device,) = usb.core.find(find_all=True, backend=FakeBackend(self.board))
+        yield j2a_transports.open_usb_device(device), self.board.end()
+
+    def hang_up(self, end: str, transport: Transport) -> None:
+        self.board.unplug()
+
+
+class TestUsbByInterruptEndpoints(TestUsb):
+    """As the firmware of 2014 declared them, and with larger packets."""
+
+    @contextmanager
+    def connect(self) -> Iterator[tuple[Transport, Transport]]:
+        self.board = board(kind=3, packet=512)
+        (device,) = usb.core.find(find_all=True, backend=FakeBackend(self.board))
+        yield j2a_transports.open_usb_device(device), self.board.end()
+
+
+class TestUsbByTransfersAtOnce(TestUsb):
+    """The way of libusb, here with functions that stand for it."""
+
+    @pytest.fixture(autouse=True)
+    def libusb(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        give_libusb(monkeypatch)
 
 
 class TestFaultsWithoutFaults(BackToBack):

@@ -1,0 +1,537 @@
+"""USB devices in memory, behind pyusb's backend interface and libusb's asynchronous functions.
+
+In: what a test says about devices, and the bytes of their firmware.  Out: a bus for `usb.core`, and
+the device's end of each link as a `Transport`.
+Rules: a device behaves as chapter 5 and 9 of the USB 2.0 specification say: bytes go in packets, a
+short packet ends a transfer, a full buffer refuses packets (NAK), a halted endpoint stalls until
+its halt is cleared, and what is unplugged answers nothing.
+"""
+
+from __future__ import annotations
+
+import array
+import ctypes
+import errno
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import usb.backend
+import usb.core
+from j2a_transports import LinkClosed, LinkLost, Transport, WriteTimeout
+from j2a_transports._usb_libusb import CANCELLED, COMPLETED, NO_DEVICE, STALL, Transfer
+
+# Packets that a device holds in each direction before it says NAK.
+ROOM = 512
+
+
+class Pipe:
+    """One endpoint: packets on their way, and whether it is halted."""
+
+    def __init__(self, device: FakeDevice, descriptor: SimpleNamespace) -> None:
+        self.device = device
+        self.address = descriptor.bEndpointAddress
+        self.packet = descriptor.wMaxPacketSize
+        self.packets: deque[bytes] = deque()
+        self.halted = False
+        # All packets that ever came through, for what a test asserts of them.
+        self.log: list[int] = []
+
+    def push(self, packet: bytes) -> bool:
+        """Add a packet; False when there is no room (NAK)."""
+        if len(self.packets) >= ROOM:
+            return False
+        self.packets.append(packet)
+        self.log.append(len(packet))
+        self.device.changed.notify_all()
+        return True
+
+    def pull(self, room: int) -> bytes | None:
+        """Take a packet; None when there is none (NAK)."""
+        if not self.packets:
+            return None
+        if len(self.packets[0]) > room:
+            raise usb_error(errno.EOVERFLOW)
+        self.device.changed.notify_all()
+        return self.packets.popleft()
+
+
+class Job:
+    """A transfer; `step` moves what can be moved now and tells whether it has ended."""
+
+    def __init__(self, pipe: Pipe, data: bytes | int) -> None:
+        self.pipe = pipe
+        self.room = data if isinstance(data, int) else len(data)
+        self.data = bytearray(b"" if isinstance(data, int) else data)
+        self.done = 0
+
+    def step(self) -> bool:
+        pipe = self.pipe
+        if pipe.device.gone:
+            raise usb_error(errno.ENODEV)
+        if pipe.device.failing:
+            raise usb_error(pipe.device.failing)
+        while True:
+            if pipe.halted:
+                raise usb_error(errno.EPIPE)
+            if pipe.address & 0x80:
+                packet = pipe.pull(self.room - self.done)
+                if packet is None:
+                    return False
+                self.data += packet
+                self.done += len(packet)
+                if len(packet) < pipe.packet or self.done == self.room:
+                    return True
+            else:
+                packet = bytes(self.data[self.done : self.done + pipe.packet])
+                if not pipe.push(packet):
+                    return False
+                self.done += len(packet)
+                if self.done == self.room:
+                    return True
+
+
+@dataclass(eq=False)
+class FakeDevice:
+    """A device; its interfaces are descriptors as pyusb wants them, see `interface`."""
+
+    interfaces: list[SimpleNamespace]
+    serial: str | None = "A1"
+    vendor: int = 0x6666
+    product: int = 0xCAFE
+    bus: int = 1
+    address: int = 4
+    ports: tuple[int, ...] | None = (2, 3)
+    speed: int = 2
+    denied: bool = False
+    # Interfaces that another program or a kernel driver has.
+    busy: set[int] = field(default_factory=set)
+    drivers: set[int] = field(default_factory=set)
+    configuration: int = 1
+    # An errno for every transfer; and for single requests by the name of the backend's method.
+    failing: int = 0
+    refuses: dict[str, Exception] = field(default_factory=dict)
+    gone: bool = False
+    calls: list[tuple[Any, ...]] = field(default_factory=list)
+    handles: int = 0
+
+    def __post_init__(self) -> None:
+        self.changed = threading.Condition()
+        self.pipes = {
+            end.bEndpointAddress: Pipe(self, end)
+            for each in self.interfaces
+            for end in each.endpoints
+        }
+
+    def end(self, incoming: int = 0x02, outgoing: int = 0x81) -> DeviceEnd:
+        """Return the device's side of a link."""
+        return DeviceEnd(self, self.pipes[incoming], self.pipes[outgoing])
+
+    def unplug(self) -> None:
+        """Take it off the bus; what is not yet read is lost."""
+        with self.changed:
+            self.gone = True
+            for pipe in self.pipes.values():
+                if pipe.address & 0x80:
+                    pipe.packets.clear()
+            self.changed.notify_all()
+
+    def halt(self, endpoint: int) -> None:
+        """Halt an endpoint."""
+        with self.changed:
+            self.pipes[endpoint].halted = True
+            self.changed.notify_all()
+
+    def fail(self, number: int) -> None:
+        """Let every transfer fail from now on."""
+        with self.changed:
+            self.failing = number
+            self.changed.notify_all()
+
+
+def endpoint(address: int, kind: int = 2, packet: int = 64) -> SimpleNamespace:
+    return SimpleNamespace(
+        bLength=7,
+        bDescriptorType=5,
+        bEndpointAddress=address,
+        bmAttributes=kind,
+        wMaxPacketSize=packet,
+        bInterval=1,
+        bRefresh=0,
+        bSynchAddress=0,
+        extra_descriptors=[],
+    )
+
+
+def interface(
+    number: int = 0,
+    kind: tuple[int, int, int] = (0xFF, 0x12, 0xEF),
+    endpoints: list[SimpleNamespace] | None = None,
+    alternate: int = 0,
+) -> SimpleNamespace:
+    ends = [endpoint(0x81), endpoint(0x02)] if endpoints is None else endpoints
+    return SimpleNamespace(
+        bLength=9,
+        bDescriptorType=4,
+        bInterfaceNumber=number,
+        bAlternateSetting=alternate,
+        bNumEndpoints=len(ends),
+        bInterfaceClass=kind[0],
+        bInterfaceSubClass=kind[1],
+        bInterfaceProtocol=kind[2],
+        iInterface=0,
+        extra_descriptors=[],
+        endpoints=ends,
+    )
+
+
+SYNC = interface(1, (0xFF, 0x34, 0x01), [endpoint(0x03, 3, 16)])
+
+
+def board(*, packet: int = 64, kind: int = 2, **settings: Any) -> FakeDevice:
+    """Return a board with the two interfaces of J2A."""
+    ends = [endpoint(0x81, kind, packet), endpoint(0x02, kind, packet)]
+    return FakeDevice([interface(endpoints=ends), SYNC], **settings)
+
+
+def usb_error(number: int) -> usb.core.USBError:
+    kind = usb.core.USBTimeoutError if number == errno.ETIMEDOUT else usb.core.USBError
+    return kind(errno.errorcode[number], None, number)
+
+
+class DeviceEnd(Transport):
+    """What the firmware of a device has: the other end of the two pipes."""
+
+    def __init__(self, device: FakeDevice, incoming: Pipe, outgoing: Pipe) -> None:
+        super().__init__("device:")
+        self.device = device
+        self._incoming = incoming
+        self._outgoing = outgoing
+        self._changed = device.changed
+        self._writing = threading.Lock()
+        self._closed = False
+
+    def read(self, timeout_s: float | None) -> bytes:
+        packets = self._incoming.packets
+        with self._changed:
+            self._changed.wait_for(
+                lambda: any(packets) or self._closed or self.device.gone, timeout_s
+            )
+            if self._closed:
+                raise LinkClosed("device: is closed")
+            data = b"".join(packets)
+            packets.clear()
+            self._changed.notify_all()
+            if not data and self.device.gone:
+                raise LinkLost("device: is lost: unplugged")
+            return data
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        data = bytes(data)
+        size = self._outgoing.packet
+        # A burst ends with a short packet, so with an empty one after full ones.
+        packets = [data[at : at + size] for at in range(0, len(data) + 1, size)] if data else []
+        with self._writing, self._changed:
+            for packet in packets:
+                self._changed.wait_for(
+                    lambda: self._closed or self.device.gone or len(self._outgoing.packets) < ROOM,
+                    self.write_timeout_s,
+                )
+                self._check()
+                if not self._outgoing.push(packet):
+                    raise WriteTimeout(f"device: took no byte for {self.write_timeout_s} s")
+            self._check()
+
+    def _check(self) -> None:
+        if self._closed:
+            raise LinkClosed("device: is closed")
+        if self.device.gone:
+            raise LinkLost("device: is lost: unplugged")
+
+    @property
+    def closed(self) -> bool:
+        return self._closed
+
+    def close(self) -> None:
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+class FakeBackend(usb.backend.IBackend):
+    """A bus with these devices; what the host asks for is noted in `FakeDevice.calls`."""
+
+    def __init__(self, *devices: FakeDevice) -> None:
+        self.devices = list(devices)
+
+    def _ask(self, device: FakeDevice, *call: Any) -> None:
+        device.calls.append(call)
+        if device.gone:
+            raise usb_error(errno.ENODEV)
+        if call[0] in device.refuses:
+            raise device.refuses[call[0]]
+
+    def enumerate_devices(self) -> list[FakeDevice]:
+        return [device for device in self.devices if not device.gone]
+
+    def get_device_descriptor(self, dev: FakeDevice) -> SimpleNamespace:
+        if dev.gone:
+            raise usb_error(errno.ENODEV)
+        return SimpleNamespace(
+            bLength=18,
+            bDescriptorType=1,
+            bcdUSB=0x200,
+            bDeviceClass=0,
+            bDeviceSubClass=0,
+            bDeviceProtocol=0,
+            bMaxPacketSize0=64,
+            idVendor=dev.vendor,
+            idProduct=dev.product,
+            bcdDevice=0x100,
+            iManufacturer=1,
+            iProduct=2,
+            iSerialNumber=0 if dev.serial is None else 3,
+            bNumConfigurations=1,
+            bus=dev.bus,
+            address=dev.address,
+            port_number=None if dev.ports is None else dev.ports[-1],
+            port_numbers=dev.ports,
+            speed=dev.speed,
+        )
+
+    def get_configuration_descriptor(self, dev: FakeDevice, config: int) -> SimpleNamespace:
+        if "get_configuration_descriptor" in dev.refuses:
+            raise dev.refuses["get_configuration_descriptor"]
+        if config:
+            raise IndexError
+        return SimpleNamespace(
+            bLength=9,
+            bDescriptorType=2,
+            wTotalLength=0,
+            bNumInterfaces=len({each.bInterfaceNumber for each in dev.interfaces}),
+            bConfigurationValue=1,
+            iConfiguration=0,
+            bmAttributes=0x80,
+            bMaxPower=50,
+            extra_descriptors=[],
+        )
+
+    def get_interface_descriptor(self, dev: FakeDevice, intf: int, alt: int, config: int) -> Any:
+        numbers = sorted({each.bInterfaceNumber for each in dev.interfaces})
+        settings = [
+            each
+            for each in dev.interfaces
+            if intf < len(numbers) and each.bInterfaceNumber == numbers[intf]
+        ]
+        return settings[alt]
+
+    def get_endpoint_descriptor(
+        self, dev: FakeDevice, ep: int, intf: int, alt: int, config: int
+    ) -> Any:
+        return self.get_interface_descriptor(dev, intf, alt, config).endpoints[ep]
+
+    def open_device(self, dev: FakeDevice) -> SimpleNamespace:
+        self._ask(dev, "open_device")
+        if dev.denied:
+            raise usb_error(errno.EACCES)
+        dev.handles += 1
+        return SimpleNamespace(dev=dev, handle=id(dev))
+
+    def close_device(self, dev_handle: Any) -> None:
+        dev_handle.dev.calls.append(("close_device",))
+        dev_handle.dev.handles -= 1
+
+    def set_configuration(self, dev_handle: Any, config_value: int) -> None:
+        self._ask(dev_handle.dev, "set_configuration", config_value)
+        dev_handle.dev.configuration = config_value
+
+    def get_configuration(self, dev_handle: Any) -> int:
+        self._ask(dev_handle.dev, "get_configuration")
+        return dev_handle.dev.configuration
+
+    def set_interface_altsetting(self, dev_handle: Any, intf: int, altsetting: int) -> None:
+        self._ask(dev_handle.dev, "set_interface_altsetting", intf, altsetting)
+
+    def claim_interface(self, dev_handle: Any, intf: int) -> None:
+        self._ask(dev_handle.dev, "claim_interface", intf)
+        if intf in dev_handle.dev.busy | dev_handle.dev.drivers:
+            raise usb_error(errno.EBUSY)
+        dev_handle.dev.busy.add(intf)
+
+    def release_interface(self, dev_handle: Any, intf: int) -> None:
+        dev_handle.dev.busy.discard(intf)
+        self._ask(dev_handle.dev, "release_interface", intf)
+
+    def _run(self, dev_handle: Any, ep: int, data: bytes | int, timeout: int) -> Job:
+        device = dev_handle.dev
+        job = Job(device.pipes[ep], data)
+        deadline = time.monotonic() + timeout / 1000
+        with device.changed:
+            while not job.step():
+                if not device.changed.wait(deadline - time.monotonic()):
+                    if not job.done:
+                        raise usb_error(errno.ETIMEDOUT)
+                    break
+        return job
+
+    def bulk_write(self, dev_handle: Any, ep: int, intf: int, data: Any, timeout: int) -> int:
+        return self._run(dev_handle, ep, bytes(data), timeout).done
+
+    def bulk_read(self, dev_handle: Any, ep: int, intf: int, buff: Any, timeout: int) -> int:
+        job = self._run(dev_handle, ep, len(buff), timeout)
+        buff[: job.done] = array.array("B", job.data)
+        return job.done
+
+    # pyusb chooses by the descriptor; that the right one is chosen shows in `calls`.
+    def intr_write(self, dev_handle: Any, ep: int, intf: int, data: Any, timeout: int) -> int:
+        dev_handle.dev.calls.append(("intr_write", ep))
+        return self.bulk_write(dev_handle, ep, intf, data, timeout)
+
+    def intr_read(self, dev_handle: Any, ep: int, intf: int, buff: Any, timeout: int) -> int:
+        return self.bulk_read(dev_handle, ep, intf, buff, timeout)
+
+    def ctrl_transfer(
+        self, dev_handle: Any, request_type: int, request: int, value: int, *rest: Any
+    ) -> int:
+        """Answer GET_DESCRIPTOR for strings."""
+        device = dev_handle.dev
+        self._ask(device, "ctrl_transfer", request, value)
+        texts = ["", "J2A", "demo board", device.serial or ""]
+        index = value & 0xFF
+        body = b"\x09\x04" if index == 0 else texts[index].encode("utf-16-le")
+        answer = bytes([len(body) + 2, 3]) + body
+        data = rest[1]
+        data[: len(answer)] = array.array("B", answer)
+        return len(answer)
+
+    def clear_halt(self, dev_handle: Any, ep: int) -> None:
+        self._ask(dev_handle.dev, "clear_halt", ep)
+        with dev_handle.dev.changed:
+            dev_handle.dev.pipes[ep].halted = False
+            dev_handle.dev.changed.notify_all()
+
+    def is_kernel_driver_active(self, dev_handle: Any, intf: int) -> bool:
+        self._ask(dev_handle.dev, "is_kernel_driver_active", intf)
+        return intf in dev_handle.dev.drivers
+
+    def detach_kernel_driver(self, dev_handle: Any, intf: int) -> None:
+        self._ask(dev_handle.dev, "detach_kernel_driver", intf)
+        dev_handle.dev.drivers.discard(intf)
+
+    def attach_kernel_driver(self, dev_handle: Any, intf: int) -> None:
+        self._ask(dev_handle.dev, "attach_kernel_driver", intf)
+        dev_handle.dev.drivers.add(intf)
+
+
+def give_libusb(monkeypatch: pytest.MonkeyPatch) -> dict[FakeDevice, FakeLibusb]:
+    """Let the transport find the asynchronous functions on fake devices; returns them by device."""
+    made: dict[FakeDevice, FakeLibusb] = {}
+
+    def asynchronous(device: Any) -> tuple[FakeLibusb, int]:
+        handle = device._ctx.handle
+        made[handle.dev] = FakeLibusb(handle.dev, device.backend)
+        return made[handle.dev], handle.handle
+
+    monkeypatch.setattr("j2a_transports._usb.asynchronous", asynchronous)
+    return made
+
+
+STATES = {errno.EPIPE: STALL, errno.ENODEV: NO_DEVICE, errno.EIO: 1, errno.EOVERFLOW: 6}
+
+
+class FakeLibusb:
+    """The functions of `_usb_libusb.Libusb` on a `FakeDevice`, with libusb's rules asserted."""
+
+    def __init__(self, device: FakeDevice, backend: FakeBackend) -> None:
+        self.device = device
+        self.backend = backend
+        self.allocated: dict[int, Any] = {}
+        self.flying: list[tuple[Job, Any]] = []
+        self.cancelled: set[int] = set()
+        self.interrupted = False
+        self.events_fail = False
+        self.most = 0
+
+    def alloc(self) -> Any:
+        transfer = Transfer()
+        self.allocated[ctypes.addressof(transfer)] = transfer
+        return ctypes.pointer(transfer)
+
+    def free(self, pointer: Any) -> None:
+        assert all(other is not pointer for _, other in self.flying), "freed while under way"
+        del self.allocated[ctypes.addressof(pointer.contents)]
+
+    def submit(self, pointer: Any) -> None:
+        transfer = pointer.contents
+        with self.device.changed:
+            if self.device.gone:
+                raise OSError(errno.ENODEV, "gone")
+            key = ctypes.addressof(transfer)
+            assert all(ctypes.addressof(other.contents) != key for _, other in self.flying)
+            pipe = self.device.pipes[transfer.endpoint]
+            data: bytes | int = transfer.length
+            if not transfer.endpoint & 0x80:
+                data = ctypes.string_at(transfer.buffer, transfer.length)
+            self.flying.append((Job(pipe, data), pointer))
+            reading = [1 for job, _ in self.flying if job.pipe.address & 0x80]
+            self.most = max(self.most, len(reading))
+            self.device.changed.notify_all()
+
+    def cancel(self, pointer: Any) -> None:
+        with self.device.changed:
+            self.cancelled.add(ctypes.addressof(pointer.contents))
+            self.device.changed.notify_all()
+
+    def clear_halt(self, handle: Any, address: int) -> None:
+        try:
+            self.backend.clear_halt(SimpleNamespace(dev=self.device), address)
+        except usb.core.USBError as error:
+            raise OSError(error.errno, str(error)) from None
+
+    def interrupt(self) -> None:
+        with self.device.changed:
+            self.interrupted = True
+            self.device.changed.notify_all()
+
+    def handle_events(self, stop: Any) -> None:
+        with self.device.changed:
+            while not (done := self._done()):
+                if self.events_fail:
+                    raise OSError(errno.EIO, "no events any more")
+                if stop.value or self.interrupted:
+                    self.interrupted = False
+                    return
+                self.device.changed.wait()
+        for job, pointer, status in done:
+            transfer = pointer.contents
+            transfer.status = status
+            transfer.actual_length = job.done
+            if job.pipe.address & 0x80:
+                ctypes.memmove(transfer.buffer, bytes(job.data), job.done)
+            transfer.callback(pointer)
+
+    def _done(self) -> list[tuple[Job, Any, int]]:
+        """Move what can be moved; transfers of an endpoint take turns in their order."""
+        done = []
+        waiting: set[int] = set()
+        for job, pointer in list(self.flying):
+            key = ctypes.addressof(pointer.contents)
+            status = None
+            if key in self.cancelled:
+                status = CANCELLED
+            elif job.pipe.address not in waiting:
+                try:
+                    status = COMPLETED if job.step() else None
+                except usb.core.USBError as error:
+                    status = STATES[error.errno]
+            if status is None:
+                waiting.add(job.pipe.address)
+                continue
+            self.cancelled.discard(key)
+            self.flying.remove((job, pointer))
+            done.append((job, pointer, status))
+        return done
