@@ -1,0 +1,141 @@
+"""Boards that come and go."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import j2a_transports
+import pytest
+from j2a_transports import LinkClosed, UsbArrived, UsbLeft, UsbWatch, _usb_watch
+
+from .fake_usb import FakeBackend, board, usb_error
+from .suite import PATIENCE_S, SETTLE_S, Background
+
+
+@pytest.fixture
+def bus() -> FakeBackend:
+    return FakeBackend(board())
+
+
+@pytest.fixture(params=["uevents", "polling", "no pipes"])
+def watch(
+    request: pytest.FixtureRequest, bus: FakeBackend, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[UsbWatch]:
+    if request.param != "uevents":
+        monkeypatch.setattr(_usb_watch, "_uevent_socket", lambda: None)
+    if request.param == "no pipes":
+        # As on Windows.
+        monkeypatch.setattr(os, "name", "nt")
+    made = j2a_transports.watch_usb(0.01, bus)
+    monkeypatch.undo()
+    with made:
+        yield made
+
+
+def test_boards_that_are_there_come_first(bus: FakeBackend, watch: UsbWatch) -> None:
+    bus.devices.append(board(serial="B2", address=5))
+    events = [watch.next(0), watch.next(0)]
+    assert [type(event) for event in events] == [UsbArrived, UsbArrived]
+    assert [event.board.url for event in events if event] == ["usb://A1", "usb://B2"]
+    assert watch.next(0) is None
+
+
+def test_unplugging_and_plugging_in(bus: FakeBackend, watch: UsbWatch) -> None:
+    first = watch.next(0)
+    assert first is not None
+    bus.devices[0].unplug()
+    assert watch.next(PATIENCE_S) == UsbLeft(first.board)
+    bus.devices[0] = board(address=9)
+    again = watch.next(PATIENCE_S)
+    assert isinstance(again, UsbArrived)
+    assert (again.board.url, again.board.address) == ("usb://A1", 9)
+
+
+def test_a_board_that_is_replaced_between_two_looks(bus: FakeBackend, watch: UsbWatch) -> None:
+    watch.next(0)
+    bus.devices[0] = board(address=9)
+    assert [type(watch.next(0)), type(watch.next(0))] == [UsbLeft, UsbArrived]
+
+
+def test_a_wait_ends_in_time(watch: UsbWatch) -> None:
+    watch.next(0)
+    assert watch.next(0.03) is None
+
+
+def test_closing_ends_a_wait_and_the_iteration(watch: UsbWatch) -> None:
+    events = Background(lambda: list(watch))
+    events.thread.join(SETTLE_S)
+    watch.close()
+    assert [type(event) for event in events.result()] == [UsbArrived]
+    watch.close()
+    with pytest.raises(LinkClosed):
+        watch.next(0)
+
+
+def test_a_look_that_fails_is_no_event(
+    bus: FakeBackend, watch: UsbWatch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch.next(0)
+
+    def fail() -> Any:
+        raise usb_error(errno.EIO)
+
+    monkeypatch.setattr(bus, "enumerate_devices", fail)
+    assert watch.next(0.02) is None
+    monkeypatch.undo()
+    assert watch.next(0) is None
+
+
+def test_udev_gets_a_moment_to_give_the_permission(
+    bus: FakeBackend, watch: UsbWatch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_usb_watch, "SETTLING_S", 0.01)
+    watch.next(0)
+    bus.devices.append(board(address=5, serial="B2", denied=True))
+    assert watch.next(0.03) is None
+    bus.devices[1].denied = False
+    event = watch.next(PATIENCE_S)
+    assert event is not None
+    assert (event.board.serial, event.board.problem) == ("B2", None)
+    # One that gets none comes in the end, with what to do.
+    monkeypatch.setattr(_usb_watch, "SETTLE_S", 0.03)
+    bus.devices.append(board(address=6, serial="C3", denied=True))
+    event = watch.next(PATIENCE_S)
+    assert event is not None
+    assert "udev" in str(event.board.problem)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="uevents are Linux's")
+def test_a_message_of_the_system_ends_the_wait_for_the_next_look(
+    bus: FakeBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    here.setblocking(False)
+    monkeypatch.setattr(_usb_watch, "_uevent_socket", lambda: here)
+    with there, UsbWatch(PATIENCE_S * 10, bus) as watch:
+        watch.next(0)
+        waiting = Background(lambda: watch.next(PATIENCE_S))
+        waiting.thread.join(SETTLE_S)
+        bus.devices[0].unplug()
+        for _ in range(3):
+            there.send(b"remove@/devices/usb1/1-2")
+        assert isinstance(waiting.result(), UsbLeft)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="uevents are Linux's")
+def test_a_system_that_gives_no_messages_is_polled(
+    bus: FakeBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*arguments: Any) -> Any:
+        raise PermissionError(errno.EPERM, "not here")
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    with UsbWatch(0.01, bus) as watch:
+        watch.next(0)
+        bus.devices[0].unplug()
+        assert isinstance(watch.next(PATIENCE_S), UsbLeft)
