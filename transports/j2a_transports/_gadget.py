@@ -13,7 +13,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import errno
-import os
 import platform
 import re
 import threading
@@ -21,6 +20,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
+from urllib.parse import quote
 
 from ._base import DEFAULT_WRITE_TIMEOUT_S, BadUrl, LinkClosed, Listener, Transport
 from ._gadget_descriptors import EVENT_SIZE, PRODUCT, SYNC_PACKET, SYNC_SIZE, VENDOR, Event
@@ -83,7 +83,7 @@ class UsbGadget(Listener):
         kernel: Kernel | None = None,
     ) -> None:
         serial = serial or _own_serial()
-        super().__init__(f"usb://{vendor:04x}:{product:04x}/{serial}")
+        super().__init__(f"usb://{vendor:04x}:{product:04x}/{quote(serial, safe='')}")
         self.on_sync = on_sync
         self._write_timeout_s = write_timeout_s
         self._kernel = kernel or Kernel()
@@ -210,7 +210,7 @@ class UsbGadget(Listener):
         with self._changed:
             while not self._ending and self._pending.wait(0) & READY:
                 try:
-                    event = os.read(self._files.control, EVENT_SIZE)
+                    event = self._kernel.receive(self._files.control, EVENT_SIZE)
                 except OSError:
                     # Another event has just taken the place of the one that was there.
                     return
@@ -257,17 +257,21 @@ class UsbGadget(Listener):
         # It always fails, with EL2HLT for done, or EIDRM when the host has given up.
         with contextlib.suppress(OSError):
             if setup[0] & _TO_HOST:
-                os.read(self._files.control, 0)
+                self._kernel.receive(self._files.control, 0)
             else:
-                os.write(self._files.control, b"")
+                self._kernel.send(self._files.control, b"")
 
     # ------------------------------------------------------------------ endpoints
 
     def _wait_enabled(self) -> bool:
         """Wait until the endpoints can be used; False at the end of the gadget."""
         with self._changed:
-            self._changed.wait_for(lambda: self._enabled or self._ending)
+            self._changed.wait_for(self._readable_or_ending)
             return not self._ending
+
+    def _readable_or_ending(self) -> bool:
+        usable = self._enabled and self._link is not None and not self._link.lost
+        return usable or self._ending
 
     def _read_all(self) -> None:
         while self._wait_enabled():
@@ -275,7 +279,7 @@ class UsbGadget(Listener):
             size = -(-self._buffer // self._packet) * self._packet
             data, error = b"", None
             try:
-                data = os.read(self._files.from_host, size)
+                data = self._kernel.receive(self._files.from_host, size)
             except OSError as raised:
                 error = raised
             self._catch_up()
@@ -283,12 +287,12 @@ class UsbGadget(Listener):
             if data and link is not None:
                 link.take(data)
             elif error is not None:
-                self._failed(error)
+                self._failed(link, error)
 
     def _read_sync(self) -> None:
         while self._files.sync is not None and self._wait_enabled():
             try:
-                packet = os.read(self._files.sync, SYNC_PACKET)
+                packet = self._kernel.receive(self._files.sync, SYNC_PACKET)
             except OSError:
                 time.sleep(RETRY_S)
                 continue
@@ -303,9 +307,9 @@ class UsbGadget(Listener):
                 if link.lost or self._ending:
                     return False
                 try:
-                    os.write(self._files.to_host, data)
+                    self._kernel.send(self._files.to_host, data)
                 except OSError as error:
-                    self._failed(error)
+                    self._failed(link, error)
                 else:
                     return True
 
@@ -313,13 +317,14 @@ class UsbGadget(Listener):
         with self._sending:
             link.send_all(send, lambda: self._packet)
 
-    def _failed(self, error: OSError) -> None:
+    def _failed(self, link: GadgetTransport | None, error: OSError) -> None:
         """A call on a bulk endpoint has failed: wait for the event, or give the link up."""
         if error.errno in _OFF:
             time.sleep(RETRY_S)
             return
-        with self._changed:
-            self._lose(error.strerror or str(error))
+        if link is not None:
+            # The device is still configured; closing the transport makes the host do it anew.
+            link.lose(error.strerror or str(error))
 
 
 def open_url(url: Url) -> Transport:

@@ -80,6 +80,18 @@ class Kernel:
         """Open an endpoint file; a call on an endpoint that is not enabled does not block."""
         return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
 
+    def close(self, endpoint: int) -> None:
+        """Undo `open`."""
+        os.close(endpoint)
+
+    def receive(self, endpoint: int, size: int) -> bytes:
+        """Read from an endpoint file; b"" is an empty packet, or an event that is not there."""
+        return os.read(endpoint, size)
+
+    def send(self, endpoint: int, data: bytes) -> None:
+        """Write to an endpoint file all at once; nothing is an empty packet."""
+        os.write(endpoint, data)
+
     def packet_size(self, endpoint: int) -> int:
         """Return the packet size of an enabled endpoint at the speed of the bus, in bytes."""
         descriptor = bytearray(9)

@@ -9,6 +9,7 @@ where the last was full (USB-008).
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Final
 
@@ -17,6 +18,19 @@ from ._loopback import Channel
 
 # A multiple of every packet size. The kernel copies it to a buffer in one piece.
 CHUNK: Final = 16384
+
+# How long closing waits for a host to fetch the empty packet that ends a burst; for bytes it waits
+# as long as a write does.
+EMPTY_PACKET_END_S: Final = 0.1
+
+
+class _Outgoing(Channel):
+    """A channel that can be asked whether there is something in it."""
+
+    @property
+    def empty(self) -> bool:
+        with self._changed:
+            return not self._data
 
 
 class GadgetTransport(Transport):
@@ -41,11 +55,12 @@ class GadgetTransport(Transport):
         super().__init__(url, write_timeout_s)
         self.used = False
         self._incoming = Channel()
-        self._outgoing = Channel()
+        self._outgoing = _Outgoing()
         self._on_close = on_close
         self._closed = False
         self._reason: str | None = None
         self._sent = threading.Event()
+        self._only_empty_packet = False
         self._writing = threading.Lock()
         self._ending = threading.Lock()
         self._ended = False
@@ -88,7 +103,13 @@ class GadgetTransport(Transport):
             if self._ended:
                 return
             self._ended = True
-            self._sent.wait(self.write_timeout_s)
+            limit_s = self.write_timeout_s
+            deadline = None if limit_s is None else time.monotonic() + limit_s
+            while not self._sent.wait(EMPTY_PACKET_END_S):
+                if self._only_empty_packet and self._outgoing.empty:
+                    break
+                if deadline is not None and time.monotonic() >= deadline:
+                    break
             self._outgoing.close_reader()
             self._on_close(self)
 
@@ -134,8 +155,11 @@ class GadgetTransport(Transport):
                         return
                 more = self._outgoing.get(0)
                 if not more:
-                    if len(data) % packet() == 0 and not send(b""):
-                        return
+                    if len(data) % packet() == 0:
+                        self._only_empty_packet = True
+                        if not send(b""):
+                            return
+                        self._only_empty_packet = False
                     more = self._outgoing.get(None)
                 data = more
         finally:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import os
 import socket
 import sys
 from dataclasses import dataclass
@@ -126,7 +125,7 @@ class GadgetFiles:
             return
         self.unbind()
         for descriptor in reversed(self._opened):
-            os.close(descriptor)
+            self._kernel.close(descriptor)
         self._opened.clear()
         # Whatever cannot be removed now is a left-over for the next run, which will tell.
         with contextlib.suppress(OSError):
@@ -137,16 +136,17 @@ class GadgetFiles:
         if self._gadgets.is_dir():
             return
         self._kernel.load("libcomposite")
+        reason = ""
         if not self._gadgets.is_dir() and not self._kernel.is_mounted(self._kernel.config):
             try:
                 self._kernel.mount("configfs", "none", self._kernel.config)
             except PermissionError:
                 raise
-            except OSError:
-                pass  # told below, with what to do
+            except OSError as error:
+                reason = f" ({error.strerror})"
         if not self._gadgets.is_dir():
             raise self._failed(
-                "the kernel has no USB gadgets: load their module with modprobe libcomposite"
+                f"the kernel has no USB gadgets{reason}: load them with modprobe libcomposite"
             )
 
     def _controllers(self) -> list[str]:
@@ -221,7 +221,7 @@ class GadgetFiles:
         sync = self._identity.sync
         self._opened.append(self._kernel.open(self._mounted / "ep0"))
         for block in (descriptor_block(sync=sync), string_block(sync=sync)):
-            os.write(self._opened[0], block)
+            self._kernel.send(self._opened[0], block)
         for number in range(1, 4 if sync else 3):
             self._opened.append(self._kernel.open(self._mounted / f"ep{number}"))
 
