@@ -1,8 +1,8 @@
 """One simulated AVR: run it by cycles, talk to its UART, measure it.
 
-In: an ELF file, bytes for the UART, levels and voltages for the pins, cycles to run. Out: the
-UART's bytes with the cycle at which the host had them, edges of pins, exact cycle counts of marked
-spans, memory, counters.
+In: an ELF file, bytes for the UART, transfers for USB, levels and voltages for the pins, cycles to
+run. Out: the UART's bytes with the cycle at which the host had them, what came of the transfers,
+edges of pins, exact cycle counts of marked spans, memory, counters.
 Simulated time passes only in the run methods, and the same calls give the same cycles each time.
 Bytes to the firmware take the time that they take on the wire (baud and format registers), so a
 firmware that reads too slowly loses them as on the chip.
@@ -22,6 +22,7 @@ from j2a.sim._errors import BadProgram, FirmwareStopped, SimError
 from j2a.sim._options import FREQUENCY_MAX_HZ
 from j2a.sim._pins import Adc, Pins
 from j2a.sim._records import Counters, Interrupts, OutByte, Span
+from j2a.sim._usb import UsbBus
 
 _PAINT = 0xC5  # what the shim fills the RAM above the static data with at each reset
 _CRASHES_SIMAVR = {"atmega16m1"}  # avr_init() of simavr 1.6 ends the process
@@ -34,9 +35,10 @@ class AvrSim:
     Args:
         elf: path of the firmware (ELF as avr-gcc links it).
         mcu: its name as simavr knows it, such as "atmega328p", or "atmega32u2", "atmega16u2",
-            "atmega8u2", which simavr lacks and which run as its AT90USB162 with their own memories.
+            "atmega8u2", "at90usb82", "atmega16u4", which simavr lacks and which run as its
+            AT90USB162 and ATmega32U4 with their own memories.
         frequency_hz: the clock.
-        uart: the UART to use, "0" to "3".
+        uart: the UART to use, "0" to "3"; None: the first that the MCU has.
         host_baud: bit rate of the host in bit/s; None: whatever the firmware has set. With another
             rate than the firmware's both sides sample the wire at their own rate, so bytes arrive
             garbled, with framing errors, or not at all.
@@ -56,14 +58,14 @@ class AvrSim:
         elf: Path | str,
         mcu: str = "atmega328p",
         frequency_hz: int = 16_000_000,
-        uart: str = "0",
+        uart: str | None = None,
         host_baud: float | None = None,
     ) -> None:
         if not 1 <= frequency_hz <= FREQUENCY_MAX_HZ:
             raise SimError(f"frequency {frequency_hz} Hz is out of range 1..{FREQUENCY_MAX_HZ}")
         if host_baud is not None and not 1 <= host_baud <= frequency_hz / 2:
             raise SimError(f"host_baud {host_baud} is out of range 1..{frequency_hz // 2}")
-        if len(uart) != 1 or uart not in "0123":
+        if uart is not None and (len(uart) != 1 or uart not in "0123"):
             raise SimError(f"uart {uart!r} is none of 0, 1, 2, 3")
         if mcu in _CRASHES_SIMAVR:
             raise SimError(f"simavr 1.6 cannot run an {mcu}")
@@ -76,7 +78,7 @@ class AvrSim:
         self._sim: int | None = self._lib.sim_new(
             mcu.encode(),
             frequency_hz,
-            uart.encode(),
+            uart.encode() if uart else b"\0",
             frequency_hz / host_baud if host_baud else 0.0,
             flash,
             len(flash),
@@ -87,7 +89,10 @@ class AvrSim:
         if not self._sim:
             text = error.value.decode("utf-8", "replace").strip()
             kind = BadProgram if "needs" in text else SimError
-            raise kind(f"{self.program.path} on {mcu}, UART {uart}: {text}")
+            port = f", UART {uart}" if uart else ""
+            raise kind(f"{self.program.path} on {mcu}{port}: {text}")
+        has_usb = bool(self._lib.sim_usb(self._sim))
+        self._usb = UsbBus(self, self._lib, self._lock) if has_usb else None
         flash_size = int(self._lib.sim_flash_size(self._sim))
         if not self.program.suits(flash_size):
             self.close()
@@ -165,6 +170,25 @@ class AvrSim:
             if not self.readable:
                 self._run(limit_cycles, _build.STOP_OUTPUT)
             return self.readable > 0
+
+    def run_until_usb(self, limit_cycles: int) -> bool:
+        """Run until a transfer of `usb` has completed that was not taken yet, or the limit is over.
+
+        Args:
+            limit_cycles: run at most so long.
+
+        Returns:
+            Whether usb.completed() has something; if so, this is the very cycle of its completion.
+
+        Raises:
+            FirmwareStopped: as for run().
+            SimError: the MCU has no USB controller.
+        """
+        with self._lock:
+            usb = self.usb
+            if not usb.readable:
+                self._run(limit_cycles, _build.STOP_USB)
+            return usb.readable > 0
 
     def run_until_span(self, limit_cycles: int) -> bool:
         """Run until the firmware closes a span, or the limit has passed; see spans()."""
@@ -294,6 +318,19 @@ class AvrSim:
             SimError: the MCU has no ADC.
         """
         return Adc(self._lib, self._lock, lambda: self._handle, self.mcu)
+
+    # -- USB ----------------------------------------------------------------------------------
+
+    @property
+    def usb(self) -> UsbBus:
+        """The USB host at the other end of the cable, always the same object.
+
+        Raises:
+            SimError: the MCU has no USB device controller.
+        """
+        if self._usb is None:
+            raise SimError(f"{self.mcu} has no USB device controller")
+        return self._usb
 
     # -- measuring ----------------------------------------------------------------------------
 

@@ -34,7 +34,16 @@ COUNTERS = (
     "tx_ignored",
     "queued",
 )
-STOP_OUTPUT, STOP_SPAN = 1, 2
+USB_COUNTERS = (
+    "transactions",
+    "naks",
+    "sofs",
+    "bytes_in",
+    "bytes_out",
+    "wrong_toggles",
+    "fifo_errors",
+)
+STOP_OUTPUT, STOP_SPAN, STOP_USB = 1, 2, 4
 STATES = ("limbo", "stopped", "running", "sleeping", "step", "step", "done", "crashed")
 
 _HERE = Path(__file__).parent
@@ -42,6 +51,7 @@ _SOURCES = (
     *("simavr_shim.c", "grown.h", "interrupts.c", "interrupts.h"),
     *("adc.c", "adc.h", "board.c", "board.h", "mcu.c", "mcu.h"),
     *("usart.c", "usart.h", "wire.c", "wire.h"),
+    *("usb_device.c", "usb_device.h", "usb_endpoint.c", "usb_host.c", "usb_host.h"),
 )
 _PACKAGES = "on Debian and Ubuntu: apt install gcc libc6-dev libsimavr-dev"
 
@@ -75,7 +85,8 @@ def _header_stamp(flags: list[str]) -> str:
         header = Path(place) / "sim_avr.h"
         if header.is_file():
             stamps.append(hashlib.sha256(header.read_bytes()).hexdigest())
-            stamps.append(hashlib.sha256((header.parent / "avr_uart.h").read_bytes()).hexdigest())
+            for name in ("avr_uart.h", "avr_usb.h"):
+                stamps.append(hashlib.sha256((header.parent / name).read_bytes()).hexdigest())
     if not stamps:
         raise ToolMissing(f"simavr's header sim_avr.h is not installed; {_PACKAGES}")
     return "".join(stamps)
@@ -162,6 +173,7 @@ def library() -> ctypes.CDLL:
         lib = ctypes.CDLL(str(path))
     except OSError as error:
         raise SimError(f"cannot load the simulator's shim {path}: {error}; {_PACKAGES}") from None
+    integer = ctypes.c_int
     pointer, u8, u32, u64 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint32, ctypes.c_uint64
     u8s, u64s = ctypes.POINTER(u8), ctypes.POINTER(u64)
     text = ctypes.c_char_p
@@ -203,6 +215,30 @@ def library() -> ctypes.CDLL:
         "sim_conversions": (u64, [pointer]),
         "sim_set_volts": (None, [pointer, u64, ctypes.c_int, ctypes.c_double]),
         "sim_set_references": (None, [pointer, ctypes.c_double, ctypes.c_double]),
+        "sim_usb": (pointer, [pointer]),
+        "usb_host_plug": (None, [pointer, integer]),
+        "usb_host_attached": (integer, [pointer]),
+        "usb_host_state": (integer, [pointer]),
+        "usb_host_reset": (None, [pointer, u64]),
+        "usb_host_suspend": (None, [pointer]),
+        "usb_host_resume": (None, [pointer]),
+        "usb_host_frame": (u32, [pointer]),
+        "usb_host_frame_start": (ctypes.c_double, [pointer]),
+        "usb_host_frame_cycles": (ctypes.c_double, [pointer]),
+        "usb_host_set_frame_cycles": (None, [pointer, ctypes.c_double]),
+        "usb_host_address": (integer, [pointer]),
+        "usb_host_set_address": (None, [pointer, integer]),
+        "usb_host_clear_toggle": (None, [pointer, integer]),
+        "usb_host_submit": (
+            integer,
+            [pointer, integer, integer, integer, u32, text, text, u32, integer],
+        ),
+        "usb_host_cancel": (None, [pointer, integer]),
+        "usb_host_pending": (u32, [pointer]),
+        "usb_host_completed": (u32, [pointer]),
+        "usb_host_look": (None, [pointer, u64s]),
+        "usb_host_take": (integer, [pointer, u8s]),
+        "usb_host_counters": (None, [pointer, u64s]),
     }
     for name, (result, arguments) in types.items():
         function = getattr(lib, name)

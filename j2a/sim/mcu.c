@@ -13,6 +13,8 @@ static const struct {
     uint32_t flash_end;
     uint16_t ram_end, eeprom_end;
 } relatives[] = {
+    {"atmega16u4", "atmega32u4", 0x3fff, 0x5ff, 0x1ff},
+    {"at90usb82", "at90usb162", 0x1fff, 0x2ff, 0x1ff},
     {"atmega8u2", "at90usb162", 0x1fff, 0x2ff, 0x1ff},
     {"atmega16u2", "at90usb162", 0x3fff, 0x2ff, 0x1ff},
     {"atmega32u2", "at90usb162", 0x7fff, 0x4ff, 0x3ff},
@@ -35,12 +37,13 @@ avr_t *mcu_make(const char *name)
     return avr_make_mcu_by_name(name);
 }
 
-static int is_usb162(const avr_t *avr)
+int mcu_is_usb162(const avr_t *avr)
 {
+    const char *name = avr->mmcu;
     for (unsigned i = 0; i < sizeof relatives / sizeof relatives[0]; i++)
-        if (!strcmp(avr->mmcu, relatives[i].name))
-            return 1;
-    return !strcmp(avr->mmcu, "at90usb162");
+        if (!strcmp(name, relatives[i].name))
+            name = relatives[i].relative;
+    return !strcmp(name, "at90usb162");
 }
 
 static void on_output(struct avr_irq_t *irq, uint32_t value, void *param)
@@ -79,7 +82,7 @@ static void mend_output(mcu_t *m, avr_timer_t *timer, int index)
     output->flags &= ~IRQ_FLAG_FILTERED;
     mcu_output_t *o = &m->outputs[m->count++];
     *o = (mcu_output_t){timer, unit, pin.bit, pin.irq[0]};
-    if (is_usb162(avr) && timer->name == '1' && index < 2) {
+    if (mcu_is_usb162(avr) && timer->name == '1' && index < 2) {
         /* simavr has them on PB1 and PB2; OC1A is PC6, OC1B is PC5 */
         int bit = 6 - index;
         avr_ioport_getirq_t c = {.bit = {.reg = PORTC_OF_USB162, .bit = bit, .mask = 1}};

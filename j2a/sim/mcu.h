@@ -1,7 +1,8 @@
 /* The microcontrollers: those of simavr, those that it has a near relative of, and mends of its models.
  *
  * In:  a name. Out: a simulator of that chip, or NULL.
- * ATmega8U2, 16U2 and 32U2 are AT90USB82 and 162 with other memories: same registers, same vectors.
+ * AT90USB82, ATmega8U2, 16U2 and 32U2 are AT90USB162s with other memories, and so is the ATmega16U4 an
+ * ATmega32U4: same registers, same vectors.
  * simavr takes a timer's normal and CTC modes for fast PWM when it sets the outputs of compare units: each
  * write to a compare register inverts them. Its outputs are let through only where a match can mean them.
  * A pin that a compare unit drives is seen in its PORT bit as well, unlike on the chip.
@@ -29,5 +30,7 @@ typedef struct {
 /* As avr_make_mcu_by_name(); call mcu_mend() after avr_init(), with memory that lives as long. */
 avr_t *mcu_make(const char *name);
 void mcu_mend(mcu_t *, avr_t *);
+/* Whether it is an AT90USB162 or one of those that run as it. */
+int mcu_is_usb162(const avr_t *);
 
 #endif

@@ -20,8 +20,9 @@
 #include "interrupts.h"
 #include "mcu.h"
 #include "usart.h"
+#include "usb_host.h"
 
-enum { STOP_OUTPUT = 1, STOP_SPAN = 2 };                     /* what sim_run may stop for */
+enum { STOP_OUTPUT = 1, STOP_SPAN = 2, STOP_USB = 4 };       /* what sim_run may stop for */
 enum { LOG_SIZE = 8192, GPIOR0 = 0x3e, PAINT = 0xc5 };
 
 typedef struct { uint64_t cycle; uint8_t byte, framing_error; } out_t;
@@ -34,6 +35,8 @@ typedef struct {
     interrupts_t interrupts;
     adc_t adc;
     board_t board;
+    usb_device_t *usb; /* NULL: the chip has none */
+    usb_host_t host;
     int stop_mask, stopped;
     out_t *out;
     uint32_t out_count, out_size;
@@ -114,6 +117,8 @@ static void on_mark(avr_t *avr, avr_io_addr_t address, uint8_t value, void *para
     s->span_start = avr->cycle;
 }
 
+static void on_transfer(void *param) { stop_for(param, STOP_USB); }
+
 /* ---- life ---- */
 
 /* As avr_callback_run_raw, but a sleeping core waits for nobody, wakes at the very cycle of the next
@@ -144,23 +149,48 @@ static void run_burst(avr_t *avr)
         avr_service_interrupts(avr);
 }
 
+/* name 0: the first there is */
 static avr_uart_t *find_uart(avr_t *avr, char name)
 {
-    for (avr_io_t *io = avr->io_port; io; io = io->next)
-        if (io->kind && !strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == name)
-            return (avr_uart_t *)io;
-    return NULL;
+    avr_uart_t *first = NULL;
+    for (avr_io_t *io = avr->io_port; io; io = io->next) {
+        avr_uart_t *port = (avr_uart_t *)io;
+        if (io->kind && !strcmp(io->kind, "uart") && (name ? port->name == name : !first || port->name < first->name))
+            first = port;
+    }
+    return first;
+}
+
+static int attach_usb(sim_t *s)
+{
+    for (avr_io_t *io = s->avr->io_port; io; io = io->next) {
+        if (!io->kind || strcmp(io->kind, "usb"))
+            continue;
+        s->usb = calloc(1, sizeof *s->usb);
+        if (!s->usb)
+            return -1;
+        s->usb->is_u2 = mcu_is_usb162(s->avr);
+        s->host.on_complete = on_transfer;
+        s->host.param = s;
+        usb_host_attach(&s->host, s->avr, s->usb);
+        usb_device_attach(s->usb, s->avr, (avr_usb_t *)io);
+        return 0;
+    }
+    return 0;
 }
 
 void sim_free(sim_t *s)
 {
     if (!s)
         return;
+    if (s->usb)
+        usb_host_free(&s->host);
     if (s->avr) {
         avr_terminate(s->avr);
         free(s->avr);
     }
     board_free(&s->board);
+    free(s->usb);
     free(s->usart.queue);
     free(s->out);
     free(s->spans);
@@ -218,6 +248,8 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     s->usart.param = s;
     if (usart_attach(&s->usart, avr, port))
         return failed(s, error, error_size, "this MCU's kind of UART is not modelled");
+    if (attach_usb(s))
+        return failed(s, error, error_size, "out of memory");
     interrupts_attach(&s->interrupts, avr);
     if (!avr->io[AVR_DATA_TO_IO(GPIOR0)].w.c) { /* else another register lives there */
         avr_register_io_write(avr, GPIOR0, on_mark, s);
@@ -273,6 +305,8 @@ uint8_t *sim_data(const sim_t *s) { return s->avr->data; }
 uint32_t sim_flash_size(const sim_t *s) { return s->avr->flashend + 1; }
 uint32_t sim_data_size(const sim_t *s) { return s->avr->ramend + 1u; }
 const char *sim_log(const sim_t *s) { return s->log; }
+
+usb_host_t *sim_usb(sim_t *s) { return s->usb ? &s->host : NULL; } /* see usb_host.h */
 
 int sim_feed(sim_t *s, const uint8_t *data, uint32_t n) { return usart_feed(&s->usart, data, n); }
 double sim_bit_cycles(const sim_t *s) { return usart_bit_cycles(&s->usart); }
