@@ -26,6 +26,8 @@ from j2a.sim._usb import UsbBus
 
 _PAINT = 0xC5  # what the shim fills the RAM above the static data with at each reset
 _CRASHES_SIMAVR = {"atmega16m1"}  # avr_init() of simavr 1.6 ends the process
+# 8 KiB of flash, and the jumps and vectors of the larger chips of their family.
+_LARGER = {"atmega8u2": 16 << 10, "at90usb82": 16 << 10}
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -94,7 +96,7 @@ class AvrSim:
         has_usb = bool(self._lib.sim_usb(self._sim))
         self._usb = UsbBus(self, self._lib, self._lock) if has_usb else None
         flash_size = int(self._lib.sim_flash_size(self._sim))
-        if not self.program.suits(flash_size):
+        if not self.program.suits(max(flash_size, _LARGER.get(mcu, 0))):
             self.close()
             raise BadProgram(
                 f"{self.program.path} is built for avr{self.program.family}, and {mcu} is none: "

@@ -108,6 +108,8 @@ static avr_cycle_count_t on_idle(avr_t *avr, avr_cycle_count_t when, void *param
     u->idle_at = 0;
     if (!u->was_awake || u->suspended)
         return 0;
+    if (u->signalled)
+        return u->idle_at = when + (uint64_t)(SUSPEND_S * avr->frequency);
     if (when < due)
         return u->idle_at = due;
     u->suspended = 1;
@@ -158,7 +160,9 @@ void usb_changed(usb_device_t *u)
 
 void usb_device_vbus(usb_device_t *u, int on)
 {
+    u->driven = 0;
     u->vbus = on;
+    u->signalled = 0;
     usb_changed(u);
 }
 
@@ -176,6 +180,8 @@ static void reset_cpu(avr_t *avr)
 
 void usb_device_bus_reset(usb_device_t *u, int end)
 {
+    u->driven = !end;
+    u->signalled = !end;
     traffic(u);
     if (!end || !usb_device_pulls_up(u) || !usb_clocked(u))
         return;
@@ -191,6 +197,8 @@ void usb_device_bus_reset(usb_device_t *u, int end)
 
 void usb_device_resume(usb_device_t *u, int end)
 {
+    u->driven = !end;
+    u->signalled = !end;
     traffic(u);
     if (end && usb_device_pulls_up(u) && usb_clocked(u)) {
         u->udcon &= ~RMWKUP;
