@@ -51,12 +51,14 @@ static void find_out(void) {
 int16_t j2a_port_rx(void) {
     int16_t byte = -1;
     bool trouble = true;
+    uint8_t flags;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         if (usb_trouble == 0) {
             trouble = false;
-            if (flags_of(USB_RX) & _BV(RWAL))
+            flags = flags_of(USB_RX);
+            if (flags & _BV(RWAL))
                 byte = UEDATX;
-            if ((UEINTX & (_BV(RXOUTI) | _BV(RWAL))) == _BV(RXOUTI)) /* that was the last one, or there was none */
+            if ((flags & _BV(RXOUTI)) && UEBCLX == 0) /* not before: a halted endpoint keeps what it has */
                 UEINTX = USB_RELEASE;
         }
     }
@@ -99,7 +101,7 @@ static void receive_sync(void) {
     uint8_t packet[J2A_SYNCUSB_SIZE];
     bool complete = false;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (usb_trouble == 0 && (flags_of(USB_SYNC) & _BV(RXOUTI))) {
+        if (usb_trouble == 0 && (flags_of(USB_SYNC) & _BV(RXOUTI)) && !(UECONX & _BV(STALLRQ))) {
             if (UEBCLX == sizeof packet) {
                 uint8_t i;
                 for (i = 0; i < sizeof packet; i++)
