@@ -201,11 +201,13 @@ class UsbBus:
             self._lib.usb_host_suspend(self._host)
 
     def resume(self) -> None:
-        """End suspend, with 20 ms of signalling in simulated time.
+        """End suspend, with 20 ms of signalling in simulated time; else nothing happens.
 
         Raises:
             UsbError: the device went away meanwhile.
         """
+        if not self.suspended:
+            return
         with self._lock:
             self._lib.usb_host_resume(self._host)
         self._pass(_RESUMING, "resume")
@@ -484,7 +486,7 @@ class UsbBus:
             token: "SETUP", "OUT" or "IN".
             endpoint: its number or address.
             data: of SETUP and OUT.
-            toggle: 0 or 1; None: the host's own, which then goes on after an ACK.
+            toggle: 0 or 1; None: the host's own. After an ACK the host goes on from there.
             address: None: `address`.
             acknowledge: False: the host's ACK of an IN gets lost.
 

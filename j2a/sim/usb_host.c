@@ -190,8 +190,8 @@ static void advance_toggle(usb_host_t *h, int pipe, usb_transfer_t *t)
 {
     if (t->kind == HOST_CONTROL)
         t->toggle ^= 1;
-    else if (t->toggle < 0)
-        *toggle_of(h, pipe, t) ^= 1;
+    else
+        *toggle_of(h, pipe, t) = !h->now.toggle;
 }
 
 static void keep(usb_transfer_t *t, const uint8_t *data, unsigned length)
@@ -340,7 +340,7 @@ static avr_cycle_count_t on_step(avr_t *avr, avr_cycle_count_t when, void *param
     int pending = 0;
     for (int p = 0; p < PIPES; p++)
         pending += h->queue[p] != NULL;
-    if (h->touched)
+    if (h->touched || !h->now.transfer) /* the others were not tried since */
         h->barren = 0;
     if (pending && h->barren >= pending)
         h->wire = WIRE_BARREN;
