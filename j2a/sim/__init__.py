@@ -2,10 +2,10 @@
 
 In: an ELF file. Out: a J2A device on a transport. `AvrSim` runs the firmware cycle by cycle, drives
 and watches its pins, and measures it; `SimLink` is a transport into it whose time is simulated;
-`run` serves it on a listener in real time or faster. A chip with USB has a bus,
-`AvrSim.usb`; over it go `UsbLink`, a transport like `SimLink`, `SimBackend`, for programs that use pyusb, and
-`UsbipServer`, for operating systems. Needs a C compiler and simavr's library, and knows no frame
-of J2A.
+`run` serves it on a listener in real time or faster. A chip with USB has a bus, `AvrSim.usb`; over
+it go `UsbLink`, a transport like `SimLink`, `SimBackend`, for programs that use pyusb, and
+`UsbipServer`, for operating systems. Needs a C compiler and simavr's library, and knows no frame of
+J2A.
 """
 
 from typing import TYPE_CHECKING, Any

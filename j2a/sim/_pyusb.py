@@ -22,13 +22,8 @@ import usb.core
 from j2a.sim._avr import AvrSim
 from j2a.sim._errors import SimError
 from j2a.sim._usb_descriptors import IN, SETUP, Described
-from j2a.sim._usb_host import (
-    CLEAR_FEATURE,
-    SET_CONFIGURATION,
-    SET_INTERFACE,
-    Transfer,
-    UsbHost,
-)
+from j2a.sim._usb_host import UsbHost
+from j2a.sim._usb_transfer import CLEAR_FEATURE, SET_CONFIGURATION, SET_INTERFACE, Transfer
 
 BUS: Final = 1
 SPEED_FULL: Final = 2  # as libusb counts
@@ -50,6 +45,7 @@ _BY_STATUS: Final[dict[str, _Error]] = {
     "overflow": _OVERFLOW,
     "cancelled": _IO,
     "timeout": _TIMEOUT,
+    "invalid": _INVALID,
     "unplugged": _NO_DEVICE,
     "stopped": _IO,
 }

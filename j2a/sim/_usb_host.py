@@ -14,8 +14,9 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeVar
+
+from j2a_spec.usb import CONFIGURATION
 
 from j2a.sim._avr import AvrSim
 from j2a.sim._errors import FirmwareStopped, SimError
@@ -27,6 +28,13 @@ from j2a.sim._usb_descriptors import (
     parse_configuration,
     parse_device,
 )
+from j2a.sim._usb_transfer import (
+    CLEAR_FEATURE,
+    SET_ADDRESS,
+    SET_CONFIGURATION,
+    SET_INTERFACE,
+    Transfer,
+)
 
 if TYPE_CHECKING:
     from j2a.sim._usb import Completion
@@ -34,49 +42,10 @@ if TYPE_CHECKING:
 SLICE_S: Final = 0.001
 # At speed 0, simulated time after the last sign of traffic that still passes at full speed.
 ACTIVE_S: Final = 0.005
+RESET_RECOVERY_S: Final = 0.01  # USB 2.0, 7.1.7.5
 SET_ADDRESS_RECOVERY_S: Final = 0.002  # USB 2.0, 9.2.6.3
 
-# bRequest of standard requests, USB 2.0 table 9-4.
-CLEAR_FEATURE: Final = 1
-SET_ADDRESS: Final = 5
-GET_DESCRIPTOR: Final = 6
-SET_CONFIGURATION: Final = 9
-SET_INTERFACE: Final = 11
-
 _Result = TypeVar("_Result")
-
-
-@dataclass(eq=False, slots=True)
-class Transfer:
-    """One transfer, and what became of it.
-
-    Attributes:
-        endpoint: its address, with bit 7 towards the host; 0 for a control transfer.
-        data: what goes to the device.
-        length: how many bytes may come from the device.
-        setup: the 8 bytes of a control transfer.
-        zero_packet: whether a packet of no bytes follows when the last one is full.
-        timeout_s: simulated seconds after which it is given up; None: never.
-        on_done: called when it is done, by the thread that runs the simulator; must not wait.
-        status: "" while it is under way, then "ok", "stall", "no_answer", "overflow", "cancelled",
-            "timeout", "unplugged", or "stopped" (so is the firmware).
-        received: what has come from the device.
-        transferred: bytes that went either way.
-    """
-
-    endpoint: int
-    data: bytes = b""
-    length: int = 0
-    setup: bytes = b""
-    zero_packet: bool = False
-    timeout_s: float | None = None
-    on_done: Callable[[Transfer], None] | None = None
-    status: str = ""
-    received: bytes = b""
-    transferred: int = 0
-    _number: int = -1
-    _deadline: float = float("inf")
-    _fate: str = ""  # why it was cancelled
 
 
 class UsbHost:
@@ -242,7 +211,7 @@ class UsbHost:
 
     def _run_slice(self) -> None:
         now = self.sim.cycle
-        nearest = min((t._deadline for t in self._pending.values()), default=float("inf"))
+        nearest = min((t.deadline for t in self._pending.values()), default=float("inf"))
         self.sim.run_until_usb(int(max(1, min(self.sim.cycles(SLICE_S), nearest - now))))
         counters = self._bus.counters
         moved = (counters.bytes_in, counters.bytes_out)
@@ -254,7 +223,7 @@ class UsbHost:
         """Give each transfer what became of it; returns whether there was one."""
         any_done = self._take_completed()
         now = self.sim.cycle
-        late = [t for t in self._pending.values() if t._deadline <= now]
+        late = [t for t in self._pending.values() if t.deadline <= now]
         if late:
             self._give_up(late, "timeout")
         if self.present and not self._bus.attached:
@@ -267,8 +236,12 @@ class UsbHost:
         for done in completed:
             transfer = self._pending.pop(done.id, None)
             if transfer is not None:
-                status = transfer._fate if done.status == "cancelled" else done.status
-                self._finish(transfer, status or "cancelled", done)
+                status = done.status
+                if status == "cancelled" and transfer.fate:
+                    status = transfer.fate
+                elif status == "no_answer" and not self._bus.attached:
+                    status = "unplugged"
+                self._finish(transfer, status, done)
         return bool(completed)
 
     def _begin(self, transfer: Transfer) -> None:
@@ -278,28 +251,31 @@ class UsbHost:
         if not self.present or self.descriptors is None:
             self._finish(transfer, "unplugged")
             return
+        try:
+            number = self._submit(transfer, self.descriptors.packet(transfer.endpoint))
+        except SimError:  # its parts contradict one another
+            self._finish(transfer, "invalid")
+            return
+        transfer.number = number
+        if transfer.timeout_s is not None:
+            transfer.deadline = self.sim.cycle + self.sim.cycles(transfer.timeout_s)
+        self._pending[number] = transfer
+
+    def _submit(self, transfer: Transfer, packet: int) -> int:
         endpoint = transfer.endpoint
         if transfer.setup:
-            number = self._bus.submit_control(transfer.setup, transfer.data)
-        elif endpoint & IN:
-            packet = self.descriptors.packet(endpoint)
-            number = self._bus.submit_in(endpoint, transfer.length, packet=packet)
-        else:
-            packet = self.descriptors.packet(endpoint)
-            number = self._bus.submit_out(
-                endpoint, transfer.data, packet=packet, zero_packet=transfer.zero_packet
-            )
-        transfer._number = number
-        if transfer.timeout_s is not None:
-            transfer._deadline = self.sim.cycle + self.sim.cycles(transfer.timeout_s)
-        self._pending[number] = transfer
+            return self._bus.submit_control(transfer.setup, transfer.data)
+        if endpoint & IN:
+            return self._bus.submit_in(endpoint, transfer.length, packet=packet)
+        zero = transfer.zero_packet
+        return self._bus.submit_out(endpoint, transfer.data, packet=packet, zero_packet=zero)
 
     def _give_up(self, transfers: list[Transfer], fate: str) -> None:
         """Cancel transfers that are still under way; what they have brought so far is kept."""
         for transfer in transfers:
-            if self._pending.get(transfer._number) is transfer:
-                transfer._fate = fate
-                self._bus.cancel(transfer._number)
+            if self._pending.get(transfer.number) is transfer:
+                transfer.fate = fate
+                self._bus.cancel(transfer.number)
         self._take_completed()
 
     def _finish(self, transfer: Transfer, status: str, done: Completion | None = None) -> None:
@@ -340,9 +316,14 @@ class UsbHost:
         self._unplug()
         found = self._bus.enumerate(address=address)
         self._address = address
+        device = parse_device(found.device)
+        others = [
+            self._bus.descriptor(CONFIGURATION, index, length=0xFFFF)
+            for index in range(1, device.bNumConfigurations)
+        ]
         self.descriptors = Descriptors(
-            parse_device(found.device),
-            tuple(parse_configuration(data) for data in found.configurations),
+            device,
+            tuple(parse_configuration(data) for data in (found.configuration, *others)),
         )
         self.configuration = self.descriptors.configurations[0].fields.bConfigurationValue
         self.present = True
@@ -361,10 +342,12 @@ class UsbHost:
             self.on_gone()
 
     def _reset(self) -> None:
-        if not self.present:
+        if not self.present or self.descriptors is None:
             raise SimError("the board is unplugged")
         self._end_all("cancelled")
         self._bus.reset()
+        self.sim.run(self.sim.cycles(RESET_RECOVERY_S))
+        self._bus.packet0 = self.descriptors.device.bMaxPacketSize0
         self._bus.control(0x00, SET_ADDRESS, self._address)
         self.sim.run(self.sim.cycles(SET_ADDRESS_RECOVERY_S))
         self._bus.address = self._address

@@ -88,7 +88,7 @@ class UsbLink(TimedLink):
         self._bus = self.sim.usb
         found = self._bus.enumerate(configuration=CONFIGURATION)
         (self._in, self._in_packet), (self._out, self._out_packet) = find_endpoints(
-            parse_configuration(found.configurations[0])
+            parse_configuration(found.configuration)
         )
         for endpoint in (self._in, self._out):
             self._bus.control(*CLEAR_HALT, endpoint)

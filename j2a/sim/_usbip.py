@@ -250,31 +250,36 @@ class UsbipServer:
         if was_taken:
             connection.sendall(protocol.reply(protocol.REP_IMPORT, protocol.ST_DEV_BUSY))
             return
+        attached = False
         try:
-            self._serve_board(connection, export, peer)
+            attached = self._plug(connection, export)
+            if attached:
+                self._say(f"{export.busid}: attached by {peer}")
+                self._serve_board(connection, export)
         finally:
             export.session = None
             export.host.unplug()
             export.taken = False
+            if attached:
+                self._say(f"{export.busid}: detached")
 
-    def _serve_board(self, connection: socket.socket, export: _Export, peer: str) -> None:
+    def _plug(self, connection: socket.socket, export: _Export) -> bool:
+        """Plug a board in, and tell the client whether that went well."""
         try:
             export.host.plug(ADDRESS)
         except SimError as error:
             connection.sendall(protocol.reply(protocol.REP_IMPORT, protocol.ST_DEV_ERR))
             self._say(f"{export.busid}: {error}")
-            return
+            return False
         record = protocol.DEVICE.build(_device(export))
         connection.sendall(protocol.reply(protocol.REP_IMPORT) + record)
+        return True
+
+    def _serve_board(self, connection: socket.socket, export: _Export) -> None:
         session = Session(connection, export.host, export.devid)
         export.session = session
-        if not export.plugged or self._halt.is_set():  # pulled out meanwhile
-            return
-        self._say(f"{export.busid}: attached by {peer}")
-        try:
+        if export.plugged and not self._halt.is_set():  # else it was pulled out meanwhile
             session.run()
-        finally:
-            self._say(f"{export.busid}: detached")
 
 
 def _device(export: _Export) -> dict[str, Any]:

@@ -21,7 +21,8 @@ from typing import Any, Final
 from j2a.sim import _usbip_protocol as protocol
 from j2a.sim._errors import SimError
 from j2a.sim._usb_descriptors import IN, SETUP
-from j2a.sim._usb_host import GET_DESCRIPTOR, SET_ADDRESS, Transfer, UsbHost
+from j2a.sim._usb_host import UsbHost
+from j2a.sim._usb_transfer import GET_DESCRIPTOR, SET_ADDRESS, Transfer
 
 LOOK_S: Final = 0.2  # how often a waiting thread looks whether it shall end
 SEND_TIMEOUT_S: Final = 5.0
@@ -35,6 +36,7 @@ _STATUS: Final = {
     "no_answer": -errno.EPROTO,
     "overflow": -errno.EOVERFLOW,
     "cancelled": -errno.ECONNRESET,
+    "invalid": -errno.EINVAL,
     "unplugged": -errno.ENODEV,
     "stopped": -errno.EPROTO,
 }

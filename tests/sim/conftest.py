@@ -9,6 +9,7 @@ import pytest
 
 from j2a.sim import AvrSim, ToolMissing
 from j2a.sim._build import build
+from tests.sim.usbip_client import Served
 
 SOURCES = Path(__file__).parent / "firmware"
 Build = Callable[..., Path]
@@ -61,3 +62,24 @@ def simulate(firmware: Build) -> Iterator[Simulate]:
     yield start
     for sim in sims:
         sim.close()
+
+
+@pytest.fixture
+def usb_board(firmware: Build) -> Iterator[Simulate]:
+    """usb_board(SERIAL=ord("B")) is an ATmega32U4 with firmware/usb_board.c, serial number SNB."""
+    sims: list[AvrSim] = []
+
+    def start(**defines: int) -> AvrSim:
+        sims.append(AvrSim(firmware("usb_board", "atmega32u4", **defines), "atmega32u4"))
+        return sims[-1]
+
+    yield start
+    for sim in sims:
+        sim.close()
+
+
+@pytest.fixture
+def served(usb_board: Simulate) -> Iterator[Served]:
+    """A USB/IP server with one board, as fast as possible."""
+    with Served(usb_board()) as served:
+        yield served

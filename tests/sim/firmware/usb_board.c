@@ -13,6 +13,12 @@
 #ifndef CLASS
 #define CLASS 0xFF
 #endif
+#ifndef DETACHED
+#define DETACHED 0
+#endif
+
+/* Bit 2 of an IN endpoint's UEINTX, which has another name there, would kill a bank. */
+#define KILLBK RXOUTI
 
 enum { PACKET = 64, IN = 1, OUT = 2, SYNC = 3 };
 
@@ -193,10 +199,10 @@ static void echo(void)
         packet[n++] = UEDATX;
     UEINTX = (uint8_t)~_BV(FIFOCON);
     UENUM = IN;
-    UEINTX = (uint8_t)~_BV(TXINI);
+    UEINTX = (uint8_t)~(_BV(TXINI) | _BV(KILLBK));
     for (uint8_t i = 0; i < n; i++)
         UEDATX = packet[i];
-    UEINTX = (uint8_t)~_BV(FIFOCON);
+    UEINTX = (uint8_t)~(_BV(FIFOCON) | _BV(KILLBK));
 }
 
 /* Sends so many bytes, each its distance from the end, in full packets and then no short one. */
@@ -205,10 +211,10 @@ static void send_burst(void)
     UENUM = IN;
     if (!burst || !(UEINTX & _BV(TXINI)))
         return;
-    UEINTX = (uint8_t)~_BV(TXINI);
+    UEINTX = (uint8_t)~(_BV(TXINI) | _BV(KILLBK));
     for (uint8_t n = 0; n < PACKET && burst; n++)
         UEDATX = --burst;
-    UEINTX = (uint8_t)~_BV(FIFOCON);
+    UEINTX = (uint8_t)~(_BV(FIFOCON) | _BV(KILLBK));
 }
 
 static void take_sync(void)
@@ -230,7 +236,7 @@ int main(void)
     PLLCSR = _BV(PINDIV) | _BV(PLLE);
     while (!(PLLCSR & _BV(PLOCK))) { }
     USBCON = _BV(USBE) | _BV(OTGPADE);
-    UDCON = 0;
+    UDCON = DETACHED;
     for (;;) {
         if (was_reset()) {
             UDINT = (uint8_t)~_BV(EORSTI);
