@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 try:
-    from usb9 import CHECKS, Device, rows
+    from usb9 import CHECKS, NAME, Device, rows
 finally:
     sys.path.remove(str(Path(__file__).parent))
 
@@ -22,7 +22,7 @@ CHIPS = ("atmega32u4", "atmega32u2")
 
 @pytest.fixture(scope="module", params=CHIPS)
 def chip(request, build):
-    return build(port="avr-usb", MCU=request.param), request.param
+    return build(port="avr-usb", MCU=request.param, USB_NAME=NAME), request.param
 
 
 @pytest.mark.requirement("USB-006")

@@ -23,7 +23,10 @@ from usb9 import (
 from usb9.checks import Check
 from usb9.device import Device
 
-__all__ = ["CHECKS", "Check", "Device", "rows"]
+__all__ = ["CHECKS", "NAME", "Check", "Device", "rows"]
+
+NAME = "chapter9-of-usb"
+"""USB_NAME of the program: its descriptor is 32 bytes long, a whole packet of endpoint 0."""
 
 CHECKS: tuple[Check, ...] = tuple(
     check

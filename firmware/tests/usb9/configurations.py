@@ -86,7 +86,7 @@ def again_resets_toggles(device: Device) -> None:
             device.works()
         device.configure()
         device.leave_unread()
-        assert device.take(c.USB_IN, 0)
+        assert device.take(c.USB_IN)
         is_configured(device)
 
 

@@ -89,6 +89,10 @@ class Device:
         if not self.bus.attached:
             self.plug()
         self.reset()
+        self.learn()
+
+    def learn(self) -> None:
+        """Read the packet size of endpoint 0 from the first 8 bytes of the device descriptor."""
         self.packet0 = self.get(GET_DESCRIPTOR, usb.DEVICE << 8, length=8)[7]
 
     def to_address(self, address: int = ADDRESS) -> None:
@@ -192,12 +196,12 @@ class Device:
         """One transaction; returns its handshake."""
         return self.bus.transact(kind, endpoint, data, toggle)[0]
 
-    def take(self, endpoint: int, toggle: int) -> bytes:
-        """A packet from an endpoint, which has to come with this toggle; returns it."""
+    def take(self, endpoint: int, toggle: int | None = None) -> bytes:
+        """A packet from an endpoint, which has to come with this toggle or that of the host."""
         wrong = self.bus.counters.wrong_toggles
         handshake, data = self.transact("IN", endpoint, toggle=toggle)
         assert handshake == "ACK", f"endpoint {endpoint:#04x}: {handshake}"
-        assert self.bus.counters.wrong_toggles == wrong, f"toggle is not DATA{toggle}"
+        assert self.bus.counters.wrong_toggles == wrong, f"endpoint {endpoint:#04x}: toggle"
         return data
 
     # -- descriptors ------------------------------------------------------------------------------

@@ -69,7 +69,7 @@ def set_0(device: Device) -> None:
         assert device.status(ENDPOINT, c.USB_IN) == 1
         device.halt(c.USB_IN, on=False)
     device.leave_unread()
-    assert device.take(c.USB_IN, 0)
+    assert device.take(c.USB_IN)
     device.works()
 
 

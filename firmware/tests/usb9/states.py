@@ -25,6 +25,7 @@ def is_in_default_state(device: Device) -> None:
     """It answers at address 0 only, and is not configured."""
     device.bus.address = 0
     assert device.once("SETUP", 0, READ) == "ACK"
+    device.learn()
     device.alive()
     for address in (ADDRESS, 1):
         device.bus.address = address
