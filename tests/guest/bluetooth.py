@@ -1,13 +1,12 @@
 """Two Bluetooth controllers for jobs in the test guest, and BlueZ with its service discovery.
 
-In: the guest's kernel with its Bluetooth modules, and the programs of BlueZ.  Out: controllers that are
-up and reach each other by radio waves that exist in one process only (btvirt).
+In: the guest's kernel with its Bluetooth modules, and the programs of BlueZ.  Out: controllers that
+are up and reach each other by radio waves that exist in one process only (btvirt).
 Rules: what is started ends with its block; everything is written below /run.
 """
 
 import contextlib
 import fcntl
-import os
 import socket
 import struct
 import subprocess
