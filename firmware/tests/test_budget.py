@@ -53,7 +53,7 @@ SMALL = "J2A_SELFTEST_SMALL"  # goes with J2A_WITH_SELFTEST
 VARIABLES = {"LINKS", "ROOM", "RXBUF", "TXBUF"}  # of the Makefile, for options of the same names
 # Not measured: bytes that are what they say, a constant, and a buffer of ports to large machines.
 WITHOUT = {"J2A_DEBUGBUF", "J2A_PAUSE_MS", "J2A_TXBUF"}
-OURS = {"avr-serial", "cortex-m", "posix", "riscv", "rp2040", "template"}
+OURS = {"avr-serial", "avr-usb", "cortex-m", "posix", "riscv", "rp2040", "template"}
 
 
 def measure(*arguments, **environment):
