@@ -193,7 +193,6 @@ class UsbBus:
         with self._lock:
             self._lib.usb_host_reset(self._host, self._sim.cycles(ms / 1000))
         self._pass(_RESET, "reset")
-        self.packet0 = 8
 
     def suspend(self) -> None:
         """Stop frames and transfers from now on; the chip notices after 3 ms."""
@@ -544,6 +543,7 @@ class UsbBus:
         sim.run(sim.cycles(_DEBOUNCE_S))
         self.reset()
         sim.run(sim.cycles(_RECOVERY_S))
+        self.packet0 = 8
         start = self.descriptor(_DEVICE, length=8)
         if len(start) != 8:
             raise UsbError(f"the device descriptor begins with {len(start)} bytes only")

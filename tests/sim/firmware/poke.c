@@ -1,0 +1,40 @@
+/* Reads and writes registers as it is told through its variables, so that a test can be the firmware. */
+#include <avr/interrupt.h>
+#include <avr/io.h>
+
+volatile uint8_t go, value, serve, gen_entries, gen_seen, com_entries, com_seen;
+volatile uint8_t *volatile address;
+
+ISR(USB_GEN_vect)
+{
+    gen_seen = UDINT;
+    if (serve)
+        UDINT = 0;
+    else if (gen_entries == 2)
+        UDIEN = 0;
+    gen_entries++;
+}
+
+ISR(USB_COM_vect)
+{
+    uint8_t selected = UENUM;
+    com_seen = UEINT;
+    if (com_entries++ == 2)
+        for (UENUM = 0; UENUM < 5; UENUM++)
+            UEIENX = 0;
+    UENUM = selected;
+}
+
+int main(void)
+{
+    sei();
+    for (;;) {
+        if (!go)
+            continue;
+        if (go == 1)
+            *address = value;
+        else
+            value = *address;
+        go = 0;
+    }
+}
