@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import usb.core
+import usb.util
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 from j2a_transports import usb_boards
@@ -101,18 +102,21 @@ def test_a_function_that_does_not_return(bus, pool):
         echoes(right, 10)
 
 
+@pytest.mark.requirement("USB-012")
 def test_a_halted_endpoint(bus):
-    """It refuses at once what is sent to it, until its host clears the halt and goes on."""
-    with bus.connect(SERIALS[0]) as left, bus.connect(SERIALS[1]) as right:
-        echoes(left, 3)
+    """It refuses at once what is sent to it, until a host opens the board and clears the halt."""
+    with bus.connect(SERIALS[1]) as right:
         device = bus.device(SERIALS[0])
         device.ctrl_transfer(ENDPOINT, SET_FEATURE, ENDPOINT_HALT, c.USB_OUT)
         for _ in range(3):
             with pytest.raises(usb.core.USBError) as caught:
                 device.write(c.USB_OUT, b"refused")
             assert caught.value.errno == errno.EPIPE
-        echoes(right)
-        echoes(left, 10)
+            echoes(right, 50)
+        usb.util.dispose_resources(device)
+        with bus.connect(SERIALS[0]) as left:
+            echoes(left, 10)
+            echoes(right, 10)
 
 
 def test_a_host_that_does_not_read(bus, pool):
