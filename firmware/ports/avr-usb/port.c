@@ -1,8 +1,9 @@
-/* AVR with a USB device controller (ATmega16U4, 32U4, 8U2, 16U2, 32U2, AT90USB162): the link are two bulk endpoints.
- * Bytes flow straight out of the controller's memory and straight into it, there is no ring: while it is full the
- * controller refuses packets, so none is lost. Timer 1 runs freely and is both clocks.
- * Rules: an endpoint is chosen and used with interrupts off, because an interrupt may set all of them up anew. What is
- * dropped is dropped up to the end of the frame, and that is where the main loop asks for a byte again. */
+/* AVR with a USB device controller (ATmega16U4, 32U4, 8U2, 16U2, 32U2, AT90USB162): the link are two bulk
+ * endpoints. Bytes flow straight out of the controller's memory and straight into it, there is no ring: while
+ * it is full the controller refuses packets, so none is lost. Timer 1 runs freely and is both clocks.
+ * Rules: an endpoint is chosen and used with interrupts off, because an interrupt may set all of them up
+ * anew. What is dropped is dropped up to the end of the frame, and that is where the main loop asks for a
+ * byte again. */
 #include <avr/interrupt.h>
 #include <util/atomic.h>
 
@@ -123,13 +124,13 @@ uint16_t j2a_port_overruns(void) {
 /* The end of a burst: what has been collected is sent, and after a full packet an empty one, so that the host
  * knows that nothing follows. */
 void j2a_port_idle(void) {
+#if J2A_WITH_SYNCUSB
+    receive_sync(); /* first, because it may send */
+#endif
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         if (usb_trouble == 0 && (flags_of(USB_TX) & _BV(RWAL)) && (UEBCLX != 0 || empty_packet_due))
             send_packet(false);
     }
-#if J2A_WITH_SYNCUSB
-    receive_sync();
-#endif
 #if J2A_USB_SLEEP
     usb_sleep();
 #endif

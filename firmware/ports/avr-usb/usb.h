@@ -1,11 +1,13 @@
-/* The USB device driver of this port: the controller of an ATmega8U2 to 32U4 or AT90USB162. In: the requests of the
- * host at endpoint 0, and what the bus does. Out: answers by chapter 9 of the USB 2.0 specification, endpoints as
- * configured, and what the main loop must know of the link (usb_trouble).
- * usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what they ask
- * for, usb_descriptors.c is what the board says of itself, and its endpoints; port.c moves the bytes.
- * Rules: endpoint 0 belongs to the interrupts, so that enumeration works while the application computes. All other
- * endpoints belong to the main context, which has interrupts off from the look at usb_trouble and the choice in UENUM
- * to the last access, so no interrupt need keep UENUM. Nothing waits for the host in an interrupt. */
+/* The USB device driver of this port: the controller of an ATmega8U2 to 32U4 or AT90USB162. In: the requests
+ * of the host at endpoint 0, and what the bus does. Out: answers by chapter 9 of the USB 2.0 specification,
+ * endpoints as configured, and what the main loop must know of the link (usb_trouble).
+ * usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what
+ * they ask for, usb_descriptors.c is what the board says of itself, and its endpoints; port.c moves the
+ * bytes.
+ * Rules: endpoint 0 belongs to the interrupts, so that enumeration works while the application computes.
+ * All other endpoints belong to the main context, which has interrupts off from the look at usb_trouble
+ * and the choice in UENUM to the last access, so no interrupt need keep UENUM. Nothing waits for the host
+ * in an interrupt. */
 #ifndef USB_H
 #define USB_H
 
@@ -15,8 +17,12 @@
 
 #include "j2a_port_config.h"
 
-/* Largest packet of endpoint 0, see USB_SIZE_16. So small that an interrupt is short; an ATmega32U2 has 176 bytes of
- * memory for endpoints, which would do for 32. */
+#if !(defined PINDIV || (defined PLLP0 && defined REGDIS))
+#error "MCU: not a chip of the families ATmega8U2, 16U2, 32U2, AT90USB82, 162, ATmega16U4 and 32U4"
+#endif
+
+/* Largest packet of endpoint 0, see USB_SIZE_16. So small that an interrupt is short; an ATmega32U2 has
+ * 176 bytes of memory for endpoints, which would do for 32. */
 #define USB_PACKET0 16
 
 /* For UECFG0X and UECFG1X. */
@@ -30,17 +36,19 @@ enum {
     USB_TWO_BANKS = 1 << EPBK0
 };
 
-/* What UEINTX is set to when the main context is done with a bank: a full one of an IN endpoint goes to the host, an
- * empty one of an OUT endpoint takes the next packet. Flags that are written as 1 stay as they are. */
+/* What UEINTX is set to when the main context is done with a bank: a full one of an IN endpoint goes to
+ * the host, an empty one of an OUT endpoint takes the next packet. Flags that are written as 1 stay as
+ * they are. */
 #define USB_SEND ((uint8_t)~(_BV(FIFOCON) | _BV(NAKINI) | _BV(RXOUTI) | _BV(TXINI)))
 #define USB_RELEASE ((uint8_t)~(_BV(FIFOCON) | _BV(NAKOUTI) | _BV(RXOUTI)))
 
 /* ------------------------------------------------------------------ usb_device.c ------------- */
 
-/* 0 while packets flow. The port clears USB_RESTARTED and may use USB_PORT for itself; interrupts off for that. */
+/* 0 while packets flow. The port clears USB_RESTARTED and may use USB_PORT for itself; interrupts off for
+ * that. */
 enum {
     USB_UNCONFIGURED = 1, /* the host has not chosen the configuration, or the cable is out */
-    USB_SUSPENDED = 2,    /* the bus is still; the clock of the controller stands, so keep off its registers */
+    USB_SUSPENDED = 2,    /* the bus is still; the controller has no clock, so keep off its registers */
     USB_RESTARTED = 4,    /* the endpoints were set up anew: what was in them is gone */
     USB_PORT = 8
 };
@@ -49,7 +57,8 @@ extern volatile uint8_t usb_trouble;
 /* Starts the controller and joins the bus; interrupts must be switched on afterwards. Called once. */
 void usb_start(void);
 
-/* Has the bus been reset or suspended, and its interrupt has not run yet? For who waits with interrupts off. */
+/* Has the bus been reset or suspended, and its interrupt has not run yet? For who waits with interrupts
+ * off. */
 static inline bool usb_trouble_is_due(void) {
     return UDINT & (_BV(EORSTI) | _BV(SUSPI));
 }
@@ -77,8 +86,8 @@ typedef struct {
 } usb_endpoint;
 extern const usb_endpoint usb_endpoints[USB_ENDPOINTS];
 
-/* Looks a descriptor up. Returns its length, 1..254, or 0 when there is none. *at is its address in flash, or NULL
- * when usb_descriptor_byte() has to be asked for each byte.
+/* Looks a descriptor up. Returns its length, 1..254, or 0 when there is none. *at is its address in flash, or
+ * NULL when usb_descriptor_byte() has to be asked for each byte.
  * type, number: the two bytes of wValue. language: wIndex. */
 uint8_t usb_descriptor(uint8_t type, uint8_t number, uint16_t language, const uint8_t **at);
 
@@ -100,8 +109,8 @@ typedef struct {
     uint8_t type, request, value, value_high, index, index_high, length, length_high;
 } usb_setup;
 
-/* Does what a request asks for. Returns how many bytes are to be sent, 0 where the request is all there is, or
- * USB_STALL; *source is where they are, as usb_descriptor() gives it. UENUM is any afterwards. */
+/* Does what a request asks for. Returns how many bytes are to be sent, 0 where the request is all there
+ * is, or USB_STALL; *source is where they are, as usb_descriptor() gives it. UENUM is any afterwards. */
 uint8_t usb_answer(const usb_setup *setup, const uint8_t **source);
 enum { USB_STALL = 0xFF };
 

@@ -1,6 +1,7 @@
-/* Control transfers at endpoint 0, see usb.h. In: the interrupt USB_COM. Out: the answers of usb_answer() in packets,
- * the status of a transfer, or a stall.
- * Rule: no packet is waited for, each comes with an interrupt; so an aborted transfer is nothing but the next SETUP. */
+/* Control transfers at endpoint 0, see usb.h. In: the interrupt USB_COM. Out: the answers of usb_answer() in
+ * packets, the status of a transfer, or a stall.
+ * Rule: no packet is waited for, each comes with an interrupt; so an aborted transfer is nothing but the
+ * next SETUP. */
 #include <avr/interrupt.h>
 #include <avr/pgmspace.h>
 
@@ -12,7 +13,8 @@ static bool sending;          /* another packet, perhaps an empty one, has to fo
 static bool ends_short;       /* the host asked for more than there is */
 uint8_t usb_new_address;
 
-/* Sends the next packet. A short one is the last, and so is a full one after which the host expects no more. */
+/* Sends the next packet. A short one is the last, and so is a full one after which the host expects no
+ * more. */
 static void send_packet(void) {
     uint8_t room = USB_PACKET0;
     for (; room != 0 && sent != size; room--, sent++)
@@ -70,7 +72,7 @@ ISR(USB_COM_vect) {
     while ((flags = UEINTX & UEIENX) != 0) { /* an answer's first packet may be sent at once */
         if (flags & _BV(RXSTPI)) {
             take_setup();
-        } else if (flags & _BV(RXOUTI)) { /* the status of what was sent, perhaps before all of it was taken */
+        } else if (flags & _BV(RXOUTI)) { /* the status stage, perhaps before all was taken */
             UEINTX = (uint8_t)~_BV(RXOUTI);
             UEIENX = _BV(RXSTPE);
         } else {

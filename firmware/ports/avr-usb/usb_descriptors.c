@@ -1,6 +1,7 @@
-/* What the board tells the host: descriptors, strings, serial number. In: the variables of port.mk. Out: bytes in flash.
- * Rules: one configuration; the layout is that of the USB 2.0 specification, 9.6, and the numbers are those of
- * spec/LINKS.md. */
+/* What the board tells the host: descriptors, strings, serial number. In: the variables of port.mk. Out:
+ * bytes in flash.
+ * Rules: one configuration; the layout is that of the USB 2.0 specification, 9.6, and the numbers are
+ * those of spec/LINKS.md. */
 #include <avr/boot.h>
 #include <avr/pgmspace.h>
 #include <stddef.h>
@@ -30,14 +31,15 @@ static const uint8_t configuration[] PROGMEM = {
     7, ENDPOINT, J2A_USB_OUT, BULK, BYTES(J2A_USB_PACKET), 0,
 #if J2A_WITH_SYNCUSB
     9, INTERFACE, 1, 0, 1, J2A_USB_CLASS, J2A_SYNCUSB_SUBCLASS, J2A_SYNCUSB_PROTOCOL, SYNCUSB,
-    /* Packets of exactly what is sent, although the controller has room for 16: bus time is set aside for no more. */
+    /* Packets of exactly what is sent, although the controller has room for 16: bus time is set aside for
+     * no more. */
     7, ENDPOINT, J2A_SYNCUSB_OUT, INTERRUPT, BYTES(J2A_SYNCUSB_SIZE), 1,
 #endif
 };
 
-/* An ATmega32U4 has 832 bytes of memory for endpoints, so one packet of each bulk endpoint waits while the other is
- * worked on. An ATmega32U2 has 176, just enough for one packet of 64 each; two of 32 would carry less, because a
- * packet costs the bus as much as 13 bytes. */
+/* An ATmega32U4 has 832 bytes of memory for endpoints, so one packet of each bulk endpoint waits while the
+ * other is worked on. An ATmega32U2 has 176, just enough for one packet of 64 each; two of 32 would carry
+ * less, because a packet costs the bus as much as 13 bytes. */
 #ifdef PINDIV
 #define BULK_BANKS (USB_SIZE_64 | USB_TWO_BANKS)
 #else
@@ -52,16 +54,14 @@ const usb_endpoint usb_endpoints[USB_ENDPOINTS] PROGMEM = {
 };
 
 /* A string descriptor, without the NUL; so it is as long as the literal. */
-#define TEXT_OF(...) #__VA_ARGS__
-#define TEXT(macro) TEXT_OF(macro)
 #define STRING_DESCRIPTOR(name, literal)                       \
     static const struct {                                      \
         uint8_t size, type;                                    \
         wchar_t text[sizeof(literal) - (sizeof(literal) > 1)]; \
     } name PROGMEM = {sizeof(L"" literal), STRING, L"" literal}
 STRING_DESCRIPTOR(manufacturer, "J2A");
-STRING_DESCRIPTOR(product, TEXT(USB_NAME));
-STRING_DESCRIPTOR(serial, TEXT(USB_SERIAL));
+STRING_DESCRIPTOR(product, USB_NAME);
+STRING_DESCRIPTOR(serial, USB_SERIAL);
 #if J2A_WITH_SYNCUSB
 STRING_DESCRIPTOR(syncusb, "SyncUSB");
 #endif
@@ -69,13 +69,14 @@ static const uint8_t languages[] PROGMEM = {4, STRING, BYTES(ENGLISH)};
 
 /* By their numbers; NULL is the serial number that the chip was made with. */
 static const void *const strings[] PROGMEM = {
-    languages, &manufacturer, &product, sizeof(TEXT(USB_SERIAL)) > 1 ? &serial : NULL,
+    languages, &manufacturer, &product, sizeof(USB_SERIAL) > 1 ? &serial : NULL,
 #if J2A_WITH_SYNCUSB
     &syncusb
 #endif
 };
 
-/* That number is in the signature row. As hexadecimal digits it has no room in RAM, so it is made while it is sent. */
+/* That number is in the signature row. As hexadecimal digits it has no room in RAM, so it is made while it
+ * is sent. */
 enum { CHIP_SERIAL_AT = 0x0E, CHIP_SERIAL_BYTES = 10, CHIP_SERIAL_SIZE = 2 + 2 * 2 * CHIP_SERIAL_BYTES };
 
 uint8_t usb_descriptor_byte(uint8_t index) {

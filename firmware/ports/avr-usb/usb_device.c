@@ -1,5 +1,5 @@
-/* The USB controller and the bus, see usb.h: start, reset, suspend, wake-up, plug and endpoints. In: the interrupt
- * USB_GEN. Out: usb_trouble, and a controller in the state that the bus asks for.
+/* The USB controller and the bus, see usb.h: start, reset, suspend, wake-up, plug and endpoints. In: the
+ * interrupt USB_GEN. Out: usb_trouble, and a controller in the state that the bus asks for.
  * Rule: while the clock of the controller stands, only PLLCSR and the registers up to UDIEN are touched. */
 #include "usb.h"
 
@@ -8,9 +8,6 @@
 #include <avr/power.h>
 #include <avr/sleep.h>
 
-#if !defined PLLCSR || !(defined PINDIV || (defined PLLP0 && defined REGDIS))
-#error "MCU: not a chip of the families ATmega8U2, 16U2, 32U2, AT90USB82, 162, ATmega16U4 and 32U4"
-#endif
 #if F_CPU == 16000000
 #ifdef PINDIV
 #define PLL_ON (_BV(PINDIV) | _BV(PLLE))
@@ -69,7 +66,8 @@ static void follow_vbus(void) {
 }
 
 void usb_start(void) {
-    /* A boot loader may have left the watchdog on, and the chip runs at an eighth of its clock as it is sold. */
+    /* A boot loader may have left the watchdog on, and the chip runs at an eighth of its clock as it is
+     * sold. */
     MCUSR = 0;
     WDTCSR = _BV(WDCE) | _BV(WDE); /* so that it may be changed, for four cycles */
     WDTCSR = 0;
@@ -112,7 +110,8 @@ ISR(USB_GEN_vect) {
 void usb_configure(bool on) {
     uint8_t endpoint;
     usb_trouble = USB_RESTARTED | USB_UNCONFIGURED;
-    /* All memory is given back before any is taken: the controller hands it out in the order of the endpoints. */
+    /* All memory is given back before any is taken: the controller hands it out in the order of the
+     * endpoints. */
     for (endpoint = USB_ENDPOINTS; endpoint != 0; endpoint--) {
         UENUM = endpoint;
         UECONX = 0;

@@ -1,7 +1,7 @@
-/* The standard requests of chapter 9 of the USB 2.0 specification, see usb.h. In: a SETUP packet. Out: what is to be
- * sent, and the endpoints as the host wants them.
- * Rule: a request is judged whole, wIndex and wLength too, before anything is done; what is not of chapter 9, or not
- * allowed in the state that the device is in, is refused. */
+/* The standard requests of chapter 9 of the USB 2.0 specification, see usb.h. In: a SETUP packet. Out: what
+ * is to be sent, and the endpoints as the host wants them.
+ * Rule: a request is judged whole, wIndex and wLength too, before anything is done; what is not of chapter
+ * 9, or not allowed in the state that the device is in, is refused. */
 #include <avr/pgmspace.h>
 
 #include "usb.h"

@@ -1,5 +1,5 @@
-/* Timer 1 as both clocks, see avr_clock.h. In: nothing but the timer. Out: its lower 16 bits as they are, and with
- * J2A_WITH_CLOCK microseconds, for which an interrupt counts the overflows. */
+/* Timer 1 as both clocks, see avr_clock.h. In: nothing but the timer. Out: its lower 16 bits as they are,
+ * and with J2A_WITH_CLOCK microseconds, for which an interrupt counts the overflows. */
 #include "avr_clock.h"
 
 #include <avr/interrupt.h>

@@ -1,0 +1,184 @@
+"""The port avr-usb on each chip, with each variable and option, and what it says of wrong ones.
+
+In: builds by the Makefile. Out: images that fit, descriptors as the simulated host reads them, and
+messages. What the port does on the bus is in test_usb_chapter9.py and test_usb_flow.py.
+"""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from j2a_spec import constants as c
+from j2a_spec import usb
+from j2a_spec.oracle import Frame, decode, encode
+
+from j2a.sim import AvrSim
+
+pytestmark = pytest.mark.avr
+
+# Bytes of flash and RAM.
+CHIPS = {
+    "atmega32u4": (32768, 2560),
+    "atmega16u4": (16384, 1280),
+    "atmega32u2": (32768, 1024),
+    "atmega16u2": (16384, 512),
+    "atmega8u2": (8192, 512),
+    "at90usb162": (16384, 512),
+}
+STACK = 100  # bytes that must be left, see the bound in docs/budgets.md
+ECHO = c.BUILTINS.index(c.GET_ECHO) - 1  # builtins has no debug text
+SMCR, SLEEP_ENABLED, PLLCSR = 0x53, 1, 0x49
+
+
+def sizes(elf: Path) -> tuple[int, int]:
+    """Flash and RAM that an image takes."""
+    lines = subprocess.run(["avr-size", elf], capture_output=True, text=True, check=True)
+    text, data, bss = map(int, lines.stdout.splitlines()[1].split()[:3])
+    return text + data, data + bss
+
+
+@pytest.mark.parametrize("mcu", CHIPS)
+def test_every_chip(build, mcu):
+    flash, ram = CHIPS[mcu]
+    used_flash, used_ram = sizes(build("builtins", "avr-usb", MCU=mcu))
+    assert used_flash <= flash
+    assert used_ram + STACK <= ram
+
+
+@pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
+def test_the_demo_fits(build, mcu):
+    flash, ram = CHIPS[mcu]
+    used_flash, used_ram = sizes(build("demo", "avr-usb", MCU=mcu))
+    assert used_flash <= flash
+    assert used_ram + STACK <= ram
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"OPTIONS": "-DJ2A_WITH_SYNCUSB=0"},
+        {"OPTIONS": "-DJ2A_USB_SLEEP=1"},
+        {"OPTIONS": "-DJ2A_WITH_CLOCK=0 -DJ2A_WITH_MANY=0 -DJ2A_WITH_MAPPING=0 -DJ2A_WITH_SIF=0"},
+        {"ROOM": "64"},
+        {"CFLAGS": "-O0"},
+        {"CFLAGS": "-O2 -flto"},
+        {"CFLAGS": "-O3"},
+        {"FREQ": "8000000"},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
+def test_options_answer(build, mcu, settings):
+    """Whatever the image is built with, the host enumerates it and an echo comes back."""
+    elf = build("builtins", "avr-usb", MCU=mcu, **settings)
+    options = settings.get("OPTIONS", "")
+    opcode = ECHO - 2 if "MANY=0" in options else ECHO
+    with AvrSim(elf, mcu, int(settings.get("FREQ", 16_000_000))) as sim:
+        found = usb.configuration.parse(sim.usb.enumerate().configuration)
+        assert len(found.interfaces) == (1 if "SYNCUSB=0" in options else 2)
+        assert answer(sim, Frame(c.SOF, 7, opcode, b"\x12\xed\x7d")) == [
+            Frame(c.SOF, 7, c.ECHO, b"\x12\xed\x7d")
+        ]
+
+
+def answer(sim, request):
+    """The frames of one packet that answers a request."""
+    sim.usb.write(c.USB_OUT, encode(request))
+    return decode(sim.usb.read(c.USB_IN))
+
+
+def test_what_the_board_says_of_itself(build):
+    """The names as they are given, also where a register of the chip has the same."""
+    names = {
+        "USB_VENDOR": "0x1209",
+        "USB_PRODUCT": "0x00Af",
+        "USB_NAME": "My board-2",
+        "SERIAL": "PB1",
+    }
+    elf = build("builtins", "avr-usb", **names)
+    with AvrSim(elf, "atmega32u4") as sim:
+        found = sim.usb.enumerate()
+        device = usb.device.parse(found.device)
+        assert (device.idVendor, device.idProduct) == (0x1209, 0x00AF)
+        assert found.strings[device.iProduct] == "My board-2"
+        assert found.strings[device.iSerialNumber] == "PB1"
+
+
+@pytest.mark.requirement("USB-004", "USB-005")
+@pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
+def test_without_them_it_is_the_chip(build, mcu):
+    """The simulator has no signature row: what is read there are bytes of the program."""
+    elf = build("builtins", "avr-usb", MCU=mcu)
+    with AvrSim(elf, mcu) as sim:
+        found = sim.usb.enumerate()
+        device = usb.device.parse(found.device)
+        assert (device.idVendor, device.idProduct) == (c.USB_VENDOR, c.USB_PRODUCT)
+        assert found.strings[device.iProduct] == mcu
+        assert found.strings[device.iSerialNumber] == sim.program.flash[0x0E:0x18].hex().upper()
+
+
+def test_the_longest_strings(build):
+    longest = "x" * 126
+    elf = build("builtins", "avr-usb", USB_NAME=longest, SERIAL=longest)
+    with AvrSim(elf, "atmega32u4") as sim:
+        assert list(sim.usb.enumerate().strings.values()).count(longest) == 2
+
+
+@pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
+def test_sleeps_while_suspended(build, mcu):
+    """With J2A_USB_SLEEP the chip is in power-down with its PLL off, and works after it."""
+    elf = build("builtins", "avr-usb", MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
+
+    def asleep():
+        return bool(sim.read_memory(SMCR, 1)[0] & SLEEP_ENABLED)
+
+    with AvrSim(elf, mcu) as sim:
+        sim.usb.enumerate()
+        for turn in range(5):
+            assert not asleep()
+            sim.usb.suspend()
+            sim.run(sim.cycles(0.010))
+            assert asleep()
+            sim.usb.resume()
+            sim.run(sim.cycles(0.010))
+            assert answer(sim, Frame(c.SOF, turn, ECHO)) == [Frame(c.SOF, turn, c.ECHO)]
+        sim.usb.suspend()
+        sim.run(sim.cycles(0.010))
+        sim.usb.reset()
+        sim.usb.enumerate()
+        assert answer(sim, Frame(c.SOF, 9, ECHO)) == [Frame(c.SOF, 9, c.ECHO)]
+
+
+def test_goes_on_while_suspended(build):
+    elf = build("builtins", "avr-usb")
+    with AvrSim(elf, "atmega32u4") as sim:
+        sim.usb.enumerate()
+        sim.usb.suspend()
+        sim.run(sim.cycles(0.010))
+        assert not sim.read_memory(SMCR, 1)[0] & SLEEP_ENABLED
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"USB_VENDOR": "6666"}, "USB_VENDOR=6666 USB_PRODUCT=J2A_USB_PRODUCT: give ids as 0x and"),
+        ({"USB_PRODUCT": "0xCAFEE"}, "USB_PRODUCT=0xCAFEE: give ids as 0x and four"),
+        ({"USB_VENDOR": "0x0000"}, "USB_VENDOR must be 0x0001..0xFFFF"),
+        ({"USB_NAME": ""}, "USB_NAME=: give 1 to 126 letters"),
+        ({"USB_NAME": 'a"b'}, 'USB_NAME=a"b: give 1 to 126 letters'),
+        ({"SERIAL": "a b"}, "SERIAL=a b: give up to 126 letters"),
+        ({"SERIAL": "x" * 127}, "give up to 126 letters"),
+        ({"FREQ": "12000000"}, "must be 16000000 or 8000000"),
+        ({"MCU": "atmega328p"}, "not a chip of the families"),
+        ({"MCU": "at90usb1286"}, "not a chip of the families"),
+        ({"TXBUF": "1"}, "J2A_TXBUF must be 0"),
+        ({"LINKS": "2"}, "more than this port has"),
+        ({"OPTIONS": "-DJ2A_WITH_SYNCUSB=2"}, "must be 0 or 1"),
+        ({"OPTIONS": "-DJ2A_USB_SLEEP=2"}, "must be 0 or 1"),
+    ],
+    ids=str,
+)
+def test_refuses(avr, make, tmp_path, settings, message):
+    result = make(PORT="avr-usb", APP="builtins", OUT=str(tmp_path), **settings)
+    assert result.returncode != 0
+    assert message in result.stderr
