@@ -45,7 +45,7 @@ USB_CHIPS = {
 }
 USB_DEFINES = [
     *("-DUSB_VENDOR=J2A_USB_VENDOR", "-DUSB_PRODUCT=J2A_USB_PRODUCT"),
-    *("-DUSB_NAME=board", "-DUSB_SERIAL=", "-DJ2A_USB_SLEEP=1"),
+    *('-DUSB_NAME="board"', '-DUSB_SERIAL=""', "-DJ2A_USB_SLEEP=1"),
 ]
 AVR_DEFINES = ["-DF_CPU=16000000UL", "-DQUAD_CALLBACK=on_quad"]
 # What clang-tidy is not asked where hardware is, beyond .clang-tidy:
