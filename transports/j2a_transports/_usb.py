@@ -16,9 +16,10 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
+from . import _usb_find
 from ._base import (
     DEFAULT_WRITE_TIMEOUT_S,
     LinkClosed,
@@ -37,6 +38,7 @@ from ._usb_find import (
     WINUSB_ADVICE,
     Found,
     Pair,
+    is_libusb,
     is_open,
     libusb,
     link_interfaces,
@@ -106,14 +108,22 @@ class UsbTransport(Transport):
         self._ended = False
         self._pipes: Pipes
         api = asynchronous(device) if transfers > 1 else None
+        ours = _claim_shown(device, pair)
         if api is None:
             self._incoming = Channel(LIMIT)
-            self._pipes = BlockingPipes(device, pair, self._received, self._incoming.close_writer)
+            self._pipes = BlockingPipes(
+                device, pair, self._received, self._incoming.close_writer, ours
+            )
         else:
             # Without a limit of its own: the pipes stop asking in time.
             self._incoming = Channel(sys.maxsize)
             self._pipes = AsyncPipes(
-                *api, pair, self._received, self._incoming.close_writer, count=transfers
+                *api,
+                pair,
+                self._received,
+                self._incoming.close_writer,
+                ours=ours,
+                count=transfers,
             )
         _open.add(self)
         # Last come, first served: before pyusb ends libusb.
@@ -329,6 +339,19 @@ def _active(device: Any) -> Any:
         if error.errno is not None:
             raise
         return None
+
+
+def _claim_shown(device: Any, pair: Pair) -> Callable[[], bool]:
+    """Return what tells whether the interface is still claimed; it is where nothing shows it."""
+    driver = None
+    if is_libusb(device.backend) and device.port_numbers:
+        ports = ".".join(map(str, device.port_numbers))
+        configuration = device[pair.interface.configuration].bConfigurationValue
+        name = f"{device.bus}-{ports}:{configuration}.{pair.interface.bInterfaceNumber}"
+        driver = _usb_find.SYSFS / name / "driver"
+    if driver is None or not driver.exists():
+        return lambda: True
+    return driver.exists
 
 
 def _clear_halt(device: Any, endpoint: int) -> None:

@@ -24,12 +24,13 @@ from ._usb_libusb import (
     COMPLETED,
     ERRORS,
     INTERRUPT_TRANSFER,
+    NO_DEVICE,
     STALL,
     TIMED_OUT,
     Libusb,
     TransferPointer,
 )
-from ._usb_pipes import Ended, Endpoint, Pipes, Stuck
+from ._usb_pipes import Ended, Endpoint, Pipes, Stuck, reset
 
 LIMIT: Final = 65536
 # How long cancelled transfers may take to come back.
@@ -55,8 +56,13 @@ class _Slot:
 
     @property
     def status(self) -> int:
-        status: int = self.pointer.contents.status
-        return status
+        """How the transfer has ended; one that sends has not `COMPLETED` before all has gone.
+
+        Linux ends the transfers so when another program resets the device.
+        """
+        transfer = self.pointer.contents
+        short = transfer.actual_length < transfer.length and not transfer.endpoint & 0x80
+        return NO_DEVICE if transfer.status == COMPLETED and short else transfer.status
 
     @property
     def count(self) -> int:
@@ -73,6 +79,7 @@ class AsyncPipes(Pipes):
         pair: the endpoints.
         received: see `Pipes`.
         lost: see `Pipes`.
+        ours: see `Pipes`.
         count: transfers under way in each direction.
     """
 
@@ -84,9 +91,10 @@ class AsyncPipes(Pipes):
         received: Callable[[bytes], None],
         lost: Callable[[], None],
         *,
+        ours: Callable[[], bool],
         count: int,
     ) -> None:
-        super().__init__(pair, received, lost)
+        super().__init__(pair, received, lost, ours)
         self._api = api
         self._handle = handle
         self._changed = threading.Condition()
@@ -158,6 +166,8 @@ class AsyncPipes(Pipes):
                 self._take_back(self._reading)
             elif slot.status not in (COMPLETED, TIMED_OUT, CANCELLED, STALL):
                 self._fail(_error(slot.status))
+            elif not (slot.status or slot.count or self._ours()):
+                self._fail(reset())
         self._ask()
         self._tell()
         if self._halted and not self._reading:

@@ -70,19 +70,26 @@ class Pipes(ABC):
         pair: the endpoints.
         received: takes what has arrived, in order; may block only where the driver says so.
         lost: is called once, after all bytes, when nothing more will arrive.
+        ours: tells whether the interface is still claimed. Linux ends the transfers without an
+            error when another program resets the device, and takes new ones as if nothing had been.
 
     Attributes:
         failure: why the link is lost; None as long as it is not.
     """
 
     def __init__(
-        self, pair: Pair, received: Callable[[bytes], None], lost: Callable[[], None]
+        self,
+        pair: Pair,
+        received: Callable[[bytes], None],
+        lost: Callable[[], None],
+        ours: Callable[[], bool],
     ) -> None:
         self.incoming = Endpoint(pair.incoming)
         self.outgoing = Endpoint(pair.outgoing)
         self.failure: Exception | None = None
         self._received = received
         self._lost = lost
+        self._ours = ours
 
     @abstractmethod
     def taken(self, count: int) -> None:
@@ -106,6 +113,11 @@ class Pipes(ABC):
         """End the threads; False when the driver does not give the transfers back."""
 
 
+def reset() -> OSError:
+    """Return the error for a device that was reset by somebody else."""
+    return OSError(errno.ENODEV, "another program has reset the device")
+
+
 class BlockingPipes(Pipes):
     """Pipes on a `usb.core.Device`; see `Pipes`. `received` may block."""
 
@@ -115,8 +127,9 @@ class BlockingPipes(Pipes):
         pair: Pair,
         received: Callable[[bytes], None],
         lost: Callable[[], None],
+        ours: Callable[[], bool],
     ) -> None:
-        super().__init__(pair, received, lost)
+        super().__init__(pair, received, lost, ours)
         self._device = device
         self._ended = threading.Event()
         self._telling = threading.Lock()
@@ -138,6 +151,8 @@ class BlockingPipes(Pipes):
             if data:
                 end.halts = 0
                 self._received(data)
+            elif not self._ours():
+                self._failed(end, reset())
 
     def write(self, data: memoryview, timeout_s: float | None) -> None:
         """See `Pipes.write`."""
@@ -160,6 +175,8 @@ class BlockingPipes(Pipes):
                 # pyusb does not say what has gone before a halt; of one packet, nothing.
                 self._failed(end, error, len(piece) <= end.packet)
                 continue
+            if count < len(piece) and not self._ours():
+                self._failed(end, reset())
             if count:
                 end.halts = 0
                 since = time.monotonic()

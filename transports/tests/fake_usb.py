@@ -73,6 +73,8 @@ class Job:
         pipe = self.pipe
         if pipe.device.gone:
             raise usb_error(errno.ENODEV)
+        if pipe.device.reset:
+            return True
         if pipe.device.failing:
             raise usb_error(pipe.device.failing)
         while True:
@@ -116,6 +118,8 @@ class FakeDevice:
     failing: int = 0
     refuses: dict[str, Exception] = field(default_factory=dict)
     gone: bool = False
+    # Whether another program has reset it: Linux ends transfers then as if they were complete.
+    reset: bool = False
     calls: list[tuple[Any, ...]] = field(default_factory=list)
     handles: int = 0
 
@@ -138,6 +142,12 @@ class FakeDevice:
             for pipe in self.pipes.values():
                 if pipe.address & 0x80:
                     pipe.packets.clear()
+            self.changed.notify_all()
+
+    def reset_by_another(self) -> None:
+        """Be reset, and claimed by nobody any more."""
+        with self.changed:
+            self.reset = True
             self.changed.notify_all()
 
     def halt(self, endpoint: int) -> None:

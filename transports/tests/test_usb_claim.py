@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import j2a_transports
@@ -19,7 +20,7 @@ import usb.util
 from j2a_transports import LinkClosed, LinkLost, OpenFailed, Transport
 
 from .fake_usb import FakeBackend, FakeDevice, board, endpoint, give_libusb, interface, usb_error
-from .suite import SETTLE_S, Background
+from .suite import MEGABYTE, SETTLE_S, Background
 
 Open = Callable[..., Transport]
 
@@ -184,6 +185,30 @@ def test_unplugging_ends_blocked_calls_at_once(open_fake: Open, number: int) -> 
         assert not near.closed
         with pytest.raises(LinkLost):
             near.write(b"")
+
+
+@pytest.mark.requirement("USB-013")
+def test_a_reset_by_another_program_is_a_lost_link(
+    open_fake: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("j2a_transports._usb.is_libusb", lambda backend: True)
+    monkeypatch.setattr("j2a_transports._usb_find.SYSFS", tmp_path)
+    driver = tmp_path / "1-2.3:1.0" / "driver"
+    for writing in (False, True):
+        driver.mkdir(parents=True, exist_ok=True)
+        device = board()
+        with open_fake(device) as near:
+            # An empty packet is none: the interface is still ours.
+            device.end().write(bytes(64))
+            assert near.read(None) == bytes(64)
+            near.write_timeout_s = None
+            call = partial(near.write, bytes(MEGABYTE)) if writing else partial(near.read, None)
+            blocked = Background(call)
+            blocked.thread.join(SETTLE_S)
+            driver.rmdir()
+            device.reset_by_another()
+            with pytest.raises(LinkLost, match="unplugged or reset"):
+                blocked.result()
 
 
 def test_what_had_arrived_before_the_end_is_read_first(open_fake: Open) -> None:
