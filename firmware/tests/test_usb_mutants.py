@@ -143,8 +143,8 @@ MUTANTS = [
         "the half of a frame outlasts SET_CONFIGURATION",
         "configurations.begins-the-link-anew",
         PORT,
-        "        j2a_rx_lost();",
-        "        ;",
+        "    if (lost)\n        j2a_rx_lost();",
+        "    (void)lost;",
     ),
     Mutant(
         "requests of vendors are taken for standard ones",

@@ -8,6 +8,9 @@ run; a rate counts only when every byte was right.
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +20,10 @@ from j2a_spec.oracle import Frame, decode, encode
 
 from j2a.sim import AvrSim
 
-__all__ = ["APP", "CHIPS", "WIRE", "Line", "Row", "measure", "rows"]
+__all__ = ["APP", "CHIPS", "TABLE", "WIRE", "Line", "Row", "compiler", "measure", "page", "rows"]
 
 APP = Path(__file__).parent / "usb_rates"
+TABLE = Path(__file__).with_suffix(".md")
 WIRE = 19 * 64 * 1000
 """Bytes per second of a bulk endpoint with packets of 64 bytes at full speed (table 5-10)."""
 
@@ -255,8 +259,8 @@ def rows(elf: Path, marked: Path, mcu: str) -> list[Row]:
 
 def table(chips: dict[str, list[Row]]) -> str:
     """The table for the documentation, in Markdown."""
-    lines = ["| chip | traffic | direction | cycles per byte | can carry | seen | |"]
-    lines.append("|---|---|---|--:|--:|--:|--:|")
+    head = ("chip", "traffic", "direction", "cycles per byte", "can carry", "seen", "share")
+    lines = [f"| {' | '.join(head)} |", "|---|---|---|--:|--:|--:|--:|"]
     for mcu, found in chips.items():
         for row in found:
             lines.append(
@@ -264,3 +268,43 @@ def table(chips: dict[str, list[Row]]) -> str:
                 f"| {row.can / 1000:.1f} kB/s | {row.seen / 1000:.1f} kB/s | {row.share:.1%} |"
             )
     return "\n".join(lines)
+
+
+def page(chips: dict[str, list[Row]], compiler: str) -> str:
+    """The table as it is committed, with the version of the compiler that it holds for."""
+    command = "python firmware/tests/usb_throughput.py --write"
+    return f"<!-- avr-gcc {compiler}; written by `{command}` -->\n{table(chips)}\n"
+
+
+def compiler() -> str:
+    """The version of avr-gcc."""
+    found = subprocess.run(["avr-gcc", "-dumpversion"], capture_output=True, text=True, check=True)
+    return found.stdout.strip()
+
+
+def main(arguments: list[str]) -> int:
+    """Measure all chips, and write the table or print it; returns the exit code."""
+    if arguments not in ([], ["--write"]):
+        print("usage: usb_throughput.py [--write]", file=sys.stderr)
+        return 2
+    chips = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for mcu in CHIPS:
+            programs = []
+            for marks in (0, 1):
+                out = Path(folder) / f"{mcu}-{marks}"
+                settings = (f"MCU={mcu}", f"APP_DIR={APP}", f"OUT={out}")
+                options = f"OPTIONS=-DRATES_MARKS={marks}"
+                make = ["make", "-s", "-C", APP.parents[1], "PORT=avr-usb", "APP=usb_rates"]
+                subprocess.run([*make, *settings, options], check=True, stdout=subprocess.DEVNULL)
+                programs.append(out / "usb_rates.elf")
+            chips[mcu] = rows(*programs, mcu)
+    text = page(chips, compiler())
+    if arguments:
+        TABLE.write_text(text, "utf-8")
+    print(text, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

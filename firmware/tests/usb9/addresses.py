@@ -63,6 +63,23 @@ def done_in_50_ms(device: Device) -> None:
     assert device.sim.cycle - start < device.sim.cycles(0.050)
 
 
+@check("8.5.3.3")
+def after_a_lost_acknowledgement(device: Device) -> None:
+    """The address holds only when the device knows that the host has its status."""
+    device.to_default()
+    for old, new in ((0, 5), (5, 6)):
+        assert device.once("SETUP", 0, setup(OUT, SET_ADDRESS, new)) == "ACK"
+        assert device.lose(0) == b""
+        device.pause(5)
+        device.bus.address = new
+        assert device.once("IN", 0, toggle=1) is None
+        device.bus.address = old
+        assert device.take(0, 1) == b""
+        device.pause(2)
+        assert lives_at(device, new)
+        device.alive()
+
+
 @check("9.4.6")
 def given_up(device: Device) -> None:
     """A SET_ADDRESS whose status stage never comes leaves the address as it was."""

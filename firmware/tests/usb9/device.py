@@ -132,8 +132,9 @@ class Device:
                     if done.id == transfer:
                         return done
         self.bus.cancel(transfer)
-        for done in self.bus.completed():  # it may have ended with the last cycle
-            if done.id == transfer and done.status != "cancelled":
+        self.sim.run_until_usb(self.sim.cycles(0.001))  # a transaction on the wire goes to its end
+        for done in self.bus.completed():
+            if done.id == transfer and (done.status != "cancelled" or done.data):
                 return done
         return None
 
@@ -183,11 +184,18 @@ class Device:
 
     # -- single transactions ----------------------------------------------------------------------
 
-    def transact(self, kind: str, endpoint: int = 0, data: bytes = b"", toggle: int | None = None):
+    def transact(
+        self,
+        kind: str,
+        endpoint: int = 0,
+        data: bytes = b"",
+        toggle: int | None = None,
+        acknowledge: bool = True,
+    ):
         """One transaction that is repeated while it is NAKed; returns handshake and data."""
         end = self.sim.cycle + self.sim.cycles(CONTROL_MS / 1000)
         while True:
-            answer = self.bus.transact(kind, endpoint, data, toggle)
+            answer = self.bus.transact(kind, endpoint, data, toggle, acknowledge=acknowledge)
             if answer[0] != "NAK" or self.sim.cycle >= end:
                 return answer
             self.sim.run(100)
@@ -202,6 +210,12 @@ class Device:
         handshake, data = self.transact("IN", endpoint, toggle=toggle)
         assert handshake == "ACK", f"endpoint {endpoint:#04x}: {handshake}"
         assert self.bus.counters.wrong_toggles == wrong, f"endpoint {endpoint:#04x}: toggle"
+        return data
+
+    def lose(self, endpoint: int) -> bytes:
+        """A packet from an endpoint whose ACK gets lost; returns it."""
+        handshake, data = self.transact("IN", endpoint, acknowledge=False)
+        assert handshake == "ACK", f"endpoint {endpoint:#04x}: {handshake}"
         return data
 
     # -- descriptors ------------------------------------------------------------------------------
@@ -249,7 +263,7 @@ class Device:
             left_ms = (end - self.sim.cycle) / self.sim.frequency_hz * 1000
             done = self.finish(self.bus.submit_in(c.USB_IN, 64), left_ms)
             if done is not None:
-                assert done.status == "ok", done
+                assert done.status in ("ok", "cancelled"), done
                 self._hear(done.data)
         found = list(self._heard)
         if not keep:
@@ -275,7 +289,9 @@ class Device:
     def call(self, function: str, payload: bytes = b"", seq: int = 1) -> Frame:
         """A call and its reply."""
         self.send(Frame(c.SOF, seq, OPCODE[function], payload))
-        (reply,) = self.listen(1)
+        found = self.listen(1)
+        assert found, f"{function} is not answered"
+        (reply,) = found
         assert (reply.start, reply.seq) == (c.SOF, seq), reply
         return reply
 

@@ -125,6 +125,19 @@ def repeated_packet(device: Device) -> None:
         assert device.listen(1, limit_ms=3) == []
 
 
+@check("8.6.4")
+def lost_acknowledgements(device: Device) -> None:
+    """A packet to the host whose acknowledgement is lost comes again, and only once more."""
+    device.to_configured()
+    for number in range(5):
+        request, reply = echo(number, b"lost")
+        device.send(request)
+        for _ in range(number):
+            assert device.lose(c.USB_IN) == encode(reply)
+        assert device.take(c.USB_IN) == encode(reply)
+        assert device.once("IN", c.USB_IN) == "NAK"
+
+
 @check("8.6.2")
 def toggles_in_turn(device: Device) -> None:
     """Packets to the host carry DATA0 and DATA1 in turn, over many frames."""

@@ -135,6 +135,33 @@ def status_again(device: Device) -> None:
     device.alive()
 
 
+@check("8.6.4")
+def lost_acknowledgements(device: Device) -> None:
+    """A packet of the data stage whose acknowledgement is lost comes again, with its toggle."""
+    device.to_configured()
+    whole = device.descriptor(usb.CONFIGURATION)
+    device.once("SETUP", 0, LONG)
+    got, toggle = b"", 1
+    while len(got) < SIZE:
+        for _ in range(3):
+            lost = device.lose(0)
+        assert device.take(0, toggle) == lost
+        got, toggle = got + lost, toggle ^ 1
+    assert got == whole
+    device.alive()
+
+
+@check("8.5.3.3")
+def last_acknowledgement_lost(device: Device) -> None:
+    """The status stage of the host tells that it has the last packet, whose ACK was lost."""
+    device.to_configured()
+    device.once("SETUP", 0, SHORT)
+    assert len(device.lose(0)) == 2
+    assert device.transact("OUT", 0, b"", 1)[0] == "ACK"
+    device.alive()
+    assert device.get(GET_CONFIGURATION, length=1) == b"\1"
+
+
 @check("8.5.3")
 def data_that_were_not_announced(device: Device) -> None:
     """Data from the host in a request that has none do no harm."""

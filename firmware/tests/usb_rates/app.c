@@ -72,12 +72,12 @@ int main(void) {
 #if RATES_MARKS
         _delay_ms(1);
 #endif
-        MARKED(1, j2a_poll());
-        MARKED(2, j2a_process());
         if (sifs != 0) {
             sifs--;
             MARKED(3, j2a_send_sif(SIF, chunk, bytes));
         }
+        MARKED(1, j2a_poll());
+        MARKED(2, j2a_process());
         j2a_port_idle();
     }
 }
