@@ -51,7 +51,9 @@ _SOURCES = (
     *("simavr_shim.c", "grown.h", "interrupts.c", "interrupts.h"),
     *("adc.c", "adc.h", "board.c", "board.h", "mcu.c", "mcu.h"),
     *("usart.c", "usart.h", "wire.c", "wire.h"),
-    *("usb_device.c", "usb_device.h", "usb_endpoint.c", "usb_host.c", "usb_host.h"),
+    *("usb_device.c", "usb_device.h", "usb_registers.h", "usb_lines.c"),
+    *("usb_endpoint.c", "usb_endpoint.h", "usb_transaction.c"),
+    *("usb_host.c", "usb_host.h", "usb_schedule.c", "usb_schedule.h"),
 )
 _PACKAGES = "on Debian and Ubuntu: apt install gcc libc6-dev libsimavr-dev"
 

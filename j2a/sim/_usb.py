@@ -363,7 +363,10 @@ class UsbBus:
         return self._submit(_IN, endpoint, address, packet, None, length)
 
     def cancel(self, id: int) -> None:
-        """End a transfer with "cancelled"; nothing happens when it has ended already."""
+        """End a transfer with "cancelled"; nothing happens when it has ended already.
+
+        What it has on the wire goes to its end first, at most 52 us, and may complete it.
+        """
         with self._lock:
             self._lib.usb_host_cancel(self._host, id)
 
@@ -400,19 +403,25 @@ class UsbBus:
     def _wait(self, number: int, timeout_s: float, what: str) -> Completion:
         """Run until that transfer has ended; others that end meanwhile are kept."""
         end = self._sim.cycle + self._sim.cycles(timeout_s)
+        cancelled = False
         while True:
             with self._lock:
                 while self._lib.usb_host_completed(self._host):
                     done = self._take()
                     self._taken[done.id] = done
                 if number in self._taken:
-                    return self._taken.pop(number)
+                    done = self._taken.pop(number)
+                    if done.status == "cancelled" and cancelled:
+                        raise UsbTimeout(f"{what}: not done after {timeout_s} s", done.data)
+                    return done
                 left = end - self._sim.cycle
-                if left <= 0:
+                if left > 0:
+                    self._sim._run(left, _build.STOP_USB)
+                elif not cancelled:
+                    cancelled = True
                     self.cancel(number)
-                    data = self._wait(number, 0.0, what).data
-                    raise UsbTimeout(f"{what}: nothing but NAK for {timeout_s} s", data)
-                self._sim._run(left, _build.STOP_USB)
+                else:
+                    self._sim._run(self._sim.cycles(0.001), _build.STOP_USB)
 
     def _finish(self, number: int, timeout_s: float, what: str) -> bytes:
         done = self._wait(number, timeout_s, what)

@@ -155,7 +155,9 @@ static avr_uart_t *find_uart(avr_t *avr, char name)
     avr_uart_t *first = NULL;
     for (avr_io_t *io = avr->io_port; io; io = io->next) {
         avr_uart_t *port = (avr_uart_t *)io;
-        if (io->kind && !strcmp(io->kind, "uart") && (name ? port->name == name : !first || port->name < first->name))
+        if (!io->kind || strcmp(io->kind, "uart"))
+            continue;
+        if (name ? port->name == name : !first || port->name < first->name)
             first = port;
     }
     return first;

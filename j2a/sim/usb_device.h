@@ -97,10 +97,21 @@ usb_answer_t usb_device_token(usb_device_t *, usb_token_t, unsigned address, uns
 /* The end of that transaction; acknowledged: the host's ACK of an IN. Returns what the device answered. */
 usb_answer_t usb_device_handshake(usb_device_t *, int acknowledged);
 
-/* ---- usb_endpoint.c: the endpoints ---- */
+/* ---- usb_lines.c: clock, pull-up, interrupts, suspend ---- */
 int usb_clocked(const usb_device_t *);
+int usb_vbus_seen(const usb_device_t *);
+uint8_t usb_endpoint_interrupts(const usb_device_t *);
+/* After a change of flags or enable bits. */
 void usb_levels(usb_device_t *);
+/* After anything else that the firmware changes. */
 void usb_changed(usb_device_t *);
+void usb_raise(usb_device_t *, uint8_t event); /* a bit of UDINT */
+void usb_on_running(struct avr_irq_t *, uint32_t running, void *device); /* of an interrupt's handler */
+void usb_start_pll(usb_device_t *); /* if PLLE is set */
+void usb_rearm(usb_device_t *);     /* the timers, after the chip's reset dropped them */
+void usb_stop(usb_device_t *);      /* the timers */
+
+/* ---- usb_endpoint.c ---- */
 int usb_endpoint_count(const usb_device_t *);
 usb_endpoint_t *usb_selected(usb_device_t *); /* NULL: UENUM is out of range */
 int usb_endpoint_interrupt(const usb_endpoint_t *);

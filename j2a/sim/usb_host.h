@@ -26,7 +26,7 @@ typedef struct usb_transfer {
     unsigned packet;
     uint8_t setup[8], *data;
     uint32_t length, done;
-    int zero_packet, stage, errors, acknowledge;
+    int zero_packet, stage, errors, acknowledge, cancelled;
     int toggle;                      /* of control transfers and those by hand; -1: the host's */
     int status;
     uint64_t cycle, naks;
@@ -84,15 +84,16 @@ void usb_host_set_address(usb_host_t *, int);
 /* Endpoint address, with 0x80 for IN; -1: all. */
 void usb_host_clear_toggle(usb_host_t *, int endpoint);
 
-/* Returns the transfer's number, or -1: no memory. `data`: what OUT sends, with `length`; the rest of `options`
- * is zero_packet for OUT, or for one by hand its toggle (-1: the host's) + 256 * whether an IN is acknowledged. */
+/* Returns the transfer's number, or -1: no memory. `data`: what goes out. `options`: zero_packet of OUT; for
+ * one by hand its toggle, 255: the host's, + 256 * whether an IN is acknowledged. */
 int usb_host_submit(usb_host_t *, int kind, int endpoint, int address, unsigned packet, const uint8_t *setup,
                     const uint8_t *data, uint32_t length, int options);
+/* Ends it at once, or with its transaction that is on the wire. */
 void usb_host_cancel(usb_host_t *, int id);
 uint32_t usb_host_pending(const usb_host_t *);
 uint32_t usb_host_completed(const usb_host_t *);
-/* The oldest completion: id, status, transferred, cycle, naks. Then takes it, with `transferred` bytes of data;
- * returns whether they came in. */
+/* The oldest completion: id, status, transferred, cycle, naks. Then takes it, with `transferred` bytes of
+ * data; returns whether they came in. */
 void usb_host_look(const usb_host_t *, uint64_t *to);
 int usb_host_take(usb_host_t *, uint8_t *data);
 /* Copies the counters in the order of _build.USB_COUNTERS. */

@@ -97,6 +97,7 @@ def test_the_time_of_an_in(chip, size):
     if size == 64:
         assert chip.bus.pending == 1  # wants more
         chip.bus.cancel(1)
+        assert chip.sim.run_until_usb(FRAME)
     (done,) = chip.bus.completed()
     if size < 64:
         assert 0 <= done.cycle - began - (13 + size) * 8 * BIT < 2
@@ -306,6 +307,27 @@ def test_cancelled_in_mid_transfer(chip):
         chip.ms(0.2)
     assert last == b"other"
     assert chip.bus.completed()[0].id == other
+
+
+def test_a_transaction_on_the_wire_counts_though_its_transfer_is_cancelled(chip):
+    chip.select(1)
+    chip.send(b"data")
+    in_frame(chip)
+    number = chip.bus.submit_in(0x81, 64)
+    chip.sim.run(int(70 * BIT))  # in the midst of the packet
+    chip.bus.cancel(number)
+    assert chip.bus.completed() == []
+    assert chip.sim.run_until_usb(FRAME)
+    (done,) = chip.bus.completed()
+    assert (done.status, done.data) == ("ok", b"data")
+    sent = [chip.bus.submit_out(3, bytes([i] * 32), packet=16) for i in range(2)]
+    chip.sim.run(int(70 * BIT))
+    chip.bus.cancel(sent[0])
+    chip.ms(0.3)
+    first, *_ = chip.bus.completed()
+    assert (first.id, first.status, first.transferred) == (sent[0], "cancelled", 16)
+    chip.select(3)
+    assert [chip.take() for _ in range(2)] == [bytes(16), bytes([1] * 16)]
 
 
 @pytest.mark.parametrize(

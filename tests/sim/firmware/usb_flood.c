@@ -1,5 +1,5 @@
-/* Takes all packets of endpoint 2 without reading them, and sends 64 bytes on endpoint 1 whenever it can, both with
- * BANKS banks. It needs no enumeration: all endpoints are ready after each bus reset. */
+/* Takes all packets of endpoint 2 without reading them, and sends 64 bytes on endpoint 1 whenever it can,
+ * both with BANKS banks. It needs no enumeration: all endpoints are ready after each bus reset. */
 #include <avr/io.h>
 
 static void endpoint(uint8_t number, uint8_t kind, uint8_t size)
