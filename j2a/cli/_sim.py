@@ -1,4 +1,4 @@
-"""`j2a sim`: run firmware for an AVR in the simulator, and serve its UART.
+"""`j2a sim`: run firmware for an AVR in the simulator, and serve its UART or export its USB.
 
 In: arguments. Out: what `j2a.sim` makes of them.
 """

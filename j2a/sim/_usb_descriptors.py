@@ -15,6 +15,7 @@ from j2a_spec import usb as spec
 from j2a.sim._errors import SimError
 
 TYPE_MASK: Final = 0x03  # of bmAttributes of an endpoint
+SELF_POWERED: Final = 0x40  # of bmAttributes of a configuration
 IN: Final = 0x80  # in an endpoint's address, and in bmRequestType
 # Bits 12 and 11 of wMaxPacketSize are further transactions of a high-speed microframe.
 PACKET_MASK: Final = 0x7FF
@@ -82,6 +83,11 @@ class Descriptors:
             if configuration.fields.bConfigurationValue == value:
                 return configuration
         return None
+
+    @property
+    def self_powered(self) -> bool:
+        """Whether the device has power of its own, in its first configuration."""
+        return bool(self.configurations[0].fields.bmAttributes & SELF_POWERED)
 
     def packet(self, endpoint: int) -> int:
         """Return the largest packet of an endpoint, in bytes; 64 for one that is not described."""

@@ -3,7 +3,8 @@
 Rules: only one thread runs the simulator at a time, the one that waits for something and finds it
 not run by another, or one that does nothing else (`drive`); it takes what the others have asked for
 before each slice of simulated time, and tells each whose transfer is done. Timeouts are in
-simulated time. Simulated time passes only while a thread waits. Speed 0 is as fast as possible
+simulated time. Simulated time passes only while a thread waits. A board that takes its power from
+the bus, by its descriptor, starts anew when it is plugged in again. Speed 0 is as fast as possible
 while something moves on the bus, and real time at most while nothing does, so that a reader that
 waits costs next to nothing; any other speed is simulated seconds per second at most.
 """
@@ -314,6 +315,8 @@ class UsbHost:
         if self.error is not None:
             raise self.error
         self._unplug()
+        if self.descriptors is not None and not self.descriptors.self_powered:
+            self.sim.reset()  # it was without power
         found = self._bus.enumerate(address=address)
         self._address = address
         device = parse_device(found.device)
