@@ -182,6 +182,20 @@ MUTANTS = [
         "UEBCLX != 0",
     ),
     Mutant(
+        "what finds no room in a packet is dropped",
+        "stream.host-does-not-read",
+        PORT,
+        "} while (waits);",
+        "} while (waits && false);",
+    ),
+    Mutant(
+        "a packet is given back after its first byte",
+        "stream.packets-of-any-size",
+        PORT,
+        "(flags & _BV(RXOUTI)) && UEBCLX == 0",
+        "flags & _BV(RXOUTI)",
+    ),
+    Mutant(
         "wTotalLength is one too many",
         "contents.configuration-descriptor",
         DESCRIPTORS,

@@ -1,5 +1,6 @@
 """What the port avr-usb carries of what endpoint and cycles allow, in simulated time."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 try:
-    from usb_throughput import APP, CHIPS, TABLE, WIRE, compiler, page, rows
+    from usb_throughput import APP, CHIPS, TABLE, WIRE, page, rows
 finally:
     sys.path.remove(str(Path(__file__).parent))
 
@@ -38,9 +39,12 @@ def test_nothing_is_faster_than_it_can_be(measured):
 
 
 def test_the_table_is_of_now(measured):
-    """With the compiler that it was written with; another one gives other cycles."""
-    text = TABLE.read_text("utf-8")
-    if f"avr-gcc {compiler()};" in text:
-        assert text == page(measured, compiler()), "python firmware/tests/usb_throughput.py --write"
-    else:
-        assert text.count("\n") == page(measured, "").count("\n")
+    """Within 2 %: how packets and polls fall together depends on the cycle at which each begins."""
+    figures = [
+        (re.sub(r"\d+\.\d", "", text), [float(figure) for figure in re.findall(r"\d+\.\d", text)])
+        for text in (TABLE.read_text("utf-8"), page(measured))
+    ]
+    (words, committed), (words_now, now) = figures
+    assert words == words_now
+    assert committed == pytest.approx(now, rel=0.02), "usb_throughput.py --write renews it"
+    assert len(now) == 4 * sum(map(len, measured.values()))

@@ -20,7 +20,7 @@ from j2a_spec.oracle import Frame, decode, encode
 
 from j2a.sim import AvrSim
 
-__all__ = ["APP", "CHIPS", "TABLE", "WIRE", "Line", "Row", "compiler", "measure", "page", "rows"]
+__all__ = ["APP", "CHIPS", "TABLE", "WIRE", "Line", "Row", "measure", "page", "rows"]
 
 APP = Path(__file__).parent / "usb_rates"
 TABLE = Path(__file__).with_suffix(".md")
@@ -270,16 +270,10 @@ def table(chips: dict[str, list[Row]]) -> str:
     return "\n".join(lines)
 
 
-def page(chips: dict[str, list[Row]], compiler: str) -> str:
-    """The table as it is committed, with the version of the compiler that it holds for."""
+def page(chips: dict[str, list[Row]]) -> str:
+    """The table as it is committed."""
     command = "python firmware/tests/usb_throughput.py --write"
-    return f"<!-- avr-gcc {compiler}; written by `{command}` -->\n{table(chips)}\n"
-
-
-def compiler() -> str:
-    """The version of avr-gcc."""
-    found = subprocess.run(["avr-gcc", "-dumpversion"], capture_output=True, text=True, check=True)
-    return found.stdout.strip()
+    return f"<!-- Written by `{command}`. -->\n{table(chips)}\n"
 
 
 def main(arguments: list[str]) -> int:
@@ -299,7 +293,7 @@ def main(arguments: list[str]) -> int:
                 subprocess.run([*make, *settings, options], check=True, stdout=subprocess.DEVNULL)
                 programs.append(out / "usb_rates.elf")
             chips[mcu] = rows(*programs, mcu)
-    text = page(chips, compiler())
+    text = page(chips)
     if arguments:
         TABLE.write_text(text, "utf-8")
     print(text, end="")

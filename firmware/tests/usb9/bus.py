@@ -98,7 +98,7 @@ def unplugged_while_suspended(device: Device) -> None:
 
 @check("7.1.7.6")
 def suspended_many_times(device: Device) -> None:
-    """Suspend and resume in turn, thirty times, with traffic between."""
+    """A device outlasts suspend and resume in turn, thirty times, with traffic between."""
     device.to_configured()
     for number in range(30):
         sleep(device, 3 + number % 5)

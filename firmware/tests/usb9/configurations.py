@@ -39,7 +39,7 @@ def zero_in_address(device: Device) -> None:
 
 @check("9.4.7")
 def one(device: Device) -> None:
-    """SET_CONFIGURATION with the descriptor's value configures, and GET_CONFIGURATION tells."""
+    """SET_CONFIGURATION with the descriptor's value configures, and GET_CONFIGURATION tells it."""
     device.to_address()
     device.configure()
     is_configured(device)
@@ -69,7 +69,7 @@ def unknown_in_address(device: Device) -> None:
 
 @check("9.4.7")
 def unknown_in_configured(device: Device) -> None:
-    """The same in the Configured state, which stays, too."""
+    """Refused in the Configured state, such a value leaves the configuration as it is."""
     device.to_configured()
     device.works()
     for value in (2, 128, 255):

@@ -133,7 +133,7 @@ def unknown_types(device: Device) -> None:
 
 @check("9.6.2")
 def no_device_qualifier(device: Device) -> None:
-    """A device of full speed only refuses DEVICE_QUALIFIER and OTHER_SPEED_CONFIGURATION."""
+    """With full speed only, DEVICE_QUALIFIER and OTHER_SPEED_CONFIGURATION are refused."""
     device.to_default()
     for state in (lambda: None, lambda: device.set_address(4), device.configure):
         state()

@@ -120,7 +120,7 @@ def clear_resets_the_toggle(device: Device) -> None:
 
 @check("9.4.5")
 def clear_without_halt_resets_the_toggle(device: Device) -> None:
-    """The same where the endpoint was not halted; the other endpoint keeps its toggle."""
+    """CLEAR_FEATURE(ENDPOINT_HALT) resets the toggle of this endpoint, also of one not halted."""
     device.to_configured()
     frame = encode(Frame(c.SOF, 1, OPCODE[c.GET_ECHO], b"again"))
     reply = encode(Frame(c.SOF, 1, c.ECHO, b"again"))

@@ -75,7 +75,7 @@ def set_0(device: Device) -> None:
 
 @check("9.4.4")
 def not_in_address(device: Device) -> None:
-    """In the Address state both are refused."""
+    """In the Address state GET_INTERFACE and SET_INTERFACE are refused."""
     device.to_address()
     for number in range(3):
         device.refuses(IN | INTERFACE, GET_INTERFACE, 0, number, 1)
