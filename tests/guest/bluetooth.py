@@ -17,7 +17,9 @@ from pathlib import Path
 from j2a_transports import _btsocket
 
 HCIDEVUP, HCIDEVDOWN, HCIDEVRESET, HCISETSCAN = 0x400448C9, 0x400448CA, 0x400448CB, 0x400448DD
+HCIGETDEVINFO = 0x800448D3
 PAGE_AND_INQUIRY_SCAN = 3
+PAGE_SCAN_FLAG = 1 << 3
 PATIENCE_S = 60.0
 
 
@@ -63,6 +65,14 @@ def down(index: int) -> None:
     control(HCIDEVDOWN, index)
 
 
+def answers(index: int) -> bool:
+    """Whether a controller answers those that want to connect."""
+    info = bytearray(struct.pack("=H", index) + bytes(254))
+    with socket.socket(31, socket.SOCK_RAW, 1) as sock:
+        fcntl.ioctl(sock, HCIGETDEVINFO, info)
+    return bool(struct.unpack_from("=I", info, 16)[0] & PAGE_SCAN_FLAG)
+
+
 @contextlib.contextmanager
 def controllers() -> Iterator[list[str]]:
     """Make two controllers, hci0 and hci1, both up; yields their addresses."""
@@ -85,5 +95,8 @@ def bluez() -> Iterator[None]:
         until(lambda: Path("/run/dbus/system_bus_socket").exists(), "the message bus")
         stack.enter_context(program("/usr/libexec/bluetooth/bluetoothd", "--nodetach", "--compat"))
         until(lambda: Path("/run/sdp").exists(), "bluetoothd")
-        until(lambda: all(one.up for one in _btsocket.adapters()), "controllers up")
+        # At its start BlueZ takes that away, as the last thing that it does to a controller.
+        until(lambda: not answers(0) and not answers(1), "controllers in the hands of BlueZ")
+        for index in (0, 1):
+            up(index)
         yield

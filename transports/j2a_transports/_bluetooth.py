@@ -254,6 +254,11 @@ class _Client:
                     return sock.recv(_sdp.PACKET)
 
                 services = _sdp.serial_services(exchange)
+        except ConnectionRefusedError as error:
+            raise OpenFailed(
+                f"{self._url.text}: the device tells no services; give the channel, often 1: "
+                f"bt://{self._address}/1"
+            ) from error
         except OSError as error:
             raise self.failure(error, "its service discovery") from error
         except _sdp.SdpError as error:
@@ -310,7 +315,9 @@ class _Client:
 _SUPPORT: Final = (
     "this kernel has no Bluetooth: `modprobe rfcomm`; a container needs the network of its host"
 )
-_BE_THERE: Final = "is it switched on, near, and not connected to somebody else?"
+_BE_THERE: Final = (
+    "is it switched on, near, and free, and does it not wait for somebody to confirm a pairing?"
+)
 
 
 def _check_support(url: Url) -> None:

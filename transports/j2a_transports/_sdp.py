@@ -243,7 +243,8 @@ def _channel(protocols: Any) -> int | None:
         return None
     if protocols[:1] == [_RFCOMM_UUID] and len(protocols) > 1:
         channel = protocols[1]
-        return channel if isinstance(channel, int) and 1 <= channel <= 30 else None
+        # A truth value is an int, too.
+        return channel if type(channel) is int and 1 <= channel <= 30 else None
     for protocol in protocols:
         if (channel := _channel(protocol)) is not None:
             return channel
