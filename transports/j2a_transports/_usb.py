@@ -12,14 +12,13 @@ from __future__ import annotations
 import atexit
 import contextlib
 import errno
+import os
 import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from . import _usb_find
 from ._base import (
     DEFAULT_WRITE_TIMEOUT_S,
     LinkClosed,
@@ -33,18 +32,8 @@ from ._loopback import Channel
 from ._url import Converter, Url, integer, number, text
 from ._usb_address import Address
 from ._usb_async import LIMIT, AsyncPipes
-from ._usb_find import (
-    UDEV_ADVICE,
-    WINUSB_ADVICE,
-    Found,
-    Pair,
-    is_libusb,
-    is_open,
-    libusb,
-    link_interfaces,
-    link_interfaces_of,
-    scan,
-)
+from ._usb_claim import claim, claim_shown, clear_halt, dispose, explained
+from ._usb_find import Found, Pair, is_open, libusb, scan
 from ._usb_libusb import asynchronous
 from ._usb_pipes import BlockingPipes, Ended, Pipes, Stuck
 
@@ -59,16 +48,6 @@ OPTIONS: Final[dict[str, Converter]] = {
     "wait": number(0, 3600),
 }
 
-_BUSY: Final = "another program uses it; close that program"
-_GONE: Final = "it went away while it was opened; is it plugged in well?"
-_ADVICE: Final = {
-    errno.EACCES: UDEV_ADVICE,
-    errno.EPERM: UDEV_ADVICE,
-    errno.EBUSY: _BUSY,
-    errno.ENODEV: _GONE,
-    errno.ENOENT: _GONE,
-    errno.ESHUTDOWN: _GONE,
-}
 _NONE: Final = (
     "no J2A board is on the USB; is it plugged in, by a cable that carries data, and does its "
     "firmware run? `lsusb` shows all devices. Where it is shown, but may not be opened: "
@@ -78,6 +57,9 @@ _NONE: Final = (
 # What could not be given back; it holds the devices, which pyusb would close otherwise.
 _stranded: Final[list[contextlib.ExitStack]] = []
 _open: Final[weakref.WeakSet[UsbTransport]] = weakref.WeakSet()
+if hasattr(os, "register_at_fork"):
+    # The transfers stay the parent's: a child that ends must not cancel them.
+    os.register_at_fork(after_in_child=_open.clear)
 
 
 class UsbTransport(Transport):
@@ -108,7 +90,7 @@ class UsbTransport(Transport):
         self._ended = False
         self._pipes: Pipes
         api = asynchronous(device) if transfers > 1 else None
-        ours = _claim_shown(device, pair)
+        ours = claim_shown(device, pair)
         if api is None:
             self._incoming = Channel(LIMIT)
             self._pipes = BlockingPipes(
@@ -233,10 +215,7 @@ def open_url(url: Url) -> Transport:
 
 def _find(url: str, address: Address, interface: int | None) -> Found:
     """Return the only board that fits."""
-    try:
-        found = scan(libusb(url), interface)
-    except (OSError, NotImplementedError) as error:
-        raise OpenFailed(f"{url}: the USB cannot be looked at: {error}") from error
+    found = scan(libusb(url), interface)
     fits = [each for each in found if address.fits(each.board)]
     if len(fits) == 1:
         return fits[0]
@@ -275,115 +254,17 @@ def open_usb_device(
         OpenFailed: there is no such interface, or it cannot be had; the message says what to do.
     """
     url = url or f"usb://{device.bus or 0:03}:{device.address or 0:03}"
-    with contextlib.ExitStack() as undo, _explained(url):
+    with contextlib.ExitStack() as undo, explained(url):
         if not is_open(device):
-            undo.callback(_dispose, device)
-        pair = _claim(url, device, interface, undo)
+            undo.callback(dispose, device)
+        pair = claim(url, device, interface, undo)
         for endpoint in (pair.incoming, pair.outgoing):
-            _clear_halt(device, endpoint.bEndpointAddress)
+            clear_halt(device, endpoint.bEndpointAddress)
         transport = UsbTransport(
             url, device, pair, transfers=transfers, write_timeout_s=write_timeout_s
         )
         transport.undo = undo.pop_all()
         return transport
-
-
-@contextlib.contextmanager
-def _explained(url: str) -> Iterator[None]:
-    try:
-        yield
-    except NotImplementedError as error:
-        advice = WINUSB_ADVICE if sys.platform == "win32" else f"its driver cannot do that: {error}"
-        raise OpenFailed(f"{url}: {advice}") from error
-    except OSError as error:
-        advice = _ADVICE.get(error.errno or 0, f"{error}; plug it in again")
-        raise OpenFailed(f"{url}: {advice}") from error
-
-
-def _claim(url: str, device: Any, interface: int | None, undo: contextlib.ExitStack) -> Pair:
-    """Configure the device where it is not, and take the interface."""
-    import usb.util  # noqa: PLC0415 - an extra; the device comes from it
-
-    configuration = _active(device)
-    pairs = link_interfaces_of(configuration, interface) if configuration is not None else []
-    if not pairs:
-        pairs = link_interfaces(device, interface)
-        if not pairs:
-            which = "of class FF/12/EF" if interface is None else str(interface)
-            raise OpenFailed(
-                f"{url}: the device has no interface {which} with an endpoint in each direction"
-            )
-        device.set_configuration(device[pairs[0].interface.configuration])
-    pair = pairs[0]
-    claimed = pair.interface.bInterfaceNumber
-    with contextlib.suppress(NotImplementedError):
-        # Only Linux and macOS have drivers to detach.
-        if device.is_kernel_driver_active(claimed):
-            device.detach_kernel_driver(claimed)
-            undo.callback(_attach, device, claimed)
-    usb.util.claim_interface(device, claimed)
-    undo.callback(_release, device, claimed)
-    if pair.interface.bAlternateSetting:
-        device.set_interface_altsetting(claimed, pair.interface.bAlternateSetting)
-    return pair
-
-
-def _active(device: Any) -> Any:
-    """Return the active configuration, None when the device has none."""
-    import usb.core  # noqa: PLC0415 - an extra; the device comes from it
-
-    try:
-        return device.get_active_configuration()
-    except usb.core.USBError as error:
-        # pyusb's own error for it has no number; those of the system have.
-        if error.errno is not None:
-            raise
-        return None
-
-
-def _claim_shown(device: Any, pair: Pair) -> Callable[[], bool]:
-    """Return what tells whether the interface is still claimed; it is where nothing shows it."""
-    driver = None
-    if is_libusb(device.backend) and device.port_numbers:
-        ports = ".".join(map(str, device.port_numbers))
-        configuration = device[pair.interface.configuration].bConfigurationValue
-        name = f"{device.bus}-{ports}:{configuration}.{pair.interface.bInterfaceNumber}"
-        driver = _usb_find.SYSFS / name / "driver"
-    if driver is None or not driver.exists():
-        return lambda: True
-    return driver.exists
-
-
-def _clear_halt(device: Any, endpoint: int) -> None:
-    """Make both sides start with the same data toggle."""
-    try:
-        device.clear_halt(endpoint)
-    except NotImplementedError:
-        pass
-    except OSError as error:
-        # A device that does not know this request has no halts, and begins anew when claimed.
-        if error.errno != errno.EPIPE:
-            raise
-
-
-def _release(device: Any, interface: int) -> None:
-    import usb.util  # noqa: PLC0415 - an extra; the device comes from it
-
-    # A device that is gone refuses this and the next.
-    with contextlib.suppress(OSError, NotImplementedError):
-        usb.util.release_interface(device, interface)
-
-
-def _attach(device: Any, interface: int) -> None:
-    with contextlib.suppress(OSError, NotImplementedError):
-        device.attach_kernel_driver(interface)
-
-
-def _dispose(device: Any) -> None:
-    import usb.util  # noqa: PLC0415 - an extra; the device comes from it
-
-    with contextlib.suppress(OSError, NotImplementedError):
-        usb.util.dispose_resources(device)
 
 
 def _reason(error: Exception | None) -> str:

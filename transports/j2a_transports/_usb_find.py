@@ -143,12 +143,19 @@ def is_libusb(backend: Any) -> bool:
 
 
 def scan(backend: Any, interface: int | None = None) -> list[Found]:
-    """Return all boards; with `interface` all devices that have a pair of endpoints there."""
-    found = [
-        Found(describe(device, pair.interface, backend), device)
-        for device in devices(backend)
-        for pair in link_interfaces(device, interface)
-    ]
+    """Return all boards; with `interface` all devices that have a pair of endpoints there.
+
+    Raises:
+        OpenFailed: the backend cannot list the devices.
+    """
+    try:
+        found = [
+            Found(describe(device, pair.interface, backend), device)
+            for device in devices(backend)
+            for pair in link_interfaces(device, interface)
+        ]
+    except (OSError, NotImplementedError) as error:
+        raise OpenFailed(f"usb: the devices cannot be listed: {error}") from error
     found.sort(key=lambda each: (each.board.bus, each.board.address, each.board.interface))
     names = stable_names([each.board for each in found])
     if interface is not None:

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
-from ._base import LinkClosed
+from ._base import LinkClosed, OpenFailed
 from ._usb_find import UsbBoard, libusb, scan
 
 POLL_S: Final = 1.0
@@ -138,7 +138,7 @@ class UsbWatch:
         now = time.monotonic()
         try:
             found = [each.board for each in scan(self._backend)]
-        except (OSError, NotImplementedError):
+        except OpenFailed:
             # A moment in which devices come and go; the next look will tell.
             return
         there = {_key(board): board for board in found}

@@ -19,7 +19,8 @@ import usb.core
 import usb.util
 from j2a_transports import LinkClosed, LinkLost, OpenFailed, Transport
 
-from .fake_usb import FakeBackend, FakeDevice, board, endpoint, give_libusb, interface, usb_error
+from .fake_libusb import give_libusb
+from .fake_usb import FakeBackend, FakeDevice, board, endpoint, interface, usb_error
 from .suite import MEGABYTE, SETTLE_S, Background
 
 Open = Callable[..., Transport]
@@ -191,8 +192,8 @@ def test_unplugging_ends_blocked_calls_at_once(open_fake: Open, number: int) -> 
 def test_a_reset_by_another_program_is_a_lost_link(
     open_fake: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("j2a_transports._usb.is_libusb", lambda backend: True)
-    monkeypatch.setattr("j2a_transports._usb_find.SYSFS", tmp_path)
+    monkeypatch.setattr("j2a_transports._usb_claim.is_libusb", lambda backend: True)
+    monkeypatch.setattr("j2a_transports._usb_claim.SYSFS", tmp_path)
     driver = tmp_path / "1-2.3:1.0" / "driver"
     for writing in (False, True):
         driver.mkdir(parents=True, exist_ok=True)
@@ -301,3 +302,33 @@ def test_a_program_that_closes_nothing_ends_in_silence() -> None:
         env={**os.environ, "PYTHONPATH": str(root)},
     )
     assert (result.returncode, result.stdout, result.stderr) == (0, "end\n", "")
+
+
+FORKING = """
+import os, sys, usb.core, j2a_transports
+import transports.tests.fake_usb as fake
+board = fake.board()
+(found,) = usb.core.find(find_all=True, backend=fake.FakeBackend(board))
+near = j2a_transports.open_usb_device(found)
+child = os.fork()
+if child == 0:
+    sys.exit(bool(near.closed))
+assert os.waitpid(child, 0)[1] == 0
+board.end().write(b"still the parent's")
+print(near.read(None).decode())
+near.close()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_child_process_leaves_the_link_to_its_parent() -> None:
+    root = Path(__file__).parents[2]
+    result = subprocess.run(
+        [sys.executable, "-c", FORKING],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        env={**os.environ, "PYTHONPATH": str(root)},
+    )
+    assert (result.returncode, result.stdout) == (0, "still the parent's\n"), result.stderr

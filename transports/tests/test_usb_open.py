@@ -131,6 +131,19 @@ def test_devices_that_go_or_fail_meanwhile_do_not_disturb() -> None:
     assert [each.serial for each in found] == ["B2"]
 
 
+def test_a_backend_that_lists_nothing_is_an_error_of_ours(
+    bus: FakeBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> Any:
+        raise usb_error(errno.EIO)
+
+    monkeypatch.setattr(bus, "enumerate_devices", fail)
+    with pytest.raises(OpenFailed, match="cannot be listed"):
+        usb_boards(bus)
+    with pytest.raises(OpenFailed, match="cannot be listed"):
+        j2a_transports.open("usb://")
+
+
 def test_names_are_stable_and_different() -> None:
     assert names(board(serial="A1"), board(serial="B2", address=5)) == ["usb://A1", "usb://B2"]
     assert names(board(serial=None)) == ["usb://1-2.3"]

@@ -15,16 +15,8 @@ from j2a_transports import LinkLost, Transport, WriteTimeout
 from j2a_transports._usb import UsbTransport
 from j2a_transports._usb_async import LIMIT
 
-from .fake_usb import (
-    ROOM,
-    DeviceEnd,
-    FakeBackend,
-    FakeDevice,
-    FakeLibusb,
-    board,
-    give_libusb,
-    usb_error,
-)
+from .fake_libusb import FakeLibusb, give_libusb
+from .fake_usb import ROOM, DeviceEnd, FakeBackend, FakeDevice, board, usb_error
 from .suite import PATIENCE_S, SETTLE_S, Background, read_exactly
 
 
