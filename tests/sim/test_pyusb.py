@@ -1,6 +1,7 @@
 """pyusb on simulated boards: its own API, the errors of libusb, several threads and boards."""
 
 import errno
+import sys
 import threading
 import time
 
@@ -8,6 +9,7 @@ import pytest
 import usb.core
 import usb.util
 
+import j2a.sim
 from j2a.sim import SimBackend, SimError
 
 pytestmark = pytest.mark.avr
@@ -275,6 +277,14 @@ def test_two_boards_and_one_that_stalls(usb_board):
     while got < 640:
         got += len(slow.read(0x81, 64))
     assert held.join().result == 640
+
+
+def test_without_pyusb(monkeypatch):
+    monkeypatch.setitem(sys.modules, "j2a.sim._pyusb", None)
+    with pytest.raises(ImportError, match=r"pip install j2a\[usb\]"):
+        j2a.sim.SimBackend  # noqa: B018 - getting it is what fails
+    with pytest.raises(AttributeError, match="nothing_like_it"):
+        j2a.sim.nothing_like_it  # noqa: B018
 
 
 def test_bad_arguments(usb_board, sim, backend):

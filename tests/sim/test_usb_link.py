@@ -1,12 +1,16 @@
 """The transport over the chip's USB, in simulated time."""
 
+import contextlib
 import threading
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from j2a_transports import BadUrl, LinkClosed, LinkLost, OpenFailed, Url
 
 from j2a.sim import SimError, UsbLink
 from j2a.sim._link import open_url
+from j2a.sim._usb import UsbBus
 from j2a.sim._usb_descriptors import parse_configuration, parse_device
 from j2a.sim._usb_link import find_endpoints
 
@@ -44,6 +48,21 @@ def test_echo(link, size):
         assert read_all(link, size) == data
     assert link.read(0.01) == b""
     assert link.sim.usb.counters.wrong_toggles == 0
+
+
+@pytest.mark.requirement("USB-012")
+def test_halts_are_cleared_before_anything_else(usb_board, monkeypatch):
+    requests = []
+    control = UsbBus.control
+
+    def noted(bus, *request):
+        requests.append(request[:4])
+        return control(bus, *request)
+
+    monkeypatch.setattr(UsbBus, "control", noted)
+    link = UsbLink(usb_board())
+    assert requests[-2:] == [(0x02, 1, 0, 0x81), (0x02, 1, 0, 0x02)]
+    assert link.sim.usb.counters.bytes_out == 0
 
 
 def test_an_empty_write_is_nothing(link):
@@ -228,6 +247,12 @@ def test_endpoints_are_what_the_descriptors_say():
 def test_damaged_descriptors(data, says):
     with pytest.raises(SimError, match=says):
         find_endpoints(parse_configuration(data))
+
+
+@given(st.lists(st.sampled_from([HEAD, BOARD, OTHER, TO_HOST, TO_BOARD]) | st.binary(max_size=9)))
+def test_whatever_a_device_says_of_itself(parts):
+    with contextlib.suppress(SimError):
+        find_endpoints(parse_configuration(b"".join(parts)))
 
 
 def test_no_device_descriptor():

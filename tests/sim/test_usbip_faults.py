@@ -1,6 +1,5 @@
 """What a client of the USB/IP server may send: nothing of it harms the next client."""
 
-import contextlib
 import socket
 import struct
 
@@ -8,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.sim.usbip_client import WAIT_S
+from tests.sim.usbip_client import say_last
 
 pytestmark = pytest.mark.avr
 
@@ -21,12 +20,7 @@ pytestmark = pytest.mark.avr
 @given(st.binary(min_size=1, max_size=200))
 def test_nonsense_instead_of_a_request(served, data):
     with socket.create_connection(("127.0.0.1", served.port)) as connection:
-        connection.sendall(data)
-        connection.shutdown(socket.SHUT_WR)
-        connection.settimeout(WAIT_S)
-        with contextlib.suppress(ConnectionError):
-            while connection.recv(4096):
-                pass
+        say_last(connection, data)
     with served.attach() as client:
         assert client.control(0x80, 8, 0, 0, 1) == (0, b"\1")
 
@@ -51,11 +45,7 @@ def test_nonsense_as_a_command(served, command, fields, knows_devid, rest):
         if knows_devid:
             fields[1] = client.devid
         message = struct.pack(">9I", command, *fields) + rest
-        with contextlib.suppress(ConnectionError):
-            client.socket.sendall(message)
-            client.socket.shutdown(socket.SHUT_WR)
-            while client.socket.recv(4096):
-                pass
+        say_last(client.socket, message)
     with served.attach() as client:
         assert client.control(0x00, 9, 1) == (0, 0)
         assert client.transfer(2, b"x") == (0, 1)

@@ -1,5 +1,6 @@
 """A USB/IP client for tests, with layouts of its own, and a server in a thread."""
 
+import socket
 import struct
 import threading
 import time
@@ -17,6 +18,20 @@ _SUBMIT = struct.Struct(">5I I4i 8s")
 _UNLINK = struct.Struct(">5I I24x")
 _RESULT = struct.Struct(">5I 5i 8x")
 RET_SUBMIT, RET_UNLINK = 3, 4
+
+
+def say_last(connection, data):
+    """Send what the server may not like, and wait until it has closed the connection."""
+    connection.settimeout(WAIT_S)
+    try:
+        connection.sendall(data)
+        connection.shutdown(socket.SHUT_WR)
+        while connection.recv(4096):
+            pass
+    except TimeoutError:
+        raise AssertionError("the server does not close the connection") from None
+    except OSError:  # it was closed before all was said
+        pass
 
 
 class Client:
