@@ -21,6 +21,7 @@ Converter = Callable[[str], Any]
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):(.*)", re.DOTALL)
 _HOST_PORT = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}")
 _WINDOWS_PORT = re.compile(r"(\\\\\.\\)?COM[0-9]+", re.IGNORECASE)
+_BLUETOOTH_ADDRESS = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}(/[0-9]*)?")
 _PYSERIAL_SCHEMES = frozenset({"loop", "socket", "rfc2217", "spy", "alt", "hwgrep", "cp2110"})
 
 
@@ -161,6 +162,8 @@ def _suggest(text: str) -> str | None:
         return f"serial:{text}"
     if _HOST_PORT.fullmatch(text):
         return f"tcp://{text}"
+    if _BLUETOOTH_ADDRESS.fullmatch(text):
+        return f"bt://{text}"
     if text.startswith("/dev/"):
         return f"serial://{text}"
     if text.startswith(("/", "./", "../")) or re.match(r"[A-Za-z]:[\\/]", text):

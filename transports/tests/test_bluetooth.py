@@ -97,6 +97,11 @@ class TestUrls:
         with pytest.raises(BadUrl, match="for example bt://00:1A:7D:DA:71:13/1; `bluetoothctl dev"):
             j2a_transports.open(f"bt:{place}")
 
+    @pytest.mark.parametrize("text", [ADDRESS, f"{ADDRESS}/1", "AA:BB:CC:DD:EE:FF"])
+    def test_an_address_alone_gets_the_url_that_was_meant(self, text: str) -> None:
+        with pytest.raises(BadUrl, match=rf"did you mean bt://{text} \?"):
+            j2a_transports.open(text)
+
     @pytest.mark.parametrize("place", ["//host/1", "//hci0/31", "hci0:1", "//5", f"//{ADDRESS}/x"])
     def test_a_wrong_place_to_listen_gets_an_example(self, place: str) -> None:
         with pytest.raises(BadUrl, match="expected bt: for any adapter and channel, or"):
