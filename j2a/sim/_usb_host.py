@@ -272,10 +272,13 @@ class UsbHost:
         return self._bus.submit_out(endpoint, transfer.data, packet=packet, zero_packet=zero)
 
     def _give_up(self, transfers: list[Transfer], fate: str) -> None:
-        """Cancel transfers that are still under way; what they have brought so far is kept."""
+        """Cancel transfers that are under way; what they have brought so far is kept.
+
+        One whose packet is on the wire ends after that packet.
+        """
         for transfer in transfers:
             if self._pending.get(transfer.number) is transfer:
-                transfer.fate = fate
+                transfer.fate, transfer.deadline = fate, float("inf")
                 self._bus.cancel(transfer.number)
         self._take_completed()
 
@@ -364,7 +367,7 @@ class UsbHost:
 
     def _end_all(self, fate: str) -> None:
         self._give_up(list(self._pending.values()), fate)
-        while self._pending:  # what the bus has forgotten
+        while self._pending:  # whose packet is on the wire, and gets lost
             self._finish(self._pending.popitem()[1], fate)
 
     # -- pace ---------------------------------------------------------------------------------

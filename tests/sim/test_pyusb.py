@@ -1,5 +1,6 @@
 """pyusb on simulated boards: its own API, the errors of libusb, several threads and boards."""
 
+import contextlib
 import errno
 import sys
 import threading
@@ -123,6 +124,29 @@ def test_what_came_before_a_timeout_is_returned(device, sim):
     fails(errno.ETIMEDOUT, device.write, 0x02, bytes(640), 50)
     device.ctrl_transfer(0x40, HOLD, 0)
     assert [len(device.read(0x81, 64)) for _ in range(2)] == [64, 64]
+    assert sim.usb.counters.wrong_toggles == 0
+
+
+def test_no_byte_is_lost_to_a_timeout(device, sim):
+    """Timeouts as short as they can be, so that many come while a packet is on the wire."""
+    data = bytes(i * 5 & 0xFF for i in range(20_000))
+
+    def write():
+        at = 0
+        while at < len(data):
+            with contextlib.suppress(usb.core.USBTimeoutError):
+                at += device.write(0x02, data[at : at + 1000], 1)
+
+    writing = Call(write)
+    got, cut = b"", 0
+    while len(got) < len(data):
+        with contextlib.suppress(usb.core.USBTimeoutError):
+            part = bytes(device.read(0x81, 640, 1))
+            got += part
+            cut += len(part) % 64 == 0 and len(part) < 640
+    writing.join()
+    assert got == data
+    assert cut, "no read ended by its timeout"
     assert sim.usb.counters.wrong_toggles == 0
 
 
