@@ -42,7 +42,7 @@ from ._registry import listen, open, schemes
 from ._url import Url
 
 if TYPE_CHECKING:
-    from ._gadget import UsbGadget as UsbGadget
+    from ._gadget import UsbGadget
     from ._usb import open_usb_device
     from ._usb_find import UsbBoard, usb_boards
     from ._usb_watch import UsbArrived, UsbLeft, UsbWatch, watch_usb
@@ -89,6 +89,10 @@ def __getattr__(name: str) -> Any:
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_LATER[name], __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LATER})
 
 
 def pair() -> tuple[Transport, Transport]:

@@ -147,6 +147,12 @@ def test_importing_the_package_loads_no_driver() -> None:
     ]
 
 
+def test_every_public_name_is_there_and_listed() -> None:
+    listed = dir(j2a_transports)
+    assert all(hasattr(j2a_transports, name) and name in listed for name in j2a_transports.__all__)
+    assert not hasattr(j2a_transports, "nothing")
+
+
 def test_a_missing_pyserial_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(MissingExtra, match=r"pip install j2a\[serial\]"):
