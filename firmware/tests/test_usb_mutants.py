@@ -59,8 +59,8 @@ MUTANTS = [
         "a request error is not shown",
         "refusals.until-the-next-setup",
         CONTROL,
-        "_BV(EPEN) | _BV(STALLRQ); /*",
-        "_BV(EPEN); /*",
+        "UECONX = _BV(EPEN) | _BV(STALLRQ);",
+        "UECONX = _BV(EPEN);",
     ),
     Mutant(
         "the new address holds at once",
