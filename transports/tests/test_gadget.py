@@ -160,7 +160,7 @@ class TestSessions:
         # As another program does it, through configfs.
         kernel.write(next((kernel.config / "usb_gadget").iterdir()) / "UDC", "\n")
         for task in tasks:
-            with pytest.raises(LinkLost, match="left the bus"):
+            with pytest.raises(LinkLost):
                 task.result()
         assert gadget.accept(0) is None
 

@@ -1,0 +1,32 @@
+"""A gadget on the kernel's USB: what inside_gadget.py asks, in the guest."""
+
+import importlib.util
+import sys
+
+import pytest
+
+from .conftest import ROOT
+
+pytestmark = pytest.mark.guest
+INSIDE = ["python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/guest/inside_gadget.py"]
+SUITE = "TestUsb"
+
+
+def dummy_hcd() -> str:
+    """Return the file of the module that the guest has loaded, to load it anew."""
+    path = ROOT / "tools/guest_kernel.py"
+    spec = importlib.util.spec_from_file_location("guest_kernel", path)
+    assert spec and spec.loader
+    module = sys.modules.setdefault("guest_kernel", importlib.util.module_from_spec(spec))
+    spec.loader.exec_module(module)
+    return str(module.kernel(module.cache_folder()) / "dummy_hcd.ko")
+
+
+@pytest.mark.parametrize("end", ["near", "far"])
+def test_the_suite_of_the_transports(guest, end):
+    assert " passed" in guest(*INSIDE, "-k", f"{SUITE} and {end}").stdout
+
+
+def test_what_the_bus_says(guest):
+    command = ["env", f"J2A_DUMMY_HCD={dummy_hcd()}", *INSIDE, "-k", f"not {SUITE}"]
+    assert " passed" in guest(*command).stdout
