@@ -1,7 +1,7 @@
 /* Control transfers at endpoint 0, see usb.h. In: the interrupt USB_COM. Out: the answers of usb_answer() in
  * packets, the status of a transfer, or a stall.
- * Rule: no packet is waited for, each comes with an interrupt; so an aborted transfer is nothing but the
- * next SETUP. */
+ * Rule: an interrupt deals with one packet, and waits for none; so it is short, and an aborted transfer is
+ * nothing but the next SETUP. */
 #include <avr/interrupt.h>
 #include <avr/pgmspace.h>
 
@@ -24,22 +24,30 @@ static void send_packet(void) {
     UEINTX = (uint8_t)~_BV(TXINI);
 }
 
+/* A SETUP may come while another one is being read, and takes its place then. All is read that there is, around a
+ * ring of 8 bytes, and so the last 8 are the one that counts. */
 static void take_setup(void) {
     static usb_setup setup;
+    static uint8_t ring[sizeof setup];
     uint8_t *to = (uint8_t *)&setup;
+    uint8_t next = 0;
     uint8_t i;
 
-    for (i = sizeof setup; i != 0; i--)
-        *to++ = UEDATX;
+    do
+        ring[next++ % sizeof ring] = UEDATX;
+    while (UEBCLX != 0);
     UEINTX = (uint8_t)~(_BV(RXSTPI) | _BV(RXOUTI));
-    UECONX = _BV(EPEN) | _BV(STALLRQC); /* meant for the last one, if that was refused just now */
+    UECONX = _BV(EPEN) | _BV(STALLRQC); /* which may have been meant for the one before */
+    for (i = sizeof setup; i != 0; i--)
+        *to++ = ring[next++ % sizeof ring];
     usb_new_address = 0;
     sent = 0;
     size = usb_answer(&setup, &source);
     UENUM = 0;
     if (size == USB_STALL) {
         UEIENX = _BV(RXSTPE);
-        UECONX = _BV(EPEN) | _BV(STALLRQ); /* until the next SETUP */
+        if (!(UEINTX & _BV(RXSTPI))) /* or it would meet the next one, which is there already */
+            UECONX = _BV(EPEN) | _BV(STALLRQ);
         return;
     }
     ends_short = true;
@@ -51,7 +59,7 @@ static void take_setup(void) {
     UEIENX = _BV(RXSTPE) | _BV(RXOUTE) | _BV(TXINE);
 }
 
-/* The host has taken a packet. */
+/* There is room for a packet, because the host has taken the last one, or asks for the first. */
 static void packet_taken(void) {
     if (sending) {
         send_packet();
@@ -69,15 +77,14 @@ static void packet_taken(void) {
 ISR(USB_COM_vect) {
     uint8_t flags;
     UENUM = 0;
-    while ((flags = UEINTX & UEIENX) != 0) { /* an answer's first packet may be sent at once */
-        if (flags & _BV(RXSTPI)) {
-            take_setup();
-        } else if (flags & _BV(RXOUTI)) { /* the status stage, perhaps before all was taken */
-            UEINTX = (uint8_t)~_BV(RXOUTI);
-            UEIENX = _BV(RXSTPE);
-        } else {
-            packet_taken();
-        }
+    flags = UEINTX & UEIENX;
+    if (flags & _BV(RXSTPI)) {
+        take_setup();
+    } else if (flags & _BV(RXOUTI)) { /* the status stage, perhaps before all was taken */
+        UEINTX = (uint8_t)~_BV(RXOUTI);
+        UEIENX = _BV(RXSTPE);
+    } else if (flags & _BV(TXINI)) {
+        packet_taken();
     }
 }
 
