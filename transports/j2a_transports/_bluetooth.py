@@ -401,5 +401,5 @@ def _reason(error: OSError | None) -> str:
     if number in _ABSENT:
         return "the device does not answer any more: out of range, or switched off"
     if number in _NO_ADAPTER | _numbers("ECONNABORTED"):
-        return "the adapter of this machine was switched off or reset"
+        return "this machine has disconnected: its adapter was switched off, or by `bluetoothctl`"
     return error.strerror or str(error)

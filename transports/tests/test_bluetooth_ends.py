@@ -196,8 +196,8 @@ class TestEnds:
             (errno.ECONNRESET, "lost: the device closed it"),
             (errno.ETIMEDOUT, "lost: the device does not answer any more: out of range"),
             (errno.EHOSTDOWN, "lost: the device does not answer any more: out of range"),
-            (errno.ECONNABORTED, "lost: the adapter of this machine was switched off or reset"),
-            (errno.ENETDOWN, "lost: the adapter of this machine was switched off or reset"),
+            (errno.ECONNABORTED, "lost: this machine has disconnected: its adapter was switched off"),
+            (errno.ENETDOWN, "lost: this machine has disconnected: its adapter was switched off"),
             (errno.EIO, "lost: Input/output error"),
         ],
     )
