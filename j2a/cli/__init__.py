@@ -42,7 +42,7 @@ _COMMANDS: Final = {
     "watch": "print the frames that a device sends unasked (SIFs)",
     "debug": "print the debug text of a device",
     "serve": "be a device: the demo, or one written in Python",
-    "sim": "run firmware for an AVR in the simulator",
+    "sim": "run firmware for an AVR in the simulator, by its UART or USB",
 }
 _URLS: Final = """\
 a device is named by its URL:
