@@ -1,4 +1,4 @@
-"""Byte streams that carry J2A: serial ports, TCP, child processes, pseudo terminals, memory.
+"""Byte streams that carry J2A: USB, serial ports, Bluetooth, TCP, processes, terminals, memory.
 
 `open(url)` gives a `Transport`, `listen(url)` a `Listener`, `pair()` two transports joined in
 memory. Importing this package loads no driver; a driver is loaded when its scheme is first used.
@@ -9,6 +9,8 @@ URL                                            what it is
 ``serial:///dev/ttyACM0?baud=115200``          a serial port (also ``serial:COM3``)
 ``serial:rfc2217://host:2217``                 anything that pyserial opens
 ``usb://``, ``usb://SERIAL``, ``usb://1-2.3``   a J2A board on the USB
+``gadget:`` (listen only)                      this computer as a board on the USB of another
+``bt://00:11:22:33:44:55``                     RFCOMM of Bluetooth; also a listener
 ``tcp://127.0.0.1:5000``                       a TCP connection; also a listener
 ``exec:./fw --flag``                           a child process, by pipes to its stdin and stdout
 ``pty:./fw``                                   a child process on a pseudo terminal

@@ -35,6 +35,7 @@ class Pipe:
         self.packet = descriptor.wMaxPacketSize
         self.packets: deque[bytes] = deque()
         self.halted = False
+        self.failing = 0
         # All packets that ever came through, for what a test asserts of them.
         self.log: list[int] = []
 
@@ -72,8 +73,8 @@ class Job:
             raise usb_error(errno.ENODEV)
         if pipe.device.reset:
             return True
-        if pipe.device.failing:
-            raise usb_error(pipe.device.failing)
+        if pipe.failing:
+            raise usb_error(pipe.failing)
         while True:
             if pipe.halted:
                 raise usb_error(errno.EPIPE)
@@ -111,8 +112,7 @@ class FakeDevice:
     busy: set[int] = field(default_factory=set)
     drivers: set[int] = field(default_factory=set)
     configuration: int = 1
-    # An errno for every transfer; and for single requests by the name of the backend's method.
-    failing: int = 0
+    # What single requests raise, by the name of the backend's method.
     refuses: dict[str, Exception] = field(default_factory=dict)
     gone: bool = False
     # Whether another program has reset it: Linux ends transfers then as if they were complete.
@@ -153,10 +153,11 @@ class FakeDevice:
             self.pipes[endpoint].halted = True
             self.changed.notify_all()
 
-    def fail(self, number: int) -> None:
-        """Let every transfer fail from now on."""
+    def fail(self, number: int, *endpoints: int) -> None:
+        """Let every transfer of these endpoints fail from now on, with this errno."""
         with self.changed:
-            self.failing = number
+            for endpoint in endpoints:
+                self.pipes[endpoint].failing = number
             self.changed.notify_all()
 
 

@@ -168,18 +168,19 @@ def test_closing_an_unplugged_board_hangs_on_nothing(open_fake: Open) -> None:
 
 
 @pytest.mark.requirement("USB-013")
-@pytest.mark.parametrize("number", [errno.ENODEV, errno.EIO])
-def test_unplugging_ends_blocked_calls_at_once(open_fake: Open, number: int) -> None:
+@pytest.mark.parametrize("failing", [[], [0x81, 0x02], [0x81], [0x02]])
+def test_unplugging_ends_blocked_calls_at_once(open_fake: Open, failing: list[int]) -> None:
+    """Unplugged, or transfers fail, in both directions or one: all calls end."""
     device = board()
     with open_fake(device) as near:
         near.write_timeout_s = None
         reader = Background(lambda: near.read(None))
         writer = Background(lambda: [near.write(bytes(100_000)) for _ in range(9)])
         reader.thread.join(SETTLE_S)
-        if number == errno.ENODEV:
-            device.unplug()
+        if failing:
+            device.fail(errno.EIO, *failing)
         else:
-            device.fail(number)
+            device.unplug()
         for blocked in (reader, writer):
             with pytest.raises(LinkLost, match="lost: the board was unplugged or"):
                 blocked.result()
