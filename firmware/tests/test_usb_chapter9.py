@@ -34,6 +34,17 @@ def test_chapter_9(chip, check):
         check.run(device)
 
 
+@pytest.mark.parametrize(
+    "check", [pytest.param(check, id=check.name) for check in CHECKS if check.name[:4] == "bus."]
+)
+@pytest.mark.parametrize("mcu", CHIPS)
+def test_suspend_asleep(build, mcu, check):
+    """The same with firmware that sleeps while the bus is suspended, its clocks off."""
+    elf = build(port="avr-usb", MCU=mcu, USB_NAME=NAME, OPTIONS="-DJ2A_USB_SLEEP=1")
+    with Device(elf, mcu) as device:
+        check.run(device)
+
+
 def test_the_list():
     names = [name for name, _section, _sentence in rows()]
     assert len(names) == len(set(names)) >= 30
