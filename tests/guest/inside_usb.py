@@ -226,6 +226,32 @@ class TestBoards:
         with pytest.raises(OpenFailed, match="another program uses it"):
             j2a_transports.open("usb://G1")
 
+    def test_without_rights_the_board_is_shown_and_the_rule_is_named(
+        self, gadget: Listener
+    ) -> None:
+        program = (
+            "import j2a_transports\n"
+            "(board,) = j2a_transports.usb_boards()\n"
+            "print(board.url, board.problem)\n"
+            "try:\n"
+            "    j2a_transports.open(board.url)\n"
+            "except j2a_transports.OpenFailed as error:\n"
+            "    print(error)\n"
+        )
+        nobody = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+        with accepted(gadget):
+            plugged()
+            done = subprocess.run(
+                [*nobody, sys.executable, "-c", program],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            shown, refused = done.stdout.splitlines()
+            assert shown.startswith("usb://G1 not allowed to open it")
+            assert refused.startswith("usb://G1: not allowed to open it")
+            assert "j2a setup udev --print" in refused
+
     def test_plugging_is_told_by_the_kernel(self, gadget: Listener) -> None:
         with accepted(gadget), watch_usb(interval_s=PATIENCE_S * 10) as watch:
             first = watch.next(PATIENCE_S)
