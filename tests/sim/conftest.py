@@ -9,6 +9,7 @@ import pytest
 
 from j2a.sim import AvrSim, ToolMissing
 from j2a.sim._build import build
+from tests.sim.usb_chip import Chip
 from tests.sim.usbip_client import Served
 
 SOURCES = Path(__file__).parent / "firmware"
@@ -72,6 +73,20 @@ def usb_board(firmware: Build) -> Iterator[Simulate]:
     def start(**defines: int) -> AvrSim:
         sims.append(AvrSim(firmware("usb_board", "atmega32u4", **defines), "atmega32u4"))
         return sims[-1]
+
+    yield start
+    for sim in sims:
+        sim.close()
+
+
+@pytest.fixture
+def open_chip(firmware: Build) -> Iterator[Callable[[str], Chip]]:
+    """open_chip("atmega32u4") is a chip whose registers the test reads and writes itself."""
+    sims: list[AvrSim] = []
+
+    def start(mcu: str) -> Chip:
+        sims.append(AvrSim(firmware("poke", mcu), mcu))
+        return Chip(sims[-1])
 
     yield start
     for sim in sims:

@@ -2,7 +2,6 @@
 
 import pytest
 
-from j2a.sim import AvrSim
 from tests.sim.usb_chip import (
     BULK_IN,
     BULK_OUT,
@@ -41,7 +40,6 @@ from tests.sim.usb_chip import (
     UPRSMI,
     USBCON,
     WAKEUPI,
-    Chip,
     size_bits,
 )
 
@@ -49,19 +47,6 @@ pytestmark = pytest.mark.avr
 
 READ = bytes([0x80, 6, 0, 1, 0, 0, 64, 0])
 WRITE = bytes([0x00, 9, 1, 0, 0, 0, 4, 0])
-
-
-@pytest.fixture
-def open_chip(firmware):
-    sims = []
-
-    def start(mcu):
-        sims.append(AvrSim(firmware("poke", mcu), mcu))
-        return Chip(sims[-1])
-
-    yield start
-    for sim in sims:
-        sim.close()
 
 
 @pytest.fixture(params=["atmega32u4", "atmega32u2"])
@@ -105,6 +90,21 @@ def test_a_control_read(chip):
     assert chip.flags() & (RXOUTI | TXINI) == RXOUTI | TXINI
     chip.clear(RXOUTI)
     assert chip.flags() & (RXOUTI | TXINI | FIFOCON | RWAL) == TXINI
+    assert chip.bus.counters.fifo_errors == 0
+
+
+def test_what_comes_after_the_data_stage_is_not_sent(chip):
+    chip.bus.transact("SETUP", 0, READ)
+    chip.clear(RXSTPI)
+    chip.fill(b"all")
+    chip.clear(TXINI)
+    assert chip.bus.transact("IN", 0) == ("ACK", b"all")
+    assert chip.bus.transact("OUT", 0, toggle=1)[0] == "NAK"
+    chip.fill(b"too late")
+    chip.clear(TXINI)
+    assert chip.bus.transact("IN", 0)[0] == "NAK"
+    assert chip.bus.transact("OUT", 0, toggle=1)[0] == "ACK"
+    assert chip.flags() & (RXOUTI | TXINI) == RXOUTI | TXINI
     assert chip.bus.counters.fifo_errors == 0
 
 
@@ -194,7 +194,7 @@ def test_a_bus_reset(chip):
     chip.ms(1.1)
     assert chip.bus.transact("SETUP", 0, READ)[0] == "ACK"
     chip.put(UECONX, EPEN)
-    assert chip.bus.transact("OUT", 2, b"b", 0)[0] == "ACK"
+    assert chip.bus.transact("OUT", 2, b"b")[0] == "ACK"
     assert chip.take() == b"b"
 
 
@@ -250,9 +250,11 @@ def test_suspend_and_resume(chip):
 def test_a_frozen_controller_wakes_up_and_cannot_talk(chip):
     chip.bus.suspend()
     chip.ms(4)
-    chip.put(UDINT, 0)
-    chip.put(UDIEN, WAKEUPI)
+    chip.put(UDINT, SUSPI)
     chip.put(USBCON, chip.get(USBCON) | 0x20)
+    chip.put(UDIEN, SUSPI)
+    assert chip.variable("gen_entries") == 0
+    chip.put(UDIEN, WAKEUPI)
     chip.sim.write_memory("serve", b"\1")
     assert chip.variable("gen_entries") == 0
     assert chip.get(UENUM) == 0

@@ -5,39 +5,25 @@ import pytest
 from j2a.sim import AvrSim, SimError
 from j2a.sim._usb import UsbError, UsbNoAnswer, UsbStall, UsbTimeout
 from tests.sim.usb_chip import (
+    BIT,
     BULK_IN,
     BULK_OUT,
     DOUBLE,
     EPEN,
     FIFOCON,
-    RXOUTI,
+    FRAME,
     STALLRQ,
     SUSPI,
     UDCON,
     UDINT,
     UECONX,
-    Chip,
+    in_frame,
     size_bits,
 )
 
 pytestmark = pytest.mark.avr
 
 READ = bytes([0x80, 6, 0, 1, 0, 0, 64, 0])
-FRAME = 16_000
-BIT = 16 / 12  # cycles
-
-
-@pytest.fixture
-def open_chip(firmware):
-    sims = []
-
-    def start(mcu):
-        sims.append(AvrSim(firmware("poke", mcu), mcu))
-        return Chip(sims[-1])
-
-    yield start
-    for sim in sims:
-        sim.close()
 
 
 @pytest.fixture(params=["atmega32u4", "atmega32u2"])
@@ -65,20 +51,12 @@ def flood(firmware):
         sim.close()
 
 
-def in_frame(chip, part=0.1):
-    """Run to a place in the next frame, given as a part of it."""
-    frame = chip.bus.frame
-    assert chip.sim.run_until(lambda: chip.bus.frame != frame, 2 * FRAME, 1)
-    chip.sim.run(int(chip.bus.frame_start + part * FRAME - chip.sim.cycle))
-    return chip.sim.cycle
-
-
 # -- time -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [0, 1, 8, 16])
 def test_the_time_of_an_out(chip, size):
-    began = in_frame(chip)
+    began = in_frame(chip.sim)
     chip.bus.submit_out(3, bytes(size))
     assert chip.sim.run_until_usb(FRAME)
     (done,) = chip.bus.completed()
@@ -91,7 +69,7 @@ def test_the_time_of_an_out(chip, size):
 def test_the_time_of_an_in(chip, size):
     chip.select(1)
     chip.send(bytes(size))
-    began = in_frame(chip)
+    began = in_frame(chip.sim)
     chip.bus.submit_in(0x81, 100)
     assert chip.sim.run_until_usb(FRAME) or size == 64
     if size == 64:
@@ -105,7 +83,7 @@ def test_the_time_of_an_in(chip, size):
 
 
 def test_what_does_not_fit_waits_for_the_next_frame(chip):
-    in_frame(chip, 0.95)
+    in_frame(chip.sim, 0.95)
     end = chip.bus.frame_start + FRAME
     chip.select(1)
     chip.bus.submit_in(0x81, 8)  # the host must reckon with 64 bytes
@@ -118,7 +96,7 @@ def test_what_does_not_fit_waits_for_the_next_frame(chip):
 def test_nineteen_full_packets_fit_a_frame(flood, banks):
     sim = flood(banks)
     sim.usb.submit_out(2, bytes(100 * 64))
-    in_frame(Flood(sim), 0)
+    in_frame(sim, 0)
     before = sim.usb.counters.bytes_out
     sim.run(10 * FRAME if banks == 1 else 4 * FRAME)
     moved = sim.usb.counters.bytes_out - before
@@ -133,20 +111,13 @@ def test_nineteen_full_packets_fit_a_frame(flood, banks):
 def test_a_chip_that_has_always_data_sends_nineteen_packets_a_frame(flood):
     sim = flood(2)
     sim.usb.submit_in(0x81, 100 * 64)
-    in_frame(Flood(sim), 0)
+    in_frame(sim, 0)
     before = sim.usb.counters.bytes_in
     sim.run(4 * FRAME)
     assert sim.usb.counters.bytes_in - before == 4 * 19 * 64
     assert sim.run_until_usb(3 * FRAME)
     (done,) = sim.usb.completed()
     assert done.data == bytes([1, 2, 3, 4] * 1600)
-
-
-class Flood:
-    """What in_frame() needs."""
-
-    def __init__(self, sim):
-        self.sim, self.bus = sim, sim.usb
 
 
 def test_endpoints_take_turns(flood):
@@ -161,74 +132,18 @@ def test_endpoints_take_turns(flood):
 
 def test_the_hosts_clock_may_differ(chip):
     chip.bus.frame_cycles = FRAME * 1.001
-    in_frame(chip, 0.5)
+    in_frame(chip.sim, 0.5)
     starts = []
     for _ in range(4):
         starts.append(chip.bus.frame_start)
         chip.sim.run(FRAME)
     assert starts[3] - starts[0] == pytest.approx(3 * FRAME * 1.001)
-    began = in_frame(chip)
+    began = in_frame(chip.sim)
     chip.bus.submit_out(3, bytes(16))
     assert chip.sim.run_until_usb(FRAME)
     assert 0 <= chip.sim.cycle - began - 29 * 8 * BIT * 1.001 < 2
     with pytest.raises(SimError, match="frame_cycles"):
         chip.bus.frame_cycles = 12.0
-
-
-# -- NAK ------------------------------------------------------------------------------------------
-
-
-def test_nak_is_repeated_on_the_wires_grid(chip):
-    """Refused for 4 ms: each try takes 64 bit times, and none begins that could not end."""
-    began = in_frame(chip)
-    chip.bus.submit_in(0x81, 64)
-    chip.sim.run(4 * FRAME)
-    chip.select(1)
-    chip.send(b"now")
-    sent = chip.sim.cycle
-    assert chip.sim.run_until_usb(FRAME)
-    (done,) = chip.bus.completed()
-    assert done.data == b"now"
-    assert 0 < done.cycle - sent <= (64 + 16 * 8) * BIT + 250  # send() itself returns late
-    per_frame = (12_000 - 40 - 77 * 8) // 64 + 1
-    expected = (done.cycle - began - 16 * 8 * BIT) / FRAME * per_frame
-    assert abs(done.naks - expected) < 12
-    assert chip.bus.counters.naks == done.naks
-    # The completion lies on the grid of its frame.
-    first = chip.bus.frame_start + 40 * BIT
-    slots = (done.cycle - first - 16 * 8 * BIT) / (64 * BIT)
-    assert abs(slots - round(slots)) < 0.03
-
-
-def test_refused_transfers_cost_no_steps_and_change_nothing(chip, open_chip):
-    """Transfers that wait end at the same cycle whether the run is cut in pieces or not."""
-
-    def play(step):
-        other = open_chip(chip.sim.mcu)
-        other.start((1, BULK_IN, size_bits(64)), (3, BULK_OUT, size_bits(16)))
-        other.bus.submit_in(0x81, 64)
-        other.bus.submit_out(3, bytes(48))
-        other.sim.run_until(lambda: False, 3 * FRAME, step)
-        other.sim.run(1_000_000 - other.sim.cycle)
-        other.select(3)
-        for _ in range(3):
-            other.clear(RXOUTI | FIFOCON)
-            other.sim.run(1234)
-        assert other.sim.run_until_usb(FRAME)
-        return other.bus.completed(), other.bus.counters, other.sim.cycle
-
-    once = play(FRAME)
-    assert once[0][0].transferred == 48
-    assert once == play(FRAME) == play(777)
-
-
-def test_naks_are_seen_by_the_firmware_each_time(chip):
-    chip.select(1)
-    chip.bus.submit_in(0x81, 64)
-    for _ in range(3):
-        chip.ms(0.5)
-        assert chip.flags() & 0x40
-        chip.clear(0x40)
 
 
 # -- results --------------------------------------------------------------------------------------
@@ -312,7 +227,7 @@ def test_cancelled_in_mid_transfer(chip):
 def test_a_transaction_on_the_wire_counts_though_its_transfer_is_cancelled(chip):
     chip.select(1)
     chip.send(b"data")
-    in_frame(chip)
+    in_frame(chip.sim)
     number = chip.bus.submit_in(0x81, 64)
     chip.sim.run(int(70 * BIT))  # in the midst of the packet
     chip.bus.cancel(number)

@@ -14,6 +14,7 @@ TXINI, STALLEDI, RXOUTI, KILLBK, RXSTPI, NAKOUTI, RWAL, NAKINI, FIFOCON = (
 )
 EPEN, RSTDT, STALLRQC, STALLRQ = 0x01, 0x08, 0x10, 0x20
 SUSPI, SOFI, EORSTI, WAKEUPI, EORSMI, UPRSMI = 0x01, 0x04, 0x08, 0x10, 0x20, 0x40
+FRAME, BIT = 16_000, 16 / 12  # cycles at 16 MHz
 CONTROL, BULK_OUT, BULK_IN = 0x00, 0x80, 0x81
 DOUBLE = 0x04
 
@@ -120,3 +121,11 @@ class Chip:
     def read_fifo(self, count: int) -> bytes:
         """Read bytes from the FIFO."""
         return bytes(self.get(UEDATX) for _ in range(count))
+
+
+def in_frame(sim: AvrSim, part: float = 0.1) -> int:
+    """Run to a place in the next frame, given as a part of it."""
+    frame = sim.usb.frame
+    assert sim.run_until(lambda: sim.usb.frame != frame, 2 * FRAME, 1)
+    sim.run(int(sim.usb.frame_start + part * FRAME - sim.cycle))
+    return sim.cycle
