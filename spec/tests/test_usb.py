@@ -55,6 +55,7 @@ def test_strings_are_utf_16():
         usb.string.parse(bytes.fromhex("08 02 4A 00 32 00 41 00"))
 
 
+@pytest.mark.requirement("SYNC-002")
 def test_a_packet_of_syncusb_is_the_example_of_the_specification():
     packet = bytes.fromhex("40 42 0F 00 00 00 00 00 FF 07")
     assert usb.sync.parse(packet) == {"time_us": 1_000_000, "frame": 2047}

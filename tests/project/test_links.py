@@ -7,7 +7,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 RULE = re.compile(r"^\*\*((?:USB|SYNC|SPP)-\d{3})\*\* \((host|device|both)\) .+", re.MULTILINE)
-FOLDERS = ("transports/tests", "firmware/tests", "tests/sim", "tests/guest", "tests/cli")
+FOLDERS = (
+    "spec/tests",
+    "transports/tests",
+    "firmware/tests",
+    "tests/sim",
+    "tests/guest",
+    "tests/cli",
+)
 
 
 def rules() -> dict[str, str]:
