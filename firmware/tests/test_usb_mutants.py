@@ -185,8 +185,8 @@ MUTANTS = [
         "what finds no room in a packet is dropped",
         "stream.host-does-not-read",
         PORT,
-        "} while (waits);",
-        "} while (waits && false);",
+        "if (usb_trouble != 0 || usb_trouble_is_due()) {\n                usb_trouble |= DROPPING;",
+        "{",
     ),
     Mutant(
         "a packet is given back after its first byte",

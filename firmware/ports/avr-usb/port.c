@@ -50,22 +50,19 @@ static void find_out(void) {
 }
 
 int16_t j2a_port_rx(void) {
-    int16_t byte = -1;
-    bool trouble = true;
-    uint8_t flags;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         if (usb_trouble == 0) {
-            trouble = false;
-            flags = flags_of(USB_RX);
+            const uint8_t flags = flags_of(USB_RX);
+            int16_t byte = -1;
             if (flags & _BV(RWAL))
                 byte = UEDATX;
             if ((flags & _BV(RXOUTI)) && UEBCLX == 0) /* not before: a halted endpoint keeps what it has */
                 UEINTX = USB_RELEASE;
+            return byte;
         }
     }
-    if (trouble)
-        find_out();
-    return byte;
+    find_out();
+    return -1;
 }
 
 /* Sends what has been collected. */
@@ -76,20 +73,20 @@ static inline void send_packet(bool full) {
 
 /* Waits for the host to take packets as long as it likes; what nobody is there to take is dropped. */
 void j2a_port_tx(uint8_t byte) {
-    bool waits = true;
-    do {
+    for (;;) {
         ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-            if (usb_trouble != 0 || usb_trouble_is_due()) {
-                usb_trouble |= DROPPING;
-                waits = false;
-            } else if (flags_of(USB_TX) & _BV(RWAL)) {
+            if (usb_trouble == 0 && (flags_of(USB_TX) & _BV(RWAL))) {
                 UEDATX = byte;
                 if (!(UEINTX & _BV(RWAL)))
                     send_packet(true);
-                waits = false;
+                return;
+            }
+            if (usb_trouble != 0 || usb_trouble_is_due()) {
+                usb_trouble |= DROPPING;
+                return;
             }
         }
-    } while (waits);
+    }
 }
 
 #if J2A_WITH_SYNCUSB

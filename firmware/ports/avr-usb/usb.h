@@ -57,9 +57,13 @@ extern volatile uint8_t usb_trouble;
 /* Starts the controller and joins the bus; interrupts must be switched on afterwards. Called once. */
 void usb_start(void);
 
-/* Has the bus been reset or suspended, and its interrupt has not run yet? For who waits with interrupts
- * off. */
+/* Has the bus been reset or suspended, or the cable been touched, and its interrupt has not run yet? For who
+ * waits with interrupts off. */
 static inline bool usb_trouble_is_due(void) {
+#ifdef OTGPADE
+    if (USBINT & _BV(VBUSTI))
+        return true;
+#endif
     return UDINT & (_BV(EORSTI) | _BV(SUSPI));
 }
 
