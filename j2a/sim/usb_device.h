@@ -72,7 +72,6 @@ typedef struct {
     usb_endpoint_t endpoints[USB_ENDPOINTS];
     uint8_t dpram[USB_DPRAM];
     int vbus, was_vbus, was_awake, suspended;
-    int driven;                         /* the host is signalling reset or resume */
     int signalled;                      /* a reset or a resume is on the lines: they are not idle */
     int keep;                           /* the next reset is one of the CPU alone */
     uint64_t idle_since, pll_at, idle_at; /* cycles; the last two: 0 when not waited for */

@@ -192,7 +192,6 @@ void usb_stop(usb_device_t *u)
 
 void usb_device_vbus(usb_device_t *u, int on)
 {
-    u->driven = 0;
     u->vbus = on;
     u->signalled = 0;
     usb_changed(u);
@@ -212,7 +211,6 @@ static void reset_cpu(avr_t *avr)
 
 void usb_device_bus_reset(usb_device_t *u, int end)
 {
-    u->driven = !end;
     u->signalled = !end;
     traffic(u);
     if (!end || !usb_device_pulls_up(u) || !usb_clocked(u))
@@ -229,7 +227,6 @@ void usb_device_bus_reset(usb_device_t *u, int end)
 
 void usb_device_resume(usb_device_t *u, int end)
 {
-    u->driven = !end;
     u->signalled = !end;
     traffic(u);
     if (end && usb_device_pulls_up(u) && usb_clocked(u)) {

@@ -12,6 +12,7 @@ from tests.sim.usb_chip import (
     NAKINI,
     RXOUTI,
     TXINI,
+    UEINTX,
     in_frame,
     size_bits,
 )
@@ -70,10 +71,36 @@ def test_looking_at_a_refused_transfer_moves_nothing(chip, open_chip):
     assert play(0) == play(7) == play(100)
 
 
+def test_whenever_the_chip_is_ready_the_next_turn_takes_it(chip, open_chip):
+    """In whatever part of a transaction that comes, and whether one was tried or only counted."""
+
+    def play(flags, phase):
+        other = open_chip(chip.sim.mcu)
+        other.start((1, BULK_IN, size_bits(64)))
+        other.clear(TXINI)
+        other.bus.submit_in(0x81, 64)
+        began = in_frame(other.sim, 0.2)
+        other.sim.run(1000 + phase - (other.sim.cycle - began))
+        other.put(UEINTX, flags)
+        other.put(UEINTX, 0xFB & ~FIFOCON)
+        ready = other.sim.cycle
+        assert other.sim.run_until_usb(FRAME)
+        (done,) = other.bus.completed()
+        assert done.cycle - ready < (64 + 13 * 8) * BIT
+        other.sim.close()
+        return done.cycle, done.naks
+
+    for phase in range(0, 90, 5):
+        assert play(0xFB, phase) == play(0xFB & ~NAKINI, phase)
+
+
 def test_transactions_by_hand_leave_turns_to_others(chip):
+    in_frame(chip.sim)
     chip.bus.submit_out(3, bytes(32), packet=16)
-    for _ in range(3):
-        assert chip.bus.transact("IN", 1)[0] == "NAK"
+    assert chip.bus.transact("IN", 1)[0] == "NAK"
+    refused = chip.sim.cycle
+    assert chip.sim.run_until_usb(FRAME)
+    assert chip.sim.cycle - refused < 30 * 8 * BIT
     assert [c.transferred for c in chip.bus.completed()] == [32]
 
 
