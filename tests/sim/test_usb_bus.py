@@ -2,7 +2,7 @@
 
 import pytest
 
-from j2a.sim import SimError
+from j2a.sim import AvrSim, SimError
 from tests.sim.usb_chip import (
     BULK_IN,
     BULK_OUT,
@@ -378,3 +378,18 @@ def test_an_endpoint_in_reset_does_not_answer(chip):
 def test_a_chip_without_usb_has_no_bus(simulate):
     with pytest.raises(SimError, match="atmega328p has no USB"):
         _ = simulate("echo").usb
+
+
+def test_the_uart_of_these_chips_is_found_by_itself(firmware):
+    with AvrSim(firmware("relative", "atmega32u2"), "atmega32u2") as sim:
+        sim.boot()
+        sim.run(20_000)
+        assert sim.uart_read() == b"\xa5\x5a"
+
+
+@pytest.mark.parametrize("mcu", ["at90usb82", "at90usb162", "atmega16u2"])
+def test_relatives_have_the_controller_too(open_chip, mcu):
+    chip = open_chip(mcu)
+    chip.start((4, BULK_IN, size_bits(16) | DOUBLE))
+    chip.send(b"x")
+    assert chip.bus.read(0x84) == b"x"
