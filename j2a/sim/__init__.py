@@ -16,7 +16,17 @@ from j2a.sim._link import SimLink
 from j2a.sim._pins import Adc, Pins
 from j2a.sim._records import Counters, Edge, Interrupts, OutByte, Pulse, Span, pulses
 from j2a.sim._runner import Runner, run
+from j2a.sim._usb import UsbBus
 from j2a.sim._usb_link import UsbLink
+from j2a.sim._usb_records import (
+    Completion,
+    UsbCounters,
+    UsbDescriptors,
+    UsbError,
+    UsbNoAnswer,
+    UsbStall,
+    UsbTimeout,
+)
 from j2a.sim._usbip import UsbipServer
 from j2a.sim._usbip_run import run_usbip
 
@@ -27,6 +37,7 @@ __all__ = [
     "Adc",
     "AvrSim",
     "BadProgram",
+    "Completion",
     "Counters",
     "Edge",
     "FirmwareStopped",
@@ -40,7 +51,14 @@ __all__ = [
     "SimLink",
     "Span",
     "ToolMissing",
+    "UsbBus",
+    "UsbCounters",
+    "UsbDescriptors",
+    "UsbError",
     "UsbLink",
+    "UsbNoAnswer",
+    "UsbStall",
+    "UsbTimeout",
     "UsbipServer",
     "pulses",
     "run",
