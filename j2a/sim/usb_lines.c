@@ -33,7 +33,7 @@ int usb_vbus_seen(const usb_device_t *u)
     return (u->usbcon & USBE) && (u->usbcon & OTGPADE) && u->vbus;
 }
 
-/* The pads need their regulator: boards that feed them from outside are not modelled. A U2 has no VBUS pin. */
+/* The pads need their regulator: boards that feed them from outside are not modelled. A U2 knows no VBUS. */
 int usb_device_pulls_up(const usb_device_t *u)
 {
     if (!(u->usbcon & USBE) || (u->udcon & DETACH))
