@@ -100,3 +100,27 @@ def bluez() -> Iterator[None]:
         for index in (0, 1):
             up(index)
         yield
+
+
+@contextlib.contextmanager
+def agent() -> Iterator[None]:
+    """Confirm every pairing that needs no number to be compared."""
+    with subprocess.Popen(
+        ["bluetoothctl", "--agent", "NoInputNoOutput"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        bufsize=0,
+    ) as running:
+        assert running.stdin is not None
+        assert running.stdout is not None
+        said = b""
+        for word, answer in ((b"", b"Agent registered"), (b"default-agent\n", b"successful")):
+            running.stdin.write(word)
+            while answer not in said:
+                more = running.stdout.read(4096)
+                assert more, said
+                said += more
+        try:
+            yield
+        finally:
+            running.terminate()

@@ -261,3 +261,20 @@ class TestServiceDiscovery:
             echo(near, far)
         for listener in listeners:
             listener.close()
+
+
+@pytest.mark.usefixtures("bluez")
+def test_pairing() -> None:
+    """Both sides demand it; nobody is there to compare numbers, which the highest level needs."""
+    with bluetooth.agent():
+        for _ in range(2):
+            with (
+                j2a_transports.listen("bt://hci0/?security=medium") as listener,
+                linked(listener, security="medium") as (near, far),
+            ):
+                echo(near, far)
+        with (
+            j2a_transports.listen("bt://hci0/?security=high") as listener,
+            pytest.raises(OpenFailed, match="or pair first: `bluetoothctl pair 00:AA:"),
+        ):
+            j2a_transports.open(listener.url, adapter="hci1", security="high")

@@ -116,6 +116,7 @@ class TestListening:
         with pytest.raises(OpenFailed, match="there is no adapter hci0; there is: hci1 02:"):
             j2a_transports.listen("bt://hci0")
 
+    @pytest.mark.requirement("SPP-001")
     def test_a_service_is_registered_as_long_as_the_listener_is_open(
         self, place: Place, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
