@@ -120,6 +120,8 @@ def test_what_was_promised_is_limited():
     assert limits["avr-serial/cycles", "rx_escaped"] <= 55
     assert limits["avr-serial/cycles", "received"] <= 160
     assert limits["avr-serial/sensors-32u2", "total"] <= 1024
+    assert limits["avr-usb/full-32u2", "flash"] <= 4096
+    assert limits["avr-usb/full-32u2", "ram"] <= 300
 
 
 def test_each_figure_of_the_other_ports_is_limited(checked):
@@ -143,9 +145,11 @@ def test_each_port_of_ours_is_measured():
 
 
 def test_each_switch_is_measured():
-    """Each option of the core is in a build in which nothing else is changed."""
-    text = (FIRMWARE / "core/j2a_options.h").read_text()
-    switches = set(re.findall(r"#ifndef (J2A_\w+)", text)) - {"J2A_OPTIONS_H"} - WITHOUT
+    """Each option of the core and of a port is in a build in which nothing else is changed."""
+    files = [FIRMWARE / "core/j2a_options.h", *FIRMWARE.glob("ports/*/j2a_port_config.h")]
+    text = "".join(path.read_text() for path in files)
+    switches = {name for name in re.findall(r"#ifndef (J2A_\w+)", text) if not name.endswith("_H")}
+    switches -= WITHOUT
     alone = set()
     for entry in ENTRIES:
         options = {option.partition("=")[0] for option in entry.get("options", [])}
