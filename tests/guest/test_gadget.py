@@ -24,9 +24,9 @@ def dummy_hcd() -> str:
 
 @pytest.mark.parametrize("end", ["near", "far"])
 def test_the_suite_of_the_transports(guest, end):
-    assert " passed" in guest(*INSIDE, "-k", f"{SUITE} and {end}").stdout
+    assert " passed" in guest(*INSIDE, "-k", f"{SUITE} and {end}", timeout=150).stdout
 
 
 def test_what_the_bus_says(guest):
     command = ["env", f"J2A_DUMMY_HCD={dummy_hcd()}", *INSIDE, "-k", f"not {SUITE}"]
-    assert " passed" in guest(*command).stdout
+    assert " passed" in guest(*command, timeout=150).stdout
