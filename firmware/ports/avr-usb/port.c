@@ -38,7 +38,7 @@ static void find_out(void) {
     bool lost = false;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         if (usb_trouble & USB_RESTARTED) {
-            usb_trouble ^= USB_RESTARTED | DROPPING;
+            usb_trouble = (usb_trouble & (uint8_t)~USB_RESTARTED) | DROPPING;
             empty_packet_due = false;
             lost = true;
         } else {

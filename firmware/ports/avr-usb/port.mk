@@ -1,8 +1,8 @@
 # MCU and FREQ say which chip it is, and its crystal in Hz: 16000000 or 8000000.
 MCU ?= atmega32u4
 FREQ ?= 16000000
-# What the board says of itself: ids as 0x and four digits, its name, and its serial number; without SERIAL that
-# is the number that the chip was made with.
+# What the board says of itself: ids as 0x and four digits, its name, and its serial number; without SERIAL
+# that is the number that the chip was made with.
 USB_VENDOR ?= J2A_USB_VENDOR
 USB_PRODUCT ?= J2A_USB_PRODUCT
 USB_NAME ?= $(MCU)

@@ -24,8 +24,8 @@ static void send_packet(void) {
     UEINTX = (uint8_t)~_BV(TXINI);
 }
 
-/* A SETUP may come while another one is being read, and takes its place then. All is read that there is, around a
- * ring of 8 bytes, and so the last 8 are the one that counts. */
+/* A SETUP may come while another one is being read, and takes its place then. All is read that there is,
+ * around a ring of 8 bytes, and so the last 8 are the one that counts. */
 static void take_setup(void) {
     static usb_setup setup;
     static uint8_t ring[sizeof setup];

@@ -31,7 +31,7 @@ volatile uint8_t usb_trouble = USB_UNCONFIGURED;
 /* Lets the clock go on. */
 static void wake(void) {
 #if J2A_USB_SLEEP
-    uint16_t turns = 0; /* 40 ms at most, and it takes less than one */
+    uint16_t turns = 0; /* some 30 ms at most; the PLL takes far less */
     PLLCSR = PLL_ON;
     while (!(PLLCSR & _BV(PLOCK)) && --turns != 0) {
     }
