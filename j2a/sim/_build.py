@@ -1,6 +1,6 @@
 """Compiles and loads the C half of the simulator on first use.
 
-In: the C files next to this module, the system's C compiler, simavr's headers and library.
+In: the C files in the folder chip, the system's C compiler, simavr's headers and library.
 Out: the loaded library with its functions typed, shared by all simulators of the process.
 The result is kept per user, named by a hash of the sources, the compiler command, and simavr's
 version and headers: any change compiles anew, and processes that start at the same time each
@@ -46,15 +46,7 @@ USB_COUNTERS = (
 STOP_OUTPUT, STOP_SPAN, STOP_USB = 1, 2, 4
 STATES = ("limbo", "stopped", "running", "sleeping", "step", "step", "done", "crashed")
 
-_HERE = Path(__file__).parent
-_SOURCES = (
-    *("simavr_shim.c", "grown.h", "interrupts.c", "interrupts.h"),
-    *("adc.c", "adc.h", "board.c", "board.h", "mcu.c", "mcu.h"),
-    *("usart.c", "usart.h", "wire.c", "wire.h"),
-    *("usb_device.c", "usb_device.h", "usb_registers.h", "usb_lines.c"),
-    *("usb_endpoint.c", "usb_endpoint.h", "usb_transaction.c"),
-    *("usb_host.c", "usb_host.h", "usb_schedule.c", "usb_schedule.h"),
-)
+_CHIP = Path(__file__).parent / "chip"
 _PACKAGES = "on Debian and Ubuntu: apt install gcc libc6-dev libsimavr-dev"
 
 
@@ -125,8 +117,9 @@ def build() -> Path:
     flags, version = _pkg_config()
     digest = hashlib.sha256(repr((command, flags, version, platform.machine())).encode())
     digest.update(_header_stamp(flags).encode())
-    for name in _SOURCES:
-        digest.update((_HERE / name).read_bytes())
+    sources = sorted(_CHIP.glob("*.[ch]"))
+    for path in sources:
+        digest.update(path.name.encode() + path.read_bytes())
     target = cache_directory() / f"simavr-shim-{digest.hexdigest()[:24]}.so"
     if _intact(target):
         return target
@@ -139,9 +132,9 @@ def build() -> Path:
         raise _not_writable(target.parent, error) from None
     with workplace as folder:
         made = Path(folder) / target.name
-        sources = [str(_HERE / name) for name in _SOURCES if name.endswith(".c")]
+        modules = [str(path) for path in sources if path.suffix == ".c"]
         result = subprocess.run(
-            [*command, *sources, *flags, "-lm", "-o", str(made)],
+            [*command, *modules, *flags, "-lm", "-o", str(made)],
             capture_output=True,
             text=True,
             check=False,
