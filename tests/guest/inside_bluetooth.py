@@ -275,6 +275,6 @@ def test_pairing() -> None:
                 echo(near, far)
         with (
             j2a_transports.listen("bt://hci0/?security=high") as listener,
-            pytest.raises(OpenFailed, match="or pair first: `bluetoothctl pair 00:AA:"),
+            pytest.raises(OpenFailed, match=r"`bluetoothctl pair 00:AA:|confirm a pairing"),
         ):
             j2a_transports.open(listener.url, adapter="hci1", security="high")

@@ -67,16 +67,7 @@ _OPEN_OPTIONS: Final = {**_COMMON, "connect_timeout": timeout, "adapter": _adapt
 
 
 class BluetoothTransport(PolledTransport):
-    """A connected RFCOMM socket.
-
-    Args:
-        url: for messages.
-        sock: the connected socket; the transport owns it from now on, and closes it on failure.
-        write_timeout_s: see `Transport`.
-
-    Raises:
-        OSError: the connection has ended already, or there are too many open files.
-    """
+    """A connected RFCOMM socket; arguments and errors are those of `TcpTransport`."""
 
     def __init__(self, url: str, sock: socket.socket, write_timeout_s: float | None) -> None:
         self._sock = sock
