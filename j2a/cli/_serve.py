@@ -25,6 +25,8 @@ places to listen:
   pty:                   a new pseudo terminal, which others open as a serial port
   stdio:                 standard input and output
   serial:///dev/ttyUSB0  a serial port
+  gadget:?serial=0001    the USB device port of a Linux board, as root
+  bt:                    a Bluetooth serial port
 
 examples:
   j2a serve --listen tcp://127.0.0.1:5000
