@@ -66,8 +66,8 @@ def listen(url: str, **options: object) -> Listener:
     """Wait for peers where a URL says; port 0 in `tcp://127.0.0.1:0` takes any free port.
 
     Args:
-        url: of a scheme that can listen: `tcp`, `pty`, `stdio`, `serial`, `gadget`, `bt`, `loopback`,
-            `faults`.
+        url: of a scheme that can listen: `tcp`, `pty`, `stdio`, `serial`, `gadget`, `bt`,
+            `loopback`, `faults`.
         options: the scheme's options as keywords, instead of in the URL.
 
     Returns:
