@@ -14,17 +14,17 @@ from typing import NoReturn
 import pytest
 
 ROOT = Path(__file__).parent
+# The programs by which tools/apt-packages.txt tells that a package is there, and some more.
 PACKAGES = {
-    "make": "the package build-essential",
-    "cc": "the package build-essential",
-    "avr-gcc": "the packages gcc-avr and avr-libc",
-    "arm-none-eabi-gcc": "the packages gcc-arm-none-eabi and picolibc-arm-none-eabi",
-    "riscv64-unknown-elf-gcc": "the package gcc-riscv64-unknown-elf",
-    "qemu-system-arm": "the package qemu-system-arm",
-    "qemu-system-riscv32": "the package qemu-system-misc",
-    **{f"qemu-{machine}": "the package qemu-user" for machine in ("arm", "i386", "mips", "s390x")},
-    "node": "the packages nodejs and npm",
-    "npm": "the packages nodejs and npm",
+    probe: package
+    for line in (ROOT / "tools/apt-packages.txt").read_text("utf-8").splitlines()
+    if line and not line.startswith("#")
+    for package, _, probe in [line.split()]
+} | {
+    "cc": "gcc",
+    "avr-gcc": "gcc-avr, and avr-libc",
+    **dict.fromkeys(("qemu-i386", "qemu-mips", "qemu-s390x"), "qemu-user"),
+    **dict.fromkeys(("hcitool", "rfcomm", "sdptool"), "bluez"),
 }
 COMPILERS = {
     "avr-serial": "avr-gcc",
@@ -62,7 +62,7 @@ def need() -> Callable[[str], None]:
 
     def check(tool: str) -> None:
         if shutil.which(tool) is None:
-            _missing(f"{tool} is missing: install {PACKAGES.get(tool, tool)}")
+            _missing(f"{tool} is missing: install the package {PACKAGES.get(tool, tool)}")
 
     return check
 

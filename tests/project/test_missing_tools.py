@@ -42,4 +42,4 @@ def test_without_compilers(tmp_path, required):
         assert "J2A_REQUIRE_AVR=1, but cc is missing: install the package" in result.stdout
     else:
         assert result.returncode == 0 and "skipped" in summary, result.stdout
-        assert "avr-gcc is missing: install the packages gcc-avr and avr-libc" in result.stdout
+        assert "avr-gcc is missing: install the package gcc-avr, and avr-libc" in result.stdout
