@@ -17,9 +17,10 @@ from links import HOST
 
 import j2a
 from j2a._codec import encode
+from j2a._deframer import Deframer
 
 PATIENCE_S = 60.0
-BUSY_MS = 20_000
+BUSY_MS = 12_000
 ECHOES = 100
 
 
@@ -48,8 +49,11 @@ def main() -> None:
     # One function runs for long, and the host goes on sending: that board takes no more bytes.
     echo = _opcode(serials[0], "a2jEcho")
     delay = _opcode(serials[0], "delay")
-    frames = encode(SOF, 1, delay, struct.pack("<H", BUSY_MS))
-    frames += b"".join(encode(SOF, seq, echo, bytes(30)) for seq in range(2, 100))
+    requests = [struct.pack("<H", BUSY_MS), *(bytes([number]) * 30 for number in range(2, 100))]
+    frames = b"".join(
+        encode(SOF, seq, delay if seq == 1 else echo, payload)
+        for seq, payload in enumerate(requests, 1)
+    )
     done = threading.Event()
 
     def write() -> None:
@@ -67,11 +71,13 @@ def main() -> None:
         assert not done.is_set(), "the busy board took all the bytes"
         assert busy.read(0) == b"", "the busy board has answered already"
         print("good: the other is not delayed")
-        answers = b""
-        while len(answers) < len(frames) - 2:
+        deframer, replies = Deframer(), []
+        while len(replies) < len(requests):
             data = busy.read(PATIENCE_S)
-            assert data, f"only {len(answers)} bytes came back"
-            answers += data
+            assert data, f"only {len(replies)} replies came"
+            replies += deframer.feed(data)
+        assert [reply.seq for reply in replies] == list(range(1, 100))
+        assert [reply.payload for reply in replies] == [b"", *requests[1:]]
         writer.join(PATIENCE_S)
         assert done.is_set()
     print("good: nothing was lost")
