@@ -53,7 +53,7 @@ class Bus:
 def bus(build, monkeypatch):
     sims = [AvrSim(build(port="avr-usb", MCU=MCU, SERIAL=serial), MCU) for serial in SERIALS]
     made = Bus(sims)
-    monkeypatch.setattr("j2a_transports._usb.libusb", lambda *_: made.backend)
+    monkeypatch.setattr("j2a_transports._usb.link.libusb", lambda *_: made.backend)
     yield made
     for sim in sims:
         sim.close()

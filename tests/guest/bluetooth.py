@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from j2a_transports import _btsocket
+from j2a_transports._bluetooth import sockets
 
 HCIDEVUP, HCIDEVDOWN, HCIDEVRESET, HCISETSCAN = 0x400448C9, 0x400448CA, 0x400448CB, 0x400448DD
 HCIGETDEVINFO = 0x800448D3
@@ -77,10 +77,10 @@ def answers(index: int) -> bool:
 def controllers() -> Iterator[list[str]]:
     """Make two controllers, hci0 and hci1, both up; yields their addresses."""
     with program("btvirt", "-l2"):
-        until(lambda: len(_btsocket.adapters()) == 2, "two controllers")
+        until(lambda: len(sockets.adapters()) == 2, "two controllers")
         for index in (0, 1):
             up(index)
-        yield [adapter.address for adapter in _btsocket.adapters()]
+        yield [adapter.address for adapter in sockets.adapters()]
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from typing import Any
 import usb.core
 import usb.util
 from j2a_transports import UsbBoard, UsbGadget, usb_boards
-from j2a_transports._usb_find import libusb
+from j2a_transports._usb.find import libusb
 
 PATIENCE_S = 60.0
 PATIENCE_MS = 60_000

@@ -290,7 +290,7 @@ class TestPrograms:
 
     def test_without_rights(self) -> None:
         code = (
-            "import os, j2a_transports, j2a_transports._gadget as gadget; os.setuid(65534)\n"
+            "import os, j2a_transports, j2a_transports._gadget.gadget as gadget; os.setuid(65534)\n"
             "try: gadget.UsbGadget()\n"
             "except j2a_transports.OpenFailed as error: print(error)"
         )

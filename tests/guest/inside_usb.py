@@ -29,9 +29,9 @@ from j2a_transports import (
     usb_boards,
     watch_usb,
 )
-from j2a_transports._usb_async import AsyncPipes
-from j2a_transports._usb_find import libusb
-from j2a_transports._usb_pipes import BlockingPipes
+from j2a_transports._usb.find import libusb
+from j2a_transports._usb.pipes import BlockingPipes
+from j2a_transports._usb.transfers import AsyncPipes
 
 from transports.tests.suite import (  # noqa: TID251 - tests, which are not installed
     MEGABYTE,

@@ -44,10 +44,10 @@ from ._registry import listen, open, schemes
 from ._url import Url
 
 if TYPE_CHECKING:
-    from ._gadget import UsbGadget
-    from ._usb import open_usb_device
-    from ._usb_find import UsbBoard, usb_boards
-    from ._usb_watch import UsbArrived, UsbLeft, UsbWatch, watch_usb
+    from ._gadget.gadget import UsbGadget
+    from ._usb.find import UsbBoard, usb_boards
+    from ._usb.link import open_usb_device
+    from ._usb.watch import UsbArrived, UsbLeft, UsbWatch, watch_usb
 
 __all__ = [
     "BadUrl",
@@ -76,14 +76,14 @@ __all__ = [
 
 # Names of drivers, which are loaded when they are first used.
 _LATER = {
-    "UsbArrived": "._usb_watch",
-    "UsbBoard": "._usb_find",
-    "UsbGadget": "._gadget",
-    "UsbLeft": "._usb_watch",
-    "UsbWatch": "._usb_watch",
-    "open_usb_device": "._usb",
-    "usb_boards": "._usb_find",
-    "watch_usb": "._usb_watch",
+    "UsbArrived": "._usb.watch",
+    "UsbBoard": "._usb.find",
+    "UsbGadget": "._gadget.gadget",
+    "UsbLeft": "._usb.watch",
+    "UsbWatch": "._usb.watch",
+    "open_usb_device": "._usb.link",
+    "usb_boards": "._usb.find",
+    "watch_usb": "._usb.watch",
 }
 
 

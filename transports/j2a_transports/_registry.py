@@ -21,9 +21,9 @@ ENTRY_POINT_GROUP: Final = "j2a.transports"
 _DRIVERS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "serial": "._serial",
-        "usb": "._usb",
-        "gadget": "._gadget",
-        "bt": "._bluetooth",
+        "usb": "._usb.link",
+        "gadget": "._gadget.gadget",
+        "bt": "._bluetooth.link",
         "tcp": "._tcp",
         "exec": "._process",
         "pty": "._pty",

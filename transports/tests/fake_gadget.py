@@ -18,8 +18,8 @@ from collections import deque
 from pathlib import Path
 
 from j2a_transports import LinkClosed, LinkLost, Transport, WriteTimeout
-from j2a_transports._gadget_descriptors import Event
-from j2a_transports._gadget_kernel import Kernel
+from j2a_transports._gadget.descriptors import Event
+from j2a_transports._gadget.kernel import Kernel
 
 UDC = "fake_udc.0"
 ATTRIBUTES = ("UDC", "idVendor", "idProduct", "bcdDevice", "bcdUSB", "max_speed")

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import usb.core
-from j2a_transports._usb_libusb import CANCELLED, COMPLETED, NO_DEVICE, STALL, Transfer
+from j2a_transports._usb.libusb_async import CANCELLED, COMPLETED, NO_DEVICE, STALL, Transfer
 
 from .fake_usb import FakeBackend, FakeDevice, Job
 
@@ -28,7 +28,7 @@ def give_libusb(monkeypatch: pytest.MonkeyPatch) -> dict[FakeDevice, FakeLibusb]
         made[handle.dev] = FakeLibusb(handle.dev, device.backend)
         return made[handle.dev], handle.handle
 
-    monkeypatch.setattr("j2a_transports._usb.asynchronous", asynchronous)
+    monkeypatch.setattr("j2a_transports._usb.link.asynchronous", asynchronous)
     return made
 
 
@@ -36,7 +36,7 @@ STATES = {errno.EPIPE: STALL, errno.ENODEV: NO_DEVICE, errno.EIO: 1, errno.EOVER
 
 
 class FakeLibusb:
-    """The functions of `_usb_libusb.Libusb` on a `FakeDevice`, with libusb's rules asserted."""
+    """The functions of `libusb_async.Libusb` on a `FakeDevice`, with libusb's rules asserted."""
 
     def __init__(self, device: FakeDevice, backend: FakeBackend) -> None:
         self.device = device

@@ -130,7 +130,7 @@ class TestUsb(BackToBack):
     @pytest.fixture(autouse=True)
     def short_slices(self, monkeypatch: pytest.MonkeyPatch) -> None:
         # Closing waits for the end of one.
-        monkeypatch.setattr("j2a_transports._usb_pipes.SLICE_MS", 10)
+        monkeypatch.setattr("j2a_transports._usb.pipes.SLICE_MS", 10)
 
     @contextmanager
     def connect(self) -> Iterator[tuple[Transport, Transport]]:

@@ -14,8 +14,9 @@ from typing import Any
 
 import j2a_transports
 import pytest
-from j2a_transports import BadUrl, OpenFailed, _bluetooth, _btsocket
-from j2a_transports._btsocket import Adapter
+from j2a_transports import BadUrl, OpenFailed
+from j2a_transports._bluetooth import link, sockets
+from j2a_transports._bluetooth.sockets import Adapter
 
 from .suite import PATIENCE_S, read_exactly
 from .test_bluetooth_sdp import RFCOMM_5, element, record, response
@@ -70,10 +71,10 @@ class Air:
 def air(monkeypatch: pytest.MonkeyPatch) -> Iterator[Air]:
     fake = Air()
     for name in ("create", "bind", "connect"):
-        monkeypatch.setattr(_btsocket, name, getattr(fake, name))
-    monkeypatch.setattr(_btsocket, "adapters", lambda: fake.adapters)
-    monkeypatch.setattr(_btsocket, "set_security", lambda sock, level: fake.security.append(level))
-    monkeypatch.setattr(_bluetooth, "MOMENT_S", 0.2)
+        monkeypatch.setattr(sockets, name, getattr(fake, name))
+    monkeypatch.setattr(sockets, "adapters", lambda: fake.adapters)
+    monkeypatch.setattr(sockets, "set_security", lambda sock, level: fake.security.append(level))
+    monkeypatch.setattr(link, "MOMENT_S", 0.2)
     yield fake
     for end in fake.ends:
         end.close()
@@ -198,8 +199,8 @@ class TestLookUp:
     def test_a_system_without_l2cap_sockets(
         self, air: Air, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(_btsocket, "_NATIVE", True)
-        monkeypatch.setattr(_btsocket, "LINUX", False)
+        monkeypatch.setattr(sockets, "_NATIVE", True)
+        monkeypatch.setattr(sockets, "LINUX", False)
         with pytest.raises(OpenFailed, match=f"no sockets to ask .*, often 1: bt://{ADDRESS}/1"):
             j2a_transports.open(f"bt://{ADDRESS}")
         j2a_transports.open(f"bt://{ADDRESS}/1").close()
@@ -245,7 +246,7 @@ class TestFailures:
         self, air: Air, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """Waiting for ever is for a device that is not there yet."""
-        monkeypatch.setattr(_bluetooth, "_FIRST_PAUSE_S", 0.001)
+        monkeypatch.setattr(link, "_FIRST_PAUSE_S", 0.001)
         air.outcomes = [errno.EHOSTDOWN] * 5
         air.always = errno.ECONNREFUSED
         with pytest.raises(OpenFailed, match="refuses"):
@@ -274,7 +275,7 @@ class TestFailures:
         def create(kind: int) -> socket.socket:
             raise OSError(errno.EAFNOSUPPORT, os.strerror(errno.EAFNOSUPPORT))
 
-        monkeypatch.setattr(_btsocket, "create", create)
+        monkeypatch.setattr(sockets, "create", create)
         for url in (f"bt://{ADDRESS}/3", f"bt://{ADDRESS}"):
             with pytest.raises(OpenFailed, match="no Bluetooth: `modprobe rfcomm`; a container"):
                 j2a_transports.open(url)
@@ -282,8 +283,8 @@ class TestFailures:
             j2a_transports.listen("bt:///1")
 
     def test_a_python_without_bluetooth(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(_btsocket, "_NATIVE", False)
-        monkeypatch.setattr(_btsocket, "LINUX", False)
+        monkeypatch.setattr(sockets, "_NATIVE", False)
+        monkeypatch.setattr(sockets, "LINUX", False)
         for function in (j2a_transports.open, j2a_transports.listen):
             with pytest.raises(OpenFailed, match="this Python has no Bluetooth sockets"):
                 function(f"bt://{ADDRESS}/3")
@@ -292,7 +293,7 @@ class TestFailures:
         def fails(*arguments: Any) -> None:
             raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-        monkeypatch.setattr(_bluetooth.PolledTransport, "__init__", fails)
+        monkeypatch.setattr(link.PolledTransport, "__init__", fails)
         with pytest.raises(OpenFailed, match="Too many open files"):
             j2a_transports.open(f"bt://{ADDRESS}/3")
         assert air.ends[0].fileno() < 0

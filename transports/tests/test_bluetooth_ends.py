@@ -15,8 +15,9 @@ from typing import Any
 
 import j2a_transports
 import pytest
-from j2a_transports import LinkLost, OpenFailed, _bluetooth, _btsocket
-from j2a_transports._bluetooth import BluetoothTransport
+from j2a_transports import LinkLost, OpenFailed
+from j2a_transports._bluetooth import link, sockets
+from j2a_transports._bluetooth.link import BluetoothTransport
 
 from .suite import PATIENCE_S, Background
 from .test_bluetooth import HERE
@@ -37,9 +38,9 @@ class Place:
         self.adapters = list(HERE)
         self.sockets: list[socket.socket] = []
         for name in ("create", "bind", "local", "accept"):
-            monkeypatch.setattr(_btsocket, name, getattr(self, name))
-        monkeypatch.setattr(_btsocket, "adapters", lambda: self.adapters)
-        monkeypatch.setattr(_btsocket, "set_security", lambda _, level: self.security.append(level))
+            monkeypatch.setattr(sockets, name, getattr(self, name))
+        monkeypatch.setattr(sockets, "adapters", lambda: self.adapters)
+        monkeypatch.setattr(sockets, "set_security", lambda _, level: self.security.append(level))
 
     def create(self, kind: int) -> socket.socket:
         assert kind == socket.SOCK_STREAM
@@ -71,10 +72,10 @@ class TestListening:
     @pytest.mark.parametrize(
         ("url", "bound", "where"),
         [
-            ("bt:", (_btsocket.ANY, 0), f"bt://{ADDRESS}/4"),
-            ("bt://", (_btsocket.ANY, 0), f"bt://{ADDRESS}/4"),
-            ("bt:///0", (_btsocket.ANY, 0), f"bt://{ADDRESS}/4"),
-            ("bt:///9", (_btsocket.ANY, 9), f"bt://{ADDRESS}/9"),
+            ("bt:", (sockets.ANY, 0), f"bt://{ADDRESS}/4"),
+            ("bt://", (sockets.ANY, 0), f"bt://{ADDRESS}/4"),
+            ("bt:///0", (sockets.ANY, 0), f"bt://{ADDRESS}/4"),
+            ("bt:///9", (sockets.ANY, 9), f"bt://{ADDRESS}/9"),
             ("bt://hci1", (HERE[1].address, 0), f"bt://{HERE[1].address}/4"),
             (f"bt://{HERE[1].address}/30", (HERE[1].address, 30), f"bt://{HERE[1].address}/30"),
         ],
@@ -121,7 +122,7 @@ class TestListening:
         self, place: Place, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
         path = str(tmp_path / "sdp")
-        monkeypatch.setattr(_bluetooth, "SDP_SOCKET", path)
+        monkeypatch.setattr(link, "SDP_SOCKET", path)
         with socket.socket(socket.AF_UNIX) as server:
             server.bind(path)
             server.listen()
@@ -151,7 +152,7 @@ class TestListening:
     def test_no_way_to_register(
         self, place: Place, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
-        monkeypatch.setattr(_bluetooth, "SDP_SOCKET", str(tmp_path / "sdp"))
+        monkeypatch.setattr(link, "SDP_SOCKET", str(tmp_path / "sdp"))
         says = "No such file or directory; start bluetoothd with --compat, or leave service out"
         with pytest.raises(OpenFailed, match=says):
             j2a_transports.listen("bt:?service=J2A")
@@ -239,8 +240,8 @@ class TestCalls:
     def library(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls: list[tuple[Any, ...]] = []
         self.result, self.error = 0, 0
-        monkeypatch.setattr(_btsocket, "_NATIVE", False)
-        monkeypatch.setattr(_btsocket, "_libc", lambda: self)
+        monkeypatch.setattr(sockets, "_NATIVE", False)
+        monkeypatch.setattr(sockets, "_libc", lambda: self)
 
     def answer(self, *arguments: Any) -> int:
         self.calls.append(arguments)
@@ -262,49 +263,49 @@ class TestCalls:
             yield near
 
     def test_addresses(self, sock: socket.socket) -> None:
-        _btsocket.bind(sock, "00:1A:7D:DA:71:13", 7)
-        _btsocket.connect(sock, "00:1A:7D:DA:71:13", 7, 1.0)
+        sockets.bind(sock, "00:1A:7D:DA:71:13", 7)
+        sockets.connect(sock, "00:1A:7D:DA:71:13", 7, 1.0)
         assert self.calls == [(sock.fileno(), PLACE, 10)] * 2
         assert sock.gettimeout() == 1.0
-        assert _btsocket.local(sock) == ("00:1A:7D:DA:71:13", 7)
+        assert sockets.local(sock) == ("00:1A:7D:DA:71:13", 7)
 
     def test_addresses_of_l2cap(self) -> None:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as sock:
-            _btsocket.connect(sock, "00:1A:7D:DA:71:13", 1, None)
+            sockets.connect(sock, "00:1A:7D:DA:71:13", 1, None)
             place = b"\x1f\x00\x01\x00\x13\x71\xda\x7d\x1a\x00" + bytes(4)
             assert self.calls == [(sock.fileno(), place, 14)]
 
     def test_accept(self, sock: socket.socket) -> None:
         self.result = os.dup(sock.fileno())
-        peer, address = _btsocket.accept(sock)
+        peer, address = sockets.accept(sock)
         with peer:
             assert (peer.fileno(), address) == (self.result, "00:1A:7D:DA:71:13")
 
     def test_errors(self, sock: socket.socket) -> None:
         self.error = errno.ECONNREFUSED
         with pytest.raises(ConnectionRefusedError):
-            _btsocket.connect(sock, ADDRESS, 1, 1.0)
+            sockets.connect(sock, ADDRESS, 1, 1.0)
 
     def test_connecting_goes_on_in_the_background(self) -> None:
         self.error = errno.EINPROGRESS
         with socket.create_server(("127.0.0.1", 0)) as server:
             place = server.getsockname()
             with socket.create_connection(place) as sock:
-                _btsocket.connect(sock, ADDRESS, 1, PATIENCE_S)
+                sockets.connect(sock, ADDRESS, 1, PATIENCE_S)
                 # Full, so that it does not become writable.
                 sock.setblocking(False)
                 with suppress(BlockingIOError):
                     while True:
                         sock.send(bytes(65536))
                 with pytest.raises(TimeoutError) as caught:
-                    _btsocket.connect(sock, ADDRESS, 1, 0.05)
+                    sockets.connect(sock, ADDRESS, 1, 0.05)
                 assert caught.value.errno is None
         with socket.socket() as sock:
             sock.setblocking(False)
             with suppress(BlockingIOError):
                 sock.connect(place)
             with pytest.raises(ConnectionRefusedError):
-                _btsocket.connect(sock, ADDRESS, 1, PATIENCE_S)
+                sockets.connect(sock, ADDRESS, 1, PATIENCE_S)
 
     def test_an_interrupted_call_is_repeated(
         self, sock: socket.socket, monkeypatch: pytest.MonkeyPatch
@@ -316,7 +317,7 @@ class TestCalls:
             return self.answer(*arguments)
 
         monkeypatch.setattr(self, "bind", bind, raising=False)
-        _btsocket.bind(sock, ADDRESS, 1)
+        sockets.bind(sock, ADDRESS, 1)
         assert len(self.calls) == 3
 
 
@@ -335,16 +336,16 @@ class TestAdapters:
 
     def test_what_the_kernel_tells(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("fcntl.ioctl", self.ioctl)
-        monkeypatch.setattr(_btsocket, "_FAMILY", socket.AF_UNIX)
-        monkeypatch.setattr(_btsocket, "_HCI", 0)
-        assert _btsocket.adapters() == [
+        monkeypatch.setattr(sockets, "_FAMILY", socket.AF_UNIX)
+        monkeypatch.setattr(sockets, "_HCI", 0)
+        assert sockets.adapters() == [
             ("hci0", "02:00:00:00:00:00", True),
             ("hci1", "02:00:00:00:00:01", False),
         ]
 
     def test_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
         # A family that no kernel has.
-        monkeypatch.setattr(_btsocket, "_FAMILY", 255)
-        assert _btsocket.adapters() == []
-        monkeypatch.setattr(_btsocket, "LINUX", False)
-        assert _btsocket.adapters() == []
+        monkeypatch.setattr(sockets, "_FAMILY", 255)
+        assert sockets.adapters() == []
+        monkeypatch.setattr(sockets, "LINUX", False)
+        assert sockets.adapters() == []

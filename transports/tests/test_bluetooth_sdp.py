@@ -9,8 +9,8 @@ from uuid import UUID
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from j2a_transports import _sdp
-from j2a_transports._sdp import SdpError, SerialService
+from j2a_transports._bluetooth import sdp
+from j2a_transports._bluetooth.sdp import SdpError, SerialService
 
 # What BlueZ 5.66 answered about two records: its own "Serial Port" on channel 7, added by
 # `sdptool add --channel=7 SP`, and "J2A" on channel 1, registered by this package.
@@ -50,7 +50,7 @@ class TestAnswers:
             requests.append(request)
             return GOLDEN
 
-        services = _sdp.serial_services(exchange)
+        services = sdp.serial_services(exchange)
         assert services == [SerialService("Serial Port", 7), SerialService("J2A", 1)]
         assert requests == [REQUEST]
 
@@ -65,7 +65,7 @@ class TestAnswers:
             more = bytes([number] * 3) if number < len(pieces) - 1 else b""
             return response(pieces[number], number, more)
 
-        assert [service.channel for service in _sdp.serial_services(exchange)] == [7, 1]
+        assert [service.channel for service in sdp.serial_services(exchange)] == [7, 1]
         # Each request after the first brings back what the server has said.
         assert requests[0][-1:] == b"\0"
         assert [request[-4:] for request in requests[1:]] == [
@@ -88,7 +88,7 @@ class TestAnswers:
     )
     def test_forms_of_the_protocol_list(self, protocols: bytes, channel: int) -> None:
         answer = response(element(6, record(b"x\0", protocols)))
-        assert _sdp.serial_services(answering(answer)) == [SerialService("x", channel)]
+        assert sdp.serial_services(answering(answer)) == [SerialService("x", channel)]
 
     @pytest.mark.parametrize(
         "lists",
@@ -109,14 +109,14 @@ class TestAnswers:
         ],
     )
     def test_no_serial_port(self, lists: bytes) -> None:
-        assert _sdp.serial_services(answering(response(lists))) == []
+        assert sdp.serial_services(answering(response(lists))) == []
 
     def test_a_name_that_is_no_text(self) -> None:
         for name, shown in ((b"\xff", "\N{REPLACEMENT CHARACTER}"), (b"", "")):
             answer = response(element(6, record(name, RFCOMM_5)))
-            assert _sdp.serial_services(answering(answer)) == [SerialService(shown, 5)]
+            assert sdp.serial_services(answering(answer)) == [SerialService(shown, 5)]
         nameless = element(6, element(6, b"\x09\x00\x04" + RFCOMM_5))
-        assert _sdp.serial_services(answering(response(nameless))) == [SerialService("", 5)]
+        assert sdp.serial_services(answering(response(nameless))) == [SerialService("", 5)]
 
 
 class TestNonsense:
@@ -148,14 +148,14 @@ class TestNonsense:
     )
     def test_an_answer_that_makes_no_sense(self, packet: bytes, says: str) -> None:
         with pytest.raises(SdpError, match=says):
-            _sdp.serial_services(answering(packet))
+            sdp.serial_services(answering(packet))
 
     def test_nesting_without_end(self) -> None:
         lists = b""
         for _ in range(5000):
             lists = element(6, lists)
         with pytest.raises(SdpError, match="nested too deeply"):
-            _sdp.serial_services(answering(response(lists)))
+            sdp.serial_services(answering(response(lists)))
 
     def test_an_answer_without_end(self) -> None:
         rounds = []
@@ -169,22 +169,22 @@ class TestNonsense:
             return answer
 
         with pytest.raises(SdpError, match="does not end after 256 packets"):
-            _sdp.serial_services(exchange(1))
+            sdp.serial_services(exchange(1))
         assert len(rounds) == 256
         rounds.clear()
         with pytest.raises(SdpError, match="longer than 65536 bytes"):
-            _sdp.serial_services(exchange(60000))
+            sdp.serial_services(exchange(60000))
         assert len(rounds) == 2
 
     @given(st.lists(st.binary(max_size=100), min_size=1, max_size=4))
     def test_arbitrary_packets(self, packets: list[bytes]) -> None:
         with pytest.raises(SdpError):
-            _sdp.serial_services(answering(*packets, b""))
+            sdp.serial_services(answering(*packets, b""))
 
     @given(st.binary(max_size=60))
     def test_arbitrary_elements(self, lists: bytes) -> None:
         try:
-            services = _sdp.serial_services(answering(response(lists)))
+            services = sdp.serial_services(answering(response(lists)))
         except SdpError:
             return
         assert all(1 <= service.channel <= 30 for service in services)
@@ -193,7 +193,7 @@ class TestNonsense:
     def test_a_damaged_answer(self, at: int, replacement: bytes) -> None:
         packet = GOLDEN[:at] + replacement + GOLDEN[at + len(replacement) :]
         try:
-            services = _sdp.serial_services(answering(packet))
+            services = sdp.serial_services(answering(packet))
         except (SdpError, StopIteration):
             # The second: it promises more now.
             return
@@ -219,29 +219,29 @@ class TestElements:
         ],
     )
     def test_each_type(self, text: str, value: object) -> None:
-        assert _sdp.parse_element(bytes.fromhex(text)) == value
+        assert sdp.parse_element(bytes.fromhex(text)) == value
 
 
 class TestRegistration:
     def test_what_is_registered_is_what_a_client_finds(self) -> None:
-        packet = _sdp.registration("J2A \N{GREEK SMALL LETTER MU}", 12)
+        packet = sdp.registration("J2A \N{GREEK SMALL LETTER MU}", 12)
         kind, number, length = struct.unpack_from(">BHH", packet)
         assert (kind, number, length) == (0x75, 0, len(packet) - 5)
-        found = _sdp.serial_services(answering(response(element(6, packet[6:]))))
+        found = sdp.serial_services(answering(response(element(6, packet[6:]))))
         assert found == [SerialService("J2A \N{GREEK SMALL LETTER MU}", 12)]
-        attributes = _sdp.parse_element(packet[6:])
+        attributes = sdp.parse_element(packet[6:])
         # Servers want them in order; the class is what a client asks for.
         assert attributes[::2] == sorted(attributes[::2])
         assert attributes[1] == [UUID("00001101-0000-1000-8000-00805f9b34fb")]
 
     def test_a_long_name_is_cut_between_characters(self) -> None:
-        packet = _sdp.registration("\N{GREEK SMALL LETTER MU}" * 200, 1)
-        (found,) = _sdp.serial_services(answering(response(element(6, packet[6:]))))
+        packet = sdp.registration("\N{GREEK SMALL LETTER MU}" * 200, 1)
+        (found,) = sdp.serial_services(answering(response(element(6, packet[6:]))))
         assert found.name == "\N{GREEK SMALL LETTER MU}" * 127
 
     def test_the_answer(self) -> None:
-        _sdp.check_registration(bytes.fromhex("76 0000 0004 00010005"))
+        sdp.check_registration(bytes.fromhex("76 0000 0004 00010005"))
         with pytest.raises(SdpError, match="error 0003"):
-            _sdp.check_registration(bytes.fromhex("01 0000 0002 0003"))
+            sdp.check_registration(bytes.fromhex("01 0000 0002 0003"))
         with pytest.raises(SdpError, match="cut off"):
-            _sdp.check_registration(b"")
+            sdp.check_registration(b"")

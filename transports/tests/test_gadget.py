@@ -19,7 +19,7 @@ if sys.platform != "linux":
     pytest.skip("gadgets exist on Linux only", allow_module_level=True)
 
 from j2a_transports import UsbGadget
-from j2a_transports._gadget_descriptors import Event
+from j2a_transports._gadget.descriptors import Event
 
 from .fake_gadget import UDC, FakeKernel, Host, failure
 from .suite import PATIENCE_S, SETTLE_S, Background, BackToBack, read_exactly

@@ -7,7 +7,7 @@ import struct
 import construct as cs
 import pytest
 from j2a_spec import constants, usb
-from j2a_transports import _gadget_descriptors as own
+from j2a_transports._gadget import descriptors as own
 
 # Magic 3, length 24 + 39 + 39 + 57, flags 7 (full, high, super speed); 5, 5 and 8 descriptors.
 GOLDEN_HEAD = "030000009f00000007000000 05000000 05000000 08000000"

@@ -16,8 +16,8 @@ from j2a_transports import BadUrl, OpenFailed
 if sys.platform != "linux":
     pytest.skip("gadgets exist on Linux only", allow_module_level=True)
 
-from j2a_transports import UsbGadget, _gadget_kernel
-from j2a_transports._gadget_kernel import Kernel
+from j2a_transports import UsbGadget
+from j2a_transports._gadget.kernel import _ENDPOINT_DESCRIPTOR, Kernel
 
 from .fake_gadget import UDC, FakeKernel, failure
 
@@ -26,7 +26,7 @@ from .fake_gadget import UDC, FakeKernel, failure
 def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeKernel:
     """The fake system, which is also what `listen("gadget:")` finds."""
     found = FakeKernel(tmp_path)
-    monkeypatch.setattr("j2a_transports._gadget.Kernel", lambda: found)
+    monkeypatch.setattr("j2a_transports._gadget.gadget.Kernel", lambda: found)
     return found
 
 
@@ -276,7 +276,7 @@ def test_locks_of_the_kernel(name: str) -> None:
 
 def test_a_lock_ends_with_its_program(name: str) -> None:
     code = (
-        "from j2a_transports._gadget_kernel import Kernel; import time\n"
+        "from j2a_transports._gadget.kernel import Kernel; import time\n"
         f"lock = Kernel().lock({name!r}); print('held', flush=True); time.sleep(60)\n"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
@@ -312,4 +312,4 @@ def test_errors_of_mounting_name_the_place(tmp_path: Path) -> None:
 
 def test_the_number_of_the_request_for_an_endpoint_descriptor() -> None:
     # From a C program that prints FUNCTIONFS_ENDPOINT_DESC.
-    assert _gadget_kernel._ENDPOINT_DESCRIPTOR == 0x80096782
+    assert _ENDPOINT_DESCRIPTOR == 0x80096782

@@ -29,7 +29,7 @@ Open = Callable[..., Transport]
 @pytest.fixture(params=["blocking", "asynchronous"])
 def open_fake(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Open:
     """Open a fake device in either way."""
-    monkeypatch.setattr("j2a_transports._usb_pipes.SLICE_MS", 10)
+    monkeypatch.setattr("j2a_transports._usb.pipes.SLICE_MS", 10)
     if request.param == "asynchronous":
         give_libusb(monkeypatch)
 
@@ -193,8 +193,8 @@ def test_unplugging_ends_blocked_calls_at_once(open_fake: Open, failing: list[in
 def test_a_reset_by_another_program_is_a_lost_link(
     open_fake: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("j2a_transports._usb_claim.is_libusb", lambda backend: True)
-    monkeypatch.setattr("j2a_transports._usb_claim.SYSFS", tmp_path)
+    monkeypatch.setattr("j2a_transports._usb.claim.is_libusb", lambda backend: True)
+    monkeypatch.setattr("j2a_transports._usb.claim.SYSFS", tmp_path)
     driver = tmp_path / "1-2.3:1.0" / "driver"
     for writing in (False, True):
         driver.mkdir(parents=True, exist_ok=True)

@@ -13,9 +13,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from j2a_transports import _usb_libusb, usb_boards
-from j2a_transports._usb_find import libusb
-from j2a_transports._usb_libusb import Libusb, Transfer
+from j2a_transports import usb_boards
+from j2a_transports._usb import libusb_async
+from j2a_transports._usb.find import libusb
+from j2a_transports._usb.libusb_async import Libusb, Transfer
 from usb.backend import libusb1
 
 from .fake_usb import FakeBackend
@@ -82,26 +83,26 @@ def test_a_flag_that_is_set_makes_no_wait(api: Libusb) -> None:
 def test_an_error_of_libusb_is_one_of_the_system() -> None:
     for code, number in ((-4, errno.ENODEV), (-9, errno.EPIPE), (-99, errno.EIO)):
         with pytest.raises(OSError) as caught:
-            _usb_libusb.check(code)
+            libusb_async.check(code)
         assert caught.value.errno == number
-    _usb_libusb.check(0)
+    libusb_async.check(0)
 
 
 def test_other_backends_have_no_such_functions() -> None:
-    assert _usb_libusb.asynchronous(SimpleNamespace(backend=FakeBackend())) is None
+    assert libusb_async.asynchronous(SimpleNamespace(backend=FakeBackend())) is None
 
 
 def test_a_library_or_a_pyusb_without_them_is_used_by_blocking_calls() -> None:
     real = libusb()
     # pyusb keeps the handle elsewhere.
-    assert _usb_libusb.asynchronous(SimpleNamespace(backend=real)) is None
+    assert libusb_async.asynchronous(SimpleNamespace(backend=real)) is None
     # The C library knows none of the names.
     real_lib, real.lib = real.lib, ctypes.CDLL(None)
     try:
         device = SimpleNamespace(
             backend=real, _ctx=SimpleNamespace(handle=SimpleNamespace(handle=1))
         )
-        assert _usb_libusb.asynchronous(device) is None
+        assert libusb_async.asynchronous(device) is None
     finally:
         real.lib = real_lib
 
@@ -112,8 +113,8 @@ def test_looking_works_on_this_computer_whatever_is_plugged_in() -> None:
 
 PROGRAM = """
 import ctypes, threading
-from j2a_transports._usb_find import libusb
-from j2a_transports._usb_libusb import Libusb
+from j2a_transports._usb.find import libusb
+from j2a_transports._usb.libusb_async import Libusb
 backend = libusb()
 api = Libusb(backend.lib, backend.ctx)
 stop = ctypes.c_int(0)

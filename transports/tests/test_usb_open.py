@@ -13,8 +13,9 @@ import j2a_transports
 import pytest
 import usb.core
 from j2a_spec import constants
-from j2a_transports import BadUrl, MissingExtra, OpenFailed, _usb_find, usb_boards
-from j2a_transports._usb_address import Address
+from j2a_transports import BadUrl, MissingExtra, OpenFailed, usb_boards
+from j2a_transports._usb import find
+from j2a_transports._usb.address import Address
 
 from .fake_usb import (
     SYNC,
@@ -31,8 +32,8 @@ from .fake_usb import (
 def bus(monkeypatch: pytest.MonkeyPatch) -> FakeBackend:
     """What `usb://` finds; the tests put devices on it."""
     backend = FakeBackend()
-    monkeypatch.setattr("j2a_transports._usb.libusb", lambda what: backend)
-    monkeypatch.setattr("j2a_transports._usb_pipes.SLICE_MS", 10)
+    monkeypatch.setattr("j2a_transports._usb.link.libusb", lambda what: backend)
+    monkeypatch.setattr("j2a_transports._usb.pipes.SLICE_MS", 10)
     return backend
 
 
@@ -56,8 +57,8 @@ def opened_and_closed(device: FakeDevice) -> bool:
 def test_the_numbers_are_those_of_the_specification() -> None:
     kind = (constants.USB_CLASS, constants.USB_SUBCLASS, constants.USB_PROTOCOL)
     sync = (constants.USB_CLASS, constants.SYNCUSB_SUBCLASS, constants.SYNCUSB_PROTOCOL)
-    assert kind == _usb_find.LINK_CLASS
-    assert sync == _usb_find.SYNC_CLASS
+    assert kind == find.LINK_CLASS
+    assert sync == find.SYNC_CLASS
 
 
 def test_what_is_known_of_a_board() -> None:
@@ -317,12 +318,12 @@ def test_strings_and_rights_come_from_linux_without_opening(
     file = tmp_path / "001" / "004"
     file.parent.mkdir()
     file.touch()
-    monkeypatch.setattr(_usb_find, "is_libusb", lambda backend: True)
-    monkeypatch.setattr(_usb_find, "SYSFS", tmp_path)
-    monkeypatch.setattr(_usb_find, "DEVICE_FILES", tmp_path)
+    monkeypatch.setattr(find, "is_libusb", lambda backend: True)
+    monkeypatch.setattr(find, "SYSFS", tmp_path)
+    monkeypatch.setattr(find, "DEVICE_FILES", tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != file)
     (found,) = usb_boards(FakeBackend(device))
     assert (found.manufacturer, found.name, found.serial) == ("Me", "Arm", "S9")
     assert found.device_file == str(file)
-    assert found.problem == _usb_find.UDEV_ADVICE
+    assert found.problem == find.UDEV_ADVICE
     assert device.calls == []

@@ -12,8 +12,8 @@ import j2a_transports
 import pytest
 import usb.core
 from j2a_transports import LinkLost, Transport, WriteTimeout
-from j2a_transports._usb import UsbTransport
-from j2a_transports._usb_async import LIMIT
+from j2a_transports._usb.link import UsbTransport
+from j2a_transports._usb.transfers import LIMIT
 
 from .fake_libusb import FakeLibusb, give_libusb
 from .fake_usb import ROOM, DeviceEnd, FakeBackend, FakeDevice, board, usb_error
@@ -45,7 +45,7 @@ def apis(monkeypatch: pytest.MonkeyPatch) -> Apis:
 @pytest.fixture(params=["blocking", "asynchronous"])
 def link(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Link]:
     """A link in either way."""
-    monkeypatch.setattr("j2a_transports._usb_pipes.SLICE_MS", 10)
+    monkeypatch.setattr("j2a_transports._usb.pipes.SLICE_MS", 10)
     if request.param == "asynchronous":
         give_libusb(monkeypatch)
     with linked(board()) as made:
@@ -224,9 +224,9 @@ def test_closing_frees_every_transfer(apis: Apis) -> None:
 def test_transfers_that_never_come_back_are_kept_and_the_handle_too(
     apis: Apis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("j2a_transports._usb_async.BACK_S", 0.05)
+    monkeypatch.setattr("j2a_transports._usb.transfers.BACK_S", 0.05)
     kept: list[Any] = []
-    monkeypatch.setattr("j2a_transports._usb_async._kept", kept)
+    monkeypatch.setattr("j2a_transports._usb.transfers._kept", kept)
     with linked(board()) as link:
         apis[link.device].cancel = lambda pointer: None  # type: ignore[method-assign]
     assert isinstance(link.near, UsbTransport)
@@ -239,8 +239,8 @@ def test_transfers_that_never_come_back_are_kept_and_the_handle_too(
 def test_a_libusb_that_handles_no_events_is_a_lost_link(
     apis: Apis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("j2a_transports._usb_async.BACK_S", 0.05)
-    monkeypatch.setattr("j2a_transports._usb_async._kept", [])
+    monkeypatch.setattr("j2a_transports._usb.transfers.BACK_S", 0.05)
+    monkeypatch.setattr("j2a_transports._usb.transfers._kept", [])
     with linked(board()) as link:
         api = apis[link.device]
         with link.device.changed:

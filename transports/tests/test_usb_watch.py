@@ -11,7 +11,8 @@ from typing import Any
 
 import j2a_transports
 import pytest
-from j2a_transports import LinkClosed, UsbArrived, UsbLeft, UsbWatch, _usb_watch
+from j2a_transports import LinkClosed, UsbArrived, UsbLeft, UsbWatch
+from j2a_transports._usb import watch as module
 
 from .fake_usb import FakeBackend, board, usb_error
 from .suite import PATIENCE_S, SETTLE_S, Background
@@ -27,7 +28,7 @@ def watch(
     request: pytest.FixtureRequest, bus: FakeBackend, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[UsbWatch]:
     if request.param != "uevents":
-        monkeypatch.setattr(_usb_watch, "_uevent_socket", lambda: None)
+        monkeypatch.setattr(module, "_uevent_socket", lambda: None)
     if request.param == "no pipes":
         # As on Windows.
         monkeypatch.setattr(os, "name", "nt")
@@ -94,7 +95,7 @@ def test_a_look_that_fails_is_no_event(
 def test_udev_gets_a_moment_to_give_the_permission(
     bus: FakeBackend, watch: UsbWatch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_usb_watch, "SETTLING_S", 0.01)
+    monkeypatch.setattr(module, "SETTLING_S", 0.01)
     watch.next(0)
     bus.devices.append(board(address=5, serial="B2", denied=True))
     assert watch.next(0.03) is None
@@ -103,7 +104,7 @@ def test_udev_gets_a_moment_to_give_the_permission(
     assert event is not None
     assert (event.board.serial, event.board.problem) == ("B2", None)
     # One that gets none comes in the end, with what to do.
-    monkeypatch.setattr(_usb_watch, "SETTLE_S", 0.03)
+    monkeypatch.setattr(module, "SETTLE_S", 0.03)
     bus.devices.append(board(address=6, serial="C3", denied=True))
     event = watch.next(PATIENCE_S)
     assert event is not None
@@ -116,7 +117,7 @@ def test_a_message_of_the_system_ends_the_wait_for_the_next_look(
 ) -> None:
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     here.setblocking(False)
-    monkeypatch.setattr(_usb_watch, "_uevent_socket", lambda: here)
+    monkeypatch.setattr(module, "_uevent_socket", lambda: here)
     with there, UsbWatch(PATIENCE_S * 10, bus) as watch:
         watch.next(0)
         waiting = Background(lambda: watch.next(PATIENCE_S))

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import unquote
 
-from ._base import BadUrl, OpenFailed
+from j2a_transports._base import BadUrl, OpenFailed
 
 if TYPE_CHECKING:
-    from ._usb_find import UsbBoard
+    from .find import UsbBoard
 
 _IDS: Final = re.compile(r"([0-9A-Fa-f]{4}):([0-9A-Fa-f]{4})(?:/([^/]*))?")
 _PLACE: Final = re.compile(r"([0-9]{1,3}):([0-9]{1,3})")

@@ -16,8 +16,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from ._usb_find import Pair
-from ._usb_libusb import (
+from .find import Pair
+from .libusb_async import (
     BULK_TRANSFER,
     CALLBACK,
     CANCELLED,
@@ -30,7 +30,7 @@ from ._usb_libusb import (
     Libusb,
     TransferPointer,
 )
-from ._usb_pipes import Ended, Endpoint, Pipes, Stuck, reset
+from .pipes import Ended, Endpoint, Pipes, Stuck, reset
 
 LIMIT: Final = 65536
 # How long cancelled transfers may take to come back.

@@ -22,13 +22,14 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from ._base import DEFAULT_WRITE_TIMEOUT_S, BadUrl, LinkClosed, Listener, Transport
-from ._gadget_descriptors import EVENT_SIZE, PRODUCT, SYNC_PACKET, SYNC_SIZE, VENDOR, Event
-from ._gadget_kernel import Kernel
-from ._gadget_link import CHUNK, GadgetTransport
-from ._gadget_setup import GadgetFiles, Identity
-from ._poll import READY, Readiness, Waker
-from ._url import Url, boolean, integer
+from j2a_transports._base import DEFAULT_WRITE_TIMEOUT_S, BadUrl, LinkClosed, Listener, Transport
+from j2a_transports._poll import READY, Readiness, Waker
+from j2a_transports._url import Url, boolean, integer
+
+from .descriptors import EVENT_SIZE, PRODUCT, SYNC_PACKET, SYNC_SIZE, VENDOR, Event
+from .kernel import Kernel
+from .link import CHUNK, GadgetTransport
+from .setup import GadgetFiles, Identity
 
 # The endpoint is off, or was switched off and on during the call: an event says or will say why.
 _OFF: Final = frozenset({errno.ESHUTDOWN, errno.EAGAIN, errno.ENODEV, errno.ECONNRESET})

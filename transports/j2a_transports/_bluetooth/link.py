@@ -17,11 +17,12 @@ import socket
 import time
 from typing import Any, Final
 
-from . import _btsocket, _sdp
-from ._accept import SocketListener
-from ._base import BadUrl, LinkLost, Listener, OpenFailed, Transport
-from ._poll import CHUNK, PolledTransport
-from ._url import Converter, Url, choice, text, timeout
+from j2a_transports._accept import SocketListener
+from j2a_transports._base import BadUrl, LinkLost, Listener, OpenFailed, Transport
+from j2a_transports._poll import CHUNK, PolledTransport
+from j2a_transports._url import Converter, Url, choice, text, timeout
+
+from . import sdp, sockets
 
 # Two times what an adapter calls a device that does not answer (5.12 s).
 _CONNECT_TIMEOUT_S: Final = 10.0
@@ -126,7 +127,7 @@ class BluetoothListener(SocketListener):
         self._write_timeout_s = write_timeout_s
 
     def _take(self) -> Transport:
-        sock, address = _btsocket.accept(self._sock)
+        sock, address = sockets.accept(self._sock)
         url = f"bt://{address}/{self.url.rpartition('/')[2]}"
         return BluetoothTransport(url, sock, self._write_timeout_s)
 
@@ -169,14 +170,14 @@ def listen_url(url: Url) -> Listener:
         )
     options = url.options(parts, _COMMON)
     _check_support(url)
-    address = _address_of(url, match[1]) if match[1] else _btsocket.ANY
+    address = _address_of(url, match[1]) if match[1] else sockets.ANY
     record = sock = None
     try:
         sock = _create(socket.SOCK_STREAM, options)
-        _btsocket.bind(sock, address, int(match[2] or 0))
+        sockets.bind(sock, address, int(match[2] or 0))
         sock.listen()
-        bound, channel = _btsocket.local(sock)
-        if bound == _btsocket.ANY:
+        bound, channel = sockets.local(sock)
+        if bound == sockets.ANY:
             bound = _first_up(url)
         if "service" in options:
             record = _publish(url, options["service"], channel)
@@ -213,8 +214,8 @@ class _Client:
             sock = _create(kind, self._options)
             try:
                 if self._from is not None:
-                    _btsocket.bind(sock, self._from, 0)
-                _btsocket.connect(sock, self._address, port, self._left_s())
+                    sockets.bind(sock, self._from, 0)
+                sockets.connect(sock, self._address, port, self._left_s())
                 return sock
             except OSError as error:
                 sock.close()
@@ -230,21 +231,21 @@ class _Client:
 
     def look_up(self, name: str | None) -> int:
         """Return the channel of the serial port of that name, or of the first one."""
-        if not _btsocket.LINUX:
+        if not sockets.LINUX:
             raise OpenFailed(
                 f"{self._url.text}: this system has no sockets to ask a device for its serial "
                 f"port; give the channel, often 1: bt://{self._address}/1"
             )
         try:
-            with self.connect(socket.SOCK_SEQPACKET, _sdp.PSM) as sock:
+            with self.connect(socket.SOCK_SEQPACKET, sdp.PSM) as sock:
 
                 def exchange(packet: bytes) -> bytes:
                     sock.settimeout(self._left_s())
                     sock.send(packet)
                     sock.settimeout(self._left_s())
-                    return sock.recv(_sdp.PACKET)
+                    return sock.recv(sdp.PACKET)
 
-                services = _sdp.serial_services(exchange)
+                services = sdp.serial_services(exchange)
         except ConnectionRefusedError as error:
             raise OpenFailed(
                 f"{self._url.text}: the device tells no services; give the channel, often 1: "
@@ -252,7 +253,7 @@ class _Client:
             ) from error
         except OSError as error:
             raise self.failure(error, "its service discovery") from error
-        except _sdp.SdpError as error:
+        except sdp.SdpError as error:
             raise OpenFailed(
                 f"{self._url.text}: the device was asked for its serial port: {error}; "
                 f"give the channel, often 1: bt://{self._address}/1"
@@ -312,7 +313,7 @@ _BE_THERE: Final = (
 
 
 def _check_support(url: Url) -> None:
-    if not _btsocket.supported():
+    if not sockets.supported():
         raise OpenFailed(
             f"{url.text}: this Python has no Bluetooth sockets (there are some on Linux, and in "
             "Python for Windows from python.org); a serial port of the system works too, such as "
@@ -321,10 +322,10 @@ def _check_support(url: Url) -> None:
 
 
 def _create(kind: int, options: dict[str, Any]) -> socket.socket:
-    sock = _btsocket.create(kind)
+    sock = sockets.create(kind)
     try:
         if "security" in options:
-            _btsocket.set_security(sock, options["security"])
+            sockets.set_security(sock, options["security"])
     except OSError:
         sock.close()
         raise
@@ -333,7 +334,7 @@ def _create(kind: int, options: dict[str, Any]) -> socket.socket:
 
 def _address_of(url: Url, adapter: str) -> str:
     """Return the address of an adapter given by address or name."""
-    there = _btsocket.adapters()
+    there = sockets.adapters()
     for one in there:
         if adapter.upper() in (one.address, one.name.upper()):
             return one.address
@@ -346,16 +347,16 @@ def _address_of(url: Url, adapter: str) -> str:
 
 def _first_up(url: Url) -> str:
     """Return the address that others reach this machine at, when it listens at all adapters."""
-    if not _btsocket.LINUX:
-        return _btsocket.ANY
-    for adapter in _btsocket.adapters():
+    if not sockets.LINUX:
+        return sockets.ANY
+    for adapter in sockets.adapters():
         if adapter.up:
             return adapter.address
     raise OpenFailed(f"{url.text}: {_adapter_advice()}")
 
 
 def _adapter_advice() -> str:
-    there = _btsocket.adapters()
+    there = sockets.adapters()
     if not there:
         return "no Bluetooth adapter is there: plug one in, and see `bluetoothctl list`"
     if any(adapter.up for adapter in there):
@@ -373,10 +374,10 @@ def _publish(url: Url, name: str, channel: int) -> socket.socket:
     try:
         sock.settimeout(_CONNECT_TIMEOUT_S)
         sock.connect(SDP_SOCKET)
-        sock.sendall(_sdp.registration(name, channel))
-        _sdp.check_registration(sock.recv(_sdp.PACKET))
+        sock.sendall(sdp.registration(name, channel))
+        sdp.check_registration(sock.recv(sdp.PACKET))
         return sock
-    except (OSError, _sdp.SdpError) as error:
+    except (OSError, sdp.SdpError) as error:
         sock.close()
         why = error.strerror or str(error) if isinstance(error, OSError) else str(error)
         raise OpenFailed(

@@ -19,8 +19,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
-from ._base import MissingExtra, OpenFailed
-from ._usb_address import Address
+from j2a_transports._base import MissingExtra, OpenFailed
+
+from .address import Address
 
 # Class, subclass and protocol of the interface that carries the bytes, and of SyncUSB.
 LINK_CLASS: Final = (0xFF, 0x12, 0xEF)

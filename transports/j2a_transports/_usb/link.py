@@ -3,8 +3,8 @@
 In: a URL, or a pyusb device of a program that has its own way to find it.  Out: bytes.
 Rules: the board is told by the class of its interface; only that interface is touched, and the
 device gets a configuration only when it has none with it; a kernel driver of the interface is put
-back at the end. With libusb several transfers are under way (`_usb_async`); other backends, and
-`transfers=1`, make one after the other (`_usb_pipes`).
+back at the end. With libusb several transfers are under way (`transfers`); other backends, and
+`transfers=1`, make one after the other (`pipes`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import time
 import weakref
 from typing import Any, Final
 
-from ._base import (
+from j2a_transports._base import (
     DEFAULT_WRITE_TIMEOUT_S,
     LinkClosed,
     LinkLost,
@@ -28,14 +28,15 @@ from ._base import (
     Transport,
     WriteTimeout,
 )
-from ._loopback import Channel
-from ._url import Converter, Url, integer, number, text
-from ._usb_address import Address
-from ._usb_async import LIMIT, AsyncPipes
-from ._usb_claim import claim, claim_shown, clear_halt, dispose, explained
-from ._usb_find import Found, Pair, is_open, libusb, scan
-from ._usb_libusb import asynchronous
-from ._usb_pipes import BlockingPipes, Ended, Pipes, Stuck
+from j2a_transports._loopback import Channel
+from j2a_transports._url import Converter, Url, integer, number, text
+
+from .address import Address
+from .claim import claim, claim_shown, clear_halt, dispose, explained
+from .find import Found, Pair, is_open, libusb, scan
+from .libusb_async import asynchronous
+from .pipes import BlockingPipes, Ended, Pipes, Stuck
+from .transfers import LIMIT, AsyncPipes
 
 TRANSFERS: Final = 4
 # How often a board that is not there yet is looked for.

@@ -15,9 +15,10 @@ import sys
 from dataclasses import dataclass
 from typing import Final
 
-from ._base import OpenFailed
-from ._gadget_descriptors import descriptor_block, string_block
-from ._gadget_kernel import Kernel
+from j2a_transports._base import OpenFailed
+
+from .descriptors import descriptor_block, string_block
+from .kernel import Kernel
 
 # Only a device that has no interrupt endpoint left fails so; the others have a reason of their own.
 _NO_ENDPOINT: Final = (errno.EINVAL, errno.ENOTSUP, errno.ENODEV)

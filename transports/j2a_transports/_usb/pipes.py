@@ -4,7 +4,7 @@ In: the endpoints and bytes to send.  Out: the bytes that arrive, through a call
 Rules: what did go is never sent again and what has come is never dropped, also when a transfer
 times out; a halt is cleared once, a second one without a byte in between ends the link; the last
 transfer of a write is shorter than a packet, so empty where the rest was a multiple of it.
-`Pipes` is also what `_usb_async` implements.
+`Pipes` is also what `transfers` implements.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, Final
 
-from ._usb_find import BULK, Pair
+from .find import BULK, Pair
 
 # How many packets a transfer has at most: enough to fill some frames of the bus, and few enough
 # that a slow board ends one within any sensible write timeout.

@@ -20,8 +20,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
-from ._base import LinkClosed, OpenFailed
-from ._usb_find import UsbBoard, libusb, scan
+from j2a_transports._base import LinkClosed, OpenFailed
+
+from .find import UsbBoard, libusb, scan
 
 POLL_S: Final = 1.0
 # How long a board that may not be opened is held back, and how often it is looked at.

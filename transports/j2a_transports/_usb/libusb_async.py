@@ -13,7 +13,7 @@ import errno
 from ctypes import POINTER, Structure, byref, c_int, c_ubyte, c_uint, c_void_p
 from typing import TYPE_CHECKING, Any, Final
 
-from ._usb_find import is_libusb
+from .find import is_libusb
 
 COMPLETED: Final = 0
 TIMED_OUT: Final = 2

@@ -14,8 +14,9 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from ._base import OpenFailed
-from ._usb_find import (
+from j2a_transports._base import OpenFailed
+
+from .find import (
     SYSFS,
     UDEV_ADVICE,
     WINUSB_ADVICE,

@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from ._base import LinkClosed, LinkLost, Transport, WriteTimeout
-from ._loopback import Channel
+from j2a_transports._base import LinkClosed, LinkLost, Transport, WriteTimeout
+from j2a_transports._loopback import Channel
 
 # A multiple of every packet size. The kernel copies it to a buffer in one piece.
 CHUNK: Final = 16384

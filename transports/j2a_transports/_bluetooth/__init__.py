@@ -1,0 +1,1 @@
+"""RFCOMM, the serial port of Bluetooth; `link` serves the URLs."""

@@ -1,0 +1,1 @@
+"""This computer as a USB board, over FunctionFS; `gadget` serves the URLs."""

@@ -1,0 +1,1 @@
+"""J2A boards on the USB, through pyusb; `link` serves the URLs."""
