@@ -1,7 +1,7 @@
 """Carries bytes between two transports: a board of the guest and a program of the host.
 
-In: as a program, the name of a link (see links.py) and a TCP port of the host, where a connection
-is made for each opening of the board.  Out: bytes, unchanged, as they come.
+In: as a program, the name of a link (see links.py) and a TCP port of the host, to which it connects
+when the board is open, and so again and again.  Out: bytes, unchanged, as they come.
 Rules: when one side ends, so does the other; the program ends when the host does not answer.
 """
 
@@ -36,11 +36,12 @@ def main() -> None:
     name, port = sys.argv[1:]
     with link(name) as way:
         while True:
-            try:
-                program = j2a_transports.open(f"tcp://{HOST}:{port}")
-            except OpenFailed:
-                return
-            join(j2a_transports.open(way.url), program)
+            with j2a_transports.open(way.url) as board:
+                try:
+                    program = j2a_transports.open(f"tcp://{HOST}:{port}")
+                except OpenFailed:
+                    return
+                join(board, program)
 
 
 if __name__ == "__main__":

@@ -94,3 +94,12 @@ def test_two_boards_by_serial_number(guest, build_firmware):
     with served(*(build_firmware(**FIRMWARE, SERIAL=serial) for serial in serials)) as port:
         done = guest("python", "tests/guest/two_boards.py", str(port), *serials, timeout=240)
     assert done.stdout.count("good: ") == 3
+
+
+@pytest.mark.avr
+@pytest.mark.requirement("USB-002")
+def test_what_programs_see(guest, build_firmware):
+    """`j2a list` of a gadget and the simulated chip; a kernel driver is replaced and comes back."""
+    with served(build_firmware(**FIRMWARE)) as port:
+        done = guest("python", "tests/guest/programs.py", str(port), timeout=240)
+    assert done.stdout.count("good: ") == 2

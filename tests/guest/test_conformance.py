@@ -1,0 +1,92 @@
+"""The conformance suite, unchanged, over the USB of the guest's kernel.
+
+j2a-conform runs on this side, because an emulated processor takes ten times as long for what the
+suite computes; a relay in the guest opens the board for each of its connections and carries bytes.
+"""
+
+import contextlib
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import j2a_transports
+import pytest
+from j2a_conformance.cases import load
+from j2a_transports import LinkClosed, Listener
+
+from .conftest import ROOT, SCRIPT
+from .relay import join
+from .test_links import FIRMWARE, served
+
+pytestmark = pytest.mark.guest
+PATIENCE_S = 240
+PARTS = 4
+LONGEST = "frame.lengths"
+
+
+def couple(programs: Listener, relays: Listener, ready: threading.Event) -> None:
+    """Join each program's connection with one of the relay, until a listener is closed."""
+    with contextlib.suppress(LinkClosed):
+        while True:
+            relay = relays.accept(None)
+            ready.set()
+            program = programs.accept(None)
+            assert relay is not None
+            assert program is not None
+            join(program, relay)
+
+
+@contextmanager
+def relayed(link: str) -> Iterator[str]:
+    """Make a link of the guest a TCP server on this side; yields its URL."""
+    with (
+        j2a_transports.listen("tcp://127.0.0.1:0") as programs,
+        j2a_transports.listen("tcp://127.0.0.1:0") as relays,
+    ):
+        ready = threading.Event()
+        threading.Thread(target=couple, args=(programs, relays, ready), daemon=True).start()
+        port = relays.url.rpartition(":")[2]
+        inside = ("python", "tests/guest/relay.py", link, port)
+        command = [sys.executable, SCRIPT, f"--timeout={PATIENCE_S}", "--", *inside]
+        with subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        ) as guest:
+            try:
+                assert ready.wait(PATIENCE_S)
+                yield programs.url
+            finally:
+                guest.terminate()
+                print(guest.communicate(timeout=60)[0].decode())
+
+
+def conform(url: str, *arguments: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "j2a_conformance", "run", url, *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    print(done.stdout, done.stderr)
+    assert done.returncode == 0
+    assert "is conformant" in done.stdout
+
+
+def part(number: int) -> list[str]:
+    """Return the ids of the cases of one of PARTS runs, none of which takes too long."""
+    cases = [case.ID for case in load()]
+    cases.remove(LONGEST)
+    return [LONGEST] if number == 0 else cases[number - 1 :: PARTS - 1]
+
+
+@pytest.mark.requirement("USB-007", "USB-008", "USB-009", "USB-010")
+@pytest.mark.parametrize("number", range(PARTS))
+@pytest.mark.parametrize("link", ["gadget", pytest.param("usbip", marks=pytest.mark.avr)])
+def test_the_suite_over_usb(guest, link, number, build_firmware):
+    with contextlib.ExitStack() as stack:
+        if link == "usbip":
+            link += f":{stack.enter_context(served(build_firmware(**FIRMWARE)))}"
+        conform(stack.enter_context(relayed(link)), "--case", *part(number))
