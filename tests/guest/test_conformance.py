@@ -31,11 +31,12 @@ def couple(programs: Listener, relays: Listener, ready: threading.Event) -> None
     with contextlib.suppress(LinkClosed):
         while True:
             relay = relays.accept(None)
-            ready.set()
-            program = programs.accept(None)
             assert relay is not None
-            assert program is not None
-            join(program, relay)
+            ready.set()
+            with relay:
+                program = programs.accept(None)
+                assert program is not None
+                join(program, relay)
 
 
 @contextmanager
