@@ -1,12 +1,15 @@
 """The programs that the documentation shows do what it says."""
 
 import contextlib
+import functools
+import os
 import re
 import shlex
 import struct
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import j2a_transports
@@ -14,6 +17,7 @@ import pytest
 
 import j2a
 from j2a.demo import DemoDevice
+from transports.tests.fake_gadget import FakeKernel, Host  # noqa: TID251 - not installed
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs/examples"
@@ -86,6 +90,52 @@ def test_thermometer():
                 assert board.read_many("history") == struct.pack("<200f", *range(200))
         finally:
             process.terminate()
+
+
+@pytest.mark.avr
+def test_simulated_usb(build_firmware):
+    elf = build_firmware("demo", port="avr-usb", MCU="atmega32u4", SERIAL="0042")
+    first, second, third = run(EXAMPLES / "simulated_usb.py", elf).splitlines()
+    assert first == "J2A atmega32u4 0042"
+    assert second == "usb://0042 at 12 Mbit/s"
+    assert third.startswith("J2A demo has a2jGetMapping, ")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="gadgets exist on Linux only")
+def test_linux_board(tmp_path, monkeypatch):
+    """With a device port in memory; tests/guest have gadgets at the kernel's."""
+    kernel = FakeKernel(tmp_path)
+    # A name of its own, because the lock that goes by it is the real one.
+    gadget = functools.partial(j2a_transports.UsbGadget, kernel=kernel, name=f"docs-{os.getpid()}")
+    monkeypatch.setattr(j2a_transports, "UsbGadget", gadget)
+    names = {"__name__": "__main__"}
+    program = compile((EXAMPLES / "linux_board.py").read_text(), "linux_board.py", "exec")
+    thread = threading.Thread(target=exec, args=(program, names))
+    thread.start()
+    try:
+        until(lambda: kernel.bus.session is not None)
+        with j2a.Client(Host(kernel.bus), timeout=LIMIT_S) as board:
+            assert board.properties["name"] == "linux board"
+            with kernel.bus.changed:
+                kernel.bus.sync.packets.append(struct.pack("<QH", 5_000_000, 7))
+                kernel.bus.changed.notify_all()
+            until(lambda: names["ahead_us"])
+            [host_us] = struct.unpack("<Q", board.call("host_time").payload)
+            assert 5_000_000 <= host_us < 5_000_000 + LIMIT_S * 1_000_000
+    finally:
+        until(lambda: "device" in names or not thread.is_alive())
+        names["device"].stop()
+        thread.join(LIMIT_S)
+    assert not thread.is_alive()
+    assert not list((kernel.config / "usb_gadget").iterdir())
+
+
+def until(condition):
+    """Wait for what another thread does."""
+    end = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 @pytest.fixture(scope="module")
