@@ -185,15 +185,19 @@ def test_a_bus_reset(chip):
     assert chip.bus.address == 0
     assert chip.get(UDINT) & (EORSTI | SUSPI) == EORSTI
     assert chip.get(UDADDR) == 0
-    for number in (1, 2):
+    for number in (0, 1, 2):
         chip.select(number)
         assert chip.get(UECONX) == 0
-        assert chip.get(UECFG1X) == size_bits(8)
-        assert chip.get(UESTA0X) == 0x80
+        assert chip.get(UECFG1X) == 0  # without ALLOC
+        assert chip.get(UESTA0X) == 0
         assert chip.flags() == 0
     chip.ms(1.1)
+    assert chip.bus.transact("SETUP", 0, READ)[0] is None
+    chip.put(UECONX, EPEN)  # does not bring the memory back
+    assert chip.bus.transact("OUT", 2, b"b")[0] is None
+    assert chip.endpoint(0, CONTROL, size_bits(64))
     assert chip.bus.transact("SETUP", 0, READ)[0] == "ACK"
-    chip.put(UECONX, EPEN)
+    assert chip.endpoint(2, BULK_OUT, size_bits(8))
     assert chip.bus.transact("OUT", 2, b"b")[0] == "ACK"
     assert chip.take() == b"b"
 

@@ -8,6 +8,7 @@ from tests.sim.usb_chip import (
     BIT,
     BULK_IN,
     BULK_OUT,
+    CONTROL,
     DOUBLE,
     EPEN,
     FIFOCON,
@@ -280,6 +281,7 @@ def test_a_chip_that_detaches_ends_all_transfers(chip):
     assert chip.bus.attached
     assert chip.bus.transact("IN", 1)[0] is None  # until the next bus reset
     chip.bus.reset()
+    assert chip.endpoint(0, CONTROL, size_bits(8))
     chip.ms(1.1)
     assert chip.bus.transact("SETUP", 0, READ)[0] == "ACK"
 

@@ -78,11 +78,16 @@ static void disable(usb_device_t *u, usb_endpoint_t *e)
     restart(u, e);
 }
 
+/* The data sheet (22.4) lets endpoint 0 stay configured; chips take EPEN, ALLOC and memory from it as well. */
 void usb_endpoints_bus_reset(usb_device_t *u)
 {
-    for (int i = 1; i < usb_endpoint_count(u); i++)
-        disable(u, &u->endpoints[i]);
-    u->flight.endpoint = NULL; /* endpoint 0 stays as it is */
+    for (int i = 0; i < usb_endpoint_count(u); i++) {
+        usb_endpoint_t *e = &u->endpoints[i];
+        e->cfg1 &= ~UECFG1X_ALLOC;
+        e->cfg_ok = e->reserved = 0;
+        disable(u, e);
+    }
+    u->flight.endpoint = NULL;
 }
 
 void usb_endpoint_hold(usb_device_t *u, uint8_t uerst)
