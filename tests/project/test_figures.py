@@ -10,6 +10,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 SNAPSHOT = json.loads((ROOT / "firmware/budget/snapshot.json").read_text("utf-8"))
 FULL, MINIMAL = SNAPSHOT["avr-serial/full"], SNAPSHOT["avr-serial/minimal"]
+USB = SNAPSHOT["avr-usb/full-32u2"]
 SMALL = SNAPSHOT["avr-serial/minimal-room-32"]
 CYCLES = [SNAPSHOT["avr-serial/cycles"], SNAPSHOT["avr-serial/cycles-room-32"]]
 PAGES = ("README.md", "docs/index.md", "firmware/README.md", "CHANGELOG.md")
@@ -23,6 +24,11 @@ def text(page: str) -> str:
 def test_the_full_build(page: str) -> None:
     found = re.findall(r"(\d+) bytes of flash and (\d+) bytes of RAM", text(page))
     assert (str(FULL["flash"]), str(FULL["ram"])) in found
+
+
+def test_the_full_build_with_usb() -> None:
+    found = re.findall(r"(\d+) bytes of flash and (\d+) bytes of static RAM", text("README.md"))
+    assert found == [(str(USB["flash"]), str(USB["ram"]))]
 
 
 @pytest.mark.parametrize("page", ["firmware/README.md", "CHANGELOG.md"])
