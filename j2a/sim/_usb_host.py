@@ -227,7 +227,7 @@ class UsbHost:
         late = [t for t in self._pending.values() if t.deadline <= now]
         if late:
             self._give_up(late, "timeout")
-        if self.present and not self._bus.attached:
+        if self.present and not self._bus.enabled:
             self._lose()
             return True
         return any_done or bool(late)
@@ -240,7 +240,7 @@ class UsbHost:
                 status = done.status
                 if status == "cancelled" and transfer.fate:
                     status = transfer.fate
-                elif status == "no_answer" and not self._bus.attached:
+                elif status == "no_answer" and not self._bus.enabled:
                     status = "unplugged"
                 self._finish(transfer, status, done)
         return bool(completed)

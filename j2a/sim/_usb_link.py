@@ -137,7 +137,7 @@ class UsbLink(TimedLink):
                 self._listen()
         if fault:
             raise SimError(fault)
-        if not self._bus.attached:
+        if not self._bus.enabled:
             raise SimError("the board is unplugged")
 
     def _collect(self) -> bytes:

@@ -57,6 +57,12 @@ class UsbPort:
         return bool(self._lib.usb_host_attached(self._host))
 
     @property
+    def enabled(self) -> bool:
+        """Whether the host has reset the device that is attached; one that was away for 2.5 us
+        needs another reset."""
+        return int(self._lib.usb_host_state(self._host)) not in {_OFF, _IDLE}
+
+    @property
     def active(self) -> bool:
         """Whether frames go out; else it waits for a reset, is in one, or is suspended."""
         return int(self._lib.usb_host_state(self._host)) == _ACTIVE

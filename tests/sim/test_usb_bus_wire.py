@@ -286,6 +286,36 @@ def test_a_chip_that_detaches_ends_all_transfers(chip):
     assert chip.bus.transact("SETUP", 0, READ)[0] == "ACK"
 
 
+def test_a_short_gap_in_the_pull_up_is_not_seen(chip):
+    number = chip.bus.submit_in(0x81, 8)
+    in_frame(chip.sim, 0.3)
+    chip.pulse(UDCON, 1, 12)  # 37 cycles
+    assert chip.get(UDCON) == 0
+    chip.ms(1.1)
+    assert chip.bus.enabled
+    chip.select(1)
+    chip.send(b"1")
+    chip.ms(1.1)
+    assert [(c.id, c.status) for c in chip.bus.completed()] == [(number, "ok")]
+
+
+def test_a_gap_in_the_pull_up_is_a_disconnect(chip):
+    """Even if it is over before the next frame; 2.5 us make one (USB 2.0, 7.1.7.3)."""
+    number = chip.bus.submit_in(0x81, 8)
+    in_frame(chip.sim, 0.3)
+    frame = chip.bus.frame
+    chip.pulse(UDCON, 1, 14)  # 43 cycles
+    assert [(c.id, c.status) for c in chip.bus.completed()] == [(number, "no_answer")]
+    assert chip.bus.attached
+    assert not chip.bus.enabled
+    chip.ms(1.1)
+    assert chip.bus.frame == frame
+    chip.bus.reset()
+    assert chip.bus.enabled
+    assert chip.endpoint(0, CONTROL, size_bits(8))
+    assert chip.bus.transact("SETUP", 0, READ)[0] == "ACK"
+
+
 def test_a_reset_of_the_chip_detaches(chip):
     frame = chip.bus.frame
     chip.bus.submit_in(0x81, 8)

@@ -47,6 +47,11 @@ class Chip:
         """Read a register with the CPU."""
         return self._do(2, register, 0)
 
+    def pulse(self, register: int, value: int, turns: int) -> None:
+        """Write a register with the CPU, and 0 into it 3 * turns + 1 cycles later."""
+        self.sim.write_memory("turns", bytes([turns]))
+        self._do(3, register, value)
+
     def variable(self, name: str) -> int:
         """The value of a variable of poke.c."""
         return self.sim.read_memory(name, 1)[0]

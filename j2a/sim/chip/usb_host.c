@@ -10,9 +10,11 @@
 /* Bit times: a start of frame, and until the first transaction. */
 enum { SOF_BITS = 35, FIRST_BITS = 40 };
 static const double RESUME_S = 0.020;
+static const double DISCONNECT_S = 2.5e-6; /* 7.1.7.3 of USB 2.0, TDDIS; a shorter gap may go unseen */
 
 static avr_cycle_count_t on_frame(avr_t *avr, avr_cycle_count_t when, void *param);
 static avr_cycle_count_t on_signal(avr_t *avr, avr_cycle_count_t when, void *param);
+static avr_cycle_count_t on_gap(avr_t *avr, avr_cycle_count_t when, void *param);
 
 /* ---- the port ---- */
 
@@ -43,8 +45,27 @@ static void disconnect(usb_host_t *h, int state)
 {
     stop_frames(h);
     usb_not_at(h, &h->signal_due, on_signal);
+    usb_not_at(h, &h->gap_due, on_gap);
     h->state = state;
     fail_all(h);
+}
+
+static avr_cycle_count_t on_gap(avr_t *avr, avr_cycle_count_t when, void *param)
+{
+    usb_host_t *h = param;
+    (void)avr;
+    (void)when;
+    disconnect(h, HOST_IDLE);
+    return 0;
+}
+
+/* Looks at the pull-up. */
+static void follow_device(usb_host_t *h)
+{
+    if (usb_device_pulls_up(h->device))
+        usb_not_at(h, &h->gap_due, on_gap);
+    else if (h->state > HOST_IDLE && !h->gap_due)
+        usb_at(h, &h->gap_due, h->avr->cycle + DISCONNECT_S * h->avr->frequency, on_gap);
 }
 
 static avr_cycle_count_t on_frame(avr_t *avr, avr_cycle_count_t when, void *param)
@@ -53,10 +74,7 @@ static avr_cycle_count_t on_frame(avr_t *avr, avr_cycle_count_t when, void *para
     (void)avr;
     (void)when;
     h->frame_due = 0;
-    if (!usb_host_attached(h)) {
-        disconnect(h, HOST_IDLE);
-        return 0;
-    }
+    follow_device(h);
     if (h->wire == WIRE_BARREN)
         usb_catch_up(h, h->frame_end);
     h->frame = (h->frame + 1) & 2047;
@@ -78,10 +96,7 @@ static avr_cycle_count_t on_signal(avr_t *avr, avr_cycle_count_t when, void *par
     (void)avr;
     (void)when;
     h->signal_due = 0;
-    if (!usb_host_attached(h)) {
-        disconnect(h, HOST_IDLE);
-        return 0;
-    }
+    follow_device(h);
     if (h->state == HOST_RESET)
         usb_device_bus_reset(h->device, 1);
     else
@@ -90,7 +105,12 @@ static avr_cycle_count_t on_signal(avr_t *avr, avr_cycle_count_t when, void *par
     return 0;
 }
 
-int usb_host_attached(const usb_host_t *h) { return h->state != HOST_OFF && usb_device_pulls_up(h->device); }
+int usb_host_attached(usb_host_t *h)
+{
+    follow_device(h);
+    return h->state != HOST_OFF && usb_device_pulls_up(h->device);
+}
+
 int usb_host_state(const usb_host_t *h) { return h->state; }
 
 void usb_host_plug(usb_host_t *h, int on)
@@ -255,6 +275,7 @@ static void on_change(void *param)
 {
     usb_host_t *h = param;
     h->touched = 1;
+    follow_device(h);
     if (h->wire == WIRE_BARREN)
         usb_wake(h);
 }
@@ -269,6 +290,9 @@ static void on_reset(void *param)
         usb_at(h, &h->step_due, h->step_due, usb_on_step);
     if (h->signal_due)
         usb_at(h, &h->signal_due, h->signal_due, on_signal);
+    if (h->gap_due)
+        usb_at(h, &h->gap_due, h->gap_due, on_gap);
+    follow_device(h);
 }
 
 void usb_host_attach(usb_host_t *h, avr_t *avr, usb_device_t *device)

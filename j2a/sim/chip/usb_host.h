@@ -7,6 +7,7 @@
  * another; endpoints take turns, transaction by transaction. What got NAK is tried again when its turn comes;
  * when all got NAK, the turns go on in theory only: they are counted, and at the first turn after something
  * changed on the chip, or after a start of frame, one is tried again. Three times no answer end a transfer.
+ * A pull-up that is away for 2.5 us is a device that has gone, even if it comes back at once.
  */
 #ifndef J2A_SIM_USB_HOST_H
 #define J2A_SIM_USB_HOST_H
@@ -42,7 +43,7 @@ typedef struct {
     int state, address;
     unsigned frame;
     double frame_cycles, next_frame_cycles, frame_start, frame_end; /* cycles, by the host's clock */
-    uint64_t frame_due, step_due, signal_due;    /* 0: not waited for */
+    uint64_t frame_due, step_due, signal_due, gap_due; /* 0: not waited for */
     uint8_t toggles[PIPES];
     usb_transfer_t *queue[PIPES], *completed, **completed_end;
     uint32_t completed_count;
@@ -68,7 +69,7 @@ void usb_host_attach(usb_host_t *, avr_t *, usb_device_t *);
 void usb_host_free(usb_host_t *);
 
 void usb_host_plug(usb_host_t *, int on);
-int usb_host_attached(const usb_host_t *);
+int usb_host_attached(usb_host_t *);
 int usb_host_state(const usb_host_t *);
 /* Begins a bus reset of so many cycles. */
 void usb_host_reset(usb_host_t *, uint64_t cycles);

@@ -2,7 +2,7 @@
 #include <avr/interrupt.h>
 #include <avr/io.h>
 
-volatile uint8_t go, value, serve, gen_entries, gen_seen, com_entries, com_seen;
+volatile uint8_t go, value, turns, serve, gen_entries, gen_seen, com_entries, com_seen;
 volatile uint8_t *volatile address;
 
 ISR(USB_GEN_vect)
@@ -25,6 +25,14 @@ ISR(USB_COM_vect)
     UENUM = selected;
 }
 
+/* Writes `value`, and 0 so many times three cycles and one more after it. */
+static void pulse(void)
+{
+    uint8_t n = turns;
+    __asm__ volatile("st %a1, %2\n1: dec %0\n brne 1b\n st %a1, __zero_reg__"
+                     : "+r"(n) : "e"(address), "r"(value) : "memory");
+}
+
 int main(void)
 {
     sei();
@@ -33,6 +41,8 @@ int main(void)
             continue;
         if (go == 1)
             *address = value;
+        else if (go == 3)
+            pulse();
         else
             value = *address;
         go = 0;
