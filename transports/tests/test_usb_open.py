@@ -211,7 +211,7 @@ def test_no_board_says_what_to_check(bus: FakeBackend) -> None:
     with pytest.raises(OpenFailed, match=r"cable.*lsusb.*j2a setup udev --print"):
         j2a_transports.open("usb://")
     with pytest.raises(OpenFailed, match="no device on the USB has an interface 3"):
-        j2a_transports.open("usb://?interface=3")
+        j2a_transports.open("usb://A1?interface=3")
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def test_an_interface_of_ones_own(bus: FakeBackend) -> None:
     bus.devices.append(FakeDevice([interface(2, (0xFF, 0, 0), ends), SYNC]))
     with pytest.raises(OpenFailed, match="no J2A board"):
         j2a_transports.open("usb://")
-    with j2a_transports.open("usb://?interface=2") as near:
+    with j2a_transports.open("usb://6666:cafe?interface=2") as near:
         # Bulk endpoints come before interrupt ones.
         far = bus.devices[0].end(0x04, 0x85)
         near.write(b"there")
@@ -263,7 +263,21 @@ def test_an_interface_of_ones_own(bus: FakeBackend) -> None:
         far.write(b"back")
         assert near.read(1) == b"back"
     with pytest.raises(OpenFailed, match="no device on the USB has an interface 1 "):
-        j2a_transports.open("usb://?interface=1")
+        j2a_transports.open("usb://6666:cafe?interface=1")
+
+
+@pytest.mark.parametrize("url", ["usb:", "usb://", "usb://?wait=0.3"])
+def test_a_device_that_nobody_named_keeps_its_driver(bus: FakeBackend, url: str) -> None:
+    stick = FakeDevice([interface(0, (8, 6, 0x50))], serial="STICK", drivers={0})
+    bus.devices.append(stick)
+    with pytest.raises(BadUrl, match="of which device, for example usb://6666:cafe.interface=0"):
+        j2a_transports.open(url, interface=0)
+    with pytest.raises(OpenFailed, match="no J2A board"):
+        j2a_transports.open(url)
+    assert stick.calls == []
+    # Whoever names it gets it.
+    assert talks(stick, "usb://STICK?interface=0")
+    assert stick.drivers == {0}
 
 
 def test_another_interface_than_asked_for_is_not_taken() -> None:

@@ -21,6 +21,7 @@ from typing import Any, Final
 
 from j2a_transports._base import (
     DEFAULT_WRITE_TIMEOUT_S,
+    BadUrl,
     LinkClosed,
     LinkLost,
     MissingExtra,
@@ -197,9 +198,15 @@ def open_url(url: Url) -> Transport:
     while True:
         try:
             address = Address.parse(url.text, place, options.get("serial"))
+            if interface is not None and address == Address():
+                # Any device has some interface: a stick would lose its driver.
+                raise BadUrl(
+                    f"{url.text}: interface= needs to know of which device, for example "
+                    f"usb://6666:cafe?interface={interface}"
+                )
             board, device = _find(url.text, address, interface)
             break
-        except MissingExtra:
+        except (BadUrl, MissingExtra):
             raise
         except OpenFailed:
             if time.monotonic() >= deadline:
