@@ -8,20 +8,19 @@ import j2a_transports
 import j2a
 
 device = j2a.Device({"name": "linux board", "serial": "0001"})
-ahead_us = 0
+clock = {"ahead_us": 0}
 
 
 @device.function
 def host_time(payload: bytes) -> bytes:
     """Return the time of the host, in microseconds since 1970."""
-    return struct.pack("<Q", time.time_ns() // 1000 + ahead_us)
+    return struct.pack("<Q", time.time_ns() // 1000 + clock["ahead_us"])
 
 
 def on_sync(packet: bytes) -> None:
     """Compare the clocks: the packet has the host's time, and the frame that began then."""
-    global ahead_us  # noqa: PLW0603 - the state of a program of one page
     host_us, _frame = struct.unpack("<QH", packet)
-    ahead_us = host_us - time.time_ns() // 1000
+    clock["ahead_us"] = host_us - time.time_ns() // 1000
 
 
 device.serve_forever(j2a_transports.UsbGadget(serial="0001", on_sync=on_sync))

@@ -119,7 +119,7 @@ def test_linux_board(tmp_path, monkeypatch):
             with kernel.bus.changed:
                 kernel.bus.sync.packets.append(struct.pack("<QH", 5_000_000, 7))
                 kernel.bus.changed.notify_all()
-            until(lambda: names["ahead_us"])
+            until(lambda: names["clock"]["ahead_us"])
             [host_us] = struct.unpack("<Q", board.call("host_time").payload)
             assert 5_000_000 <= host_us < 5_000_000 + LIMIT_S * 1_000_000
     finally:
