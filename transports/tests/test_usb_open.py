@@ -270,7 +270,7 @@ def test_an_interface_of_ones_own(bus: FakeBackend) -> None:
 def test_a_device_that_nobody_named_keeps_its_driver(bus: FakeBackend, url: str) -> None:
     stick = FakeDevice([interface(0, (8, 6, 0x50))], serial="STICK", drivers={0})
     bus.devices.append(stick)
-    with pytest.raises(BadUrl, match="of which device, for example usb://6666:cafe.interface=0"):
+    with pytest.raises(BadUrl, match=r"of which device, .* usb://6666:cafe\?interface=0"):
         j2a_transports.open(url, interface=0)
     with pytest.raises(OpenFailed, match="no J2A board"):
         j2a_transports.open(url)

@@ -136,6 +136,42 @@ def test_a_write_that_times_out_is_not_sent_twice(link: Link) -> None:
     assert read_exactly(link.far, 1000) == data[sent : sent + 1000]
 
 
+@pytest.mark.requirement("USB-008")
+def test_the_empty_packet_that_a_board_refuses_comes_later(link: Link) -> None:
+    link.near.write_timeout_s = 0.05
+    data = bytes(range(256)) * (ROOM // 4)
+    link.near.write(data)
+    log = link.device.pipes[0x02].log
+    assert log == [64] * ROOM
+    assert read_exactly(link.far, len(data)) == data
+    with link.device.changed:
+        assert link.device.changed.wait_for(lambda: len(log) > ROOM, PATIENCE_S)
+    assert log == [64] * ROOM + [0]
+    link.near.write(b"on")
+    assert read_exactly(link.far, 2) == b"on"
+
+
+def test_a_write_needs_no_empty_packet_before_it(link: Link) -> None:
+    link.near.write_timeout_s = 0.05
+    link.near.write(bytes(64 * ROOM))
+    for _ in range(2):
+        with pytest.raises(WriteTimeout, match="3 of 3 bytes not sent"):
+            link.near.write(b"abc")
+    link.near.write_timeout_s = None
+    writer = Background(lambda: link.near.write(b"abc"))
+    writer.thread.join(SETTLE_S)
+    assert read_exactly(link.far, 64 * ROOM + 3) == bytes(64 * ROOM) + b"abc"
+    writer.result()
+    assert link.device.pipes[0x02].log == [64] * ROOM + [3]
+
+
+def test_closing_forgets_the_empty_packet(link: Link) -> None:
+    link.near.write_timeout_s = 0.05
+    link.near.write(bytes(64 * ROOM))
+    link.near.close()
+    assert link.device.busy == set()
+
+
 def test_a_slow_board_is_no_stuck_one(link: Link) -> None:
     """It takes a packet now and then, and a transfer longer than the write timeout."""
     link.near.write_timeout_s = 0.1

@@ -206,7 +206,7 @@ def open_url(url: Url) -> Transport:
                 )
             board, device = _find(url.text, address, interface)
             break
-        except (BadUrl, MissingExtra):
+        except MissingExtra:
             raise
         except OpenFailed:
             if time.monotonic() >= deadline:

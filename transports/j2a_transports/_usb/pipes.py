@@ -3,7 +3,9 @@
 In: the endpoints and bytes to send.  Out: the bytes that arrive, through a callback.
 Rules: what did go is never sent again and what has come is never dropped, also when a transfer
 times out; a halt is cleared once, a second one without a byte in between ends the link; the last
-transfer of a write is shorter than a packet, so empty where the rest was a multiple of it.
+transfer of a write is shorter than a packet, so empty where the rest was a multiple of it. A board
+that has taken all bytes, but not that empty packet, is not stuck: the packet stays owed until the
+board takes it or the next write, which does without.
 `Pipes` is also what `transfers` implements.
 """
 
@@ -24,6 +26,8 @@ PACKETS: Final = 64
 # How long a blocking transfer waits before it is looked at whether it shall end.
 SLICE_MS: Final = 100
 SLICE_END_S: Final = 2.0
+# How long an owed empty packet may hold up reading each time that it is tried.
+OWED_MS: Final = 5
 
 
 class Stuck(Exception):  # noqa: N818 - the board is, which is no error here
@@ -118,6 +122,11 @@ def reset() -> OSError:
     return OSError(errno.ENODEV, "another program has reset the device")
 
 
+def timed_out(error: Exception) -> bool:
+    """Tell whether pyusb, or a backend that is none of its own, says that the time is over."""
+    return getattr(error, "errno", None) == errno.ETIMEDOUT or isinstance(error, TimeoutError)
+
+
 class BlockingPipes(Pipes):
     """Pipes on a `usb.core.Device`; see `Pipes`. `received` may block."""
 
@@ -133,6 +142,8 @@ class BlockingPipes(Pipes):
         self._device = device
         self._ended = threading.Event()
         self._telling = threading.Lock()
+        self._writing = threading.Lock()
+        self._owed = False
         self._reader = threading.Thread(target=self._read, name="usb reader", daemon=True)
         self._reader.start()
 
@@ -142,6 +153,8 @@ class BlockingPipes(Pipes):
     def _read(self) -> None:
         end = self.incoming
         while not self._ended.is_set():
+            if self._owed:
+                self._send_owed()
             try:
                 data = bytes(self._device.read(end.address, end.size, SLICE_MS))
             except Exception as error:
@@ -154,8 +167,27 @@ class BlockingPipes(Pipes):
             elif not self._ours():
                 self._failed(end, reset())
 
+    def _send_owed(self) -> None:
+        """Try the empty packet once, unless a write begins, which needs none before it."""
+        if not self._writing.acquire(blocking=False):
+            return
+        try:
+            if self._owed:
+                self._device.write(self.outgoing.address, b"", OWED_MS)
+                self._owed = False
+        except Exception as error:
+            # What else there is meets the next read or write, which knows what to do.
+            self._owed = timed_out(error)
+        finally:
+            self._writing.release()
+
     def write(self, data: memoryview, timeout_s: float | None) -> None:
         """See `Pipes.write`."""
+        with self._writing:
+            self._owed = False
+            self._write(data, timeout_s)
+
+    def _write(self, data: memoryview, timeout_s: float | None) -> None:
         end = self.outgoing
         sent = 0
         last = False
@@ -168,6 +200,9 @@ class BlockingPipes(Pipes):
             if timeout_s is not None:
                 left_ms = min(SLICE_MS, int((since + timeout_s - time.monotonic()) * 1000) + 1)
                 if left_ms <= 0:
+                    self._owed = sent == len(data)
+                    if self._owed:
+                        return
                     raise Stuck(sent)
             try:
                 count = self._device.write(end.address, bytes(piece), left_ms)
@@ -193,10 +228,9 @@ class BlockingPipes(Pipes):
             error: what pyusb raised.
             again: whether the transfer can be repeated after a halt.
         """
-        number = getattr(error, "errno", None)
-        if number == errno.ETIMEDOUT or isinstance(error, TimeoutError):
+        if timed_out(error):
             return
-        if number == errno.EPIPE and again and end.may_recover():
+        if getattr(error, "errno", None) == errno.EPIPE and again and end.may_recover():
             try:
                 self._device.clear_halt(end.address)
                 return

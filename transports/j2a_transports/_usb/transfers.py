@@ -104,6 +104,8 @@ class AsyncPipes(Pipes):
         self._to_read = [self._new_slot(self.incoming) for _ in range(count)]
         self._to_write = [self._new_slot(self.outgoing) for _ in range(count)]
         self._reading: deque[_Slot] = deque()
+        # The empty packet that ends a write, left under way where the board takes its time.
+        self._owed: deque[_Slot] = deque()
         self._unread = 0
         self._halted = False
         self._ended = False
@@ -244,6 +246,9 @@ class AsyncPipes(Pipes):
         """See `Pipes.write`."""
         flying: deque[_Slot] = deque()
         sent = 0
+        with self._changed:
+            # Bytes follow, so it is not needed; a halt meets the first of them again.
+            self._recall(self._owed)
         try:
             while True:
                 with self._changed:
@@ -253,6 +258,9 @@ class AsyncPipes(Pipes):
                         return
                     if self._ended:
                         raise Ended
+                    if status == CANCELLED and sent == len(data):
+                        self._owe()
+                        return
                     if status == CANCELLED and not gone:
                         raise Stuck(sent)
                     if status not in (COMPLETED, CANCELLED, STALL):
@@ -264,6 +272,13 @@ class AsyncPipes(Pipes):
             # Only an exception from outside, such as Ctrl-C, leaves some.
             with self._changed:
                 self._recall(flying)
+
+    def _owe(self) -> None:
+        slot = self._to_write.pop()
+        if self._submit(slot, 0):
+            self._owed.append(slot)
+        else:
+            self._to_write.append(slot)
 
     def _stream(
         self, data: memoryview, start: int, flying: deque[_Slot], timeout_s: float | None
