@@ -327,6 +327,26 @@ class TestPackets:
             assert arrived.wait(PATIENCE_S)
         assert got == [good]
 
+    def test_an_error_of_the_program_does_not_end_sync_usb(
+        self, gadget: UsbGadget, kernel: FakeKernel, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        told: list[str] = []
+        monkeypatch.setattr(threading, "excepthook", lambda args: told.append(str(args.exc_value)))
+        arrived = threading.Event()
+
+        def on_sync(packet: bytes) -> None:
+            if packet[0]:
+                raise ZeroDivisionError("a fault of the program")
+            arrived.set()
+
+        gadget.on_sync = on_sync
+        with accepted(gadget):
+            with kernel.bus.changed:
+                kernel.bus.sync.packets.extend([b"\1" + bytes(9), bytes(10)])
+                kernel.bus.changed.notify_all()
+            assert arrived.wait(PATIENCE_S)
+        assert told == ["a fault of the program"]
+
 
 def test_nothing_of_a_gadget_is_loaded_before_it_is_used() -> None:
     code = "import sys, j2a_transports; print([n for n in sys.modules if '_gadget' in n])"

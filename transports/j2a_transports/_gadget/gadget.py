@@ -15,6 +15,7 @@ import contextlib
 import errno
 import platform
 import re
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -56,7 +57,7 @@ class UsbGadget(Listener):
         udc: name of the device controller; None takes the only one.
         sync: whether to have the interface SyncUSB.
         on_sync: called in a thread of the gadget with each 10 bytes that the host sends there
-            (SYNC-002); can be set later.
+            (SYNC-002); can be set later. What it raises goes to `threading.excepthook`.
         buffer: bytes that are asked for at once, rounded up to whole packets. With one packet
             (64) also a host is understood that sends no empty packets after full ones.
         write_timeout_s: given to the transports.
@@ -299,7 +300,12 @@ class UsbGadget(Listener):
                 continue
             # A packet of another length is ignored (SYNC-003).
             if len(packet) == SYNC_SIZE and self.on_sync is not None:
-                self.on_sync(packet)
+                try:
+                    self.on_sync(packet)
+                except Exception:
+                    # The next packet is another chance, so the thread does not end.
+                    report = (*sys.exc_info(), threading.current_thread())
+                    threading.excepthook(threading.ExceptHookArgs(report))
 
     def _send_all(self, link: GadgetTransport) -> None:
         def send(data: bytes) -> bool:
