@@ -1,7 +1,7 @@
 """The port avr-usb with the interrupts off: it sends on, and does not wait for a host that is gone.
 
 In: an app that sends 1000 bytes within a function, with no interrupt allowed. Out: all of them at a
-host that reads; and a board that comes back after a reset, a suspend or an unplugged cable.
+host that reads, after a suspend too; a board that comes back after a reset or an unplugged cable.
 """
 
 from pathlib import Path
@@ -16,18 +16,36 @@ pytestmark = [pytest.mark.avr, pytest.mark.requirement("USB-010")]
 
 APP = Path(__file__).parent / "usb_blocked"
 CHIPS = ("atmega32u4", "atmega32u2")
-ECHO, BLOCKED = c.BUILTINS.index(c.GET_ECHO), len(c.BUILTINS)
+ECHO = c.BUILTINS.index(c.GET_ECHO)
+BLOCKED, DEAF = range(len(c.BUILTINS), len(c.BUILTINS) + 2)
 SIF, SIFS, SIZE = 5, 10, 100
+REPLIES = [
+    *(Frame(c.SOS, seq, SIF, bytes((SIFS,)) * SIZE) for seq in range(SIFS)),
+    Frame(c.SOF, 1, 0),
+]
 
 
 @pytest.fixture(params=CHIPS)
-def sim(request, build):
+def quiet(request, build):
     elf = build("usb_blocked", "avr-usb", APP_DIR=str(APP), MCU=request.param)
     with AvrSim(elf, request.param) as sim:
         sim.usb.enumerate()
-        sim.usb.write(c.USB_OUT, encode(Frame(c.SOF, 1, BLOCKED, bytes((SIFS,)) * SIZE)))
-        sim.run(sim.cycles(0.005))
         yield sim
+
+
+@pytest.fixture
+def sim(quiet):
+    quiet.usb.write(c.USB_OUT, encode(Frame(c.SOF, 1, BLOCKED, bytes((SIFS,)) * SIZE)))
+    quiet.run(quiet.cycles(0.005))
+    return quiet
+
+
+def read_all(sim):
+    """What the function sends, to its reply."""
+    got = b""
+    while not got.endswith(encode(REPLIES[-1])):
+        got += sim.usb.read(c.USB_IN)
+    return got
 
 
 def interrupts_are_on(sim):
@@ -42,11 +60,7 @@ def works(sim):
 
 def test_a_host_that_reads_gets_all(sim):
     assert not interrupts_are_on(sim)
-    got = b""
-    while not got.endswith(encode(Frame(c.SOF, 1, 0))):
-        got += sim.usb.read(c.USB_IN)
-    frames = [Frame(c.SOS, seq, SIF, bytes((SIFS,)) * SIZE) for seq in range(SIFS)]
-    assert decode(got) == [*frames, Frame(c.SOF, 1, 0)]
+    assert decode(read_all(sim)) == REPLIES
     works(sim)
 
 
@@ -62,20 +76,44 @@ def test_a_reset_ends_it(sim):
     works(sim)
 
 
-def test_a_suspend_ends_it(sim):
-    """What was sent before stays; the rest of it is dropped, and no frame comes broken."""
-    sim.usb.suspend()
-    sim.run(sim.cycles(0.010))
-    assert interrupts_are_on(sim)
-    sim.usb.resume()
-    sim.run(sim.cycles(0.010))
-    sim.usb.enumerate(address=2)
+def test_a_suspend_loses_nothing(sim):
+    """It waits on while the bus is still, and for the host to read after it."""
+    for ms in (10, 500):
+        sim.usb.suspend()
+        sim.run(sim.cycles(ms / 1000))
+        sim.usb.resume()
+        sim.run(sim.cycles(0.010))
+    assert not interrupts_are_on(sim)
+    assert decode(read_all(sim)) == REPLIES
     works(sim)
 
 
-def test_an_unplugged_cable_ends_it(sim):
+def test_a_suspend_that_is_over_is_none(quiet):
+    """Interrupts are off from before a suspend to after the resume: the board is there at once."""
+    quiet.usb.write(c.USB_OUT, encode(Frame(c.SOF, 1, DEAF, b"\x50")))
+    quiet.run(quiet.cycles(0.001))
+    quiet.usb.suspend()
+    quiet.run(quiet.cycles(0.010))
+    quiet.usb.resume()
+    assert quiet.usb.transact("IN", c.USB_IN)[0] == "NAK"
+    assert decode(quiet.usb.read(c.USB_IN)) == [Frame(c.SOF, 1, 0)]
+    works(quiet)
+
+
+def test_a_reset_ends_a_suspend(sim):
+    sim.usb.suspend()
+    sim.run(sim.cycles(0.010))
+    assert not interrupts_are_on(sim)
+    sim.usb.enumerate(address=2)
+    assert interrupts_are_on(sim)
+    works(sim)
+
+
+def test_an_unplugged_cable(sim):
+    """A chip that watches VBUS goes on at once, another one at the next reset."""
     sim.usb.unplug()
     sim.run(sim.cycles(0.020))
-    assert interrupts_are_on(sim)
+    assert interrupts_are_on(sim) == (sim.mcu == "atmega32u4")
     sim.usb.enumerate()
+    assert interrupts_are_on(sim)
     works(sim)

@@ -3,7 +3,7 @@
  * it is full the controller refuses packets, so none is lost. Timer 1 runs freely and is both clocks.
  * Rules: an endpoint is chosen and used with interrupts off, because an interrupt may set all of them up
  * anew. What is dropped is dropped up to the end of the frame, and that is where the main loop asks for a
- * byte again. */
+ * byte again. A suspended bus drops nothing. */
 #include <avr/interrupt.h>
 #include <util/atomic.h>
 
@@ -71,7 +71,8 @@ static inline void send_packet(bool full) {
     empty_packet_due = full;
 }
 
-/* Waits for the host to take packets as long as it likes; what nobody is there to take is dropped. */
+/* Waits for the host to take packets as long as it likes, or to end the suspend; what nobody is there to take
+ * is dropped. */
 void j2a_port_tx(uint8_t byte) {
     for (;;) {
         ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
@@ -81,11 +82,15 @@ void j2a_port_tx(uint8_t byte) {
                     send_packet(true);
                 return;
             }
-            if (usb_trouble != 0 || usb_trouble_is_due()) {
+            usb_events();
+            if (usb_trouble & (uint8_t)~USB_SUSPENDED) {
                 usb_trouble |= DROPPING;
                 return;
             }
         }
+#if J2A_USB_SLEEP
+        usb_sleep();
+#endif
     }
 }
 

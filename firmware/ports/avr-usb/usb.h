@@ -2,8 +2,8 @@
  * of the host at endpoint 0, and what the bus does. Out: answers by chapter 9 of the USB 2.0 specification,
  * endpoints as configured, and what the main loop must know of the link (usb_trouble).
  * usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what
- * they ask for, usb_descriptors.c is what the board says of itself, and its endpoints; port.c moves the
- * bytes.
+ * they ask for, usb_descriptors.c is what the board says of itself, usb_endpoints.c are the endpoints that
+ * port.c moves the bytes through.
  * Rules: endpoint 0 belongs to the interrupts, so that enumeration works while the application computes.
  * All other endpoints belong to the main context, which has interrupts off from the look at usb_trouble
  * and the choice in UENUM to the last access, so no interrupt need keep UENUM. Nothing waits for the host
@@ -57,27 +57,34 @@ extern volatile uint8_t usb_trouble;
 /* Starts the controller and joins the bus; interrupts must be switched on afterwards. Called once. */
 void usb_start(void);
 
-/* Has the bus been reset or suspended, or the cable been touched, and its interrupt has not run yet? For who
- * waits with interrupts off. */
-static inline bool usb_trouble_is_due(void) {
-#ifdef OTGPADE
-    if (USBINT & _BV(VBUSTI))
-        return true;
-#endif
-    return UDINT & (_BV(EORSTI) | _BV(SUSPI));
-}
+/* Does what the interrupt USB_GEN does, for who waits with interrupts off. Called with interrupts off; UENUM is
+ * any afterwards. */
+void usb_events(void);
 
-/* Sleeps until the bus is no longer suspended, or another interrupt. */
+/* While the bus is suspended: sleeps until it wakes up, or until another interrupt. Returns at once where
+ * interrupts are off. */
 #if J2A_USB_SLEEP
 void usb_sleep(void);
 #endif
 
-/* Sets the endpoints up, or takes them away. Called with interrupts off; UENUM is any afterwards. */
-void usb_configure(bool on);
-
 /* ------------------------------------------------------------------ usb_descriptors.c -------- */
 
 enum { USB_INTERFACES = 1 + J2A_WITH_SYNCUSB, USB_ENDPOINTS = 2 + J2A_WITH_SYNCUSB };
+
+/* Looks a descriptor up. Returns its length, 1..254, or 0 when there is none. *at is its address in flash, or
+ * NULL when usb_descriptor_byte() has to be asked for each byte.
+ * type, number: the two bytes of wValue. index: wIndex. */
+uint8_t usb_descriptor(uint8_t type, uint8_t number, uint16_t index, const uint8_t **at);
+
+/* A byte of the descriptor whose address was NULL. Not while usb_descriptor_waits(). */
+uint8_t usb_descriptor_byte(uint8_t index);
+
+/* Does the chip's memory keep that descriptor back? For some milliseconds at most. */
+static inline bool usb_descriptor_waits(void) {
+    return EECR & _BV(EEPE); /* it has one charge pump, and reads no signature row while it writes EEPROM */
+}
+
+/* ------------------------------------------------------------------ usb_endpoints.c ---------- */
 
 /* Endpoints as the main context chooses them. */
 enum { USB_TX = 1, USB_RX = 2, USB_SYNC = 3 };
@@ -90,13 +97,8 @@ typedef struct {
 } usb_endpoint;
 extern const usb_endpoint usb_endpoints[USB_ENDPOINTS];
 
-/* Looks a descriptor up. Returns its length, 1..254, or 0 when there is none. *at is its address in flash, or
- * NULL when usb_descriptor_byte() has to be asked for each byte.
- * type, number: the two bytes of wValue. language: wIndex. */
-uint8_t usb_descriptor(uint8_t type, uint8_t number, uint16_t language, const uint8_t **at);
-
-/* A byte of the descriptor whose address was NULL. */
-uint8_t usb_descriptor_byte(uint8_t index);
+/* Sets the endpoints up, or takes them away. Called with interrupts off; UENUM is any afterwards. */
+void usb_configure(bool on);
 
 /* ------------------------------------------------------------------ usb_control.c ------------ */
 

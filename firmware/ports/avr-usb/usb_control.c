@@ -14,9 +14,11 @@ static bool ends_short;       /* the host asked for more than there is */
 uint8_t usb_new_address;
 
 /* Sends the next packet. A short one is the last, and so is a full one after which the host expects no
- * more. */
+ * more. One that has to wait is due again when this interrupt has ended. */
 static void send_packet(void) {
     uint8_t room = USB_PACKET0;
+    if (!source && usb_descriptor_waits())
+        return;
     for (; room != 0 && sent != size; room--, sent++)
         UEDATX = source ? pgm_read_byte(source + sent) : usb_descriptor_byte(sent);
     if (room != 0 || (sent == size && !ends_short))
@@ -24,18 +26,20 @@ static void send_packet(void) {
     UEINTX = (uint8_t)~_BV(TXINI);
 }
 
-/* A SETUP may come while another one is being read, and takes its place then. All is read that there is,
- * around a ring of 8 bytes, and so the last 8 are the one that counts. */
+/* A SETUP may come while another one is being read, and takes its place then. What is left after 8 bytes is
+ * the rest of it: the last 8, around a ring, are the one that counts. The data sheets do not say that UEBCLX
+ * counts a SETUP; where it stands still, 8 bytes are all. */
 static void take_setup(void) {
     static usb_setup setup;
     static uint8_t ring[sizeof setup];
     uint8_t *to = (uint8_t *)&setup;
+    const uint8_t count = UEBCLX;
     uint8_t next = 0;
     uint8_t i;
 
     do
         ring[next++ % sizeof ring] = UEDATX;
-    while (UEBCLX != 0);
+    while (next < sizeof ring || (next < 2 * sizeof ring && UEBCLX != 0 && UEBCLX != count));
     UEINTX = (uint8_t)~(_BV(RXSTPI) | _BV(RXOUTI));
     UECONX = _BV(EPEN) | _BV(STALLRQC); /* which may have been meant for the one before */
     for (i = sizeof setup; i != 0; i--)

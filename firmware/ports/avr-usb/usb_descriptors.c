@@ -37,22 +37,6 @@ static const uint8_t configuration[] PROGMEM = {
 #endif
 };
 
-/* An ATmega32U4 has 832 bytes of memory for endpoints, so one packet of each bulk endpoint waits while the
- * other is worked on. An ATmega32U2 has 176, just enough for one packet of 64 each; two of 32 would carry
- * less, because a packet costs the bus as much as 13 bytes. */
-#ifdef PINDIV
-#define BULK_BANKS (USB_SIZE_64 | USB_TWO_BANKS)
-#else
-#define BULK_BANKS USB_SIZE_64
-#endif
-const usb_endpoint usb_endpoints[USB_ENDPOINTS] PROGMEM = {
-    {J2A_USB_IN, USB_BULK_IN, BULK_BANKS, 0},
-    {J2A_USB_OUT, USB_BULK_OUT, BULK_BANKS, 0},
-#if J2A_WITH_SYNCUSB
-    {J2A_SYNCUSB_OUT, USB_INTERRUPT_OUT, USB_SIZE_16, 1},
-#endif
-};
-
 /* A string descriptor, without the NUL; so it is as long as the literal. */
 #define STRING_DESCRIPTOR(name, literal)                       \
     static const struct {                                      \
@@ -76,7 +60,7 @@ static const void *const strings[] PROGMEM = {
 };
 
 /* That number is in the signature row. As hexadecimal digits it has no room in RAM, so it is made while it
- * is sent. */
+ * is sent. The lower half of a byte comes first, as other firmware for these chips shows it. */
 enum { CHIP_SERIAL_AT = 0x0E, CHIP_SERIAL_BYTES = 10, CHIP_SERIAL_SIZE = 2 + 2 * 2 * CHIP_SERIAL_BYTES };
 
 uint8_t usb_descriptor_byte(uint8_t index) {
@@ -88,21 +72,21 @@ uint8_t usb_descriptor_byte(uint8_t index) {
     if (index & 1)
         return 0;
     digit = boot_signature_byte_get(CHIP_SERIAL_AT + (index - 2) / 4);
-    if ((index & 2) != 0) /* the upper half comes first */
+    if ((index & 2) == 0)
         digit >>= 4;
     digit &= 0x0F;
     return (uint8_t)(digit < 10 ? '0' + digit : 'A' - 10 + digit);
 }
 
-uint8_t usb_descriptor(uint8_t type, uint8_t number, uint16_t language, const uint8_t **at) {
+uint8_t usb_descriptor(uint8_t type, uint8_t number, uint16_t index, const uint8_t **at) {
     *at = NULL;
-    if (type == STRING) {
-        if (number >= sizeof strings / sizeof *strings || language != (number == 0 ? 0 : ENGLISH))
+    if (type == STRING) { /* whatever the language is, there is but one */
+        if (number >= sizeof strings / sizeof *strings)
             return 0;
         *at = pgm_read_ptr(&strings[number]);
         return *at ? pgm_read_byte(*at) : CHIP_SERIAL_SIZE;
     }
-    if (number != 0 || language != 0)
+    if (number != 0 || index != 0)
         return 0;
     if (type == DEVICE) {
         *at = device;

@@ -1,12 +1,13 @@
-/* The USB controller and the bus, see usb.h: start, reset, suspend, wake-up, plug and endpoints. In: the
- * interrupt USB_GEN. Out: usb_trouble, and a controller in the state that the bus asks for.
+/* The controller and the bus, see usb.h: start, reset, suspend, wake-up and plug. In: the interrupt USB_GEN.
+ * Out: usb_trouble, and a controller in the state that the bus asks for.
  * Rule: while the clock of the controller stands, only PLLCSR and the registers up to UDIEN are touched. */
 #include "usb.h"
 
 #include <avr/interrupt.h>
-#include <avr/pgmspace.h>
 #include <avr/power.h>
 #include <avr/sleep.h>
+#include <avr/wdt.h>
+#include <util/delay_basic.h>
 
 #if F_CPU == 16000000
 #ifdef PINDIV
@@ -38,7 +39,7 @@ static void wake(void) {
 #endif
     USBCON = USB_ON;
     UDINT = (uint8_t)~(_BV(WAKEUPI) | _BV(SUSPI));
-    UDIEN = _BV(EORSTE) | _BV(SUSPE);
+    UDIEN = _BV(EORSTE) | _BV(SUSPE) | _BV(EORSME);
     usb_trouble &= (uint8_t)~USB_SUSPENDED;
 }
 
@@ -66,11 +67,12 @@ static void follow_vbus(void) {
 }
 
 void usb_start(void) {
+    cli();
     /* A boot loader may have left the watchdog on, and the chip runs at an eighth of its clock as it is
      * sold. */
-    MCUSR = 0;
-    WDTCSR = _BV(WDCE) | _BV(WDE); /* so that it may be changed, for four cycles */
-    WDTCSR = 0;
+    wdt_reset();
+    MCUSR &= (uint8_t)~_BV(WDRF); /* which keeps the watchdog on; the other causes are the application's */
+    wdt_disable();
     clock_prescale_set(clock_div_1);
 #ifdef UHWCON
     UHWCON = _BV(UVREGE);
@@ -83,11 +85,14 @@ void usb_start(void) {
     PLLCSR = PLL_ON;
     while (!(PLLCSR & _BV(PLOCK))) {
     }
+    /* Who jumped here without a reset, a boot loader say, may have been on the bus. A host has to notice
+     * that it is gone: 10 ms. */
+    _delay_loop_2(F_CPU / 4 / 100);
     wake();
     follow_vbus();
 }
 
-ISR(USB_GEN_vect) {
+void usb_events(void) {
     uint8_t flags;
 #ifdef OTGPADE
     if (USBINT & _BV(VBUSTI)) {
@@ -102,44 +107,32 @@ ISR(USB_GEN_vect) {
         UDINT = (uint8_t)~(_BV(EORSTI) | _BV(SUSPI));
         usb_configure(false);
         usb_control_reset();
+    } else if (flags & _BV(EORSMI)) { /* interrupts may have been off meanwhile: that suspend is over */
+        UDINT = (uint8_t)~(_BV(EORSMI) | _BV(SUSPI));
     } else if (flags & _BV(SUSPI)) {
         suspend();
     }
 }
 
-void usb_configure(bool on) {
-    uint8_t endpoint;
-    usb_trouble = USB_RESTARTED | USB_UNCONFIGURED;
-    /* All memory is given back before any is taken: the controller hands it out in the order of the
-     * endpoints. */
-    for (endpoint = USB_ENDPOINTS; endpoint != 0; endpoint--) {
-        UENUM = endpoint;
-        UECONX = 0;
-        UECFG1X = 0;
-    }
-    if (!on)
-        return;
-    for (; endpoint < USB_ENDPOINTS; endpoint++) {
-        UENUM = (uint8_t)(endpoint + 1);
-        UECONX = _BV(EPEN);
-        UECFG0X = pgm_read_byte(&usb_endpoints[endpoint].uecfg0x);
-        UECFG1X = pgm_read_byte(&usb_endpoints[endpoint].uecfg1x);
-        UECONX = _BV(EPEN) | _BV(STALLRQC) | _BV(RSTDT);
-    }
-    UERST = (1 << (USB_ENDPOINTS + 1)) - 2;
-    UERST = 0;
-    usb_trouble = USB_RESTARTED;
+ISR(USB_GEN_vect) {
+    usb_events();
 }
 
 #if J2A_USB_SLEEP
 void usb_sleep(void) {
+    uint8_t timer;
+    if (!(SREG & _BV(SREG_I)))
+        return; /* nothing would wake it */
     set_sleep_mode(SLEEP_MODE_PWR_DOWN);
     cli();
     if (usb_trouble & USB_SUSPENDED) {
+        timer = TIMSK1;
+        TIMSK1 = 0; /* chips take more current while an interrupt is due that cannot wake them */
         sleep_enable();
         sei(); /* the next instruction comes before any interrupt */
         sleep_cpu();
         sleep_disable();
+        TIMSK1 = timer;
     }
     sei();
 }
