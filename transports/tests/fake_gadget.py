@@ -17,6 +17,7 @@ import time
 from collections import deque
 from pathlib import Path
 
+import pytest
 from j2a_transports import LinkClosed, LinkLost, Transport, WriteTimeout
 from j2a_transports._gadget.descriptors import Event
 from j2a_transports._gadget.kernel import Kernel
@@ -277,6 +278,13 @@ class FakeKernel(Kernel):
         self.bus.tell(Event.BIND)
         if self.configures:
             self.bus.configure()
+
+
+def installed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> FakeKernel:
+    """Make a system in this folder the one that gadgets find."""
+    kernel = FakeKernel(folder)
+    monkeypatch.setattr("j2a_transports._gadget.gadget.Kernel", lambda: kernel)
+    return kernel
 
 
 class Host(Transport):

@@ -21,18 +21,19 @@ if sys.platform != "linux":
 from j2a_transports import UsbGadget
 from j2a_transports._gadget.descriptors import Event
 
-from .fake_gadget import UDC, FakeKernel, Host, failure
+from .fake_gadget import UDC, FakeKernel, Host, failure, installed
 from .suite import PATIENCE_S, SETTLE_S, Background, BackToBack, read_exactly
 
 
 @pytest.fixture
-def kernel(tmp_path: Path) -> FakeKernel:
-    return FakeKernel(tmp_path)
+def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeKernel:
+    """The system that a gadget finds."""
+    return installed(tmp_path, monkeypatch)
 
 
 @pytest.fixture
 def gadget(kernel: FakeKernel, request: pytest.FixtureRequest) -> Iterator[UsbGadget]:
-    with UsbGadget(serial="0001", kernel=kernel, name=_name(request)) as gadget:
+    with UsbGadget(serial="0001", name=_name(request)) as gadget:
         yield gadget
         for transport in list(gadget._accepted):
             transport.close()
@@ -68,12 +69,12 @@ class TestBackToBack(BackToBack):
     discards = frozenset({"near", "far"})
 
     @pytest.fixture(autouse=True)
-    def system(self, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-        self.kernel, self.name = FakeKernel(tmp_path), _name(request)
+    def system(self, kernel: FakeKernel, request: pytest.FixtureRequest) -> None:
+        self.kernel, self.name = kernel, _name(request)
 
     @contextmanager
     def connect(self) -> Iterator[tuple[Transport, Transport]]:
-        with UsbGadget(serial="0001", kernel=self.kernel, name=self.name) as gadget:
+        with UsbGadget(serial="0001", name=self.name) as gadget:
             near = accepted(gadget)
             yield near, Host(self.kernel.bus)
             near.close()
@@ -278,7 +279,7 @@ class TestPackets:
     ) -> None:  # fmt: skip
         kernel.bus.packet = packet
         name = _name(request)
-        with UsbGadget(serial="1", kernel=kernel, buffer=buffer, name=name) as gadget:
+        with UsbGadget(serial="1", buffer=buffer, name=name) as gadget:
             transport = accepted(gadget)
             Host(kernel.bus).write(b"x")
             assert read_exactly(transport, 1) == b"x"

@@ -19,15 +19,13 @@ if sys.platform != "linux":
 from j2a_transports import UsbGadget
 from j2a_transports._gadget.kernel import _ENDPOINT_DESCRIPTOR, Kernel
 
-from .fake_gadget import UDC, FakeKernel, failure
+from .fake_gadget import UDC, FakeKernel, failure, installed
 
 
 @pytest.fixture
 def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeKernel:
-    """The fake system, which is also what `listen("gadget:")` finds."""
-    found = FakeKernel(tmp_path)
-    monkeypatch.setattr("j2a_transports._gadget.gadget.Kernel", lambda: found)
-    return found
+    """The system that a gadget finds."""
+    return installed(tmp_path, monkeypatch)
 
 
 @pytest.fixture
@@ -75,7 +73,7 @@ def test_what_the_url_says_is_what_the_host_reads(kernel: FakeKernel, name: str)
 def test_without_options_it_has_a_serial_number_and_the_usual_ids(
     kernel: FakeKernel, name: str
 ) -> None:
-    with UsbGadget(name=name, kernel=kernel) as gadget:
+    with UsbGadget(name=name) as gadget:
         made = folder(kernel, name)
         assert (made / "strings/0x409/serialnumber").read_text()
         assert (made / "idVendor").read_text() == "0x6666"
@@ -84,7 +82,7 @@ def test_without_options_it_has_a_serial_number_and_the_usual_ids(
 
 
 def test_sync_can_be_left_out(kernel: FakeKernel, name: str) -> None:
-    with UsbGadget(name=name, kernel=kernel, sync=False):
+    with UsbGadget(name=name, sync=False):
         assert b"SyncUSB" not in kernel.descriptors[1]
     assert nothing_is_left(kernel)
 
@@ -110,7 +108,7 @@ def test_wrong_urls(kernel: FakeKernel, rest: str, advice: str) -> None:
 class TestWhatIsMissing:
     def fails(self, kernel: FakeKernel, name: str, **options: object) -> str:
         with pytest.raises(OpenFailed) as caught:
-            UsbGadget("gadget:", name=name, kernel=kernel, **options)  # type: ignore[arg-type]
+            UsbGadget("gadget:", name=name, **options)  # type: ignore[arg-type]
         return str(caught.value)
 
     @pytest.mark.parametrize("module", ["configfs", "libcomposite"])
@@ -136,10 +134,10 @@ class TestWhatIsMissing:
             kernel, name
         )
         assert f"there is no third, but: udc={UDC}" in self.fails(kernel, name, udc="third")
-        UsbGadget(name=name, kernel=kernel, udc=UDC).close()
+        UsbGadget(name=name, udc=UDC).close()
 
     def test_a_controller_that_another_gadget_uses(self, kernel: FakeKernel, name: str) -> None:
-        with UsbGadget(name=name, kernel=kernel):
+        with UsbGadget(name=name):
             kernel.make(folder(kernel, "g1"))
             (folder(kernel, "g1") / "UDC").write_text(UDC)
         kernel.bind_error = errno.EBUSY
@@ -187,7 +185,7 @@ class TestWhatIsMissing:
             with monkeypatch.context() as patch:
                 patch.setattr(kernel, step, limited)
                 try:
-                    made = UsbGadget(name=name, kernel=kernel)
+                    made = UsbGadget(name=name)
                 except OpenFailed as error:
                     assert "Input/output error" in str(error)
                 else:
@@ -196,7 +194,7 @@ class TestWhatIsMissing:
                     made.close()
                     break
             # What the step itself would have removed is removed by the next run.
-            UsbGadget(name=name, kernel=kernel).close()
+            UsbGadget(name=name).close()
             assert nothing_is_left(kernel)
         else:
             pytest.fail("it never succeeded")
@@ -209,22 +207,25 @@ class TestLeftOvers:
             "import os; from pathlib import Path\n"
             "from transports.tests.fake_gadget import FakeKernel\n"
             "from j2a_transports import UsbGadget\n"
+            "from j2a_transports._gadget import gadget as module\n"
             f"kernel = FakeKernel(Path({str(folder)!r}))\n"
-            f"gadget = UsbGadget(name={name!r}, kernel=kernel)\n"
-            f"assert gadget.accept(10) is not None\n{end}\n"
+            "module.Kernel = lambda: kernel\n"
+            f"gadget = UsbGadget(name={name!r})\n"
+            f"link = gadget.accept(10)\nassert link is not None\n{end}\n"
         )
         result = subprocess.run(
             [sys.executable, "-c", code], check=False, capture_output=True, text=True
         )
         assert (result.returncode, result.stderr) == (0, "")
 
-    def test_what_a_killed_program_left_is_removed(self, tmp_path: Path, name: str) -> None:
+    def test_what_a_killed_program_left_is_removed(
+        self, kernel: FakeKernel, tmp_path: Path, name: str
+    ) -> None:
         self.program(tmp_path, name, "os._exit(0)")
-        kernel = FakeKernel(tmp_path)
         assert folder(kernel, name).is_dir()
         # The mounts outlive the program; the kernel has closed its files and left the bus.
         kernel._mounts = {kernel.config, *kernel.run.iterdir()}
-        with UsbGadget(name=name, kernel=kernel) as gadget:
+        with UsbGadget(name=name) as gadget:
             transport = gadget.accept(10)
             assert transport is not None
             transport.close()
@@ -235,10 +236,27 @@ class TestLeftOvers:
         assert list((tmp_path / "config" / "usb_gadget").iterdir()) == []
         assert list((tmp_path / "run").iterdir()) == []
 
+    @pytest.mark.parametrize(
+        "end", ["sys.exit()", "gadget.close(); sys.exit()", "link.close(); sys.exit()"]
+    )
+    def test_a_child_process_leaves_the_gadget_to_its_parent(
+        self, tmp_path: Path, name: str, end: str
+    ) -> None:
+        self.program(
+            tmp_path,
+            name,
+            "import sys; child = os.fork()\n"
+            f"if child == 0: {end}\n"
+            "assert os.waitpid(child, 0)[1] == 0 and kernel.bound and not link.lost\n"
+            "gadget_folder = kernel.config / 'usb_gadget' / gadget._files._identity.name\n"
+            "assert (gadget_folder / 'UDC').read_text().strip()",
+        )
+        assert list((tmp_path / "config" / "usb_gadget").iterdir()) == []
+
     def test_what_a_running_program_uses_is_left_alone(self, kernel: FakeKernel, name: str) -> None:
-        with UsbGadget(name=name, kernel=kernel) as first:
+        with UsbGadget(name=name) as first:
             with pytest.raises(OpenFailed, match=f"another program is the gadget {name}"):
-                UsbGadget(name=name, kernel=kernel)
+                UsbGadget(name=name)
             transport = first.accept(10)
             assert transport is not None
             transport.close()
@@ -247,12 +265,12 @@ class TestLeftOvers:
     def test_what_has_functions_of_others_is_left_alone(
         self, kernel: FakeKernel, name: str
     ) -> None:
-        UsbGadget(name=name, kernel=kernel).close()
+        UsbGadget(name=name).close()
         kernel.make(folder(kernel, name))
         kernel.make(folder(kernel, name) / "functions" / "acm.0")
         for _ in range(2):
             with pytest.raises(OpenFailed, match=r"functions of others \(acm.0\)"):
-                UsbGadget(name=name, kernel=kernel)
+                UsbGadget(name=name)
         assert (folder(kernel, name) / "functions" / "acm.0").is_dir()
 
 

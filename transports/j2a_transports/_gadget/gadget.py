@@ -13,6 +13,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import errno
+import os
 import platform
 import re
 import sys
@@ -61,7 +62,6 @@ class UsbGadget(Listener):
         buffer: bytes that are asked for at once, rounded up to whole packets. With one packet
             (64) also a host is understood that sends no empty packets after full ones.
         write_timeout_s: given to the transports.
-        kernel: where the files of the system are.
 
     Raises:
         OpenFailed: it cannot be set up; the message says what to do.
@@ -82,13 +82,14 @@ class UsbGadget(Listener):
         on_sync: Callable[[bytes], None] | None = None,
         buffer: int = CHUNK,
         write_timeout_s: float | None = DEFAULT_WRITE_TIMEOUT_S,
-        kernel: Kernel | None = None,
     ) -> None:
         serial = serial or _own_serial()
         super().__init__(f"usb://{vendor:04x}:{product:04x}/{quote(serial, safe='')}")
         self.on_sync = on_sync
         self._write_timeout_s = write_timeout_s
-        self._kernel = kernel or Kernel()
+        self._kernel = Kernel()
+        # A child process has neither the threads nor the right to end what is its parent's.
+        self._process = os.getpid()
         self._buffer = buffer
         self._packet = 64
         identity = Identity(name, serial, vendor, product, manufacturer, product_name, udc, sync)
@@ -155,6 +156,8 @@ class UsbGadget(Listener):
 
     def close(self) -> None:
         """See `Listener.close`; with the last transport all that was set up is undone."""
+        if os.getpid() != self._process:
+            return
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -184,6 +187,8 @@ class UsbGadget(Listener):
 
     def _remove(self) -> None:
         """Leave the bus, end the threads, undo everything; idempotent."""
+        if os.getpid() != self._process:
+            return
         with self._setting_up:
             with self._changed:
                 if self._ending:

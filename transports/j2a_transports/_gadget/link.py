@@ -8,6 +8,7 @@ where the last was full (USB-008).
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -63,6 +64,7 @@ class GadgetTransport(Transport):
         self._only_empty_packet = False
         self._writing = threading.Lock()
         self._ending = threading.Lock()
+        self._process = os.getpid()
         self._ended = False
 
     # ------------------------------------------------------------------ for the program
@@ -95,8 +97,13 @@ class GadgetTransport(Transport):
         return self._closed
 
     def close(self) -> None:
-        """See `Transport.close`; the gadget leaves the bus until the next `accept`."""
+        """See `Transport.close`; the gadget leaves the bus until the next `accept`.
+
+        A child process only lets go: the link is its parent's.
+        """
         self._closed = True
+        if os.getpid() != self._process:
+            return
         self._outgoing.close_writer()
         self._incoming.close_reader()
         with self._ending:
