@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import socket
 import sys
@@ -11,7 +12,7 @@ from typing import Any
 
 import j2a_transports
 import pytest
-from j2a_transports import LinkClosed, UsbArrived, UsbLeft, UsbWatch
+from j2a_transports import LinkClosed, OpenFailed, UsbArrived, UsbLeft, UsbWatch
 from j2a_transports._usb import watch as module
 
 from .fake_usb import FakeBackend, board, usb_error
@@ -90,6 +91,33 @@ def test_a_look_that_fails_is_no_event(
     assert watch.next(0.02) is None
     monkeypatch.undo()
     assert watch.next(0) is None
+
+
+def test_a_bus_that_cannot_be_listed_is_told_at_the_beginning(
+    bus: FakeBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> Any:
+        raise usb_error(errno.EIO)
+
+    monkeypatch.setattr(bus, "enumerate_devices", fail)
+    with pytest.raises(OpenFailed, match="cannot be listed"):
+        j2a_transports.watch_usb(0.01, bus)
+    still_open = [
+        each for each in gc.get_objects() if isinstance(each, UsbWatch) and not each._closed
+    ]
+    assert still_open == []
+
+
+def test_rights_that_come_later_are_told(bus: FakeBackend, watch: UsbWatch) -> None:
+    watch.next(0)
+    bus.devices.append(board(address=5, serial="B2", denied=True))
+    bus.devices[0].denied = True
+    events = [watch.next(PATIENCE_S), watch.next(PATIENCE_S)]
+    assert [type(event) for event in events] == [UsbLeft, UsbArrived]
+    assert [event.board.problem is None for event in events if event] == [True, False]
+    bus.devices[0].denied = False
+    left, back = watch.next(PATIENCE_S), watch.next(PATIENCE_S)
+    assert (left, back) == (UsbLeft(events[1].board), UsbArrived(events[0].board))  # type: ignore[union-attr]
 
 
 def test_udev_gets_a_moment_to_give_the_permission(

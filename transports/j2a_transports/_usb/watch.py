@@ -42,7 +42,11 @@ class UsbArrived:
 
 @dataclass(frozen=True, slots=True)
 class UsbLeft:
-    """A board is gone; `board` is what was said when it arrived."""
+    """A board is gone; `board` is what was said when it arrived.
+
+    It also comes, followed at once by `UsbArrived`, when `UsbBoard.problem` is another one: the
+    board may be opened now, or no longer.
+    """
 
     board: UsbBoard
 
@@ -61,7 +65,8 @@ class UsbWatch:
 
     Raises:
         MissingExtra: pyusb is not installed.
-        OpenFailed: libusb is not there or does not work.
+        OpenFailed: libusb is not there or cannot list what is on the USB. (Later that is taken for
+            a moment in which devices come and go, and the watch goes on.)
     """
 
     def __init__(self, interval_s: float = POLL_S, backend: Any = None) -> None:
@@ -78,6 +83,11 @@ class UsbWatch:
         self._wake_read, self._wake_write = os.pipe() if os.name == "posix" else (-1, -1)
         self._wake = threading.Event()
         self._uevents = _uevent_socket()
+        try:
+            self._look()
+        except OpenFailed:
+            self.close()
+            raise
 
     def next(self, timeout_s: float | None = None) -> UsbArrived | UsbLeft | None:
         """Wait for the next event; one thread at a time.
@@ -140,6 +150,8 @@ class UsbWatch:
         try:
             found = [each.board for each in scan(self._backend)]
         except OpenFailed:
+            if self._first:
+                raise
             # A moment in which devices come and go; the next look will tell.
             return
         there = {_key(board): board for board in found}
@@ -147,10 +159,13 @@ class UsbWatch:
             self._events.append(UsbLeft(self._boards.pop(key)))
         held = {}
         for key, board in there.items():
-            if key in self._boards:
-                continue
+            known = self._boards.get(key)
+            if known is not None:
+                if known.problem == board.problem:
+                    continue
+                self._events.append(UsbLeft(known))
             since = self._held_since.get(key, now)
-            if board.problem and not self._first and now - since < SETTLE_S:
+            if board.problem and known is None and not self._first and now - since < SETTLE_S:
                 held[key] = since
                 continue
             self._boards[key] = board
