@@ -114,7 +114,12 @@ class AvrSim(AvrCore):
             FirmwareStopped: as for run().
         """
         if not self.run_until(lambda: self.receiver_on, self.cycles(limit_s)):
-            raise SimError(f"{self.program.path} did not turn its UART receiver on in {limit_s} s")
+            hint = ""
+            if self._usb is not None and self._usb.switched_on:
+                hint = "; it uses USB: take link=usb in a URL, or `j2a sim usb`"
+            raise SimError(
+                f"{self.program.path} did not turn its UART receiver on in {limit_s} s{hint}"
+            )
 
     # -- UART ---------------------------------------------------------------------------------
 

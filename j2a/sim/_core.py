@@ -22,6 +22,7 @@ _PAINT = 0xC5  # what the shim fills the RAM above the static data with at each 
 _CRASHES_SIMAVR = {"atmega16m1"}  # avr_init() of simavr 1.6 ends the process
 # 8 KiB of flash, and the jumps and vectors of the larger chips of their family.
 _LARGER = {"atmega8u2": 16 << 10, "at90usb82": 16 << 10}
+_CRASH = "avr_sadly_crashed"  # simavr's last words, after those that tell the cause
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -168,11 +169,21 @@ class AvrCore:
             if self._lib.sim_illegal(handle):
                 name = "illegal instruction"
             if name in {"illegal instruction", "done", "crashed"}:
-                reason = "sleep with interrupts off" if name == "done" else name
-                log = self.log.strip().splitlines()
-                reason = f"the firmware stopped: {reason}" + (f" ({log[-1]})" if log else "")
-                raise FirmwareStopped(reason, self.cycle, self._lib.sim_pc(handle))
+                pc = int(self._lib.sim_pc(handle))
+                raise FirmwareStopped(self._why_stopped(name), self.cycle, pc)
             return self.cycle - before
+
+    def _why_stopped(self, name: str) -> str:
+        said = [line for line in self.log.strip().splitlines() if line != _CRASH]
+        log = f" ({said[-1].removeprefix('CORE: *** ')})" if said else ""
+        if name == "crashed":
+            return (
+                f"the firmware stopped: it crashed, for it did something that an {self.mcu} "
+                f"cannot{log}; was it built for MCU={self.mcu}?"
+            )
+        return (
+            f"the firmware stopped: {'sleep with interrupts off' if name == 'done' else name}{log}"
+        )
 
     @property
     def log(self) -> str:

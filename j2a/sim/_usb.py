@@ -195,7 +195,10 @@ class UsbBus(UsbPort):
         sim = self._sim
         self.plug()
         if not sim.run_until(lambda: self.attached, sim.cycles(_ATTACH_S)):
-            raise UsbError(f"the firmware did not attach within {_ATTACH_S} s")
+            raise UsbError(
+                f"{sim.program.path} on an {sim.mcu} at {sim.frequency_hz} Hz did not attach "
+                f"within {_ATTACH_S} s: {self.lacks}"
+            )
         sim.run(sim.cycles(_DEBOUNCE_S))
         self.reset()
         sim.run(sim.cycles(_RECOVERY_S))

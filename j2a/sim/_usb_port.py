@@ -21,6 +21,16 @@ _CONTROL, _OUT, _IN, BY_HAND = 0, 1, 2, 3
 _STATUS = ("ok", "stall", "no_answer", "cancelled", "overflow", "nak")
 _OFF, _IDLE, _RESET, _ACTIVE, _SUSPENDED, _RESUMING = range(6)
 PACKET: Final = 64
+# Why a chip is not attached, in the order of usb_device_lacks().
+_NOT_ON: Final = "the firmware never switched USB on: was it built with USB, and for this MCU?"
+LACKS: Final = (
+    "",
+    "the PLL that clocks USB does not lock: was it built for another crystal or MCU?",
+    _NOT_ON,
+    "the firmware keeps itself detached from the bus (DETACH in UDCON)",
+    "its pads have no power or see no VBUS (UVREGE in UHWCON, OTGPADE in USBCON, REGCR), "
+    "or are set to low speed",
+)
 
 
 class UsbPort:
@@ -55,6 +65,16 @@ class UsbPort:
     def attached(self) -> bool:
         """Whether VBUS is there and the chip has pulled D+ up."""
         return bool(self._lib.usb_host_attached(self._host))
+
+    @property
+    def lacks(self) -> str:
+        """Why the chip pulls no line up, as a sentence; "" when it does."""
+        return LACKS[self._lib.usb_host_lacks(self._host)]
+
+    @property
+    def switched_on(self) -> bool:
+        """Whether the firmware has begun to use USB."""
+        return self.lacks != _NOT_ON
 
     @property
     def enabled(self) -> bool:

@@ -9,6 +9,7 @@ none waits for another; a client that sends nonsense, or nothing, costs its conn
 
 from __future__ import annotations
 
+import errno
 import select
 import socket
 import threading
@@ -17,6 +18,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
+
+from j2a_transports import OpenFailed
 
 from j2a.sim import _usbip_protocol as protocol
 from j2a.sim._avr import AvrSim
@@ -82,7 +85,7 @@ class UsbipServer:
 
     Raises:
         SimError: a chip has no USB, or its firmware does not attach or answer.
-        OSError: the address cannot be listened on.
+        j2a_transports.OpenFailed: the address cannot be listened on.
     """
 
     def __init__(
@@ -105,9 +108,7 @@ class UsbipServer:
         self._halt = threading.Event()
         self._failure: FirmwareStopped | None = None
         self._threads: list[threading.Thread] = []
-        self._listener = socket.create_server(
-            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
-        )
+        self._listener = _listen(host, port)
         self.port: int = self._listener.getsockname()[1]
         self.busids = tuple(self._exports)
 
@@ -280,6 +281,21 @@ class UsbipServer:
         export.session = session
         if export.plugged and not self._halt.is_set():  # else it was pulled out meanwhile
             session.run()
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        return socket.create_server(
+            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET
+        )
+    except OSError as error:
+        place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        # create_server() appends the address to what the system says.
+        why = str(error.strerror or error).split(" (while", maxsplit=1)[0]
+        advice = ""
+        if error.errno == errno.EADDRINUSE:
+            advice = ": another program listens there; take another port, or 0 for any free one"
+        raise OpenFailed(f"cannot listen on {place}: {why}{advice}") from error
 
 
 def _device(export: _Export) -> dict[str, Any]:

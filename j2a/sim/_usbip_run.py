@@ -106,7 +106,7 @@ def run_usbip(
 
     Raises:
         SimError: see AvrSim and UsbipServer; FirmwareStopped when a firmware crashed.
-        OSError: the address cannot be listened on.
+        j2a_transports.OpenFailed: the address cannot be listened on.
     """
     stop = stop or threading.Event()
     out, err = out or sys.stdout, err or sys.stderr

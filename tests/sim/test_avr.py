@@ -103,7 +103,11 @@ def test_stack_depth(simulate):
 
 @pytest.mark.parametrize(
     ("how", "text"),
-    [(b"i", "illegal instruction"), (b"j", "crashed"), (b"s", "sleep with interrupts off")],
+    [
+        (b"i", "illegal instruction"),
+        (b"j", "crashed, .* atmega328p cannot.*built for MCU=atmega328p"),
+        (b"s", "sleep with interrupts off"),
+    ],
 )
 def test_a_firmware_that_stops(simulate, capfd, how, text):
     sim = simulate("stop")

@@ -204,10 +204,22 @@ def test_a_wrong_option_is_a_bad_url(firmware, option, says):
 def test_a_firmware_that_cannot_be_reached_is_open_failed(firmware):
     with pytest.raises(OpenFailed, match="class FF, subclass 12"):
         open_url(Url.parse(f"sim:{firmware('usb_board', 'atmega32u4', CLASS=0xFE)}?link=usb"))
-    with pytest.raises(OpenFailed, match="did not attach within 1"):
+    with pytest.raises(OpenFailed, match=r"elf on an atmega32u4 at 16000000 Hz .*DETACH in UDCON"):
         open_url(Url.parse(f"sim:{firmware('usb_board', 'atmega32u4', DETACHED=1)}?link=usb"))
     with pytest.raises(OpenFailed, match="atmega328p has no USB"):
         open_url(Url.parse(f"sim:{firmware('echo')}?link=usb&mcu=atmega328p"))
+
+
+def test_the_message_tells_what_usb_lacks(firmware):
+    board = firmware("usb_board", "atmega32u4")
+    with pytest.raises(OpenFailed, match=r"at 8000000 Hz did not attach .*the PLL .*crystal"):
+        open_url(Url.parse(f"sim:{board}?link=usb&freq=8000000"))
+    with pytest.raises(OpenFailed, match="never switched USB on"):
+        open_url(Url.parse(f"sim:{firmware('poke', 'atmega32u4')}?link=usb"))
+    with pytest.raises(OpenFailed, match=r"UART receiver .*link=usb"):
+        open_url(Url.parse(f"sim:{board}?mcu=atmega32u4"))
+    with pytest.raises(OpenFailed, match=r"UART receiver on in 1.0 s$"):
+        open_url(Url.parse(f"sim:{firmware('poke', 'atmega32u4')}?mcu=atmega32u4"))
 
 
 HEAD = bytes([9, 2, 0, 0, 1, 1, 0, 0x80, 50])

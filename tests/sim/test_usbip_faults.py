@@ -6,10 +6,27 @@ import struct
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from j2a_transports import OpenFailed
 
+from j2a.sim import UsbipServer
 from tests.sim.usbip_client import say_last
 
 pytestmark = pytest.mark.avr
+
+
+@pytest.mark.parametrize(
+    ("host", "says"),
+    [
+        ("127.0.0.1", "Address already in use: another program listens there"),
+        ("192.0.2.1", "Cannot assign requested address$"),
+        ("j2a.invalid", "Name or service not known$|Temporary failure in name resolution$"),
+    ],
+)
+def test_where_it_cannot_listen(usb_board, host, says):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(OpenFailed, match=rf"^cannot listen on {host}:{port}: ({says})"):
+            UsbipServer([usb_board()], host, port)
 
 
 @settings(

@@ -87,6 +87,7 @@ void usb_device_attach(usb_device_t *, avr_t *, avr_usb_t *port);
 /* ---- what the host does ---- */
 void usb_device_vbus(usb_device_t *, int on);
 int usb_device_pulls_up(const usb_device_t *);
+int usb_device_lacks(const usb_device_t *); /* why it pulls nothing up; 0: it does */
 void usb_device_bus_reset(usb_device_t *, int end); /* called at its start with 0, at its end with 1 */
 void usb_device_resume(usb_device_t *, int end);    /* likewise */
 void usb_device_sof(usb_device_t *, unsigned frame);

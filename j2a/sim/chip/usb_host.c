@@ -112,6 +112,7 @@ int usb_host_attached(usb_host_t *h)
 }
 
 int usb_host_state(const usb_host_t *h) { return h->state; }
+int usb_host_lacks(const usb_host_t *h) { return usb_device_lacks(h->device); }
 
 void usb_host_plug(usb_host_t *h, int on)
 {

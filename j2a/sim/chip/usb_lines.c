@@ -43,6 +43,16 @@ int usb_device_pulls_up(const usb_device_t *u)
     return usb_vbus_seen(u) && (u->uhwcon & UVREGE) && !(u->udcon & LSM);
 }
 
+/* In the order of _usb_port.LACKS. */
+int usb_device_lacks(const usb_device_t *u)
+{
+    if ((u->pllcsr & PLLE) && !u->pll_at && !((u->pllcsr & PLOCK) && pll_is_right(u)))
+        return 1;
+    if (!(u->usbcon & USBE))
+        return 2;
+    return u->udcon & DETACH ? 3 : usb_device_pulls_up(u) ? 0 : 4;
+}
+
 /* ---- interrupts ---- */
 
 uint8_t usb_endpoint_interrupts(const usb_device_t *u)
