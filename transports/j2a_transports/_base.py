@@ -8,6 +8,7 @@ else.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from typing import Final, Self
 
@@ -15,7 +16,15 @@ DEFAULT_WRITE_TIMEOUT_S: Final = 5.0
 
 
 class TransportError(Exception):
-    """Base of every error that a transport raises."""
+    """Base of every error that a transport raises.
+
+    Args:
+        message: begins with the URL and a colon; a URL that is only a scheme, such as `usb:`, has
+            its colon already.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(re.sub(r"^([a-z]+:): ", r"\1 ", message))
 
 
 class LinkLost(TransportError):  # noqa: N818 - the name says what happened to the link
@@ -42,13 +51,15 @@ class MissingExtra(OpenFailed):
     """A Python package that this transport needs is not installed.
 
     Args:
-        what: the URL that was to be opened.
-        package: the missing package.
+        what: the URL that was to be opened, or what else needs it.
+        packages: what pip has to install, with spaces between.
         extra: the extra of the `j2a` distribution that brings it.
     """
 
-    def __init__(self, what: str, package: str, extra: str) -> None:
-        super().__init__(f"{what} needs the package {package}: pip install j2a[{extra}]")
+    def __init__(self, what: str, packages: str, extra: str) -> None:
+        super().__init__(
+            f"{what}: a Python package is missing: pip install {packages} (the extra j2a[{extra}])"
+        )
         self.extra = extra
 
 

@@ -126,7 +126,7 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
     if not hasattr(serial, "serial_for_url"):
         raise OpenFailed(
             f"{url.text}: another package named serial hides pyserial: "
-            "pip uninstall serial, then pip install j2a[serial]"
+            "pip uninstall serial, then pip install pyserial"
         )
     try:
         port = serial.serial_for_url(

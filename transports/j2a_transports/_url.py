@@ -20,6 +20,8 @@ Converter = Callable[[str], Any]
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):(.*)", re.DOTALL)
 _HOST_PORT = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}")
+# `usb:0001` is the board of that number.
+_NO_HOSTS = ("usb:", "bt:", "gadget:")
 _WINDOWS_PORT = re.compile(r"(\\\\\.\\)?COM[0-9]+", re.IGNORECASE)
 _BLUETOOTH_ADDRESS = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}(/[0-9]*)?")
 _PYSERIAL_SCHEMES = frozenset({"loop", "socket", "rfc2217", "spy", "alt", "hwgrep", "cp2110"})
@@ -160,7 +162,7 @@ def _suggest(text: str) -> str | None:
     """Return the URL that the user probably meant, or None when `text` may be a URL."""
     if _WINDOWS_PORT.fullmatch(text):
         return f"serial:{text}"
-    if _HOST_PORT.fullmatch(text):
+    if _HOST_PORT.fullmatch(text) and not text.startswith(_NO_HOSTS):
         return f"tcp://{text}"
     if _BLUETOOTH_ADDRESS.fullmatch(text):
         return f"bt://{text}"

@@ -217,7 +217,7 @@ class TestFailures:
             (errno.ECONNRESET, "cannot connect to channel 3: Connection reset", True),
             (errno.EACCES, f"`bluetoothctl pair {ADDRESS}`; if it was", False),
             (errno.EBADE, f"`bluetoothctl pair {ADDRESS}`; if it was", False),
-            (errno.EPROTONOSUPPORT, "kernel has no Bluetooth: `modprobe rfcomm`", False),
+            (errno.EPROTONOSUPPORT, "kernel has no Bluetooth: `sudo modprobe rfcomm`", False),
             (errno.EHOSTUNREACH, "the adapter went away", False),
             (errno.ENETDOWN, "the adapter went away", False),
             (errno.EOPNOTSUPP, "cannot connect to channel 3: Operation not supported", False),
@@ -262,7 +262,7 @@ class TestFailures:
         ("adapters", "says"),
         [
             ([], "no Bluetooth adapter is there: plug one in"),
-            ([HERE[1]], "switched off: `bluetoothctl power on`, before that `rfkill unblock"),
+            ([HERE[1]], "switched off: `bluetoothctl power on`, before that `sudo rfkill unblock"),
         ],
     )
     def test_no_adapter(self, air: Air, adapters: list[Adapter], says: str) -> None:
@@ -277,9 +277,11 @@ class TestFailures:
 
         monkeypatch.setattr(sockets, "create", create)
         for url in (f"bt://{ADDRESS}/3", f"bt://{ADDRESS}"):
-            with pytest.raises(OpenFailed, match="no Bluetooth: `modprobe rfcomm`; a container"):
+            with pytest.raises(
+                OpenFailed, match="no Bluetooth: `sudo modprobe rfcomm`; a container"
+            ):
                 j2a_transports.open(url)
-        with pytest.raises(OpenFailed, match="no Bluetooth: `modprobe rfcomm`; a container"):
+        with pytest.raises(OpenFailed, match="no Bluetooth: `sudo modprobe rfcomm`; a container"):
             j2a_transports.listen("bt:///1")
 
     def test_a_python_without_bluetooth(self, monkeypatch: pytest.MonkeyPatch) -> None:

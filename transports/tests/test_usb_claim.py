@@ -125,7 +125,7 @@ def test_a_device_that_knows_no_halts_is_opened(open_fake: Open) -> None:
 @pytest.mark.parametrize(
     ("request_", "error", "said"),
     [
-        ("open_device", usb_error(errno.EACCES), "j2a setup udev --print"),
+        ("open_device", usb_error(errno.EACCES), "setup udev` once"),
         ("get_configuration", usb_error(errno.ENODEV), "it went away while it was opened"),
         ("claim_interface", usb_error(errno.EBUSY), "another program uses it"),
         ("clear_halt", usb_error(errno.ENODEV), "it went away while it was opened"),

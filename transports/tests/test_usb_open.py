@@ -109,7 +109,7 @@ def test_a_board_that_cannot_be_read_is_shown_with_advice() -> None:
     (found,) = usb_boards(FakeBackend(board(denied=True)))
     assert (found.serial, found.name, found.url) == (None, None, "usb://1-2.3")
     assert found.problem is not None
-    assert "j2a setup udev --print" in found.problem
+    assert 'run `sudo "$(command -v j2a)" setup udev` once' in found.problem
 
 
 def test_on_windows_the_advice_is_winusb(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,6 +183,11 @@ def test_the_name_of_a_board_opens_it(bus: FakeBackend, serial: str) -> None:
 ADDRESSES = ["", "A1", "6666:CAFE", "6666:cafe/A1", "001:004", "1:4", "1-2.3", "?serial=A1"]
 
 
+def test_a_serial_number_of_digits_is_no_port_of_a_host(bus: FakeBackend) -> None:
+    bus.devices.append(board(serial="0001"))
+    assert talks(bus.devices[0], "usb:0001")
+
+
 @pytest.mark.parametrize("text", ADDRESSES)
 def test_every_form_of_address_finds_the_board(bus: FakeBackend, text: str) -> None:
     bus.devices.append(board())
@@ -201,14 +206,23 @@ def test_what_does_not_fit_is_not_opened_and_what_is_there_is_listed(
         j2a_transports.open(f"usb://{text}")
 
 
+def test_what_was_taken_for_a_serial_number_is_said(bus: FakeBackend) -> None:
+    bus.devices.append(board())
+    for url in ("usb://6666", "usb:6666", "usb:?serial=6666"):
+        with pytest.raises(OpenFailed, match=r"has the serial number '6666'; .* these: usb://A1$"):
+            j2a_transports.open(url)
+
+
 def test_more_than_one_board_are_listed(bus: FakeBackend) -> None:
     bus.devices += [board(), board(serial="B2", address=5), board(product=1, address=6)]
     with pytest.raises(OpenFailed, match=r"one of these: usb://6666:cafe/A1, usb://B2$"):
         j2a_transports.open("usb://6666:cafe")
+    with pytest.raises(OpenFailed, match="^usb: more than one fits"):
+        j2a_transports.open("usb:")
 
 
 def test_no_board_says_what_to_check(bus: FakeBackend) -> None:
-    with pytest.raises(OpenFailed, match=r"cable.*lsusb.*j2a setup udev --print"):
+    with pytest.raises(OpenFailed, match=r"cable.*`lsusb` .package usbutils."):
         j2a_transports.open("usb://")
     with pytest.raises(OpenFailed, match="no device on the USB has an interface 3"):
         j2a_transports.open("usb://A1?interface=3")
@@ -300,9 +314,9 @@ def test_a_board_that_does_not_come_ends_the_wait(bus: FakeBackend) -> None:
 
 def test_without_pyusb_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "usb.backend", None)
-    with pytest.raises(MissingExtra, match=r"pip install j2a\[usb\]"):
+    with pytest.raises(MissingExtra, match=r"pip install pyusb .*j2a\[usb\]"):
         j2a_transports.open("usb://")
-    with pytest.raises(MissingExtra, match=r"pip install j2a\[usb\]"):
+    with pytest.raises(MissingExtra, match=r"pip install pyusb .*j2a\[usb\]"):
         usb_boards()
 
 

@@ -102,10 +102,8 @@ def test_a_bus_that_cannot_be_listed_is_told_at_the_beginning(
     monkeypatch.setattr(bus, "enumerate_devices", fail)
     with pytest.raises(OpenFailed, match="cannot be listed"):
         j2a_transports.watch_usb(0.01, bus)
-    still_open = [
-        each for each in gc.get_objects() if isinstance(each, UsbWatch) and not each._closed
-    ]
-    assert still_open == []
+    watches = [each for each in gc.get_objects() if isinstance(each, UsbWatch)]
+    assert all(each._closed for each in watches)
 
 
 def test_rights_that_come_later_are_told(bus: FakeBackend, watch: UsbWatch) -> None:

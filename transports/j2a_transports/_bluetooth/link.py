@@ -304,9 +304,7 @@ class _Client:
         return max(0.001, self._deadline - time.monotonic())
 
 
-_SUPPORT: Final = (
-    "this kernel has no Bluetooth: `modprobe rfcomm`; a container needs the network of its host"
-)
+_SUPPORT: Final = "this kernel has no Bluetooth: `sudo modprobe rfcomm`; a container needs the network of its host"
 _BE_THERE: Final = (
     "is it switched on, near, and free, and does it not wait for somebody to confirm a pairing?"
 )
@@ -363,7 +361,7 @@ def _adapter_advice() -> str:
         return "the adapter went away or cannot reach it; see `bluetoothctl list`"
     return (
         "the Bluetooth adapter is switched off: `bluetoothctl power on`, before that "
-        "`rfkill unblock bluetooth` if it is blocked"
+        "`sudo rfkill unblock bluetooth` if it is blocked"
     )
 
 

@@ -35,8 +35,8 @@ SYSFS: Final = Path("/sys/bus/usb/devices")
 DEVICE_FILES: Final = Path("/dev/bus/usb")
 
 UDEV_ADVICE: Final = (
-    "not allowed to open it; let `j2a setup udev --print` show the udev rule that allows it, "
-    "install that rule as it says, and plug the board in again"
+    'not allowed to open it: run `sudo "$(command -v j2a)" setup udev` once and plug it in again; '
+    "logged in from elsewhere (ssh) also `sudo usermod -aG plugdev $USER`, and log in again"
 )
 WINUSB_ADVICE: Final = (
     "Windows has no driver for it; give the interface the driver WinUSB, for example with Zadig"
@@ -121,7 +121,7 @@ def libusb(what: str = "usb:") -> Any:
     try:
         from usb.backend import libusb1  # noqa: PLC0415 - an extra
     except ImportError:
-        raise MissingExtra(what, "pyusb", "usb") from None
+        raise MissingExtra(what, "pyusb libusb-package", "usb") from None
     backend = None
     with contextlib.suppress(ImportError):
         import libusb_package  # noqa: PLC0415 - an extra
@@ -133,7 +133,7 @@ def libusb(what: str = "usb:") -> Any:
     if backend is None:
         raise OpenFailed(
             f"{what} needs the library libusb 1.0, which is not there or does not work: "
-            "pip install j2a[usb] brings one, on Debian also apt install libusb-1.0-0"
+            "pip install libusb-package brings one, on Debian also apt install libusb-1.0-0"
         )
     return backend
 

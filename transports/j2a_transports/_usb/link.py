@@ -52,8 +52,7 @@ OPTIONS: Final[dict[str, Converter]] = {
 
 _NONE: Final = (
     "no J2A board is on the USB; is it plugged in, by a cable that carries data, and does its "
-    "firmware run? `lsusb` shows all devices. Where it is shown, but may not be opened: "
-    "`j2a setup udev --print`"
+    "firmware run? `lsusb` (package usbutils) shows all devices"
 )
 
 # What could not be given back; it holds the devices, which pyusb would close otherwise.
@@ -234,7 +233,12 @@ def _find(url: str, address: Address, interface: int | None) -> Found:
                 "each direction, bulk or interrupt; `lsusb -v` shows what devices have"
             )
         raise OpenFailed(f"{url}: {_NONE}")
-    what = "more than one fits; open one of these" if fits else "not there; there are only these"
+    if fits:
+        what = "more than one fits; open one of these"
+    elif address == Address(address.serial):
+        what = f"no board has the serial number {address.serial!r}; there are only these"
+    else:
+        what = "not there; there are only these"
     raise OpenFailed(f"{url}: {what}: {', '.join(each.board.url for each in fits or found)}")
 
 
