@@ -11,7 +11,6 @@ from typing import Final
 _ANY: Final = None
 
 BOARDS: Final[dict[tuple[int, int | None], str]] = {
-    (0x6666, 0xCAFE): "J2A device",
     (0x2341, 0x0001): "Arduino Uno",
     (0x2341, 0x0010): "Arduino Mega 2560",
     (0x2341, 0x0036): "Arduino Leonardo (bootloader)",

@@ -29,9 +29,11 @@ NOTES: Final = """\
 USB boards speak J2A themselves; of a serial port only its name and USB ids tell what is behind it.
 The URL of a board stays when it is plugged in elsewhere, if no other has its serial number."""
 _BY_ID: Final = Path("/dev/serial/by-id")
+# Links by the rule of `j2a setup udev`.
+_BY_SERIAL: Final = Path("/dev/j2a")
 _USB_LINES: Final = (
     *("name", "manufacturer", "usb_id", "serial_number", "bus", "port_path", "speed"),
-    *("device", "sync", "problem"),
+    *("device", "stable", "sync", "problem"),
 )
 _SERIAL_LINES: Final = (
     *("board", "description", "manufacturer", "usb_id", "serial_number", "stable"),
@@ -73,7 +75,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _usb(missing: list[str]) -> list[Facts]:
     try:
-        return [describe_usb(board) for board in usb_boards()]
+        stable = stable_names(_BY_SERIAL)
+        return [describe_usb(board, stable) for board in usb_boards()]
     except MissingExtra as error:
         missing.append(str(error))
     except TransportError as error:  # libusb does not work here: the ports may be enough
@@ -85,7 +88,7 @@ def _serial(missing: list[str]) -> list[Facts]:
     try:
         from serial.tools import list_ports  # noqa: PLC0415 - an extra that may be missing
     except ImportError:
-        missing.append("serial ports need the package pyserial: pip install j2a[serial]")
+        missing.append(str(MissingExtra("serial ports", "pyserial", "serial")))
         return []
     stable = stable_names(_BY_ID)
     return [describe(port, stable) for port in sorted(list_ports.comports())]
@@ -96,10 +99,11 @@ def _watch(as_json: bool) -> int:
         watch = watch_usb()
     except MissingExtra as error:
         raise UsageError(str(error)) from None
+    print("waiting for USB boards; Ctrl-C ends", file=sys.stderr)
     with watch as events:
         for event in events:
             arrived = isinstance(event, UsbArrived)
-            facts = describe_usb(event.board)
+            facts = describe_usb(event.board, stable_names(_BY_SERIAL))
             if as_json:
                 print(json.dumps({"event": "arrived" if arrived else "left", **facts}), flush=True)
                 continue
@@ -116,10 +120,11 @@ def _print_lines(facts: Facts) -> None:
             continue
         if key == "speed":
             value = f"{value:g} Mbit/s"
-        print(f"  {key.replace('_', ' '):<14} {'yes' if value is True else value}", flush=True)
+        name = "SyncUSB" if key == "sync" else key.replace("_", " ")
+        print(f"  {name:<14} {'yes' if value is True else value}", flush=True)
 
 
-def describe_usb(board: UsbBoard) -> Facts:
+def describe_usb(board: UsbBoard, stable: dict[str, str]) -> Facts:
     """Return what is known of a USB board, with the keys of ports where they mean the same."""
     return {
         "kind": "usb",
@@ -135,6 +140,7 @@ def describe_usb(board: UsbBoard) -> Facts:
         "port_path": board.port_path,
         "speed": board.speed,
         "interface": board.interface,
+        "stable": stable.get(board.device_file or ""),
         "sync": board.sync,
         "problem": board.problem,
     }

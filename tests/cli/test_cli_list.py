@@ -116,12 +116,26 @@ def test_usb_boards(run, ports, boards):
         "  port path      1-2.3",
         "  speed          12 Mbit/s",
         "  device         /dev/bus/usb/001/004",
-        "  sync           yes",
+        "  SyncUSB        yes",
         "serial:///dev/ttyS0",
     ]
     usb, serial = json.loads(run("list", "--json").out)
     assert (usb["kind"], usb["url"], usb["speed"]) == ("usb", "usb://0001", 12)
     assert (serial["kind"], serial["url"]) == ("serial", "serial:///dev/ttyS0")
+
+
+def test_the_link_of_a_board_is_shown(run, ports, boards, tmp_path, monkeypatch):
+    """Udev writes some characters of a serial number in another way, so the link is looked up."""
+    device = tmp_path / "004"
+    device.touch()
+    links = tmp_path / "j2a"
+    links.mkdir()
+    (links / "left_arm").symlink_to(device)
+    monkeypatch.setattr("j2a.cli._list._BY_SERIAL", links)
+    boards += [replace(BOARD, serial="left arm", device_file=str(device)), BOARD]
+    assert f"  stable         {links / 'left_arm'}\n" in run("list").out
+    found = json.loads(run("list", "--json").out)
+    assert [facts["stable"] for facts in found] == [str(links / "left_arm"), None]
 
 
 def test_a_board_that_may_not_be_opened(run, ports, boards):
@@ -136,7 +150,9 @@ def test_boards_that_come_and_go(run, monkeypatch):
         return nullcontext(iter([UsbArrived(BOARD), UsbLeft(BOARD)]))
 
     monkeypatch.setattr("j2a.cli._list.watch_usb", watch)
-    lines = run("list", "--watch").out.splitlines()
+    result = run("list", "--watch")
+    assert result.err == "waiting for USB boards; Ctrl-C ends\n"
+    lines = result.out.splitlines()
     assert (lines[0], lines[1], lines[-1]) == (
         "+ usb://0001",
         "  name           demo",
@@ -156,12 +172,15 @@ def refuse(error):
 
 def test_what_needs_a_missing_package_is_left_out(run, ports, monkeypatch):
     ports.append(ListPortInfo("/dev/ttyS0"))
-    missing = refuse(MissingExtra("usb:", "pyusb", "usb"))
+    missing = refuse(MissingExtra("usb:", "pyusb libusb-package", "usb"))
     monkeypatch.setattr("j2a.cli._list.usb_boards", missing)
     monkeypatch.setattr("j2a.cli._list.watch_usb", missing)
     result = run("list")
     assert (result.code, result.out) == (0, "serial:///dev/ttyS0\n")
-    assert "pip install j2a[usb]" in result.err
+    assert (
+        "usb: a Python package is missing: pip install pyusb libusb-package (the extra j2a[usb])"
+        in result.err
+    )
     assert json.loads(run("list", "--json").out)[0]["kind"] == "serial"
     assert run("list", "--watch").code == 2
 
@@ -179,12 +198,12 @@ def test_without_pyserial(run, boards, monkeypatch):
     boards.append(BOARD)
     result = run("list")
     assert (result.code, result.out.splitlines()[0]) == (0, "usb://0001")
-    assert "pip install j2a[serial]" in result.err
+    assert "serial ports: a Python package is missing: pip install pyserial (the" in result.err
 
 
 def test_without_both_packages(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "serial.tools", None)
-    missing = refuse(MissingExtra("usb:", "pyusb", "usb"))
+    missing = refuse(MissingExtra("usb:", "pyusb libusb-package", "usb"))
     monkeypatch.setattr("j2a.cli._list.usb_boards", missing)
     result = run("list")
     assert (result.code, result.out) == (2, "")
@@ -193,7 +212,6 @@ def test_without_both_packages(run, monkeypatch):
 
 
 def test_board_names():
-    assert board_name(0x6666, 0xCAFE) == "J2A device"
     assert board_name(0x2341, 0x0043) == "Arduino Uno R3"
     assert board_name(0x2341, 0xFFFF) == "Arduino"
     assert board_name(0x1A86, 0x7523) == "WCH CH340 bridge"
