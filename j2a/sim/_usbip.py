@@ -4,11 +4,13 @@ In: connections that list and import boards, and commands of whoever runs the se
 on the bus of the client.
 Rules: a board has one client at a time, and is plugged in as long as it has; time goes on for it
 all the while, no faster than the wall clock times the speed; each board has a thread of its own, so
-none waits for another; a client that sends nonsense, or nothing, costs its connection and no more.
+none waits for another; a client that sends nonsense, or nothing, costs its connection and no more:
+it has some seconds for its request, and for its first command after an import.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import select
 import socket
@@ -29,7 +31,7 @@ from j2a.sim._usbip_session import Gone, Session, receive
 
 REQUEST_TIMEOUT_S: Final = 5.0
 LOOK_S: Final = 0.1
-MOST_CLIENTS: Final = 16
+MOST_ASKING: Final = 16  # connections that have not said yet what they want
 BUSNUM: Final = 1
 # How a client's kernel tells devices apart; the address on the simulated bus is always this one.
 ADDRESS: Final = 1
@@ -108,6 +110,8 @@ class UsbipServer:
         self._halt = threading.Event()
         self._failure: FirmwareStopped | None = None
         self._threads: list[threading.Thread] = []
+        self._lock = threading.Lock()  # for the next
+        self._asking: list[socket.socket] = []
         self._listener = _listen(host, port)
         self.port: int = self._listener.getsockname()[1]
         self.busids = tuple(self._exports)
@@ -196,17 +200,30 @@ class UsbipServer:
             connection, peer = self._listener.accept()
         except OSError:  # it has gone again
             return
-        if sum(t.name == "client" and t.is_alive() for t in self._threads) >= MOST_CLIENTS:
-            connection.close()
-            return
+        with self._lock:
+            if len(self._asking) >= MOST_ASKING:  # the oldest had its time
+                with contextlib.suppress(OSError):
+                    self._asking.pop(0).shutdown(socket.SHUT_RDWR)
+            self._asking.append(connection)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        # A client that lost its power sends no end of stream; keepalive finds out in the end.
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._start(lambda: self._serve_client(connection, f"{peer[0]}:{peer[1]}"), "client")
 
     def _serve_client(self, connection: socket.socket, peer: str) -> None:
         connection.settimeout(REQUEST_TIMEOUT_S)
         with connection:
             try:
-                self._answer(connection, peer)
+                try:
+                    code, name = self._request(connection)
+                finally:
+                    with self._lock:
+                        if connection in self._asking:
+                            self._asking.remove(connection)
+                if code == protocol.REQ_IMPORT:
+                    self._import(connection, name, peer)
+                else:
+                    connection.sendall(protocol.reply(protocol.REP_DEVLIST) + self._list())
             except Gone:
                 pass
             except (OSError, protocol.BadMessage) as error:
@@ -214,8 +231,8 @@ class UsbipServer:
 
     # -- requests -----------------------------------------------------------------------------
 
-    def _answer(self, connection: socket.socket, peer: str) -> None:
-        """Answer the one request that a connection begins with."""
+    def _request(self, connection: socket.socket) -> tuple[int, str]:
+        """Read the one request that a connection begins with: its code, and a board's name."""
         end = time.monotonic() + REQUEST_TIMEOUT_S
 
         def stopped() -> bool:
@@ -225,12 +242,11 @@ class UsbipServer:
         if op.version != protocol.VERSION:
             raise protocol.BadMessage(f"version {op.version:#06x}")
         if op.code == protocol.REQ_DEVLIST:
-            connection.sendall(protocol.reply(protocol.REP_DEVLIST) + self._list())
-        elif op.code == protocol.REQ_IMPORT:
+            return op.code, ""
+        if op.code == protocol.REQ_IMPORT:
             name = receive(connection, protocol.BUSID_SIZE, stopped).split(b"\0")[0]
-            self._import(connection, name.decode("ascii", "replace"), peer)
-        else:
-            raise protocol.BadMessage(f"request {op.code:#06x}")
+            return op.code, name.decode("ascii", "replace")
+        raise protocol.BadMessage(f"request {op.code:#06x}")
 
     def _list(self) -> bytes:
         """The boards that can be imported now."""

@@ -15,6 +15,7 @@ import errno
 import select
 import socket
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -26,6 +27,8 @@ from j2a.sim._usb_transfer import GET_DESCRIPTOR, SET_ADDRESS, Transfer
 
 LOOK_S: Final = 0.2  # how often a waiting thread looks whether it shall end
 SEND_TIMEOUT_S: Final = 5.0
+# An operating system begins at once; one that goes silent afterwards has nothing to do.
+FIRST_COMMAND_S: Final = 30.0
 MOST_PENDING: Final = 256
 DESCRIPTOR_DEVICE: Final = 0x0100  # wValue of GET_DESCRIPTOR
 FIRST_LOOK_LENGTH: Final = 64
@@ -92,15 +95,22 @@ class Session:
             self._connection.shutdown(socket.SHUT_RDWR)
 
     def run(self) -> None:
-        """Take commands until the client goes or `close` is called.
+        """Take commands until the client goes, or does not begin, or `close` is called.
 
         Raises:
             BadMessage: the client sent what is no command.
         """
+        begun, end = False, time.monotonic() + FIRST_COMMAND_S
+
+        def stopped() -> bool:
+            return self._closed.is_set() or (not begun and time.monotonic() > end)
+
         try:
             while True:
-                header = protocol.parse_command(self._receive(protocol.HEADER_SIZE))
-                data = self._receive(protocol.following(header))
+                head = receive(self._connection, protocol.HEADER_SIZE, stopped)
+                begun = True
+                header = protocol.parse_command(head)
+                data = receive(self._connection, protocol.following(header), stopped)
                 if header.devid != self._devid:
                     raise protocol.BadMessage(f"device {header.devid:#x} was not imported")
                 if header.command == protocol.CMD_UNLINK:
@@ -113,9 +123,6 @@ class Session:
             pass
         finally:
             self._closed.set()
-
-    def _receive(self, size: int) -> bytes:
-        return receive(self._connection, size, self._closed.is_set)
 
     def _submit(self, header: Any, data: bytes) -> None:
         number, length = header.seqnum, header.u.transfer_buffer_length

@@ -1,5 +1,6 @@
 """What a client of the USB/IP server may send: nothing of it harms the next client."""
 
+import contextlib
 import socket
 import struct
 
@@ -8,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from j2a_transports import OpenFailed
 
-from j2a.sim import UsbipServer
-from tests.sim.usbip_client import say_last
+from j2a.sim import UsbipServer, _usbip, _usbip_session
+from tests.sim.usbip_client import WAIT_S, say_last
 
 pytestmark = pytest.mark.avr
 
@@ -108,9 +109,31 @@ def test_too_many_transfers(served):
             client.result()
 
 
-def test_a_client_that_says_nothing_holds_nobody_up(served):
-    with (
-        socket.create_connection(("127.0.0.1", served.port)),
-        served.attach() as client,
-    ):
+def test_clients_that_say_nothing_hold_nobody_up(served):
+    with contextlib.ExitStack() as stack:
+        silent = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", served.port)))
+            for _ in range(_usbip.MOST_ASKING + 1)
+        ]
+        with served.attach() as client:
+            assert client.control(0x80, 8, 0, 0, 1) == (0, b"\1")
+        silent[0].settimeout(WAIT_S)
+        assert silent[0].recv(1) == b""  # the oldest made room
+
+
+@pytest.mark.parametrize("said", [b"", b"\x01\x11\x80"])
+def test_a_client_has_to_ask_in_time(served, monkeypatch, said):
+    monkeypatch.setattr(_usbip, "REQUEST_TIMEOUT_S", 0.1)
+    with socket.create_connection(("127.0.0.1", served.port)) as connection:
+        connection.settimeout(WAIT_S)
+        connection.sendall(said)
+        assert connection.recv(1) == b""
+
+
+def test_who_imports_a_board_and_leaves_it_alone_loses_it(served, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(_usbip_session, "FIRST_COMMAND_S", 0.1)
+        with served.attach() as silent:
+            assert silent.socket.recv(1) == b""
+    with served.attach() as client:
         assert client.control(0x80, 8, 0, 0, 1) == (0, b"\1")
