@@ -217,7 +217,7 @@ def test_more_than_one_board_are_listed(bus: FakeBackend) -> None:
     bus.devices += [board(), board(serial="B2", address=5), board(product=1, address=6)]
     with pytest.raises(OpenFailed, match=r"one of these: usb://6666:cafe/A1, usb://B2$"):
         j2a_transports.open("usb://6666:cafe")
-    with pytest.raises(OpenFailed, match="^usb: more than one fits"):
+    with pytest.raises(OpenFailed, match=r"^usb: more than one fits"):
         j2a_transports.open("usb:")
 
 

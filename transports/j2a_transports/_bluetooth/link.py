@@ -304,7 +304,9 @@ class _Client:
         return max(0.001, self._deadline - time.monotonic())
 
 
-_SUPPORT: Final = "this kernel has no Bluetooth: `sudo modprobe rfcomm`; a container needs the network of its host"
+_SUPPORT: Final = (
+    "this kernel has no Bluetooth: `sudo modprobe rfcomm`; a container needs its host's network"
+)
 _BE_THERE: Final = (
     "is it switched on, near, and free, and does it not wait for somebody to confirm a pairing?"
 )
