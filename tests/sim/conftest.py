@@ -20,8 +20,8 @@ Simulate = Callable[..., AvrSim]
 def has_avr_libc() -> bool:
     """Whether the compiler finds the header that every AVR program begins with."""
     command = ["avr-gcc", "-mmcu=atmega328p", "-E", "-x", "c", "-"]
-    include = "#include <avr/io.h>\n"
-    return not subprocess.run(command, input=include, text=True, capture_output=True).returncode
+    include = b"#include <avr/io.h>\n"
+    return not subprocess.run(command, input=include, capture_output=True, check=False).returncode
 
 
 @pytest.fixture(scope="session")
