@@ -1,13 +1,15 @@
 """`j2a setup`: prepare this computer for boards: a rule for udev.
 
 In: nothing. Out: the rule on standard output, or in its place below /etc.
-Rules: the rule knows a board by its interface, so it holds for every vendor and product id.
+Rules: the rule knows a board by its interface, so it holds for every vendor and product id; a rule
+that somebody has changed is kept beside it.
 """
 
 from __future__ import annotations
 
 import argparse
 import subprocess
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -27,10 +29,11 @@ MODE="0660", GROUP="plugdev", TAG+="uaccess"
 ENV{ID_SERIAL_SHORT}=="?*", SYMLINK+="j2a/$env{ID_SERIAL_SHORT}"
 LABEL="j2a_end"
 """
+GROUP: Final = "plugdev"
 NOTES: Final = f"""\
 the rule goes to {PLACE}:
   j2a setup udev --print                              looks at it
-  sudo j2a setup udev                                 puts it there and reloads udev
+  sudo "$(command -v j2a)" setup udev                 puts it there and reloads udev
   j2a setup udev --print | sudo tee {PLACE}     the same by hand; then
   sudo udevadm control --reload && sudo udevadm trigger --subsystem-match=usb"""
 
@@ -48,14 +51,25 @@ def run(args: argparse.Namespace) -> int:
         return OK
     if not PLACE.parent.is_dir():
         raise UsageError(f"there is no folder {PLACE.parent}: this computer has no udev")
+    backup = PLACE.with_suffix(".rules.old")
     try:
+        changed = PLACE.exists() and PLACE.read_bytes() != RULES.encode()
+        if changed:
+            PLACE.replace(backup)
         PLACE.write_text(RULES, "utf-8")
     except OSError as error:
         raise UsageError(
-            f"cannot write {PLACE}: {error.strerror}; try: sudo j2a setup udev, "
+            f'cannot write {PLACE}: {error.strerror}; try: sudo "$(command -v j2a)" setup udev, '
             f"or: j2a setup udev --print | sudo tee {PLACE}"
         ) from None
-    print(f"wrote {PLACE}")
+    print(f"wrote {PLACE}" + (f"; what was there is now {backup}" if changed else ""))
+    if not has_group():
+        print(
+            f"j2a: there is no group {GROUP} here, so only who sits at this computer may use the "
+            f"boards; for others: sudo groupadd --system {GROUP}, sudo usermod -aG {GROUP} USER, "
+            "and once more this command",
+            file=sys.stderr,
+        )
     for words in (("control", "--reload"), ("trigger", "--subsystem-match=usb")):
         try:
             done = subprocess.run(["udevadm", *words], check=False, capture_output=True, text=True)
@@ -66,3 +80,14 @@ def run(args: argparse.Namespace) -> int:
             print(f"udevadm {' '.join(words)}: {failure}; replug the boards, or restart")
             break
     return OK
+
+
+def has_group() -> bool:
+    """Tell whether this system has the group that the rule gives the boards to."""
+    import grp  # noqa: PLC0415 - not on every system
+
+    try:
+        grp.getgrnam(GROUP)
+    except KeyError:
+        return False
+    return True
