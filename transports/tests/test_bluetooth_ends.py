@@ -307,6 +307,26 @@ class TestCalls:
             with pytest.raises(ConnectionRefusedError):
                 sockets.connect(sock, ADDRESS, 1, PATIENCE_S)
 
+    def test_connecting_without_a_limit_only_waits(self) -> None:
+        """The call itself comes back at once, so no signal makes it be repeated."""
+        blocking: list[bool] = []
+
+        def connect(fd: int, *arguments: Any) -> int:
+            blocking.append(os.get_blocking(fd))
+            self.error = errno.EINPROGRESS
+            return self.answer(fd, *arguments)
+
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            socket.create_server(("127.0.0.1", 0)) as server,
+        ):
+            patch.setattr(self, "connect", connect, raising=False)
+            with socket.create_connection(server.getsockname()) as sock:
+                sockets.connect(sock, ADDRESS, 1, None)
+                assert sock.gettimeout() is None
+        assert blocking == [False]
+        assert len(self.calls) == 1
+
     def test_an_interrupted_call_is_repeated(
         self, sock: socket.socket, monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -91,10 +91,12 @@ def connect(sock: socket.socket, address: str, port: int, timeout_s: float | Non
         TimeoutError: no answer in that time, without an errno.
         OSError: it failed.
     """
-    sock.settimeout(timeout_s)
     if _NATIVE:
+        sock.settimeout(timeout_s)
         sock.connect((address, port))
         return
+    # Not to be repeated after a signal, so it is the waiting that a signal interrupts.
+    sock.setblocking(False)
     try:
         _call("connect", sock.fileno(), *_sockaddr(sock, address, port))
     except BlockingIOError:
@@ -104,6 +106,7 @@ def connect(sock: socket.socket, address: str, port: int, timeout_s: float | Non
             raise TimeoutError("timed out") from None
         if error := sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             raise OSError(error, os.strerror(error)) from None
+    sock.settimeout(timeout_s)
 
 
 def accept(sock: socket.socket) -> tuple[socket.socket, str]:
