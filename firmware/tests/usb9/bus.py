@@ -1,9 +1,12 @@
 """Suspend and resume, and the frames of the bus (7.1.7.6, 7.1.7.7, 9.1.1.6)."""
 
+import pytest
 from j2a_spec import constants as c
+from j2a_spec.oracle import Frame
 
+from usb9.application import BUSY_MS, begin, block
 from usb9.checks import Check, listing
-from usb9.device import GET_CONFIGURATION, GET_DESCRIPTOR, IN, Device, setup
+from usb9.device import GET_CONFIGURATION, GET_DESCRIPTOR, IN, OPCODE, Device, setup
 from usb9.states import is_in_default_state
 
 CHECKS: list[Check] = []
@@ -60,6 +63,44 @@ def data_outlast_suspend(device: Device) -> None:
     device.works()
 
 
+@check("7.1.7.6", pytest.mark.requirement("USB-010"))
+def replies_made_in_a_suspend(device: Device) -> None:
+    """Functions that end while the bus is suspended: their replies come whole after the resume."""
+    device.to_configured()
+    for size in (0, 3, 40, 58):  # such a request fits into an endpoint's memory
+        begin(device)
+        device.send(Frame(c.SOF, 4, OPCODE[c.GET_ECHO], bytes(size)))
+        device.pause(2)
+        sleep(device, 2 * BUSY_MS)
+        assert device.listen(2) == [Frame(c.SOF, 9, 0), Frame(c.SOF, 4, c.ECHO, bytes(size))]
+        device.works()
+
+
+@check("7.1.7.6", pytest.mark.requirement("USB-010"))
+def suspended_in_the_midst_of_a_frame(device: Device) -> None:
+    """A device that waits for the host to read waits through suspends, and loses no byte."""
+    device.to_configured()
+    waiting = device.leave_unread(bytes(range(255)))
+    for ms in (3, 4, 500):
+        sleep(device, ms)
+    assert device.listen(1, 0.1) == []
+    sleep(device, 20)
+    assert device.listen(1) == [waiting]
+    device.works()
+
+
+@check("7.1.7.5", pytest.mark.requirement("USB-011"))
+def reset_ends_suspend_while_it_waits(device: Device) -> None:
+    """A reset in a suspend drops what the device waits with, and it goes on as new."""
+    device.to_configured()
+    block(device)
+    device.bus.suspend()
+    device.pause(20)
+    device.to_configured()
+    assert device.once("IN", c.USB_IN) == "NAK"
+    device.works()
+
+
 @check("7.1.7.6")
 def suspended_in_a_control_transfer(device: Device) -> None:
     """A control transfer that a suspend cuts in two does not hinder the next one."""
@@ -86,14 +127,16 @@ def reset_ends_suspend(device: Device) -> None:
 @check("9.1.1.6")
 def unplugged_while_suspended(device: Device) -> None:
     """A device that is unplugged while it is suspended starts anew when it is plugged in."""
-    device.to_configured()
-    device.bus.suspend()
-    device.pause(20)
-    device.bus.unplug()
-    device.pause(20)
-    assert not device.bus.attached
-    device.to_configured()
-    device.works()
+    for prepare in (lambda: None, lambda: block(device)):
+        device.to_configured()
+        prepare()
+        device.bus.suspend()
+        device.pause(20)
+        device.bus.unplug()
+        device.pause(20)
+        assert not device.bus.attached
+        device.to_configured()
+        device.works()
 
 
 @check("7.1.7.6")

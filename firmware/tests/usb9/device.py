@@ -46,12 +46,16 @@ class Device:
         sim: the chip.
         bus: its bus.
         packet0: packet size of endpoint 0; 8 until the device descriptor has been read.
+        is_torn: a SETUP or a status stage may come while the firmware fills a packet of endpoint 0,
+            the rest of which then finds no room; a check that does so says it. Otherwise each
+            access to an endpoint's memory has to find a byte, or room for one, see __exit__().
     """
 
     def __init__(self, elf: Path, mcu: str, boot_ms: float = 10) -> None:
         self.sim = AvrSim(elf, mcu)
         self.bus = self.sim.usb
         self.packet0 = 8
+        self.is_torn = False
         self._rest = b""  # the beginning of a frame
         self._heard: list[Frame] = []
         self.pause(boot_ms)
@@ -63,8 +67,11 @@ class Device:
     def __enter__(self) -> Device:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, error: object, *_: object) -> None:
+        errors = self.bus.counters.fifo_errors
         self.close()
+        if error is None and not self.is_torn:
+            assert errors == 0, f"{errors} accesses to UEDATX that must not be"
 
     def pause(self, ms: float) -> None:
         """Let simulated time pass."""

@@ -30,6 +30,7 @@ REFUSED = setup(IN | VENDOR, 1, 0, 0, 8)
 @check("8.4.6.4")
 def setup_is_always_taken(device: Device) -> None:
     """A SETUP is acknowledged in each stage of the transfer before, and after a stall."""
+    device.is_torn = True
     device.to_address()
     for _ in range(3):
         for packet in (LONG, SHORT, REFUSED, setup(OUT, SET_CONFIGURATION, 0)):
@@ -43,6 +44,7 @@ def setup_is_always_taken(device: Device) -> None:
 @check("8.5.3")
 def setup_repeated(device: Device) -> None:
     """A SETUP that comes again, at whatever cycle, because its ACK was lost is served once."""
+    device.is_torn = True
     device.to_configured()
     whole = device.descriptor(usb.CONFIGURATION)
     for wait in range(0, 900, 4):
@@ -62,6 +64,7 @@ def setup_repeated(device: Device) -> None:
 @check("5.5.5")
 def setup_twice(device: Device) -> None:
     """Of different SETUPs the last one counts, also when it comes 50 us after the one before."""
+    device.is_torn = True
     device.to_configured()
     ask = setup(IN, GET_CONFIGURATION, 0, 0, 1)
     for before in (LONG, REFUSED, setup(OUT, SET_CONFIGURATION, 1)):
@@ -77,6 +80,7 @@ def setup_twice(device: Device) -> None:
 @check("5.5.5")
 def setup_in_the_data_stage(device: Device) -> None:
     """A SETUP in the data stage begins a new transfer; nothing of the old one comes."""
+    device.is_torn = True
     device.to_configured()
     for wait in (0, 200, 5000):
         for packets in range(4):
@@ -107,6 +111,7 @@ def setup_in_the_status_stage(device: Device) -> None:
 @check("8.5.3")
 def early_status_stage(device: Device) -> None:
     """The host may end a data stage early: its empty OUT packet is taken, the rest forgotten."""
+    device.is_torn = True
     device.to_configured()
     for packets in range(4):
         device.once("SETUP", 0, LONG)
