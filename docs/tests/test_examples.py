@@ -17,7 +17,7 @@ import pytest
 
 import j2a
 from j2a.demo import DemoDevice
-from transports.tests.fake_gadget import FakeKernel, Host  # noqa: TID251 - not installed
+from transports.tests.fake_gadget import Host, installed  # noqa: TID251 - not installed
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs/examples"
@@ -104,16 +104,16 @@ def test_simulated_usb(build_firmware):
 @pytest.mark.skipif(sys.platform != "linux", reason="gadgets exist on Linux only")
 def test_linux_board(tmp_path, monkeypatch):
     """With a device port in memory; tests/guest have gadgets at the kernel's."""
-    kernel = FakeKernel(tmp_path)
+    kernel = installed(tmp_path, monkeypatch)
     # A name of its own, because the lock that goes by it is the real one.
-    gadget = functools.partial(j2a_transports.UsbGadget, kernel=kernel, name=f"docs-{os.getpid()}")
+    gadget = functools.partial(j2a_transports.UsbGadget, name=f"docs-{os.getpid()}")
     monkeypatch.setattr(j2a_transports, "UsbGadget", gadget)
     names = {"__name__": "__main__"}
     program = compile((EXAMPLES / "linux_board.py").read_text(), "linux_board.py", "exec")
     thread = threading.Thread(target=exec, args=(program, names))
     thread.start()
     try:
-        until(lambda: kernel.bus.session is not None)
+        until(lambda: kernel.bus.session is not None or not thread.is_alive())
         with j2a.Client(Host(kernel.bus), timeout=LIMIT_S) as board:
             assert board.properties["name"] == "linux board"
             with kernel.bus.changed:
