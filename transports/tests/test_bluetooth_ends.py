@@ -16,7 +16,7 @@ from typing import Any
 import j2a_transports
 import pytest
 from j2a_transports import LinkLost, OpenFailed
-from j2a_transports._bluetooth import link, sockets
+from j2a_transports._bluetooth import record, sockets
 from j2a_transports._bluetooth.link import BluetoothTransport
 
 from .suite import PATIENCE_S, Background
@@ -122,7 +122,7 @@ class TestListening:
         self, place: Place, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
         path = str(tmp_path / "sdp")
-        monkeypatch.setattr(link, "SDP_SOCKET", path)
+        monkeypatch.setattr(record, "SDP_SOCKET", path)
         with socket.socket(socket.AF_UNIX) as server:
             server.bind(path)
             server.listen()
@@ -133,15 +133,16 @@ class TestListening:
                 peer.sendall(bytes.fromhex(answer))
                 return peer, packet
 
-            serving = Background(lambda: serve("76 0000 0004 00010005"))
-            listener = j2a_transports.listen("bt:///9?service=J2A")
-            peer, packet = serving.result()
-            assert b"\x25\x03J2A" in packet
-            assert b"\x08\x09" in packet
-            listener.close()
-            peer.settimeout(PATIENCE_S)
-            assert peer.recv(1) == b""
-            peer.close()
+            for option, name in (("?service=Arm", b"\x25\x03Arm"), ("", b"\x25\x03J2A")):
+                serving = Background(lambda: serve("76 0000 0004 00010005"))
+                listener = j2a_transports.listen(f"bt:///9{option}")
+                peer, packet = serving.result()
+                assert name in packet
+                assert b"\x08\x09" in packet
+                listener.close()
+                peer.settimeout(PATIENCE_S)
+                assert peer.recv(1) == b""
+                peer.close()
 
             serving = Background(lambda: serve("01 0000 0002 0003"))
             with pytest.raises(OpenFailed, match="refuses the request with error 0003; start"):
@@ -152,11 +153,22 @@ class TestListening:
     def test_no_way_to_register(
         self, place: Place, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
-        monkeypatch.setattr(link, "SDP_SOCKET", str(tmp_path / "sdp"))
+        monkeypatch.setattr(record, "SDP_SOCKET", str(tmp_path / "sdp"))
         says = "No such file or directory; start bluetoothd with --compat, or leave service out"
         with pytest.raises(OpenFailed, match=says):
             j2a_transports.listen("bt:?service=J2A")
         assert place.sockets[-1].fileno() < 0
+        # Nobody has asked for a record: clients name the channel, which the URL has.
+        with j2a_transports.listen("bt:") as listener:
+            assert listener.url == f"bt://{ADDRESS}/4"
+
+    def test_registering_takes_root(self, place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+        def refuse(*arguments: Any) -> Any:
+            raise PermissionError(errno.EACCES, "Permission denied")
+
+        monkeypatch.setattr(socket.socket, "connect", refuse)
+        with pytest.raises(OpenFailed, match="Permission denied; run it with sudo, or leave"):
+            j2a_transports.listen("bt:?service=J2A")
 
 
 class Scripted:
@@ -307,7 +319,7 @@ class TestCalls:
             with pytest.raises(ConnectionRefusedError):
                 sockets.connect(sock, ADDRESS, 1, PATIENCE_S)
 
-    def test_connecting_without_a_limit_only_waits(self) -> None:
+    def test_connecting_without_a_limit_only_waits(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """The call itself comes back at once, so no signal makes it be repeated."""
         blocking: list[bool] = []
 
@@ -316,14 +328,13 @@ class TestCalls:
             self.error = errno.EINPROGRESS
             return self.answer(fd, *arguments)
 
+        monkeypatch.setattr(self, "connect", connect, raising=False)
         with (
-            pytest.MonkeyPatch.context() as patch,
             socket.create_server(("127.0.0.1", 0)) as server,
+            socket.create_connection(server.getsockname()) as sock,
         ):
-            patch.setattr(self, "connect", connect, raising=False)
-            with socket.create_connection(server.getsockname()) as sock:
-                sockets.connect(sock, ADDRESS, 1, None)
-                assert sock.gettimeout() is None
+            sockets.connect(sock, ADDRESS, 1, None)
+            assert sock.gettimeout() is None
         assert blocking == [False]
         assert len(self.calls) == 1
 

@@ -23,14 +23,13 @@ from j2a_transports._poll import CHUNK, PolledTransport
 from j2a_transports._url import Converter, Url, choice, text, timeout
 
 from . import sdp, sockets
+from .record import SERVICE, publish
 
 # Two times what an adapter calls a device that does not answer (5.12 s).
 _CONNECT_TIMEOUT_S: Final = 10.0
 MOMENT_S: Final = 1.0
 _FIRST_PAUSE_S: Final = 0.05
 _LONGEST_PAUSE_S: Final = 0.5
-# BlueZ's way in for programs on this machine, there when bluetoothd runs with --compat.
-SDP_SOCKET: Final = "/var/run/sdp"
 
 _ADDRESS: Final = r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}"
 _ADAPTER: Final = rf"{_ADDRESS}|hci[0-9]{{1,3}}"
@@ -160,7 +159,11 @@ def open_url(url: Url) -> Transport:
 
 
 def listen_url(url: Url) -> Listener:
-    """Listen at `bt://ADAPTER/CHANNEL`; without an adapter at all, channel 0 or none is any."""
+    """Listen at `bt://ADAPTER/CHANNEL`; without an adapter at all, channel 0 or none is any.
+
+    The channel is published as `service=NAME`, else as J2A. That BlueZ does not take the record is
+    an error only with the option: the URL of the listener has the channel.
+    """
     place, parts = url.split_query()
     match = re.fullmatch(rf"(?://)?({_ADAPTER})?(?:/([0-9]{{1,2}})?)?", place)
     if match is None or int(match[2] or 0) > 30:
@@ -179,8 +182,12 @@ def listen_url(url: Url) -> Listener:
         bound, channel = sockets.local(sock)
         if bound == sockets.ANY:
             bound = _first_up(url)
-        if "service" in options:
-            record = _publish(url, options["service"], channel)
+        try:
+            record = publish(url, options.get("service", SERVICE), channel)
+        except OpenFailed:
+            # Who has not asked for it gets along without: the URL has the channel.
+            if "service" in options:
+                raise
         where = f"bt://{bound}/{channel}"
         return BluetoothListener(where, sock, record, options["write_timeout"])
     except (OSError, OpenFailed) as error:
@@ -365,24 +372,6 @@ def _adapter_advice() -> str:
         "the Bluetooth adapter is switched off: `bluetoothctl power on`, before that "
         "`sudo rfkill unblock bluetooth` if it is blocked"
     )
-
-
-def _publish(url: Url, name: str, channel: int) -> socket.socket:
-    """Register a record at BlueZ; it lives as long as the connection that is returned."""
-    advice = "start bluetoothd with --compat, or leave service out and name the channel to clients"
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        sock.settimeout(_CONNECT_TIMEOUT_S)
-        sock.connect(SDP_SOCKET)
-        sock.sendall(sdp.registration(name, channel))
-        sdp.check_registration(sock.recv(sdp.PACKET))
-        return sock
-    except (OSError, sdp.SdpError) as error:
-        sock.close()
-        why = error.strerror or str(error) if isinstance(error, OSError) else str(error)
-        raise OpenFailed(
-            f"{url.text}: cannot publish the service at {SDP_SOCKET}: {why}; {advice}"
-        ) from error
 
 
 def _reason(error: OSError | None) -> str:
