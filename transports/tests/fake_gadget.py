@@ -136,6 +136,7 @@ class FakeKernel(Kernel):
         descriptors: the blocks that `ep0` was given.
         configures: whether a host is there, which configures every device that appears.
         bind_error: error number of the next bindings.
+        root: whether the program runs as root.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -150,9 +151,13 @@ class FakeKernel(Kernel):
         self.configures = True
         self.bind_error: int | None = None
         self.bound = False
+        self.root = True
         self._mounts: set[Path] = set()
         self._names: dict[int, str] = {}
         self._loaded: set[str] = set()
+
+    def is_root(self) -> bool:
+        return self.root
 
     # modules and mounts
 

@@ -114,12 +114,12 @@ class TestWhatIsMissing:
     @pytest.mark.parametrize("module", ["configfs", "libcomposite"])
     def test_no_gadgets_in_this_kernel(self, kernel: FakeKernel, name: str, module: str) -> None:
         kernel.has.remove(module)
-        assert "modprobe libcomposite" in self.fails(kernel, name)
+        assert "sudo modprobe -a libcomposite usb_f_fs loads" in self.fails(kernel, name)
         assert nothing_is_left(kernel)
 
     def test_no_function_fs(self, kernel: FakeKernel, name: str) -> None:
         kernel.has.remove("usb_f_fs")
-        assert "modprobe usb_f_fs" in self.fails(kernel, name)
+        assert "sudo modprobe usb_f_fs" in self.fails(kernel, name)
         assert nothing_is_left(kernel)
 
     def test_no_controller(self, kernel: FakeKernel, name: str) -> None:
@@ -142,7 +142,9 @@ class TestWhatIsMissing:
             (folder(kernel, "g1") / "UDC").write_text(UDC)
         kernel.bind_error = errno.EBUSY
         text = self.fails(kernel, name)
-        assert f"the controller {UDC} is used by the gadget g1; free it with: echo >" in text
+        assert (
+            f"the controller {UDC} is used by the gadget g1; free it with: echo | sudo tee" in text
+        )
         kernel.remove(folder(kernel, "g1"))
         assert nothing_is_left(kernel)
 
@@ -165,8 +167,19 @@ class TestWhatIsMissing:
         for method in ("make", "mount", "write"):
             with monkeypatch.context() as patch:
                 patch.setattr(kernel, method, refuse)
-                assert "run it as root, with sudo" in self.fails(kernel, name)
+                kernel.root = False
+                text = self.fails(kernel, name)
+                assert text.startswith("gadget: a USB gadget is made by root: run it as root, with")
+                kernel.root = True
+                assert self.fails(kernel, name).startswith("gadget: the system does not allow it")
         assert not list(kernel.run.iterdir())
+
+    def test_that_it_takes_root_is_said_before_what_else_is_missing(
+        self, kernel: FakeKernel, name: str
+    ) -> None:
+        kernel.root = False
+        kernel.has.clear()
+        assert "with sudo; as it is, the kernel has no USB gadgets" in self.fails(kernel, name)
 
     @pytest.mark.parametrize("step", ["make", "write", "link", "mount", "open", "send"])
     def test_any_step_that_fails_is_undone(

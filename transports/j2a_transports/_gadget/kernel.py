@@ -39,6 +39,10 @@ class Kernel:
         self.controllers = Path("/sys/class/udc")
         self.run = Path("/run")
 
+    def is_root(self) -> bool:
+        """Whether this program runs as root, which may do all the rest."""
+        return os.geteuid() == 0
+
     def load(self, module: str) -> None:
         """Try to load a module; the caller sees whether what it brings is there."""
         program = shutil.which("modprobe", path="/usr/sbin:/sbin:/usr/bin:/bin")

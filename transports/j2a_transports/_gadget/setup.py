@@ -147,7 +147,8 @@ class GadgetFiles:
                 reason = f" ({error.strerror})"
         if not self._gadgets.is_dir():
             raise self._failed(
-                f"the kernel has no USB gadgets{reason}: load them with modprobe libcomposite"
+                f"the kernel has no USB gadgets{reason}: "
+                "sudo modprobe -a libcomposite usb_f_fs loads them"
             )
 
     def _controllers(self) -> list[str]:
@@ -212,7 +213,7 @@ class GadgetFiles:
             make(self._function)
         except FileNotFoundError as error:
             raise self._failed(
-                "the kernel has no FunctionFS: load its module with modprobe usb_f_fs"
+                "the kernel has no FunctionFS: sudo modprobe usb_f_fs loads it"
             ) from error
         self._kernel.link(self._function, self._configuration / self._function.name)
 
@@ -251,19 +252,22 @@ class GadgetFiles:
             if path != self._folder and self._kernel.read(path / "UDC") == self.udc:
                 return (
                     f"the controller {self.udc} is used by the gadget {path.name}; "
-                    f"free it with: echo > {path / 'UDC'}"
+                    f"free it with: echo | sudo tee {path / 'UDC'}"
                 )
         driver = self._kernel.read(self._kernel.controllers / self.udc / "function")
         return (
             f"the controller {self.udc} is used by {driver or 'another driver'}; unload that "
-            "module (modprobe -r), such as g_serial or g_ether"
+            "module (sudo modprobe -r), such as g_serial or g_ether"
         )
 
     def _explain(self, error: OSError) -> OpenFailed:
         if isinstance(error, PermissionError):
-            return self._failed("not allowed to make a USB gadget: run it as root, with sudo")
+            return self._failed("the system does not allow it, as in a container without rights")
         where = f" ({error.filename})" if error.filename else ""
         return self._failed(f"cannot make the USB gadget: {error.strerror}{where}")
 
     def _failed(self, reason: str) -> OpenFailed:
+        # Whoever is not root gets nowhere with the rest of the advice.
+        if not self._kernel.is_root():
+            reason = f"a USB gadget is made by root: run it as root, with sudo; as it is, {reason}"
         return OpenFailed(f"{self._url}: {reason}")
