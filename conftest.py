@@ -34,7 +34,10 @@ COMPILERS = {
     "riscv": "riscv64-unknown-elf-gcc",
 }
 # What takes longest starts first, so that no worker is left with it alone at the end.
-LONGEST = {"test_proof.py", "test_broken.py", "test_broken_hosts.py", "test_budget.py"}
+LONGEST = {
+    *("test_proof.py", "test_broken.py", "test_broken_hosts.py", "test_budget.py"),
+    *("test_links.py", "test_conformance.py", "test_gadget.py", "test_usb.py"),
+}
 Make = Callable[..., subprocess.CompletedProcess[str]]
 Build = Callable[..., Path]
 

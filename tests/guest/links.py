@@ -56,15 +56,12 @@ class Link:
     def close(self) -> None:
         """End what was started for it."""
 
-    def boards(self) -> list[UsbBoard]:
-        """Return the boards that are found on the bus; none where there is no bus."""
-        return []
-
 
 class UsbLink(Link):
     """A board on the guest's USB."""
 
     def boards(self) -> list[UsbBoard]:
+        """Return the boards that are found on the bus."""
         return usb_boards()
 
     def reset(self) -> None:

@@ -14,21 +14,6 @@ SYSTEM_PYTHON = "/usr/bin/python3"
 # A loaded machine leaves an emulated one little.
 PATIENCE_S = 280
 NATIVE = "import socket; print(hasattr(socket, 'AF_BLUETOOTH'))"
-CONFORMANCE = """
-import subprocess, sys
-from tests.guest import bluetooth
-
-with (
-    bluetooth.controllers(),
-    subprocess.Popen(
-        ["j2a", "serve", "--listen", "bt://hci0/"], stdout=subprocess.PIPE, text=True
-    ) as device,
-):
-    url = device.stdout.readline().split()[-1]
-    done = subprocess.run(["j2a-conform", "run", url + "?adapter=hci1", *sys.argv[1:]])
-    device.terminate()
-sys.exit(done.returncode)
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -61,15 +46,3 @@ def test_channels_losses_terminals_and_service_discovery(guest, python):
     assert " passed" in done.stdout
     if python == SYSTEM_PYTHON:
         assert done.stdout.startswith("True\n")
-
-
-# All levels, in parts that take a guest less than 40 s on a machine that does nothing else.
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "levels",
-    [["frame"], ["core"], ["mapping", "many", "properties", "debug", "sif"], ["timing"]],
-    ids=lambda levels: levels[0],
-)
-def test_the_conformance_suite(guest, levels):
-    done = guest("python", "-c", CONFORMANCE, "--level", *levels, timeout=PATIENCE_S)
-    assert "The device is conformant" in done.stdout

@@ -1,4 +1,4 @@
-"""The conformance suite, unchanged, over the USB of the guest's kernel.
+"""The conformance suite, unchanged, over the USB and the Bluetooth of the guest's kernel.
 
 j2a-conform runs on this side, because an emulated processor takes ten times as long for what the
 suite computes; a relay in the guest opens the board for each of its connections and carries bytes.
@@ -87,9 +87,11 @@ def part(number: int) -> list[str]:
 
 @pytest.mark.requirement("USB-007", "USB-008", "USB-009", "USB-010")
 @pytest.mark.parametrize("number", range(PARTS))
-@pytest.mark.parametrize("link", ["gadget", pytest.param("usbip", marks=pytest.mark.avr)])
-def test_the_suite_over_usb(guest, link, number, build_firmware):
+@pytest.mark.parametrize("link", ["bt", pytest.param("usbip", marks=pytest.mark.avr)])
+def test_the_suite(guest, need, link, number, build_firmware):
     with contextlib.ExitStack() as stack:
+        if link == "bt":
+            need("btvirt")
         if link == "usbip":
             link += f":{stack.enter_context(served(build_firmware(**FIRMWARE)))}"
         conform(stack.enter_context(relayed(link)), "--case", *part(number))
