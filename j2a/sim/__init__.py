@@ -10,7 +10,7 @@ J2A.
 
 from typing import TYPE_CHECKING, Any
 
-from j2a.sim._avr import AvrSim
+from j2a.sim._avr import AvrSim, chip_serial
 from j2a.sim._errors import BadProgram, FirmwareStopped, SimError, ToolMissing
 from j2a.sim._link import SimLink
 from j2a.sim._pins import Adc, Pins
@@ -60,6 +60,7 @@ __all__ = [
     "UsbStall",
     "UsbTimeout",
     "UsbipServer",
+    "chip_serial",
     "pulses",
     "run",
     "run_usbip",

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ctypes
 from pathlib import Path
+from typing import Final
 
 from j2a.sim import _build
 from j2a.sim._core import AvrCore
@@ -19,6 +20,13 @@ from j2a.sim._errors import SimError
 from j2a.sim._pins import Adc, Pins
 from j2a.sim._records import Counters, Interrupts, OutByte, Span
 from j2a.sim._usb import UsbBus
+
+SERIAL_BYTES: Final = 10
+
+
+def chip_serial(number: int) -> bytes:
+    """Return the serial number of the simulated chip of that number, 1 to 16777215."""
+    return b"J2A-SIM" + number.to_bytes(3, "big")
 
 
 class AvrSim(AvrCore):
@@ -34,6 +42,8 @@ class AvrSim(AvrCore):
         host_baud: bit rate of the host in bit/s; None: whatever the firmware has set. With another
             rate than the firmware's both sides sample the wire at their own rate, so bytes arrive
             garbled, with framing errors, or not at all.
+        serial: the 10 bytes of the serial number that a chip with USB has in its signature row, as
+            chip_serial() makes them; None: chip_serial(1).
 
     Raises:
         ToolMissing: no C compiler or no libsimavr-dev.
@@ -52,12 +62,18 @@ class AvrSim(AvrCore):
         frequency_hz: int = 16_000_000,
         uart: str | None = None,
         host_baud: float | None = None,
+        *,
+        serial: bytes | None = None,
     ) -> None:
         if host_baud is not None and not 1 <= host_baud <= frequency_hz / 2:
             raise SimError(f"host_baud {host_baud} is out of range 1..{frequency_hz // 2}")
         if uart is not None and (len(uart) != 1 or uart not in "0123"):
             raise SimError(f"uart {uart!r} is none of 0, 1, 2, 3")
-        super().__init__(elf, mcu, frequency_hz, uart, frequency_hz / host_baud if host_baud else 0)
+        own = chip_serial(1) if serial is None else bytes(serial)
+        if len(own) != SERIAL_BYTES:
+            raise SimError(f"a chip's serial number has {SERIAL_BYTES} bytes, not {len(own)}")
+        host_bit = frequency_hz / host_baud if host_baud else 0
+        super().__init__(elf, mcu, frequency_hz, uart, host_bit, own)
         has_usb = bool(self._lib.sim_usb(self._handle))
         self._usb = UsbBus(self, self._lib, self._lock) if has_usb else None
 

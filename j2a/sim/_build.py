@@ -175,7 +175,18 @@ def library() -> ctypes.CDLL:
     types: dict[str, tuple[object, list[object]]] = {
         "sim_new": (
             pointer,
-            [text, u32, ctypes.c_char, ctypes.c_double, text, u32, u32, text, ctypes.c_size_t],
+            [
+                text,
+                u32,
+                ctypes.c_char,
+                ctypes.c_double,
+                text,
+                u32,
+                u32,
+                text,
+                text,
+                ctypes.c_size_t,
+            ],
         ),
         "sim_free": (None, [pointer]),
         "sim_reset": (None, [pointer]),

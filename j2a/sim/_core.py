@@ -35,14 +35,21 @@ class AvrCore:
         frequency_hz: the clock.
         uart: the UART that is connected; None: the first.
         host_bit: cycles of a bit of the UART's host; 0: as the firmware's.
+        serial: the 10 bytes of the chip's serial number.
 
     Attributes:
         program: what the ELF file holds.
         mcu, frequency_hz: as given.
     """
 
-    def __init__(
-        self, elf: Path | str, mcu: str, frequency_hz: int, uart: str | None, host_bit: float
+    def __init__(  # noqa: PLR0917 - all that the C function is told
+        self,
+        elf: Path | str,
+        mcu: str,
+        frequency_hz: int,
+        uart: str | None,
+        host_bit: float,
+        serial: bytes,
     ) -> None:
         if not 1 <= frequency_hz <= FREQUENCY_MAX_HZ:
             raise SimError(f"frequency {frequency_hz} Hz is out of range 1..{FREQUENCY_MAX_HZ}")
@@ -62,6 +69,7 @@ class AvrCore:
             flash,
             len(flash),
             self.program.ram_end,
+            serial,
             error,
             len(error),
         )

@@ -123,15 +123,14 @@ def open_url(url: Url) -> Transport:
     for name in ("uart", "baud"):
         if wire == "usb" and name in options:
             raise BadUrl(f"{url.text}: {name} is an option of a UART, and link=usb uses none")
-    chosen = {"uart": options["uart"]} if "uart" in options else {}
     kind = UsbLink if wire == "usb" else SimLink
     try:
         sim = AvrSim(
             unquote(path),
             options.get("mcu", _MCUS[wire]),
             options.get("freq", 16_000_000),
-            host_baud=options.get("baud"),
-            **chosen,
+            options.get("uart"),
+            options.get("baud"),
         )
         return kind(
             sim,

@@ -231,9 +231,8 @@ def run(
     """
     stop = stop or threading.Event()
     began_s = time.monotonic()
-    chosen = {} if uart is None else {"uart": uart}
     with (
-        AvrSim(elf, mcu, frequency_hz, host_baud=host_baud, **chosen) as sim,
+        AvrSim(elf, mcu, frequency_hz, uart, host_baud) as sim,
         stopped_by_signals(stop) as signals,
     ):
         try:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, TextIO
 
 from j2a.sim import _usbip_protocol as protocol
-from j2a.sim._avr import AvrSim
+from j2a.sim._avr import AvrSim, chip_serial
 from j2a.sim._errors import SimError
 from j2a.sim._runner import stopped_by_signals
 from j2a.sim._usbip import UsbipServer
@@ -91,7 +91,7 @@ def run_usbip(
     figures of the run to `err` at the end.
 
     Args:
-        elfs: the firmware of each board.
+        elfs: the firmware of each board; the chips have the serial numbers chip_serial(1), (2), ...
         address: host and port to listen on; port 0: any that is free.
         speed: see UsbipServer.
         mcu: as simavr names it.
@@ -116,7 +116,10 @@ def run_usbip(
         print(text, file=err, flush=True)
 
     with ExitStack() as stack:
-        sims = [stack.enter_context(AvrSim(elf, mcu, frequency_hz)) for elf in elfs]
+        sims = [
+            stack.enter_context(AvrSim(elf, mcu, frequency_hz, serial=chip_serial(number)))
+            for number, elf in enumerate(elfs, 1)
+        ]
         signals = stack.enter_context(stopped_by_signals(stop))
         server = UsbipServer(sims, *address, speed=speed, say=say)
         stack.callback(server.close)

@@ -12,12 +12,13 @@ static const struct {
     const char *name, *relative;
     uint32_t flash_end;
     uint16_t ram_end, eeprom_end;
+    uint8_t signature[3];
 } relatives[] = {
-    {"atmega16u4", "atmega32u4", 0x3fff, 0x5ff, 0x1ff},
-    {"at90usb82", "at90usb162", 0x1fff, 0x2ff, 0x1ff},
-    {"atmega8u2", "at90usb162", 0x1fff, 0x2ff, 0x1ff},
-    {"atmega16u2", "at90usb162", 0x3fff, 0x2ff, 0x1ff},
-    {"atmega32u2", "at90usb162", 0x7fff, 0x4ff, 0x3ff},
+    {"atmega16u4", "atmega32u4", 0x3fff, 0x5ff, 0x1ff, {0x1e, 0x94, 0x88}},
+    {"at90usb82", "at90usb162", 0x1fff, 0x2ff, 0x1ff, {0x1e, 0x93, 0x82}},
+    {"atmega8u2", "at90usb162", 0x1fff, 0x2ff, 0x1ff, {0x1e, 0x93, 0x89}},
+    {"atmega16u2", "at90usb162", 0x3fff, 0x2ff, 0x1ff, {0x1e, 0x94, 0x89}},
+    {"atmega32u2", "at90usb162", 0x7fff, 0x4ff, 0x3ff, {0x1e, 0x95, 0x8a}},
 };
 
 avr_t *mcu_make(const char *name)
@@ -32,6 +33,7 @@ avr_t *mcu_make(const char *name)
         avr->flashend = relatives[i].flash_end;
         avr->ramend = relatives[i].ram_end;
         avr->e2end = relatives[i].eeprom_end;
+        memcpy(avr->signature, relatives[i].signature, sizeof avr->signature);
         return avr;
     }
     return avr_make_mcu_by_name(name);

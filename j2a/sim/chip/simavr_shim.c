@@ -19,6 +19,7 @@
 #include "grown.h"
 #include "interrupts.h"
 #include "mcu.h"
+#include "signature.h"
 #include "usart.h"
 #include "usb_host.h"
 
@@ -35,6 +36,7 @@ typedef struct {
     interrupts_t interrupts;
     adc_t adc;
     board_t board;
+    signature_t signature;
     usb_device_t *usb; /* NULL: the chip has none */
     usb_host_t host;
     int stop_mask, stopped;
@@ -127,7 +129,7 @@ static void run_burst(avr_t *avr)
 {
     avr_flashaddr_t pc = avr->pc;
     if (avr->state == cpu_Running)
-        pc = avr_run_one(avr); /* and those after it, up to the next event */
+        pc = signature_run(&((sim_t *)avr->custom.data)->signature); /* and those after it, up to the next event */
     /* Events that came due during the last instruction happen at their own cycle, one after the other:
      * so edges, bytes and what they cause are stamped exactly. */
     avr_cycle_count_t now = avr->cycle;
@@ -163,7 +165,7 @@ static avr_uart_t *find_uart(avr_t *avr, char name)
     return first;
 }
 
-static int attach_usb(sim_t *s)
+static int attach_usb(sim_t *s, const uint8_t *serial)
 {
     for (avr_io_t *io = s->avr->io_port; io; io = io->next) {
         if (!io->kind || strcmp(io->kind, "usb"))
@@ -174,6 +176,7 @@ static int attach_usb(sim_t *s)
         s->usb->is_u2 = mcu_is_usb162(s->avr);
         s->host.on_complete = on_transfer;
         s->host.param = s;
+        signature_attach(&s->signature, s->avr, serial);
         usb_host_attach(&s->host, s->avr, s->usb);
         usb_device_attach(s->usb, s->avr, (avr_usb_t *)io);
         return 0;
@@ -208,7 +211,7 @@ static sim_t *failed(sim_t *s, char *error, size_t size, const char *text)
 
 /* Returns NULL with a text in `error` when the MCU is unknown, too small or without that UART. */
 sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bit, uint8_t *flash,
-               uint32_t flash_size, uint32_t ram_end, char *error, size_t error_size)
+               uint32_t flash_size, uint32_t ram_end, const uint8_t *serial, char *error, size_t error_size)
 {
     avr_global_logger_set(log_message);
     early_log[0] = 0;
@@ -230,6 +233,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     }
     avr_init(avr);
     mcu_mend(&s->mcu, avr);
+    s->signature.avr = avr;
     avr->custom.data = s;
     avr->log = LOG_WARNING;
     avr->frequency = frequency_hz;
@@ -250,7 +254,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     s->usart.param = s;
     if (usart_attach(&s->usart, avr, port))
         return failed(s, error, error_size, "this MCU's kind of UART is not modelled");
-    if (attach_usb(s))
+    if (attach_usb(s, serial))
         return failed(s, error, error_size, "out of memory");
     interrupts_attach(&s->interrupts, avr);
     if (!avr->io[AVR_DATA_TO_IO(GPIOR0)].w.c) { /* else another register lives there */
@@ -264,6 +268,7 @@ void sim_reset(sim_t *s)
 {
     s->illegal = 0;
     s->span_mark = 0;
+    s->signature.state = ROW_CLOSED;
     avr_reset(s->avr);
     s->avr->state = cpu_Running;
 }
