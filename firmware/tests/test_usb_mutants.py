@@ -1,7 +1,9 @@
 """The checks of chapter 9 can fail: firmware with one thing wrong each, and the check that notices.
 
-In: the port avr-usb, edited in a copy. Out: for each mutant the check that is named here fails on
-it. That the same checks pass on the port as it is, test_usb_chapter9.py shows.
+In: the port avr-usb, edited in a copy. Out: each mutant can be configured like the port itself, and
+the check that is named here fails on it. Where the mistake is one of the start or the address, so
+that it cannot be configured, the mutant says so. That the same checks pass on the port as it is,
+test_usb_chapter9.py shows.
 """
 
 import shutil
@@ -23,7 +25,7 @@ finally:
 pytestmark = pytest.mark.avr
 
 FIRMWARE = Path(__file__).parents[1]
-MCU = "atmega32u4"
+U4, U2 = "atmega32u4", "atmega32u2"
 BY_NAME = {check.name: check for check in CHECKS}
 
 
@@ -36,10 +38,13 @@ class Mutant:
     file: str
     find: str
     replace: str
+    chips: tuple[str, ...] = (U4,)
+    can_be_configured: bool = True
 
 
 CONTROL, REQUESTS = "usb_control.c", "usb_requests.c"
-CONTROLLER, DESCRIPTORS, PORT = "usb_device.c", "usb_descriptors.c", "port.c"
+CONTROLLER, DESCRIPTORS, ENDPOINTS = "usb_device.c", "usb_descriptors.c", "usb_endpoints.c"
+PORT = "port.c"
 MUTANTS = [
     Mutant(
         "no empty packet at the end of a data stage",
@@ -54,6 +59,7 @@ MUTANTS = [
         CONTROL,
         "size = setup.length;",
         "",
+        can_be_configured=False,
     ),
     Mutant(
         "a request error is not shown",
@@ -68,6 +74,7 @@ MUTANTS = [
         REQUESTS,
         "usb_new_address = value | _BV(ADDEN);",
         "UDADDR = value;\n        UDADDR = value | _BV(ADDEN);",
+        can_be_configured=False,
     ),
     Mutant(
         "an address that was given up holds later",
@@ -82,6 +89,7 @@ MUTANTS = [
         CONTROL,
         "    sent = 0;\n",
         "",
+        can_be_configured=False,
     ),
     Mutant(
         "the data toggle stays when a halt is cleared",
@@ -159,6 +167,7 @@ MUTANTS = [
         CONTROLLER,
         "        usb_configure(false);\n        usb_control_reset();",
         "        usb_control_reset();",
+        chips=(U4, U2),
     ),
     Mutant(
         "nothing is sent after a suspend",
@@ -166,12 +175,13 @@ MUTANTS = [
         CONTROLLER,
         "    usb_trouble &= (uint8_t)~USB_SUSPENDED;\n",
         "",
+        chips=(U4, U2),
     ),
     Mutant(
         "who waits for the host waits for ever",
         "application.reset-while-it-waits",
         PORT,
-        "usb_trouble != 0 || usb_trouble_is_due()",
+        "usb_trouble & (uint8_t)~USB_SUSPENDED",
         "false",
     ),
     Mutant(
@@ -185,7 +195,7 @@ MUTANTS = [
         "what finds no room in a packet is dropped",
         "stream.host-does-not-read",
         PORT,
-        "if (usb_trouble != 0 || usb_trouble_is_due()) {\n                usb_trouble |= DROPPING;",
+        "if (usb_trouble & (uint8_t)~USB_SUSPENDED) {\n                usb_trouble |= DROPPING;",
         "{",
     ),
     Mutant(
@@ -194,6 +204,7 @@ MUTANTS = [
         PORT,
         "(flags & _BV(RXOUTI)) && UEBCLX == 0",
         "flags & _BV(RXOUTI)",
+        chips=(U4, U2),
     ),
     Mutant(
         "wTotalLength is one too many",
@@ -237,7 +248,113 @@ MUTANTS = [
         "BUS_POWERED = 0x80",
         "BUS_POWERED = 0x00",
     ),
+    Mutant(
+        "who waits drops its reply when the bus is suspended",
+        "bus.suspended-in-the-midst-of-a-frame",
+        PORT,
+        "usb_trouble & (uint8_t)~USB_SUSPENDED",
+        "usb_trouble",
+        chips=(U4, U2),
+    ),
+    Mutant(
+        "replies are dropped while the bus is suspended",
+        "bus.replies-made-in-a-suspend",
+        PORT,
+        "usb_trouble & (uint8_t)~USB_SUSPENDED",
+        "usb_trouble",
+    ),
+    Mutant(
+        "nothing wakes a suspended controller",
+        "bus.suspended-when-configured",
+        CONTROLLER,
+        "_BV(EORSTE) | _BV(WAKEUPE)",
+        "_BV(EORSTE)",
+        can_be_configured=False,
+    ),
+    Mutant(
+        "endpoint 0 is not set up after a reset",
+        "states.default-after-reset",
+        CONTROLLER,
+        "        usb_control_reset();\n",
+        "",
+        chips=(U4, U2),
+        can_be_configured=False,
+    ),
+    Mutant(
+        "resets are not noticed",
+        "states.default-after-reset",
+        CONTROLLER,
+        "UDIEN = _BV(EORSTE) | _BV(SUSPE) | _BV(EORSME);",
+        "UDIEN = _BV(SUSPE);",
+        can_be_configured=False,
+    ),
+    Mutant(
+        "the controller never joins the bus",
+        "states.attaches-in-100-ms",
+        CONTROLLER,
+        "    UDCON = 0;\n",
+        "",
+        chips=(U4, U2),
+        can_be_configured=False,
+    ),
+    Mutant(
+        "nobody looks at the cable",
+        "states.attaches-in-100-ms",
+        CONTROLLER,
+        "_BV(OTGPADE) | _BV(VBUSTE)",
+        "_BV(OTGPADE)",
+        can_be_configured=False,
+    ),
+    Mutant(
+        "the regulator of the pads is off",
+        "states.attaches-in-100-ms",
+        CONTROLLER,
+        "UHWCON = _BV(UVREGE);",
+        "UHWCON = 0;",
+        can_be_configured=False,
+    ),
+    Mutant(
+        "the PLL makes 96 MHz",
+        "states.default-after-reset",
+        CONTROLLER,
+        "PLLFRQ = _BV(PDIV2);",
+        "PLLFRQ = _BV(PDIV3) | _BV(PDIV1);",
+        can_be_configured=False,
+    ),
+    Mutant(
+        "the clock of the controller stands",
+        "states.default-after-reset",
+        CONTROLLER,
+        "    USBCON = USB_ON;\n",
+        "",
+        can_be_configured=False,
+    ),
+    Mutant(
+        "the endpoints are held in reset",
+        "stream.packets-of-any-size",
+        ENDPOINTS,
+        "    UERST = 0;\n",
+        "",
+        chips=(U4, U2),
+    ),
+    Mutant(
+        "the endpoints are never enabled",
+        "transfers.status-after-the-work",
+        ENDPOINTS,
+        "UECONX = _BV(EPEN) | _BV(STALLRQC) | _BV(RSTDT);",
+        "UECONX = 0;",
+    ),
+    Mutant(
+        "the endpoints outlast configuration 0",
+        "configurations.zero",
+        ENDPOINTS,
+        "        UECONX = 0;\n        UECFG1X = 0;\n",
+        "",
+    ),
 ]
+
+
+MISTAKES = (AssertionError, SimError, construct.ConstructError)
 
 
 @pytest.fixture(scope="module")
@@ -248,20 +365,32 @@ def workshop(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.what.replace(" ", "-"))
-def test_is_noticed(workshop, make, avr, mutant):
+@pytest.mark.parametrize(
+    ("mutant", "mcu"),
+    [
+        pytest.param(mutant, mcu, id=f"{mutant.what.replace(' ', '-')}-{mcu}")
+        for mutant in MUTANTS
+        for mcu in mutant.chips
+    ],
+)
+def test_is_noticed(workshop, make, avr, mutant, mcu):
     path = workshop / mutant.file
     whole = path.read_text()
     assert whole.count(mutant.find) == 1, mutant.find
     path.write_text(whole.replace(mutant.find, mutant.replace))
     try:
-        out = workshop.parent / "out"
-        built = make(PORT_DIR=workshop, APP="demo", MCU=MCU, USB_NAME=NAME, OUT=out)
+        out = workshop.parent / "out" / mcu
+        built = make(PORT_DIR=workshop, APP="demo", MCU=mcu, USB_NAME=NAME, OUT=out)
     finally:
         path.write_text(whole)
     assert built.returncode == 0, built.stderr
-    with (
-        Device(out / "demo.elf", MCU) as device,
-        pytest.raises((AssertionError, SimError, construct.ConstructError)),
-    ):
+    elf = out / "demo.elf"
+    with Device(elf, mcu) as device:
+        device.is_torn = True  # the mistake may be of that kind
+        if mutant.can_be_configured:
+            device.to_configured()
+        else:
+            with pytest.raises(MISTAKES):
+                device.to_configured()
+    with pytest.raises(MISTAKES), Device(elf, mcu) as device:
         BY_NAME[mutant.check].run(device)

@@ -51,7 +51,7 @@ class Device:
             access to an endpoint's memory has to find a byte, or room for one, see __exit__().
     """
 
-    def __init__(self, elf: Path, mcu: str, boot_ms: float = 10) -> None:
+    def __init__(self, elf: Path, mcu: str, boot_ms: float = 30) -> None:
         self.sim = AvrSim(elf, mcu)
         self.bus = self.sim.usb
         self.packet0 = 8
