@@ -18,7 +18,7 @@ def host_time(payload: bytes) -> bytes:
 
 
 def on_sync(packet: bytes) -> None:
-    """Compare the clocks: the packet has the host's time, and the frame that began then."""
+    """Compare the clocks. The packet also has the number of the frame that began."""
     host_us, _frame = struct.unpack("<QH", packet)
     clock["ahead_us"] = host_us - time.time_ns() // 1000
 

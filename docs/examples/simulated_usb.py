@@ -1,4 +1,4 @@
-"""Finds a simulated USB board by pyusb and talks to it. Takes an image of the port avr-usb."""
+"""Finds a simulated USB board by pyusb. Takes an image of the port avr-usb."""
 
 import sys
 
