@@ -38,11 +38,15 @@ class UsbPort:
 
     Attributes:
         packet0: the packet size of endpoint 0, 8 until enumerate() has learned it.
+        COUNTINGS: see counting.
     """
+
+    COUNTINGS: Final = ("bank", "banks", "setup as 0", "setup as 8")
 
     def __init__(self, sim: AvrSim, lib: ctypes.CDLL, lock: threading.RLock) -> None:
         self._sim, self._lib, self._lock = sim, lib, lock
         self.packet0 = 8
+        self._counting = self.COUNTINGS[0]
         self._taken: dict[int, Completion] = {}  # of others, while a method waits for its own
 
     @property
@@ -75,6 +79,24 @@ class UsbPort:
     def switched_on(self) -> bool:
         """Whether the firmware has begun to use USB."""
         return self.lacks != _NOT_ON
+
+    @property
+    def counting(self) -> str:
+        """How the chip's UEBCLX counts where the data sheet leaves it open; settable.
+
+        "bank": what the CPU has read or written of its bank; firmware should bear the others, too.
+        "banks": for an IN endpoint also what waits in its other bank. "setup as 0", "setup as 8":
+        for a SETUP always the same number.
+        """
+        return self._counting
+
+    @counting.setter
+    def counting(self, name: str) -> None:
+        if name not in self.COUNTINGS:
+            raise SimError(f"counting {name!r} is none of {', '.join(self.COUNTINGS)}")
+        self._counting = name
+        with self._lock:
+            self._lib.usb_host_set_counting(self._host, self.COUNTINGS.index(name))
 
     @property
     def enabled(self) -> bool:

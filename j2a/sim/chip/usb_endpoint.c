@@ -176,12 +176,19 @@ static int may_write(const usb_endpoint_t *e)
     return is_in(e) && !e->stall && (e->flags & UEINTX_FIFOCON);
 }
 
-static unsigned byte_count(const usb_endpoint_t *e)
+/* What UEBCX counts beside the bank of the CPU, and in a SETUP, the data sheet leaves open. */
+static unsigned byte_count(const usb_device_t *u, const usb_endpoint_t *e)
 {
+    if (type(e) == USB_CONTROL && e->bank == BANK_SETUP && u->counting >= USB_COUNTS_SETUP_AS_0)
+        return u->counting == USB_COUNTS_SETUP_AS_0 ? 0 : e->count[0];
     int bank = type(e) == USB_CONTROL ? 0 : e->cpu_bank;
     int incoming = type(e) == USB_CONTROL ? e->bank == BANK_SETUP || e->bank == BANK_OUT : !is_in(e);
-    if (!incoming)
-        return e->at;
+    if (!incoming) {
+        unsigned others = 0;
+        for (int i = 0; i < e->busy && u->counting == USB_COUNTS_BANKS; i++)
+            others += e->count[i ? next_bank(e, e->bus_bank) : e->bus_bank];
+        return e->at + others;
+    }
     return type(e) == USB_CONTROL || (e->flags & UEINTX_FIFOCON) ? e->count[bank] - e->at : 0;
 }
 
@@ -208,9 +215,9 @@ uint8_t usb_endpoint_read(usb_device_t *u, avr_io_addr_t reg)
     case UEIENX:
         return e->ien;
     case UEBCLX:
-        return byte_count(e) & 0xff;
+        return byte_count(u, e) & 0xff;
     case UEBCHX:
-        return byte_count(e) >> 8;
+        return byte_count(u, e) >> 8;
     case UEDATX:
         if (may_read(e))
             return *cell(u, e, control ? 0 : e->cpu_bank, e->at++);

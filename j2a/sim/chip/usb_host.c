@@ -112,6 +112,7 @@ int usb_host_attached(usb_host_t *h)
 }
 
 int usb_host_state(const usb_host_t *h) { return h->state; }
+void usb_host_set_counting(usb_host_t *h, int counting) { h->device->counting = counting; }
 int usb_host_lacks(const usb_host_t *h) { return usb_device_lacks(h->device); }
 
 void usb_host_plug(usb_host_t *h, int on)
