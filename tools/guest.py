@@ -32,6 +32,7 @@ ROOT = Path(__file__).resolve().parent.parent
 QEMU = "qemu-system-x86_64"
 PACKAGES = {QEMU: "qemu-system-x86", "busybox": "busybox-static", "setpriv": "util-linux"}
 TIMED_OUT, CANNOT_RUN = 124, 125
+LAST_S = 5.0
 # What keeps the kernel from doing work that no job needs. Its clock is not the time stamp counter,
 # whose rate it would measure while other programs make it wait, and get wrong.
 COMMAND_LINE = "console=ttyS0 quiet panic=-1 mitigations=off nokaslr clocksource=hpet"
@@ -200,19 +201,31 @@ def run(args: argparse.Namespace) -> int:
         with process(command) as qemu:
             try:
                 code = read_job(qemu, token, start_s + args.timeout)
+                if code is None:
+                    # Its output may end a moment before it does.
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        qemu.wait(LAST_S)
             except TimeoutError:
-                code = None
+                code = TIMED_OUT
                 print(f"\nguest: no end after {args.timeout} s: killed", file=sys.stderr)
         console = folder / "console"
         log = console.read_text("utf-8", "replace").strip() if console.exists() else ""
-        if log and (code is None or args.verbose):
+        if log and (code in (None, TIMED_OUT) or args.verbose):
             print(f"guest: messages of the kernel:\n{log}", file=sys.stderr)
         if args.verbose:
             print(f"guest: {time.monotonic() - start_s:.1f} s", file=sys.stderr)
-        if code is None and qemu.returncode != -signal.SIGKILL:
+        if code is None:
             print(f"guest: QEMU has ended early, exit code {qemu.returncode}", file=sys.stderr)
             return CANNOT_RUN
-        return TIMED_OUT if code is None else code
+        return code
+
+
+def count(text: str) -> int:
+    """Return a whole number from 1 up, for argparse."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return value
 
 
 def show(data: bytes) -> None:
@@ -226,9 +239,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--timeout", type=int, default=60, metavar="S", help="seconds (60)")
-    parser.add_argument("--cpus", type=int, default=1, help="processors of the guest (1)")
-    parser.add_argument("--memory", type=int, default=768, metavar="MIB", help="memory (768)")
+    parser.add_argument("--timeout", type=count, default=60, metavar="S", help="seconds (60)")
+    parser.add_argument("--cpus", type=count, default=1, help="processors of the guest (1)")
+    parser.add_argument("--memory", type=count, default=768, metavar="MIB", help="memory (768)")
     parser.add_argument("--kvm", action="store_true", help="let the host's processor run the guest")
     parser.add_argument("--verbose", action="store_true", help="show the kernel's messages, too")
     parser.add_argument("command", nargs="+", metavar="COMMAND", help="what to run")

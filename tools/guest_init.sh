@@ -15,16 +15,29 @@ done
 # The device of a port appears a moment after its driver.
 until set -- /dev/vport*p1 && [ -e "$1" ]; do $B usleep 10000; done
 exec >"$1" 2>&1
+end() { # exit code
+    echo
+    echo "$token exit $1"
+    # The host ends the machine when it has read that line.
+    $B sleep 60
+    $B poweroff -f
+}
+cannot() { # what
+    echo "init: cannot $1"
+    end 125
+}
+
 $B mount -t 9p -o trans=virtio,version=9p2000.L,ro,msize=512000,cache=loose host /host ||
-    echo "init: cannot mount the host's files"
+    cannot "mount the host's files"
+# The repository may be below what the next lines hide.
+$B mkdir -p /kept
+$B mount -o bind "/host$here" /kept || cannot "find $here"
 $B mount -t tmpfs tmpfs /host/run
 $B mount -t tmpfs tmpfs /host/tmp
 case $here in
 /tmp/* | /run/*)
-    # Hidden by the lines above: bring it back.
-    $B mkdir -p "/host$here" /again
-    $B mount -t 9p -o trans=virtio,version=9p2000.L,ro,msize=512000,cache=loose host /again
-    $B mount -o bind "/again$here" "/host$here"
+    $B mkdir -p "/host$here"
+    $B mount -o bind /kept "/host$here" || cannot "mount $here"
     ;;
 esac
 $B mkdir -p /dev/shm /dev/pts
@@ -39,9 +52,4 @@ $B ip route add default via 10.0.2.2
 $B cp /job /host/run/job
 
 $B chroot /host /bin/sh /run/job </dev/null
-code=$?
-echo
-echo "$token exit $code"
-# The host ends the machine when it has read that line.
-$B sleep 60
-$B poweroff -f
+end $?

@@ -1,5 +1,7 @@
 """tools/guest.py: a command in a Linux kernel of its own, and what comes back."""
 
+import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -79,6 +81,37 @@ def test_a_kernel_that_dies_is_told(guest):
     done = guest("sh", "-c", "echo c >/proc/sysrq-trigger", code=125)
     assert "QEMU has ended early" in done.stderr
     assert "sysrq triggered crash" in done.stderr
+
+
+def test_a_qemu_that_is_killed_is_no_time_out(guest):
+    """As the kernel does when memory runs out."""
+    command = [sys.executable, SCRIPT, "--timeout=60", "--", "sleep", "60"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as started:
+        children = Path(f"/proc/{started.pid}/task/{started.pid}/children")
+        deadline = time.monotonic() + 30
+        while not (child := children.read_text().split()):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        os.kill(int(child[0]), signal.SIGKILL)
+        assert b"QEMU has ended early, exit code -9" in started.communicate(timeout=30)[1]
+        assert started.returncode == 125
+
+
+def test_a_repository_below_tmp_is_there(guest, tmp_path):
+    (tmp_path / "tools").mkdir()
+    for path in SCRIPT.parent.glob("guest*"):
+        if path.is_file():
+            shutil.copy(path, tmp_path / "tools")
+    (tmp_path / "mark").write_text("here\n")
+    done = subprocess.run(
+        [sys.executable, tmp_path / "tools/guest.py", "--", "sh", "-c", "pwd; cat mark; ls /tmp"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[:2] == [str(tmp_path), "here"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
