@@ -26,8 +26,9 @@ def measured(build):
     return {mcu: rows(program(mcu, 0), program(mcu, 1), mcu) for mcu in CHIPS}
 
 
-def test_nine_tenths_of_what_two_banks_can_carry(measured):
-    for row in measured["atmega32u4"]:
+@pytest.mark.parametrize("mcu", CHIPS)
+def test_nine_tenths_of_what_its_banks_can_carry(measured, mcu):
+    for row in measured[mcu]:
         assert row.share >= 0.9, row
 
 

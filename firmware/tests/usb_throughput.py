@@ -1,9 +1,9 @@
 """What the port avr-usb carries, against what the endpoint can carry with the cycles of a byte.
 
 In: the app usb_rates, built with marks and without. Out: a Row for each kind of traffic: cycles of
-the firmware per byte, measured where nothing waits for the bus; the rate that these and the wire
-allow; the rate that was seen. Rules: all of it is simulated time and comes out the same in each
-run; a rate counts only when every byte was right.
+the firmware per byte, measured where nothing waits for the bus; the rate that these, the wire and
+the banks of the chip allow; the rate that was seen. Rules: all of it is simulated time and comes
+out the same in each run; a rate counts only when every byte was right.
 """
 
 from __future__ import annotations
@@ -26,6 +26,12 @@ APP = Path(__file__).parent / "usb_rates"
 TABLE = Path(__file__).with_suffix(".md")
 WIRE = 19 * 64 * 1000
 """Bytes per second of a bulk endpoint with packets of 64 bytes at full speed (table 5-10)."""
+
+PACKET_S = (13 + 64) * 8 / 12e6
+"""Seconds that such a packet takes on the bus, by the same table."""
+
+SINGLE = {"atmega32u2"}
+"""Chips whose endpoints hold one packet: the bus and the program are at it in turn."""
 
 CHIPS = {"atmega32u4": (60, 124), "atmega32u2": (12, 60)}
 """Two sizes of a frame that the banks of an endpoint hold; where there are two banks, in both."""
@@ -62,7 +68,8 @@ class Row:
         traffic: what was done.
         direction: whose bytes are counted.
         cycles: of the firmware per byte, with all that the traffic asks of it.
-        can: bytes per second that the endpoint can carry: what the cycles allow, or the wire.
+        can: bytes per second that the endpoint can carry: with two banks what the cycles allow, or
+            the wire; with one, cycles and wire one after the other.
         seen: bytes per second that it carried.
     """
 
@@ -222,6 +229,8 @@ def rows(elf: Path, marked: Path, mcu: str) -> list[Row]:
             seconds = board.exchange(data, expected)
         each = cycles * FRAMES / size
         can = min(WIRE / (1 + both), 16e6 / each)
+        if mcu in SINGLE:
+            can = 64 / (64 * each / 16e6 + PACKET_S * (1 + both))
         made.append(Row(traffic, direction, each, can, size / seconds))
 
     write = many("sink", BYTES[: c.MANY_DATA])

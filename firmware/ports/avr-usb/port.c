@@ -2,8 +2,8 @@
  * endpoints. Bytes flow straight out of the controller's memory and straight into it, there is no ring: while
  * it is full the controller refuses packets, so none is lost. Timer 1 runs freely and is both clocks.
  * Rules: an endpoint is chosen and used with interrupts off, because an interrupt may set all of them up
- * anew. What is dropped is dropped up to the end of the frame, and that is where the main loop asks for a
- * byte again. A suspended bus drops nothing. */
+ * anew. A suspend drops nothing. What is dropped is dropped up to the end of the frame, and that is where the
+ * main loop asks for a byte again. */
 #include <avr/interrupt.h>
 #include <util/atomic.h>
 
@@ -15,7 +15,6 @@
 #endif
 
 enum { DROPPING = USB_PORT }; /* what is sent, until the frame is over */
-
 static bool empty_packet_due; /* the last packet was full, and nothing has followed yet */
 
 /* Chooses an endpoint. Returns UEINTX. */
@@ -65,23 +64,29 @@ int16_t j2a_port_rx(void) {
     return -1;
 }
 
-/* Sends what has been collected. */
 static inline void send_packet(bool full) {
     UEINTX = USB_SEND;
     empty_packet_due = full;
 }
 
-/* Waits for the host to take packets as long as it likes, or to end the suspend; what nobody is there to take
- * is dropped. */
-void j2a_port_tx(uint8_t byte) {
-    for (;;) {
+/* Returns whether there was room. */
+static inline __attribute__((always_inline)) bool put(uint8_t byte) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        if (usb_trouble == 0 && (flags_of(USB_TX) & _BV(RWAL))) {
+            UEDATX = byte;
+            if (!(UEINTX & _BV(RWAL)))
+                send_packet(true);
+            return true;
+        }
+    }
+    return false;
+}
+
+/* Waits for the host as long as it likes, also in a suspend; what nobody is there to take is dropped. Apart
+ * from j2a_port_tx(), where its registers would cost each byte. */
+static __attribute__((noinline)) void wait_and_put(uint8_t byte) {
+    do {
         ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-            if (usb_trouble == 0 && (flags_of(USB_TX) & _BV(RWAL))) {
-                UEDATX = byte;
-                if (!(UEINTX & _BV(RWAL)))
-                    send_packet(true);
-                return;
-            }
             usb_events();
             if (usb_trouble & (uint8_t)~USB_SUSPENDED) {
                 usb_trouble |= DROPPING;
@@ -91,7 +96,12 @@ void j2a_port_tx(uint8_t byte) {
 #if J2A_USB_SLEEP
         usb_sleep();
 #endif
-    }
+    } while (!put(byte));
+}
+
+void j2a_port_tx(uint8_t byte) {
+    if (!put(byte))
+        wait_and_put(byte);
 }
 
 #if J2A_WITH_SYNCUSB
