@@ -80,6 +80,8 @@ class Handlers(Generic[_Handler]):
         """Register a handler; without one return a decorator that does."""
         if handler is not None:
             return self.add(opcodes, handler)
+        if callable(opcodes):
+            raise LocalError("on_sif takes opcodes first: write @client.on_sif() for all of them")
 
         def decorate(function: _Handler) -> _Handler:
             self.add(opcodes, function)

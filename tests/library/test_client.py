@@ -117,6 +117,7 @@ class TestMistakes:
             lambda client: client.on_sif(256, print),
             lambda client: client.on_sif([1, "2"], print),
             lambda client: client.on_sif("add", print),
+            lambda client: client.on_sif(print),
             lambda client: client.on_sif(1, "no function"),
             lambda client: client.refresh(boot_time=0),
         ],
