@@ -170,6 +170,15 @@ class TestListening:
         with pytest.raises(OpenFailed, match="Permission denied; run it with sudo, or leave"):
             j2a_transports.listen("bt:?service=J2A")
 
+    def test_other_systems_publish_nothing(
+        self, place: Place, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(sockets, "_NATIVE", True)
+        monkeypatch.setattr(sockets, "LINUX", False)
+        j2a_transports.listen("bt:///9").close()
+        with pytest.raises(OpenFailed, match="on Linux only; leave service out"):
+            j2a_transports.listen("bt:///9?service=J2A")
+
 
 class Scripted:
     """A socket that answers reading with errors or bytes.

@@ -12,7 +12,7 @@ from typing import Final
 from j2a_transports._base import OpenFailed
 from j2a_transports._url import Url
 
-from . import sdp
+from . import sdp, sockets
 
 # What a listener is called whose name nobody has said.
 SERVICE: Final = "J2A"
@@ -23,6 +23,8 @@ _TIMEOUT_S: Final = 10.0
 
 def publish(url: Url, name: str, channel: int) -> socket.socket:
     """Register a record at BlueZ; it lives as long as the connection that is returned."""
+    if not sockets.LINUX:
+        raise OpenFailed(f"{url.text}: services are published on Linux only; leave service out")
     advice = "start bluetoothd with --compat, or leave service out and name the channel to clients"
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
