@@ -20,8 +20,8 @@ import threading
 from typing import Any, Final
 
 from ._base import BadUrl, LinkLost, OpenFailed, Transport
-from ._poll import CHUNK, PolledTransport
-from ._pump import PumpedTransport
+from ._poll import PolledTransport
+from ._pump import PumpedTransport, sink_of, source_of
 from ._url import Url, text
 
 # How long a child may take to end after its input has ended, and after it was asked to.
@@ -162,22 +162,10 @@ def pumped(url: str, child: Child, write_timeout_s: float | None) -> Transport:
     assert stdin is not None
     assert stdout is not None
     in_fd, out_fd = stdin.fileno(), stdout.fileno()
-
-    def source() -> bytes:
-        data = os.read(out_fd, CHUNK)
-        if not data:
-            raise EOFError
-        return data
-
-    def sink(data: bytes) -> None:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[os.write(in_fd, rest) :]
-
     return PumpedTransport(
         url,
-        source=source,
-        sink=sink,
+        source=source_of(out_fd),
+        sink=sink_of(in_fd),
         interrupt=lambda _: child.stop(),
         finish=stdin.close,
         release=stdout.close,

@@ -15,11 +15,11 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import Final
 
 from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport
 from ._poll import BROKEN, CHUNK, READY, PolledTransport, Readiness, Waker
 from ._process import Child, ProcessTransport, parse_command
+from ._solo import wait_to_look
 from ._url import Url
 
 if sys.platform != "win32":
@@ -28,7 +28,6 @@ if sys.platform != "win32":
     import tty
 
 # A terminal that is opened by another program raises no event; it has to be looked at.
-LOOK_S: Final = 0.02
 
 
 def _open_raw(url: Url) -> tuple[int, int]:
@@ -132,12 +131,8 @@ class PtyListener(Listener):
                     fd = os.dup(self._master)
                     self._current = PtyTransport(self.url, fd, self._device, self._write_timeout_s)
                     return self._current
-                wait_s = LOOK_S
-                if deadline is not None:
-                    wait_s = min(LOOK_S, deadline - time.monotonic())
-                    if wait_s <= 0:
-                        return None
-                self._closed.wait(wait_s)
+                if not wait_to_look(self._closed, deadline):
+                    return None
 
     def _occupied(self) -> bool:
         """Whether somebody has the terminal open, or has left bytes in it."""

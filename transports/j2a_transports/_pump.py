@@ -9,12 +9,14 @@ still handed to the sink when it takes them.
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 from collections.abc import Callable
 from typing import Final
 
 from ._base import LinkLost
 from ._loopback import Channel, LoopbackTransport
+from ._poll import CHUNK
 
 # How long a stuck sink may take to end after it was interrupted, and a source. A source that
 # cannot be interrupted is left behind; its thread does not keep the program alive.
@@ -105,3 +107,26 @@ class PumpedTransport(LoopbackTransport):
 
     def _lost(self) -> LinkLost:
         return LinkLost(f"{self.url} is lost: {self._reason(self._failure)}")
+
+
+def source_of(descriptor: int) -> Callable[[], bytes]:
+    """Return a source that reads from a descriptor in blocking mode."""
+
+    def source() -> bytes:
+        data = os.read(descriptor, CHUNK)
+        if not data:
+            raise EOFError
+        return data
+
+    return source
+
+
+def sink_of(descriptor: int) -> Callable[[bytes], None]:
+    """Return a sink that writes to a descriptor in blocking mode."""
+
+    def sink(data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[os.write(descriptor, rest) :]
+
+    return sink

@@ -17,6 +17,22 @@ from ._base import LinkClosed, Listener, Transport
 LOOK_S: Final = 0.02
 
 
+def wait_to_look(closed: threading.Event, deadline: float | None) -> bool:
+    """Wait a moment for what has to be looked at again and again.
+
+    Args:
+        closed: ends the wait.
+        deadline: on the monotonic clock, None for none.
+
+    Returns:
+        Whether it is time to look; False when the deadline is over.
+    """
+    wait_s = LOOK_S if deadline is None else min(LOOK_S, deadline - time.monotonic())
+    if wait_s > 0:
+        closed.wait(wait_s)
+    return wait_s > 0
+
+
 class SoloListener(Listener):
     """A listener that hands out one transport at a time.
 
@@ -49,12 +65,8 @@ class SoloListener(Listener):
                 if self._ready is not None:
                     transport, self._ready = self._ready, None
                     return transport
-            wait_s = LOOK_S
-            if deadline is not None:
-                wait_s = min(LOOK_S, deadline - time.monotonic())
-                if wait_s <= 0:
-                    return None
-            self._closed.wait(wait_s)
+            if not wait_to_look(self._closed, deadline):
+                return None
 
     def close(self) -> None:
         """See `Listener.close`; a transport that was not accepted is closed."""

@@ -14,8 +14,8 @@ import sys
 from typing import Any
 
 from ._base import BadUrl, Listener, OpenFailed, Transport
-from ._poll import CHUNK, READY, PolledTransport
-from ._pump import PumpedTransport
+from ._poll import READY, PolledTransport
+from ._pump import PumpedTransport, sink_of, source_of
 from ._solo import SoloListener
 from ._url import Url
 
@@ -96,21 +96,10 @@ def listen_url(url: Url) -> Listener:
 
 
 def _pumped(url: str, streams: StandardStreams, write_timeout_s: float | None) -> Transport:
-    def source() -> bytes:
-        data = os.read(streams.read_fd, CHUNK)
-        if not data:
-            raise EOFError
-        return data
-
-    def sink(data: bytes) -> None:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[os.write(streams.write_fd, rest) :]
-
     return PumpedTransport(
         url,
-        source=source,
-        sink=sink,
+        source=source_of(streams.read_fd),
+        sink=sink_of(streams.write_fd),
         interrupt=lambda _: None,
         finish=lambda: None,
         release=streams.give_back,

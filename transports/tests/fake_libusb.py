@@ -16,7 +16,8 @@ import pytest
 import usb.core
 from j2a_transports._usb.libusb_async import CANCELLED, COMPLETED, NO_DEVICE, STALL, Transfer
 
-from .fake_usb import FakeBackend, FakeDevice, Job
+from .fake_usb import FakeDevice, Job
+from .fake_usb_backend import FakeBackend
 
 
 def give_libusb(monkeypatch: pytest.MonkeyPatch) -> dict[FakeDevice, FakeLibusb]:

@@ -15,7 +15,8 @@ from j2a_transports import Listener, Transport, faults
 from j2a_transports._process import Child, pumped
 
 from .fake_libusb import give_libusb
-from .fake_usb import FakeBackend, board
+from .fake_usb import board
+from .fake_usb_backend import FakeBackend
 from .suite import PATIENCE_S, BackToBack
 
 RELAY = [sys.executable, str(Path(__file__).with_name("relay.py"))]

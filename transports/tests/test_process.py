@@ -258,4 +258,4 @@ def test_closed_standard_streams() -> None:
         "try: t.open('stdio:')\nexcept t.OpenFailed as error: print(error)"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout == "stdio:: standard input or output is closed\n"
+    assert found.stdout == "stdio: standard input or output is closed\n"

@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import gc
 import os
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,7 +18,9 @@ import usb.util
 from j2a_transports import LinkClosed, LinkLost, OpenFailed, Transport
 
 from .fake_libusb import give_libusb
-from .fake_usb import FakeBackend, FakeDevice, board, endpoint, interface, usb_error
+from .fake_usb import FakeDevice, board, endpoint, interface, usb_error
+from .fake_usb_backend import FakeBackend
+from .programs import run_program
 from .suite import MEGABYTE, SETTLE_S, Background
 
 Open = Callable[..., Transport]
@@ -284,8 +284,9 @@ def test_the_first_endpoint_of_each_direction_counts() -> None:
 
 FORGETFUL = """
 import usb.core, j2a_transports
-import transports.tests.fake_usb as fake
-(found,) = usb.core.find(find_all=True, backend=fake.FakeBackend(fake.board()))
+from transports.tests.fake_usb import board
+from transports.tests.fake_usb_backend import FakeBackend
+(found,) = usb.core.find(find_all=True, backend=FakeBackend(board()))
 near = j2a_transports.open_usb_device(found)
 near.write(b"never closed")
 print("end")
@@ -293,29 +294,21 @@ print("end")
 
 
 def test_a_program_that_closes_nothing_ends_in_silence() -> None:
-    root = Path(__file__).parents[2]
-    result = subprocess.run(
-        [sys.executable, "-W", "error", "-c", FORGETFUL],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-        env={**os.environ, "PYTHONPATH": str(root)},
-    )
-    assert (result.returncode, result.stdout, result.stderr) == (0, "end\n", "")
+    assert run_program(FORGETFUL, "-W", "error") == (0, "end\n", "")
 
 
 FORKING = """
 import os, sys, usb.core, j2a_transports
-import transports.tests.fake_usb as fake
-board = fake.board()
-(found,) = usb.core.find(find_all=True, backend=fake.FakeBackend(board))
+from transports.tests.fake_usb import board
+from transports.tests.fake_usb_backend import FakeBackend
+one = board()
+(found,) = usb.core.find(find_all=True, backend=FakeBackend(one))
 near = j2a_transports.open_usb_device(found)
 child = os.fork()
 if child == 0:
     sys.exit(bool(near.closed))
 assert os.waitpid(child, 0)[1] == 0
-board.end().write(b"still the parent's")
+one.end().write(b"still the parent's")
 print(near.read(None).decode())
 near.close()
 """
@@ -323,13 +316,5 @@ near.close()
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 def test_a_child_process_leaves_the_link_to_its_parent() -> None:
-    root = Path(__file__).parents[2]
-    result = subprocess.run(
-        [sys.executable, "-c", FORKING],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-        env={**os.environ, "PYTHONPATH": str(root)},
-    )
-    assert (result.returncode, result.stdout) == (0, "still the parent's\n"), result.stderr
+    code, said, errors = run_program(FORKING)
+    assert (code, said) == (0, "still the parent's\n"), errors

@@ -5,10 +5,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import os
-import subprocess
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,7 +15,8 @@ from j2a_transports._usb.find import libusb
 from j2a_transports._usb.libusb_async import Libusb, Transfer
 from usb.backend import libusb1
 
-from .fake_usb import FakeBackend
+from .fake_usb_backend import FakeBackend
+from .programs import run_program
 from .suite import SETTLE_S, Background
 
 
@@ -131,13 +128,4 @@ api.free(api.alloc())
 
 
 def test_the_real_library_leaves_in_silence() -> None:
-    root = Path(__file__).parents[2]
-    result = subprocess.run(
-        [sys.executable, "-W", "error", "-X", "dev", "-c", PROGRAM],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-        env={**os.environ, "PYTHONPATH": str(root)},
-    )
-    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+    assert run_program(PROGRAM, "-W", "error", "-X", "dev") == (0, "", "")

@@ -19,13 +19,13 @@ from j2a_transports._usb.address import Address
 
 from .fake_usb import (
     SYNC,
-    FakeBackend,
     FakeDevice,
     board,
     endpoint,
     interface,
     usb_error,
 )
+from .fake_usb_backend import FakeBackend
 
 
 @pytest.fixture
@@ -132,13 +132,8 @@ def test_devices_that_go_or_fail_meanwhile_do_not_disturb() -> None:
     assert [each.serial for each in found] == ["B2"]
 
 
-def test_a_backend_that_lists_nothing_is_an_error_of_ours(
-    bus: FakeBackend, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail() -> Any:
-        raise usb_error(errno.EIO)
-
-    monkeypatch.setattr(bus, "enumerate_devices", fail)
+def test_a_backend_that_lists_nothing_is_an_error_of_ours(bus: FakeBackend) -> None:
+    bus.broken = True
     with pytest.raises(OpenFailed, match="cannot be listed"):
         usb_boards(bus)
     with pytest.raises(OpenFailed, match="cannot be listed"):

@@ -16,7 +16,8 @@ from j2a_transports._usb.link import UsbTransport
 from j2a_transports._usb.transfers import LIMIT
 
 from .fake_libusb import FakeLibusb, give_libusb
-from .fake_usb import ROOM, DeviceEnd, FakeBackend, FakeDevice, board, usb_error
+from .fake_usb import ROOM, DeviceEnd, FakeDevice, board, usb_error
+from .fake_usb_backend import FakeBackend
 from .suite import PATIENCE_S, SETTLE_S, Background, read_exactly
 
 
