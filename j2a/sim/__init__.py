@@ -8,6 +8,18 @@ it go `UsbLink`, a transport like `SimLink`, `SimBackend`, for programs that use
 J2A.
 """
 
+# Where what is:
+#   chip/                      C around simavr: UART, pins, USB controller and the host at its cable
+#   _build, _core, _avr        compiles it; one chip: memory and time; with its wires, AvrSim
+#   _elf, _pins, _records      the program; pins and ADC; what measurements return
+#   _usb_port, _usb            AvrSim.usb: the port and its transfers; blocking calls on top, UsbBus
+#   _usb_records               what UsbBus returns and raises
+#   _timed_link, _link, _usb_link   transports in simulated time, over UART and USB
+#   _usb_host, _usb_transfer   UsbHost: one UsbBus for several threads, and what they hand to it
+#   _usb_descriptors           descriptors as fields
+#   _pyusb, _usbip*            what UsbHost serves: pyusb's backend, the USB/IP server
+#   _runner, _pace, _command   a UART on a listener; real time; `j2a sim`
+
 from typing import TYPE_CHECKING, Any
 
 from j2a.sim._avr import AvrSim, chip_serial
