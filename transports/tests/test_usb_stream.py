@@ -163,6 +163,8 @@ def test_a_write_needs_no_empty_packet_before_it(link: Link) -> None:
     writer.thread.join(SETTLE_S)
     assert read_exactly(link.far, 64 * ROOM + 3) == bytes(64 * ROOM) + b"abc"
     writer.result()
+    # Nor does it come later.
+    assert link.near.read(0.1) == b""
     assert link.device.pipes[0x02].log == [64] * ROOM + [3]
 
 
