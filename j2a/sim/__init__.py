@@ -12,12 +12,13 @@ J2A.
 #   chip/                      C around simavr: UART, pins, USB controller and the host at its cable
 #   _build, _core, _avr        compiles it; one chip: memory and time; with its wires, AvrSim
 #   _elf, _pins, _records      the program; pins and ADC; what measurements return
-#   _usb_port, _usb            AvrSim.usb: the port and its transfers; blocking calls on top, UsbBus
-#   _usb_records               what UsbBus returns and raises
-#   _timed_link, _link, _usb_link   transports in simulated time, over UART and USB
-#   _usb_host, _usb_transfer   UsbHost: one UsbBus for several threads, and what they hand to it
-#   _usb_descriptors           descriptors as fields
-#   _pyusb, _usbip*            what UsbHost serves: pyusb's backend, the USB/IP server
+#   _timed_link, _link         transports in simulated time: what they share, and the UART's
+#   _usb/                      AvrSim.usb and what is on top of it:
+#     port, bus, records       the port and its transfers; blocking calls, UsbBus; what they return
+#     descriptors, link        descriptors as fields; the transport
+#     driver, transfer         UsbHost: one UsbBus for several threads, and what they hand to it
+#     backend                  pyusb's backend
+#   _usbip/                    the USB/IP server on UsbHost
 #   _runner, _pace, _command   a UART on a listener; real time; `j2a sim`
 
 from typing import TYPE_CHECKING, Any
@@ -28,9 +29,9 @@ from j2a.sim._link import SimLink
 from j2a.sim._pins import Adc, Pins
 from j2a.sim._records import Counters, Edge, Interrupts, OutByte, Pulse, Span, pulses
 from j2a.sim._runner import Runner, run
-from j2a.sim._usb import UsbBus
-from j2a.sim._usb_link import UsbLink
-from j2a.sim._usb_records import (
+from j2a.sim._usb.bus import UsbBus
+from j2a.sim._usb.link import UsbLink
+from j2a.sim._usb.records import (
     Completion,
     UsbCounters,
     UsbDescriptors,
@@ -39,11 +40,11 @@ from j2a.sim._usb_records import (
     UsbStall,
     UsbTimeout,
 )
-from j2a.sim._usbip import UsbipServer
-from j2a.sim._usbip_run import run_usbip
+from j2a.sim._usbip.run import run_usbip
+from j2a.sim._usbip.server import UsbipServer
 
 if TYPE_CHECKING:
-    from j2a.sim._pyusb import SimBackend
+    from j2a.sim._usb.backend import SimBackend
 
 __all__ = [
     "Adc",
@@ -82,7 +83,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name == "SimBackend":
         try:
-            from j2a.sim._pyusb import SimBackend  # noqa: PLC0415 - pyusb is an extra
+            from j2a.sim._usb.backend import SimBackend  # noqa: PLC0415 - pyusb is an extra
         except ModuleNotFoundError as error:
             raise ImportError("SimBackend needs the package pyusb: pip install j2a[usb]") from error
         return SimBackend

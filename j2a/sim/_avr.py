@@ -19,7 +19,7 @@ from j2a.sim._core import AvrCore
 from j2a.sim._errors import SimError
 from j2a.sim._pins import Adc, Pins
 from j2a.sim._records import Counters, Interrupts, OutByte, Span
-from j2a.sim._usb import UsbBus
+from j2a.sim._usb.bus import UsbBus
 
 SERIAL_BYTES: Final = 10
 

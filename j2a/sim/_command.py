@@ -16,7 +16,7 @@ from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE
 from j2a.sim._errors import FirmwareStopped, SimError
 from j2a.sim._options import frequency, rate, speed
 from j2a.sim._runner import run
-from j2a.sim._usbip_run import parse_address, run_usbip
+from j2a.sim._usbip.run import parse_address, run_usbip
 
 
 def _argument(convert: Callable[[str], Any]) -> Callable[[str], Any]:

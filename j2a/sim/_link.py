@@ -1,7 +1,7 @@
 """A transport into the UART of simulated firmware, in this process: `sim:fw.elf`.
 
 In: bytes for the firmware. Out: what it answers. Time and waiting are those of `_timed_link`.
-A `sim:` URL with `link=usb` goes over the chip's USB instead: see `_usb_link`.
+A `sim:` URL with `link=usb` goes over the chip's USB instead: see `_usb.link`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from j2a.sim._avr import AvrSim
 from j2a.sim._errors import SimError
 from j2a.sim._options import frequency, rate, speed
 from j2a.sim._timed_link import PATIENCE_S, TimedLink
-from j2a.sim._usb_link import UsbLink
+from j2a.sim._usb.link import UsbLink
 
 # A gap on the wire that ends what one read returns, in characters.
 GAP_CHARS: Final = 2

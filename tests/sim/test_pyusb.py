@@ -304,7 +304,7 @@ def test_two_boards_and_one_that_stalls(usb_board):
 
 
 def test_without_pyusb(monkeypatch):
-    monkeypatch.setitem(sys.modules, "j2a.sim._pyusb", None)
+    monkeypatch.setitem(sys.modules, "j2a.sim._usb.backend", None)
     with pytest.raises(ImportError, match=r"pip install j2a\[usb\]"):
         j2a.sim.SimBackend  # noqa: B018 - getting it is what fails
     with pytest.raises(AttributeError, match="nothing_like_it"):

@@ -3,7 +3,7 @@
 import pytest
 
 from j2a.sim import AvrSim, SimError
-from j2a.sim._usb import UsbError, UsbNoAnswer, UsbStall, UsbTimeout
+from j2a.sim._usb.bus import UsbError, UsbNoAnswer, UsbStall, UsbTimeout
 from tests.sim.usb_chip import (
     BIT,
     BULK_IN,

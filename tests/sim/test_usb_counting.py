@@ -6,7 +6,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 
 from j2a.sim import AvrSim, SimError
-from j2a.sim._usb_port import UsbPort
+from j2a.sim._usb.port import UsbPort
 from tests.sim.usb_chip import BULK_IN, CONTROL, DOUBLE, RXSTPI, UEBCLX, size_bits
 
 pytestmark = pytest.mark.avr

@@ -10,9 +10,9 @@ from j2a_transports import BadUrl, LinkClosed, LinkLost, OpenFailed, Url
 
 from j2a.sim import SimError, UsbLink
 from j2a.sim._link import open_url
-from j2a.sim._usb import UsbBus
-from j2a.sim._usb_descriptors import parse_configuration, parse_device
-from j2a.sim._usb_link import find_endpoints
+from j2a.sim._usb.bus import UsbBus
+from j2a.sim._usb.descriptors import parse_configuration, parse_device
+from j2a.sim._usb.link import find_endpoints
 
 pytestmark = pytest.mark.avr
 

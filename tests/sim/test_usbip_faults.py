@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from j2a_transports import OpenFailed
 
-from j2a.sim import UsbipServer, _usbip, _usbip_session
+from j2a.sim import UsbipServer
+from j2a.sim._usbip import server, session
 from tests.sim.usbip_client import WAIT_S, say_last
 
 pytestmark = pytest.mark.avr
@@ -113,7 +114,7 @@ def test_clients_that_say_nothing_hold_nobody_up(served):
     with contextlib.ExitStack() as stack:
         silent = [
             stack.enter_context(socket.create_connection(("127.0.0.1", served.port)))
-            for _ in range(_usbip.MOST_ASKING + 1)
+            for _ in range(server.MOST_ASKING + 1)
         ]
         with served.attach() as client:
             assert client.control(0x80, 8, 0, 0, 1) == (0, b"\1")
@@ -123,7 +124,7 @@ def test_clients_that_say_nothing_hold_nobody_up(served):
 
 @pytest.mark.parametrize("said", [b"", b"\x01\x11\x80"])
 def test_a_client_has_to_ask_in_time(served, monkeypatch, said):
-    monkeypatch.setattr(_usbip, "REQUEST_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(server, "REQUEST_TIMEOUT_S", 0.1)
     with socket.create_connection(("127.0.0.1", served.port)) as connection:
         connection.settimeout(WAIT_S)
         connection.sendall(said)
@@ -132,7 +133,7 @@ def test_a_client_has_to_ask_in_time(served, monkeypatch, said):
 
 def test_who_imports_a_board_and_leaves_it_alone_loses_it(served, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(_usbip_session, "FIRST_COMMAND_S", 0.1)
+        patch.setattr(session, "FIRST_COMMAND_S", 0.1)
         with served.attach() as silent:
             assert silent.socket.recv(1) == b""
     with served.attach() as client:

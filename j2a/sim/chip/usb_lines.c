@@ -43,7 +43,7 @@ int usb_device_pulls_up(const usb_device_t *u)
     return usb_vbus_seen(u) && (u->uhwcon & UVREGE) && !(u->udcon & LSM);
 }
 
-/* In the order of _usb_port.LACKS. */
+/* In the order of _usb.port.LACKS. */
 int usb_device_lacks(const usb_device_t *u)
 {
     if ((u->pllcsr & PLLE) && !u->pll_at && !((u->pllcsr & PLOCK) && pll_is_right(u)))

@@ -23,11 +23,11 @@ from typing import Any, Final
 
 from j2a_transports import OpenFailed
 
-from j2a.sim import _usbip_protocol as protocol
 from j2a.sim._avr import AvrSim
 from j2a.sim._errors import FirmwareStopped, SimError
-from j2a.sim._usb_host import UsbHost
-from j2a.sim._usbip_session import Gone, Session, receive
+from j2a.sim._usb.driver import UsbHost
+from j2a.sim._usbip import protocol
+from j2a.sim._usbip.session import Gone, Session, receive
 
 REQUEST_TIMEOUT_S: Final = 5.0
 LOOK_S: Final = 0.1

@@ -12,8 +12,8 @@ import struct
 from typing import Final
 
 from j2a.sim import _build
-from j2a.sim._usb_port import BY_HAND, PACKET, UsbPort
-from j2a.sim._usb_records import (
+from j2a.sim._usb.port import BY_HAND, PACKET, UsbPort
+from j2a.sim._usb.records import (
     Completion,
     UsbCounters,
     UsbDescriptors,

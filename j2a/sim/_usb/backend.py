@@ -2,7 +2,7 @@
 
 In: the calls of pyusb. Out: what the firmware answers, and the errors that libusb has.
 Rules: any number of threads may call at once; each board is run on its own, by a thread that waits
-for it (see `_usb_host`), and simulated time passes for a board only while a call for it waits.
+for it (see `driver`), and simulated time passes for a board only while a call for it waits.
 Timeouts are in simulated milliseconds, which pass no faster than real ones while nothing moves.
 """
 
@@ -21,9 +21,9 @@ import usb.core
 
 from j2a.sim._avr import AvrSim
 from j2a.sim._errors import SimError
-from j2a.sim._usb_descriptors import IN, SETUP, Described
-from j2a.sim._usb_host import UsbHost
-from j2a.sim._usb_transfer import CLEAR_FEATURE, SET_CONFIGURATION, SET_INTERFACE, Transfer
+from j2a.sim._usb.descriptors import IN, SETUP, Described
+from j2a.sim._usb.driver import UsbHost
+from j2a.sim._usb.transfer import CLEAR_FEATURE, SET_CONFIGURATION, SET_INTERFACE, Transfer
 
 BUS: Final = 1
 SPEED_FULL: Final = 2  # as libusb counts

@@ -15,11 +15,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final, TextIO
 
-from j2a.sim import _usbip_protocol as protocol
 from j2a.sim._avr import AvrSim, chip_serial
 from j2a.sim._errors import SimError
 from j2a.sim._runner import stopped_by_signals
-from j2a.sim._usbip import UsbipServer
+from j2a.sim._usbip import protocol
+from j2a.sim._usbip.server import UsbipServer
 
 LINE_MAX: Final = 4096
 

@@ -19,11 +19,11 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from j2a.sim import _usbip_protocol as protocol
 from j2a.sim._errors import SimError
-from j2a.sim._usb_descriptors import IN, SETUP
-from j2a.sim._usb_host import UsbHost
-from j2a.sim._usb_transfer import GET_DESCRIPTOR, SET_ADDRESS, Transfer
+from j2a.sim._usb.descriptors import IN, SETUP
+from j2a.sim._usb.driver import UsbHost
+from j2a.sim._usb.transfer import GET_DESCRIPTOR, SET_ADDRESS, Transfer
+from j2a.sim._usbip import protocol
 
 LOOK_S: Final = 0.2  # how often a waiting thread looks whether it shall end
 SEND_TIMEOUT_S: Final = 5.0

@@ -17,7 +17,7 @@ from j2a_spec.usb import BULK, INTERRUPT
 
 from j2a.sim._errors import SimError
 from j2a.sim._timed_link import TimedLink
-from j2a.sim._usb_descriptors import IN, PACKET_MASK, TYPE_MASK, Described, parse_configuration
+from j2a.sim._usb.descriptors import IN, PACKET_MASK, TYPE_MASK, Described, parse_configuration
 
 # Class, subclass and protocol of the interface that carries frames (thesis 5.3).
 BOARD: Final = (0xFF, 0x12, 0xEF)

@@ -22,14 +22,14 @@ from j2a_spec.usb import CONFIGURATION
 from j2a.sim._avr import AvrSim
 from j2a.sim._errors import FirmwareStopped, SimError
 from j2a.sim._pace import Pacer
-from j2a.sim._usb_descriptors import (
+from j2a.sim._usb.descriptors import (
     IN,
     SETUP,
     Descriptors,
     parse_configuration,
     parse_device,
 )
-from j2a.sim._usb_transfer import (
+from j2a.sim._usb.transfer import (
     CLEAR_FEATURE,
     SET_ADDRESS,
     SET_CONFIGURATION,
@@ -38,7 +38,7 @@ from j2a.sim._usb_transfer import (
 )
 
 if TYPE_CHECKING:
-    from j2a.sim._usb import Completion
+    from j2a.sim._usb.bus import Completion
 
 SLICE_S: Final = 0.001
 # At speed 0, simulated time after the last sign of traffic that still passes at full speed.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from j2a.sim import _build
 from j2a.sim._errors import SimError
-from j2a.sim._usb_records import Completion, UsbCounters, UsbError
+from j2a.sim._usb.records import Completion, UsbCounters, UsbError
 
 if TYPE_CHECKING:
     from j2a.sim._avr import AvrSim

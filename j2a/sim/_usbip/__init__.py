@@ -1,0 +1,1 @@
+"""Simulated boards for operating systems, over USB/IP."""
