@@ -12,7 +12,7 @@ from j2a_spec import constants as c
 from j2a_spec import usb
 from j2a_spec.oracle import Frame, decode, encode
 
-from j2a.sim import AvrSim
+from j2a.sim import AvrSim, chip_serial
 
 pytestmark = pytest.mark.avr
 
@@ -28,7 +28,7 @@ CHIPS = {
 }
 STACK = 100  # bytes that must be left, see the bound in docs/budgets.md
 ECHO = c.BUILTINS.index(c.GET_ECHO) - 1  # builtins has no debug text
-SMCR, SLEEP_ENABLED, PLLCSR = 0x53, 1, 0x49
+SMCR, SLEEP_ENABLED, TIMSK1 = 0x53, 1, 0x6F
 
 
 def sizes(elf: Path) -> tuple[int, int]:
@@ -115,7 +115,7 @@ def test_without_them_it_is_the_chip(build, mcu):
         device = usb.device.parse(found.device)
         assert (device.idVendor, device.idProduct) == (c.USB_VENDOR, c.USB_PRODUCT)
         assert found.strings[device.iProduct] == mcu
-        digits = "".join(f"{byte & 15:X}{byte >> 4:X}" for byte in sim.program.flash[0x0E:0x18])
+        digits = "".join(f"{byte & 15:X}{byte >> 4:X}" for byte in chip_serial(1))
         assert found.strings[device.iSerialNumber] == digits
 
 
@@ -128,7 +128,7 @@ def test_the_longest_strings(build):
 
 @pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
 def test_sleeps_while_suspended(build, mcu):
-    """With J2A_USB_SLEEP the chip is in power-down with its PLL off, and works after it."""
+    """With J2A_USB_SLEEP the chip is in power-down, the interrupt of its timer off."""
     elf = build("builtins", "avr-usb", MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
 
     def asleep():
@@ -141,14 +141,32 @@ def test_sleeps_while_suspended(build, mcu):
             sim.usb.suspend()
             sim.run(sim.cycles(0.010))
             assert asleep()
+            assert sim.read_memory(TIMSK1, 1) == b"\0"
             sim.usb.resume()
             sim.run(sim.cycles(0.010))
+            assert sim.read_memory(TIMSK1, 1) == b"\1"
             assert answer(sim, Frame(c.SOF, turn, ECHO)) == [Frame(c.SOF, turn, c.ECHO)]
         sim.usb.suspend()
         sim.run(sim.cycles(0.010))
         sim.usb.reset()
         sim.usb.enumerate()
         assert answer(sim, Frame(c.SOF, 9, ECHO)) == [Frame(c.SOF, 9, c.ECHO)]
+
+
+@pytest.mark.requirement("USB-010")
+@pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
+def test_sleeps_while_it_waits(build, mcu):
+    """It also sleeps where it has something to send, and sends all of it when the bus is back."""
+    elf = build("builtins", "avr-usb", MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
+    payload = bytes(range(255))
+    with AvrSim(elf, mcu) as sim:
+        sim.usb.enumerate()
+        sim.usb.write(c.USB_OUT, encode(Frame(c.SOF, 1, ECHO, payload)))
+        sim.usb.suspend()
+        sim.run(sim.cycles(0.010))
+        assert sim.read_memory(SMCR, 1)[0] & SLEEP_ENABLED
+        sim.usb.resume()
+        assert decode(sim.usb.read(c.USB_IN, 1024)) == [Frame(c.SOF, 1, c.ECHO, payload)]
 
 
 def test_goes_on_while_suspended(build):

@@ -45,6 +45,22 @@ def test_suspend_asleep(build, mcu, check):
         check.run(device)
 
 
+@pytest.mark.parametrize(
+    "check",
+    [
+        pytest.param(check, id=check.name)
+        for check in CHECKS
+        if check.name.startswith(("transfers.", "stream.", "bus.s"))
+    ],
+)
+@pytest.mark.parametrize("counting", ["banks", "setup as 0", "setup as 8"])
+def test_however_the_chip_counts_bytes(chip, counting, check):
+    """The data sheets leave open what UEBCLX counts of two banks, and of a SETUP."""
+    with Device(*chip) as device:
+        device.bus.counting = counting
+        check.run(device)
+
+
 def test_the_list():
     names = [name for name, _section, _sentence in rows()]
     assert len(names) == len(set(names)) >= 30

@@ -188,8 +188,8 @@ MUTANTS = [
         "a burst that fills its last packet has no end",
         "stream.transfers-end",
         PORT,
-        "(UEBCLX != 0 || empty_packet_due)",
-        "UEBCLX != 0",
+        "UEINTX = USB_SEND;\n            return true;",
+        "UEINTX = USB_SEND, packet_due = false;\n            return true;",
     ),
     Mutant(
         "what finds no room in a packet is dropped",

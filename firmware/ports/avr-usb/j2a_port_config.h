@@ -15,8 +15,8 @@
 #endif
 
 /* Sleeps in power-down mode while the bus is suspended, with timer 1 standing still. Without it the
- * application goes on, and the chip takes far more than the 2.5 mA that a suspended board may take from
- * the bus. */
+ * application goes on until it has to send, and the chip takes far more than the 2.5 mA that a suspended board
+ * may take from the bus. */
 #ifndef J2A_USB_SLEEP
 #define J2A_USB_SLEEP 0
 #endif

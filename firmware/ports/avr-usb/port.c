@@ -15,7 +15,9 @@
 #endif
 
 enum { DROPPING = USB_PORT }; /* what is sent, until the frame is over */
-static bool empty_packet_due; /* the last packet was full, and nothing has followed yet */
+
+/* A packet has been begun, or the last one was full and an empty one may have to follow. */
+static bool packet_due;
 
 /* Chooses an endpoint. Returns UEINTX. */
 static inline uint8_t flags_of(uint8_t endpoint) {
@@ -38,7 +40,7 @@ static void find_out(void) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         if (usb_trouble & USB_RESTARTED) {
             usb_trouble = (usb_trouble & (uint8_t)~USB_RESTARTED) | DROPPING;
-            empty_packet_due = false;
+            packet_due = false;
             lost = true;
         } else {
             usb_trouble &= (uint8_t)~DROPPING;
@@ -64,18 +66,14 @@ int16_t j2a_port_rx(void) {
     return -1;
 }
 
-static inline void send_packet(bool full) {
-    UEINTX = USB_SEND;
-    empty_packet_due = full;
-}
-
 /* Returns whether there was room. */
 static inline __attribute__((always_inline)) bool put(uint8_t byte) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         if (usb_trouble == 0 && (flags_of(USB_TX) & _BV(RWAL))) {
             UEDATX = byte;
+            packet_due = true;
             if (!(UEINTX & _BV(RWAL)))
-                send_packet(true);
+                UEINTX = USB_SEND;
             return true;
         }
     }
@@ -140,8 +138,10 @@ void j2a_port_idle(void) {
     receive_sync(); /* first, because it may send */
 #endif
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (usb_trouble == 0 && (flags_of(USB_TX) & _BV(RWAL)) && (UEBCLX != 0 || empty_packet_due))
-            send_packet(false);
+        if (usb_trouble == 0 && packet_due && (flags_of(USB_TX) & _BV(RWAL))) {
+            UEINTX = USB_SEND;
+            packet_due = false;
+        }
     }
 #if J2A_USB_SLEEP
     usb_sleep();

@@ -33,13 +33,16 @@ static void take_setup(void) {
     static usb_setup setup;
     static uint8_t ring[sizeof setup];
     uint8_t *to = (uint8_t *)&setup;
-    const uint8_t count = UEBCLX;
-    uint8_t next = 0;
-    uint8_t i;
+    uint8_t limit = 3 * sizeof ring;
+    uint8_t next = 1;
+    uint8_t i = UEBCLX;
 
+    ring[0] = UEDATX;
+    if (UEBCLX == i)
+        limit = sizeof ring;
     do
         ring[next++ % sizeof ring] = UEDATX;
-    while (next < sizeof ring || (next < 2 * sizeof ring && UEBCLX != 0 && UEBCLX != count));
+    while (next < sizeof ring || (next < limit && UEBCLX != 0));
     UEINTX = (uint8_t)~(_BV(RXSTPI) | _BV(RXOUTI));
     UECONX = _BV(EPEN) | _BV(STALLRQC); /* which may have been meant for the one before */
     for (i = sizeof setup; i != 0; i--)

@@ -38,6 +38,7 @@ def setup_is_always_taken(device: Device) -> None:
                 assert device.once("SETUP", 0, packet) == "ACK"
                 if stage:
                     device.once(stage, 0, toggle=1)
+    device.pause(0.05)  # see setup_twice
     device.alive()
 
 
