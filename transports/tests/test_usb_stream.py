@@ -137,14 +137,25 @@ def test_a_write_that_times_out_is_not_sent_twice(link: Link) -> None:
     assert read_exactly(link.far, 1000) == data[sent : sent + 1000]
 
 
+FULL = bytes(range(64)) * ROOM
+
+
+def fill(link: Link) -> None:
+    """Write the last packet for which the board has room, so that it refuses the empty one."""
+    with link.device.changed:
+        for at in range(ROOM - 1):
+            assert link.device.pipes[0x02].push(FULL[64 * at : 64 * at + 64])
+    # Short, but enough for a loaded machine to send one packet.
+    link.near.write_timeout_s = 0.5
+    link.near.write(FULL[-64:])
+    assert link.device.pipes[0x02].log == [64] * ROOM
+
+
 @pytest.mark.requirement("USB-008")
 def test_the_empty_packet_that_a_board_refuses_comes_later(link: Link) -> None:
-    link.near.write_timeout_s = 0.05
-    data = bytes(range(256)) * (ROOM // 4)
-    link.near.write(data)
+    fill(link)
+    assert read_exactly(link.far, len(FULL)) == FULL
     log = link.device.pipes[0x02].log
-    assert log == [64] * ROOM
-    assert read_exactly(link.far, len(data)) == data
     with link.device.changed:
         assert link.device.changed.wait_for(lambda: len(log) > ROOM, PATIENCE_S)
     assert log == [64] * ROOM + [0]
@@ -153,24 +164,23 @@ def test_the_empty_packet_that_a_board_refuses_comes_later(link: Link) -> None:
 
 
 def test_a_write_needs_no_empty_packet_before_it(link: Link) -> None:
-    link.near.write_timeout_s = 0.05
-    link.near.write(bytes(64 * ROOM))
-    for _ in range(2):
-        with pytest.raises(WriteTimeout, match="3 of 3 bytes not sent"):
-            link.near.write(b"abc")
+    fill(link)
     link.near.write_timeout_s = None
     writer = Background(lambda: link.near.write(b"abc"))
     writer.thread.join(SETTLE_S)
-    assert read_exactly(link.far, 64 * ROOM + 3) == bytes(64 * ROOM) + b"abc"
+    assert read_exactly(link.far, len(FULL) + 3) == FULL + b"abc"
     writer.result()
     # Nor does it come later.
     assert link.near.read(0.1) == b""
     assert link.device.pipes[0x02].log == [64] * ROOM + [3]
 
 
-def test_closing_forgets_the_empty_packet(link: Link) -> None:
+def test_after_the_empty_packet_bytes_can_be_refused_too(link: Link) -> None:
+    fill(link)
     link.near.write_timeout_s = 0.05
-    link.near.write(bytes(64 * ROOM))
+    for _ in range(2):
+        with pytest.raises(WriteTimeout, match="3 of 3 bytes not sent"):
+            link.near.write(b"abc")
     link.near.close()
     assert link.device.busy == set()
 
