@@ -6,7 +6,6 @@
 #include <avr/interrupt.h>
 #include <avr/power.h>
 #include <avr/sleep.h>
-#include <avr/wdt.h>
 #include <util/delay_basic.h>
 
 #if F_CPU == 16000000
@@ -70,9 +69,10 @@ void usb_start(void) {
     cli();
     /* A boot loader may have left the watchdog on, and the chip runs at an eighth of its clock as it is
      * sold. */
-    wdt_reset();
     MCUSR &= (uint8_t)~_BV(WDRF); /* which keeps the watchdog on; the other causes are the application's */
-    wdt_disable();
+    /* WDCE allows the change for four cycles, which C does not promise to keep to. */
+    __asm__ volatile("wdr\n\tsts %0, %1\n\tsts %0, __zero_reg__"
+                     :: "n"(_SFR_MEM_ADDR(WDTCSR)), "r"((uint8_t)(_BV(WDCE) | _BV(WDE))));
     clock_prescale_set(clock_div_1);
 #ifdef UHWCON
     UHWCON = _BV(UVREGE);
@@ -120,13 +120,12 @@ ISR(USB_GEN_vect) {
 
 #if J2A_USB_SLEEP
 void usb_sleep(void) {
-    uint8_t timer;
     if (!(SREG & _BV(SREG_I)))
         return; /* nothing would wake it */
     set_sleep_mode(SLEEP_MODE_PWR_DOWN);
     cli();
     if (usb_trouble & USB_SUSPENDED) {
-        timer = TIMSK1;
+        const uint8_t timer = TIMSK1;
         TIMSK1 = 0; /* chips take more current while an interrupt is due that cannot wake them */
         sleep_enable();
         sei(); /* the next instruction comes before any interrupt */
