@@ -182,6 +182,7 @@ def test_goes_on_while_suspended(build):
     ("settings", "message"),
     [
         ({"USB_VENDOR": "6666"}, "USB_VENDOR=6666 USB_PRODUCT=J2A_USB_PRODUCT: give ids as 0x and"),
+        ({"MCU": "atmega328p"}, "MCU=atmega328p: this port is for atmega8u2"),
         ({"USB_PRODUCT": "0xCAFEE"}, "USB_PRODUCT=0xCAFEE: give ids as 0x and four"),
         ({"USB_VENDOR": "0x0000"}, "USB_VENDOR must be 0x0001..0xFFFF"),
         ({"USB_NAME": ""}, "USB_NAME=: give 1 to 126 letters"),

@@ -7,6 +7,8 @@ USB_VENDOR ?= J2A_USB_VENDOR
 USB_PRODUCT ?= J2A_USB_PRODUCT
 USB_NAME ?= $(MCU)
 SERIAL ?=
+CHIPS := atmega8u2 atmega16u2 atmega32u2 atmega16u4 atmega32u4 at90usb82 at90usb162
+MCU_CHECK := $(if $(filter $(MCU),$(CHIPS)),,$(error MCU=$(MCU): this port is for $(CHIPS)))
 ID_CHECK := $(if $(shell echo '$(USB_VENDOR) $(USB_PRODUCT)' | \
 	grep -xE '(0x[0-9A-Fa-f]{4}|J2A_USB_VENDOR) (0x[0-9A-Fa-f]{4}|J2A_USB_PRODUCT)'),,\
 	$(error USB_VENDOR=$(USB_VENDOR) USB_PRODUCT=$(USB_PRODUCT): give ids as 0x and four hexadecimal digits))
