@@ -85,6 +85,8 @@ def __getattr__(name: str) -> Any:
         try:
             from j2a.sim._usb.backend import SimBackend  # noqa: PLC0415 - pyusb is an extra
         except ModuleNotFoundError as error:
-            raise ImportError("SimBackend needs pyusb: pip install pyusb (the extra j2a[usb])") from error
+            raise ImportError(
+                "SimBackend needs pyusb: pip install pyusb (the extra j2a[usb])"
+            ) from error
         return SimBackend
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
