@@ -33,18 +33,21 @@ COMPILERS = {
     "rp2040": "arm-none-eabi-gcc",
     "riscv": "riscv64-unknown-elf-gcc",
 }
-# What takes longest starts first, so that no worker is left with it alone at the end.
-LONGEST = {
-    *("test_proof.py", "test_broken.py", "test_broken_hosts.py", "test_budget.py"),
-    *("test_links.py", "test_conformance.py", "test_gadget.py", "test_usb.py"),
-}
+# What takes longest starts first, so that no worker is left with it alone at the end; what boots a
+# guest in between, so that seldom two of them share the machine.
+LONGEST = (
+    *("guest/test_links.py", "tests/test_proof.py", "tests/test_broken.py"),
+    *("guest/test_conformance.py", "host/test_broken_hosts.py", "tests/test_budget.py"),
+    *("guest/test_gadget.py", "guest/test_usb.py"),
+)
 Make = Callable[..., subprocess.CompletedProcess[str]]
 Build = Callable[..., Path]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Sort the tests of the longest files to the front; all others keep their order."""
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+    rank = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get("/".join(item.path.parts[-2:]), len(rank)))
 
 
 def _missing(what: str) -> NoReturn:

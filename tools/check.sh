@@ -61,8 +61,9 @@ if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
 fi
 # Under coverage a figure of speed would mislead, so the benchmarks only prove that they run.
-# Most of them wait for something, so more run at a time than there are cores.
-step pytest "tests" python -m pytest -n 3 --dist loadfile --cov --cov-report=term --benchmark-disable
+# Most of them wait for something, so more run at a time than there are cores; conftest.py says which
+# files come first.
+step pytest "tests" python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --cov --cov-report=term --benchmark-disable
 
 if ((${#failed[@]})); then
     printf '\n==> FAILED steps: %s\n' "${failed[*]}"
