@@ -362,7 +362,7 @@ class TestTheEnd:
         names = [thread.name for thread in threading.enumerate()]
         # asyncio keeps the threads of its executor; the client's own are gone. Those that serve the
         # device end when they see that.
-        own = [name for name in names if name.startswith("j2a ") and "device" not in name]
+        own = [n for n in names if n.startswith("j2a ") and not n.startswith("j2a device ")]
         assert not own, (before, names)
 
 
