@@ -51,7 +51,7 @@ __all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "Peer"]
 
 DEFAULT_MAX_BYTES: Final = 64 * 2**20
 MANY_OPCODE: Final = 1
-"""Of a2jMany, in every function table that has it (J2A-DISP-006)."""
+"""Of a2jMany, in every function table that has it (J2A-DISP-009)."""
 
 
 class Peer:

@@ -187,7 +187,7 @@ class Mapping(_Smoke):
         "Names that each end in NUL, a2jGetMapping first, and among them a2jEcho; if a2jMany is "
         "there, it is the second, and a2jEchoMany is there, too."
     )
-    REQUIREMENTS = ("J2A-MAP-001", "J2A-DISP-006", "J2A-FRAME-001")
+    REQUIREMENTS = ("J2A-MAP-001", "J2A-DISP-009", "J2A-FRAME-001")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -219,7 +219,7 @@ class Mapping(_Smoke):
             if tuple(before) not in _WITHOUT_MAPPING:
                 fail(
                     "no mapping, and no a2jEcho behind a2jMany, a2jGetProperties and a2jDebug, or "
-                    "those of them that are built in (J2A-DISP-006)"
+                    "those of them that are built in (J2A-DISP-009)"
                 )
         last = (c.GET_ECHO_MANY,) if c.MANY in before else ()
         return (c.GET_MAPPING, *before, c.GET_ECHO, *last)

@@ -226,7 +226,7 @@ class SeqOfItsOwn:
         super().reply(self.own, code, payload)
 
 
-@breaks("J2A-SEQ-002", "J2A-DISP-001")
+@breaks("J2A-SEQ-008", "J2A-DISP-001")
 class DropsRepeatedSeq:
     before = None
 
@@ -236,7 +236,7 @@ class DropsRepeatedSeq:
         self.before = seq
 
 
-@breaks("J2A-SEQ-002")
+@breaks("J2A-SEQ-008")
 class AnswersRepeatedRequestFromMemory:
     before = (None, None)
 
@@ -337,7 +337,7 @@ class OpcodeZeroReturnsTheMappingTwice:
         return 0, self.mapping() if self.asked <= 2 else b""
 
 
-@breaks("J2A-DISP-006")
+@breaks("J2A-DISP-009")
 class AnotherOrder:
     names = (
         c.GET_MAPPING,
@@ -936,12 +936,12 @@ class HardlyAnyRoom:
     properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_ROOM, "31"))
 
 
-@breaks("J2A-DISP-006")
+@breaks("J2A-DISP-009")
 class EchoManyWithoutMany:
     names = tuple(name for name in c.BUILTINS if name not in (c.MANY, c.GET_PROPERTIES))
 
 
-@breaks("J2A-DISP-006")
+@breaks("J2A-DISP-009")
 class PropertiesWithoutMany:
     names = tuple(name for name in c.BUILTINS if name not in (c.MANY, c.GET_ECHO_MANY))
 

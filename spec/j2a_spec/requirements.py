@@ -1,7 +1,8 @@
 """The numbered requirements: reads `requirements.toml`.
 
 What flows out: `Requirement` objects by id, in the order of SPEC.md. Rules: an id never changes its
-meaning and is never used again; a requirement without `exception` has a conformance case.
+meaning and is never used again; a requirement without `exception` has a conformance case. One that
+was replaced stays in the file with `superseded_by`, behind the others, and binds no longer.
 """
 
 import re
@@ -11,7 +12,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Literal, get_args
 
-__all__ = ["Level", "Requirement", "Role", "load"]
+__all__ = ["Level", "Requirement", "Role", "load", "superseded"]
 
 Level = Literal["frame", "core", "mapping", "many", "properties", "debug", "sif", "timing"]
 Role = Literal["device", "host", "both"]
@@ -31,6 +32,7 @@ class Requirement:
         source: section of the thesis, "observed" or "decision".
         text: the sentence.
         exception: why it cannot be observed on the wire, or "".
+        superseded_by: id of the requirement that replaced it, or "" while it is in force.
     """
 
     id: str
@@ -39,6 +41,7 @@ class Requirement:
     source: str
     text: str
     exception: str = ""
+    superseded_by: str = ""
 
     @property
     def area(self) -> str:
@@ -54,13 +57,22 @@ class Requirement:
         return next(word for word in ("MUST", "SHOULD", "MAY") if word in words)
 
 
-@cache
 def load() -> dict[str, Requirement]:
-    """Return every requirement by its id, in the order of SPEC.md.
+    """Return every requirement in force by its id, in the order of SPEC.md.
 
     Raises:
         ValueError: the file breaks its own rules; the message names the entry.
     """
+    return {name: r for name, r in _read().items() if not r.superseded_by}
+
+
+def superseded() -> dict[str, Requirement]:
+    """Return the requirements that were replaced, by id; raises as `load`."""
+    return {name: r for name, r in _read().items() if r.superseded_by}
+
+
+@cache
+def _read() -> dict[str, Requirement]:
     text = files("j2a_spec").joinpath("requirements.toml").read_text("utf-8")
     found: dict[str, Requirement] = {}
     for entry in tomllib.loads(text)["requirement"]:
@@ -72,4 +84,8 @@ def load() -> dict[str, Requirement]:
         if not _STRENGTH.search(requirement.text):
             raise ValueError(f"{requirement.id}: no MUST, SHOULD or MAY in its text")
         found[requirement.id] = requirement
+    for requirement in found.values():
+        by = requirement.superseded_by
+        if by and (by not in found or found[by].superseded_by):
+            raise ValueError(f"{requirement.id}: {by!r}, which replaces it, is not in force")
     return found

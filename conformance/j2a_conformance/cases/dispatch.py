@@ -171,7 +171,7 @@ class TableOrder(Case):
         "a2jGetMapping, then a2jMany, a2jGetProperties and a2jDebug if built in, a2jEcho, "
         "a2jEchoMany if a2jMany is built in, then the functions of the application."
     )
-    REQUIREMENTS = ("J2A-DISP-006", "J2A-DISP-002")
+    REQUIREMENTS = ("J2A-DISP-009", "J2A-DISP-002")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:

@@ -14,7 +14,7 @@ class Every(Case):
 
     ID = "seq.every-value"
     EXPECTATION = "Each reply carries the seq of its request."
-    REQUIREMENTS = ("J2A-SEQ-001", "J2A-SEQ-002", "J2A-STUFF-005")
+    REQUIREMENTS = ("J2A-SEQ-001", "J2A-SEQ-008", "J2A-STUFF-005")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -28,7 +28,7 @@ class Repeated(Case):
 
     ID = "seq.repeated"
     EXPECTATION = "Each is executed and answered."
-    REQUIREMENTS = ("J2A-SEQ-002", "J2A-DISP-001")
+    REQUIREMENTS = ("J2A-SEQ-008", "J2A-DISP-001")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -42,7 +42,7 @@ class RepeatedEffect(Case):
 
     ID = "seq.repeated-effect"
     EXPECTATION = "Three SIFs and three replies: a repeated request is executed again."
-    REQUIREMENTS = ("J2A-SEQ-002",)
+    REQUIREMENTS = ("J2A-SEQ-008",)
     LEVEL = "core"
     NEEDS = ("sif",)
 

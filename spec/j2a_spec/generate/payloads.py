@@ -71,9 +71,9 @@ def _errors() -> Iterator[_Row]:
 def _mappings() -> Iterator[_Row]:
     ids = "MAP-001 MAP-003"
     full = list(c.BUILTINS)
-    yield _built("all built-in functions", ids + " DISP-006", "mapping", full)
+    yield _built("all built-in functions", ids + " DISP-009", "mapping", full)
     small = [name for name in full if name not in (c.GET_PROPERTIES, c.GET_DEBUG)]
-    yield _built("without properties and debug", ids + " DISP-006", "mapping", small)
+    yield _built("without properties and debug", ids + " DISP-009", "mapping", small)
     yield _built("with functions of an application", ids, "mapping", [*full, "getTime", "add"])
     longest = [*full, "x" * (c.MAX_MAPPING - len(GRAMMARS["mapping"].build(full)) - 1)]
     yield _built("the longest: 255 bytes", "MAP-001 MAP-002", "mapping", longest)
@@ -133,7 +133,7 @@ def _many() -> Iterator[_Row]:
 
 def _small() -> Iterator[_Row]:
     """What devices with little RAM send. Behind the others, whose numbers stay as they are."""
-    ids = "MAP-001 MAP-003 DISP-006"
+    ids = "MAP-001 MAP-003 DISP-009"
     names = [name for name in c.BUILTINS if name not in c.WITH_MANY]
     yield _built("without a2jMany", ids, "mapping", names)
     bare = [c.GET_MAPPING, c.GET_ECHO, "get"]

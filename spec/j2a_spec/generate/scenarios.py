@@ -108,7 +108,7 @@ def _good() -> list[_Row]:
         ),
         (
             "the same seq twice is executed twice",
-            "SEQ-001 SEQ-002",
+            "SEQ-001 SEQ-008",
             [_send(7, b"a"), _echo(7, b"a"), _send(7, b"b"), _echo(7, b"b"), _QUIET],
         ),
         (

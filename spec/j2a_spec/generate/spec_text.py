@@ -8,7 +8,7 @@ import re
 from itertools import groupby
 
 from j2a_spec import constants as c
-from j2a_spec.requirements import Requirement, load
+from j2a_spec.requirements import Requirement, load, superseded
 
 _PARAGRAPH = re.compile(r"^\*\*(J2A-[A-Z]+-\d{3})\*\*.*?(?=\n\n|\n?\Z)", re.MULTILINE | re.DOTALL)
 _TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -21,7 +21,7 @@ def fill(text: str) -> str:
         ValueError: a requirement has no paragraph, several, or a paragraph no requirement, or they
             stand in another order than in requirements.toml.
     """
-    requirements = load()
+    requirements = load() | superseded()
     ids = [match[1] for match in _PARAGRAPH.finditer(text)]
     if ids != list(requirements):
         missing = [name for name in requirements if name not in ids]
@@ -36,6 +36,8 @@ def fill(text: str) -> str:
 
 def _paragraph(requirement: Requirement) -> str:
     note = f" *(Not observable: {requirement.exception})*" if requirement.exception else ""
+    if requirement.superseded_by:
+        note = f" *(Replaced by {requirement.superseded_by}.)*"
     return f"**{requirement.id}** ({requirement.role}) {requirement.text}{note}"
 
 
