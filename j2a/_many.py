@@ -21,7 +21,16 @@ from j2a_spec.constants import (
     RET_OK,
 )
 
-from j2a.errors import LegacyLimit, OpcodeRefused, ProtocolError, remote_error
+from j2a.errors import (
+    FunctionFailed,
+    J2AError,
+    LegacyLimit,
+    LocalError,
+    OpcodeRefused,
+    Outcome,
+    ProtocolError,
+    remote_error,
+)
 from j2a.events import Reply
 
 __all__ = [
@@ -70,6 +79,16 @@ Guard = Callable[[bytes, Chunk], Steps[None]]
 raises `LegacyLimit` when the device cannot be trusted with it."""
 
 
+def preparing(what: str, steps: Steps[_Result]) -> Steps[_Result]:
+    """Do what has to be done before a request; if that fails, the request was not sent."""
+    try:
+        return (yield from steps)
+    except LocalError:
+        raise
+    except J2AError as error:
+        raise error.copy(f"{what} was not sent: {error}", Outcome.NOT_SENT) from None
+
+
 def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> Steps[Chunk]:
     """Send one chunk and return the reply, checked as far as every transfer needs it."""
     where = f"{what} at offset {offset}"
@@ -77,7 +96,9 @@ def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> St
         reply = yield Ask(where, _HEADER.pack(opcode, flags, offset) + data)
     except OpcodeRefused as error:
         hint = "a function that is not made for transfers is called by `call`"
-        raise OpcodeRefused(f"{error}; {hint}", error.code, error.payload) from None
+        raise error.copy(f"{error}; {hint}", error.outcome) from None
+    except J2AError as error:
+        raise _begun(error, offset) from None
     if reply.code != RET_OK:
         raise remote_error(f"{where} (a2jMany itself)", reply.code, reply.payload)
     if len(reply.payload) < MANY_HEADER:
@@ -86,12 +107,20 @@ def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> St
         )
     code, reply_flags, reply_offset = _HEADER.unpack_from(reply.payload)
     if code > RET_MAX:
-        raise remote_error(where, code, reply.payload[MANY_HEADER:])
+        details = reply.payload[MANY_HEADER:]
+        raise FunctionFailed(f"{where}: the function failed (code 0x{code:02X})", code, details)
     if reply_offset != offset:
         raise ProtocolError(
             f"{what}: the device answered offset {reply_offset} instead of {offset}"
         )
     return Chunk(code, bool(reply_flags & FLAG_LAST), offset, reply.payload[MANY_HEADER:])
+
+
+def _begun(error: J2AError, offset: int) -> J2AError:
+    """Return the error of a transfer that has come to this offset in bytes."""
+    if not offset or error.outcome is not Outcome.NOT_SENT:
+        return error
+    return error.copy(f"{error}; what came before was executed", Outcome.MAYBE_EXECUTED)
 
 
 def read_chunks(
@@ -117,7 +146,10 @@ def read_chunks(
     while True:
         offset = len(content)
         if offset > LEGACY_OFFSET and first is not None:
-            yield from guard(bytes(content), first)
+            try:
+                yield from guard(bytes(content), first)
+            except J2AError as error:
+                raise _begun(error, offset) from None
         chunk = yield from exchange(what, opcode, 0, offset, b"")
         first = first or chunk
         content += chunk.data

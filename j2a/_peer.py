@@ -32,6 +32,7 @@ from j2a._many import (
     Steps,
     echo_chunks,
     exchange,
+    preparing,
     probe_offsets,
     read_chunks,
     write_chunks,
@@ -207,7 +208,7 @@ class Peer:
         return self._echo(what, opcode, _check_transfer(data), progress)
 
     def _echo(self, what: str, opcode: int, data: bytes, progress: Progress | None) -> Steps[bytes]:
-        chunk_size = yield from self._chunk_size(data)
+        chunk_size = yield from preparing(what, self._chunk_size(data))
         return (
             yield from echo_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
         )
@@ -236,14 +237,18 @@ class Peer:
     # ------------------------------------------------------------------ old devices
 
     def _write(self, what: str, opcode: int, data: bytes, progress: Progress | None) -> Steps[int]:
+        chunk_size = yield from preparing(what, self._prepare_write(what, opcode, data))
+        return (
+            yield from write_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
+        )
+
+    def _prepare_write(self, what: str, opcode: int, data: bytes) -> Steps[int]:
         chunk_size = yield from self._chunk_size(data)
         last_offset = (max(len(data), 1) - 1) // chunk_size * chunk_size
         if last_offset > LEGACY_OFFSET and not (yield from self._is_trusted(opcode)):
             first = yield from exchange(f"{what} (probe)", opcode, 0, 0, b"")
             yield from self._probe(what, opcode, first.data, first)
-        return (
-            yield from write_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
-        )
+        return chunk_size
 
     def _guard_read(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
         if not (yield from self._is_trusted(opcode)):

@@ -16,7 +16,7 @@ from j2a_spec.constants import ERR_OPCODE, ERRORS, SOF, SOS
 from j2a._codec import encode
 from j2a._deframer import Deframer
 from j2a._trace import Trace, Tracer
-from j2a.errors import CallTimeout, J2AError, remote_error
+from j2a.errors import CallTimeout, J2AError, Outcome, remote_error
 from j2a.events import Counters, Frame, FrameError, Reply, Sif
 
 __all__ = ["Call", "Session"]
@@ -56,6 +56,16 @@ class Call:
     def has_ended(self) -> bool:
         """A reply or an error is there."""
         return self.reply is not None or self.error is not None
+
+    @property
+    def outcome(self) -> Outcome:
+        """What the call's failure means without an answer."""
+        return Outcome.NOT_SENT if self._number < 0 else Outcome.MAYBE_EXECUTED
+
+    @property
+    def fate(self) -> str:
+        """The same in words."""
+        return "was not sent" if self._number < 0 else "may have been executed"
 
 
 class Session:
@@ -108,7 +118,7 @@ class Session:
             LinkError: the session was closed; the reason of that.
         """
         if self._closed is not None:
-            raise _copy(self._closed)
+            raise self._closed.copy(str(self._closed), Outcome.NOT_SENT)
         deadline = now + timeout_s if timeout_s != float("inf") else None
         call = Call(what, opcode, payload, deadline, timeout_s, waiter)
         self._queue.append(call)
@@ -124,7 +134,8 @@ class Session:
         """
         for call in (*self._sent.values(), *self._queue):
             if call.waiter is waiter:
-                self._end(call, error=J2AError(f"{call.what} was cancelled"))
+                text = f"{call.what} was cancelled; it {call.fate}"
+                self._end(call, error=J2AError(text, outcome=call.outcome))
         return self._fill_window()
 
     def close(self, reason: J2AError) -> list[Call]:
@@ -137,7 +148,7 @@ class Session:
         self._sent.clear()
         self._queue.clear()
         for call in ended:
-            call.error = _copy(reason)
+            call.error = reason.copy(f"{reason}; {call.what} {call.fate}", call.outcome)
         return ended
 
     @property
@@ -162,10 +173,11 @@ class Session:
             if call._number < 0:
                 text = "was not sent because earlier calls were not answered"
             else:
-                text = "was sent, but no reply came"
+                text = "may have been executed, but no reply came"
             advice = "see that the board runs and that both ends use one speed, or wait longer"
             limit = f"within {call.timeout_s:g} s"
-            self._end(call, error=CallTimeout(f"{call.what} {text} {limit}; {advice}"))
+            text = f"{call.what} {text} {limit}; {advice}"
+            self._end(call, error=CallTimeout(text, outcome=call.outcome))
         return late + self._fill_window()
 
     def data_to_send(self) -> bytes:
@@ -289,8 +301,3 @@ class Session:
     def counters(self) -> Counters:
         """The counters as they are now."""
         return Counters(**{**self._counts, "bytes_skipped": self._deframer.skipped})
-
-
-def _copy(error: J2AError) -> J2AError:
-    """Return an equal error: one object raised in several threads would mix their tracebacks."""
-    return type(error)(*error.args)

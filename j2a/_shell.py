@@ -12,10 +12,18 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Final
 
-from j2a_spec.constants import DEBUG_LOST, DEBUG_MORE, ECHO, GET_DEBUG, GET_MAPPING, RET_MAX
+from j2a_spec.constants import (
+    DEBUG_LOST,
+    DEBUG_MORE,
+    ECHO,
+    GET_DEBUG,
+    GET_ECHO_MANY,
+    GET_MAPPING,
+    RET_MAX,
+)
 
 from j2a._arguments import check_timeout
-from j2a._many import Ask, Progress, Steps
+from j2a._many import Ask, Progress, Steps, preparing
 from j2a._peer import Peer
 from j2a._session import MAX_WINDOW, Session
 from j2a._trace import Trace
@@ -138,9 +146,14 @@ class Shell:
         yield from self._peer.learn_room()
         return self._peer.room
 
-    def _check_room(self, what: str, payload: bytes) -> Steps[None]:
-        yield from self._load_map()
-        yield from self._peer.check_room(what, payload)
+    def _prepare_call(self, function: str | int, payload: bytes) -> Steps[tuple[str, int]]:
+        """Find out what a call needs to know: the opcode, and the room for its payload."""
+        if isinstance(function, str) or len(payload) > self._peer.room:
+            yield from preparing(str(function), self._load_map())
+        what, opcode = self._peer.resolve(function)
+        if len(payload) > self._peer.room:
+            yield from preparing(what, self._peer.check_room(what, payload))
+        return what, opcode
 
     def _read_properties(self) -> Steps[dict[str, str]]:
         yield from self._load_map()
@@ -149,17 +162,17 @@ class Shell:
     def _read_many(
         self, function: str | int, max_bytes: int, progress: Progress | None
     ) -> Steps[bytes]:
-        yield from self._load_map()
+        yield from preparing(str(function), self._load_map())
         return (yield from self._peer.read(function, max_bytes, progress))
 
     def _write_many(
         self, function: str | int, data: bytes, progress: Progress | None
     ) -> Steps[int]:
-        yield from self._load_map()
+        yield from preparing(str(function), self._load_map())
         return (yield from self._peer.write(function, data, progress))
 
     def _echo_many(self, data: bytes, progress: Progress | None) -> Steps[bytes]:
-        yield from self._load_map()
+        yield from preparing(GET_ECHO_MANY, self._load_map())
         return (yield from self._peer.echo(data, progress))
 
     def _arguments(self, ask: Ask, limit_s: float) -> tuple[str, int, bytes, float]:

@@ -98,11 +98,7 @@ class AsyncClient(Shell):
         """
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
-        if self._peer.functions is None and isinstance(function, str):
-            await self.refresh()
-        what, opcode = self._peer.resolve(function)
-        if len(data) > self._peer.room:
-            await self._drive(self._check_room(what, data), timeout)
+        what, opcode = await self._drive(self._prepare_call(function, data), timeout)
         return await self._call(what, opcode, data, limit_s)
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:

@@ -90,11 +90,7 @@ class Client(Shell):
         """
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
-        if self._peer.functions is None and isinstance(function, str):
-            self.refresh()
-        what, opcode = self._peer.resolve(function)
-        if len(data) > self._peer.room:
-            self._drive(self._check_room(what, data), timeout)
+        what, opcode = self._drive(self._prepare_call(function, data), timeout)
         return self._engine.call(what, opcode, data, limit_s)
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:

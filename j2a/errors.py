@@ -3,11 +3,13 @@
 What flows out: exceptions whose message says what happened and what to do about it.
 Rules: `LocalError` is the caller's mistake and is raised at once, before anything is sent.
 `LinkError` is the link's fault, `RemoteError` and `ProtocolError` the device's, `CallTimeout`
-cannot tell. Nothing else leaves the library on purpose.
+cannot tell. Nothing else leaves the library on purpose. Every error says by `outcome` whether the
+device may have acted.
 """
 # ruff: noqa: N818 - the names say what happened; that they are errors is seen where they are caught
 
-from typing import Final
+from enum import Enum
+from typing import Final, Self
 
 from j2a_spec.constants import ERR_CHECKSUM, ERR_FRAMING, ERR_OPCODE, ERR_TIMEOUT, RET_FAILED
 
@@ -15,6 +17,7 @@ __all__ = [
     "BadUrl",
     "CallTimeout",
     "ChecksumRefused",
+    "DamageReported",
     "FramingRefused",
     "FunctionFailed",
     "J2AError",
@@ -22,9 +25,11 @@ __all__ = [
     "LinkClosed",
     "LinkError",
     "LinkLost",
+    "LinkStalled",
     "LocalError",
     "OpcodeRefused",
     "OpenFailed",
+    "Outcome",
     "PauseRefused",
     "PayloadTooLong",
     "ProtocolError",
@@ -34,12 +39,46 @@ __all__ = [
 ]
 
 
+class Outcome(Enum):
+    """What an error means for the request: whether it is safe to send it again."""
+
+    NOT_SENT = "not sent"
+    """The request never left this program, so the device has not executed it."""
+    MAYBE_EXECUTED = "maybe executed"
+    """The request was sent; the device may have executed it, also in part, or may still do so."""
+    ANSWERED = "answered"
+    """The device has answered the request; the error says how."""
+
+
 class J2AError(Exception):
-    """Base of all errors of this library."""
+    """Base of all errors of this library.
+
+    Attributes:
+        outcome: whether the request that failed was not sent, may have been executed, or was
+            answered. It is about what the user asked for: if a call fails because the function map
+            cannot be fetched first, the call was not sent.
+    """
+
+    outcome: Outcome = Outcome.MAYBE_EXECUTED
+
+    def __init__(self, *args: object, outcome: Outcome | None = None) -> None:
+        super().__init__(*args)
+        if outcome is not None:
+            self.outcome = outcome
+
+    def copy(self, text: str, outcome: Outcome) -> Self:
+        """Return an error like this one with another message and outcome.
+
+        Each call gets an error of its own: one object that several threads raise would mix their
+        tracebacks.
+        """
+        return type(self)(text, *self.args[1:], outcome=outcome)
 
 
 class LocalError(J2AError, ValueError):
     """An argument is wrong; nothing was sent."""
+
+    outcome = Outcome.NOT_SENT
 
 
 class UnknownFunction(LocalError, LookupError):
@@ -65,6 +104,8 @@ class LinkError(J2AError):
 class OpenFailed(LinkError):
     """The link cannot be opened."""
 
+    outcome = Outcome.NOT_SENT
+
 
 class LinkLost(LinkError):
     """The other side is gone: unplugged, connection closed, process ended."""
@@ -74,6 +115,15 @@ class LinkClosed(LinkError):
     """This side has closed the link, before the call or while it waited."""
 
 
+class LinkStalled(LinkError):
+    """The replies to 256 requests are outstanding, so no seq is free for another (J2A-SEQ-006).
+
+    The call was not sent. The link recovers when the device answers again.
+    """
+
+    outcome = Outcome.NOT_SENT
+
+
 class CallTimeout(J2AError, TimeoutError):
     """No reply came within the time limit of the call."""
 
@@ -81,9 +131,13 @@ class CallTimeout(J2AError, TimeoutError):
 class ProtocolError(J2AError):
     """The device answered, but not as the specification demands."""
 
+    outcome = Outcome.ANSWERED
+
 
 class LegacyLimit(J2AError):
     """A device of version 1.0 cannot be trusted with a transfer of this size (J2A-MANY-014)."""
+
+    outcome = Outcome.ANSWERED
 
 
 class RemoteError(J2AError):
@@ -95,8 +149,12 @@ class RemoteError(J2AError):
             can read, of a function whatever it sent.
     """
 
-    def __init__(self, message: str, code: int, payload: bytes) -> None:
-        super().__init__(message, code, payload)
+    outcome = Outcome.ANSWERED
+
+    def __init__(
+        self, message: str, code: int, payload: bytes, *, outcome: Outcome | None = None
+    ) -> None:
+        super().__init__(message, code, payload, outcome=outcome)
         self.code = code
         self.payload = payload
 
@@ -108,15 +166,25 @@ class OpcodeRefused(RemoteError):
     """F0: the device has no such function, or it cannot be called this way."""
 
 
-class PauseRefused(RemoteError):
+class DamageReported(RemoteError):
+    """F2, F3 or F4: a request reached the device damaged.
+
+    Which request is not certain, because no checksum has proved the seq of such a reply: it may
+    be another one that was damaged, and this one may have been executed (J2A-ERR-010).
+    """
+
+    outcome = Outcome.MAYBE_EXECUTED
+
+
+class PauseRefused(DamageReported):
     """F2: the rest of the request did not reach the device in time."""
 
 
-class ChecksumRefused(RemoteError):
+class ChecksumRefused(DamageReported):
     """F3: the request reached the device with a wrong checksum."""
 
 
-class FramingRefused(RemoteError):
+class FramingRefused(DamageReported):
     """F4: the request reached the device broken, or bytes of it were lost."""
 
 
@@ -124,6 +192,9 @@ class FunctionFailed(RemoteError):
     """A function that transfers by a2jMany returned 0xF0 or above."""
 
 
+_DOUBT: Final = (
+    "it was probably this one, but it may have been executed; try again if that does no harm"
+)
 _ERRORS: Final[dict[int, tuple[type[RemoteError], str]]] = {
     ERR_OPCODE: (
         OpcodeRefused,
@@ -132,15 +203,15 @@ _ERRORS: Final[dict[int, tuple[type[RemoteError], str]]] = {
     ),
     ERR_TIMEOUT: (
         PauseRefused,
-        "the device waited too long for the rest of the request; was not executed, try again",
+        f"the device waited too long for the rest of a request; {_DOUBT}",
     ),
     ERR_CHECKSUM: (
         ChecksumRefused,
-        "the request was damaged on the way (checksum); was not executed, try again",
+        f"a request was damaged on the way (checksum); {_DOUBT}",
     ),
     ERR_FRAMING: (
         FramingRefused,
-        "the request was damaged on the way (framing); was not executed, try again",
+        f"a request was damaged on the way (framing); {_DOUBT}",
     ),
 }
 _FAILED: Final = (FunctionFailed, "the function failed")
