@@ -34,6 +34,7 @@ from j2a.errors import (
     RegistrationError,
     RemoteError,
     UnknownFunction,
+    UnsupportedVersion,
 )
 from j2a.events import Counters, Frame, FrameError, Reply, Sif
 
@@ -75,6 +76,7 @@ __all__ = [
     "Subscription",
     "Trace",
     "UnknownFunction",
+    "UnsupportedVersion",
     "aconnect",
     "connect",
     "read_chunk",

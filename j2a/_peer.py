@@ -15,14 +15,13 @@ from j2a_spec.constants import (
     GET_PROPERTIES,
     MANY,
     MANY_HEADER,
-    MAX_PAYLOAD,
     MIN_ROOM,
     PROP_ROOM,
-    PROP_RXBUF,
-    PROP_SPEC,
     RET_OK,
+    SPEC_VERSION,
 )
 
+from j2a._announced import Announced
 from j2a._arguments import check_bytes, check_opcode
 from j2a._many import (
     LEGACY_OFFSET,
@@ -45,6 +44,7 @@ from j2a.errors import (
     PayloadTooLong,
     ProtocolError,
     UnknownFunction,
+    UnsupportedVersion,
 )
 from j2a.events import Reply
 
@@ -61,6 +61,7 @@ class Peer:
     Attributes:
         functions: names and opcodes; None until the map was fetched, empty when there is none.
         properties: keys and values; None until they were read, empty when there are none.
+        announced: what the properties say; of no properties until they were read.
         room: the longest payload of a request that the device is known to take: 32 bytes, which
             every device does, until `learn_room` was run.
     """
@@ -68,6 +69,7 @@ class Peer:
     def __init__(self) -> None:
         self.functions: dict[str, int] | None = None
         self.properties: dict[str, str] | None = None
+        self.announced = Announced({})
         self.room = MIN_ROOM
         self._no_map = "its function map was not fetched"
         # Opcodes of the functions for which a probe has shown that all of the offset counts.
@@ -84,6 +86,7 @@ class Peer:
             ProtocolError: it is none, so whoever answers is no device.
         """
         self.functions = self.properties = None
+        self.announced = Announced({})
         self.room = MIN_ROOM
         self._probed = set()
         functions: dict[str, int] = {}
@@ -143,13 +146,26 @@ class Peer:
                     guard=lambda content, first: self._guard_properties(opcode, content, first),
                 )
             self.properties = unpack_properties(content)
+            self.announced = Announced(self.properties)
         return self.properties
 
     @property
     def rxbuf(self) -> int:
         """How many wire bytes the device holds while it is busy; 0 when it does not say."""
-        text = (self.properties or {}).get(PROP_RXBUF, "")
-        return int(text) if text.isascii() and text.isdecimal() else 0
+        return self.announced.rxbuf
+
+    def check_version(self) -> None:
+        """Refuse a transfer with a device that is known to speak another major version.
+
+        Raises:
+            UnsupportedVersion: it does (J2A-VER-003).
+        """
+        if not self.announced.is_supported:
+            major, minor = self.announced.version
+            raise UnsupportedVersion(
+                f"the device speaks J2A {major}.{minor}, this library {SPEC_VERSION}: a transfer "
+                "may mean something else there; update this library, or use single calls only"
+            )
 
     def learn_room(self) -> Steps[None]:
         """Find out how long a payload may be (J2A-LIMIT-006), by the properties.
@@ -160,12 +176,10 @@ class Peer:
             RemoteError: the request was damaged on its way.
         """
         try:
-            properties = yield from self.read_properties()
+            yield from self.read_properties()
         except (OpcodeRefused, FunctionFailed, ProtocolError, LegacyLimit):
-            properties = {}
-        text = properties.get(PROP_ROOM, "")
-        room = int(text) if text.isascii() and text.isdecimal() else MAX_PAYLOAD
-        self.room = max(MIN_ROOM, min(room, MAX_PAYLOAD))
+            self.announced = Announced({})
+        self.room = self.announced.room
 
     def check_room(self, what: str, payload: bytes) -> Steps[None]:
         """Refuse a payload that the device has no room for (J2A-LIMIT-007).
@@ -186,6 +200,7 @@ class Peer:
 
     def read(self, function: object, max_bytes: object, progress: Progress | None) -> Steps[bytes]:
         """Read all that a function has; see `read_chunks`."""
+        self.check_version()
         what, opcode = self.resolve(function)
         if not isinstance(max_bytes, int) or max_bytes < 0:
             raise LocalError(f"max_bytes is a number of bytes from 0 on, not {max_bytes!r}")
@@ -199,11 +214,13 @@ class Peer:
 
     def write(self, function: object, data: object, progress: Progress | None) -> Steps[int]:
         """Write data to a function; see `write_chunks`."""
+        self.check_version()
         what, opcode = self.resolve(function)
         return self._write(what, opcode, _check_transfer(data), progress)
 
     def echo(self, data: object, progress: Progress | None) -> Steps[bytes]:
         """Send data through a2jEchoMany; see `echo_chunks`. Old devices do this right."""
+        self.check_version()
         what, opcode = self.resolve(GET_ECHO_MANY)
         return self._echo(what, opcode, _check_transfer(data), progress)
 
@@ -232,6 +249,7 @@ class Peer:
         """Return how much data a chunk of a write may have, 26..249 bytes (J2A-LIMIT-007)."""
         if len(data) + MANY_HEADER > self.room:
             yield from self.learn_room()
+            self.check_version()
         return self.room - MANY_HEADER
 
     # ------------------------------------------------------------------ old devices
@@ -256,15 +274,17 @@ class Peer:
 
     def _guard_properties(self, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
         # Whether the device is an old one is in these properties; it may have been read by now.
-        is_new = PROP_SPEC.encode() in content.split(b"\0")[:-1:2]
-        if not is_new and opcode not in self._probed:
+        parts = [part.decode("utf-8", "replace") for part in content.split(b"\0")[:-1]]
+        known = Announced(dict(zip(parts[::2], parts[1::2], strict=False)))
+        if not known.has_long_offsets and opcode not in self._probed:
             yield from self._probe(GET_PROPERTIES, opcode, content, first)
 
     def _is_trusted(self, opcode: int) -> Steps[bool]:
         if opcode in self._probed:
             return True
-        properties = yield from self.read_properties()
-        return PROP_SPEC in properties
+        yield from self.read_properties()
+        self.check_version()
+        return self.announced.has_long_offsets
 
     def _probe(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
         yield from probe_offsets(what, opcode, content, first)

@@ -155,6 +155,10 @@ class Shell:
             yield from preparing(what, self._peer.check_room(what, payload))
         return what, opcode
 
+    def _read_capabilities(self) -> Steps[frozenset[str]]:
+        yield from self._read_properties()
+        return self._peer.announced.capabilities
+
     def _read_properties(self) -> Steps[dict[str, str]]:
         yield from self._load_map()
         return dict((yield from self._peer.read_properties()))

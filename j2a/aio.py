@@ -187,6 +187,13 @@ class AsyncClient(Shell):
         """
         return await self._drive(self._read_properties())
 
+    async def capabilities(self) -> frozenset[str]:
+        """Return the optional parts that the device announces (J2A-CAP-001); empty if none.
+
+        Raises: as `read_many`.
+        """
+        return await self._drive(self._read_capabilities())
+
     async def room(self) -> int:
         """Return the longest payload that a call may have, 32..255 bytes (J2A-LIMIT-006).
 

@@ -192,6 +192,16 @@ class Client(Shell):
         return self._drive(self._read_properties())
 
     @property
+    def capabilities(self) -> frozenset[str]:
+        """The optional parts that the device announces, as the tokens of `j2a.caps`.
+
+        It is empty if the device announces none. Source: J2A-CAP-001, J2A-CAP-002.
+
+        Raises: as `read_many`.
+        """
+        return self._drive(self._read_capabilities())
+
+    @property
     def room(self) -> int:
         """The longest payload that a call may have, 32..255 bytes (J2A-LIMIT-006, J2A-LIMIT-007).
 

@@ -36,6 +36,7 @@ __all__ = [
     "RegistrationError",
     "RemoteError",
     "UnknownFunction",
+    "UnsupportedVersion",
 ]
 
 
@@ -138,6 +139,12 @@ class LegacyLimit(J2AError):
     """A device of version 1.0 cannot be trusted with a transfer of this size (J2A-MANY-014)."""
 
     outcome = Outcome.ANSWERED
+
+
+class UnsupportedVersion(J2AError):
+    """The device speaks another major version, so no transfer is begun (J2A-VER-003)."""
+
+    outcome = Outcome.NOT_SENT
 
 
 class RemoteError(J2AError):

@@ -73,7 +73,7 @@ class Host:
             return "timeout"
         except j2a.LinkError:
             return "lost"
-        except (j2a.LocalError, j2a.LegacyLimit) as error:
+        except (j2a.LocalError, j2a.LegacyLimit, j2a.UnsupportedVersion) as error:
             return f"refused {error}"[:100]
         except j2a.ProtocolError as error:
             return f"failed {error}"[:100]

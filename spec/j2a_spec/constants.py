@@ -96,6 +96,9 @@ PROP_SPEC: Final = "j2a.spec"
 PROP_RXBUF: Final = "j2a.rxbuf"
 PROP_ROOM: Final = "j2a.room"
 PROP_SELFTEST: Final = "j2a.selftest"
+PROP_CAPS: Final = "j2a.caps"
+PROPERTIES: Final = frozenset({PROP_SPEC, PROP_RXBUF, PROP_ROOM, PROP_SELFTEST, PROP_CAPS})
+"""Every key that starts with `j2a.` (J2A-PROP-009)."""
 
 
 @dataclass(frozen=True, slots=True)
