@@ -41,6 +41,7 @@ from j2a.errors import (
     LegacyLimit,
     LocalError,
     OpcodeRefused,
+    Outcome,
     PayloadTooLong,
     ProtocolError,
     UnknownFunction,
@@ -154,8 +155,11 @@ class Peer:
         """How many wire bytes the device holds while it is busy; 0 when it does not say."""
         return self.announced.rxbuf
 
-    def check_version(self) -> None:
+    def check_version(self, outcome: Outcome = Outcome.NOT_SENT) -> None:
         """Refuse a transfer with a device that is known to speak another major version.
+
+        Args:
+            outcome: of the transfer so far.
 
         Raises:
             UnsupportedVersion: it does (J2A-VER-003).
@@ -164,7 +168,8 @@ class Peer:
             major, minor = self.announced.version
             raise UnsupportedVersion(
                 f"the device speaks J2A {major}.{minor}, this library {SPEC_VERSION}: a transfer "
-                "may mean something else there; update this library, or use single calls only"
+                "may mean something else there; update this library, or use single calls only",
+                outcome=outcome,
             )
 
     def learn_room(self) -> Steps[None]:
@@ -283,7 +288,7 @@ class Peer:
         if opcode in self._probed:
             return True
         yield from self.read_properties()
-        self.check_version()
+        self.check_version(Outcome.ANSWERED)
         return self.announced.has_long_offsets
 
     def _probe(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:

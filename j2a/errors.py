@@ -144,7 +144,7 @@ class LegacyLimit(J2AError):
 class UnsupportedVersion(J2AError):
     """The device speaks another major version, so no transfer is begun (J2A-VER-003)."""
 
-    outcome = Outcome.NOT_SENT
+    outcome = Outcome.ANSWERED
 
 
 class RemoteError(J2AError):

@@ -80,8 +80,10 @@ class TestAnotherMajorVersion:
             lambda: peer.write("store", content(700), None),
             lambda: peer.echo(content(700), None),
         ):
-            with pytest.raises(j2a.UnsupportedVersion, match=rf"J2A {version}, .*1\.1"):
+            with pytest.raises(j2a.UnsupportedVersion, match=rf"J2A {version}, .*1\.1") as raised:
                 drive(other._execute, steps(), requests)
+            if is_known:
+                assert raised.value.outcome is j2a.Outcome.NOT_SENT
         offsets = [int.from_bytes(r[2:6], "little") for r in requests]
         assert offsets == [] if is_known else max(offsets) <= 255
         assert not any(request[1] & FLAG_WRITE for request in requests)
