@@ -4,19 +4,24 @@ What flows in: calls from any thread, bytes from the transport. What flows out: 
 callers, SIFs to their handlers.
 Rules: one thread reads, one writes, one runs the SIF handlers in order, so a handler may itself
 call. Each caller watches its own time limit and waits for nothing else: a device that does not read
-holds up the writer only (J2A-TIME-006).
+holds up the writer only (J2A-TIME-006). The threads keep the engine alive, but neither the client
+nor its handlers, so a client that nobody uses any more can end them.
 """
 
+import logging
+import os
 import queue
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from j2a._handlers import ErrorHook, Handlers, Reporter
-from j2a._link import WAIT_S, link_error
+from j2a._link import WAIT_S
 from j2a._session import Call, Session
-from j2a._shell import MAX_SIFS_WAITING, join_threads, take_stale_input
+from j2a._shell import MAX_SIFS_WAITING, foreign_process, take_stale_input
+from j2a._threads import JOIN_S, LinkThreads, join_threads, start_thread
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
 
@@ -28,6 +33,11 @@ __all__ = ["Engine", "Handler"]
 Handler = Callable[[Sif], object]
 """Called with each SIF that it is registered for, in a thread of the client."""
 
+_LEAVE_S: Final = 0.1
+"""How long a dispatcher whose handler has not ended in time has left to do so."""
+
+_logger = logging.getLogger("j2a")
+
 
 class Engine:
     """Moves calls and SIFs between a session and a transport.
@@ -35,74 +45,103 @@ class Engine:
     Args:
         transport: is closed at the end.
         session: belongs to the engine from now on.
+        handlers: of SIFs; the engine calls them as long as somebody else keeps them.
         on_handler_error: see `Client`.
-
-    Attributes:
-        handlers: of SIFs.
     """
 
     def __init__(
         self,
         transport: "Transport",
         session: Session,
+        handlers: Handlers[Handler],
         on_handler_error: ErrorHook | None,
     ) -> None:
-        self.handlers: Handlers[Handler] = Handlers()
         self._transport = transport
         self._session = session
+        self._handlers = weakref.ref(handlers)
         self._reporter = Reporter(on_handler_error)
-        self._drops_sifs = False
+        self._process = os.getpid()
         self._sifs: queue.SimpleQueue[Sif | None] = queue.SimpleQueue()
-        self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._takes_sifs = True
+        self._drops_sifs = False
+        # Whoever takes the second holds the first while it waits, except for the reader, which only
+        # passes through: it would take the second again at once and keep all others waiting.
+        self._turn = threading.Lock()
         self._state = threading.Lock()
+        self._closing = threading.RLock()
         take_stale_input(transport, session)
-        self._threads = [
-            self._start(self._read, "reader"),
-            self._start(self._write, "writer"),
-            self._start(self._dispatch, "handlers"),
-        ]
-
-    def _start(self, target: Callable[[], None], role: str) -> threading.Thread:
-        thread = threading.Thread(
-            target=target, name=f"j2a {role} {self._transport.url}", daemon=True
-        )
-        thread.start()
-        return thread
+        self._dispatcher = start_thread(self._dispatch, f"j2a handlers {transport.url}")
+        self._link = LinkThreads(transport, self._receive, self._judge, self._end)
+        self._link.start()
 
     def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
         """Make one call, from any thread; see `Client.call`."""
+        self.check_process()
         waiter = threading.Lock()
         waiter.acquire()
         try:
-            with self._state:
+            with self._turn, self._state:
                 call = self._session.start_call(
                     what, opcode, payload, now=time.monotonic(), timeout_s=limit_s, waiter=waiter
                 )
                 self._settle([])
             self._wait(call, waiter)
         except BaseException:
-            with self._state:
+            with self._turn, self._state:
                 self._settle(self._session.cancel(waiter))
             raise
-        if call.reply is None:
-            assert call.error is not None
+        if call.error is not None:
             raise call.error
+        assert call.reply is not None
         return call.reply
 
+    def check_process(self) -> None:
+        """Refuse to work in a child process, which has the link but not the threads.
+
+        Raises:
+            LocalError: this is one.
+        """
+        if os.getpid() != self._process:
+            raise foreign_process(self._transport.url)
+
     def close(self) -> None:
-        """End all calls, drop SIFs that wait for their handlers, wait for the threads."""
-        self._drops_sifs = True
-        self._end(LinkClosed(f"{self._transport.url} was closed by this program"))
-        join_threads(self._threads)
+        """Deliver the SIFs that have come, then end all calls and the threads."""
+        if os.getpid() != self._process:
+            return  # the link is the parent's
+        if threading.current_thread() is self._dispatcher:
+            self._drops_sifs = True
+            self._finish()
+            return
+        with self._closing:
+            try:
+                if not self._session.is_closed:
+                    self._link.wait_for_look()
+                    self._finish_sifs()
+                self._dispatcher.join(JOIN_S)
+            finally:
+                self._finish()
+
+    def abandon(self) -> bool:
+        """End the link without waiting, in a destructor; tell whether it was still there."""
+        if os.getpid() != self._process or self._session.is_closed:
+            return False
+        self._link.abandon()
+        return True
 
     def _wait(self, call: Call, waiter: threading.Lock) -> None:
         while not call.has_ended:
-            wait_s = WAIT_S
+            left_s = WAIT_S
             if call.deadline is not None:
-                wait_s = min(max(0.0, call.deadline - time.monotonic()), WAIT_S)
-            if not waiter.acquire(timeout=wait_s):
-                with self._state:
-                    self._settle(self._session.handle_timeout(time.monotonic()))
+                left_s = call.deadline - time.monotonic()
+            if left_s > 0:
+                waiter.acquire(timeout=min(left_s, WAIT_S))
+            elif not waiter.acquire(timeout=self._link.look()):
+                self._judge(time.monotonic())
+
+    def _judge(self, now: float) -> None:
+        """End the calls whose time was over at `now`; what had arrived by then was taken."""
+        with self._turn, self._state:
+            self._settle(self._session.handle_timeout(now))
 
     def _settle(self, events: Iterable[Call | Sif]) -> None:
         """Wake the callers whose call has ended, queue SIFs, and send what is to be sent.
@@ -116,48 +155,84 @@ class Engine:
                 event.waiter.release()
         data = self._session.data_to_send()
         if data:
-            self._outgoing.put(data)
+            self._link.send(data)
 
-    def _read(self) -> None:
-        try:
-            while True:
-                data = self._transport.read(None)
-                with self._state:
-                    self._settle(self._session.receive(data))
-        except Exception as error:
-            self._end(link_error(error))
+    def _receive(self, piece: bytes) -> None:
+        with self._turn:
+            pass
+        with self._state:
+            self._settle(self._session.receive(piece))
 
-    def _write(self) -> None:
-        try:
-            while (data := self._outgoing.get()) is not None:
-                self._transport.write(data)
-        except Exception as error:
-            self._end(link_error(error))
+    # ------------------------------------------------------------------ SIFs
 
     def _queue_sif(self, sif: Sif) -> None:
-        if self._sifs.qsize() < MAX_SIFS_WAITING:
+        if self._takes_sifs and self._sifs.qsize() < MAX_SIFS_WAITING:
             self._sifs.put(sif)
         else:
             self._session.count("sifs_dropped")
 
+    def _finish_sifs(self) -> None:
+        """Let the dispatcher run out after the SIFs that wait."""
+        with self._turn, self._state:
+            if self._takes_sifs:
+                self._takes_sifs = False
+                self._sifs.put(None)
+
     def _dispatch(self) -> None:
         while (sif := self._sifs.get()) is not None:
-            for handler in self.handlers.of(sif.opcode):
-                if self._drops_sifs:
-                    return
-                try:
-                    handler(sif)
-                except BaseException as error:
-                    # Also sys.exit(): it would end this thread, and all SIFs with it.
-                    with self._state:
-                        self._session.count("handler_errors")
-                    self._reporter.report(error, sif)
+            self._deliver(sif)
+
+    def _deliver(self, sif: Sif) -> None:
+        handlers = self._handlers()
+        if handlers is None or self._drops_sifs:
+            self._drop()
+            return
+        for handler in handlers.of(sif.opcode):
+            try:
+                handler(sif)
+            except BaseException as error:
+                # Also sys.exit(): it would end this thread, and all SIFs with it.
+                with self._turn, self._state:
+                    self._session.count("handler_errors")
+                self._reporter.report(error, sif)
+            if self._drops_sifs:
+                return
+
+    def _drop(self) -> None:
+        with self._turn, self._state:
+            self._session.count("sifs_dropped")
+
+    def _drop_waiting(self) -> int:
+        """Count and forget the SIFs that wait, so that close may leave a handler that is stuck."""
+        dropped = 0
+        try:
+            while self._sifs.get_nowait() is not None:
+                self._drop()
+                dropped += 1
+        except queue.Empty:
+            pass
+        self._sifs.put(None)
+        return dropped
+
+    # ------------------------------------------------------------------ the end
+
+    def _finish(self) -> None:
+        """End what `close` ends: calls no handler any more after the one that runs."""
+        self._drops_sifs = True
+        self._end(LinkClosed(f"{self._transport.url} was closed by this program"))
+        dropped = self._drop_waiting()
+        if dropped:
+            _logger.warning(
+                "%s was closed before %d SIFs reached their handlers", self._transport.url, dropped
+            )
+        join_threads(self._link.threads, JOIN_S)
+        join_threads([self._dispatcher], _LEAVE_S)
 
     def _end(self, reason: LinkError | LocalError) -> None:
         """End all calls with the reason and let the threads run out."""
-        with self._state:
+        with self._turn, self._state:
             if not self._session.is_closed:
                 self._settle(self._session.close(reason))
-                self._sifs.put(None)
-                self._outgoing.put(None)
+        self._finish_sifs()
+        self._link.stop()
         self._transport.close()

@@ -5,11 +5,9 @@ several calls as generators (see `_many`), which each client drives in its own w
 """
 
 import contextlib
-import logging
 import random
-import threading
-import time
-from collections.abc import Iterable, Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final
 
 from j2a_spec.constants import (
@@ -41,11 +39,10 @@ if TYPE_CHECKING:
     from j2a_transports import Transport
 
 __all__ = [
-    "JOIN_S",
     "MAX_SIFS_WAITING",
     "Shell",
     "check_echo",
-    "join_threads",
+    "foreign_process",
     "take_stale_input",
 ]
 
@@ -56,9 +53,7 @@ MAX_DEBUG_READS: Final = 256
 """A device that writes debug text faster than it is read does not keep its reader for ever."""
 
 _FIRST_LIMIT_S: Final = 0.25
-_STALE_READS: Final = 64
-JOIN_S: Final = 5.0
-_logger = logging.getLogger("j2a")
+_STALE_BYTES: Final = 2**18
 
 
 class Shell:
@@ -92,6 +87,12 @@ class Shell:
     def __repr__(self) -> str:
         state = "open" if self.is_open else "closed"
         return f"<j2a.{type(self).__name__} {self._url} {state}>"
+
+    def __del__(self, warn: Callable[..., None] = warnings.warn) -> None:
+        # Without an engine the constructor has failed.
+        engine = getattr(self, "_engine", None)
+        if engine is not None and engine.abandon():
+            warn(f"unclosed {self!r}", ResourceWarning, source=self)
 
     # ------------------------------------------------------------------ several calls
 
@@ -195,11 +196,10 @@ def take_stale_input(transport: "Transport", session: Session) -> None:
     can have registered a handler yet.
     """
     with contextlib.suppress(Exception):  # the reader meets the same error again
-        for _ in range(_STALE_READS):
-            data = transport.read(0)
-            if not data:
-                break
+        taken = 0
+        while taken < _STALE_BYTES and (data := transport.read(0)):
             session.receive(data)
+            taken += len(data)
 
 
 def _boot_limits(total_s: float) -> Iterator[float]:
@@ -215,14 +215,12 @@ def _boot_limits(total_s: float) -> Iterator[float]:
         limit_s *= 2
 
 
-def join_threads(threads: Iterable[threading.Thread]) -> None:
-    """Wait for threads that were told to end, but not for ever: a handler may be stuck."""
-    deadline = time.monotonic() + JOIN_S
-    for thread in threads:
-        if thread is not threading.current_thread():
-            thread.join(max(0.0, deadline - time.monotonic()))
-            if thread.is_alive():
-                _logger.warning("%s is still busy after close", thread.name)
+def foreign_process(url: str) -> LocalError:
+    """Return the error for a client that is used in a child of the process that made it."""
+    return LocalError(
+        f"{url} was connected before this process was forked and belongs to its parent; "
+        "connect again in the child"
+    )
 
 
 def check_echo(reply: Reply, payload: bytes) -> bytes:

@@ -2,44 +2,34 @@
 
 What flows in: coroutines that call, bytes from the transport. What flows out: replies to the
 callers, SIFs to their handlers, which may be coroutines.
-Rules: the session lives in the event loop and nowhere else. Transports block, so one thread reads
-and one writes; they pass bytes and know nothing more, and the event loop never waits for them.
+Rules: arguments are checked before anything is sent; waiting and bytes are the engine's business.
 """
 
 import asyncio
 import contextlib
-import inspect
-import logging
-import queue
-import threading
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Self, TypeVar, overload
 
 from j2a_spec.constants import GET_ECHO
 
 from j2a._arguments import check_payload, check_timeout
-from j2a._handlers import ErrorHook, Handlers, Opcodes, Reporter, Subscription
-from j2a._link import link_error, open_transport
+from j2a._async_engine import AsyncEngine, AsyncHandler
+from j2a._handlers import ErrorHook, Handlers, Opcodes, Subscription
+from j2a._link import open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
-from j2a._session import Call
-from j2a._shell import JOIN_S, MAX_SIFS_WAITING, Shell, check_echo, join_threads, take_stale_input
+from j2a._shell import Shell, check_echo
 from j2a._trace import Trace
-from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
-from j2a.events import Reply, Sif
+from j2a.errors import J2AError
+from j2a.events import Reply
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
 __all__ = ["AsyncClient", "AsyncHandler", "aconnect"]
 
-AsyncHandler = Callable[[Sif], Awaitable[object] | object]
-"""Called in the event loop with each SIF that it is registered for; may be a coroutine function."""
-
-_logger = logging.getLogger("j2a")
 _HandlerF = TypeVar("_HandlerF", bound=AsyncHandler)
-_Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
@@ -62,20 +52,8 @@ class AsyncClient(Shell):
         on_handler_error: ErrorHook | None = None,
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
-        self._transport = transport
-        self._reporter = Reporter(on_handler_error)
-        self._drops_sifs = False
-        self._loop = asyncio.get_running_loop()
         self._handlers: Handlers[AsyncHandler] = Handlers()
-        self._sifs: asyncio.Queue[Sif | None] = asyncio.Queue()
-        self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        self._timer: asyncio.TimerHandle | None = None
-        take_stale_input(transport, self._session)
-        self._threads = [
-            self._start(self._read, "reader"),
-            self._start(self._write, "writer"),
-        ]
-        self._dispatcher = self._loop.create_task(self._dispatch())
+        self._engine = AsyncEngine(transport, self._session, self._handlers, on_handler_error)
 
     # ------------------------------------------------------------------ calls
 
@@ -99,7 +77,7 @@ class AsyncClient(Shell):
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
         what, opcode = await self._drive(self._prepare_call(function, data), timeout)
-        return await self._call(what, opcode, data, limit_s)
+        return await self._engine.call(what, opcode, data, limit_s)
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
@@ -227,23 +205,19 @@ class AsyncClient(Shell):
 
         Args, returns and raises: as `j2a.Client.on_sif`.
         """
+        self._engine.check_process()
         return self._handlers.register(opcodes, handler)
 
     # ------------------------------------------------------------------ end
 
     async def close(self) -> None:
-        """Close the link; calls that wait raise `LinkClosed`. May be called twice.
+        """Deliver the SIFs that have come, then close the link; `j2a.Client.close` for asyncio.
 
-        A SIF handler that does not end within 5 s is cancelled.
+        Where SIF handlers do not end within 5 s, the one that runs is cancelled and the SIFs that
+        are left are dropped, logged and counted (`Counters.sifs_dropped`). Calls that still wait
+        raise `LinkClosed`.
         """
-        self._drops_sifs = True
-        self._end(LinkClosed(f"{self._url} was closed by this program"))
-        await asyncio.to_thread(self._join)
-        if self._dispatcher is not asyncio.current_task():
-            _, busy = await asyncio.wait([self._dispatcher], timeout=JOIN_S)
-            if busy:
-                _logger.warning("a SIF handler of %s is cancelled: it waits after close", self._url)
-                self._dispatcher.cancel()
+        await self._engine.close()
 
     async def __aenter__(self) -> Self:
         return self
@@ -251,7 +225,7 @@ class AsyncClient(Shell):
     async def __aexit__(self, *exc_info: object) -> None:
         await self.close()
 
-    # ------------------------------------------------------------------ in the event loop
+    # ------------------------------------------------------------------ machinery
 
     async def _drive(self, steps: Steps[_Result], timeout: float | None = None) -> _Result:
         limit_s = self._limit_s(timeout)
@@ -259,7 +233,7 @@ class AsyncClient(Shell):
             ask = next(steps)
             while True:
                 try:
-                    reply = await self._call(*self._arguments(ask, limit_s))
+                    reply = await self._engine.call(*self._arguments(ask, limit_s))
                 except J2AError as error:
                     ask = steps.throw(error)
                 else:
@@ -267,110 +241,6 @@ class AsyncClient(Shell):
         except StopIteration as end:
             result: _Result = end.value
             return result
-
-    async def _call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
-        done: asyncio.Future[None] = self._loop.create_future()
-        call = self._session.start_call(
-            what, opcode, payload, now=self._loop.time(), timeout_s=limit_s, waiter=done
-        )
-        self._flush()
-        try:
-            await done
-        except asyncio.CancelledError:
-            self._settle(self._session.cancel(done))
-            raise
-        if call.reply is None:
-            assert call.error is not None
-            raise call.error
-        return call.reply
-
-    def _settle(self, events: Iterable[Call | Sif]) -> None:
-        """Wake the callers whose call has ended, queue SIFs, and send what is to be sent."""
-        for event in events:
-            if isinstance(event, Sif):
-                if self._sifs.qsize() < MAX_SIFS_WAITING:
-                    self._sifs.put_nowait(event)
-                else:
-                    self._session.count("sifs_dropped")
-            elif event.has_ended and not event.waiter.done():
-                event.waiter.set_result(None)
-        self._flush()
-
-    def _flush(self) -> None:
-        data = self._session.data_to_send()
-        if data:
-            self._outgoing.put(data)
-        due = self._session.next_timeout()
-        if due is None:
-            return
-        if self._timer is not None:
-            if self._timer.when() <= due:
-                return  # it finds out by itself that it is early
-            self._timer.cancel()
-        self._timer = self._loop.call_at(due, self._on_timer)
-
-    def _on_timer(self) -> None:
-        self._timer = None
-        self._settle(self._session.handle_timeout(self._loop.time()))
-
-    def _on_data(self, data: bytes) -> None:
-        self._settle(self._session.receive(data))
-
-    async def _dispatch(self) -> None:
-        while (sif := await self._sifs.get()) is not None:
-            for handler in self._handlers.of(sif.opcode):
-                if self._drops_sifs:
-                    return
-                try:
-                    result = handler(sif)
-                    if inspect.isawaitable(result):
-                        await result
-                except (Exception, asyncio.CancelledError) as error:
-                    # A handler may meet a cancelled future; only cancelling this task ends it.
-                    if self._dispatcher.cancelling():
-                        raise
-                    self._session.count("handler_errors")
-                    self._reporter.report(error, sif)
-
-    def _end(self, reason: LinkError | LocalError) -> None:
-        if self._session.is_closed:
-            return
-        self._settle(self._session.close(reason))
-        if self._timer is not None:
-            self._timer.cancel()
-        self._sifs.put_nowait(None)
-        self._outgoing.put(None)
-        # Closing may wait, for a child process to end for example.
-        self._threads.append(self._start(self._transport.close, "closer"))
-
-    # ------------------------------------------------------------------ in threads
-
-    def _start(self, target: Callable[[], None], role: str) -> threading.Thread:
-        thread = threading.Thread(target=target, name=f"j2a {role} {self._url}", daemon=True)
-        thread.start()
-        return thread
-
-    def _join(self) -> None:
-        join_threads(self._threads)
-
-    def _read(self) -> None:
-        try:
-            while True:
-                self._tell(self._on_data, self._transport.read(None))
-        except Exception as error:
-            self._tell(self._end, link_error(error))
-
-    def _write(self) -> None:
-        try:
-            while (data := self._outgoing.get()) is not None:
-                self._transport.write(data)
-        except Exception as error:
-            self._tell(self._end, link_error(error))
-
-    def _tell(self, target: Callable[[_Item], None], item: _Item) -> None:
-        """Have the event loop call something; a loop that was closed needs to know nothing."""
-        with contextlib.suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(target, item)
 
 
 async def aconnect(

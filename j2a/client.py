@@ -13,7 +13,7 @@ from j2a_spec.constants import GET_ECHO
 
 from j2a._arguments import check_payload, check_timeout
 from j2a._engine import Engine, Handler
-from j2a._handlers import ErrorHook, Opcodes, Subscription
+from j2a._handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a._link import open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
@@ -60,7 +60,8 @@ class Client(Shell):
         on_handler_error: ErrorHook | None = None,
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
-        self._engine = Engine(transport, self._session, on_handler_error)
+        self._handlers: Handlers[Handler] = Handlers()
+        self._engine = Engine(transport, self._session, self._handlers, on_handler_error)
 
     # ------------------------------------------------------------------ calls
 
@@ -241,12 +242,21 @@ class Client(Shell):
         Raises:
             LocalError: an argument is wrong.
         """
-        return self._engine.handlers.register(opcodes, handler)
+        self._engine.check_process()
+        return self._handlers.register(opcodes, handler)
 
     # ------------------------------------------------------------------ end
 
     def close(self) -> None:
-        """Close the link; calls that wait raise `LinkClosed`. May be called twice."""
+        """Deliver the SIFs that have come, then close the link. May be called twice.
+
+        What has arrived by now still reaches its handlers, which may use the link for that. After
+        5 s, or at once where a handler calls this itself, the SIFs that are left are dropped,
+        logged and counted (`Counters.sifs_dropped`). Calls that still wait raise `LinkClosed`.
+        After this no handler is called any more; one that is stuck is left behind.
+
+        In a process that was forked after the client was made, this does nothing.
+        """
         self._engine.close()
 
     def __enter__(self) -> Self:

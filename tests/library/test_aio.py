@@ -285,7 +285,7 @@ class TestSifs:
     async def test_a_handler_that_waits_for_ever_is_cancelled_by_close(self, closes):
         ends = []
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr("j2a.aio.JOIN_S", 0.05)
+            patched.setattr("j2a._async_engine.JOIN_S", 0.05)
             async with linked() as client:
                 started = asyncio.Event()
 
@@ -305,7 +305,7 @@ class TestSifs:
 
                 await client.call("sif", b"\x01")
                 await asyncio.wait_for(started.wait(), PATIENCE_S)
-            await asyncio.wait([client._dispatcher])
+            await asyncio.wait([client._engine.dispatcher])
         assert ends == ["cancelled"]
 
 
@@ -343,7 +343,7 @@ class TestTheEnd:
     @in_event_loop
     async def test_a_device_that_does_not_read_does_not_block_the_event_loop(self):
         async with wired() as (client, far):
-            client._transport._outgoing._limit = 3
+            client._engine._transport._outgoing._limit = 3
             call = asyncio.create_task(client.call(1, bytes(100)))
             far.write(oracle.encode(oracle.Frame(SOS, 0, 9, b"")))
             while not client.counters.sifs:

@@ -114,6 +114,17 @@ class Transport(_Closable):
             LinkClosed: this side is closed, also when that happens during the wait.
         """
 
+    def wake_reader(self) -> bool:
+        """Make the `read` that waits in another thread, or the next one, return early if it can.
+
+        That read returns what has arrived, or `b""` also where it was to wait for ever.
+
+        Returns:
+            Whether the transport can do it. It cannot where a thread of its own stands between
+            the link and `read`, because a read that finds nothing would then prove nothing.
+        """
+        return False
+
     @abstractmethod
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """Hand all of `data` to the link; returning does not mean that the peer has read it.

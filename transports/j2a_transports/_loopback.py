@@ -35,6 +35,13 @@ class Channel:
         self._changed = threading.Condition()
         self.writer_closed = False
         self.reader_closed = False
+        self._reader_woken = False
+
+    def wake_reader(self) -> None:
+        """Make the `get` that waits, or the next one, return at once."""
+        with self._changed:
+            self._reader_woken = True
+            self._changed.notify_all()
 
     def close_writer(self) -> None:
         """No more bytes will come."""
@@ -50,11 +57,15 @@ class Channel:
             self._changed.notify_all()
 
     def get(self, timeout_s: float | None) -> bytes:
-        """Take all bytes, waiting for the first; b"" at the timeout, the end, or `close_reader`."""
+        """Take all bytes, waiting for the first; b"" at the timeout, the end, or when woken."""
         with self._changed:
             self._changed.wait_for(
-                lambda: self._data or self.writer_closed or self.reader_closed, timeout_s
+                lambda: (
+                    self._data or self.writer_closed or self.reader_closed or self._reader_woken
+                ),
+                timeout_s,
             )
+            self._reader_woken = False
             data = bytes(self._data)
             self._data.clear()
             if data:
@@ -110,6 +121,11 @@ class LoopbackTransport(Transport):
             if not data:
                 raise self._lost()
         return data
+
+    def wake_reader(self) -> bool:
+        """See `Transport.wake_reader`."""
+        self._incoming.wake_reader()
+        return True
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """See `Transport.write`."""

@@ -8,6 +8,7 @@ number could be given to another file meanwhile. Windows can wait for sockets on
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import socket
@@ -29,6 +30,7 @@ class Waker:
 
     def __init__(self) -> None:
         self._receiver, self._sender = socket.socketpair()
+        self._receiver.setblocking(False)
         self._sender.setblocking(False)
 
     def fileno(self) -> int:
@@ -43,6 +45,11 @@ class Waker:
             # Full or closed: whoever waited is awake already.
             return
 
+    def reset(self) -> None:
+        """Let waits wait again."""
+        with contextlib.suppress(BlockingIOError):
+            self._receiver.recv(CHUNK)
+
     def close(self) -> None:
         """Free the descriptors."""
         self._sender.close()
@@ -54,12 +61,18 @@ class Readiness:
 
     def __init__(self, fd: int, waker: Waker, *, write: bool) -> None:
         self._fd = fd
-        self._waker = waker
+        self._wakers: list[Waker] = []
         self._write = write
         self._poll = None
         if hasattr(select, "poll"):
             self._poll = select.poll()
             self._poll.register(fd, select.POLLOUT if write else select.POLLIN)
+        self.add(waker)
+
+    def add(self, waker: Waker) -> None:
+        """Let one more waker end the waits."""
+        self._wakers.append(waker)
+        if self._poll is not None:
             self._poll.register(waker.fileno(), select.POLLIN)
 
     def wait(self, timeout_s: float | None) -> int:
@@ -85,11 +98,12 @@ class Readiness:
 
     def _select(self, timeout_s: float | None) -> int:
         wait = None if timeout_s is None else max(timeout_s, 0)
-        readers = [self._waker.fileno()] + ([] if self._write else [self._fd])
+        wakers = [waker.fileno() for waker in self._wakers]
+        readers = wakers + ([] if self._write else [self._fd])
         writers = [self._fd] if self._write else []
         readable, writable, _ = select.select(readers, writers, [], wait)
         result = 0
-        if self._waker.fileno() in readable:
+        if set(wakers) & set(readable):
             result |= WOKEN
         if self._fd in readable or writable:
             result |= READY
@@ -115,6 +129,9 @@ class PolledTransport(Transport):
         self._waker = Waker()
         self._readable = Readiness(read_fd, self._waker, write=False)
         self._writable = Readiness(write_fd, self._waker, write=True)
+        # Made by the first read without a time limit, as only such a read has to be woken.
+        self._reader_waker: Waker | None = None
+        self._reader_woken = False
         # Re-entrant, so that a signal handler may close what its own thread is reading.
         self._reading = threading.RLock()
         self._writing = threading.RLock()
@@ -129,10 +146,16 @@ class PolledTransport(Transport):
         with self._reading:
             while True:
                 self._check()
-                state = self._readable.wait(timeout_s)
+                if timeout_s is None and self._reader_waker is None:
+                    self._reader_waker = Waker()
+                    self._readable.add(self._reader_waker)
+                state = self._readable.wait(0 if self._reader_woken else timeout_s)
                 if self._closed:
                     raise LinkClosed(f"{self.url} was closed during a read")
-                if not state:
+                self._reader_woken = False
+                if state & WOKEN and self._reader_waker is not None:
+                    self._reader_waker.reset()
+                if not state & (READY | BROKEN):
                     return b""
                 try:
                     data = self._receive()
@@ -166,6 +189,13 @@ class PolledTransport(Transport):
                 if rest and not sent:
                     self._await_room(len(rest), len(data))
 
+    def wake_reader(self) -> bool:
+        """See `Transport.wake_reader`."""
+        self._reader_woken = True
+        if self._reader_waker is not None:
+            self._reader_waker.wake()
+        return True
+
     def _check(self) -> None:
         if self._closed:
             raise LinkClosed(f"{self.url} is closed")
@@ -198,6 +228,8 @@ class PolledTransport(Transport):
                 self._released = True
                 self._release()
                 self._waker.close()
+                if self._reader_waker is not None:
+                    self._reader_waker.close()
 
     def _receive(self) -> bytes:
         """Return what is there, b"" at the end; BlockingIOError when there is nothing."""

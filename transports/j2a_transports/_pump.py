@@ -89,6 +89,10 @@ class PumpedTransport(LoopbackTransport):
         self._outgoing.close_reader()
         self._finish()
 
+    def wake_reader(self) -> bool:
+        """See `Transport.wake_reader`; the source may have bytes that its thread has not."""
+        return False
+
     def close(self) -> None:
         """See `Transport.close`."""
         super().close()

@@ -1,0 +1,177 @@
+"""The threads that move bytes between a client and its transport.
+
+What flows in: bytes to send, bytes from the transport, questions whether a reply has arrived. What
+flows out: received bytes in small pieces, and the reason for which the link has ended.
+Rules: one thread reads, one writes; they know no packet. The reading thread hands over one piece
+after the other and reads no further meanwhile, so a flood waits in the transport. A time limit is
+judged only after a look: the reading thread has taken what had arrived by then.
+"""
+
+import contextlib
+import logging
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Final
+
+from j2a._link import link_error
+from j2a.errors import LinkClosed, LinkError, LocalError
+
+if TYPE_CHECKING:
+    from j2a_transports import Transport
+
+__all__ = ["JOIN_S", "LOOK_S", "PIECE", "LinkThreads", "join_threads", "start_thread"]
+
+PIECE: Final = 4096
+"""Bytes handed over at once; the worst ones take about 10 ms to parse."""
+
+LOOK_S: Final = 0.04
+"""Where bytes never end, a look is over after so many seconds."""
+
+_PATIENCE_S: Final = 1.0
+"""How long a reading thread that was woken may take to be scheduled."""
+
+JOIN_S: Final = 5.0
+"""How long a client that is closed waits for its SIF handlers, and then for its threads."""
+
+_logger = logging.getLogger("j2a")
+
+
+class LinkThreads:
+    """Reads and writes a transport in two threads.
+
+    Args:
+        transport: is closed when a thread fails.
+        receive: called by the reading thread with 1 to `PIECE` bytes; may wait.
+        looked: called by the reading thread with a time (time.monotonic) once everything that had
+            arrived by then was given to `receive`.
+        ended: called by a thread that ends, with the reason; perhaps by both.
+    """
+
+    def __init__(
+        self,
+        transport: "Transport",
+        receive: Callable[[bytes], None],
+        looked: Callable[[float], None],
+        ended: Callable[[LinkError | LocalError], None],
+    ) -> None:
+        self._transport = transport
+        self._receive = receive
+        self._looked = looked
+        self._ended = ended
+        self._outgoing: queue.SimpleQueue[bytes | LinkClosed | None] = queue.SimpleQueue()
+        self._changed = threading.Condition()
+        self._asked = self._answered = 0
+        self._asked_at = math.inf
+        self._is_reading = True
+        self.threads: list[threading.Thread] = []
+
+    def start(self) -> None:
+        """Start both threads."""
+        self.threads += [
+            start_thread(self._read, f"j2a reader {self._transport.url}"),
+            start_thread(self._write, f"j2a writer {self._transport.url}"),
+        ]
+
+    def send(self, data: bytes) -> None:
+        """Have bytes written; does not wait."""
+        self._outgoing.put(data)
+
+    def stop(self) -> None:
+        """Let the writing thread run out; the reading one ends when the transport is closed."""
+        self._outgoing.put(None)
+
+    def abandon(self) -> None:
+        """End the link without waiting. Safe in a destructor, which any thread may run anywhere."""
+        self._outgoing.put(LinkClosed(f"{self._transport.url} was dropped without close"))
+
+    def look(self) -> float:
+        """Ask the reading thread to take what has arrived; it calls `looked` then.
+
+        Returns: for how many seconds the answer is worth waiting for. Some transports have a thread
+            of their own between the link and `read`, which cannot be asked: without an answer, what
+            had arrived has come through by then.
+        """
+        if not hasattr(self._transport, "wake_reader"):
+            return LOOK_S
+        with self._changed:
+            if self._asked == self._answered:
+                self._asked_at = time.monotonic()
+            self._asked += 1
+        if self._transport.wake_reader():
+            return _PATIENCE_S
+        return LOOK_S
+
+    def wait_for_look(self) -> None:
+        """Wait until what has arrived was taken, or for as long as `look` says."""
+        limit_s = self.look()
+        asked = self._asked
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._answered >= asked or not self._is_reading, timeout=limit_s
+            )
+
+    # ------------------------------------------------------------------ in the threads
+
+    def _read(self) -> None:
+        try:
+            while True:
+                asked, now = self._asked, time.monotonic()
+                is_asked = asked != self._answered
+                data = self._transport.read(0 if is_asked else None)
+                if is_asked and not data:
+                    self._answer(asked, now)
+                for start in range(0, len(data), PIECE):
+                    self._receive(data[start : start + PIECE])
+                    now = time.monotonic()
+                    if now >= self._asked_at + LOOK_S:
+                        self._answer(self._asked, now)
+        except Exception as error:
+            self._end(link_error(error))
+        finally:
+            with self._changed:
+                self._is_reading = False
+                self._changed.notify_all()
+
+    def _answer(self, asked: int, now: float) -> None:
+        self._looked(now)
+        with self._changed:
+            self._answered = asked
+            self._asked_at = math.inf if asked == self._asked else now
+            self._changed.notify_all()
+
+    def _write(self) -> None:
+        try:
+            while (data := self._outgoing.get()) is not None:
+                if isinstance(data, LinkClosed):
+                    self._end(data)
+                    return
+                self._transport.write(data)
+        except Exception as error:
+            # The other side may have answered before it went away.
+            self.wait_for_look()
+            self._end(link_error(error))
+
+    def _end(self, reason: LinkError | LocalError) -> None:
+        self._ended(reason)
+        with contextlib.suppress(Exception):  # it has failed already
+            self._transport.close()
+
+
+def start_thread(target: Callable[[], None], name: str) -> threading.Thread:
+    """Start a thread that does not keep the program alive."""
+    thread = threading.Thread(target=target, name=name, daemon=True)
+    thread.start()
+    return thread
+
+
+def join_threads(threads: Iterable[threading.Thread], limit_s: float) -> None:
+    """Wait for threads that were told to end, but not for ever."""
+    deadline = time.monotonic() + limit_s
+    for thread in threads:
+        if thread is not threading.current_thread():
+            thread.join(max(0.0, deadline - time.monotonic()))
+            if thread.is_alive():
+                _logger.warning("%s is still busy after close", thread.name)
