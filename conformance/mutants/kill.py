@@ -1,8 +1,9 @@
 """Proves that the suite notices: `python conformance/mutants/kill.py`.
 
 What flows in: the tables, and `matrix.json`. What flows out: what each mutant was killed by, and an
-exit code: 0 when each of them was. Rules: the targets without a mutant pass the same cases in the
-same run, else a failure would prove nothing; a mutant that survives, and a requirement without
+exit code: 0 when each of them was; with `--dimensions` the same for the generated mutants of
+`dimensional`, of which nothing is kept. Rules: the targets without a mutant pass the same cases in
+the same run, else a failure would prove nothing; a mutant that survives, and a requirement without
 mutant or exception, are each a failure; so is a run in which there was nothing to judge. To save
 time a mutant that `matrix.json` knows is judged first by the cases that kill it there, the quickest
 first, and one is enough. Only when none of them fails, all cases of the rule are done, twice if
@@ -17,10 +18,11 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 
+import dimensional
 import matrix
 from matrix import Row
 from tables import TARGETS, Mutant, Table, TableError, load
-from targets import Job, Outcome, Variant, cases, judge, variant
+from targets import Job, Outcome, Variant, cases, judge, prepare, variant
 
 __all__ = ["main"]
 
@@ -40,6 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
     args = _parser().parse_args(argv)
     try:
+        if args.dimensions:
+            return _dimensions(args)
         tables = [load(target) for target in TARGETS]
         chosen = _chosen(tables, args.target, args.only)
     except TableError as error:
@@ -93,8 +97,55 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "-j", "--jobs", type=_count, default=_JOBS, metavar="N", help=f"mutants at a time ({_JOBS})"
     )
+    parser.add_argument(
+        "--dimensions",
+        action="store_true",
+        help="the generated mutants, which break a rule only under a condition",
+    )
+    parser.add_argument(
+        "--sample", type=_count, metavar="N", help="with --dimensions: so many of each target"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the sample (0)")
     parser.add_argument("-v", "--verbose", action="store_true", help="show each mutant as it ends")
     return parser
+
+
+def _dimensions(args: argparse.Namespace) -> int:
+    """Judge the dimensional mutants, all or a sample; return the exit code."""
+    chosen = []
+    for target in args.target or dimensional.TARGETS:
+        mutants = dimensional.generate(target)
+        if args.only:
+            mutants = [mutant for mutant in mutants if any(map(mutant.id.startswith, args.only))]
+        if args.sample:
+            mutants = dimensional.sample(mutants, args.sample, args.seed)
+        chosen += [(target, mutant) for mutant in mutants]
+    args.all_cases = args.write = False
+    known = matrix.read(matrix.MATRIX) if matrix.MATRIX.exists() else {}
+    found = _judge_all(chosen, _likely(chosen, known), args)
+    killed = [
+        m.id
+        for target, m in chosen
+        if m.id in found.outcomes
+        and matrix.killers(m.requirement, found.outcomes[m.id].failed, cases(target))
+    ]
+    problems = [f"{m.id}: survives: {m.what}" for _, m in chosen if m.id not in killed]
+    for problem in found.problems + problems:
+        print(problem)
+    print(f"{len(chosen)} dimensional mutants, {len(killed)} killed")
+    return 1 if found.problems or problems or not chosen else 0
+
+
+def _likely(chosen: Iterable[tuple[str, Mutant]], rows: dict[str, Row]) -> dict[str, Row]:
+    """Return rows for mutants that `matrix.json` does not have: first what kills their like."""
+    found = {}
+    for target, mutant in chosen:
+        like = [row for row in rows.values() if row.requirement == mutant.requirement]
+        first = dict.fromkeys(name for row in like for name in row.killed_by[:3])
+        naming = matrix.killers(mutant.requirement, cases(target), cases(target))
+        order = [name for name in first if name in naming]
+        found[mutant.id] = matrix.row(mutant, (*order, *sorted(naming.difference(order))))
+    return found
 
 
 def _count(text: str) -> int:
@@ -118,7 +169,9 @@ def _chosen(
     return [(target, mutant) for target, mutant in chosen if mutant.id in only]
 
 
-def _jobs(chosen: Iterable[tuple[str, Mutant]], kept: dict[str, Row], every: bool) -> Iterator[Job]:
+def _jobs(
+    chosen: Iterable[tuple[str, Mutant]], kept: dict[str, Row], every: bool, quick: bool
+) -> Iterator[Job]:
     for target, mutant in chosen:
         known = cases(target)
         if every:
@@ -127,7 +180,7 @@ def _jobs(chosen: Iterable[tuple[str, Mutant]], kept: dict[str, Row], every: boo
             named = kept[mutant.id].killed_by
         else:
             named = tuple(sorted(matrix.killers(mutant.requirement, known, known)))
-        yield Job(variant(target, mutant), mutant, named, every)
+        yield Job(variant(target, mutant), mutant, named, every, quick)
 
 
 def _judge_all(
@@ -135,7 +188,8 @@ def _judge_all(
 ) -> Found:
     """Judge the mutants, and the targets without one by all cases that were of use."""
     found = Found()
-    jobs = list(_jobs(chosen, kept, args.all_cases or args.write))
+    jobs = list(_jobs(chosen, kept, args.all_cases or args.write, args.dimensions))
+    prepare(job.how for job in jobs)
     passed: defaultdict[Variant, set[str]] = defaultdict(set)
     for job in jobs:
         passed[job.how].update(job.cases)

@@ -37,7 +37,6 @@ TARGETS: Final = {
 """What can be mutated, each with the files and folders that its edited copy is made of."""
 
 _ID: Final = re.compile(r"(?P<target>[a-z]+)-(?P<rule>[a-z]+-\d{3})(-[a-z])?")
-_IGNORED: Final = shutil.ignore_patterns("__pycache__")
 
 
 class TableError(Exception):
@@ -162,7 +161,7 @@ def copy(target: str, mutant: Mutant | None, folder: Path) -> None:
         source, copied = ROOT / name, folder / name
         copied.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():
-            shutil.copytree(source, copied, ignore=_IGNORED)
+            shutil.copytree(source, copied)  # with the times, and what was compiled already
         else:
             shutil.copy2(source, copied)
     for edit in mutant.edits if mutant else ():

@@ -7,11 +7,14 @@ before a mutant survives, because a stall of this machine can hide a kill. Each 
 its own, so that jobs can run side by side.
 """
 
+import compileall
 import os
+import re
 import shlex
+import shutil
 import subprocess
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +28,7 @@ from j2a_transports import Transport
 from matrix import killers
 from tables import ROOT, Mutant, TableError, copy
 
-__all__ = ["Job", "Outcome", "Variant", "cases", "judge", "variant"]
+__all__ = ["Job", "Outcome", "Variant", "cases", "judge", "prepare", "variant"]
 
 _DEVICE_CASES: Final = {case.ID: case for case in (*SMOKE, *load())}
 _HOST_CASES: Final = {case.ID: case for case in (host.START, *host.load())}
@@ -63,12 +66,14 @@ class Job:
         cases: ids of the cases, in the order in which they are tried; those of the smoke step run
             in any case.
         every: do all cases at once and again those that fail, instead of one by one up to a kill.
+        quick: do all cases in one run up to the first that fails.
     """
 
     how: Variant
     mutant: Mutant | None
     cases: tuple[str, ...]
     every: bool = False
+    quick: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +146,8 @@ class _Trial:
         naming = sorted(killers(mutant.requirement, known, known))
         if self._job.every:
             return self._twice(naming)
+        if self._job.quick:
+            return self._first(self._job.cases)
         for attempt in range(_ATTEMPTS):
             try:
                 for name in naming if attempt else self._job.cases:
@@ -164,8 +171,12 @@ class _Trial:
 
     def _failed(self, name: str) -> tuple[str, ...]:
         """Do one case; return what failed, unless the target is gone."""
+        return self._first((name,))
+
+    def _first(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Do cases in this order up to a failure; return what failed, unless the target is gone."""
         heard = _Heard()
-        failed = self._run((name,), heard).with_verdict(Verdict.FAILED)
+        failed = self._run(names, heard).with_verdict(Verdict.FAILED)
         if died := [result for result in failed if _died(result)]:
             self.gone = f"it died in {died[0].case}: {died[0].reason}"
         elif failed and heard.is_silent:
@@ -174,7 +185,7 @@ class _Trial:
             return tuple(result.case for result in failed)
         return ()
 
-    def _run(self, names: Collection[str], heard: "_Heard | None" = None) -> Run:
+    def _run(self, names: Sequence[str], heard: "_Heard | None" = None) -> Run:
         self.tried.update(names)
         path = self.folder / "stderr"
         with _stderr_in(path):
@@ -183,17 +194,19 @@ class _Trial:
             raise TableError(f"an exception that is no breach of this rule:\n{printed}")
         return found
 
-    def _suite(self, names: Collection[str], heard: "_Heard") -> Run:
-        how = self._job.how
+    def _suite(self, names: Sequence[str], heard: "_Heard") -> Run:
+        how, quick = self._job.how, self._job.quick
+        rule = self._job.mutant.requirement if self._job.mutant and not quick else ""
         if how.target == "host":
-            return _host(how, _ordered(_HOST_CASES, names, self._job.mutant), self.folder)
+            return _host(how, _ordered(_HOST_CASES, names, rule), self.folder, quick)
         url, scale = _device(how, self.folder)
         return run(
             lambda: heard.listen(j2a_transports.open(url)),
-            _ordered(_DEVICE_CASES, names, self._job.mutant),
+            _ordered(_DEVICE_CASES, names, rule),
             url=url,
             timeout_scale=scale,
             fresh=True,
+            stop_on_failure=quick,
             on_result=heard.judged,
         )
 
@@ -235,15 +248,42 @@ def _died(result: Result) -> bool:
     return result.reason.startswith(_DIED)
 
 
+def prepare(hows: Iterable[Variant]) -> None:
+    """Build each variant once without an edit, so that a mutant compiles only what it changes.
+
+    Raises:
+        TableError: it is not built.
+    """
+    for how in set(hows):
+        if how.target == "core":
+            built = _built(how)
+            built.mkdir(parents=True, exist_ok=True)
+            _make(how, ROOT / "firmware", built)
+        else:
+            compileall.compile_dir(ROOT / "j2a", quiet=2)
+
+
+def _built(how: Variant) -> Path:
+    """Return the folder of the objects of a variant."""
+    name = f"{how.port} {how.app} {how.options}".strip()
+    return ROOT / "build/mutants" / re.sub(r"[^\w=-]+", "_", name)
+
+
 def _build(how: Variant, folder: Path) -> None:
-    """Build the firmware in `folder`."""
+    """Build the firmware in `folder`; what has the time of its source is not compiled again."""
+    if (built := _built(how)).is_dir():
+        shutil.copytree(built, folder / "out")
+    _make(how, folder / "firmware", folder / "out")
+
+
+def _make(how: Variant, source: Path, out: Path) -> None:
     # A make that runs this must not hand its variables and its job server to the make below.
     env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
-    settings = [f"PORT={how.port}", f"APP={how.app}", f"OPTIONS={how.options}", f"OUT={folder}/out"]
+    settings = [f"PORT={how.port}", f"APP={how.app}", f"OPTIONS={how.options}", f"OUT={out}"]
     if how.port == "posix":
         settings.append("CFLAGS=-O0")  # is built fastest
     done = subprocess.run(
-        ["make", "-s", "-C", folder / "firmware", *settings],
+        ["make", "-s", "-C", source, *settings],
         env=env,
         capture_output=True,
         text=True,
@@ -267,12 +307,12 @@ def _device(how: Variant, folder: Path) -> tuple[str, float]:
     return f"sim:{folder}/out/{how.app}.elf", 1.0
 
 
-def _host(how: Variant, chosen: list[host.HostCase], folder: Path) -> Run:
+def _host(how: Variant, chosen: list[host.HostCase], folder: Path, quick: bool) -> Run:
     """Judge the host library of `folder`, by one of its clients."""
     path = ROOT / f"conformance/hosts/{how.program}.py"
     program = host.Program(_python(folder, "-c", _SEEDED, str(path)))
     with host.Listening("tcp://127.0.0.1:0", program, _START_S) as place:
-        return host.run(place, chosen, timeout_scale=_HOST_SCALE)
+        return host.run(place, chosen, timeout_scale=_HOST_SCALE, stop_on_failure=quick)
 
 
 def _python(folder: Path, *arguments: str) -> list[str]:
@@ -280,11 +320,10 @@ def _python(folder: Path, *arguments: str) -> list[str]:
     return ["env", f"PYTHONPATH={folder}", sys.executable, "-P", *arguments]
 
 
-def _ordered(
-    known: Mapping[str, _AnyCase], names: Collection[str], mutant: Mutant | None
-) -> list[_AnyCase]:
-    """Return the cases, first those of the rule: a mutant may be lost on the way."""
-    rule = mutant.requirement if mutant else ""
+def _ordered(known: Mapping[str, _AnyCase], names: Collection[str], rule: str) -> list[_AnyCase]:
+    """Return the cases, those of a rule first: a mutant may be lost on the way."""
+    if not rule:
+        return [known[name] for name in names]
     found = [case for name, case in known.items() if name in names]
     return sorted(found, key=lambda case: rule not in case.REQUIREMENTS)
 
