@@ -153,6 +153,7 @@ class FunctionTable:
         self.add_call(GET_MAPPING, lambda _payload: self._mapping)
         self.add_call(MANY, lambda _payload: RET_FAILED)  # is never called: see `execute`
         self._many_opcode = len(self.names) - 1
+        self._properties_opcode = len(self.names)
         self.add_many(
             GET_PROPERTIES,
             lambda request: (
@@ -196,6 +197,8 @@ class FunctionTable:
     def execute(self, opcode: int, payload: bytes) -> Reply:
         """Return the reply to a request, error replies included."""
         function = self._calls.get(opcode)
+        if opcode == self._properties_opcode:
+            return Reply(RET_FAILED, b"")  # a host of 2014 asks so and gives up on an error
         if function is None:
             return _refuse(SITE_KIND if opcode in self._manys else SITE_OPCODE)
         if len(payload) > self._room:

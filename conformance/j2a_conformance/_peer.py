@@ -34,7 +34,7 @@ _ATTEMPTS = 6
 _UNHURRIED = 25  # of the attempts on a lossy link, each so-many-th waits for a slow answer
 _LOSSY_ROOM = 256
 MANY_ONLY = frozenset({c.GET_PROPERTIES, c.GET_ECHO_MANY, "store"})
-"""Functions made for a2jMany, which refuse a direct call."""
+"""Functions made for a2jMany, which cannot be called directly."""
 _Result = TypeVar("_Result")
 
 

@@ -144,7 +144,10 @@ class ReferenceDevice:
             self.reply(seq, self.limited(code), answer)
 
     def refuse(self, seq: int, opcode: int, payload: bytes) -> None:
-        self.error(seq, c.ERR_OPCODE)
+        if self.name_of(opcode) == c.GET_PROPERTIES:
+            self.reply(seq, c.RET_FAILED, b"")
+        else:
+            self.error(seq, c.ERR_OPCODE)
 
     def too_long(self, name: str, payload: bytes) -> tuple[int, bytes]:
         return c.RET_FAILED, b""

@@ -9,6 +9,9 @@
 /* What waits for j2a_process(): nothing, a frame, or the error code to be sent (0xF0 and up). */
 enum { J2A_EVENT_NONE, J2A_EVENT_FRAME };
 
+/* Of a2jGetProperties where it is built in: only a2jGetMapping and a2jMany stand before it (J2A-DISP-009). */
+enum { J2A_PROPERTIES_OPCODE = 2 };
+
 /* The state of one link, most of it the parser's. Bytes are refused while an event waits, so the frame
  * stays as it is. */
 typedef struct {

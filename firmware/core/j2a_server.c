@@ -64,8 +64,16 @@ static uint8_t execute(uint8_t opcode, uint8_t *length, uint8_t **payload) {
     const uint8_t site = j2a_find(opcode, J2A_KIND_CALL, &function);
     uint8_t code;
 
-    if (site != 0)
-        return j2a_error(J2A_ERR_OPCODE, site, length, *payload);
+    if (site != 0) {
+        code = j2a_error(J2A_ERR_OPCODE, site, length, *payload);
+#if J2A_WITH_PROPERTIES
+        if (opcode == J2A_PROPERTIES_OPCODE) { /* a host of 2014 asks so and gives up on an error */
+            *length = 0;
+            code = J2A_RET_FAILED;
+        }
+#endif
+        return code;
+    }
 #if J2A_ROOM < J2A_MAX_PAYLOAD
     if (*length > J2A_ROOM) {
         *length = 0;

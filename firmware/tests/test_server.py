@@ -115,10 +115,16 @@ def test_echo_many(call):
 
 
 def test_opcodes_out_of_range_and_of_the_wrong_kind(call, error):
-    wrong = [len(NAMES), 255, c.GET_PROPERTIES, c.GET_ECHO_MANY, "store"]
-    sites = [c.SITE_OPCODE] * 2 + [c.SITE_KIND] * 3
+    wrong = [len(NAMES), 255, c.GET_ECHO_MANY, "store"]
+    sites = [c.SITE_OPCODE] * 2 + [c.SITE_KIND] * 2
     assert call(*[(function, b"") for function in wrong]) == [
         error(seq, c.ERR_OPCODE, site) for seq, site in enumerate(sites)
+    ]
+
+
+def test_properties_called_directly_fail(call):
+    assert call(*[(c.GET_PROPERTIES, bytes(n)) for n in (0, 6, 255)]) == [
+        reply(seq, c.RET_FAILED) for seq in range(3)
     ]
 
 

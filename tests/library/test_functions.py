@@ -107,7 +107,10 @@ class TestBuiltIns:
 
 
 class TestRefusals:
-    @pytest.mark.parametrize("opcode", [2, 5, 6, 0xED, 0xFF])
+    def test_properties_called_directly_fail(self, table):
+        assert [table.execute(2, bytes(n)) for n in (0, 6, 255)] == [(0xFF, b"")] * 3
+
+    @pytest.mark.parametrize("opcode", [5, 6, 0xED, 0xFF])
     def test_what_cannot_be_called_directly(self, table, opcode):
         code, payload = table.execute(opcode, b"")
         assert code == 0xF0

@@ -89,8 +89,12 @@ class TestDevice:
         assert seen == [bytes(room)]
         for opcode in (0, 1, ECHO_OPCODE):
             assert device._execute(opcode, bytes(room + 1)) == (RET_FAILED, b"")
-        for opcode in (device.functions[GET_PROPERTIES], 200):
-            assert device._execute(opcode, bytes(room + 1))[0] == ERR_OPCODE
+        for length in (0, 6, room, room + 1):  # J2A-PROP-008
+            assert device._execute(device.functions[GET_PROPERTIES], bytes(length)) == (
+                RET_FAILED,
+                b"",
+            )
+        assert device._execute(200, bytes(room + 1))[0] == ERR_OPCODE
 
     def test_it_is_announced_where_it_is_small(self):
         assert b"j2a.room\x0032\0" in device_properties(j2a.Device(room=32))
@@ -136,7 +140,7 @@ class TestCalls:
 
     def test_less_than_every_device_has(self, talk):
         client, _ = talk(DemoDevice({"j2a.room": "7"}))
-        assert client.room == 32
+        assert client.room == 255  # J2A-LIMIT-009
 
     @pytest.mark.parametrize("properties", [b"key", b"\0\0", b"a\0b\0a\0c\0"])
     def test_properties_that_cannot_be_read(self, talk, properties):

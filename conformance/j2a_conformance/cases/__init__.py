@@ -9,6 +9,7 @@ from functools import cache
 from j2a_conformance._case import Case, of_module
 
 from . import (
+    announced,
     debug,
     dispatch,
     errors,
@@ -23,6 +24,7 @@ from . import (
     stuffing,
     sums,
     timing,
+    transfers,
 )
 
 __all__ = ["load"]
@@ -36,7 +38,9 @@ _MODULES = (
     errors,
     mapping,
     many,
+    transfers,
     properties,
+    announced,
     debug,
     sif,
     timing,

@@ -135,7 +135,7 @@ class ReservedValues(Case):
 
     ID = "dispatch.reserved-values"
     EXPECTATION = "0xFF in each reply, so that no function can imitate an error of the protocol."
-    REQUIREMENTS = ("J2A-DISP-004",)
+    REQUIREMENTS = ("J2A-DISP-004", "J2A-ERR-011")
     LEVEL = "core"
     NEEDS = ("ret",)
 

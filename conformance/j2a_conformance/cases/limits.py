@@ -193,7 +193,8 @@ class Room(Case):
         for opcode in peer.out_of_range()[-1:]:
             peer.ask(peer.request(opcode, bytes(length), c.ERR_OPCODE))
         for name in sorted(n for n in MANY_ONLY if peer.has(n)):
-            peer.ask(peer.request(peer.opcode(name), bytes(length), c.ERR_OPCODE))
+            code = c.RET_FAILED if name == c.GET_PROPERTIES else c.ERR_OPCODE
+            peer.ask(peer.request(peer.opcode(name), bytes(length), code))
         seq, opcode, payload = peer.seq(), peer.opcode(c.GET_ECHO), b"w" * length
         wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x04)
         peer.play(wire, refusal(seq, c.ERR_CHECKSUM), alone=True)

@@ -18,8 +18,6 @@ __all__ = ["Rules", "Stream", "difference"]
 Stream = tuple[bytes, ...]
 """Bytes to a device; between two segments there is a pause."""
 
-_MANY_ONLY = frozenset({c.GET_PROPERTIES, c.GET_ECHO_MANY})
-
 
 class Rules:
     """The replies that a device owes.
@@ -89,7 +87,9 @@ class Rules:
         if frame.opcode >= len(functions):
             return refusal(seq, c.ERR_OPCODE) if self.claims.mapped else Expected(seq)
         name = functions[frame.opcode]
-        if name in _MANY_ONLY or (name == c.GET_MAPPING and not self.claims.mapped):
+        if name == c.GET_PROPERTIES:
+            return Expected(seq, c.RET_FAILED, b"")
+        if name == c.GET_ECHO_MANY or (name == c.GET_MAPPING and not self.claims.mapped):
             return refusal(seq, c.ERR_OPCODE)
         if len(frame.payload) > self.longest:
             return Expected(seq) if name not in c.BUILTINS else Expected(seq, c.RET_FAILED, b"")

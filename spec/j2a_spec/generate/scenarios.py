@@ -69,7 +69,7 @@ _LONG = 80
 
 def scenarios() -> list[Scenario]:
     """Return every scenario, in a fixed order."""
-    rows = [*_good(), *_bad(), *_interrupted(), *_timed()]
+    rows = [*_good(), *_bad(), *_interrupted(), *_timed(), *_added()]
     return [
         Scenario(
             f"scenario-{number:03}",
@@ -288,5 +288,82 @@ def _timed() -> list[_Row]:
             "a long pause between requests",
             "TIME-007",
             [_send(1), _echo(1), _pause(150), _QUIET, _send(2), _echo(2), _QUIET],
+        ),
+    ]
+
+
+def _added() -> list[_Row]:
+    """What came later. Behind the others, whose numbers stay as they are."""
+    rows: list[_Row] = [
+        (
+            "a2jGetProperties, called directly",
+            "PROP-008",
+            [
+                step
+                for seq, payload in enumerate((b"", bytes(6), bytes(range(255))), 1)
+                for step in (
+                    {"send": _request(seq, payload, c.GET_PROPERTIES)},
+                    {"expect": {"seq": seq, "code": c.RET_FAILED, "payload": ""}},
+                )
+            ]
+            + [_QUIET],
+        ),
+    ]
+    for seq in (c.SOF, c.SOS, c.ESC):
+        rows += [
+            (
+                f"a request cut inside its stuffed seq 0x{seq:02X}: the seq had not come",
+                "ERR-003 ERR-005 FRAME-007",
+                [_send(seq, cut=2), _send(2), _echo(2), _QUIET],
+            ),
+            (
+                f"a request cut behind its stuffed seq 0x{seq:02X}: the seq had come",
+                "ERR-003 ERR-005 FRAME-007",
+                [_send(seq, cut=3), _send(2), _error(seq, c.ERR_FRAMING), _echo(2), _QUIET],
+            ),
+            (
+                f"a request that stops inside its stuffed seq 0x{seq:02X}",
+                "TIME-002 ERR-005",
+                [_send(seq, cut=2), _pause(_LONG), _QUIET, _send(2), _echo(2)],
+            ),
+            (
+                f"a request that stops behind its stuffed seq 0x{seq:02X}",
+                "TIME-002 ERR-005",
+                [
+                    _send(seq, cut=3),
+                    _pause(_LONG),
+                    _error(seq, c.ERR_TIMEOUT),
+                    _QUIET,
+                    _send(2),
+                    _echo(2),
+                ],
+            ),
+        ]
+    return [
+        *rows,
+        (
+            "an error reply keeps its place among replies",
+            "ERR-012 DISP-001",
+            [
+                _send(1, b"a"),
+                _send(2, b"b", xor=[[-1, 1]]),
+                _send(3, b"c"),
+                _echo(1, b"a"),
+                _error(2, c.ERR_CHECKSUM),
+                _echo(3, b"c"),
+                _QUIET,
+            ],
+        ),
+        (
+            "a2jMany with a short header answers without payload",
+            "MANY-003 MANY-015",
+            [
+                step
+                for length in range(c.MANY_HEADER)
+                for step in (
+                    {"send": _request(length, bytes((5,) * length), c.MANY)},
+                    {"expect": {"seq": length, "code": c.RET_FAILED, "payload": ""}},
+                )
+            ],
         ),
     ]
