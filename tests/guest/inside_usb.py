@@ -238,7 +238,9 @@ class TestBoards:
             "except j2a_transports.OpenFailed as error:\n"
             "    print(error)\n"
         )
+        # The capability lets nobody read a repository in a private home, and write nothing.
         nobody = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+        nobody += ["--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search"]
         with accepted(gadget):
             plugged()
             done = subprocess.run(

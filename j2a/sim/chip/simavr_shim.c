@@ -19,6 +19,7 @@
 #include "grown.h"
 #include "interrupts.h"
 #include "mcu.h"
+#include "memory.h"
 #include "signature.h"
 #include "usart.h"
 #include "usb_host.h"
@@ -232,6 +233,8 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
         return failed(s, error, error_size, text);
     }
     avr_init(avr);
+    if (memory_widen(avr))
+        return failed(s, error, error_size, "out of memory");
     mcu_mend(&s->mcu, avr);
     s->signature.avr = avr;
     avr->custom.data = s;
@@ -240,6 +243,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     avr->run = run_burst;
     avr->run_cycle_limit = frequency_hz / 100;
     avr_loadcode(avr, flash, flash_size, 0);
+    memory_mirror(avr);
     avr->codeend = flash_size;
 
     avr_uart_t *port = find_uart(avr, uart);
