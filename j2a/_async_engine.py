@@ -95,10 +95,12 @@ class AsyncEngine:
         self.check_process()
         self._check_loop()
         done: asyncio.Future[None] = self._loop.create_future()
-        call = self._session.start_call(
-            what, opcode, payload, now=self._loop.time(), timeout_s=limit_s, waiter=done
-        )
-        self._flush()
+        try:
+            call = self._session.start_call(
+                what, opcode, payload, now=self._loop.time(), timeout_s=limit_s, waiter=done
+            )
+        finally:
+            self._flush()  # where the link is stalled, a barrier
         try:
             await done
         except asyncio.CancelledError:

@@ -2,70 +2,45 @@
 
 What flows in: calls to make, bytes that arrived, the time. What flows out: bytes to send, calls
 that were sent or have ended, and SIFs.
-Rules: no clock, no thread, no file. `window` calls at most are on the wire, the others wait in
-order. Each attempt takes a new seq. A reply answers the call that is on the wire with its seq and
-no other; anything else is dropped and counted. Every call ends.
+Rules: no clock, no thread, no file, no randomness of its own. `window` calls at most are on the
+wire, the others wait in order. Each attempt takes a new seq, never one that is outstanding. A reply
+answers the call that is on the wire with its seq and no other; anything else is dropped and
+counted. Every call ends.
 """
 
-from collections import deque
-from dataclasses import dataclass
+from collections import OrderedDict
+from collections.abc import Callable
 from typing import Any, Final, Literal
 
-from j2a_spec.constants import ERR_OPCODE, ERRORS, SOF, SOS
+from j2a_spec.constants import (
+    ECHO,
+    ERR_CHECKSUM,
+    ERR_FRAMING,
+    ERR_OPCODE,
+    ERR_TIMEOUT,
+    RET_FAILED,
+    RET_MAX,
+    SOF,
+    SOS,
+)
 
+from j2a._call import Call, Deadlines
 from j2a._codec import encode
 from j2a._deframer import Deframer
 from j2a._trace import Trace, Tracer
-from j2a.errors import CallTimeout, J2AError, Outcome, remote_error
+from j2a.errors import CallTimeout, J2AError, LinkStalled, Outcome, ProtocolError, remote_error
 from j2a.events import Counters, Frame, FrameError, Reply, Sif
 
-__all__ = ["Call", "Session"]
+__all__ = ["MAX_WINDOW", "NONCE_BYTES", "Call", "Session"]
 
 _SEQS: Final = 256
 MAX_WINDOW: Final = 64
-
-
-@dataclass(slots=True, eq=False)
-class Call:
-    """One call on its way: queued, then sent, then ended by a reply or an error.
-
-    Attributes:
-        what: how messages name it.
-        opcode: 0..255.
-        payload: 0..255 bytes.
-        deadline: when it ends without a reply, in the clock of `now`; None is never.
-        timeout_s: the time limit that led to `deadline`, for the message.
-        waiter: belongs to the shell, which is told through it.
-        reply: set when the device answered.
-        error: set when the call failed.
-    """
-
-    what: str
-    opcode: int
-    payload: bytes
-    deadline: float | None
-    timeout_s: float
-    waiter: Any
-    reply: Reply | None = None
-    error: J2AError | None = None
-    _seq: int = -1
-    _number: int = -1
-    _size: int = 0
-
-    @property
-    def has_ended(self) -> bool:
-        """A reply or an error is there."""
-        return self.reply is not None or self.error is not None
-
-    @property
-    def outcome(self) -> Outcome:
-        """What the call's failure means without an answer."""
-        return Outcome.NOT_SENT if self._number < 0 else Outcome.MAYBE_EXECUTED
-
-    @property
-    def fate(self) -> str:
-        """The same in words."""
-        return "was not sent" if self._number < 0 else "may have been executed"
+NONCE_BYTES: Final = 8
+_DAMAGE: Final = frozenset((ERR_TIMEOUT, ERR_CHECKSUM, ERR_FRAMING))
+# A barrier may be replaced after this time (J2A-SEQ-007), but a slow link still answers it.
+_BARRIER_S: Final = 1.0
+_MAX_NONCES: Final = 256
+_OK: Final = frozenset((*range(RET_MAX + 1), RET_FAILED))
 
 
 class Session:
@@ -76,23 +51,47 @@ class Session:
             way from an earlier program from answering the first call.
         window: how many calls may be on the wire at once. More than one needs `rxbuf`.
         trace: called with every frame; see `j2a.Trace`.
+        nonce: returns 8 random bytes for a barrier; without it there are no barriers.
 
     Attributes:
         rxbuf: wire bytes that the device can hold while it is busy (property j2a.rxbuf); until it
             is known there is one call on the wire at a time (J2A-LIMIT-003).
+        echo_opcode: of a2jEcho, None until it is known; barriers need it.
     """
 
-    def __init__(self, *, first_seq: int, window: int = 1, trace: Trace | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        first_seq: int,
+        window: int = 1,
+        trace: Trace | None = None,
+        nonce: Callable[[], bytes] | None = None,
+    ) -> None:
         self.rxbuf = 0
+        self.echo_opcode: int | None = None
         self._window = window
+        self._nonce = nonce
+        self._now = 0.0
         self._next_seq = first_seq % _SEQS
         self._next_number = 0
         self._deframer = Deframer()
         self._tracer = Tracer(trace)
-        self._queue: deque[Call] = deque()
+        self._queue: OrderedDict[Call, None] = OrderedDict()
         self._sent: dict[int, Call] = {}
-        # Seqs of calls that ended while their reply may still come, and the number of the attempt.
+        self._sent_bytes = 0
+        self._waiters: dict[int, Call] = {}
+        self._deadlines = Deadlines()
+        # Seqs of attempts that ended while their reply may still come, and the attempts' numbers.
         self._owed: dict[int, int] = {}
+        # No reply can come any more to the attempts up to this number ...
+        self._proven = -1
+        # ... and probably none to those up to this one.
+        self._refused = -1
+        # Calls with a hint that a true reply may still overrule.
+        self._hinted: dict[Call, None] = {}
+        self._barrier_seq: int | None = None
+        self._barrier_time = 0.0
+        self._nonces: dict[bytes, int] = {}
         self._out: list[bytes] = []
         self._closed: J2AError | None = None
         self._next_sif: int | None = None
@@ -115,14 +114,20 @@ class Session:
             waiter: kept in the call for the shell.
 
         Raises:
+            LinkStalled: it is this call's turn, and no seq is free (J2A-SEQ-006).
             LinkError: the session was closed; the reason of that.
         """
         if self._closed is not None:
             raise self._closed.copy(str(self._closed), Outcome.NOT_SENT)
+        self._now = now
         deadline = now + timeout_s if timeout_s != float("inf") else None
         call = Call(what, opcode, payload, deadline, timeout_s, waiter)
-        self._queue.append(call)
+        self._queue[call] = None
+        self._waiters[id(waiter)] = call
+        self._deadlines.add(call, len(self._waiters))
         self._fill_window()
+        if call.error is not None:
+            raise call.error
         return call
 
     def cancel(self, waiter: Any) -> list[Call]:
@@ -130,12 +135,12 @@ class Session:
 
         The waiter names the call because whoever is interrupted in `start_call` has nothing else.
 
-        Returns: calls sent instead.
+        Returns: calls sent instead, or failed because the link is stalled.
         """
-        for call in (*self._sent.values(), *self._queue):
-            if call.waiter is waiter:
-                text = f"{call.what} was cancelled; it {call.fate}"
-                self._end(call, error=J2AError(text, outcome=call.outcome))
+        call = self._waiters.get(id(waiter))
+        if call is not None:
+            text = f"{call.what} was cancelled; it {call.fate}"
+            self._give_up(call, J2AError(text, outcome=call.outcome))
         return self._fill_window()
 
     def close(self, reason: J2AError) -> list[Call]:
@@ -145,10 +150,9 @@ class Session:
         self._closed = reason
         self._out.clear()
         ended = [*self._sent.values(), *self._queue]
-        self._sent.clear()
-        self._queue.clear()
         for call in ended:
-            call.error = reason.copy(f"{reason}; {call.what} {call.fate}", call.outcome)
+            text = f"{reason}; {call.what} {call.fate}"
+            self._give_up(call, reason.copy(text, call.outcome))
         return ended
 
     @property
@@ -158,26 +162,30 @@ class Session:
 
     def next_timeout(self) -> float | None:
         """Return when `handle_timeout` is due, or None when nothing waits."""
-        calls = (*self._sent.values(), *self._queue)
-        return min((call.deadline for call in calls if call.deadline is not None), default=None)
+        return self._deadlines.earliest()
 
     def handle_timeout(self, now: float) -> list[Call]:
         """End the calls whose time is over; return them and the calls that were sent instead.
 
         What has arrived by then must have been given to `receive` before.
         """
-        calls = (*self._sent.values(), *self._queue)
-        late = [call for call in calls if call.deadline is not None and call.deadline <= now]
+        self._now = now
+        late = self._deadlines.pop_late(now)
         for call in late:
-            self._counts["timeouts"] += 1
-            if call._number < 0:
-                text = "was not sent because earlier calls were not answered"
-            else:
-                text = "may have been executed, but no reply came"
-            advice = "see that the board runs and that both ends use one speed, or wait longer"
-            limit = f"within {call.timeout_s:g} s"
-            text = f"{call.what} {text} {limit}; {advice}"
-            self._end(call, error=CallTimeout(text, outcome=call.outcome))
+            error = call.hint
+            if error is None:
+                self._counts["timeouts"] += 1
+                reason = (
+                    "but no reply came"
+                    if call.was_sent
+                    else "because earlier calls were not answered"
+                )
+                error = CallTimeout(
+                    f"{call.what} {call.fate}, {reason} within {call.timeout_s:.3g} s; "
+                    "see that the board runs and that both ends use one speed, or wait longer",
+                    outcome=call.outcome,
+                )
+            self._give_up(call, error)
         return late + self._fill_window()
 
     def data_to_send(self) -> bytes:
@@ -190,44 +198,102 @@ class Session:
         return data
 
     def _fill_window(self) -> list[Call]:
-        started = []
-        while self._queue:
-            call = self._queue[0]
-            if len(self._sent) >= self._window:
-                break
+        """Send what may be sent; return the calls sent, and those that failed instead."""
+        changed = []
+        while self._queue and len(self._sent) < self._window:
+            call = next(iter(self._queue))
             seq = self._free_seq()
-            wire = encode(SOF, seq, call.opcode, call.payload)
-            if self._sent and sum(c._size for c in self._sent.values()) + len(wire) > self.rxbuf:
-                break
-            self._queue.popleft()
-            call._seq, call._number, call._size = seq, self._next_number, len(wire)
-            self._next_seq = (seq + 1) % _SEQS
-            self._next_number += 1
-            self._sent[seq] = call
-            self._out.append(wire)
-            self._counts["frames_sent"] += 1
-            if self._tracer.is_on:
-                self._tracer.note("tx", Frame(SOF, seq, call.opcode, call.payload))
-            started.append(call)
-        return started
+            if seq is None:
+                self._send_barrier()
+                self._end(call, error=self._stalled(call))
+            else:
+                wire = encode(SOF, seq, call.opcode, call.payload)
+                if self._sent and self._sent_bytes + len(wire) > self.rxbuf:
+                    break
+                del self._queue[call]
+                call.seq, call.number, call.size = seq, self._next_number, len(wire)
+                self._next_seq = (seq + 1) % _SEQS
+                self._sent[seq] = call
+                self._sent_bytes += len(wire)
+                self._send(wire, seq, call.opcode, call.payload)
+            changed.append(call)
+        return changed
 
-    def _free_seq(self) -> int:
-        """Return the next seq that no reply can be under way for (J2A-SEQ-003)."""
+    def _send(self, wire: bytes, seq: int, opcode: int, payload: bytes) -> None:
+        self._next_number += 1
+        self._out.append(wire)
+        self._counts["frames_sent"] += 1
+        if self._tracer.is_on:
+            self._tracer.note("tx", Frame(SOF, seq, opcode, payload))
+
+    def _free_seq(self) -> int | None:
+        """Return the next seq that no reply can be under way for (J2A-SEQ-003, J2A-SEQ-006)."""
         if len(self._sent) + len(self._owed) >= _SEQS:
-            # Hundreds of calls in a row without one reply: whatever is owed is not coming.
-            del self._owed[min(self._owed, key=self._owed.__getitem__)]
+            return None
         seq = self._next_seq
         while seq in self._sent or seq in self._owed:
             seq = (seq + 1) % _SEQS
         return seq
 
-    def _end(self, call: Call, *, error: J2AError) -> None:
-        call.error = error
-        if call._number < 0:
-            self._queue.remove(call)
+    def _end(
+        self, call: Call, *, reply: Reply | None = None, error: J2AError | None = None
+    ) -> None:
+        call.reply, call.error = reply, error
+        self._waiters.pop(id(call.waiter), None)
+        self._hinted.pop(call, None)
+        if call.was_sent:
+            del self._sent[call.seq]
+            self._sent_bytes -= call.size
         else:
-            del self._sent[call._seq]
-            self._owed[call._seq] = call._number
+            del self._queue[call]
+
+    def _give_up(self, call: Call, error: J2AError) -> None:
+        """End a call whose reply may still come."""
+        self._end(call, error=error)
+        if call.number > self._proven:
+            self._owed[call.seq] = call.number
+
+    # ------------------------------------------------------------------ barriers
+
+    def _stalled(self, call: Call) -> LinkStalled:
+        if self._barrier_seq is None:
+            advice = "if it answers no more, open the link anew"
+        else:
+            advice = "the link recovers as soon as it answers"
+        return LinkStalled(
+            f"{call.what} was not sent: the replies to {_SEQS} requests are outstanding, so no seq "
+            f"is free; see that the board runs: {advice}"
+        )
+
+    def _send_barrier(self) -> None:
+        """Ask for an echo that shows that nothing sent before is outstanding (J2A-SEQ-007).
+
+        Its seq is an outstanding one, the oldest: the nonce tells its reply from an old one.
+        """
+        if self._nonce is None or self.echo_opcode is None:
+            return
+        if self._barrier_seq is not None and self._now - self._barrier_time < _BARRIER_S:
+            return
+        seq = self._barrier_seq
+        if seq is None:
+            seq = min(self._owed, key=self._owed.__getitem__)
+        nonce = self._nonce()
+        wire = encode(SOF, seq, self.echo_opcode, nonce)
+        if self._sent and self._sent_bytes + len(wire) > self.rxbuf:
+            return
+        if len(self._nonces) == _MAX_NONCES:
+            del self._nonces[next(iter(self._nonces))]
+        self._nonces[nonce] = self._owed[seq] = self._next_number
+        self._barrier_seq, self._barrier_time = seq, self._now
+        self._send(wire, seq, self.echo_opcode, nonce)
+
+    def _take_barrier(self, code: int, payload: bytes) -> list[Call]:
+        number = self._nonces.get(payload) if code == ECHO else None
+        if number is None:
+            # An old reply with the barrier's seq; which attempt it answers is not known any more.
+            self._counts["late_replies"] += 1
+            return []
+        return self._exclude(number)
 
     # ------------------------------------------------------------------ input
 
@@ -252,8 +318,8 @@ class Session:
                 self._counts["resyncs"] += 1
             if event.start == SOS:
                 events.append(self._take_sif(event))
-            elif (call := self._take_reply(event)) is not None:
-                events.append(call)
+            else:
+                events += self._take_reply(event)
         events += self._fill_window()
         return events
 
@@ -265,31 +331,65 @@ class Session:
         self._counts["sifs_missed"] += missed
         return Sif(frame.opcode, frame.payload, frame.seq, missed)
 
-    def _take_reply(self, frame: Frame) -> Call | None:
+    def _take_reply(self, frame: Frame) -> list[Call]:
+        """Take a reply; return the calls that it ends."""
         _, seq, code, payload = frame
-        call = self._sent.pop(seq, None)
-        # These three are also the answer to a request whose seq was damaged on the way, so they
-        # prove nothing about the order: the true reply may still come.
-        is_doubtful = code in ERRORS and code != ERR_OPCODE
+        if seq == self._barrier_seq:
+            return self._take_barrier(code, payload)
+        call = self._sent.get(seq)
         if call is None:
-            number = self._owed.pop(seq, None)
-            if number is None:
-                self._counts["stray_replies"] += 1
-                return None
-            self._counts["late_replies"] += 1
+            number = self._owed.get(seq)
+            self._counts["stray_replies" if number is None else "late_replies"] += 1
+            if number is None or not _is_proof(code):
+                return []
+            return self._exclude(number)
+        if code in _DAMAGE:
+            return self._take_hint(call, code, payload)
+        if code in _OK:
+            self._end(call, reply=Reply(code, payload))
+        elif code == ERR_OPCODE:
+            self._counts["error_replies"] += 1
+            self._end(call, error=remote_error(call.what, code, payload))
         else:
-            number = call._number
-            if code in ERRORS:
-                self._counts["error_replies"] += 1
-                call.error = remote_error(call.what, code, payload)
-            else:
-                call.reply = Reply(code, payload)
-        if is_doubtful:
-            self._owed[seq] = number
-        elif self._owed:
-            # Devices answer in order: what was asked for earlier is not owed any more.
+            text = f"{call.what}: the device answered with the reserved code 0x{code:02X}"
+            self._give_up(call, ProtocolError(f"{text}; see which version of J2A it speaks"))
+            return [call]
+        return [*self._exclude(call.number), call]
+
+    def _take_hint(self, call: Call, code: int, payload: bytes) -> list[Call]:
+        """Take an error reply whose seq no checksum has proved (J2A-ERR-010).
+
+        If nothing older is unanswered, the device has come to this request or beyond, so its true
+        reply is not to be expected. Otherwise it is, and the true reply wins.
+        """
+        self._counts["error_replies"] += 1
+        error = remote_error(call.what, code, payload)
+        floor = max(self._proven, self._refused)
+        numbers = (*(other.number for other in self._sent.values()), *self._owed.values())
+        if any(floor < number < call.number for number in numbers):
+            call.hint = error
+            self._hinted[call] = None
+            return []
+        self._refused = call.number
+        self._give_up(call, error)
+        return [call]
+
+    def _exclude(self, number: int) -> list[Call]:
+        """Note that no reply can come any more to the attempts up to this one.
+
+        Devices answer in order. Calls that this leaves without an answer wait for their time limit,
+        unless a hint says what became of them; those are returned.
+        """
+        self._proven = max(self._proven, number)
+        if self._owed:
             self._owed = {seq: owed for seq, owed in self._owed.items() if owed > number}
-        return call
+            if self._barrier_seq not in self._owed:
+                self._barrier_seq = None
+                self._nonces.clear()
+        ended = [call for call in self._hinted if call.number < number]
+        for call in ended:
+            self._end(call, error=call.hint)
+        return ended
 
     # ------------------------------------------------------------------ counters
 
@@ -301,3 +401,8 @@ class Session:
     def counters(self) -> Counters:
         """The counters as they are now."""
         return Counters(**{**self._counts, "bytes_skipped": self._deframer.skipped})
+
+
+def _is_proof(code: int) -> bool:
+    """Whether a reply with this code shows that its request, and none before it, is under way."""
+    return code in _OK or code == ERR_OPCODE

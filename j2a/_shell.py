@@ -5,6 +5,7 @@ several calls as generators (see `_many`), which each client drives in its own w
 """
 
 import contextlib
+import os
 import random
 import warnings
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from j2a_spec.constants import (
     DEBUG_MORE,
     ECHO,
     GET_DEBUG,
+    GET_ECHO,
     GET_ECHO_MANY,
     GET_MAPPING,
     RET_MAX,
@@ -23,7 +25,7 @@ from j2a_spec.constants import (
 from j2a._arguments import check_timeout
 from j2a._many import Ask, Progress, Steps, preparing
 from j2a._peer import Peer
-from j2a._session import MAX_WINDOW, Session
+from j2a._session import MAX_WINDOW, NONCE_BYTES, Session
 from j2a._trace import Trace
 from j2a.errors import (
     CallTimeout,
@@ -67,7 +69,12 @@ class Shell:
         self._window = window
         self._peer = Peer()
         # A random start keeps the replies to an earlier program from answering this one.
-        self._session = Session(first_seq=random.randrange(256), window=window, trace=trace)
+        self._session = Session(
+            first_seq=random.randrange(256),
+            window=window,
+            trace=trace,
+            nonce=lambda: os.urandom(NONCE_BYTES),
+        )
 
     @property
     def url(self) -> str:
@@ -119,6 +126,7 @@ class Shell:
                     raise
                 continue
             break
+        self._session.echo_opcode = (self._peer.functions or {}).get(GET_ECHO)
         if self._window > 1:
             yield from self._peer.read_properties()
             self._session.rxbuf = self._peer.rxbuf

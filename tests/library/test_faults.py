@@ -121,7 +121,7 @@ class BadLink(RuleBasedStateMachine):
             return
         for payload, call in self.sent:
             if call.reply is not None and call.reply != Reply(ECHO, payload):
-                assert self.world.judge.excuses(call._seq), (payload, call)
+                assert self.world.judge.excuses(call.seq), (payload, call)
 
     @invariant()
     def sifs_keep_their_order(self):

@@ -1,0 +1,172 @@
+"""A link whose 256 seqs are all outstanding: no seq is reused, and barriers free them."""
+
+import itertools
+import math
+
+import pytest
+from j2a_spec import oracle
+from j2a_spec.constants import ECHO
+
+import j2a
+from j2a._session import Session
+from j2a.events import Reply
+
+from .test_session import Host
+
+ECHO_OPCODE = 4
+
+
+class Stalled(Host):
+    """A host that has given up 256 calls; none of them is answered yet."""
+
+    def __init__(self, *, has_map: bool = True, first_seq: int = 0, window: int = 1) -> None:
+        super().__init__(first_seq, window, rxbuf=64 * window)
+        nonces = itertools.count(1)
+        self.session = Session(
+            first_seq=first_seq, window=window, nonce=lambda: next(nonces).to_bytes(8, "big")
+        )
+        self.session.rxbuf = 64 * window
+        self.session.echo_opcode = ECHO_OPCODE if has_map else None
+        for number in range(256):
+            self.call(7, bytes((number,)))
+            self.wait(1)
+        assert sorted(frame.seq for frame in self.sent) == list(range(256))
+        self.sent.clear()
+
+    def fail(self) -> j2a.LinkStalled:
+        with pytest.raises(j2a.LinkStalled) as caught:
+            self.call(7, b"one more")
+        self.collect()
+        assert caught.value.outcome is j2a.Outcome.NOT_SENT
+        return caught.value
+
+    def barriers(self) -> list[oracle.Frame]:
+        sent, self.sent = self.sent, []
+        assert all((frame.opcode, len(frame.payload)) == (ECHO_OPCODE, 8) for frame in sent)
+        return sent
+
+
+@pytest.mark.requirement("J2A-SEQ-003", "J2A-SEQ-006")
+def test_calls_fail_at_once_and_nothing_is_sent():
+    host = Stalled(has_map=False)
+    for _ in range(1000):
+        host.fail()
+        host.wait(3600)
+    assert host.sent == []
+
+
+@pytest.mark.requirement("J2A-SEQ-003")
+@pytest.mark.parametrize("answered", [0, 1, 100, 255])
+def test_a_late_reply_frees_its_seq_and_the_older_ones(answered):
+    host = Stalled(has_map=False, first_seq=17)
+    host.reply((17 + answered) % 256, 0, bytes((answered,)))
+    for _ in range(answered + 1):
+        assert not host.call(7, b"new").has_ended
+        host.wait(1)
+    assert [frame.seq for frame in host.sent] == [(17 + n) % 256 for n in range(answered + 1)]
+    host.fail()
+
+
+@pytest.mark.requirement("J2A-SEQ-007")
+def test_a_barrier_frees_all():
+    host = Stalled()
+    assert "recovers" in str(host.fail())
+    (barrier,) = host.barriers()
+    assert host.reply(barrier.seq, ECHO, barrier.payload) == []
+    for number in range(255):
+        call = host.call(7, b"%d" % number)
+        assert host.reply(host.sent[-1].seq, 1, b"%d" % number) == [call]
+        assert call.reply == Reply(1, b"%d" % number)
+    assert len({frame.seq for frame in host.sent}) == 255
+
+
+@pytest.mark.requirement("J2A-SEQ-007")
+def test_one_barrier_is_under_way_and_is_replaced_after_a_second():
+    host = Stalled()
+    for _ in range(10):
+        host.fail()
+        host.wait(0.0999)
+    (first,) = host.barriers()
+    host.wait(0.1)
+    host.fail()
+    (second,) = host.barriers()
+    assert first.payload != second.payload
+    # A link that is slower than that still recovers, by either of them.
+    host.reply(first.seq, ECHO, first.payload)
+    assert not host.call(7).has_ended
+
+
+@pytest.mark.requirement("J2A-SEQ-007", "J2A-SEQ-005")
+@pytest.mark.parametrize(
+    ("code", "payload"),
+    [
+        (ECHO, b"\0\0"),
+        (0, bytes(7) + b"\1"),
+        (0xF0, b"\1\0"),
+        (0xF3, b"\4\0"),
+        (0xF9, b""),
+        (0xFF, b""),
+        (ECHO, bytes(7) + b"\2"),
+    ],
+)
+def test_another_reply_with_the_seq_of_the_barrier_is_nothing(code, payload):
+    host = Stalled()
+    host.fail()
+    (barrier,) = host.barriers()
+    assert host.reply(barrier.seq, code, payload) == []
+    host.fail()
+
+
+@pytest.mark.requirement("J2A-SEQ-007")
+def test_a_nonce_with_another_seq_is_nothing_but_a_late_reply():
+    host = Stalled()
+    host.fail()
+    (barrier,) = host.barriers()
+    host.reply((barrier.seq + 1) % 256, ECHO, barrier.payload)
+    host.call(7, timeout_s=0.1)
+    host.wait(1)
+    assert len(host.sent) == 1, "one seq was freed, by the reply to the request that had it"
+    host.fail()
+
+
+def test_the_seq_of_an_unanswered_barrier_is_not_used():
+    host = Stalled()
+    host.fail()
+    (barrier,) = host.barriers()
+    host.reply((barrier.seq - 1) % 256)  # the newest of the calls
+    for _ in range(255):
+        host.call(7, timeout_s=0.1)
+        host.wait(1)
+    assert barrier.seq not in {frame.seq for frame in host.sent}
+    host.sent.clear()
+    host.fail()
+
+
+def test_calls_that_wait_behind_the_window_wait_until_it_opens():
+    host = Stalled()
+    host.fail()
+    (barrier,) = host.barriers()
+    host.reply((barrier.seq - 2) % 256)  # leaves one request and the barrier outstanding
+    for _ in range(253):
+        host.call(7, timeout_s=0.1)
+        host.wait(1)
+    last = host.call(7, timeout_s=1)
+    queued = [host.call(7, timeout_s=5), host.call(7, timeout_s=math.inf)]
+    assert not any(call.has_ended for call in queued)
+    ended = host.wait(1)
+    assert ended == [last, *queued]
+    assert [type(call.error) for call in queued] == [j2a.LinkStalled] * 2
+    assert host.session.next_timeout() is None
+
+
+def test_a_barrier_does_not_exceed_what_the_device_can_hold():
+    host = Stalled(window=8)
+    host.session.rxbuf = 260
+    host.reply(0)
+    host.call(7, bytes(250), timeout_s=9)
+    assert host.sent[-1].seq == 0
+    host.fail()
+    assert len(host.sent) == 1
+    host.wait(10)
+    host.fail()
+    assert len(host.sent) == 2
