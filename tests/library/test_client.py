@@ -67,7 +67,7 @@ class TestCalls:
 
     @pytest.mark.parametrize(
         ("code", "kind"),
-        [(0xFF, j2a.FunctionFailed), (0xF5, j2a.FunctionFailed), (4, j2a.ProtocolError)],
+        [(0xFF, j2a.FunctionFailed), (0xF5, j2a.ProtocolError), (4, j2a.ProtocolError)],
     )
     def test_debug_text_that_is_none(self, code, kind):
         device = DemoDevice()

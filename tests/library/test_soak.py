@@ -1,0 +1,45 @@
+"""A sample of the soak, and that it notices what it is there for."""
+
+import pytest
+
+from j2a import CallTimeout, Outcome
+from j2a._session import Session
+
+from .soak import Soak
+
+SAMPLE = 20_000
+
+
+@pytest.mark.requirement("J2A-SEQ-003", "J2A-SEQ-005", "J2A-SEQ-006", "J2A-SEQ-007", "J2A-TIME-006")
+def test_no_answer_is_wrong():
+    soak = Soak(0)
+    soak.run(SAMPLE)
+    assert soak.bad == []
+    assert soak.counts["calls"] == SAMPLE
+    for name in ("answered", "CallTimeout", "LinkStalled", "stalls", "bits flipped", "resets"):
+        assert soak.counts[name], name
+
+
+def test_a_session_that_reuses_an_outstanding_seq_is_found_out(monkeypatch):
+    def reuse(session):
+        if len(session._sent) + len(session._owed) >= 256:
+            del session._owed[min(session._owed, key=session._owed.__getitem__)]
+        return free_seq(session)
+
+    free_seq = Session._free_seq
+    monkeypatch.setattr(Session, "_free_seq", reuse)
+    soak = Soak(0)
+    soak.run(SAMPLE)
+    assert any("the answer to another one" in text for text in soak.bad)
+
+
+def test_a_session_that_believes_an_error_reply_is_found_out(monkeypatch):
+    def believe(session, call, _code, _payload):
+        session._end(call, error=CallTimeout("refused", outcome=Outcome.NOT_SENT))
+        session._owed[call.seq] = call.number
+        return [call]
+
+    monkeypatch.setattr(Session, "_take_hint", believe)
+    soak = Soak(0)
+    soak.run(SAMPLE)
+    assert any("not to have been sent was executed" in text for text in soak.bad)
