@@ -13,7 +13,7 @@ from j2a._session import Session
 from j2a.demo import DemoDevice
 from j2a.events import Reply
 
-from .test_many import chunk, know
+from .test_many import chunk, drive, know
 
 ERRORS = [
     value
@@ -114,9 +114,9 @@ class TestTransfers:
 
     @pytest.fixture
     def peer(self):
-        peer = know(DemoDevice())
-        peer.properties = {"j2a.spec": "1.1"}
-        peer.room = 255
+        device = DemoDevice()
+        peer = know(device)
+        drive(device._execute, peer.learn_room())
         return peer
 
     @pytest.mark.parametrize("answered", range(3))
