@@ -946,6 +946,86 @@ class PropertiesWithoutMany:
     names = tuple(name for name in c.BUILTINS if name not in (c.MANY, c.GET_ECHO_MANY))
 
 
+@breaks("J2A-PROP-008")
+class RefusesPropertiesByAnError:
+    def refuse(self, seq, opcode, payload):
+        self.error(seq, c.ERR_OPCODE)
+
+
+@breaks("J2A-PROP-008")
+class SaysWhyPropertiesFail:
+    def refuse(self, seq, opcode, payload):
+        if self.name_of(opcode) == c.GET_PROPERTIES and len(payload) > 250:
+            self.reply(seq, c.RET_FAILED, b"\x02\x00")
+        else:
+            super().refuse(seq, opcode, payload)
+
+
+@breaks("J2A-PROP-009")
+class HasAKeyOfTheSpecification:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1024"), ("j2a.turbo", "yes"))
+
+
+@breaks("J2A-CAP-001")
+class AnnouncesNothing:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_CAPS, " "))
+
+
+@breaks("J2A-CAP-001")
+class AnnouncesALongCapability:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_CAPS, "one " + "a" * 33))
+
+
+@breaks("J2A-CAP-001")
+class AnnouncesTwice:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_CAPS, "one two one"))
+
+
+@breaks("J2A-MANY-015")
+class SendsTheShortHeaderBack:
+    def short_header(self, payload):
+        return c.RET_FAILED, payload
+
+
+@breaks("J2A-MANY-019")
+class OffsetsWrap:
+    def read_properties(self, write, offset):
+        return super().read_properties(write, offset if offset < 2**32 - 20 else 0)
+
+
+@breaks("J2A-MANY-020")
+class RefusesAnEmptyLastChunk:
+    def many(self, name, last, write, offset, data):
+        if write and last and offset and not data:
+            return c.RET_FAILED, True, b""
+        return super().many(name, last, write, offset, data)
+
+
+@breaks("J2A-MANY-021")
+class MostSignificantByteFirst:
+    def offset(self, four):
+        return int.from_bytes(four, "big")
+
+
+@breaks("J2A-ERR-011")
+class ReturnsReservedCodes:
+    def limited(self, code):
+        return code if code == 0xF1 or 0xF5 <= code <= 0xFE else super().limited(code)
+
+
+@breaks("J2A-ERR-012")
+class ErrorsComeLate:
+    """An error reply comes behind the reply to the request that follows."""
+
+    def error(self, seq, code):
+        self.late = (seq, code)
+
+    def reply(self, seq, code, payload):
+        super().reply(seq, code, payload)
+        if (late := vars(self).pop("late", None)) is not None:
+            super().reply(*late, b"\x01\x00")
+
+
 def test_every_tested_requirement_is_broken_by_a_device():
     of_devices = {r.id for r in requirements.load().values() if r.role != "host"}
     excepted = {name for name, by in coverage().items() if by.startswith("no case")}

@@ -5,6 +5,7 @@ without them; `test_broken_hosts.py` breaks it rule by rule. Each rule has a met
 """
 
 import contextlib
+import re
 import threading
 import time
 import zlib
@@ -284,14 +285,26 @@ class ReferenceHost:
                 self.properties = dict(zip(texts[::2], texts[1::2], strict=False))
         return self.properties
 
+    def version(self) -> tuple[int, ...]:
+        number = r"(0|[1-9][0-9]{0,4})"
+        match = re.fullmatch(rf"{number}\.{number}", self.props().get(c.PROP_SPEC, ""))
+        return tuple(map(int, match.groups())) if match else (1, 0)
+
+    def announced(self) -> dict[str, str]:
+        return self.props() if self.version()[0] == 1 else {}
+
+    def check_version(self) -> None:
+        if self.version()[0] != 1:
+            raise OutcomeError("refused another version")
+
     def room(self) -> int:
-        return int(self.props().get(c.PROP_RXBUF, "0"))
+        return int(self.announced().get(c.PROP_RXBUF, "0"))
 
     def longest(self, payload: bytes) -> int:
         """Return how long a payload may be; the properties are read where it matters."""
         if len(payload) <= c.MIN_ROOM:
             return c.MIN_ROOM
-        return int(self.props().get(c.PROP_ROOM, "255"))
+        return int(self.announced().get(c.PROP_ROOM, "255"))
 
     # Transfers
 
@@ -323,10 +336,11 @@ class ReferenceHost:
             raise OutcomeError("failed another offset")
 
     def read_many(self, func: int, limit_s: float) -> bytes:
+        self.check_version()
         return self.read_all(func, limit_s, self.is_old())
 
     def is_old(self) -> bool:
-        return c.PROP_SPEC not in self.props()
+        return self.version() == (1, 0)
 
     def read_all(self, func: int, limit_s: float, is_old: bool = False) -> bytes:
         content = b""
@@ -350,6 +364,7 @@ class ReferenceHost:
         raise OutcomeError("failed an empty chunk")
 
     def write_many(self, func: int, data: bytes, limit_s: float) -> None:
+        self.check_version()
         if self.is_old() and len(data) > 249 + 256:
             raise OutcomeError("refused an old device")
         size = self.chunk_size()

@@ -634,6 +634,52 @@ class CountsOnlyTheNext:
         return not self.waiting or self.size(call) <= room
 
 
+@breaks("J2A-VER-001")
+class AnySpecIsNew:
+    def version(self):
+        return (1, 1) if c.PROP_SPEC in self.props() else (1, 0)
+
+
+@breaks("J2A-VER-001")
+class LeadingZerosAreFine:
+    def version(self):
+        parts = self.props().get(c.PROP_SPEC, "").split(".")
+        return (
+            tuple(map(int, parts)) if len(parts) == 2 and all(map(str.isdigit, parts)) else (1, 0)
+        )
+
+
+@breaks("J2A-VER-002")
+class KnowsOnlyItsOwnVersion:
+    def is_old(self):
+        return super().is_old() or self.version() != (1, 1)
+
+
+@breaks("J2A-VER-002")
+class ComparesTexts:
+    def is_old(self):
+        return super().is_old() or self.props()[c.PROP_SPEC] > "1.9"
+
+
+@breaks("J2A-VER-003")
+class TransfersWithAnyVersion:
+    def check_version(self):
+        pass
+
+
+@breaks("J2A-VER-003")
+class TransfersWithOldVersions:
+    def check_version(self):
+        if self.version()[0]:
+            super().check_version()
+
+
+@breaks("J2A-CAP-002")
+class RefusesUnknownCapabilities:
+    def is_old(self):
+        return super().is_old() or c.PROP_CAPS in self.props()
+
+
 def test_every_tested_requirement_is_broken_by_a_host():
     tested = {name for name, by in host_coverage().items() if not by.startswith("no case")}
     assert {param.values[0] for param in BROKEN} == tested

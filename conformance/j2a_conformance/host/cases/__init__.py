@@ -10,6 +10,7 @@ from j2a_conformance._case import of_module
 from j2a_conformance.host._case import HostCase
 
 from . import (
+    announced,
     errors,
     limits,
     many,
@@ -25,7 +26,20 @@ from . import (
 
 __all__ = ["load"]
 
-_MODULES = (sent, received, recovery, seq, errors, names, many, offsets, sif, timing, limits)
+_MODULES = (
+    sent,
+    received,
+    recovery,
+    seq,
+    errors,
+    names,
+    many,
+    offsets,
+    announced,
+    sif,
+    timing,
+    limits,
+)
 
 
 @cache

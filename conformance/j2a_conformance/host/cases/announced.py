@@ -1,0 +1,154 @@
+"""Versions and capabilities that a device announces (J2A-VER, J2A-CAP)."""
+
+from dataclasses import replace
+
+from j2a_spec import constants as c
+from j2a_spec.requirements import Level
+
+from j2a_conformance._judge import fail
+from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, Device
+from j2a_conformance.host._host import Host, spell
+
+from .limits import serve, together
+from .many import chunk_of, spelt
+from .offsets import judge_offsets
+
+_SIZE = 700
+_REFUSED = ("refused", "failed", "error")
+_OTHER_FORMS = (
+    "abc", "1", "1.", ".1", "1.1.0", "v1.1", "01.1", "1.01", "+1.1", "1,1", " 1.1", "1.1 ",
+    "1.100000", "100001.1", "-1.1", "\u0661.1", "1.1a", "2",
+)  # fmt: skip
+
+
+def _announcing(version: str, *more: tuple[str, str], mask: int = 0xFFFFFFFF) -> Device:
+    """Return a device of this j2a.spec whose content no probe can tell from its beginning."""
+    return replace(
+        DEMO,
+        properties=(("name", "conductor"), (c.PROP_SPEC, version), *more),
+        content=b"\xaa" * _SIZE,
+        offset_mask=mask,
+    )
+
+
+def _read_and_write(host: Host) -> None:
+    """Have the host transfer what only a device of version 1.1 can be trusted with."""
+    content = spell(host.device.content)
+    host.do(f"read {FETCH} {host.limit_ms}", f"data {content}")
+    _, requests = host.do(f"write {STORE} {spelt(_SIZE)} {host.limit_ms}", "written")
+    if not any(chunk_of(r).offset > 0xFF for r in requests):
+        fail("the write did not go beyond the offset 255")
+
+
+class _Refused(HostCase):
+    """Versions with which long transfers are refused."""
+
+    LEVEL: Level = "properties"
+    VERSIONS: tuple[str, ...]
+
+    def _run(self, host: Host) -> None:
+        for version in self.VERSIONS:
+            host.become(_announcing(version, mask=0xFF))
+            for job in (f"read {FETCH}", f"write {STORE} {spelt(_SIZE)}"):
+                _, requests = host.do(f"{job} {host.limit_ms}", *_REFUSED)
+                judge_offsets(requests)
+                if any(chunk_of(request).flags & c.FLAG_WRITE for request in requests):
+                    fail(f"a part was written to a device whose version is {version!r}")
+
+
+class AnotherForm(_Refused):
+    """Has the host read and write 700 bytes of devices whose j2a.spec is no version, and that look
+    at the lowest byte of an offset.
+    """
+
+    ID = "host.version.another-form"
+    EXPECTATION = "The host takes them for devices of version 1.0 and refuses."
+    REQUIREMENTS = ("J2A-VER-001",)
+    VERSIONS = _OTHER_FORMS
+
+
+class Older(_Refused):
+    """Has the host read and write 700 bytes of a device that announces version 1.0."""
+
+    ID = "host.version.older"
+    EXPECTATION = "The host refuses."
+    REQUIREMENTS = ("J2A-VER-001", "J2A-MANY-014")
+    VERSIONS = ("1.0",)
+
+
+class Newer(HostCase):
+    """Has the host read and write 700 bytes of devices of later versions 1.x, with properties that
+    this version does not know.
+    """
+
+    ID = "host.version.newer"
+    EXPECTATION = "All is transferred, as with a device of version 1.1."
+    REQUIREMENTS = ("J2A-VER-002", "J2A-VER-001")
+    LEVEL = "properties"
+
+    def _run(self, host: Host) -> None:
+        unknown = ("j2a.future", "1 2 3"), ("\x20 odd ~", "\u00b5")
+        for version in ("1.1", "1.2", "1.10", "1.99999"):
+            host.become(_announcing(version, *unknown))
+            _read_and_write(host)
+
+
+class AnotherMajor(HostCase):
+    """Has the host read and write 700 bytes of devices of versions 0.9, 2.0 and 10.1, once more
+    when it has read their version, and call `ping`.
+    """
+
+    ID = "host.version.another-major"
+    EXPECTATION = (
+        "Transfers are refused, short ones too once the version is known, and nothing is written; "
+        "single calls may go on."
+    )
+    REQUIREMENTS = ("J2A-VER-003",)
+    LEVEL = "properties"
+
+    def _run(self, host: Host) -> None:
+        for version in ("0.9", "2.0", "10.1"):
+            host.become(_announcing(version))
+            for size in (_SIZE, _SIZE, 7):
+                _, requests = host.do(f"write {STORE} {spelt(size)} {host.limit_ms}", *_REFUSED)
+                if requests:
+                    fail(f"a part was written to a device of version {version}")
+            _, requests = host.do(f"read {FETCH} {host.limit_ms}", *_REFUSED)
+            if requests:
+                fail(f"a read was begun though the host knows that the version is {version}")
+            host.do(f"call {PING} 0102 {host.limit_ms}", "reply", *_REFUSED)
+
+
+class MajorLimits(HostCase):
+    """Has the host make four calls at once to a device of version 2.0 that announces j2a.rxbuf."""
+
+    ID = "host.version.major-limits"
+    EXPECTATION = "The property counts as absent: each request comes after the reply to another."
+    REQUIREMENTS = ("J2A-VER-003",)
+    LEVEL = "properties"
+    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, "2.0"), (c.PROP_RXBUF, "1000")))
+
+    def _run(self, host: Host) -> None:
+        host.do(f"write {STORE} {spelt(_SIZE)} {host.limit_ms}", *_REFUSED)
+        together(host, "01", "02", "03", "04")
+        serve(host, 4, 0)
+        host.outcome("reply 1 01 ; reply 1 02 ; reply 1 03 ; reply 1 04")
+
+
+class Capabilities(HostCase):
+    """Has the host work with devices that announce capabilities, and things that are none."""
+
+    ID = "host.capabilities.unknown"
+    EXPECTATION = "It works as without them."
+    REQUIREMENTS = ("J2A-CAP-002",)
+    LEVEL = "properties"
+
+    def _run(self, host: Host) -> None:
+        for value in (
+            "future", "future acme.turbo x-1", " ", "  two  spaces ", "Capital 9digit -x",
+            "twice twice", "a" * 33, "b" * 400, "\u00b5 \u20ac", "one,two", "=", "\t",
+        ):  # fmt: skip
+            host.become(_announcing(c.SPEC_VERSION, (c.PROP_CAPS, value)))
+            _read_and_write(host)
+            host.do(f"call {PING} 200*61 {host.limit_ms}", f"reply 0 {spell(b'a' * 200)}")
