@@ -28,7 +28,7 @@ from j2a_transports import Transport
 from matrix import killers
 from tables import ROOT, Mutant, TableError, copy
 
-__all__ = ["Job", "Outcome", "Variant", "cases", "judge", "prepare", "variant"]
+__all__ = ["Job", "Outcome", "Variant", "cases", "judge", "prepare", "variant", "written"]
 
 _DEVICE_CASES: Final = {case.ID: case for case in (*SMOKE, *load())}
 _HOST_CASES: Final = {case.ID: case for case in (host.START, *host.load())}
@@ -67,6 +67,7 @@ class Job:
             in any case.
         every: do all cases at once and again those that fail, instead of one by one up to a kill.
         quick: do all cases in one run up to the first that fails.
+        is_any: the same, and any failure counts, whether it is of the rule, or the target died.
     """
 
     how: Variant
@@ -74,6 +75,7 @@ class Job:
     cases: tuple[str, ...]
     every: bool = False
     quick: bool = False
+    is_any: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +117,9 @@ def judge(job: Job) -> Outcome:
             if job.how.target == "core":
                 _build(job.how, trial.folder)
             failed = trial.unmutated() if job.mutant is None else trial.mutated(job.mutant)
-        except (HarnessError, TableError) as error:
+        except HarnessError as error:
+            return Outcome(("start",)) if job.is_any else Outcome(trouble=str(error))
+        except TableError as error:
             return Outcome(trouble=str(error))
     return Outcome(failed, frozenset(trial.tried), "" if failed else trial.gone)
 
@@ -146,7 +150,7 @@ class _Trial:
         naming = sorted(killers(mutant.requirement, known, known))
         if self._job.every:
             return self._twice(naming)
-        if self._job.quick:
+        if self._job.quick or self._job.is_any:
             return self._first(self._job.cases)
         for attempt in range(_ATTEMPTS):
             try:
@@ -177,6 +181,8 @@ class _Trial:
         """Do cases in this order up to a failure; return what failed, unless the target is gone."""
         heard = _Heard()
         failed = self._run(names, heard).with_verdict(Verdict.FAILED)
+        if self._job.is_any:
+            return tuple(result.case for result in failed)
         if died := [result for result in failed if _died(result)]:
             self.gone = f"it died in {died[0].case}: {died[0].reason}"
         elif failed and heard.is_silent:
@@ -190,12 +196,12 @@ class _Trial:
         path = self.folder / "stderr"
         with _stderr_in(path):
             found = self._suite(names, heard or _Heard())
-        if "Traceback" in (printed := path.read_text("utf-8", "replace")):
+        if not self._job.is_any and "Traceback" in (printed := path.read_text("utf-8", "replace")):
             raise TableError(f"an exception that is no breach of this rule:\n{printed}")
         return found
 
     def _suite(self, names: Sequence[str], heard: "_Heard") -> Run:
-        how, quick = self._job.how, self._job.quick
+        how, quick = self._job.how, self._job.quick or self._job.is_any
         rule = self._job.mutant.requirement if self._job.mutant and not quick else ""
         if how.target == "host":
             return _host(how, _ordered(_HOST_CASES, names, rule), self.folder, quick)
@@ -269,6 +275,25 @@ def _built(how: Variant) -> Path:
     return ROOT / "build/mutants" / re.sub(r"[^\w=-]+", "_", name)
 
 
+def written(how: Variant, folder: Path, file: str) -> bytes:
+    """Return what the compiler makes of a file of the C core, as assembler text.
+
+    Raises:
+        TableError: it does not compile.
+    """
+    command = (_built(how) / f"{how.app}.obj/command").read_text("utf-8").split(" core/")[0]
+    options = shlex.split(command.replace("-O0", "-O2"))
+    done = subprocess.run(
+        [*options, "-S", "-o", "-", Path(file).relative_to("firmware")],
+        cwd=folder / "firmware",
+        capture_output=True,
+        check=False,
+    )
+    if done.returncode:
+        raise TableError(f"it does not compile: {done.stderr.decode('utf-8', 'replace')}")
+    return done.stdout
+
+
 def _build(how: Variant, folder: Path) -> None:
     """Build the firmware in `folder`; what has the time of its source is not compiled again."""
     if (built := _built(how)).is_dir():
@@ -281,7 +306,7 @@ def _make(how: Variant, source: Path, out: Path) -> None:
     env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     settings = [f"PORT={how.port}", f"APP={how.app}", f"OPTIONS={how.options}", f"OUT={out}"]
     if how.port == "posix":
-        settings.append("CFLAGS=-O0")  # is built fastest
+        settings.append("CFLAGS=-O0 -w")  # is built fastest; a mutant may leave a variable unused
     done = subprocess.run(
         ["make", "-s", "-C", source, *settings],
         env=env,
