@@ -42,6 +42,15 @@ def _is_value(text: str, _context: Any) -> bool:
     return text != ""
 
 
+def _is_mapping(names: list[str], _context: Any) -> bool:
+    size = sum(len(name) + 1 for name in names)
+    return size <= c.MAX_MAPPING and len(set(names)) == len(names)
+
+
+def _has_each_key_once(pairs: list[Any], _context: Any) -> bool:
+    return len({pair["key"] for pair in pairs}) == len(pairs)
+
+
 def _fits(data: bytes, _context: Any) -> bool:
     return len(data) <= c.MANY_DATA
 
@@ -70,39 +79,45 @@ _VALUE = cs.ExprValidator(cs.CString("utf8"), _is_value)
 
 MAPPING = cs.FocusedSeq(
     "names",
-    "names" / cs.GreedyRange(_NAME) * "NUL-terminated function names in opcode order",
+    "names"
+    / cs.ExprValidator(cs.GreedyRange(_NAME), _is_mapping)
+    * "NUL-terminated function names in opcode order",
     cs.Terminated,
 )
-"""The payload of the reply of a2jGetMapping: a list of names."""
+"""The payload of the reply of a2jGetMapping: different names, 255 bytes at most (J2A-MAP-003)."""
 
 PROPERTIES = cs.FocusedSeq(
     "pairs",
     "pairs"
-    / cs.GreedyRange(
-        cs.Struct(
-            "key" / _KEY * "NUL-terminated key",
-            "value" / _VALUE * "NUL-terminated value",
-        )
+    / cs.ExprValidator(
+        cs.GreedyRange(
+            cs.Struct(
+                "key" / _KEY * "NUL-terminated key",
+                "value" / _VALUE * "NUL-terminated value",
+            )
+        ),
+        _has_each_key_once,
     )
     * "key and value, repeated",
     cs.Terminated,
 )
-"""All that a2jGetProperties returns through a2jMany: key and value pairs."""
+"""All that a2jGetProperties returns through a2jMany: pairs, each key once (J2A-PROP-002)."""
 
 _DATA = cs.ExprValidator(cs.GreedyBytes, _fits)
-_FLAGS = cs.FlagsEnum(cs.Byte, is_last=c.FLAG_LAST, is_write=c.FLAG_WRITE)
+_REQUEST_FLAGS = cs.FlagsEnum(cs.Byte, is_last=c.FLAG_LAST, is_write=c.FLAG_WRITE)
+_REPLY_FLAGS = cs.FlagsEnum(cs.Byte, is_last=c.FLAG_LAST)
 
 MANY_REQUEST = cs.Struct(
     "func" / cs.Byte * "opcode of the function that the chunk is for",
-    "flags" / _FLAGS * "bit 0 isLast, bit 1 isWrite",
+    "flags" / _REQUEST_FLAGS * "bit 0 isLast, bit 1 isWrite; a receiver ignores the others",
     "offset" / cs.Int32ul * "position of the chunk in the whole",
-    "data" / _DATA * "the chunk, 0 to 249 bytes; none when reading",
+    "data" / _DATA * "the chunk, 0 to 249 bytes; of no meaning when reading",
 )
 """The payload of a request to a2jMany (thesis bytefield 7.1)."""
 
 MANY_REPLY = cs.Struct(
     "code" / cs.Byte * "return value of the function",
-    "flags" / _FLAGS * "bit 0 isLast",
+    "flags" / _REPLY_FLAGS * "bit 0 isLast; a receiver ignores the others",
     "offset" / cs.Int32ul * "position of the chunk in the whole",
     "data" / _DATA * "the chunk, 0 to 249 bytes",
 )

@@ -35,7 +35,7 @@ class PayloadVector:
 
 def payload_vectors() -> list[PayloadVector]:
     """Return every payload vector, in a fixed order."""
-    groups = (_errors(), _mappings(), _properties(), _many(), _small())
+    groups = (_errors(), _mappings(), _properties(), _many(), _small(), _added())
     return [
         PayloadVector(f"payload-{n:03}", comment, tuple(f"J2A-{i}" for i in ids.split()), *rest)
         for n, (comment, ids, *rest) in enumerate((row for group in groups for row in group), 1)
@@ -102,27 +102,32 @@ def _properties() -> Iterator[_Row]:
 
 
 def _many() -> Iterator[_Row]:
-    none = {"is_last": False, "is_write": False}
-    last = {"is_last": True, "is_write": False}
-    write = {"is_last": False, "is_write": True}
-    both = {"is_last": True, "is_write": True}
     for grammar, first, ids in (
         ("many-request", "func", "MANY-001"),
         ("many-reply", "code", "MANY-002"),
     ):
-        empty = {first: 5, "flags": none, "offset": 0, "data": ""}
+        is_request = grammar == "many-request"
+
+        def flags(*names: str, of_request: bool = is_request) -> dict[str, bool]:
+            known = ("is_last", "is_write") if of_request else ("is_last",)
+            return {name: name in names for name in known}
+
+        empty = {first: 5, "flags": flags(), "offset": 0, "data": ""}
+        last = {**empty, "flags": flags("is_last")}
         yield _built("header only", ids, grammar, empty)
-        yield _built("isLast", ids, grammar, {**empty, "flags": last, "data": "00"})
-        if grammar == "many-request":
-            yield _built("isWrite", ids, grammar, {**empty, "flags": write, "data": "12ed7d"})
-            yield _built("isWrite and isLast", ids, grammar, {**empty, "flags": both})
+        yield _built("isLast", ids, grammar, {**last, "data": "00"})
+        if is_request:
+            write = {**empty, "flags": flags("is_write"), "data": "12ed7d"}
+            yield _built("isWrite", ids, grammar, write)
+            both = {**empty, "flags": flags("is_write", "is_last")}
+            yield _built("isWrite and isLast", ids, grammar, both)
         for offset in (1, 0x100, 0x10000, 0x1000000, 0x78563412, 0xFFFFFFFF, 0x12ED7D12):
             comment = f"offset 0x{offset:08X}"
-            yield _built(comment, ids + " MANY-007", grammar, {**empty, "offset": offset})
+            yield _built(comment, ids + " MANY-007 MANY-021", grammar, {**empty, "offset": offset})
         full = {**empty, "offset": 249, "data": bytes(range(c.MANY_DATA)).hex()}
         yield _built("the largest chunk", ids, grammar, full)
         oddity = bytes((5, 0xFC | c.FLAG_LAST, 1, 0, 0, 0))
-        value = {**empty, "flags": last, "offset": 1}
+        value = {**last, "offset": 1}
         yield "unknown flag bits", ids + " MANY-009", grammar, oddity, value, False
         oversized = bytes((5, 0, 0, 0, 0, 0)) + bytes(c.MANY_DATA + 1)
         yield _invalid("250 bytes of data", ids, grammar, oversized)
@@ -143,3 +148,32 @@ def _small() -> Iterator[_Row]:
         pairs.append({"key": c.PROP_ROOM, "value": str(room)})
         ids = "PROP-001 LIMIT-006"
         yield _built(f"a room of {room} bytes", ids, "properties", pairs)
+
+
+def _added() -> Iterator[_Row]:
+    """What was added later."""
+    ids = "MAP-001 MAP-003"
+    yield _invalid("a name twice", ids, "mapping", b"a2jGetMapping\0get\0get\0")
+    yield _invalid("a2jGetMapping twice", ids, "mapping", b"a2jGetMapping\0" * 2)
+    first = f"{c.GET_MAPPING}\0".encode()
+    long = first + b"x" * (c.MAX_MAPPING - len(first)) + b"\0"
+    yield _invalid("256 bytes", "MAP-001 MAP-002", "mapping", long)
+    ids = "PROP-001 PROP-002"
+    for pairs in (b"a\0b\0a\0b\0", b"a\0b\0c\0d\0a\0e\0"):
+        yield _invalid("a key twice", ids, "properties", pairs)
+    yield _invalid("a control character in a key", ids, "properties", b"a\nb\0c\0")
+    yield _invalid("a key that is not ASCII", ids, "properties", "µ\0c\0".encode())
+    yield _invalid("a value that is not UTF-8", ids, "properties", b"a\0\xff\0")
+    caps = [{"key": "j2a.spec", "value": c.SPEC_VERSION}, {"key": c.PROP_CAPS, "value": "a b-2.c"}]
+    yield _built("capabilities", ids + " CAP-001", "properties", caps)
+    value = {"func": 5, "flags": {"is_last": True, "is_write": False}, "offset": 0, "data": "6162"}
+    ids = "MANY-001 MANY-010"
+    yield _built("a read with isLast and data", ids, "many-request", value)
+    # isWrite has no meaning in a reply, so it is one of the bits that a host ignores.
+    value = {"code": 5, "flags": {"is_last": True}, "offset": 0, "data": "6162"}
+    noise = bytes((5, c.FLAG_LAST | c.FLAG_WRITE, 0, 0, 0, 0)) + b"ab"
+    yield "isWrite in a reply", "MANY-002 MANY-009", "many-reply", noise, value, False
+    for grammar, first_field in (("many-request", "func"), ("many-reply", "code")):
+        flags = {"is_last": True} | ({"is_write": False} if first_field == "func" else {})
+        chunk = {first_field: 5, "flags": flags, "offset": 498, "data": ""}
+        yield _built("an empty last chunk behind others", "MANY-020", grammar, chunk)

@@ -27,7 +27,7 @@ class StreamVector:
 
 def stream_vectors() -> list[StreamVector]:
     """Return every stream vector, in a fixed order."""
-    groups = (_outside(), _cut(), _markers(), _escapes(), _mixed(), _random())
+    groups = (_outside(), _cut(), _markers(), _escapes(), _mixed(), _random(), _begun())
     return [
         StreamVector(f"stream-{number:03}", comment, tuple(f"J2A-{i}" for i in ids.split()), stream)
         for number, (comment, ids, stream) in enumerate((r for group in groups for r in group), 1)
@@ -109,3 +109,23 @@ def _random() -> Iterator[_Row]:
             "FRAME-009",
             noise + encode(_GOOD),
         )
+
+
+def _begun() -> Iterator[_Row]:
+    """Whether the seq had come: only when both bytes of a stuffed one are there."""
+    good = encode(_NEXT)
+    for start in (c.SOF, c.SOS):
+        for seq in sorted(c.STUFFED):
+            wire = encode(Frame(start, seq, 0x05, b"ab"))
+            kind = "a frame" if start == c.SOF else "a SIF"
+            for length, part in ((2, "the ESC"), (3, "both bytes")):
+                comment = f"{kind} cut behind {part} of its seq 0x{seq:02X}, then a good frame"
+                yield comment, "FRAME-007 FRAME-009", wire[:length] + good
+            comment = f"the stream ends behind the ESC of the seq 0x{seq:02X} of {kind}"
+            yield comment, "FRAME-001 STUFF-005", wire[:2]
+    yield (
+        "ESC 0xFF in place of seq, then a good frame",
+        "STUFF-004 FRAME-009",
+        b"\x12\x7d\xff" + good,
+    )
+    yield "ESC 0xFF behind a stuffed seq", "STUFF-004 FRAME-009", b"\x12\x7d\x11\x7d\xff" + good
