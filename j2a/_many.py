@@ -74,8 +74,8 @@ _Result = TypeVar("_Result")
 Steps = Generator[Ask, Reply, _Result]
 """Work under way: yields calls to make, is sent replies or thrown errors, returns its result."""
 
-Guard = Callable[[bytes, Chunk], Steps[None]]
-"""Asked before an offset above 255 is used; gets what has been read and the first chunk, and
+Guard = Callable[[bytearray, Chunk], Steps[None]]
+"""Asked before the first offset above 255 is used; gets what has been read and the first chunk, and
 raises `LegacyLimit` when the device cannot be trusted with it."""
 
 
@@ -124,7 +124,13 @@ def _begun(error: J2AError, offset: int) -> J2AError:
 
 
 def read_chunks(
-    what: str, opcode: int, *, max_bytes: int, guard: Guard, progress: Progress | None = None
+    what: str,
+    opcode: int,
+    *,
+    max_bytes: int,
+    guard: Guard,
+    progress: Progress | None = None,
+    advice: str = "pass a larger max_bytes if that is right",
 ) -> Steps[bytes]:
     """Read until the device says that a chunk is the last (J2A-MANY-011).
 
@@ -134,6 +140,7 @@ def read_chunks(
         max_bytes: the most to accept, so that a device without an end cannot fill the memory.
         guard: see `Guard`.
         progress: see `Progress`.
+        advice: what the message says about more data than that.
 
     Returns: all data.
 
@@ -143,21 +150,20 @@ def read_chunks(
     """
     content = bytearray()
     first: Chunk | None = None
+    is_trusted = False
     while True:
         offset = len(content)
-        if offset > LEGACY_OFFSET and first is not None:
+        if offset > LEGACY_OFFSET and first is not None and not is_trusted:
             try:
-                yield from guard(bytes(content), first)
+                yield from guard(content, first)
             except J2AError as error:
                 raise _begun(error, offset) from None
+            is_trusted = True
         chunk = yield from exchange(what, opcode, 0, offset, b"")
         first = first or chunk
         content += chunk.data
         if len(content) > max_bytes:
-            raise ProtocolError(
-                f"{what}: the device sends more than {max_bytes} bytes; "
-                "pass a larger max_bytes if that is right"
-            )
+            raise ProtocolError(f"{what}: the device sends more than {max_bytes} bytes; {advice}")
         if progress is not None:
             progress(len(content), len(content) if chunk.is_last else None)
         if chunk.is_last:
@@ -223,7 +229,7 @@ def echo_chunks(
     return bytes(content)
 
 
-def probe_offsets(what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
+def probe_offsets(what: str, opcode: int, content: bytes | bytearray, first: Chunk) -> Steps[None]:
     """Find out whether a device of version 1.0 honours offsets above 255 (J2A-MANY-014).
 
     Old devices look at the lowest byte of the offset only, so offset 256 gives what offset 0 gave.

@@ -52,6 +52,9 @@ from j2a.events import Reply
 __all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "Peer"]
 
 DEFAULT_MAX_BYTES: Final = 64 * 2**20
+MAX_PROPERTIES: Final = 16 * 1024
+"""More bytes of properties are an error of the device (J2A-LIMIT-008)."""
+
 MANY_OPCODE: Final = 1
 """Of a2jMany, in every function table that has it (J2A-DISP-009)."""
 
@@ -143,7 +146,8 @@ class Peer:
                 content = yield from read_chunks(
                     GET_PROPERTIES,
                     opcode,
-                    max_bytes=DEFAULT_MAX_BYTES,
+                    max_bytes=MAX_PROPERTIES,
+                    advice="this library takes no longer properties (J2A-LIMIT-008)",
                     guard=lambda content, first: self._guard_properties(opcode, content, first),
                 )
             self.properties = unpack_properties(content)
@@ -273,11 +277,15 @@ class Peer:
             yield from self._probe(what, opcode, first.data, first)
         return chunk_size
 
-    def _guard_read(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
+    def _guard_read(
+        self, what: str, opcode: int, content: bytes | bytearray, first: Chunk
+    ) -> Steps[None]:
         if not (yield from self._is_trusted(opcode)):
             yield from self._probe(what, opcode, content, first)
 
-    def _guard_properties(self, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
+    def _guard_properties(
+        self, opcode: int, content: bytes | bytearray, first: Chunk
+    ) -> Steps[None]:
         # Whether the device is an old one is in these properties; it may have been read by now.
         parts = [part.decode("utf-8", "replace") for part in content.split(b"\0")[:-1]]
         known = Announced(dict(zip(parts[::2], parts[1::2], strict=False)))
@@ -291,7 +299,9 @@ class Peer:
         self.check_version(Outcome.ANSWERED)
         return self.announced.has_long_offsets
 
-    def _probe(self, what: str, opcode: int, content: bytes, first: Chunk) -> Steps[None]:
+    def _probe(
+        self, what: str, opcode: int, content: bytes | bytearray, first: Chunk
+    ) -> Steps[None]:
         yield from probe_offsets(what, opcode, content, first)
         self._probed.add(opcode)
 

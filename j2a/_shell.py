@@ -5,6 +5,7 @@ several calls as generators (see `_many`), which each client drives in its own w
 """
 
 import contextlib
+import math
 import os
 import random
 import warnings
@@ -23,6 +24,7 @@ from j2a_spec.constants import (
 )
 
 from j2a._arguments import check_timeout
+from j2a._limits import DEVICE_LIMITS, Limits
 from j2a._many import Ask, Progress, Steps, preparing
 from j2a._peer import Peer
 from j2a._session import MAX_WINDOW, NONCE_BYTES, Session
@@ -155,14 +157,14 @@ class Shell:
         yield from self._peer.learn_room()
         return self._peer.room
 
-    def _prepare_call(self, function: str | int, payload: bytes) -> Steps[tuple[str, int]]:
-        """Find out what a call needs to know: the opcode, and the room for its payload."""
+    def _call(self, function: str | int, payload: bytes) -> Steps[Reply]:
+        """Find out the opcode and the room for the payload, then make the call."""
         if isinstance(function, str) or len(payload) > self._peer.room:
             yield from preparing(str(function), self._load_map())
         what, opcode = self._peer.resolve(function)
         if len(payload) > self._peer.room:
             yield from preparing(what, self._peer.check_room(what, payload))
-        return what, opcode
+        return (yield Ask(what, payload, opcode))
 
     def _read_capabilities(self) -> Steps[frozenset[str]]:
         yield from self._read_properties()
@@ -188,10 +190,27 @@ class Shell:
         yield from preparing(GET_ECHO_MANY, self._load_map())
         return (yield from self._peer.echo(data, progress))
 
-    def _arguments(self, ask: Ask, limit_s: float) -> tuple[str, int, bytes, float]:
+    def _arguments(self, ask: Ask, limits: Limits, now: float) -> tuple[str, int, bytes, float]:
         """Return the arguments of the call that a step wants."""
         opcode = self._peer.many_opcode if ask.opcode is None else ask.opcode
-        return ask.what, opcode, ask.payload, ask.limit_s or limit_s
+        return ask.what, opcode, ask.payload, limits.of_step(ask.what, ask.limit_s, now)
+
+    def _limits(self, timeout: object, total_timeout: object, now: float) -> Limits:
+        """Return the time limits of a transfer."""
+        total_s = math.inf if total_timeout is None else check_timeout(total_timeout)
+        return Limits(self._limit_s(timeout), total_s, now)
+
+    def _call_limits(self, timeout: object, now: float) -> Limits:
+        """Return the time limits of a call, which cover what has to be asked before."""
+        limit_s = self._limit_s(timeout)
+        return Limits(limit_s, limit_s, now)
+
+    def _device_limits(self, now: float, boot_time: float | None = None) -> Limits:
+        """Return the time limits of reading what the device tells about itself."""
+        total_s = DEVICE_LIMITS * self._timeout
+        if boot_time is not None:
+            total_s += check_timeout(boot_time)
+        return Limits(self._timeout, total_s, now)
 
     def _limit_s(self, timeout: object) -> float:
         return self._timeout if timeout is None else check_timeout(timeout)

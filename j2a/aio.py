@@ -16,6 +16,7 @@ from j2a_spec.constants import GET_ECHO
 from j2a._arguments import check_payload, check_timeout
 from j2a._async_engine import AsyncEngine, AsyncHandler
 from j2a._handlers import ErrorHook, Handlers, Opcodes, Subscription
+from j2a._limits import Limits
 from j2a._link import open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
@@ -67,7 +68,8 @@ class AsyncClient(Shell):
         Args:
             function: its name in the function map, or its opcode 0..255.
             payload: 0 to 255 bytes, and not more than the device has room for (J2A-LIMIT-007).
-            timeout: the time limit in seconds; None takes the client's, `math.inf` has no limit.
+            timeout: the time limit in seconds, with what has to be asked of the device before
+                (J2A-TIME-008); None takes the client's, `math.inf` has no limit.
 
         Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
 
@@ -75,9 +77,9 @@ class AsyncClient(Shell):
             CallTimeout when no reply came in time; LinkError when the link is lost or closed.
         """
         data = check_payload(payload)
-        limit_s = self._limit_s(timeout)
-        what, opcode = await self._drive(self._prepare_call(function, data), timeout)
-        return await self._engine.call(what, opcode, data, limit_s)
+        return await self._drive(
+            self._call(function, data), self._call_limits(timeout, self._now())
+        )
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
@@ -91,7 +93,7 @@ class AsyncClient(Shell):
 
         Raises: as `call`; FunctionFailed or ProtocolError when the device returns no flags.
         """
-        return await self._drive(self._read_debug(), timeout)
+        return await self._drive(self._read_debug(), self._call_limits(timeout, self._now()))
 
     # ------------------------------------------------------------------ transfers
 
@@ -100,6 +102,7 @@ class AsyncClient(Shell):
         function: str | int,
         *,
         timeout: float | None = None,
+        total_timeout: float | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
         progress: Progress | None = None,
     ) -> bytes:
@@ -108,6 +111,8 @@ class AsyncClient(Shell):
         Args:
             function: its name or opcode.
             timeout: the time limit of each chunk, in seconds.
+            total_timeout: the time limit of all of it, in seconds, with the function map and the
+                properties where they have to be read before; None has no limit (J2A-TIME-008).
             max_bytes: the most to accept.
             progress: called after each chunk with the bytes read and None, at the end with the
                 bytes read twice.
@@ -115,7 +120,8 @@ class AsyncClient(Shell):
         Raises: as `call`; FunctionFailed; ProtocolError when the chunks do not fit together;
             LegacyLimit when a device of version 1.0 cannot do it.
         """
-        return await self._drive(self._read_many(function, max_bytes, progress), timeout)
+        limits = self._limits(timeout, total_timeout, self._now())
+        return await self._drive(self._read_many(function, max_bytes, progress), limits)
 
     async def write_many(
         self,
@@ -123,6 +129,7 @@ class AsyncClient(Shell):
         data: bytes,
         *,
         timeout: float | None = None,
+        total_timeout: float | None = None,
         progress: Progress | None = None,
     ) -> int:
         """Write data of any size to a function for a2jMany (J2A-MANY-012, J2A-MANY-013).
@@ -131,22 +138,31 @@ class AsyncClient(Shell):
             function: its name or opcode.
             data: up to 2**32-1 bytes.
             timeout: the time limit of each chunk, in seconds.
+            total_timeout: the time limit of all of it, in seconds, with the function map and the
+                properties where they have to be read before; None has no limit (J2A-TIME-008).
             progress: called after each chunk with the bytes done and the bytes in all.
 
         Returns: the return value of the function for the last chunk.
 
         Raises: as `read_many`.
         """
-        return await self._drive(self._write_many(function, data, progress), timeout)
+        limits = self._limits(timeout, total_timeout, self._now())
+        return await self._drive(self._write_many(function, data, progress), limits)
 
     async def echo_many(
-        self, data: bytes, *, timeout: float | None = None, progress: Progress | None = None
+        self,
+        data: bytes,
+        *,
+        timeout: float | None = None,
+        total_timeout: float | None = None,
+        progress: Progress | None = None,
     ) -> bytes:
         """Send data of any size through a2jEchoMany and return the same (J2A-ECHO-002).
 
         Args and raises: as `write_many`; ProtocolError when it is not the same.
         """
-        return await self._drive(self._echo_many(data, progress), timeout)
+        limits = self._limits(timeout, total_timeout, self._now())
+        return await self._drive(self._echo_many(data, progress), limits)
 
     # ------------------------------------------------------------------ what the device has
 
@@ -155,7 +171,7 @@ class AsyncClient(Shell):
 
         Raises: as `call`, when the map is still to be fetched.
         """
-        await self._drive(self._load_map())
+        await self._drive(self._load_map(), self._device_limits(self._now()))
         return dict(self._peer.functions or {})
 
     async def properties(self) -> dict[str, str]:
@@ -163,21 +179,21 @@ class AsyncClient(Shell):
 
         Raises: as `read_many`.
         """
-        return await self._drive(self._read_properties())
+        return await self._drive(self._read_properties(), self._device_limits(self._now()))
 
     async def capabilities(self) -> frozenset[str]:
         """Return the optional parts that the device announces (J2A-CAP-001); empty if none.
 
         Raises: as `read_many`.
         """
-        return await self._drive(self._read_capabilities())
+        return await self._drive(self._read_capabilities(), self._device_limits(self._now()))
 
     async def room(self) -> int:
         """Return the longest payload that a call may have, 32..255 bytes (J2A-LIMIT-006).
 
         Raises: CallTimeout and LinkError, as `call`.
         """
-        return await self._drive(self._read_room())
+        return await self._drive(self._read_room(), self._device_limits(self._now()))
 
     async def refresh(self, boot_time: float | None = None) -> None:
         """Fetch the function map anew and forget the properties (J2A-MAP-001).
@@ -188,7 +204,7 @@ class AsyncClient(Shell):
 
         Raises: as `call`; ProtocolError when what answers is no device.
         """
-        await self._drive(self._refresh(boot_time))
+        await self._drive(self._refresh(boot_time), self._device_limits(self._now(), boot_time))
 
     # ------------------------------------------------------------------ SIFs
 
@@ -227,13 +243,16 @@ class AsyncClient(Shell):
 
     # ------------------------------------------------------------------ machinery
 
-    async def _drive(self, steps: Steps[_Result], timeout: float | None = None) -> _Result:
-        limit_s = self._limit_s(timeout)
+    @staticmethod
+    def _now() -> float:
+        return asyncio.get_running_loop().time()
+
+    async def _drive(self, steps: Steps[_Result], limits: Limits) -> _Result:
         try:
             ask = next(steps)
             while True:
                 try:
-                    reply = await self._engine.call(*self._arguments(ask, limit_s))
+                    reply = await self._engine.call(*self._arguments(ask, limits, self._now()))
                 except J2AError as error:
                     ask = steps.throw(error)
                 else:
@@ -270,7 +289,9 @@ async def aconnect(
             on_handler_error=on_handler_error,
         )
         await stack.enter_async_context(client)
-        await client._drive(client._connect(boot_time))
+        await client._drive(
+            client._connect(boot_time), client._device_limits(client._now(), boot_time)
+        )
         stack.pop_all()
     return client
 

@@ -5,6 +5,7 @@ whole, SIFs to their handlers.
 Rules: arguments are checked before anything is sent; waiting and bytes are the engine's business.
 """
 
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self, TypeVar, overload
@@ -14,6 +15,7 @@ from j2a_spec.constants import GET_ECHO
 from j2a._arguments import check_payload, check_timeout
 from j2a._engine import Engine, Handler
 from j2a._handlers import ErrorHook, Handlers, Opcodes, Subscription
+from j2a._limits import Limits
 from j2a._link import open_transport
 from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
@@ -77,8 +79,9 @@ class Client(Shell):
             function: its name in the function map, or its opcode 0..255.
             payload: 0 to 255 bytes, and not more than the device has room for. Of the first one
                 above 32 bytes its properties are read before (J2A-LIMIT-007).
-            timeout: the time limit in seconds, from now until the reply is here; None takes the
-                client's, `math.inf` waits for ever.
+            timeout: the time limit in seconds, from now until the reply is here, with what has to
+                be asked of the device before (J2A-TIME-008); None takes the client's, `math.inf`
+                waits for ever.
 
         Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
 
@@ -90,9 +93,7 @@ class Client(Shell):
             LinkError: the link is lost or closed.
         """
         data = check_payload(payload)
-        limit_s = self._limit_s(timeout)
-        what, opcode = self._drive(self._prepare_call(function, data), timeout)
-        return self._engine.call(what, opcode, data, limit_s)
+        return self._drive(self._call(function, data), self._call_limits(timeout, self._now()))
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
@@ -108,7 +109,7 @@ class Client(Shell):
 
         Raises: as `call`; FunctionFailed or ProtocolError when the device returns no flags.
         """
-        return self._drive(self._read_debug(), timeout)
+        return self._drive(self._read_debug(), self._call_limits(timeout, self._now()))
 
     # ------------------------------------------------------------------ transfers
 
@@ -117,6 +118,7 @@ class Client(Shell):
         function: str | int,
         *,
         timeout: float | None = None,
+        total_timeout: float | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
         progress: Progress | None = None,
     ) -> bytes:
@@ -127,6 +129,8 @@ class Client(Shell):
         Args:
             function: its name or opcode.
             timeout: the time limit of each chunk, in seconds.
+            total_timeout: the time limit of all of it, in seconds, with the function map and the
+                properties where they have to be read before; None has no limit (J2A-TIME-008).
             max_bytes: the most to accept.
             progress: called after each chunk with the bytes read and None, at the end with the
                 bytes read twice.
@@ -134,7 +138,8 @@ class Client(Shell):
         Raises: as `call`; FunctionFailed; ProtocolError when the chunks do not fit together;
             LegacyLimit when a device of version 1.0 cannot do it.
         """
-        return self._drive(self._read_many(function, max_bytes, progress), timeout)
+        limits = self._limits(timeout, total_timeout, self._now())
+        return self._drive(self._read_many(function, max_bytes, progress), limits)
 
     def write_many(
         self,
@@ -142,6 +147,7 @@ class Client(Shell):
         data: bytes,
         *,
         timeout: float | None = None,
+        total_timeout: float | None = None,
         progress: Progress | None = None,
     ) -> int:
         """Write data of any size to a function made for a2jMany.
@@ -152,16 +158,24 @@ class Client(Shell):
             function: its name or opcode.
             data: up to 2**32-1 bytes.
             timeout: the time limit of each chunk, in seconds.
+            total_timeout: the time limit of all of it, in seconds, with the function map and the
+                properties where they have to be read before; None has no limit (J2A-TIME-008).
             progress: called after each chunk with the bytes done and the bytes in all.
 
         Returns: the return value of the function for the last chunk.
 
         Raises: as `read_many`.
         """
-        return self._drive(self._write_many(function, data, progress), timeout)
+        limits = self._limits(timeout, total_timeout, self._now())
+        return self._drive(self._write_many(function, data, progress), limits)
 
     def echo_many(
-        self, data: bytes, *, timeout: float | None = None, progress: Progress | None = None
+        self,
+        data: bytes,
+        *,
+        timeout: float | None = None,
+        total_timeout: float | None = None,
+        progress: Progress | None = None,
     ) -> bytes:
         """Send data of any size through a2jEchoMany and return what comes back, the same.
 
@@ -169,7 +183,8 @@ class Client(Shell):
 
         Args and raises: as `write_many`; ProtocolError when it is not the same.
         """
-        return self._drive(self._echo_many(data, progress), timeout)
+        limits = self._limits(timeout, total_timeout, self._now())
+        return self._drive(self._echo_many(data, progress), limits)
 
     # ------------------------------------------------------------------ what the device has
 
@@ -179,7 +194,7 @@ class Client(Shell):
 
         Raises: as `call`, when the map is still to be fetched.
         """
-        self._drive(self._load_map())
+        self._drive(self._load_map(), self._device_limits(self._now()))
         return dict(self._peer.functions or {})
 
     @property
@@ -190,7 +205,7 @@ class Client(Shell):
 
         Raises: as `read_many`.
         """
-        return self._drive(self._read_properties())
+        return self._drive(self._read_properties(), self._device_limits(self._now()))
 
     @property
     def capabilities(self) -> frozenset[str]:
@@ -200,7 +215,7 @@ class Client(Shell):
 
         Raises: as `read_many`.
         """
-        return self._drive(self._read_capabilities())
+        return self._drive(self._read_capabilities(), self._device_limits(self._now()))
 
     @property
     def room(self) -> int:
@@ -208,7 +223,7 @@ class Client(Shell):
 
         It is 255 where the device does not say. Raises: CallTimeout and LinkError, as `call`.
         """
-        return self._drive(self._read_room())
+        return self._drive(self._read_room(), self._device_limits(self._now()))
 
     def refresh(self, boot_time: float | None = None) -> None:
         """Fetch the function map anew and forget the properties (J2A-MAP-001).
@@ -219,7 +234,7 @@ class Client(Shell):
 
         Raises: as `call`; ProtocolError when what answers is no device.
         """
-        self._drive(self._refresh(boot_time))
+        self._drive(self._refresh(boot_time), self._device_limits(self._now(), boot_time))
 
     # ------------------------------------------------------------------ SIFs
 
@@ -267,13 +282,16 @@ class Client(Shell):
 
     # ------------------------------------------------------------------ machinery
 
-    def _drive(self, steps: Steps[_Result], timeout: float | None = None) -> _Result:
-        limit_s = self._limit_s(timeout)
+    @staticmethod
+    def _now() -> float:
+        return time.monotonic()
+
+    def _drive(self, steps: Steps[_Result], limits: Limits) -> _Result:
         try:
             ask = next(steps)
             while True:
                 try:
-                    reply = self._engine.call(*self._arguments(ask, limit_s))
+                    reply = self._engine.call(*self._arguments(ask, limits, self._now()))
                 except J2AError as error:
                     ask = steps.throw(error)
                 else:
@@ -323,6 +341,6 @@ def connect(
             on_handler_error=on_handler_error,
         )
         stack.enter_context(client)
-        client._drive(client._connect(boot_time))
+        client._drive(client._connect(boot_time), client._device_limits(client._now(), boot_time))
         stack.pop_all()
     return client

@@ -186,6 +186,17 @@ class TestWhatADeviceMayNotAnswer:
             pass
 
 
+@pytest.mark.requirement("J2A-MANY-016")
+@pytest.mark.parametrize("is_last", [False, True])
+@pytest.mark.parametrize("data", [b"", b"x", bytes(249)])
+def test_what_the_replies_to_a_write_carry_is_ignored(demo, peer, is_last, data):
+    drive(demo._execute, peer.learn_room())
+    replies = [chunk(data, is_last=is_last, offset=offset) for offset in (0, 249, 498)]
+    requests = []
+    assert drive(answers(*replies), peer.write("store", bytes(600), None), requests) == 0
+    assert len(requests) == 3
+
+
 class TestOldDevices:
     """Version 1.0: one byte of the offset counts (see J2A-MANY-014)."""
 

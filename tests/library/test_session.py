@@ -312,7 +312,7 @@ class TestTime:
 
 
 class TestSifs:
-    @pytest.mark.requirement("J2A-SIF-009")
+    @pytest.mark.requirement("J2A-SIF-009", "J2A-SIF-010")
     def test_gaps_are_counted(self):
         host = Host()
         seqs = [250, 251, 254, 255, 0, 0, 1]
