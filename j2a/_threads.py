@@ -27,8 +27,11 @@ __all__ = ["JOIN_S", "LOOK_S", "PIECE", "LinkThreads", "join_threads", "start_th
 PIECE: Final = 4096
 """Bytes handed over at once; the worst ones take about 10 ms to parse."""
 
-LOOK_S: Final = 0.04
+LOOK_S: Final = 0.02
 """Where bytes never end, a look is over after so many seconds."""
+
+_UNSURE_S: Final = 0.04
+"""How long bytes may take through the thread of a transport that has one of its own."""
 
 _PATIENCE_S: Final = 1.0
 """How long a reading thread that was woken may take to be scheduled."""
@@ -95,14 +98,14 @@ class LinkThreads:
             had arrived has come through by then.
         """
         if not hasattr(self._transport, "wake_reader"):
-            return LOOK_S
+            return _UNSURE_S
         with self._changed:
             if self._asked == self._answered:
                 self._asked_at = time.monotonic()
             self._asked += 1
         if self._transport.wake_reader():
             return _PATIENCE_S
-        return LOOK_S
+        return _UNSURE_S
 
     def wait_for_look(self) -> None:
         """Wait until what has arrived was taken, or for as long as `look` says."""

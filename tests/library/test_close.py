@@ -1,0 +1,358 @@
+"""The end of both clients: SIFs that have come, dropped clients, forked children."""
+
+import asyncio
+import contextlib
+import gc
+import os
+import threading
+import time
+import weakref
+
+import j2a_transports
+import pytest
+from j2a_spec import oracle
+from j2a_spec.constants import SOF, SOS
+
+import j2a
+from j2a.demo import DemoDevice
+
+from .support import PATIENCE_S, served
+from .wire import Background, Wire
+
+
+def sifs(numbers):
+    return [oracle.Frame(SOS, n, n, b"") for n in numbers]
+
+
+@contextlib.contextmanager
+def tcp_pair():
+    """Both ends of a connection whose bytes wait in the kernel."""
+    with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+        near = j2a_transports.open(listener.url)
+        far = listener.accept(PATIENCE_S)
+        with near, far:
+            yield near, far
+
+
+def wire_bytes(frames):
+    return b"".join(map(oracle.encode, frames))
+
+
+class TestSifsAtClose:
+    @pytest.mark.requirement("J2A-SIF-007")
+    def test_those_that_came_are_handled(self, caplog):
+        with Wire() as wire:
+            seen = []
+            wire.client.on_sif(None, lambda sif: (time.sleep(0.002), seen.append(sif.opcode)))
+            wire.send(*sifs(range(40)))
+            wire.client.close()
+            assert seen == list(range(40))
+            assert wire.client.counters.sifs_dropped == 0
+        assert caplog.records == []
+
+    def test_also_from_the_kernel(self):
+        with tcp_pair() as (near, far):
+            client, seen = j2a.Client(near), []
+            client.on_sif(None, lambda sif: seen.append(sif.opcode))
+            with client._engine._state:  # the reader stops at the first
+                far.write(wire_bytes(sifs(range(200))))
+            client.close()
+            assert seen == list(range(200))
+
+    def test_their_handlers_may_call(self):
+        with served(DemoDevice()) as url, j2a.connect(url, timeout=PATIENCE_S) as client:
+            seen = []
+            client.on_sif(7, lambda sif: seen.append(client.echo(sif.payload)))
+            for n in range(20):
+                client.call("sif", bytes((7, n)))
+            client.close()
+            assert seen == [bytes((n,)) for n in range(20)]
+
+    def test_also_when_the_block_is_left_by_an_exception(self):
+        with Wire() as wire:
+            seen = []
+            wire.client.on_sif(None, lambda sif: seen.append(sif.opcode))
+            with pytest.raises(ZeroDivisionError), wire.client:
+                wire.send(*sifs(range(40)))
+                raise ZeroDivisionError
+            assert seen == list(range(40))
+
+    def test_when_the_link_was_lost_before(self):
+        with Wire() as wire:
+            seen, gate = [], threading.Event()
+            wire.client.on_sif(None, lambda sif: (gate.wait(PATIENCE_S), seen.append(sif.opcode)))
+            wire.send(*sifs(range(40)))
+            wire.far.close()
+            while wire.client.is_open:
+                time.sleep(0.001)
+            gate.set()
+            wire.client.close()
+            assert seen == list(range(40))
+
+    def test_a_failed_write_loses_neither_sifs_nor_a_reply(self):
+        class NoWrite(j2a_transports.Transport):
+            """A transport that has bytes to read when writing fails."""
+
+            closed = False
+
+            def __init__(self, inner):
+                super().__init__("no-write:")
+                self.inner = inner
+                self.read, self.wake_reader, self.close = (
+                    inner.read,
+                    inner.wake_reader,
+                    inner.close,
+                )
+
+            read = close = None
+
+            def write(self, data):
+                [request] = oracle.decode(data)
+                reply = oracle.Frame(SOF, request.seq, 0, b"done")
+                far.write(wire_bytes([*sifs(range(9)), reply]))
+                raise j2a_transports.LinkLost("gone")
+
+        with tcp_pair() as (near, far), j2a.Client(NoWrite(near)) as client:
+            seen = []
+            client.on_sif(None, lambda sif: seen.append(sif.opcode))
+            assert client.call(1).payload == b"done"
+            client.close()
+            assert seen == list(range(9))
+
+    def test_a_handler_that_is_stuck_is_left_and_the_others_are_counted(self, monkeypatch, caplog):
+        monkeypatch.setattr("j2a._engine.JOIN_S", 0.05)
+        monkeypatch.setattr("j2a._engine._LEAVE_S", 0.01)
+        with Wire() as wire:
+            seen, gate, started = [], threading.Event(), threading.Event()
+
+            def stuck(sif):
+                seen.append(sif.opcode)
+                started.set()
+                gate.wait(PATIENCE_S)
+
+            wire.client.on_sif(None, stuck)
+            wire.send(*sifs(range(40)))
+            assert started.wait(PATIENCE_S)
+            wire.client.close()
+            assert wire.client.counters.sifs_dropped == 39
+            assert "before 39 SIFs reached" in caplog.text
+            gate.set()
+            wire.client._engine._dispatcher.join(PATIENCE_S)
+            assert seen == [0]
+
+    def test_a_handler_that_closes_is_the_last(self):
+        with Wire() as wire:
+            seen = []
+            wire.client.on_sif(None, lambda sif: (seen.append(sif.opcode), wire.client.close()))
+            wire.send(*sifs(range(40)))
+            wire.client._engine._dispatcher.join(PATIENCE_S)
+            assert seen == [0]
+            assert wire.client.counters.sifs_dropped == wire.client.counters.sifs - 1
+
+    def test_several_threads_close(self):
+        with Wire() as wire:
+            seen = []
+            wire.client.on_sif(None, lambda sif: (time.sleep(0.002), seen.append(sif.opcode)))
+            wire.send(*sifs(range(20)))
+            closers = [Background(wire.client.close) for _ in range(5)]
+            for closer in closers:
+                closer.result()
+                assert seen == list(range(20))
+
+    def test_with_asyncio(self):
+        async def main():
+            near, far = j2a_transports.pair()
+            with far:
+                seen = []
+
+                async def handler(sif):
+                    await asyncio.sleep(0.001)
+                    seen.append(sif.opcode)
+
+                async with j2a.AsyncClient(near) as client:
+                    client.on_sif(None, handler)
+                    far.write(wire_bytes(sifs(range(40))))
+                assert seen == list(range(40))
+                assert client.counters.sifs_dropped == 0
+
+        asyncio.run(main())
+
+    def test_with_asyncio_those_behind_a_stuck_handler_are_counted(self, monkeypatch, caplog):
+        monkeypatch.setattr("j2a._async_engine.JOIN_S", 0.05)
+
+        async def main():
+            near, far = j2a_transports.pair()
+            with far:
+                async with j2a.AsyncClient(near) as client:
+                    client.on_sif(None, lambda _sif: asyncio.Event().wait())
+                    far.write(wire_bytes(sifs(range(40))))
+                assert client.counters.sifs_dropped == 39
+
+        asyncio.run(main())
+        assert "before 39 SIFs reached" in caplog.text
+
+
+class TestDropped:
+    def register(self, client):
+        """A handler that knows its client does not keep it."""
+        client.on_sif(2, lambda _sif: client.echo())
+
+    def test_a_client_warns_and_ends(self):
+        near, far = j2a_transports.pair()
+        client = j2a.Client(near)
+        self.register(client)
+        client.on_sif(1, lambda _sif: done.set())
+        done = threading.Event()
+        far.write(wire_bytes(sifs([1])))
+        assert done.wait(PATIENCE_S)
+        threads = [*client._engine._link.threads, client._engine._dispatcher]
+        gone = weakref.ref(client)
+        with pytest.warns(ResourceWarning, match=r"unclosed <j2a\.Client loopback: open>"):
+            del client
+            gc.collect()
+        assert gone() is None
+        for thread in threads:
+            thread.join(PATIENCE_S)
+            assert not thread.is_alive()
+        with pytest.raises(j2a_transports.LinkLost):
+            far.read(PATIENCE_S)
+
+    def test_with_asyncio_too(self):
+        async def main():
+            near, far = j2a_transports.pair()
+            client = j2a.AsyncClient(near)
+            self.register(client)
+            threads, dispatcher = client._engine._link.threads, client._engine.dispatcher
+            with pytest.raises(j2a.CallTimeout):
+                await client.call(1, timeout=0.01)
+            with pytest.warns(ResourceWarning, match=r"unclosed <j2a\.AsyncClient loopback: open>"):
+                del client
+                gc.collect()
+            await asyncio.wait_for(dispatcher, PATIENCE_S)
+            for thread in threads:
+                await asyncio.to_thread(thread.join, PATIENCE_S)
+                assert not thread.is_alive()
+            with pytest.raises(j2a_transports.LinkLost):
+                far.read(PATIENCE_S)
+                far.read(PATIENCE_S)
+
+        asyncio.run(main())
+
+    def test_one_that_was_closed_or_never_made_does_not_warn(self):
+        near, far = j2a_transports.pair()
+        with far:
+            j2a.Client(near).close()
+            with pytest.raises(j2a.LocalError):
+                j2a.Client(near, window=0)
+            gc.collect()
+
+    def test_one_whose_event_loop_is_closed_ends_without_it(self):
+        near, far = j2a_transports.pair()
+
+        async def main():
+            return j2a.AsyncClient(near)
+
+        client = asyncio.run(main())
+        with pytest.raises(j2a.LocalError, match="another event loop"):
+            asyncio.run(client.call(1))
+        asyncio.run(client.close())
+        for thread in client._engine._link.threads:
+            assert not thread.is_alive()
+        with pytest.raises(j2a_transports.LinkLost):
+            far.read(PATIENCE_S)
+
+    def test_bytes_for_a_closed_event_loop_end_the_threads(self):
+        near, far = j2a_transports.pair()
+
+        async def main():
+            return j2a.AsyncClient(near)
+
+        client = asyncio.run(main())
+        with contextlib.suppress(j2a_transports.LinkLost):
+            while True:
+                far.write(bytes(1000))
+        for thread in client._engine._link.threads[:1]:
+            thread.join(PATIENCE_S)
+            assert not thread.is_alive()
+        asyncio.run(client.close())
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+class TestFork:
+    def child(self, work):
+        """Run something in a forked child; return what it said."""
+        reading, writing = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            text = "nothing"
+            try:
+                text = work()
+            except BaseException as error:
+                text = f"{type(error).__name__}: {error}"
+            finally:
+                os.write(writing, text.encode())
+                os._exit(0)
+        os.close(writing)
+        with os.fdopen(reading, "rb") as pipe:
+            said = pipe.read().decode()
+        os.waitpid(pid, 0)
+        return said
+
+    def test_a_client_says_so_and_goes_on_in_the_parent(self):
+        device = DemoDevice()
+        with served(device, "tcp://127.0.0.1:0") as url, j2a.connect(url) as client:
+
+            def works():
+                errors = []
+                for use in (lambda: client.echo(b"x"), lambda: client.on_sif(1, print)):
+                    with pytest.raises(j2a.LocalError, match="connect again in the child") as error:
+                        use()
+                    errors.append(error.value.outcome)
+                with client:
+                    pass
+                client.close()
+                client.__del__()
+                gc.collect()
+                return str(errors[0])
+
+            assert self.child(works) == "Outcome.NOT_SENT"
+            assert client.echo(b"still there") == b"still there"
+
+    def test_in_whatever_state_the_parent_is(self):
+        """Locks that another thread held at the fork stay locked in the child."""
+        with Wire() as wire:
+            call = Background(wire.client.call, 1)
+            request = wire.request()
+            engine = wire.client._engine
+            with engine._turn, engine._state, engine._link._changed:
+
+                def works():
+                    with pytest.raises(j2a.LocalError), wire.client:
+                        wire.client.call(1)
+                    return "ended"
+
+                assert self.child(works) == "ended"
+            wire.send(oracle.Frame(SOF, request.seq, 0, b"done"))
+            assert call.result().payload == b"done"
+
+    def test_with_asyncio(self):
+        async def main():
+            with served(DemoDevice(), "tcp://127.0.0.1:0") as url:
+                async with await j2a.aconnect(url) as client:
+
+                    def works():
+                        async def use():
+                            with pytest.raises(j2a.LocalError, match="in the child"):
+                                await client.echo(b"x")
+                            await client.close()
+                            return "ended"
+
+                        # The child has the parent's loop, which does not run there.
+                        asyncio._set_running_loop(None)
+                        return asyncio.run(use())
+
+                    assert self.child(works) == "ended"
+                    assert await client.echo(b"still there") == b"still there"
+
+        asyncio.run(main())
