@@ -61,6 +61,19 @@ def test_however_the_chip_counts_bytes(chip, counting, check):
         check.run(device)
 
 
+@pytest.mark.parametrize(
+    "check", [pytest.param(check, id=check.name) for check in CHECKS if check.name[:4] == "bus."]
+)
+@pytest.mark.parametrize("sleep", [0, 1])
+@pytest.mark.parametrize("mcu", CHIPS)
+def test_flags_of_suspend_that_the_firmware_clears(build, mcu, sleep, check):
+    """Whether SUSPI and WAKEUPI clear each other, the firmware bears both."""
+    elf = build(port="avr-usb", MCU=mcu, USB_NAME=NAME, OPTIONS=f"-DJ2A_USB_SLEEP={sleep}")
+    with Device(elf, mcu) as device:
+        device.bus.suspend_flags = "independent"
+        check.run(device)
+
+
 def test_the_list():
     names = [name for name, _section, _sentence in rows()]
     assert len(names) == len(set(names)) >= 30

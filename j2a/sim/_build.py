@@ -225,6 +225,7 @@ def library() -> ctypes.CDLL:
         "usb_host_plug": (None, [pointer, integer]),
         "usb_host_attached": (integer, [pointer]),
         "usb_host_set_counting": (None, [pointer, integer]),
+        "usb_host_set_suspend_flags": (None, [pointer, integer]),
         "usb_host_lacks": (integer, [pointer]),
         "usb_host_state": (integer, [pointer]),
         "usb_host_reset": (None, [pointer, u64]),

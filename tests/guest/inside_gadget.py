@@ -140,7 +140,7 @@ class TestOnTheBus:
                 assert usb.util.get_string(host.device, sync.iInterface) == "SyncUSB"
                 assert usb.util.get_string(host.device, frames.iInterface) == "J2A"
 
-    @pytest.mark.requirement("USB-007", "USB-008", "USB-009")
+    @pytest.mark.requirement("USB-007", "USB-014", "USB-009")
     def test_sizes_around_packets(self, gadget: UsbGadget) -> None:
         sizes = [*range(1, 6), 63, 64, 65, 511, 512, 513, 1023, 1024, 1025, 16383, 16384, 16385]
         with echoing(gadget), raw(SERIAL) as host:

@@ -85,7 +85,7 @@ def part(number: int) -> list[str]:
     return [LONGEST] if number == 0 else cases[number - 1 :: PARTS - 1]
 
 
-@pytest.mark.requirement("USB-007", "USB-008", "USB-009", "USB-010")
+@pytest.mark.requirement("USB-007", "USB-014", "USB-009", "USB-010")
 @pytest.mark.parametrize("number", range(PARTS))
 @pytest.mark.parametrize("link", ["bt", pytest.param("usbip", marks=pytest.mark.avr)])
 def test_the_suite(guest, need, link, number, build_firmware):

@@ -18,7 +18,8 @@ FOLDERS = (
 
 
 def rules() -> dict[str, str]:
-    return dict(RULE.findall((ROOT / "spec" / "LINKS.md").read_text("utf-8")))
+    found = RULE.finditer((ROOT / "spec" / "LINKS.md").read_text("utf-8"))
+    return {rule[1]: rule[2] for rule in found if "*(Replaced by " not in rule[0]}
 
 
 def marks() -> dict[str, set[str]]:

@@ -41,7 +41,7 @@ def test_what_is_found(boards):
     assert all(board.speed == 12 and board.sync and board.problem is None for board in found)
 
 
-@pytest.mark.requirement("USB-008", "USB-009")
+@pytest.mark.requirement("USB-014", "USB-009")
 def test_two_clients_at_once(boards):
     """Payloads around the packet size, so that frames end with an empty packet too."""
     backend, *_ = boards

@@ -2,6 +2,7 @@
 
 import pytest
 
+from j2a.sim._usb.port import UsbPort
 from tests.sim.usb_chip import (
     BULK_IN,
     BULK_OUT,
@@ -229,7 +230,10 @@ def test_a_bus_reset_can_reset_the_cpu(open_chip, mcu, bit, cause):
     assert chip.bus.transact("SETUP", 0, READ)[0] == "ACK"
 
 
-def test_suspend_and_resume(chip):
+@pytest.mark.parametrize("reading", UsbPort.SUSPEND_FLAGS)
+def test_suspend_and_resume(chip, reading):
+    chip.bus.suspend_flags = reading
+    assert chip.bus.suspend_flags == reading
     chip.put(UDINT, 0)
     chip.ms(5)
     assert chip.get(UDINT) == SOFI | WAKEUPI
@@ -245,7 +249,8 @@ def test_suspend_and_resume(chip):
     assert chip.bus.counters.sofs == sofs
     assert chip.get(UDINT) == SUSPI
     chip.bus.resume()
-    assert chip.get(UDINT) & ~SOFI == SUSPI | WAKEUPI | EORSMI
+    flags = {"exclusive": WAKEUPI, "independent": SUSPI | WAKEUPI}[reading]
+    assert chip.get(UDINT) & ~SOFI == flags | EORSMI
     chip.ms(1.1)
     assert chip.get(UDINT) & SOFI
     assert chip.bus.transact("IN", 1)[0] == "NAK"

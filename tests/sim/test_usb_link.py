@@ -38,7 +38,7 @@ def read_all(link, count, timeout_s=1.0):
     return data
 
 
-@pytest.mark.requirement("USB-007", "USB-008", "USB-009")
+@pytest.mark.requirement("USB-007", "USB-014", "USB-009")
 @pytest.mark.parametrize("size", [1, 63, 64, 65, 127, 128, 511, 512, 513, 4096])
 def test_echo(link, size):
     """The board ends an echo as the host ended the write, with an empty packet too."""
@@ -235,12 +235,12 @@ def test_endpoints_are_what_the_descriptors_say():
     found = parse_configuration(
         HEAD + OTHER + TO_BOARD + BOARD + CLASS_SPECIFIC + TO_HOST + TO_BOARD
     )
-    assert find_endpoints(found) == ((0x84, 32), (0x05, 64))
+    assert find_endpoints(found) == ((0x84, 32, True), (0x05, 64, True))
     assert found.parts[1].extra == CLASS_SPECIFIC
     interrupt = (
         HEAD + BOARD + TO_HOST[:3] + b"\3" + TO_HOST[4:] + TO_BOARD[:3] + b"\3" + TO_BOARD[4:]
     )
-    assert find_endpoints(parse_configuration(interrupt)) == ((0x84, 32), (0x05, 64))
+    assert find_endpoints(parse_configuration(interrupt)) == ((0x84, 32, False), (0x05, 64, False))
 
 
 @pytest.mark.parametrize(

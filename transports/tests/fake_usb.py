@@ -34,13 +34,18 @@ class Pipe:
         self.packets: deque[bytes] = deque()
         self.halted = False
         self.failing = 0
+        # Whether the firmware gives a bank back when it reads a byte of it, as that of 2014: an
+        # empty packet then keeps its bank for good.
+        self.needs_bytes = False
+        self.wedged = False
         # All packets that ever came through, for what a test asserts of them.
         self.log: list[int] = []
 
     def push(self, packet: bytes) -> bool:
         """Add a packet; False when there is no room (NAK)."""
-        if len(self.packets) >= ROOM:
+        if len(self.packets) >= ROOM or self.wedged:
             return False
+        self.wedged = self.needs_bytes and not packet
         self.packets.append(packet)
         self.log.append(len(packet))
         self.device.changed.notify_all()

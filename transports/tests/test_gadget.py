@@ -232,7 +232,7 @@ class TestSessions:
 
 
 class TestPackets:
-    @pytest.mark.requirement("USB-008")
+    @pytest.mark.requirement("USB-014")
     @pytest.mark.parametrize("size", [63, 64, 65, 128, 512, 16384, 16448])
     def test_a_burst_ends_with_a_packet_that_is_not_full(
         self, gadget: UsbGadget, kernel: FakeKernel, size: int

@@ -53,13 +53,57 @@ def link(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
         yield made
 
 
-@pytest.mark.requirement("USB-008")
+@pytest.mark.requirement("USB-014")
 @pytest.mark.parametrize("size", [1, 63, 64, 65, 128, 4095, 4096, 4097, 8192])
 def test_a_write_ends_with_a_short_packet_and_only_there(link: Link, size: int) -> None:
     link.near.write(bytes(size))
     log = link.device.pipes[0x02].log
     assert log == [64] * (size // 64) + [size % 64]
     assert link.far.read(1) == bytes(size)
+
+
+SIZES = [size + off for size in range(64, 64 * 9, 64) for off in (-1, 0, 1)]
+
+
+@pytest.mark.requirement("USB-003", "USB-015")
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_an_interrupt_endpoint_gets_no_empty_packet(
+    monkeypatch: pytest.MonkeyPatch, asynchronous: bool
+) -> None:
+    """The board takes nothing after one, as the first firmware."""
+    if asynchronous:
+        give_libusb(monkeypatch)
+    with linked(board(kind=3)) as link:
+        pipe = link.device.pipes[0x02]
+        pipe.needs_bytes = True
+        link.near.write_timeout_s = 0.5
+        for size in SIZES:
+            link.near.write(bytes(size))
+            assert read_exactly(link.far, size) == bytes(size)
+        # A write that times out leaves none behind either.
+        with pytest.raises(WriteTimeout):
+            link.near.write(bytes(64 * (ROOM + 1)))
+        assert read_exactly(link.far, 64 * ROOM) == bytes(64 * ROOM)
+        assert link.near.read(0.1) == b""
+        link.near.write(b"on")
+        assert read_exactly(link.far, 2) == b"on"
+        assert 0 not in pipe.log
+
+
+@pytest.mark.requirement("USB-014")
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_the_board_of_the_test_above_can_be_wedged(
+    monkeypatch: pytest.MonkeyPatch, asynchronous: bool
+) -> None:
+    monkeypatch.setattr("j2a_transports._usb.pipes.SLICE_MS", 10)
+    if asynchronous:
+        give_libusb(monkeypatch)
+    with linked(board(kind=2)) as link:
+        link.device.pipes[0x02].needs_bytes = True
+        link.near.write_timeout_s = 0.05
+        link.near.write(bytes(64))
+        with pytest.raises(WriteTimeout):
+            link.near.write(b"on")
 
 
 def test_an_empty_write_sends_nothing(link: Link) -> None:
@@ -151,7 +195,7 @@ def fill(link: Link) -> None:
     assert link.device.pipes[0x02].log == [64] * ROOM
 
 
-@pytest.mark.requirement("USB-008")
+@pytest.mark.requirement("USB-014")
 def test_the_empty_packet_that_a_board_refuses_comes_later(link: Link) -> None:
     fill(link)
     assert read_exactly(link.far, len(FULL)) == FULL

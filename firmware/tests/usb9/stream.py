@@ -84,7 +84,7 @@ def empty_packets_from_the_host(device: Device) -> None:
     device.works()
 
 
-@check("5.8.3", pytest.mark.requirement("USB-008"))
+@check("5.8.3", pytest.mark.requirement("USB-014"))
 def transfers_end(device: Device) -> None:
     """A burst to the host ends with a short packet, or an empty one after one that was full."""
     device.to_configured()

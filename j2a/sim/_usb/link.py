@@ -3,15 +3,15 @@
 In: bytes for the firmware. Out: what it answers. Time and waiting are those of `_timed_link`.
 Rules: the host plugs and enumerates the chip and finds the interface of a board by its class; its
 transfers towards the host are always submitted, several packets long, so a firmware that does not
-end what it sends with a short packet is not heard, as at a real host; a write is one transfer, with
-a packet of no bytes at the end when its last packet is a full one. A stall, a packet that is too
-long, or a chip that does not answer any more ends the link.
+end what it sends with a short packet is not heard, as at a real host; a write is one transfer, to a
+bulk endpoint with a packet of no bytes at the end when its last packet is a full one. A stall, a
+packet that is too long, or a chip that does not answer any more ends the link.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Final
+from typing import Final, NamedTuple
 
 from j2a_spec.usb import BULK, INTERRUPT
 
@@ -36,14 +36,22 @@ _WHY: Final = {
 }
 
 
-def find_endpoints(configuration: Described) -> tuple[tuple[int, int], tuple[int, int]]:
+class LinkEndpoint(NamedTuple):
+    """An endpoint of a link: its address, its largest packet in bytes, whether it is a bulk one."""
+
+    address: int
+    packet: int
+    bulk: bool
+
+
+def find_endpoints(configuration: Described) -> tuple[LinkEndpoint, LinkEndpoint]:
     """Find the endpoints of a board's interface.
 
     Args:
         configuration: what the device has told.
 
     Returns:
-        Address and packet size in bytes of the endpoint to the host, then of that to the board.
+        The endpoint to the host, then that to the board.
 
     Raises:
         SimError: there is no interface FF/12/EF with two such endpoints.
@@ -53,12 +61,16 @@ def find_endpoints(configuration: Described) -> tuple[tuple[int, int], tuple[int
         if (i.bInterfaceClass, i.bInterfaceSubClass, i.bInterfaceProtocol) != BOARD:
             continue
         usable = [
-            (e.fields.bEndpointAddress, e.fields.wMaxPacketSize & PACKET_MASK)
+            LinkEndpoint(
+                e.fields.bEndpointAddress,
+                e.fields.wMaxPacketSize & PACKET_MASK,
+                e.fields.bmAttributes & TYPE_MASK == BULK,
+            )
             for e in interface.parts
             if e.fields.bmAttributes & TYPE_MASK in {BULK, INTERRUPT}
         ]
-        to_host = [e for e in usable if e[0] & IN]
-        to_board = [e for e in usable if not e[0] & IN]
+        to_host = [e for e in usable if e.address & IN]
+        to_board = [e for e in usable if not e.address & IN]
         if to_host and to_board:
             return to_host[0], to_board[0]
         raise SimError("the interface FF/12/EF lacks a bulk endpoint in one direction")
@@ -87,9 +99,9 @@ class UsbLink(TimedLink):
     def _set_up(self) -> None:
         self._bus = self.sim.usb
         found = self._bus.enumerate(configuration=CONFIGURATION)
-        (self._in, self._in_packet), (self._out, self._out_packet) = find_endpoints(
-            parse_configuration(found.configuration)
-        )
+        to_host, to_board = find_endpoints(parse_configuration(found.configuration))
+        self._in, self._in_packet, _ = to_host
+        self._out, self._out_packet, self._out_is_bulk = to_board
         for endpoint in (self._in, self._out):
             self._bus.control(*CLEAR_HALT, endpoint)
             self._bus.clear_toggle(endpoint)
@@ -104,7 +116,8 @@ class UsbLink(TimedLink):
 
     def _send(self, data: bytes) -> None:
         if data:
-            full = len(data) % self._out_packet == 0
+            # An interrupt endpoint gets no empty packet (USB-015).
+            full = self._out_is_bulk and len(data) % self._out_packet == 0
             number = self._bus.submit_out(
                 self._out, data, packet=self._out_packet, zero_packet=full
             )

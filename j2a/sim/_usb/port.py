@@ -39,14 +39,17 @@ class UsbPort:
     Attributes:
         packet0: the packet size of endpoint 0, 8 until enumerate() has learned it.
         COUNTINGS: see counting.
+        SUSPEND_FLAGS: see suspend_flags.
     """
 
     COUNTINGS: Final = ("bank", "banks", "setup as 0", "setup as 8")
+    SUSPEND_FLAGS: Final = ("exclusive", "independent")
 
     def __init__(self, sim: AvrSim, lib: ctypes.CDLL, lock: threading.RLock) -> None:
         self._sim, self._lib, self._lock = sim, lib, lock
         self.packet0 = 8
         self._counting = self.COUNTINGS[0]
+        self._suspend_flags = self.SUSPEND_FLAGS[0]
         self._taken: dict[int, Completion] = {}  # of others, while a method waits for its own
 
     @property
@@ -97,6 +100,23 @@ class UsbPort:
         self._counting = name
         with self._lock:
             self._lib.usb_host_set_counting(self._host, self.COUNTINGS.index(name))
+
+    @property
+    def suspend_flags(self) -> str:
+        """How the chip's SUSPI and WAKEUPI act on each other; settable.
+
+        "exclusive": each clears the other when it is set, as the data sheet says and firmware such
+        as LUFA's needs. "independent": firmware clears them; it should bear that, too.
+        """
+        return self._suspend_flags
+
+    @suspend_flags.setter
+    def suspend_flags(self, name: str) -> None:
+        if name not in self.SUSPEND_FLAGS:
+            raise SimError(f"suspend_flags {name!r} is none of {', '.join(self.SUSPEND_FLAGS)}")
+        self._suspend_flags = name
+        with self._lock:
+            self._lib.usb_host_set_suspend_flags(self._host, self.SUSPEND_FLAGS.index(name))
 
     @property
     def enabled(self) -> bool:

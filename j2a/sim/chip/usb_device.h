@@ -24,6 +24,8 @@ enum { USB_ENDPOINTS = 7, USB_DPRAM = 832, USB_PACKET_MAX = 1023 };
 typedef enum { USB_NONE, USB_ACK, USB_NAK, USB_STALL } usb_answer_t;
 /* Readings of UEBCX, see UsbBus.counting. */
 enum { USB_COUNTS_BANK, USB_COUNTS_BANKS, USB_COUNTS_SETUP_AS_0, USB_COUNTS_SETUP_AS_8 };
+/* Readings of SUSPI and WAKEUPI, see UsbBus.suspend_flags. */
+enum { USB_FLAGS_EXCLUSIVE, USB_FLAGS_INDEPENDENT };
 typedef enum { USB_OUT, USB_IN, USB_SETUP } usb_token_t;
 
 /* Bits of the endpoint registers. */
@@ -76,6 +78,7 @@ typedef struct {
     int vbus, was_vbus, was_awake, suspended;
     int signalled;                      /* a reset or a resume is on the lines: they are not idle */
     int counting;                       /* USB_COUNTS_... */
+    int suspend_flags;                  /* USB_FLAGS_... */
     int keep;                           /* the next reset is one of the CPU alone */
     uint64_t idle_since, pll_at, idle_at; /* cycles; the last two: 0 when not waited for */
     avr_run_t run;

@@ -113,6 +113,7 @@ int usb_host_attached(usb_host_t *h)
 
 int usb_host_state(const usb_host_t *h) { return h->state; }
 void usb_host_set_counting(usb_host_t *h, int counting) { h->device->counting = counting; }
+void usb_host_set_suspend_flags(usb_host_t *h, int reading) { h->device->suspend_flags = reading; }
 int usb_host_lacks(const usb_host_t *h) { return usb_device_lacks(h->device); }
 
 void usb_host_plug(usb_host_t *h, int on)

@@ -71,6 +71,7 @@ void usb_host_free(usb_host_t *);
 void usb_host_plug(usb_host_t *, int on);
 int usb_host_attached(usb_host_t *);
 void usb_host_set_counting(usb_host_t *, int counting); /* of the device */
+void usb_host_set_suspend_flags(usb_host_t *, int reading); /* likewise */
 int usb_host_lacks(const usb_host_t *); /* usb_device_lacks() */
 int usb_host_state(const usb_host_t *);
 /* Begins a bus reset of so many cycles. */

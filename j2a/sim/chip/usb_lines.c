@@ -95,6 +95,8 @@ void usb_on_running(struct avr_irq_t *irq, uint32_t running, void *param)
 
 void usb_raise(usb_device_t *u, uint8_t event)
 {
+    if (u->suspend_flags == USB_FLAGS_EXCLUSIVE && (event & (SUSPI | WAKEUPI)))
+        u->udint &= ~(SUSPI | WAKEUPI);
     u->udint |= event;
     usb_levels(u);
 }
@@ -126,7 +128,7 @@ static void wait_for_idle(usb_device_t *u)
 }
 
 /* Something other than the idle state is on the lines. WAKEUPI comes even when the bus was not suspended:
- * firmware has to clear it before it enables its interrupt. It clears no SUSPI, nor the reverse. */
+ * firmware has to clear it before it enables its interrupt. */
 static void traffic(usb_device_t *u)
 {
     if (!usb_device_pulls_up(u))

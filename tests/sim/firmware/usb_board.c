@@ -1,7 +1,9 @@
 /* A board for the tests of what uses the simulated USB: it sends each packet of endpoint 2 back on
  * endpoint 1, keeps what comes on endpoint 3, and does odd things when a vendor request asks for
  * them. SERIAL (a letter as a number) makes its serial number. For the ATmega32U4 at 16 MHz;
- * polled, no interrupts. */
+ * polled, no interrupts. KIND is that of endpoints 1 and 2. With NEEDS_BYTES it gives a bank back only
+ * when it has read a byte of it; with SUSPENDS it freezes its clock in suspend and leaves it to the
+ * hardware to clear SUSPI when the bus wakes up. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <avr/pgmspace.h>
@@ -12,6 +14,15 @@
 #endif
 #ifndef CLASS
 #define CLASS 0xFF
+#endif
+#ifndef KIND
+#define KIND 2
+#endif
+#ifndef NEEDS_BYTES
+#define NEEDS_BYTES 0
+#endif
+#ifndef SUSPENDS
+#define SUSPENDS 0
 #endif
 #ifndef DETACHED
 #define DETACHED 0
@@ -30,8 +41,8 @@ static const uint8_t PROGMEM device[] = {
 static const uint8_t PROGMEM configuration[] = {
     9, 2, 48, 0, 2, 1, 0, 0x80, 50,
     9, 4, 0, 0, 2, CLASS, 0x12, 0xEF, 0,
-    7, 5, 0x80 | IN, 2, PACKET, 0, 0,
-    7, 5, OUT, 2, PACKET, 0, 0,
+    7, 5, 0x80 | IN, KIND, PACKET, 0, KIND == 3,
+    7, 5, OUT, KIND, PACKET, 0, KIND == 3,
     9, 4, 1, 0, 1, 0xFF, 0x34, 0x01, 4,
     7, 5, SYNC, 3, 16, 0, 1};
 static const uint8_t PROGMEM languages[] = {4, 3, 0x09, 0x04};
@@ -87,8 +98,8 @@ static void configure(uint8_t value)
 {
     configured = value;
     burst = 0;
-    open_endpoint(IN, 2 << 6 | 1, 3 << 4 | 1 << 2 | _BV(ALLOC));
-    open_endpoint(OUT, 2 << 6, 3 << 4 | 1 << 2 | _BV(ALLOC));
+    open_endpoint(IN, KIND << 6 | 1, 3 << 4 | 1 << 2 | _BV(ALLOC));
+    open_endpoint(OUT, KIND << 6, 3 << 4 | 1 << 2 | _BV(ALLOC));
     open_endpoint(SYNC, 3 << 6, 1 << 4 | _BV(ALLOC));
     UENUM = 0;
 }
@@ -192,7 +203,7 @@ static void echo(void)
     if (held || !(UEINTX & _BV(TXINI)))
         return;
     UENUM = OUT;
-    if (!(UEINTX & _BV(RXOUTI)))
+    if (!(UEINTX & _BV(RXOUTI)) || (NEEDS_BYTES && !(UEINTX & _BV(RWAL))))
         return;
     UEINTX = (uint8_t)~_BV(RXOUTI);
     while (UEINTX & _BV(RWAL))
@@ -229,6 +240,20 @@ static void take_sync(void)
     UEINTX = (uint8_t)~_BV(FIFOCON);
 }
 
+static void suspend_events(void)
+{
+    uint8_t events = UDINT & UDIEN;
+    if (events & _BV(SUSPI)) {
+        UDIEN = _BV(WAKEUPE);
+        USBCON |= _BV(FRZCLK);
+    }
+    if (events & _BV(WAKEUPI)) {
+        USBCON &= (uint8_t)~_BV(FRZCLK);
+        UDINT = (uint8_t)~_BV(WAKEUPI);
+        UDIEN = _BV(SUSPE);
+    }
+}
+
 int main(void)
 {
     UHWCON = _BV(UVREGE);
@@ -237,7 +262,10 @@ int main(void)
     while (!(PLLCSR & _BV(PLOCK))) { }
     USBCON = _BV(USBE) | _BV(OTGPADE);
     UDCON = DETACHED;
+    UDIEN = SUSPENDS ? _BV(SUSPE) : 0;
     for (;;) {
+        if (SUSPENDS)
+            suspend_events();
         if (was_reset()) {
             UDINT = (uint8_t)~_BV(EORSTI);
             configured = held = 0;

@@ -3,7 +3,7 @@
 In: bytes that the gadget's reading thread hands over, and those to write.  Out: the same bytes.
 Rules: a reset, an unplugging and a new configuration by the host drop what was not yet read or
 sent (USB-011), and end all calls at once; a burst ends with a short packet, so with an empty one
-where the last was full (USB-008).
+where the last was full (USB-014).
 """
 
 from __future__ import annotations

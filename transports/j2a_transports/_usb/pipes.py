@@ -2,8 +2,9 @@
 
 In: the endpoints and bytes to send.  Out: the bytes that arrive, through a callback.
 Rules: what did go is never sent again and what has come is never dropped, also when a transfer
-times out; a halt is cleared once, a second one without a byte in between ends the link; the last
-transfer of a write is shorter than a packet, so empty where the rest was a multiple of it. A board
+times out; a halt is cleared once, a second one without a byte in between ends the link; to a bulk
+endpoint the last transfer of a write is shorter than a packet, so empty where the rest was a
+multiple of it (USB-014); an interrupt endpoint never gets an empty packet (USB-015). A board
 that has taken all bytes, but not that empty packet, is not stuck: the packet stays owed until the
 board takes it or the next write, which does without.
 `Pipes` is also what `transfers` implements.
@@ -218,7 +219,8 @@ class BlockingPipes(Pipes):
             sent += count
             # A transfer that has timed out on the way was shorter than it should be.
             whole = count == len(piece)
-            last = whole and sent == len(data) and (not piece or count % end.packet != 0)
+            ends = not end.bulk or not piece or count % end.packet != 0
+            last = whole and sent == len(data) and ends
 
     def _failed(self, end: Endpoint, error: Exception, again: bool = True) -> None:
         """Do what a failed transfer asks for: nothing, clear the halt, or end everything.

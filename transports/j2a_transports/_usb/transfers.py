@@ -259,7 +259,8 @@ class AsyncPipes(Pipes):
                     if self._ended:
                         raise Ended
                     if status == CANCELLED and sent == len(data):
-                        self._owe()
+                        if self.outgoing.bulk:
+                            self._owe()
                         return
                     if status == CANCELLED and not gone:
                         raise Stuck(sent)
@@ -291,7 +292,7 @@ class AsyncPipes(Pipes):
         end = self.outgoing
         at = start
         gone = 0
-        empty = len(data) % end.packet == 0
+        empty = end.bulk and len(data) % end.packet == 0
         while not self._ended:
             while self._to_write and (at < len(data) or empty):
                 piece = data[at : at + end.size]
