@@ -119,6 +119,14 @@ class Bus:
         self._end()
         self.tell(event)
 
+    def rebind(self) -> None:
+        """The device leaves the bus and comes back before the gadget has read an event.
+
+        The kernel drops UNBIND for BIND then (__ffs_event_add in its f_fs.c).
+        """
+        self._end()
+        self.tell(Event.BIND)
+
     def _end(self) -> None:
         with self.changed:
             self.session = None

@@ -148,6 +148,21 @@ class TestSessions:
         Host(kernel.bus).write(b"on")
         assert read_exactly(transport, 2) == b"on"
 
+    def test_leaving_the_bus_and_coming_back_at_once_ends_a_blocked_read(
+        self, gadget: UsbGadget, kernel: FakeKernel
+    ) -> None:
+        """No byte was exchanged, so the next configuration alone would not tell."""
+        transport = accepted(gadget)
+        reader = Background(lambda: transport.read(None))
+        time.sleep(SETTLE_S)
+        kernel.bus.rebind()
+        kernel.bus.configure()
+        with pytest.raises(LinkLost, match="left the bus"):
+            reader.result()
+        with accepted(gadget) as second:
+            Host(kernel.bus).write(b"anew")
+            assert read_exactly(second, 4) == b"anew"
+
     def test_leaving_the_bus_ends_blocked_calls(
         self, gadget: UsbGadget, kernel: FakeKernel
     ) -> None:

@@ -229,11 +229,13 @@ class UsbGadget(Listener):
             self._configured()
         elif kind == Event.DISABLE:
             self._lose("the host is gone, or has reset the device")
-        elif kind == Event.UNBIND:
+        elif kind in {Event.UNBIND, Event.BIND}:
+            # The kernel drops events that are not yet read when a new one comes: of a device that
+            # left the bus and came back, BIND may be all that is told.
             self._lose("the device has left the bus")
         elif kind == Event.SETUP:
             self._stall(setup)
-        # BIND says nothing that ENABLE does not say; a suspended bus comes back as it was.
+        # A suspended bus comes back as it was.
 
     def _configured(self) -> None:
         """The host has set the configuration, or an alternate setting of one interface."""
