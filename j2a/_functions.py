@@ -6,6 +6,8 @@ Rules: no input raises; a function that raises or returns what it may not has fa
 Mistakes at registration raise `RegistrationError` at once.
 """
 
+import functools
+import inspect
 import logging
 import struct
 from collections import deque
@@ -169,10 +171,12 @@ class FunctionTable:
 
     def add_call(self, name: str, function: CallFunction) -> None:
         """Append a function that is called directly."""
+        _check_function(name, function)
         self._calls[self._add(name)] = function
 
     def add_many(self, name: str, function: ManyFunction) -> None:
         """Append a function that is called through a2jMany."""
+        _check_function(name, function)
         self._manys[self._add(name)] = function
 
     def _add(self, name: str) -> int:
@@ -234,6 +238,22 @@ class FunctionTable:
             _logger.exception("function %s failed", self.names[opcode])
             return Reply(RET_OK, _HEADER.pack(RET_FAILED, 0, offset))
         return Reply(RET_OK, header + reply.data)
+
+
+def _check_function(name: str, function: object) -> None:
+    """Refuse what does not answer when it is called, also behind `functools.partial`."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    if not callable(function):
+        raise RegistrationError(f"{name}: {function!r} cannot be called")
+    for what in (function, inspect.getattr_static(type(function), "__call__", None)):
+        if inspect.iscoroutinefunction(what) or inspect.isasyncgenfunction(what):
+            raise RegistrationError(
+                f"{name} is an async function, which a device does not wait for; register a plain "
+                "one, and hand work to an event loop by asyncio.run_coroutine_threadsafe"
+            )
+        if inspect.isgeneratorfunction(what):
+            raise RegistrationError(f"{name} is a generator function; return all of the reply")
 
 
 def pack_properties(properties: Mapping[str, str]) -> bytes:

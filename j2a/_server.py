@@ -73,6 +73,7 @@ class Server:
         self._events: deque[Frame | FrameError] = deque()
         self._deadline: float | None = None
         self._out: list[bytes] = []
+        self._waiting = 0
         self._sif_seq = 0
 
     def receive(self, data: bytes, now: float) -> None:
@@ -122,10 +123,20 @@ class Server:
         self._send(SOS, self._sif_seq, opcode, payload)
         self._sif_seq = (self._sif_seq + 1) & 0xFF
 
+    def skip_sif(self) -> None:
+        """Count a SIF that cannot be sent, so that the host sees the gap (J2A-SIF-002)."""
+        self._sif_seq = (self._sif_seq + 1) & 0xFF
+
+    @property
+    def waiting(self) -> int:
+        """How many bytes wait to be sent."""
+        return self._waiting
+
     def data_to_send(self) -> bytes:
         """Return the bytes to write next, b"" if there are none; they count as sent."""
         data = b"".join(self._out)
         self._out.clear()
+        self._waiting = 0
         if data:
             self._tracer.note("tx", data)
         return data
@@ -142,4 +153,6 @@ class Server:
     def _send(self, start: int, seq: int, opcode: int, payload: bytes) -> None:
         if self._tracer.is_on:
             self._tracer.note("tx", Frame(start, seq, opcode, payload))
-        self._out.append(encode(start, seq, opcode, payload))
+        data = encode(start, seq, opcode, payload)
+        self._out.append(data)
+        self._waiting += len(data)

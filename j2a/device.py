@@ -10,7 +10,7 @@ functions.
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Final, Self, TypeVar, overload
 
 from j2a_spec.constants import (
@@ -24,9 +24,10 @@ from j2a_spec.constants import (
 )
 
 from j2a._arguments import check_opcode, check_payload
+from j2a._connection import Connection
 from j2a._functions import CallFunction, DebugText, FunctionTable, ManyFunction
 from j2a._link import TRANSPORT_ERRORS, WAIT_S, link_error
-from j2a._server import Request, Server
+from j2a._server import Server
 from j2a._trace import Trace
 from j2a.errors import LinkClosed, LocalError
 
@@ -39,7 +40,12 @@ _F = TypeVar("_F", bound=Callable[..., object])
 _CallF = TypeVar("_CallF", bound=CallFunction)
 _ManyF = TypeVar("_ManyF", bound=ManyFunction)
 _logger = logging.getLogger("j2a")
+_Member = TypeVar("_Member")
 _RXBUF: Final = 4096
+MAX_HOSTS: Final = 64
+IDLE_S: Final = 60.0
+FILES_PER_HOST: Final = 3
+OTHER_FILES: Final = 32
 
 
 class Device:
@@ -101,8 +107,9 @@ class Device:
         self._calling = threading.Lock()
         self._lock = threading.Lock()
         self._debug_lock = threading.Lock()
-        self._connections: set[_Connection] = set()
-        self._listeners: set[Listener] = set()
+        # In the order in which they came.
+        self._connections: dict[Connection, None] = {}
+        self._listeners: dict[Listener, None] = {}
         self._stopped = False
 
     # ------------------------------------------------------------------ registration
@@ -127,7 +134,8 @@ class Device:
             name: what hosts call it, printable ASCII without spaces; without it the function's own.
 
         Raises:
-            RegistrationError: the name is wrong or taken, or the function map is full.
+            RegistrationError: the name is wrong or taken, the function map is full, or the function
+                is async or a generator.
         """
         return _decorator(self._table.add_call, name)
 
@@ -145,7 +153,8 @@ class Device:
             name: what hosts call it, printable ASCII without spaces; without it the function's own.
 
         Raises:
-            RegistrationError: the name is wrong or taken, or the function map is full.
+            RegistrationError: the name is wrong or taken, the function map is full, or the function
+                is async or a generator.
         """
         return _decorator(self._table.add_many, name)
 
@@ -158,7 +167,8 @@ class Device:
             opcode: 0..255, what hosts register handlers for.
             payload: 0 to 255 bytes.
 
-        Returns: how many hosts it was sent to.
+        Returns: how many hosts it goes to. It does not wait for them: one that reads too slowly
+            loses it, and sees the gap in the numbers.
 
         Raises:
             LocalError: an argument is wrong.
@@ -192,55 +202,54 @@ class Device:
         Raises:
             LocalError: the device was stopped.
         """
-        server = Server(byte_timeout_s=self._byte_timeout_s, trace=self.trace)
-        connection = _Connection(server, transport)
-        self._enter(self._connections, connection)
-        try:
-            connection.run(self._execute)
-        finally:
-            with self._lock:
-                self._connections.discard(connection)
-            transport.close()
+        self._run(self._connection(transport))
 
-    def serve_forever(self, listener: "Listener") -> None:
+    def serve_forever(
+        self, listener: "Listener", *, max_hosts: int | None = None, idle_s: float = IDLE_S
+    ) -> None:
         """Serve every host that a listener accepts, each in a thread, until `stop` is called.
 
         Args:
             listener: from `j2a_transports.listen`; it is closed at the end.
+            max_hosts: how many hosts are served at once; None is 64, or fewer where the system
+                gives this process few files. One more takes the place of a host that never sent a
+                request, or else of the one that was silent longest; if there is none of these it is
+                refused: its connection is closed at once.
+            idle_s: after so many seconds of silence a host may lose its place to another.
 
         Raises:
-            LocalError: the device was stopped.
+            LocalError: the device was stopped, or an argument is out of range.
         """
+        most = default_max_hosts() if max_hosts is None else max_hosts
+        if not isinstance(most, int) or most < 1:
+            raise LocalError(f"max_hosts is a number of hosts from 1 on, not {max_hosts!r}")
+        if not isinstance(idle_s, int | float) or not idle_s >= 0:
+            raise LocalError(f"idle_s is a number of seconds from 0 on, not {idle_s!r}")
         self._enter(self._listeners, listener)
         try:
             while True:
                 transport = listener.accept(WAIT_S)
                 if transport is not None:
-                    threading.Thread(
-                        target=self._serve_in_thread,
-                        args=(transport,),
-                        name=f"j2a device {transport.url}",
-                        daemon=True,
-                    ).start()
+                    self._admit(transport, most, idle_s)
         except TRANSPORT_ERRORS as error:
             reason = link_error(error)
             if not isinstance(reason, LinkClosed):
                 raise reason from error
         finally:
             with self._lock:
-                self._listeners.discard(listener)
+                self._listeners.pop(listener, None)
             listener.close()
 
     def stop(self) -> None:
         """End all `serve` and `serve_forever`, from any thread and from inside functions."""
         with self._lock:
             self._stopped = True
-            open_things = [connection.transport for connection in self._connections]
+            connections = list(self._connections)
             listeners = list(self._listeners)
         for listener in listeners:
             listener.close()
-        for transport in open_things:
-            transport.close()
+        for connection in connections:
+            connection.close()
 
     def __enter__(self) -> Self:
         return self
@@ -248,87 +257,80 @@ class Device:
     def __exit__(self, *exc_info: object) -> None:
         self.stop()
 
-    def _serve_in_thread(self, transport: "Transport") -> None:
+    def _admit(self, transport: "Transport", max_hosts: int, idle_s: float) -> None:
+        """Serve a host in a thread of its own, if there is a place for it."""
+        with self._lock:
+            leaves = None
+            if len(self._connections) >= max_hosts:
+                leaves = _dispensable(self._connections, idle_s)
+                if leaves is None:
+                    _logger.info("refused %s: %d hosts are served", transport.url, max_hosts)
+                    transport.close()
+                    return
+                del self._connections[leaves]
+        if leaves is not None:
+            _logger.info("%s makes room for another host", leaves.transport.url)
+            leaves.transport.close()
         try:
-            self.serve(transport)
-        except LocalError:
-            transport.close()  # stopped between accept and serve
+            connection = self._connection(transport)
+        except LocalError:  # stopped meanwhile
+            transport.close()
+            return
+        name = f"j2a device {transport.url}"
+        thread = threading.Thread(target=self._run, args=(connection,), name=name, daemon=True)
+        try:
+            thread.start()
+        except RuntimeError as error:  # the system has no thread to give
+            _logger.warning("refused %s: %s", transport.url, error)
+            self._leave(connection)
 
-    def _enter(self, group: "set[_Connection] | set[Listener]", member: object) -> None:
+    def _connection(self, transport: "Transport") -> Connection:
+        server = Server(byte_timeout_s=self._byte_timeout_s, trace=self.trace)
+        connection = Connection(server, transport)
+        self._enter(self._connections, connection)
+        return connection
+
+    def _run(self, connection: Connection) -> None:
+        try:
+            connection.run(self._execute)
+        finally:
+            self._leave(connection)
+
+    def _leave(self, connection: Connection) -> None:
+        with self._lock:
+            self._connections.pop(connection, None)
+        connection.transport.close()
+
+    def _enter(self, group: dict[_Member, None], member: _Member) -> None:
         with self._lock:
             if self._stopped:
                 raise LocalError("this device was stopped; make a new one")
-            group.add(member)  # type: ignore[arg-type]
+            group[member] = None
 
     def _execute(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
         with self._calling:
             return self._table.execute(opcode, payload)
 
 
-class _Connection:
-    """One host: its server state and the transport to it."""
+def default_max_hosts() -> int:
+    """Return how many hosts a device serves at once, if nobody says how many."""
+    try:
+        import resource  # noqa: PLC0415 - not on every system
+    except ImportError:
+        return MAX_HOSTS
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if files == resource.RLIM_INFINITY:
+        return MAX_HOSTS
+    return max(1, min(MAX_HOSTS, (files - OTHER_FILES) // FILES_PER_HOST))
 
-    def __init__(self, server: Server, transport: "Transport") -> None:
-        self.transport = transport
-        self._server = server
-        # Taken in this order. Bytes are fetched and written under the first, so they keep their
-        # order; a write that waits for the host holds up nothing but other writes.
-        self._writing = threading.Lock()
-        self._state = threading.Lock()
 
-    def run(self, execute: Callable[[int, bytes], tuple[int, bytes]]) -> None:
-        """Serve until the link ends, whichever side ends it."""
-        try:
-            while True:
-                self._read()
-                while (request := self._next_request()) is not None:
-                    code, payload = execute(request.opcode, request.payload)
-                    with self._state:
-                        self._server.reply(request, code, payload)
-                    self._flush()
-                self._flush()
-        except TRANSPORT_ERRORS as error:
-            reason = link_error(error)
-            level = logging.DEBUG if isinstance(reason, LinkClosed) else logging.INFO
-            _logger.log(level, "the link to a host has ended: %s", reason)
-
-    def send_sif(self, opcode: int, payload: bytes) -> bool:
-        """Send a SIF; False when the link has ended."""
-        with self._state:
-            self._server.send_sif(opcode, payload)
-        try:
-            self._flush()
-        except TRANSPORT_ERRORS as error:
-            _logger.info("a SIF was not sent: %s", link_error(error))
-            return False
-        return True
-
-    def _read(self) -> None:
-        with self._state:
-            deadline = self._server.next_timeout()
-        wait_s = WAIT_S
-        if deadline is not None:
-            wait_s = min(max(0.0, deadline - time.monotonic()), WAIT_S)
-        data = self.transport.read(wait_s)
-        if not data:
-            # This thread may have been late itself: what has come by now came in time.
-            data = self.transport.read(0)
-        with self._state:
-            if data:
-                self._server.receive(data, time.monotonic())
-            else:
-                self._server.handle_timeout(time.monotonic())
-
-    def _next_request(self) -> Request | None:
-        with self._state:
-            return self._server.next_request()
-
-    def _flush(self) -> None:
-        with self._writing:
-            with self._state:
-                data = self._server.data_to_send()
-            if data:
-                self.transport.write(data)
+def _dispensable(connections: Iterable[Connection], idle_s: float) -> Connection | None:
+    """Return the host that makes room for another, if there is one."""
+    silent = [connection for connection in connections if not connection.has_asked]
+    if silent:
+        return silent[0]
+    oldest = min(connections, key=lambda connection: connection.last_heard)
+    return oldest if time.monotonic() - oldest.last_heard >= idle_s else None
 
 
 def _decorator(register: Callable[[str, _F], None], name: _F | str | None) -> object:

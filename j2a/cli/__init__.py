@@ -9,24 +9,24 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import io
-import os
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from typing import Any, Final, NoReturn
 
-import j2a
 from j2a.cli._exit import (
     EXIT_CODES,
     INTERRUPTED,
     OUTPUT_CLOSED,
     USAGE,
     UsageError,
+    error_facts,
     exit_code,
     exit_codes_help,
+    is_of_a_file,
 )
+from j2a.cli._output import drop_output, finish_output, note, prepare_output, show, show_json
 
 __all__ = ["EXIT_CODES", "main"]
 
@@ -59,7 +59,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""
-        raise UsageError(f"{message}\ntry: {self.prog} --help")
+        raise UsageError(message, f"try: {self.prog} --help")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,35 +70,36 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns: the exit code, one of `EXIT_CODES`.
     """
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        # A device may say what the terminal has no letters for.
-        sys.stdout.reconfigure(errors="backslashreplace")
+    prepare_output()
+    words = sys.argv[1:] if argv is None else list(argv)
     try:
-        code = _run(sys.argv[1:] if argv is None else list(argv))
-        sys.stdout.flush()
-    except SystemExit as stop:  # of argparse, after --help
-        return stop.code if isinstance(stop.code, int) else USAGE
+        code = _run(words)
+    except SystemExit as stop:  # of argparse, after --help; or of SIGTERM
+        code = stop.code if isinstance(stop.code, int) else USAGE
     except KeyboardInterrupt:
-        return INTERRUPTED
+        code = INTERRUPTED
     except BrokenPipeError:
-        _drop_output()
-        return OUTPUT_CLOSED
+        drop_output()
+        code = OUTPUT_CLOSED
     except Exception as error:
         known = exit_code(error)
         if known is None:
             raise
-        if isinstance(error, OSError) and not isinstance(error, j2a.J2AError):
-            _drop_output()
-        with contextlib.suppress(BrokenPipeError):
-            print(f"j2a: {error}", file=sys.stderr)
-        return known
-    return code
+        if is_of_a_file(error):
+            drop_output()
+        code = known
+        _report(error, code, as_json="--json" in words[1:])
+    return finish_output(code)
 
 
-def _drop_output() -> None:
-    """Forget output that cannot be written: Python would try again at exit, and complain."""
-    with contextlib.suppress(OSError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _report(error: Exception, code: int, *, as_json: bool) -> None:
+    first, *more = error.args if isinstance(error, UsageError) else [error]
+    note(f"j2a: {first}")
+    for line in more:
+        note(str(line))
+    if as_json:
+        with contextlib.suppress(OSError):
+            show_json({"error": error_facts(error, code)})
 
 
 def _run(argv: list[str]) -> int:
@@ -119,12 +120,13 @@ def _run(argv: list[str]) -> int:
         code: int = command.run(parse(argv[1:]))
         return code
     if name in ("-h", "--help", "help"):
-        print(_help())
+        for line in _help().splitlines():
+            show(line)
         return 0 if argv else USAGE
     if name in ("-V", "--version"):
         from importlib.metadata import version  # noqa: PLC0415 - slow to load, rarely used
 
-        print(f"j2a {version('j2a')}")
+        show(f"j2a {version('j2a')}")
         return 0
     if name.startswith("-"):
         raise UsageError(f"{name!r} comes after a command, as in: j2a info URL {name}")

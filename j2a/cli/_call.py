@@ -6,15 +6,14 @@ In: a function, the words of a payload. Out: the code that the function returned
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 
 from j2a_spec.constants import MAX_PAYLOAD
 
 import j2a
-from j2a.cli._exit import FAILED, OK, REMOTE, UsageError
-from j2a.cli._link import add_link_arguments, connect, function_of
+from j2a.cli._exit import FAILED, OK, UsageError, error_facts
+from j2a.cli._link import add_json_argument, add_link_arguments, connect, function_of
+from j2a.cli._output import note, show, show_bytes, show_json
 from j2a.cli._values import PAYLOAD_HELP, Decoder, dump, payload_of, text_of
 
 NOTES = f"""\
@@ -35,8 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="decode the reply: types as above with commas, such as i32,u64; u16* to its end",
     )
     output = parser.add_mutually_exclusive_group()
-    output.add_argument("--json", action="store_true", help="print the reply as JSON")
-    output.add_argument("--raw", action="store_true", help="print the payload's bytes alone")
+    add_json_argument(output, "the reply")
+    output.add_argument(
+        "--raw",
+        action="store_true",
+        help="print the payload's bytes alone; on a terminal in hex",
+    )
     add_link_arguments(parser)
     parser.add_argument("function", metavar="FUNCTION", help="its name, or its opcode 0..255")
     parser.add_argument(
@@ -63,20 +66,19 @@ def run(args: argparse.Namespace) -> int:
             if function not in client.functions:
                 raise
             # The function exists, so what the device refuses is the way of calling it.
-            print(f"j2a: {error}; try j2a read or j2a write", file=sys.stderr)
-            return REMOTE
+            hint = f"{error}; try j2a read or j2a write"
+            raise j2a.OpcodeRefused(hint, error.code, error.payload) from None
         round_trip_s = time.monotonic() - start
-    values = None
-    problem = ""
+    values, problem = None, None
     if args.types is not None:
         try:
             values = args.types.values(reply.payload)
         except ValueError as error:
-            problem = str(error)
+            problem = error
     if args.raw:
-        sys.stdout.buffer.write(reply.payload)
+        show_bytes(reply.payload)
     elif args.json:
-        facts = {
+        facts: dict[str, object] = {
             "function": args.function,
             "code": reply.code,
             "ok": reply.ok,
@@ -84,14 +86,18 @@ def run(args: argparse.Namespace) -> int:
             "text": text_of(reply.payload) and reply.payload.decode(),
             "round_trip_s": round(round_trip_s, 6),
         }
-        print(json.dumps(facts if values is None else {**facts, "values": values}))
+        if values is not None:
+            facts["values"] = values
+        if problem is not None:
+            facts["error"] = error_facts(problem, FAILED)
+        show_json(facts)
     else:
         _print(reply, values)
     if not reply.ok:
-        print(f"j2a: {args.function} failed (code 0x{reply.code:02X})", file=sys.stderr)
+        note(f"j2a: {args.function} failed (code 0x{reply.code:02X})")
         return FAILED
-    if problem:
-        print(f"j2a: {problem}", file=sys.stderr)
+    if problem is not None:
+        note(f"j2a: {problem}")
         return FAILED
     return OK
 
@@ -99,15 +105,15 @@ def run(args: argparse.Namespace) -> int:
 def _print(reply: j2a.Reply, values: list[int | float | str] | None) -> None:
     if values is not None:
         for value in values:
-            print(value)
+            show(str(value))
         return
-    print(f"code     0x{reply.code:02X}")
+    show(f"code     0x{reply.code:02X}")
     if not reply.payload:
         return
     if len(reply.payload) <= 16:
         text = text_of(reply.payload)
-        print(f"payload  {reply.payload.hex(' ')}{f'  {text}' if text else ''}")
+        show(f"payload  {reply.payload.hex(' ')}{f'  {text}' if text else ''}")
         return
-    print(f"payload  {len(reply.payload)} bytes")
+    show(f"payload  {len(reply.payload)} bytes")
     for line in dump(reply.payload):
-        print(f"  {line}")
+        show(f"  {line}")

@@ -1,16 +1,17 @@
 """`j2a debug`: print the debug text of a device.
 
-In: a link. Out: the text as the firmware wrote it; `[...]` stands where text was lost.
+In: a link. Out: the text as the firmware wrote it, control characters escaped; `[...]` stands where
+text was lost.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 
 from j2a.cli._exit import OK
 from j2a.cli._link import add_link_arguments, connect, finite_seconds
+from j2a.cli._output import show_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,9 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the text that waits; returns the exit code."""
     with connect(args) as client:
+        held = ""
         while True:
-            sys.stdout.write(client.read_debug())
-            sys.stdout.flush()
+            text = held + client.read_debug()
+            # CR LF is one line end, also where the firmware has not written all of it yet.
+            held = "\r" if args.follow and text.endswith("\r") else ""
+            show_text(text.removesuffix(held).replace("\r\n", "\n"))
             if not args.follow:
                 return OK
             time.sleep(args.every)

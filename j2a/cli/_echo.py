@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import random
 import statistics
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -30,6 +28,7 @@ from j2a.cli._link import (
     connect,
     whole_number,
 )
+from j2a.cli._output import note, show, show_json
 from j2a.cli._progress import Progress, size_text
 
 _FILLS = (SOF, SOS, ESC, SOF - 1, SOS - 1, ESC - 1)
@@ -99,11 +98,11 @@ def run(args: argparse.Namespace) -> int:
         result = _echo(client, args) if args.many is None else _transfer(client, args)
         counters = client.counters
     if args.json:
-        print(json.dumps({**facts(result), "counters": dataclasses.asdict(counters)}))
+        show_json({**facts(result), "counters": dataclasses.asdict(counters)})
     else:
         for line in report(result):
-            print(line)
-        print(f"link: {counters_text(counters)}")
+            show(line)
+        show(f"link: {counters_text(counters)}")
     return result.code
 
 
@@ -145,7 +144,7 @@ def _echo(client: j2a.Client, args: argparse.Namespace) -> Result:
                     result.fail(type(error).__name__, exit_code(error) or FAILED)
                     in_a_row += 1
                     if in_a_row == _GIVE_UP_AFTER:
-                        print(f"j2a: {in_a_row} failures in a row: {error}", file=sys.stderr)
+                        note(f"j2a: {in_a_row} failures in a row: {error}")
                         break
                     continue
                 in_a_row = 0

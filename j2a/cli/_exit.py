@@ -49,7 +49,30 @@ _CODES: Final[tuple[tuple[type[Exception], int], ...]] = (
 
 
 class UsageError(Exception):
-    """An argument of the command line is wrong; the text says how to write it."""
+    """An argument of the command line is wrong; the text says how to write it.
+
+    Args:
+        lines: what is wrong; further lines say where there is help.
+    """
+
+    def __init__(self, *lines: str) -> None:
+        super().__init__(*lines)
+
+    def __str__(self) -> str:
+        return "; ".join(self.args)
+
+
+class CommandFailed(Exception):  # noqa: N818 - the name says what happened
+    """A command ends without what was asked for, though no call failed.
+
+    Args:
+        message: what is missing.
+        code: the exit code.
+    """
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 def end_on_sigterm() -> None:
@@ -57,7 +80,8 @@ def end_on_sigterm() -> None:
     signal.signal(signal.SIGTERM, _on_sigterm)
 
 
-def _on_sigterm(_number: int, _frame: FrameType | None) -> None:
+def _on_sigterm(number: int, _frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_IGN)  # a second one must not cut the cleaning up short
     raise SystemExit(TERMINATED)
 
 
@@ -65,7 +89,33 @@ def exit_code(error: Exception) -> int | None:
     """Return the exit code for an error, None for one that should not have happened."""
     if isinstance(error, UsageError):
         return USAGE
+    if isinstance(error, CommandFailed):
+        return error.code
     return next((code for kind, code in _CODES if isinstance(error, kind)), None)
+
+
+def is_of_a_file(error: Exception) -> bool:
+    """Tell whether the system refused a file, such as standard output on a full disk."""
+    return isinstance(error, OSError) and not isinstance(error, j2a.J2AError)
+
+
+def error_facts(error: Exception, code: int) -> dict[str, str | int | None]:
+    """Return what `--json` tells of an error.
+
+    Args:
+        error: what was raised.
+        code: the exit code.
+
+    Returns: `type`, `message`, `exit_code` and `outcome`, which says whether the device may have
+        executed the request: not_sent, maybe_executed or answered; None where that is no question.
+    """
+    outcome = getattr(error, "outcome", None)
+    return {
+        "type": type(error).__name__,
+        "message": str(error),
+        "outcome": None if outcome is None else outcome.name.lower(),
+        "exit_code": code,
+    }
 
 
 def exit_codes_help() -> str:

@@ -1,19 +1,26 @@
 """`j2a info`: what a device is and can do.
 
-In: a link. Out: name, version, functions with opcodes, properties and the health of the link.
+In: a link. Out: name, version, functions with opcodes, properties and the health of the link;
+without the properties when they cannot be read.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 from j2a_spec.constants import PROP_RXBUF, PROP_SPEC
+from j2a_spec.printable import printable
 
 import j2a
-from j2a.cli._exit import OK
+from j2a.cli._exit import OK, REMOTE, error_facts, exit_code
 from j2a.cli._link import add_json_argument, add_link_arguments, connect
+from j2a.cli._output import note, show, show_json
+
+MAX_DIGITS: Final = 10
+WIDEST_KEY: Final = 40  # a longer key moves only its own value to the right
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,38 +33,68 @@ def run(args: argparse.Namespace) -> int:
     """Ask the device and print; returns the exit code."""
     with connect(args) as client:
         functions = client.functions
-        properties = client.properties
-        room = client.room
+        properties: dict[str, str] = {}
+        room, unreadable = None, None
+        try:
+            properties = client.properties
+            room = client.room
+        except j2a.J2AError as error:
+            unreadable = error
         counters = client.counters
-    rxbuf = properties.get(PROP_RXBUF, "")
+    code = OK if unreadable is None else exit_code(unreadable) or REMOTE
     facts = {
         "url": args.url,
         "name": properties.get("name"),
-        "spec": properties.get(PROP_SPEC, "1.0"),
-        "rxbuf": int(rxbuf) if rxbuf.isascii() and rxbuf.isdecimal() else None,
+        "spec": None if unreadable else properties.get(PROP_SPEC, "1.0"),
+        "rxbuf": _number(properties.get(PROP_RXBUF, "")),
         "room": room,
         "functions": functions,
-        "properties": properties,
+        "properties": None if unreadable else properties,
         "counters": dataclasses.asdict(counters),
     }
+    if unreadable is not None:
+        facts["error"] = error_facts(unreadable, code)
     if args.json:
-        print(json.dumps(facts))
-        return OK
-    print(f"name      {facts['name'] or '(has none)'}")
-    assumed = "" if PROP_SPEC in properties else "   (does not say; assumed)"
-    print(f"spec      {facts['spec']}{assumed}")
-    print(f"rxbuf     {f'{rxbuf} bytes' if rxbuf else '(does not say; one request at a time)'}")
-    print(f"room      {room} bytes of payload in a request")
-    print("functions" if functions else "functions (no map; call by opcode)")
-    for name, opcode in functions.items():
-        print(f"  {opcode:>3}  {name}")
-    print("properties" if properties else "properties (none)")
-    width = max(map(len, properties), default=0)
-    for key, value in properties.items():
-        print(f"  {key:<{width}}  {value}")
-    print("link")
-    print(f"  {counters_text(counters)}")
-    return OK
+        show_json(facts)
+    else:
+        _print_head(facts, PROP_SPEC in properties)
+        show("functions" if functions else "functions (no map; call by opcode)")
+        for name, opcode in functions.items():
+            show(f"  {opcode:>3}  {name}")
+        reason = "(unreadable)" if unreadable else "(none)"
+        show("properties" if properties else f"properties {reason}")
+        for line in columns(properties):
+            show(f"  {line}")
+        show("link")
+        show(f"  {counters_text(counters)}")
+    if unreadable is not None:
+        note(f"j2a: the properties are unreadable: {unreadable}")
+    return code
+
+
+def _print_head(facts: dict[str, object], says_spec: bool) -> None:
+    if facts["properties"] is None:
+        return  # all of it comes from the properties
+    assumed = "" if says_spec else "   (does not say; assumed)"
+    rxbuf = facts["rxbuf"]
+    show(f"name      {facts['name'] or '(has none)'}")
+    show(f"spec      {facts['spec']}{assumed}")
+    show(f"rxbuf     {f'{rxbuf} bytes' if rxbuf else '(does not say; one request at a time)'}")
+    show(f"room      {facts['room']} bytes of payload in a request")
+
+
+def _number(text: str) -> int | None:
+    """Return what a property says in decimal; None where it says nothing of use (J2A-LIMIT-009)."""
+    is_number = text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS
+    return int(text) if is_number else None
+
+
+def columns(properties: Mapping[str, str]) -> Iterator[str]:
+    """Yield properties as lines, with the values one below the other."""
+    shown = [(printable(key), value) for key, value in properties.items()]
+    width = min(max((len(key) for key, _ in shown), default=0), WIDEST_KEY)
+    for key, value in shown:
+        yield f"{key:<{width}}  {value}"
 
 
 def counters_text(counters: j2a.Counters) -> str:

@@ -65,9 +65,13 @@ def add_verbose_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_json_argument(parser: argparse.ArgumentParser, what: str) -> None:
+def add_json_argument(parser: argparse._ActionsContainer, what: str) -> None:
     """Add `--json`."""
-    parser.add_argument("--json", action="store_true", help=f"print {what} as JSON")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help=f"print {what} as JSON; an error is printed as JSON too",
+    )
 
 
 def add_progress_argument(parser: argparse.ArgumentParser) -> None:

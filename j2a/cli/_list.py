@@ -8,8 +8,6 @@ installed is left out and named.
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +22,8 @@ from j2a_transports import (
 
 from j2a.cli._boards import board_name
 from j2a.cli._exit import OK, UsageError
+from j2a.cli._link import add_json_argument
+from j2a.cli._output import note, show, show_json
 
 NOTES: Final = """\
 USB boards speak J2A themselves; of a serial port only its name and USB ids tell what is behind it.
@@ -44,7 +44,7 @@ Facts = dict[str, str | int | float | bool | None]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("--json", action="store_true", help="print a JSON array of all of them")
+    add_json_argument(parser, "an array of all of them")
     parser.add_argument(
         "--watch",
         action="store_true",
@@ -61,14 +61,14 @@ def run(args: argparse.Namespace) -> int:
     if len(missing) == 2:
         raise UsageError("; ".join(missing))
     for text in missing:
-        print(f"j2a: {text}", file=sys.stderr)
+        note(f"j2a: {text}")
     if args.json:
-        print(json.dumps(found))
+        show_json(found)
         return OK
     if not found:
-        print("no boards, no serial ports; is it plugged in, by a cable that carries data?")
+        show("no boards, no serial ports; is it plugged in, by a cable that carries data?")
     for facts in found:
-        print(facts["url"])
+        show(str(facts["url"]))
         _print_lines(facts)
     return OK
 
@@ -80,7 +80,7 @@ def _usb(missing: list[str]) -> list[Facts]:
     except MissingExtra as error:
         missing.append(str(error))
     except TransportError as error:  # libusb does not work here: the ports may be enough
-        print(f"j2a: {error}", file=sys.stderr)
+        note(f"j2a: {error}")
     return []
 
 
@@ -99,15 +99,15 @@ def _watch(as_json: bool) -> int:
         watch = watch_usb()
     except MissingExtra as error:
         raise UsageError(str(error)) from None
-    print("waiting for USB boards; Ctrl-C ends", file=sys.stderr)
+    note("waiting for USB boards; Ctrl-C ends")
     with watch as events:
         for event in events:
             arrived = isinstance(event, UsbArrived)
             facts = describe_usb(event.board, stable_names(_BY_SERIAL))
             if as_json:
-                print(json.dumps({"event": "arrived" if arrived else "left", **facts}), flush=True)
+                show_json({"event": "arrived" if arrived else "left", **facts})
                 continue
-            print(f"{'+' if arrived else '-'} {facts['url']}", flush=True)
+            show(f"{'+' if arrived else '-'} {facts['url']}", flush=True)
             if arrived:
                 _print_lines(facts)
     return OK
@@ -121,7 +121,7 @@ def _print_lines(facts: Facts) -> None:
         if key == "speed":
             value = f"{value:g} Mbit/s"
         name = "SyncUSB" if key == "sync" else key.replace("_", " ")
-        print(f"  {name:<14} {'yes' if value is True else value}", flush=True)
+        show(f"  {name:<14} {'yes' if value is True else value}", flush=True)
 
 
 def describe_usb(board: UsbBoard, stable: dict[str, str]) -> Facts:

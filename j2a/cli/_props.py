@@ -6,10 +6,11 @@ In: a link. Out: keys and values; for one key its value alone.
 from __future__ import annotations
 
 import argparse
-import json
 
 from j2a.cli._exit import OK, UsageError
+from j2a.cli._info import columns
 from j2a.cli._link import add_json_argument, add_link_arguments, connect
+from j2a.cli._output import show, show_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,12 +28,11 @@ def run(args: argparse.Namespace) -> int:
         if args.key not in properties:
             has = f"it has: {', '.join(properties)}" if properties else "it has none"
             raise UsageError(f"the device has no property {args.key!r}; {has}")
-        print(json.dumps(properties[args.key]) if args.json else properties[args.key])
+        (show_json if args.json else show)(properties[args.key])
         return OK
     if args.json:
-        print(json.dumps(properties))
+        show_json(properties)
         return OK
-    width = max(map(len, properties), default=0)
-    for key, value in properties.items():
-        print(f"{key:<{width}}  {value}")
+    for line in columns(properties):
+        show(line)
     return OK

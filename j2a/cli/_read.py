@@ -7,7 +7,6 @@ Rules: a file is written when all data is there, so that a transfer that fails l
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
@@ -19,8 +18,8 @@ from j2a.cli._link import (
     function_of,
     whole_number,
 )
+from j2a.cli._output import note, show_bytes
 from j2a.cli._progress import Progress, size_text
-from j2a.cli._values import dump
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,16 +55,12 @@ def run(args: argparse.Namespace) -> int:
             data = client.read_many(function, max_bytes=args.max_bytes, progress=progress)
         took_s = time.monotonic() - start
     if target is None:
-        if sys.stdout.isatty():
-            for line in dump(data):
-                print(line)
-        else:
-            sys.stdout.buffer.write(data)
+        show_bytes(data)
         return OK
     try:
         target.write_bytes(data)
     except OSError as error:
         raise UsageError(f"cannot write to {args.output!r}: {error.strerror}") from None
     rate = size_text(len(data) / took_s)
-    print(f"{len(data)} bytes read to {args.output} in {took_s:.2f} s ({rate}/s)", file=sys.stderr)
+    note(f"{len(data)} bytes read to {args.output} in {took_s:.2f} s ({rate}/s)")
     return OK

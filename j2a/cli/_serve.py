@@ -6,7 +6,9 @@ In: where hosts arrive. Out: `listening on URL`, and a device there until Ctrl-C
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
+import threading
 import traceback
 from importlib import import_module
 from pathlib import Path
@@ -16,8 +18,10 @@ import j2a_transports
 import j2a
 from j2a._link import WAIT_S
 from j2a.cli._exit import OK, UsageError, end_on_sigterm
-from j2a.cli._link import add_verbose_argument
+from j2a.cli._link import add_verbose_argument, seconds, whole_number
+from j2a.cli._output import note, show
 from j2a.cli._trace import TracePrinter
+from j2a.device import IDLE_S, MAX_HOSTS
 
 NOTES = """\
 places to listen:
@@ -46,6 +50,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MODULE:ATTRIBUTE",
         help="a j2a.Device of yours, or a function that makes one (the demo)",
     )
+    parser.add_argument(
+        "--max-hosts",
+        type=whole_number(1),
+        metavar="N",
+        help=f"serve at most N hosts at once and refuse others ({MAX_HOSTS}, or fewer where the "
+        "limit of open files is low); a host that never sent a request makes room at once",
+    )
+    parser.add_argument(
+        "--idle-time",
+        type=seconds,
+        default=IDLE_S,
+        metavar="S",
+        help="after S seconds of silence a host makes room for another, if there is none left "
+        "(%(default)g)",
+    )
     parser.add_argument("--once", action="store_true", help="end when the first host has gone")
     add_verbose_argument(parser)
 
@@ -56,18 +75,29 @@ def run(args: argparse.Namespace) -> int:
     if args.verbose:
         # A Device takes its trace when it is made, which was before the command line was read.
         device.trace = TracePrinter(raw=args.verbose > 1, is_device=True)
+    end_on_sigterm()  # leaves the listener, which removes what it made
     with j2a_transports.listen(args.listen) as listener, device:
-        end_on_sigterm()  # leaves the listener, which removes what it made
         # Where standard output is the link, the text must not get between the bytes.
-        out = sys.stderr if listener.url.startswith("stdio:") else sys.stdout
-        print(f"listening on {listener.url}", file=out, flush=True)
+        tell = note if listener.url.startswith("stdio:") else show
+        tell(f"listening on {listener.url}")
+        sys.stdout.flush()
         if not args.once:
-            device.serve_forever(listener)
+            device.serve_forever(listener, max_hosts=args.max_hosts, idle_s=args.idle_time)
             return OK
         while (transport := listener.accept(WAIT_S)) is None:
             pass
+        threading.Thread(target=_refuse, args=(listener,), daemon=True).start()
         device.serve(transport)
     return OK
+
+
+def _refuse(listener: j2a_transports.Listener) -> None:
+    """Hang up on every host that comes while another is served."""
+    with contextlib.suppress(j2a_transports.TransportError):
+        while True:
+            transport = listener.accept(WAIT_S)
+            if transport is not None:
+                transport.close()
 
 
 def load_device(name: str) -> j2a.Device:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import argparse
 import subprocess
-import sys
 from pathlib import Path
 from typing import Final
 
 from j2a.cli._exit import OK, UsageError
+from j2a.cli._output import note, show, show_text
 
 # Before 73-seat-late.rules, which hands the device out to who sits at the screen, and after
 # 50-udev-default.rules, which collects the interfaces and the serial number.
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print or install the rule; returns the exit code."""
     if args.print:
-        print(RULES, end="")
+        show_text(RULES)
         return OK
     if not PLACE.parent.is_dir():
         raise UsageError(f"there is no folder {PLACE.parent}: this computer has no udev")
@@ -62,13 +62,12 @@ def run(args: argparse.Namespace) -> int:
             f'cannot write {PLACE}: {error.strerror}; try: sudo "$(command -v j2a)" setup udev, '
             f"or: j2a setup udev --print | sudo tee {PLACE}"
         ) from None
-    print(f"wrote {PLACE}" + (f"; what was there is now {backup}" if changed else ""))
+    show(f"wrote {PLACE}" + (f"; what was there is now {backup}" if changed else ""))
     if not has_group():
-        print(
+        note(
             f"j2a: there is no group {GROUP} here, so only who sits at this computer may use the "
             f"boards; for others: sudo groupadd --system {GROUP}, sudo usermod -aG {GROUP} USER, "
-            "and once more this command",
-            file=sys.stderr,
+            "and once more this command"
         )
     for words in (("control", "--reload"), ("trigger", "--subsystem-match=usb")):
         try:
@@ -77,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             failure = str(error.strerror)
         if failure:
-            print(f"udevadm {' '.join(words)}: {failure}; replug the boards, or restart")
+            show(f"udevadm {' '.join(words)}: {failure}; replug the boards, or restart")
             break
     return OK
 

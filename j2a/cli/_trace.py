@@ -29,6 +29,7 @@ from j2a_spec.constants import (
     RET_OK,
     SOS,
 )
+from j2a_spec.printable import printable
 
 from j2a.cli._values import short_hex, text_of
 from j2a.events import Frame, FrameError
@@ -86,7 +87,7 @@ class TracePrinter:
             text = self._reply(item)
         seconds = time.monotonic() - self._start
         # One write, so that lines of several threads do not mix.
-        self._stream.write(f"{seconds:9.4f} {'>' if to_device else '<'} {text}\n")
+        self._stream.write(f"{seconds:9.4f} {'>' if to_device else '<'} {printable(text)}\n")
         self._stream.flush()
 
     def _request(self, frame: Frame) -> str:

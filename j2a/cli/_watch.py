@@ -8,16 +8,22 @@ nothing. What `--then` names is called however the watching ends, unless the lin
 from __future__ import annotations
 
 import argparse
-import json
 import queue
 import shlex
-import sys
 import time
 from collections.abc import Sequence
 from datetime import datetime
 
 import j2a
-from j2a.cli._exit import FAILED, OK, TIMEOUT, UsageError, end_on_sigterm
+from j2a.cli._exit import (
+    FAILED,
+    OK,
+    TIMEOUT,
+    CommandFailed,
+    UsageError,
+    end_on_sigterm,
+    error_facts,
+)
 from j2a.cli._link import (
     add_json_argument,
     add_link_arguments,
@@ -26,6 +32,7 @@ from j2a.cli._link import (
     function_of,
     whole_number,
 )
+from j2a.cli._output import note, show, show_json
 from j2a.cli._values import Decoder, payload_of, short_hex, text_of
 
 NOTES = """\
@@ -83,17 +90,22 @@ def run(args: argparse.Namespace) -> int:
         end_on_sigterm()
     with connect(args) as client:
         try:
-            code = _watch(client, first, args)
-        finally:
-            ended = not client.is_open or _call_each(client, last)
-    return code if ended else code or FAILED
+            _watch(client, first, args)
+        except BaseException:  # Ctrl-C and SIGTERM too: the device shall stop sending
+            if client.is_open:
+                try:
+                    _call_each(client, last)
+                except CommandFailed as error:
+                    note(f"j2a: {error}")
+            raise
+        _call_each(client, last)
+    return OK
 
 
-def _watch(client: j2a.Client, first: Sequence[_Call], args: argparse.Namespace) -> int:
+def _watch(client: j2a.Client, first: Sequence[_Call], args: argparse.Namespace) -> None:
     arrived: queue.SimpleQueue[tuple[float, j2a.Sif]] = queue.SimpleQueue()
     client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), sif)))
-    if not _call_each(client, first):
-        return FAILED
+    _call_each(client, first)
     end = None if args.duration is None else time.monotonic() + args.duration
     seen = 0
     while args.count is None or seen < args.count:
@@ -109,19 +121,20 @@ def _watch(client: j2a.Client, first: Sequence[_Call], args: argparse.Namespace)
         seen += 1
         _print(at_s, sif, args)
     if args.count is not None and seen < args.count:
-        print(f"j2a: {seen} of {args.count} SIFs came within {args.duration:g} s", file=sys.stderr)
-        return TIMEOUT
-    return OK
+        came = f"{seen} of {args.count} SIFs came within {args.duration:g} s"
+        raise CommandFailed(came, TIMEOUT)
 
 
-def _call_each(client: j2a.Client, calls: Sequence[_Call]) -> bool:
-    """Call one after the other until one fails; returns whether none did."""
+def _call_each(client: j2a.Client, calls: Sequence[_Call]) -> None:
+    """Call one after the other.
+
+    Raises:
+        CommandFailed: one failed, so that those after it were not called.
+    """
     for function, payload in calls:
         reply = client.call(function, payload)
         if not reply.ok:
-            print(f"j2a: {function} failed (code 0x{reply.code:02X})", file=sys.stderr)
-            return False
-    return True
+            raise CommandFailed(f"{function} failed (code 0x{reply.code:02X})", FAILED)
 
 
 def _parse_call(option: str, text: str) -> _Call:
@@ -136,12 +149,13 @@ def _parse_call(option: str, text: str) -> _Call:
 
 
 def _print(at_s: float, sif: j2a.Sif, args: argparse.Namespace) -> None:
-    values = None
+    values, problem = None, None
     if args.types is not None:
         try:
             values = args.types.values(sif.payload)
         except ValueError as error:
-            print(f"j2a: SIF {sif.seq}: {error}", file=sys.stderr)
+            problem = error
+            note(f"j2a: SIF {sif.seq}: {error}")
     if args.json:
         facts = {
             "time": round(at_s, 6),
@@ -150,14 +164,18 @@ def _print(at_s: float, sif: j2a.Sif, args: argparse.Namespace) -> None:
             "missed": sif.missed,
             "payload": sif.payload.hex(),
         }
-        print(json.dumps(facts if values is None else {**facts, "values": values}), flush=True)
+        if values is not None:
+            facts["values"] = values
+        if problem is not None:
+            facts["error"] = error_facts(problem, FAILED)
+        show_json(facts)
         return
     if sif.missed:
-        print(f"              {sif.missed} SIF{'s' * (sif.missed > 1)} missed")
+        show(f"              {sif.missed} SIF{'s' * (sif.missed > 1)} missed")
     clock = datetime.fromtimestamp(at_s).strftime("%H:%M:%S.%f")[:-3]
     if values is None:
         text = text_of(sif.payload)
         what = f"{short_hex(sif.payload)}{f'  {text}' if text else ''}"
     else:
         what = " ".join(map(str, values))
-    print(f"{clock}  opcode {sif.opcode:>3}  seq {sif.seq:>3}  {what}".rstrip(), flush=True)
+    show(f"{clock}  opcode {sif.opcode:>3}  seq {sif.seq:>3}  {what}".rstrip(), flush=True)

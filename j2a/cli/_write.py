@@ -6,13 +6,13 @@ In: a function, and the data as words, a file or standard input. Out: how much w
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 
 from j2a_spec.constants import MANY_DATA
 
-from j2a.cli._exit import FAILED, OK
+from j2a.cli._exit import FAILED, OK, CommandFailed
 from j2a.cli._link import add_link_arguments, add_progress_argument, connect, function_of
+from j2a.cli._output import note
 from j2a.cli._progress import Progress, size_text
 from j2a.cli._values import PAYLOAD_HELP, payload_of
 
@@ -43,10 +43,7 @@ def run(args: argparse.Namespace) -> int:
             client.write_many(function, data, progress=progress)
         took_s = time.monotonic() - start
         rate = size_text(len(data) / took_s)
-        print(
-            f"{len(data)} bytes written to {args.function} in {took_s:.2f} s ({rate}/s)",
-            file=sys.stderr,
-        )
+        note(f"{len(data)} bytes written to {args.function} in {took_s:.2f} s ({rate}/s)")
         if not args.verify:
             return OK
         with Progress(f"verify {args.function}", enabled=not args.no_progress) as progress:
@@ -60,7 +57,6 @@ def run(args: argparse.Namespace) -> int:
         pairs = zip(found, data, strict=False)
         differing = (index for index, (a, b) in enumerate(pairs) if a != b)
         where = next(differing, min(len(found), len(data)))
-        print(f"j2a: what was read back differs from byte {where} on", file=sys.stderr)
-        return FAILED
-    print("verified", file=sys.stderr)
+        raise CommandFailed(f"what was read back differs from byte {where} on", FAILED)
+    note("verified")
     return OK

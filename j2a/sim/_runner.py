@@ -1,8 +1,10 @@
 """Puts the UART of a simulated AVR on a transport listener.
 
 In: bytes of one client at a time. Out: what the firmware sends, to that client.
-Rules: what has arrived is taken before each slice of simulated time, and one read of the
-transport goes onto the simulated wire without gaps; simulated time never runs ahead of the wall
+Rules: what has arrived is taken before each slice of simulated time and goes onto the simulated
+wire without gaps; what a client that is gone has left behind is dropped; a second client is refused
+at once by closing its connection, unless the first is gone, or so far behind that it cannot be
+seen whether it is; simulated time never runs ahead of the wall
 clock times the speed; speed 0 is as fast as possible while bytes are on the way, and real time
 while nothing happens, so that a pause of the client lasts as long for the firmware as for the
 client and an idle simulator costs next to nothing.
@@ -31,8 +33,12 @@ SLICE_S: Final = 0.001
 # reply, and well below the 9 ms between two bytes that end a frame.
 ACTIVE_S: Final = 0.005
 
-# Above that many bytes waiting for the wire the client has to wait, as at a serial port.
-MOST_QUEUED: Final = 4096
+# Above that many bytes waiting for the wire the client has to wait, as at a serial port. No host of
+# J2A has as many requests on the way; that it is gone would be seen behind them only.
+MAX_BACKLOG: Final = 2**18
+# Simulated time after which the firmware has abandoned a frame whose rest was dropped.
+QUIET_S: Final = 0.025
+LOOK_S: Final = 0.2
 
 
 class Runner:
@@ -67,7 +73,10 @@ class Runner:
         self._pacer = Pacer(speed or 1.0)
         self._slice = sim.cycles(SLICE_S)
         self._active_until = 0
+        self._free_at = 0
         self._client: Transport | None = None
+        self._next: Transport | None = None  # the one to serve after it
+        self._backlog = bytearray()
 
     def serve(self, stop: threading.Event) -> None:
         """Run until `stop` is set, or with `once` until the first client has gone.
@@ -81,6 +90,8 @@ class Runner:
         """
         self._pacer.restart(self.sim.time_s)
         had_client = False
+        ended = threading.Event()
+        threading.Thread(target=self._end_waits, args=(stop, ended), daemon=True).start()
         try:
             while not stop.is_set():
                 if self._client is None:
@@ -90,18 +101,22 @@ class Runner:
                     had_client = had_client or self._client is not None
                 else:
                     self._receive(self._client)
+                    self._meet_another()
+                self._feed()
                 self.sim.run(self._slice)
                 self._send()
         finally:
-            if self._client is not None:
-                self._client.close()
-                self._client = None
+            ended.set()
+            for client in (self._client, self._next):
+                if client is not None:
+                    client.close()
+            self._client = self._next = None
 
     def _wait_s(self) -> float:
         """How long to wait for input before the next slice."""
         sim = self.sim
         if self._speed == 0:
-            if sim.counters.queued:
+            if sim.counters.queued or self._backlog:
                 self._stay_active()
             if sim.cycle < self._active_until:
                 self._pacer.restart(sim.time_s)
@@ -111,8 +126,21 @@ class Runner:
     def _stay_active(self) -> None:
         self._active_until = self.sim.cycle + self.sim.cycles(ACTIVE_S)
 
+    def _end_waits(self, stop: threading.Event, ended: threading.Event) -> None:
+        """End a write to a client that does not read, when the run shall stop."""
+        while not ended.is_set():
+            if stop.wait(LOOK_S):
+                client = self._client
+                if client is not None:
+                    client.close()
+                return
+
     def _accept(self) -> None:
-        self._client = self._listener.accept(self._wait_s())
+        wait_s = self._wait_s()
+        if self.sim.cycle < self._free_at:
+            time.sleep(wait_s)
+            return
+        self._client, self._next = self._next or self._listener.accept(wait_s), None
         if self._client is None:
             return
         if self._reset:
@@ -120,22 +148,52 @@ class Runner:
             self.sim.boot()
         self.sim.uart_read()  # sent before this client was there
 
+    def _meet_another(self) -> None:
+        """Refuse a second client, or take it if the first is gone or far behind."""
+        if self._client is None or (other := self._listener.accept(0)) is None:
+            return
+        url = self._client.url
+        while len(self._backlog) < MAX_BACKLOG and self._read(self._client, 0):
+            pass  # what comes before the end of the first, if that has come
+        if self._client is not None and len(self._backlog) < MAX_BACKLOG:
+            self._say(f"refused {other.url}: {url} is being served")
+            other.close()
+            return
+        if self._client is not None:
+            self._say(f"dropped {url}: another came, and it was {len(self._backlog)} bytes behind")
+            self._leave(self._client)
+        self._next = other
+
     def _receive(self, client: Transport) -> None:
         """Take what has arrived, until the next slice is due."""
+        while True:
+            wait_s = self._wait_s()
+            if len(self._backlog) >= MAX_BACKLOG:
+                time.sleep(wait_s)
+                return
+            if not self._read(client, wait_s) or wait_s == 0:
+                return
+            self._feed()
+
+    def _read(self, client: Transport, wait_s: float) -> bool:
+        """Read once; returns whether anything came."""
         try:
-            while True:
-                wait_s = self._wait_s()
-                if self.sim.counters.queued >= MOST_QUEUED:
-                    time.sleep(wait_s)
-                    return
-                data = client.read(wait_s)
-                if data:
-                    self.sim.uart_write(data)
-                    self._stay_active()
-                if not data or wait_s == 0:
-                    return
+            data = client.read(wait_s)
         except TransportError as error:
             self._drop(client, error)
+            return False
+        self._backlog += data
+        if data:
+            self._stay_active()
+        return bool(data)
+
+    def _feed(self) -> None:
+        """Keep the wire busy for the next two slices; what is behind them can still be dropped."""
+        sim = self.sim
+        room = int(2 * self._slice / sim.char_cycles) + 2 - sim.counters.queued
+        if room > 0 and self._backlog:
+            sim.uart_write(bytes(self._backlog[:room]))
+            del self._backlog[:room]
 
     def _send(self) -> None:
         data = self.sim.uart_read()
@@ -151,8 +209,14 @@ class Runner:
     def _drop(self, client: Transport, error: TransportError) -> None:
         if not isinstance(error, LinkLost):  # a client that leaves is nothing to talk about
             self._say(f"dropped {client.url}: {error}")
+        self._leave(client)
+
+    def _leave(self, client: Transport) -> None:
         client.close()
         self._client = None
+        self._backlog.clear()
+        self._free_at = self.sim.cycle + self.sim.cycles(QUIET_S)
+        self._active_until = max(self._active_until, self._free_at)
 
 
 @contextmanager

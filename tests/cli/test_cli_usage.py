@@ -1,5 +1,6 @@
 """What the program says about itself, and to people who get it wrong."""
 
+import json
 import logging
 import sys
 from importlib.metadata import version
@@ -86,9 +87,13 @@ def test_version(run):
 )
 def test_wrong_arguments_end_with_2_and_advice(run, argv, says):
     result = run(*argv)
-    assert (result.code, result.out) == (2, "")
+    assert result.code == 2
     assert result.err.startswith("j2a: ")
     assert says in result.err
+    if "--json" in argv:
+        assert says in json.loads(result.out)["error"]["message"]
+    else:
+        assert result.out == ""
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """A device in Python: hosts that come and go, SIFs, pauses in requests, stopping."""
 
+import contextlib
 import struct
 import threading
 import time
@@ -12,6 +13,7 @@ from j2a_transports._loopback import Channel, LoopbackTransport
 
 import j2a
 from j2a.demo import DemoDevice
+from j2a.device import default_max_hosts
 
 from .support import PATIENCE_S, linked, served
 
@@ -184,6 +186,143 @@ def test_sifs_from_many_threads_are_whole_and_numbered_in_order():
             thread.join(PATIENCE_S)
         assert [frame.seq for frame in frames] == list(range(200))
         assert all(frame.payload == bytes((SOF, frame.opcode)) * 50 for frame in frames)
+
+
+def test_a_host_that_does_not_read_delays_nobody():
+    """It loses SIFs, which it can see; the others get all of theirs, and their replies."""
+    device = DemoDevice()
+    with served(device, "tcp://127.0.0.1:0") as url, Host(url) as stuck, Host(url) as host:
+        for one in (stuck, host):
+            one.send(0, 4)
+            one.frames(1)
+        began = time.monotonic()
+        count, goes_to = 0, 2
+        while goes_to == 2:  # until no more can wait for the one that is stuck
+            goes_to = device.send_sif(count % 251, bytes(255))
+            count += 1
+            sifs = host.frames(1)
+            assert (sifs[0].seq, sifs[0].opcode) == ((count - 1) & 0xFF, (count - 1) % 251)
+            assert time.monotonic() < began + PATIENCE_S
+        host.send(1, 4, b"reply")
+        assert host.frames(1)[0].payload == b"reply"
+
+
+def test_a_sif_that_is_lost_leaves_a_gap():
+    near = LoopbackTransport("near", Channel(), Channel(limit=100), write_timeout_s=None)
+    far = LoopbackTransport("far", near._outgoing, near._incoming)
+    device = j2a.Device()
+    server = threading.Thread(target=device.serve, args=(near,))
+    server.start()
+    while not device.send_sif(1, b""):  # not yet connected
+        time.sleep(0.001)
+    sent = 1 + sum(device.send_sif(1, bytes(250)) for _ in range(2000))
+    assert 1000 < sent < 2001
+    data = b""
+    while piece := far.read(0.3):
+        data += piece
+    assert device.send_sif(2, b"") == 1
+    data += far.read(PATIENCE_S)
+    frames = oracle.decode(data)
+    assert len(frames) == sent + 1
+    assert [frame.seq for frame in frames[:sent]] == [number & 0xFF for number in range(sent)]
+    assert frames[-1].seq == 2001 & 0xFF
+    device.stop()
+    server.join(PATIENCE_S)
+
+
+def test_sifs_reach_the_host_before_the_device_stops():
+    for _ in range(20):
+        device = j2a.Device()
+        with served(device, "tcp://127.0.0.1:0") as url, Host(url) as host:
+            host.send(0, 4)
+            host.frames(1)
+            for number in range(50):
+                device.send_sif(number)
+            device.stop()
+            assert [frame.opcode for frame in host.frames(50)] == list(range(50))
+
+
+def is_refused(host):
+    try:
+        host.is_silent(PATIENCE_S)
+    except j2a_transports.LinkLost:
+        return True
+    return False
+
+
+@contextlib.contextmanager
+def served_with(device, **limits):
+    listener = j2a_transports.listen("tcp://127.0.0.1:0")
+    thread = threading.Thread(target=device.serve_forever, args=(listener,), kwargs=limits)
+    thread.start()
+    try:
+        yield listener.url
+    finally:
+        device.stop()
+        thread.join(PATIENCE_S)
+
+
+def ask(host):
+    host.send(7, 4, b"there")
+    assert host.frames(1)[0].payload == b"there"
+
+
+def test_too_many_hosts_are_refused():
+    with contextlib.ExitStack() as stack:
+        url = stack.enter_context(served_with(DemoDevice(), max_hosts=3))
+        hosts = [stack.enter_context(Host(url)) for _ in range(3)]
+        for host in hosts:
+            ask(host)
+        for _ in range(3):
+            assert is_refused(stack.enter_context(Host(url)))
+        for host in hosts:
+            ask(host)
+        hosts[1].__exit__()
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            late = stack.enter_context(Host(url))
+            with contextlib.suppress(j2a_transports.LinkLost):  # the place is not yet free
+                ask(late)
+                break
+        ask(late)
+
+
+def test_a_host_that_never_asked_makes_room_at_once():
+    with contextlib.ExitStack() as stack:
+        url = stack.enter_context(served_with(DemoDevice(), max_hosts=4))
+        asked = stack.enter_context(Host(url))
+        ask(asked)
+        idle = [stack.enter_context(Host(url)) for _ in range(40)]
+        late = stack.enter_context(Host(url))
+        ask(late)
+        ask(asked)
+        assert all(is_refused(host) for host in idle[:-3])
+
+
+def test_a_host_that_was_silent_for_long_makes_room():
+    with contextlib.ExitStack() as stack:
+        url = stack.enter_context(served_with(DemoDevice(), max_hosts=2, idle_s=0.0))
+        first, second, third = (stack.enter_context(Host(url)) for _ in range(3))
+        # The third took the place of one that never asked.
+        ask(second)
+        ask(third)
+        assert is_refused(first)
+        ask(stack.enter_context(Host(url)))
+        assert is_refused(second)
+        ask(third)
+
+
+@pytest.mark.parametrize("limits", [{"max_hosts": 0}, {"max_hosts": "2"}, {"idle_s": -1}])
+def test_limits_that_cannot_be(limits):
+    with j2a_transports.listen("loopback:limits") as listener, pytest.raises(j2a.LocalError):
+        j2a.Device().serve_forever(listener, **limits)
+
+
+def test_the_number_of_hosts_fits_the_limit_of_files(monkeypatch):
+    resource = pytest.importorskip("resource")
+    for files, hosts in [(16, 1), (62, 10), (1024, 64), (resource.RLIM_INFINITY, 64)]:
+        monkeypatch.setattr(resource, "getrlimit", lambda _, files=files: (files, files))
+        assert default_max_hosts() == hosts
 
 
 def test_a_function_may_stop_the_device():

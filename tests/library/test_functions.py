@@ -1,5 +1,6 @@
 """The function table: registration, built-ins, a2jMany, debug text, functions that misbehave."""
 
+import functools
 import struct
 
 import pytest
@@ -28,6 +29,56 @@ class TestRegistration:
     def test_names_that_cannot_be_sent_are_refused(self, name):
         with pytest.raises(j2a.RegistrationError):
             j2a.Device().function(name)(lambda payload: payload)
+
+    @pytest.mark.parametrize("kind", ["function", "many"])
+    @pytest.mark.parametrize("wrapping", [0, 1, 2])
+    @pytest.mark.parametrize("what", ["async", "async generator", "generator", "async callable"])
+    def test_functions_that_do_not_answer_when_called_are_refused(self, kind, wrapping, what):
+        async def asynchronous(_):
+            return b""
+
+        async def asynchronous_generator(_):
+            yield b""
+
+        def generator(_):
+            yield b""
+
+        class Callable:
+            async def __call__(self, _):
+                return b""
+
+            async def method(self, _):
+                return b""
+
+        for function in {
+            "async": [asynchronous, Callable().method, Callable().__call__],
+            "async generator": [asynchronous_generator],
+            "generator": [generator],
+            "async callable": [Callable()],
+        }[what]:
+            wrapped = function
+            for _ in range(wrapping):
+                wrapped = functools.partial(wrapped)
+            device = j2a.Device()
+            with pytest.raises(j2a.RegistrationError, match=r"async function|generator"):
+                getattr(device, kind)("f")(wrapped)
+            assert "f" not in device.functions
+
+    @pytest.mark.parametrize("what", [None, 5, "text", b"bytes"])
+    def test_what_cannot_be_called_is_refused(self, what):
+        with pytest.raises(j2a.RegistrationError, match="cannot be called"):
+            j2a.Device().function("f")(what)
+
+    def test_anything_that_can_be_called_is_taken(self):
+        class Callable:
+            def __call__(self, payload):
+                return payload
+
+        device = j2a.Device()
+        device.function("object")(Callable())
+        device.function("partial")(functools.partial(lambda _, payload: payload, 1))
+        device.function("builtin")(bytes.upper)
+        device.function("class")(bytes)
 
     def test_a_name_may_appear_once(self):
         device = j2a.Device()

@@ -1,8 +1,10 @@
 """The simulator on a listener, as a function and as a command."""
 
+import contextlib
 import io
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -128,8 +130,95 @@ def test_a_client_that_never_stops_sending(simulate, speed):
             writer.join(WAIT_S)
         assert not server.is_alive()
         assert not writer.is_alive()
-    # The limit, and one read of the transport that began below it.
-    assert most <= 4096 + 65536
+    assert most <= 250  # two slices of a millisecond, and some more
+
+
+def leave_behind(url, size):
+    """Connect, send as much of so many bytes as the system takes, and go."""
+    host, _, port = url.removeprefix("tcp://").rpartition(":")
+    with socket.create_connection((host, int(port))) as gone:
+        gone.setblocking(False)
+        rest = memoryview(bytes(size))
+        with contextlib.suppress(BlockingIOError):
+            while rest:
+                rest = rest[gone.send(rest) :]
+
+
+@pytest.mark.parametrize("size", [1, 300, 2**16, 2**22])
+def test_what_a_host_that_is_gone_left_behind_is_dropped(firmware, size):
+    with Served(firmware("echo"), 1.0) as served:
+        leave_behind(served.url, size)
+        with j2a_transports.open(served.url) as link:
+            link.write(b"next")
+            assert read_all(link, 4) == b"next"
+    bytes_in = int(re.search(r"bytes_in=(\d+)", served.err.getvalue())[1])
+    assert bytes_in < 4 + 2000
+
+
+def test_a_second_host_is_refused_at_once_and_told_why(firmware):
+    with Served(firmware("echo")) as served, j2a_transports.open(served.url) as first:
+        for _ in range(3):
+            with (
+                j2a_transports.open(served.url) as second,
+                pytest.raises(LinkLost, match="may be busy with another host"),
+            ):
+                second.read(WAIT_S)
+        first.write(b"first")
+        assert read_all(first, 5) == b"first"
+        assert served.err.getvalue().count("refused tcp://127.0.0.1:") == 3
+        first.close()
+        with j2a_transports.open(served.url) as third:
+            third.write(b"third")
+            assert read_all(third, 5) == b"third"
+
+
+def test_a_host_that_is_far_behind_gives_way(firmware):
+    with Served(firmware("echo"), 1.0) as served, j2a_transports.open(served.url) as first:
+        with pytest.raises(j2a_transports.WriteTimeout):
+            first.write_timeout_s = 0.5
+            while True:
+                first.write(bytes(2**16))
+        with j2a_transports.open(served.url) as second:
+            second.write(b"x")
+            assert read_all(second, 1) == b"x"
+        assert "another came" in served.err.getvalue()
+
+
+def test_a_host_that_does_not_read_holds_up_no_end(simulate):
+    class Stuck(j2a_transports.Transport):
+        closed = False
+
+        def __init__(self):
+            super().__init__("stuck:", None)
+            self.ended = threading.Event()
+
+        def read(self, timeout_s):
+            return b"x"
+
+        def write(self, data):
+            assert self.ended.wait(WAIT_S)
+            raise j2a_transports.LinkClosed("stuck: is closed")
+
+        def close(self):
+            self.ended.set()
+
+    class One(j2a_transports.Listener):
+        given = False
+
+        def accept(self, timeout_s):
+            was, self.given = self.given, True
+            return None if was else Stuck()
+
+        def close(self):
+            pass
+
+    sim = simulate("echo")
+    sim.boot()
+    stop = threading.Event()
+    timer = threading.Timer(0.3, stop.set)
+    timer.start()
+    Runner(sim, One("one:")).serve(stop)
+    timer.join()
 
 
 def test_a_pause_of_the_client_is_no_longer_for_the_firmware(firmware):

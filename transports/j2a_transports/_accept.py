@@ -1,17 +1,21 @@
 """A listener on a socket whose system can tell when a peer has arrived: TCP, Bluetooth.
 
 In: a bound and listening socket.  Out: the transports that a subclass makes of its peers.
-Rules: a peer that is gone before it is served is passed over, anything else that fails an accept is
-told.
+Rules: a peer that is gone before it is served is passed over; while the system has no file for
+another peer, those that arrive are turned away by closing their connection, and listening goes on;
+anything else that fails an accept is told.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import os
 import socket
 import threading
 import time
 from abc import abstractmethod
+from typing import Final
 
 from ._base import LinkClosed, Listener, Transport, TransportError
 from ._poll import Readiness, Waker
@@ -23,6 +27,9 @@ _GONE = frozenset(
     {errno.ECONNABORTED, errno.ECONNRESET, errno.EINVAL, errno.ENOTCONN, errno.EPROTO}
     | {errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ETIMEDOUT}
 )
+# No file or memory for another connection at the moment: of this process, or of the system.
+_SCARCE: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+BACK_OFF_S: Final = 0.1
 
 
 class SocketListener(Listener):
@@ -40,6 +47,8 @@ class SocketListener(Listener):
         self._waker = Waker()
         self._readable = Readiness(sock.fileno(), self._waker, write=False)
         self._accepting = threading.RLock()
+        self._spare = _spare_file()
+        self._ended = threading.Event()
         self._closed = False
         self._released = False
 
@@ -58,7 +67,10 @@ class SocketListener(Listener):
                 try:
                     return self._take()
                 except OSError as error:
-                    if not isinstance(error, BlockingIOError) and error.errno not in _GONE:
+                    if error.errno in _SCARCE:
+                        self._turn_away()
+                        self._ended.wait(BACK_OFF_S)
+                    elif not isinstance(error, BlockingIOError) and error.errno not in _GONE:
                         raise TransportError(
                             f"{self.url}: cannot accept: {error.strerror or error}"
                         ) from error
@@ -70,16 +82,34 @@ class SocketListener(Listener):
     def _take(self) -> Transport:
         """Accept the next peer; OSError when it cannot be."""
 
+    def _turn_away(self) -> None:
+        """Accept the next peer with the one file that was kept for this, and hang up."""
+        if self._spare is not None:
+            os.close(self._spare)
+        with contextlib.suppress(OSError, TransportError):
+            self._take().close()
+        self._spare = _spare_file()
+
     def close(self) -> None:
         """See `Listener.close`."""
         self._closed = True
+        self._ended.set()
         self._waker.wake()
         with self._accepting:
             if not self._released:
                 self._released = True
                 self._release()
+                if self._spare is not None:
+                    os.close(self._spare)
                 self._waker.close()
 
     def _release(self) -> None:
         """Free the socket; called once, when nobody uses it."""
         self._sock.close()
+
+
+def _spare_file() -> int | None:
+    try:
+        return os.open(os.devnull, os.O_RDONLY)
+    except OSError:
+        return None

@@ -11,7 +11,7 @@ import os
 import socket
 
 from ._accept import SocketListener
-from ._base import Listener, OpenFailed, Transport
+from ._base import LinkLost, Listener, OpenFailed, Transport
 from ._poll import CHUNK, PolledTransport
 from ._url import Url, host_port, timeout
 
@@ -25,13 +25,23 @@ class TcpTransport(PolledTransport):
         url: for messages.
         sock: the connected socket; the transport owns it from now on, and closes it on failure.
         write_timeout_s: see `Transport`.
+        may_be_refused: the peer is a server, which closes the connection if it is busy.
 
     Raises:
         OSError: the connection has ended already, or there are too many open files.
     """
 
-    def __init__(self, url: str, sock: socket.socket, write_timeout_s: float | None) -> None:
+    def __init__(
+        self,
+        url: str,
+        sock: socket.socket,
+        write_timeout_s: float | None,
+        *,
+        may_be_refused: bool = False,
+    ) -> None:
         self._sock = sock
+        self._may_be_refused = may_be_refused
+        self._has_received = False
         try:
             sock.setblocking(False)
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -43,7 +53,17 @@ class TcpTransport(PolledTransport):
             raise
 
     def _receive(self) -> bytes:
-        return self._sock.recv(CHUNK)
+        data = self._sock.recv(CHUNK)
+        self._has_received = self._has_received or bool(data)
+        return data
+
+    def _lost(self, error: OSError | None) -> LinkLost:
+        if self._may_be_refused and not self._has_received:
+            return LinkLost(
+                f"{self.url} is lost: the server closed the connection before it sent anything; "
+                "it may be busy with another host"
+            )
+        return super()._lost(error)
 
     def _send(self, data: memoryview) -> int:
         return self._sock.send(data)
@@ -77,7 +97,7 @@ def open_url(url: Url) -> Transport:
     wait_s = options.get("connect_timeout", _CONNECT_TIMEOUT_S)
     try:
         sock = socket.create_connection((host, port), wait_s)
-        return TcpTransport(url.text, sock, options["write_timeout"])
+        return TcpTransport(url.text, sock, options["write_timeout"], may_be_refused=True)
     except TimeoutError as error:
         raise OpenFailed(
             f"{url.text}: no answer within {wait_s} s: check the address and firewalls"

@@ -174,6 +174,7 @@ _RATES: Final[dict[str, Converter]] = {
     **dict.fromkeys(KINDS, number(0, 1)),
     "delay_ms": number(0, 60_000),
 }
+MAX_NESTED: Final = 8
 OPTIONS: Final[dict[str, Converter]] = {
     "seed": integer(0, 2**63 - 1),
     **{f"{prefix}{name}": take for prefix in ("", "tx_", "rx_") for name, take in _RATES.items()},
@@ -196,10 +197,27 @@ def listen_url(url: Url) -> Listener:
     return FaultyListener(listen_inner(inner_text, **keywords), tx, rx, seed)
 
 
+def _depth(rest: str) -> int:
+    """Return how many `faults:` stand inside one, from what comes after it; more is enough."""
+    depth = 0
+    while depth < MAX_NESTED:
+        _, _, rest = rest.partition(":")
+        scheme, colon, rest = rest.partition(":")
+        if not colon or scheme.lower() != "faults":
+            break
+        depth += 1
+    return depth
+
+
 def _parse(url: Url) -> tuple[str, Rates, Rates, int, dict[str, object]]:
     head, colon, inner = url.rest.partition(":")
     if not colon or not inner:
         raise BadUrl(f"{url.text}: expected faults:seed=1,drop=0.001:inner-url")
+    if _depth(url.rest) >= MAX_NESTED:
+        raise BadUrl(
+            f"{url.text[:40]}...: faults: stands inside faults: more than {MAX_NESTED} times; "
+            "one with several options does the same"
+        )
     # Keywords of the call that are no fault options belong to the inner transport.
     own = {name: value for name, value in url.keywords.items() if name in OPTIONS}
     foreign = {name: value for name, value in url.keywords.items() if name not in OPTIONS}

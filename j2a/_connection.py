@@ -1,0 +1,152 @@
+"""One host of a device: the state of its link, and the transport to it.
+
+What flows in: bytes of the host, SIFs from any thread. What flows out: requests to execute, replies
+and SIFs on the wire.
+Rules: replies are written by the thread that serves the host, SIFs by one that is started with the
+first; so a host that does not read delays nobody but itself. What waits for it is bounded: further
+SIFs are lost for this host, which sees the gap in their numbers.
+"""
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
+
+from j2a._link import TRANSPORT_ERRORS, WAIT_S, link_error
+from j2a._server import Request, Server
+from j2a.errors import LinkClosed
+
+if TYPE_CHECKING:
+    from j2a_transports import Transport
+
+__all__ = ["MAX_WAITING", "Connection"]
+
+MAX_WAITING: Final = 2**18
+"""So many bytes may wait for a host that reads slowly."""
+LAST_WRITE_S: Final = 0.2
+_logger = logging.getLogger("j2a")
+
+
+class Connection:
+    """A host that is being served.
+
+    Args:
+        server: the state of the link.
+        transport: the open byte stream to the host.
+
+    Attributes:
+        transport: that byte stream.
+        has_asked: the host has sent a good request.
+        last_heard: when bytes of the host came last, on the monotonic clock in seconds.
+    """
+
+    def __init__(self, server: Server, transport: "Transport") -> None:
+        self.transport = transport
+        self.has_asked = False
+        self.last_heard = time.monotonic()
+        self._server = server
+        # Taken in this order. Bytes are fetched and written under the first, so they keep their
+        # order; a write that waits for the host holds up nothing but other writes to it.
+        self._writing = threading.Lock()
+        self._state = threading.Lock()
+        self._sif_writer: threading.Thread | None = None
+        self._sif_waits = threading.Event()
+        self._ended = False
+
+    def run(self, execute: Callable[[int, bytes], tuple[int, bytes]]) -> None:
+        """Serve until the link ends, whichever side ends it."""
+        try:
+            while True:
+                self._read()
+                while (request := self._next_request()) is not None:
+                    self.has_asked = True
+                    code, payload = execute(request.opcode, request.payload)
+                    with self._state:
+                        self._server.reply(request, code, payload)
+                    self._flush()
+                self._flush()
+        except TRANSPORT_ERRORS as error:
+            _log_end(error)
+        finally:
+            self._ended = True
+            self._sif_waits.set()
+
+    def send_sif(self, opcode: int, payload: bytes) -> bool:
+        """Send a SIF, without waiting; False when the link has ended or the host is too slow."""
+        with self._state:
+            if self._ended:
+                return False
+            if self._server.waiting >= MAX_WAITING:
+                self._server.skip_sif()
+                return False
+            self._server.send_sif(opcode, payload)
+            if self._sif_writer is None:
+                self._sif_writer = threading.Thread(
+                    target=self._write_sifs, name=f"j2a SIFs {self.transport.url}", daemon=True
+                )
+                self._sif_writer.start()
+        self._sif_waits.set()
+        return True
+
+    def close(self) -> None:
+        """Write what waits, as far as the host takes it at once, and end the link."""
+        self.transport.write_timeout_s = LAST_WRITE_S
+        if self._writing.acquire(timeout=LAST_WRITE_S):
+            try:
+                with contextlib.suppress(*TRANSPORT_ERRORS):
+                    self._write()
+            finally:
+                self._writing.release()
+        self.transport.close()
+
+    def _write_sifs(self) -> None:
+        try:
+            while True:
+                self._sif_waits.wait()
+                self._sif_waits.clear()
+                if self._ended:
+                    return
+                self._flush()
+        except TRANSPORT_ERRORS as error:
+            _log_end(error)
+            self.transport.close()
+
+    def _read(self) -> None:
+        with self._state:
+            deadline = self._server.next_timeout()
+        wait_s = WAIT_S
+        if deadline is not None:
+            wait_s = min(max(0.0, deadline - time.monotonic()), WAIT_S)
+        data = self.transport.read(wait_s)
+        if not data:
+            # This thread may have been late itself: what has come by now came in time.
+            data = self.transport.read(0)
+        now = time.monotonic()
+        with self._state:
+            if data:
+                self.last_heard = now
+                self._server.receive(data, now)
+            else:
+                self._server.handle_timeout(now)
+
+    def _next_request(self) -> Request | None:
+        with self._state:
+            return self._server.next_request()
+
+    def _flush(self) -> None:
+        with self._writing:
+            self._write()
+
+    def _write(self) -> None:
+        with self._state:
+            data = self._server.data_to_send()
+        if data:
+            self.transport.write(data)
+
+
+def _log_end(error: Exception) -> None:
+    reason = link_error(error)
+    level = logging.DEBUG if isinstance(reason, LinkClosed) else logging.INFO
+    _logger.log(level, "the link to a host has ended: %s", reason)
