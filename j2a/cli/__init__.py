@@ -93,7 +93,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _report(error: Exception, code: int, *, as_json: bool) -> None:
-    first, *more = error.args if isinstance(error, UsageError) else [error]
+    first, *more = error.args if isinstance(error, UsageError) else [str(error)]
+    if isinstance(error, OSError) and is_of_a_file(error):
+        first = ": ".join(str(part) for part in (error.filename, error.strerror) if part)
     note(f"j2a: {first}")
     for line in more:
         note(str(line))

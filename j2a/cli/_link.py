@@ -8,12 +8,16 @@ from __future__ import annotations
 import argparse
 import inspect
 import math
+import sys
 from collections.abc import Callable
 from typing import Final, TypeVar
 
 import j2a
 from j2a.cli._exit import UsageError
 from j2a.cli._trace import TracePrinter
+
+if sys.platform != "win32":
+    import termios
 
 _Number = TypeVar("_Number", int, float)
 _OWN: Final = frozenset(inspect.signature(j2a.connect).parameters)
@@ -107,6 +111,26 @@ def connect(args: argparse.Namespace) -> j2a.Client:
         trace=TracePrinter(raw=args.verbose > 1) if args.verbose else None,
         **options,  # type: ignore[arg-type]  # the names of other parameters were refused
     )
+
+
+def check_listen_url(url: str) -> None:
+    """Refuse to speak J2A to somebody at a keyboard, who could not leave: Ctrl-C is a byte there.
+
+    Raises:
+        UsageError: it is standard input, and that is a terminal for people; a program sets its own
+            to raw mode.
+    """
+    if not url.lower().endswith("stdio:") or sys.platform == "win32":
+        return
+    try:
+        is_typed_at = bool(termios.tcgetattr(0)[3] & termios.ICANON)
+    except (termios.error, OSError):  # no terminal, or closed
+        return
+    if is_typed_at:
+        raise UsageError(
+            f"--listen {url} is a terminal here, where Ctrl-C would be one more byte; "
+            "use tcp: or pty:, or let another program start this one by exec:"
+        )
 
 
 def function_of(text: str) -> str | int:

@@ -18,7 +18,7 @@ import j2a_transports
 import j2a
 from j2a._link import WAIT_S
 from j2a.cli._exit import OK, UsageError, end_on_sigterm
-from j2a.cli._link import add_verbose_argument, seconds, whole_number
+from j2a.cli._link import add_verbose_argument, check_listen_url, seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._trace import TracePrinter
 from j2a.device import IDLE_S, MAX_HOSTS
@@ -71,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until the end; returns the exit code."""
+    check_listen_url(args.listen)
     device = _demo() if args.device is None else load_device(args.device)
     if args.verbose:
         # A Device takes its trace when it is made, which was before the command line was read.

@@ -55,6 +55,8 @@ def payload_of(words: Sequence[str]) -> bytes:
 
 def _bytes_of(word: str) -> bytes:
     if word == "-":
+        if sys.stdin is None:
+            raise UsageError("-: standard input is closed")
         return sys.stdin.buffer.read()
     if word.startswith("@"):
         return file_content(word[1:])

@@ -12,7 +12,9 @@ from typing import Any
 
 from j2a_transports import BadUrl, TransportError
 
-from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE
+from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE, UsageError
+from j2a.cli._link import check_listen_url
+from j2a.cli._output import note
 from j2a.sim._errors import FirmwareStopped, SimError
 from j2a.sim._options import frequency, rate, speed
 from j2a.sim._runner import run
@@ -107,13 +109,16 @@ def main(args: argparse.Namespace) -> int:
         The exit code; 128 + the number of the signal that ended the run.
     """
     try:
+        if args.sim_kind == "avr":
+            check_listen_url(args.listen)
         number = _run(args)
     except KeyboardInterrupt:  # before the firmware ran
         return INTERRUPTED
-    except (SimError, TransportError, OSError) as error:
-        print(f"j2a sim: {error}", file=sys.stderr)
-        is_usage = isinstance(error, (SimError, BadUrl)) and not isinstance(error, FirmwareStopped)
-        return USAGE if is_usage else LINK
+    except (SimError, TransportError, OSError, UsageError) as error:
+        note(f"j2a sim: {error}")
+        if isinstance(error, FirmwareStopped):
+            return LINK
+        return USAGE if isinstance(error, SimError | BadUrl | UsageError) else LINK
     return OK if number is None else 128 + number
 
 

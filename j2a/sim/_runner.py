@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final, TextIO
 
-from j2a_transports import LinkLost, Listener, Transport, TransportError, listen
+from j2a_transports import LinkClosed, LinkLost, Listener, Transport, TransportError, listen
 
 from j2a.sim._avr import AvrSim
 from j2a.sim._errors import FirmwareStopped, SimError
@@ -207,7 +207,8 @@ class Runner:
                 self._drop(self._client, error)
 
     def _drop(self, client: Transport, error: TransportError) -> None:
-        if not isinstance(error, LinkLost):  # a client that leaves is nothing to talk about
+        # A client that leaves is nothing to talk about, and neither is the end of the run.
+        if not isinstance(error, LinkLost | LinkClosed):
             self._say(f"dropped {client.url}: {error}")
         self._leave(client)
 

@@ -76,26 +76,11 @@ class StdioTransport(PolledTransport):
         self._streams.give_back()
 
 
-def _is_typed_at() -> bool:
-    """Whether standard input is a terminal for people; a program sets its own to raw mode."""
-    if sys.platform == "win32":
-        return False
-    try:
-        return bool(termios.tcgetattr(0)[3] & termios.ICANON)
-    except (termios.error, OSError):  # no terminal, or closed
-        return False
-
-
 def open_url(url: Url) -> Transport:
     """Take over standard input and output."""
     options = url.options([], {})
     if url.rest:
         raise BadUrl(f"{url.text}: write stdio: with nothing after the colon")
-    if _is_typed_at():
-        raise OpenFailed(
-            f"{url.text}: standard input is a terminal that somebody types at, and Ctrl-C would "
-            "be one more byte; use tcp: or pty:, or let another program start this one by exec:"
-        )
     try:
         streams = StandardStreams()
     except OSError as error:
