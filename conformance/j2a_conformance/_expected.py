@@ -8,7 +8,17 @@ from dataclasses import dataclass, field
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, Skipped, encode
 
-__all__ = ["DAMAGE", "Expected", "ManyReply", "Request", "describe", "many_payload", "refusal"]
+__all__ = [
+    "DAMAGE",
+    "Expected",
+    "ManyReply",
+    "Request",
+    "describe",
+    "difference",
+    "first_difference",
+    "many_payload",
+    "refusal",
+]
 
 DAMAGE = frozenset({c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING})
 """Codes that say that the request was damaged on its way."""
@@ -74,6 +84,21 @@ class ManyReply:
 def many_payload(func: int, flags: int = 0, offset: int = 0, data: bytes = b"") -> bytes:
     """Return the payload of a request to a2jMany; `flags` may hold any bits."""
     return bytes((func, flags)) + offset.to_bytes(4, "little") + data
+
+
+def first_difference(came: bytes, due: bytes) -> str:
+    """Return where two byte strings part, in words; places count from 1."""
+    for place, (here, there) in enumerate(zip(came, due, strict=False), 1):
+        if here != there:
+            return f"byte {place} of {len(due)} is 0x{here:02X} and not 0x{there:02X}"
+    return f"{len(came)} bytes and not {len(due)}"
+
+
+def difference(came: Event, due: Expected) -> str:
+    """Return where the payload of a frame parts from the due one, or "" where it does not."""
+    if not isinstance(came, Frame) or due.payload in (None, came.payload):
+        return ""
+    return f"; payload: {first_difference(came.payload, due.payload or b'')}"
 
 
 def describe(event: Event) -> str:

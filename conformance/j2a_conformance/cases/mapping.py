@@ -5,6 +5,7 @@ from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import payload_of, spread
 from j2a_conformance._judge import fail, skip
 from j2a_conformance._peer import Peer
 
@@ -73,6 +74,7 @@ class RequestPayload(Case):
 
     def _run(self, peer: Peer) -> None:
         wanted = mapping(peer)
-        for payload in (b"\0", b"x", bytes(6), b"\x12\xed\x7d", bytes(range(255)), b"\xff" * 255):
+        several = (payload_of(length, n) for n, length in enumerate(spread(step=61)))
+        for payload in (b"\0", b"x", bytes(6), b"\x12\xed\x7d", b"\xff" * 255, *several):
             if mapping(peer, payload[: peer.longest]) != wanted:
                 fail(f"another mapping for a request with {len(payload)} payload bytes")
