@@ -24,9 +24,19 @@ DAMAGE = frozenset({c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING})
 """Codes that say that the request was damaged on its way."""
 
 
+RESERVED = frozenset(range(c.RET_MAX + 1, c.RET_FAILED)) - c.ERRORS
+"""Codes that no device sends (J2A-ERR-011)."""
+
+_NEVER = DAMAGE | RESERVED
+
+
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """A reply that is due. None leaves a field open, but no answer says the request was damaged."""
+    """A reply that is due.
+
+    None leaves a field open; even then the code says neither that the request was damaged, nor is
+    it reserved (J2A-ERR-011).
+    """
 
     seq: int
     code: int | None = None
@@ -37,7 +47,7 @@ class Expected:
         return (
             frame.start == c.SOF
             and frame.seq == self.seq
-            and (frame.opcode not in DAMAGE if self.code is None else frame.opcode == self.code)
+            and (frame.opcode not in _NEVER if self.code is None else frame.opcode == self.code)
             and self.payload in (None, frame.payload)
         )
 

@@ -24,7 +24,7 @@ from ._expected import (
     many_payload,
     refusal,
 )
-from ._judge import Judged, fail, skip
+from ._judge import Judged, fail, lack
 from ._model import Claims, Verdict
 from ._wire import Arrival, Link
 
@@ -81,7 +81,7 @@ class Peer:
     def opcode(self, name: str) -> int:
         """Return the opcode of a function, or end the case as unimplemented."""
         if not self.has(name):
-            skip(f"the device has no function {name}")
+            lack(f"the device has no function {name}")
         return self.claims.functions.index(name)
 
     def hide_application(self) -> None:
@@ -161,6 +161,12 @@ class Peer:
         index = self.opcode(func) if isinstance(func, str) else func
         payload = many_payload(index, flags, offset, data)
         return self.request(self.opcode(c.MANY), payload, code)
+
+    def direct(self, name: str, payload: bytes = b"") -> Request:
+        """Return a request whose opcode names a function for a2jMany, and its due refusal."""
+        if name == c.GET_PROPERTIES:
+            return self.request(self.opcode(name), payload, c.RET_FAILED, b"")
+        return self.request(self.opcode(name), payload, c.ERR_OPCODE)
 
     # Exchanges
 
@@ -284,10 +290,8 @@ class Peer:
         self, due: Expected, arrival: Arrival | None = None, wanted: bytes | None = None
     ) -> None:
         """End the evidence with what matters: the request, what came, and what was due."""
-        if (request := self.link.request_of(due.seq)) is not None:
-            self.link.record("note", request.raw, "the request, as it was sent:")
-        if arrival is not None:
-            self.link.record("note", arrival.raw, "what came:")
+        self.link.remind("the request, as it was sent:", self.link.request_of(due.seq))
+        self.link.remind("what came:", arrival)
         if wanted is None:
             self.link.record("expected", due.wire, str(due))
         else:
@@ -345,8 +349,8 @@ class Peer:
         request = None if seq is None else self.link.request_of(seq)
         if request is None:
             return ""
-        self.link.record("note", request.raw, "the frame with this seq, as it was sent:")
-        self.link.record("note", arrival.raw, "what came:")
+        self.link.remind("the frame with this seq, as it was sent:", request)
+        self.link.remind("what came:", arrival)
         return f"; it has the seq of {describe(request.event)}"
 
     def probe(self) -> Request:

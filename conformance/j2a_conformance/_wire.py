@@ -168,6 +168,12 @@ class Link:
         """Add a note to the evidence."""
         self.record("note", text=text)
 
+    def remind(self, text: str, arrival: Arrival | None) -> None:
+        """Note bytes that matter for a failure once more, unless they are the last that is seen."""
+        last = list(self._evidence)[-2:]
+        if arrival is not None and all(entry.data != arrival.raw for entry in last):
+            self.record("note", arrival.raw, text)
+
     def evidence(self) -> tuple[tuple[Evidence, ...], int]:
         """Return the last lines of evidence, and the number of those before them."""
         return tuple(self._evidence), self._entries - len(self._evidence)

@@ -6,7 +6,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import checksum
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lengths, payload_of
+from j2a_conformance._dimensions import lengths, payload_of, spread
 from j2a_conformance._judge import fail
 from j2a_conformance._peer import Expected, Peer, Request, many_payload
 
@@ -175,3 +175,22 @@ class OnlyOnce(Case):
         payload = many_payload(0xFF)
         wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x10)
         peer.play(wire + b"abc" * 20, Expected(seq, c.ERR_CHECKSUM), alone=True)
+
+
+class ReservedCodes(Case):
+    """Calls the built-in functions with payloads of many lengths and kinds."""
+
+    ID = "error.reserved-codes"
+    EXPECTATION = "Replies with any code but 0xF1 and 0xF5 to 0xFE, which are reserved."
+    REQUIREMENTS = ("J2A-ERR-011",)
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        names = [name for name in c.BUILTINS if peer.has(name)]
+        for n, length in enumerate(spread(peer.longest, 31)):
+            for name in names[n % 3 :: 3]:
+                opcode = peer.opcode(name)
+                if opcode or peer.claims.mapped:
+                    peer.ask(peer.request(opcode, payload_of(length, n)))
+        for opcode in peer.out_of_range()[::7]:
+            peer.ask(peer.request(opcode, b"reserved"))

@@ -33,7 +33,7 @@ class Window(Case):
 
     ID = "limits.window"
     EXPECTATION = "Every request is answered, in order."
-    REQUIREMENTS = ("J2A-LIMIT-001", "J2A-DISP-001")
+    REQUIREMENTS = ("J2A-LIMIT-001", "J2A-DISP-001", "J2A-ERR-012")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -222,8 +222,7 @@ class Room(Case):
         for opcode in peer.out_of_range()[-1:]:
             peer.ask(peer.request(opcode, bytes(length), c.ERR_OPCODE))
         for name in sorted(n for n in MANY_ONLY if peer.has(n)):
-            code = c.RET_FAILED if name == c.GET_PROPERTIES else c.ERR_OPCODE
-            peer.ask(peer.request(peer.opcode(name), bytes(length), code))
+            peer.ask(peer.direct(name, bytes(length)))
         seq, opcode, payload = peer.seq(), peer.opcode(c.GET_ECHO), b"w" * length
         wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x04)
         peer.play(wire, refusal(seq, c.ERR_CHECKSUM), alone=True)

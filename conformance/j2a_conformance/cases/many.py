@@ -52,6 +52,7 @@ class EchoLengths(Case):
         "J2A-MANY-004",
         "J2A-MANY-008",
         "J2A-MANY-009",
+        "J2A-MANY-021",
         "J2A-ECHO-002",
         "J2A-FRAME-005",
     )
@@ -82,7 +83,13 @@ class Offsets(Case):
 
     ID = "many.offsets"
     EXPECTATION = "The offset of the reply is that of the request."
-    REQUIREMENTS = ("J2A-MANY-001", "J2A-MANY-002", "J2A-MANY-008", "J2A-ECHO-002")
+    REQUIREMENTS = (
+        "J2A-MANY-001",
+        "J2A-MANY-002",
+        "J2A-MANY-008",
+        "J2A-MANY-021",
+        "J2A-ECHO-002",
+    )
     LEVEL = "many"
 
     def _run(self, peer: Peer) -> None:
@@ -114,15 +121,15 @@ class ShortHeader(Case):
     """Calls a2jMany with 0 to 5 bytes of payload."""
 
     ID = "many.short-header"
-    EXPECTATION = "The code 0xFF, and never a call of the function."
-    REQUIREMENTS = ("J2A-MANY-003",)
+    EXPECTATION = "The code 0xFF without payload, and never a call of the function."
+    REQUIREMENTS = ("J2A-MANY-003", "J2A-MANY-015")
     LEVEL = "many"
 
     def _run(self, peer: Peer) -> None:
         header = bytes((peer.opcode(c.GET_ECHO_MANY), 1, 2, 3, 4))
         short = [payload_of(length, n) for n in range(5) for length in range(c.MANY_HEADER)]
         for payload in (*(header[:n] for n in range(6)), b"\xff", b"\0\0\0", *short):
-            peer.ask(peer.request(peer.opcode(c.MANY), payload, c.RET_FAILED))
+            peer.ask(peer.request(peer.opcode(c.MANY), payload, c.RET_FAILED, b""))
 
 
 class InnerCode(Case):
@@ -186,8 +193,8 @@ class CalledDirectly(Case):
     def _run(self, peer: Peer) -> None:
         names = [n for n in (c.GET_ECHO_MANY, "store") if peer.has(n)]
         for name in names:
-            for payload in (b"", bytes(6), bytes(range(255))):
-                peer.ask(peer.request(peer.opcode(name), payload, c.ERR_OPCODE))
+            several = (payload_of(length, n) for n, length in enumerate(spread(step=67)))
+            peer.ask_all(peer.direct(name, payload) for payload in (bytes(6), *several))
         if not names:
             skip("the device has no function that is known to be made for a2jMany")
 
@@ -202,7 +209,7 @@ class FourBytes(Case):
         "Nothing at these offsets, and a write to them changes nothing of what is stored: a device "
         "that looks at some of the bytes alone would send data, or replace it."
     )
-    REQUIREMENTS = ("J2A-MANY-007", "J2A-MANY-008")
+    REQUIREMENTS = ("J2A-MANY-007", "J2A-MANY-008", "J2A-MANY-019")
     LEVEL = "many"
     NEEDS = (c.MANY,)
 
@@ -212,7 +219,7 @@ class FourBytes(Case):
             if name == "store":
                 peer.ask(peer.many(name, c.FLAG_WRITE | c.FLAG_LAST, 0, _STORED))
             size = len(peer.read_all(name))
-            for upper, low in product((*_UPPER, 0xFFFFFF00), (0, 1, 9)):
+            for upper, low in product((*_UPPER, 0xFFFFFF00), (0, 1, 9, 0xFE, 0xFF)):
                 if upper + low >= size:
                     self._read(peer, name, upper + low, size)
             if name == "store":
@@ -257,7 +264,14 @@ class StoreLarge(Case):
     EXPECTATION = (
         "What was written, byte by byte, at every offset, and as many bytes however they are cut."
     )
-    REQUIREMENTS = ("J2A-MANY-001", "J2A-MANY-002", "J2A-MANY-007", "J2A-MANY-008")
+    REQUIREMENTS = (
+        "J2A-MANY-001",
+        "J2A-MANY-002",
+        "J2A-MANY-007",
+        "J2A-MANY-008",
+        "J2A-MANY-020",
+        "J2A-MANY-021",
+    )
     LEVEL = "many"
     NEEDS = (c.MANY, "store")
 
@@ -286,6 +300,14 @@ class StoreLarge(Case):
                 fail(f"`store` holds {held} bytes, but only {taken} of them in chunks of {chunk}")
             if peer.read_all("store") != data:
                 fail(f"`store` does not return what was written in chunks of {chunk}")
+        # The last chunk may be empty.
+        for n in (0, 1, held // 2):
+            peer.ask_many(peer.many("store", c.FLAG_WRITE, 0, data[:n]))
+            end = peer.ask_many(peer.many("store", c.FLAG_WRITE | c.FLAG_LAST, n))
+            if end.code > c.RET_MAX or peer.read_all("store") != data[:n]:
+                fail(f"{n} bytes are not stored when an empty chunk with isLast ends the write")
+        if self._write(peer, data) < held:
+            fail(f"`store` does not take {held} bytes any more")
         for offset in range(held):
             reply = peer.ask_many(peer.many("store", offset=offset))
             if not reply.data or not data.startswith(reply.data, offset):

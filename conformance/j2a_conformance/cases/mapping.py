@@ -6,14 +6,14 @@ from j2a_spec.grammar import MAPPING
 
 from j2a_conformance._case import Case
 from j2a_conformance._dimensions import payload_of, spread
-from j2a_conformance._judge import fail, skip
+from j2a_conformance._judge import fail, lack
 from j2a_conformance._peer import Peer
 
 
 def mapping(peer: Peer, payload: bytes = b"") -> bytes:
     """Return the payload of the reply of a2jGetMapping, or end the case where it is built out."""
     if not peer.claims.mapped:
-        skip("the function map is not built in")
+        lack("the function map is not built in")
     return peer.ask(peer.request(0, payload, c.RET_OK)).payload
 
 
