@@ -153,6 +153,7 @@ class Link:
     def begin(self) -> None:
         """Start the evidence of a new case."""
         self._evidence.clear()
+        self._sent.clear()
         self._entries = 0
         self.repeated = 0
         self.hurried = bool(self.lossy)

@@ -186,11 +186,14 @@ class ReservedCodes(Case):
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
-        names = [name for name in c.BUILTINS if peer.has(name)]
+        refused = (c.MANY, c.GET_PROPERTIES)  # where they are called like this
+        names = [name for name in c.BUILTINS if peer.has(name) and name not in refused]
         for n, length in enumerate(spread(peer.longest, 31)):
+            data = payload_of(length, n)
             for name in names[n % 3 :: 3]:
-                opcode = peer.opcode(name)
-                if opcode or peer.claims.mapped:
-                    peer.ask(peer.request(opcode, payload_of(length, n)))
+                if name == c.GET_ECHO_MANY:
+                    peer.ask(peer.many(name, n % 4, n, data[: peer.longest_chunk]))
+                elif name != c.GET_MAPPING or peer.claims.mapped:
+                    peer.ask(peer.request(peer.opcode(name), data))
         for opcode in peer.out_of_range()[::7]:
             peer.ask(peer.request(opcode, b"reserved"))

@@ -135,7 +135,11 @@ def damaged(peer: Peer, name: str, data: bytes, n: int) -> tuple[bytes, list[Exp
     last = len(body) - 1
     inside = 3 + n * 5 % len(data) if data else last
     place = (last, inside, 0, last, 3 if data else last, 1, max(last - 1, 3))[n % 7]
-    body[place] ^= 1 << n % 8
+    bits = [1 << (n + shift) % 8 for shift in range(8)]
+    if place == 1:  # so that it stays one, for a device of 2014 refuses any other at once
+        bits = [bit for bit in bits if 0 < opcode ^ bit < len(peer.claims.functions)] or [0]
+    body[place] ^= bits[0]
+    body[last] ^= not bits[0]
     return bytes((c.SOF,)) + stuff(bytes(body)), [refusal(body[0], c.ERR_CHECKSUM)]
 
 

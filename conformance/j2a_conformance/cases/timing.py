@@ -177,12 +177,12 @@ class GivesUpLong(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
+        self._silent(peer)
         for n, request in enumerate(long_frames(peer)):
             wire = request.wire
             for k, cut in enumerate(spread(len(wire) - 1, 53, 2)[n % 4 :: 4]):
                 part, rest = wire[:cut], wire[cut:] if k % 3 == 0 else b""
                 peer.attempts(lambda a=part, b=rest, r=request: self._cut(peer, a, b, r.seq))  # type: ignore[misc]
-        self._silent(peer)
 
     @staticmethod
     def _cut(peer: Peer, part: bytes, rest: bytes, seq: int) -> None:
