@@ -1,13 +1,10 @@
 """The properties (J2A-PROP)."""
 
-import re
-
 import construct as cs
 from j2a_spec import constants as c
 from j2a_spec.grammar import PROPERTIES
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import payload_of, spread
 from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance._peer import Peer
 from j2a_conformance._selftest import read
@@ -44,11 +41,8 @@ class Pairs(Case):
     """Takes the properties apart."""
 
     ID = "properties.pairs"
-    EXPECTATION = (
-        "No key and no value is empty, no key appears twice, and of the keys with j2a. before them "
-        "there are only those of the version that the device announces."
-    )
-    REQUIREMENTS = ("J2A-PROP-002", "J2A-PROP-009")
+    EXPECTATION = "No key and no value is empty, and no key appears twice."
+    REQUIREMENTS = ("J2A-PROP-002",)
     LEVEL = "properties"
     NEEDS = (c.GET_PROPERTIES,)
 
@@ -60,9 +54,6 @@ class Pairs(Case):
             fail(f"the properties cannot be taken apart: {error}")
         if twice := {key for key in keys if keys.count(key) > 1}:
             fail(f"keys appear twice: {', '.join(sorted(twice))}")
-        strange = {key for key in keys if key.startswith("j2a.")} - c.PROPERTIES
-        if strange and peer.claims.properties.get(c.PROP_SPEC) == c.SPEC_VERSION:
-            fail(f"version {c.SPEC_VERSION} has no property {', '.join(sorted(strange))}")
 
 
 class Written(Case):
@@ -119,45 +110,6 @@ class BehindEnd(Case):
                 fail(f"{reply} in a read at offset {offset}, the end is {size}")
             if reply.code > c.RET_MAX:
                 fail(f"code 0x{reply.code:02X} in a read behind the end")
-
-
-class CalledDirectly(Case):
-    """Calls a2jGetProperties by its opcode, with payloads of many lengths."""
-
-    ID = "properties.called-directly"
-    EXPECTATION = "The code 0xFF without payload, as hosts of 2014 expect it while they connect."
-    REQUIREMENTS = ("J2A-PROP-008",)
-    LEVEL = "properties"
-    NEEDS = (c.GET_PROPERTIES,)
-
-    def _run(self, peer: Peer) -> None:
-        several = (payload_of(length, n) for n, length in enumerate(spread(step=67)))
-        for payload in (b"", bytes(6), *several):
-            peer.ask_exact(peer.direct(c.GET_PROPERTIES, payload))
-
-
-class Capabilities(Case):
-    """Looks at the property j2a.caps."""
-
-    ID = "properties.caps"
-    EXPECTATION = (
-        "One or more tokens, none twice, with one space between two: a lower-case letter and up to "
-        "31 more lower-case letters, digits, hyphens and dots."
-    )
-    REQUIREMENTS = ("J2A-CAP-001",)
-    LEVEL = "properties"
-    NEEDS = (c.GET_PROPERTIES,)
-
-    def _run(self, peer: Peer) -> None:
-        value = peer.claims.properties.get(c.PROP_CAPS)
-        if value is None:
-            skip(f"the device has no property {c.PROP_CAPS}")
-        tokens = value.split(" ")
-        for token in tokens:
-            if not re.fullmatch(r"[a-z][a-z0-9.-]{0,31}", token):
-                fail(f"{c.PROP_CAPS} is {value!r}, and {token!r} is no token")
-        if len(set(tokens)) < len(tokens):
-            fail(f"{c.PROP_CAPS} is {value!r}: a token is there twice")
 
 
 class SelfTest(Case):
