@@ -1,7 +1,8 @@
 """Makes the edited copy of a mutant: `python conformance/mutants/edit.py ID FOLDER`.
 
 What flows in: the id of a mutant, of a table or a generated one. What flows out: in FOLDER, which
-is made anew, a copy of its sources with the edit. `make -C firmware MUTANT=ID` calls this; for Python put FOLDER on PYTHONPATH.
+is made anew, a copy of its sources with the edit. `make -C firmware MUTANT=ID` calls this; for
+Python put FOLDER on PYTHONPATH.
 Rule: only an empty folder, or one that this program has made and marked, is deleted.
 """
 
