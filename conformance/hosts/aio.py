@@ -18,14 +18,21 @@ async def main(url: str) -> None:
     """Do jobs until the suite says `bye` or is gone."""
     outcome = "ready j2a.AsyncClient"
     while outcome:
-        async with await j2a.aconnect(url, window=8) as board:
+        async with await connect(url) as board:
             host = Host(board)
             try:
                 while outcome:
-                    reply = await board.call(CONDUCTOR, outcome.encode(), 60)
-                    outcome = await host.do(reply.payload.decode())
+                    outcome = await host.do(await host.next_job(outcome))
             except j2a.LinkError:
                 pass  # the same outcome is reported again over a new link
+
+
+async def connect(url: str) -> j2a.AsyncClient:
+    """Connect; where the properties cannot be read now, without a window, which needs them."""
+    try:
+        return await j2a.aconnect(url, window=8)
+    except (j2a.RemoteError, j2a.ProtocolError):
+        return await j2a.aconnect(url)
 
 
 class Host:
@@ -39,6 +46,15 @@ class Host:
         board.on_sif(FOR_A_AND_B, self.sifs["a"].append)
         board.on_sif(FOR_A_AND_B, self.sifs["b"].append)
         board.on_sif(None, lambda _sif: self.came.set())
+
+    async def next_job(self, outcome: str) -> str:
+        """Report an outcome and return the next job; while the link is stalled, try again."""
+        while True:
+            try:
+                reply = await self.board.call(CONDUCTOR, outcome.encode(), 60)
+                return reply.payload.decode()
+            except j2a.LinkStalled:
+                await asyncio.sleep(0.005)
 
     async def do(self, job: str) -> str:
         """Do a job and return its outcome; "" ends the program."""
@@ -54,11 +70,16 @@ class Host:
                     reply = await self.board.call(name(function), take(data), int(ms) / 1000)
                     return f"reply {reply.code} {spell(reply.payload)}"
                 case ["read", function, ms]:
-                    content = await self.board.read_many(name(function), timeout=int(ms) / 1000)
+                    limit_s = int(ms) / 1000
+                    content = await self.board.read_many(
+                        name(function), timeout=limit_s, total_timeout=limit_s
+                    )
                     return f"data {spell(content)}"
                 case ["write", function, data, ms]:
                     limit_s = int(ms) / 1000
-                    await self.board.write_many(name(function), take(data), timeout=limit_s)
+                    await self.board.write_many(
+                        name(function), take(data), timeout=limit_s, total_timeout=limit_s
+                    )
                     return "written"
                 case ["sifs", handler, count, ms]:
                     return await self.report_sifs(self.sifs[handler], int(count), int(ms) / 1000)
@@ -69,9 +90,11 @@ class Host:
         except j2a.FunctionFailed as error:
             return f"failed {error}"[:100]
         except j2a.RemoteError as error:
-            return f"error {error.code}"
-        except j2a.CallTimeout:
-            return "timeout"
+            return f"error {error.code} {fate(error)}"
+        except j2a.CallTimeout as error:
+            return f"timeout {fate(error)}"
+        except j2a.LinkStalled:
+            return "stalled"
         except j2a.LinkError:
             return "lost"
         except (j2a.LocalError, j2a.LegacyLimit, j2a.UnsupportedVersion) as error:
@@ -91,6 +114,11 @@ class Host:
         taken, sifs[:] = sifs[:], []
         data = b"".join(bytes((sif.opcode, len(sif.payload))) + sif.payload for sif in taken)
         return f"sifs {sum(sif.missed for sif in taken)} {spell(data)}"
+
+
+def fate(error: j2a.J2AError) -> str:
+    """Say what became of the request: `not-sent`, `maybe-executed` or `answered`."""
+    return error.outcome.value.replace(" ", "-")
 
 
 def name(word: str) -> str | int:

@@ -22,22 +22,38 @@ def main(url: str) -> None:
         host = Host(url)
         try:
             while outcome:
-                outcome = host.do(host.board.call(CONDUCTOR, outcome.encode(), 60).payload.decode())
+                outcome = host.do(host.next_job(outcome))
         except j2a.LinkError:
             pass  # the same outcome is reported again over a new link
         finally:
             host.board.close()
 
 
+def connect(url: str) -> j2a.Client:
+    """Connect; where the properties cannot be read now, without a window, which needs them."""
+    try:
+        return j2a.connect(url, window=8)
+    except (j2a.RemoteError, j2a.ProtocolError):
+        return j2a.connect(url)
+
+
 class Host:
     """A link to the suite, and the SIFs that came over it."""
 
     def __init__(self, url: str) -> None:
-        self.board = j2a.connect(url, window=8)
+        self.board = connect(url)
         self.sifs: dict[str, list[j2a.Sif]] = {"all": [], "a": [], "b": []}
         self.board.on_sif(None, self.sifs["all"].append)
         self.board.on_sif(FOR_A_AND_B, self.sifs["a"].append)
         self.board.on_sif(FOR_A_AND_B, self.sifs["b"].append)
+
+    def next_job(self, outcome: str) -> str:
+        """Report an outcome and return the next job; while the link is stalled, try again."""
+        while True:
+            try:
+                return self.board.call(CONDUCTOR, outcome.encode(), 60).payload.decode()
+            except j2a.LinkStalled:
+                time.sleep(0.005)
 
     def do(self, job: str) -> str:
         """Do a job and return its outcome; "" ends the program."""
@@ -54,10 +70,16 @@ class Host:
                     reply = self.board.call(name(function), take(data), int(ms) / 1000)
                     return f"reply {reply.code} {spell(reply.payload)}"
                 case ["read", function, ms]:
-                    content = self.board.read_many(name(function), timeout=int(ms) / 1000)
+                    limit_s = int(ms) / 1000
+                    content = self.board.read_many(
+                        name(function), timeout=limit_s, total_timeout=limit_s
+                    )
                     return f"data {spell(content)}"
                 case ["write", function, data, ms]:
-                    self.board.write_many(name(function), take(data), timeout=int(ms) / 1000)
+                    limit_s = int(ms) / 1000
+                    self.board.write_many(
+                        name(function), take(data), timeout=limit_s, total_timeout=limit_s
+                    )
                     return "written"
                 case ["sifs", handler, count, ms]:
                     return self.report_sifs(self.sifs[handler], int(count), int(ms) / 1000)
@@ -68,9 +90,11 @@ class Host:
         except j2a.FunctionFailed as error:
             return f"failed {error}"[:100]
         except j2a.RemoteError as error:
-            return f"error {error.code}"
-        except j2a.CallTimeout:
-            return "timeout"
+            return f"error {error.code} {fate(error)}"
+        except j2a.CallTimeout as error:
+            return f"timeout {fate(error)}"
+        except j2a.LinkStalled:
+            return "stalled"
         except j2a.LinkError:
             return "lost"
         except (j2a.LocalError, j2a.LegacyLimit, j2a.UnsupportedVersion) as error:
@@ -86,6 +110,11 @@ class Host:
         taken, sifs[:] = sifs[:], []
         data = b"".join(bytes((sif.opcode, len(sif.payload))) + sif.payload for sif in taken)
         return f"sifs {sum(sif.missed for sif in taken)} {spell(data)}"
+
+
+def fate(error: j2a.J2AError) -> str:
+    """Say what became of the request: `not-sent`, `maybe-executed` or `answered`."""
+    return error.outcome.value.replace(" ", "-")
 
 
 def name(word: str) -> str | int:

@@ -136,15 +136,12 @@ def _opening(tokens: list[_Token], at: int) -> int:
 def _in_c_function(
     source: str, tokens: list[_Token], first: int, last: int, function: str
 ) -> Iterator[Change]:
-    starts = {first}  # of statements
+    is_start = True  # of a statement
     for at in range(first, last):
         token, before = tokens[at], tokens[at - 1]
-        if at in starts:
+        if is_start:
             yield from _c_statement(source, tokens, at, last, function)
-        if token.text in (";", "{", "}", "else"):
-            starts.add(at + 1)
-        elif token.text in ("if", "for", "while"):
-            starts.add(_closing(tokens, at + 1) + 1)
+        is_start = token.text in (";", "{", "}") or (token.text == "else")
         if token.kind == "sign":
             yield from _c_operator(tokens, at, function)
         elif token.kind == "number":

@@ -4,16 +4,31 @@ What flows in: requests. What flows out: the return value and the payload of a r
 a case that needs another device states it, and the host meets that over a new link.
 """
 
+import re
 from dataclasses import dataclass
+from functools import cache
 
 from j2a_spec import constants as c
-from j2a_spec.grammar import MAPPING, PROPERTIES
 
-__all__ = ["BARE", "DEMO", "FETCH", "OLD", "PING", "STORE", "Device", "chunk_reply", "pattern"]
+__all__ = [
+    "BARE",
+    "DEMO",
+    "FETCH",
+    "OLD",
+    "PING",
+    "STORE",
+    "Device",
+    "chunk_reply",
+    "pattern",
+    "properties_content",
+]
 
 PING = "ping"
 FETCH = "fetch"
 STORE = "store"
+
+_NONCE = 8
+_ROOM = re.compile("[1-9][0-9]{1,2}")
 
 
 def pattern(size: int) -> bytes:
@@ -24,6 +39,12 @@ def pattern(size: int) -> bytes:
 def chunk_reply(code: int, flags: int, offset: int, data: bytes = b"") -> bytes:
     """Return the payload of a reply of a2jMany; `flags` may hold any bits, `offset` in bytes."""
     return bytes((code, flags)) + offset.to_bytes(4, "little") + data
+
+
+@cache
+def properties_content(properties: tuple[tuple[str, str], ...]) -> bytes:
+    """Return what a2jGetProperties has; the grammar would refuse what some cases are about."""
+    return "".join(f"{key}\0{value}\0" for key, value in properties).encode()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +77,19 @@ class Device:
     @property
     def room(self) -> int:
         """The property j2a.room in bytes, 255 where the device does not announce it."""
-        return int(dict(self.properties or ()).get(c.PROP_ROOM, str(c.MAX_PAYLOAD)))
+        text = dict(self.properties or ()).get(c.PROP_ROOM, "")
+        is_room = _ROOM.fullmatch(text) and c.MIN_ROOM <= int(text) < c.MAX_PAYLOAD
+        return int(text) if is_room else c.MAX_PAYLOAD
 
     @property
     def rxbuf(self) -> int:
         """The property j2a.rxbuf in bytes, or 0 where the device does not announce it."""
         return int(dict(self.properties or ()).get(c.PROP_RXBUF, "0"))
+
+    def is_barrier(self, opcode: int, payload: bytes) -> bool:
+        """Tell whether a request has the form of a barrier (J2A-SEQ-007)."""
+        is_echo = c.GET_ECHO in self.names and opcode == self.opcode(c.GET_ECHO)
+        return is_echo and len(payload) == _NONCE
 
     def asks_about_it(self, opcode: int, payload: bytes) -> bool:
         """Tell whether a request asks for the mapping or the properties.
@@ -96,7 +124,7 @@ class Device:
     def _map(self) -> tuple[int, bytes]:
         if self.mapping is not None:
             return self.mapping
-        return c.RET_OK, bytes(MAPPING.build(list(self.names)))
+        return c.RET_OK, b"".join(name.encode() + b"\0" for name in self.names)
 
     def _many(self, payload: bytes) -> tuple[int, bytes]:
         func, flags, offset = payload[0], payload[1], int.from_bytes(payload[2:6], "little")
@@ -106,8 +134,7 @@ class Device:
             return c.RET_OK, chunk_reply(c.ECHO_MANY, last, offset, payload[6:])
         contents = {FETCH: self.content}
         if self.properties is not None:
-            pairs = [{"key": key, "value": value} for key, value in self.properties]
-            contents[c.GET_PROPERTIES] = bytes(PROPERTIES.build(pairs))
+            contents[c.GET_PROPERTIES] = properties_content(self.properties)
         if name == STORE and is_write:
             return c.RET_OK, chunk_reply(c.RET_OK, c.FLAG_LAST, offset)
         if name not in contents:

@@ -7,69 +7,36 @@ so the link is the only way between suite and program. Every frame that comes is
 oracle, whichever case runs.
 """
 
-import zlib
-from dataclasses import dataclass
+import time
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Final, NoReturn
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, Incomplete, decode, encode
 from j2a_transports import LinkLost
 
-from j2a_conformance._judge import fail, skip
+from j2a_conformance._judge import Judged, fail, skip
 from j2a_conformance._peer import describe
 from j2a_conformance._wire import Arrival, Link
 
 from ._device import PING, Device
 from ._program import Listening
 from ._seqs import Seqs
+from ._words import Outcome, Request, difference, explain, spell
 
-__all__ = ["CONDUCTOR", "Host", "Outcome", "Request", "spell"]
+__all__ = ["CONDUCTOR", "Host"]
 
 CONDUCTOR: Final = 0xE0
 """The opcode that the host program calls for its jobs."""
 
-_SPELT: Final = 100
 _PATIENCE_S: Final = 5.0
 _LIMIT_MS: Final = 3000
-_SILENCE_MS: Final = 120
+_SILENCE_MS: Final = 60
 _MOST: Final = 200
+_MOST_TOLD: Final = 4500  # of 249 bytes: 1 MiB of properties
+_PAUSE_S: Final = 0.0004
 _LAST_WORDS_S: Final = 0.5
-
-
-def spell(data: bytes) -> str:
-    """Return data as a host program reports it: in hex, or its length and CRC-32, or "-"."""
-    if len(data) > _SPELT:
-        return f"{len(data)}#{zlib.crc32(data):08x}"
-    return data.hex() or "-"
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """A request of the host: seq, opcode, payload, its size on the wire in bytes."""
-
-    seq: int
-    opcode: int
-    payload: bytes
-    size: int
-
-    def reply(self, code: int = c.RET_OK, payload: bytes = b"") -> bytes:
-        """Return the wire bytes of a reply to it."""
-        return encode(Frame(c.SOF, self.seq, code, payload))
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What the host program reports of its last job.
-
-    Attributes:
-        text: as it was reported.
-        word: the first word of it.
-        rest: what follows the first word.
-    """
-
-    text: str
-    word: str
-    rest: str
 
 
 class Host:
@@ -86,6 +53,7 @@ class Host:
         device: what the scripted device has; a host learns of another one over a new link.
         limit_ms: a time limit for calls that are answered.
         silence_ms: a time limit for calls that are not.
+        slow_s: how long the device takes to answer requests about itself.
     """
 
     def __init__(self, place: Listening, device: Device, scale: float = 1.0) -> None:
@@ -96,6 +64,8 @@ class Host:
         self._patience_s = _PATIENCE_S * scale
         self._place = place
         self._sif_seq = 0
+        self.slow_s = 0.0
+        self._told = 0
         self._verb = ""
         self._held: list[Arrival] = []
         self.link = Link(place.first(), scale)
@@ -143,6 +113,24 @@ class Host:
         self._begin()
         self._await_conductor()
 
+    def become_shy(self, device: Device) -> None:
+        """Be another device, which refuses its properties until the host has its next job.
+
+        A host that reads them while it connects does without them, or reads them later on.
+        """
+        self.device = replace(device, properties=None)
+        self.hang_up()
+        try:
+            self._await_conductor()
+        except Judged:
+            if self._place.ended() or self.link.unfinished():
+                raise
+            self.link.note("the host has closed the link; it connects anew")
+            self.link.replace(self._place.again(self._patience_s))
+            self._begin()
+            self._await_conductor()
+        self.device = device
+
     def become(self, device: Device) -> None:
         """Be another device from now on, which a host sees over a new link."""
         if device != self.device:
@@ -166,21 +154,26 @@ class Host:
 
     def job_frame(self, text: str) -> bytes:
         """Return the wire bytes that give the next job; they must be sent."""
-        seq, self._pending = self.resting_seq, None
+        seq, self._pending, self._told = self.resting_seq, None, 0
         self._verb = text.partition(" ")[0]
         self.link.note(f"job: {text}")
         self._seqs.reply(seq, is_error=False)
         return encode(Frame(c.SOF, seq, c.RET_OK, text.encode()))
 
-    def outcome(self, *accepted: str, wait_ms: float = 0.0) -> Outcome:
+    def outcome(self, *accepted: str, wait_ms: float = 0.0, due: bytes = b"") -> Outcome:
         """Wait for the report of the host and return it.
 
         Args:
             accepted: the reports that are right, each whole or only its first word.
             wait_ms: how long the host needs, beside the patience that each step has.
+            due: the data that the report must hold at its end, to tell where others differ.
         """
         self._await_conductor(wait_ms)
-        return self._reported(accepted)
+        return self._reported(accepted, due)
+
+    def replied_with(self, code: int, payload: bytes) -> None:
+        """Judge that the host reports a reply with this code and payload."""
+        self.outcome(f"reply {code} {spell(payload)}", due=payload)
 
     @property
     def resting_seq(self) -> int:
@@ -192,27 +185,36 @@ class Host:
 
     def do(self, text: str, *accepted: str) -> tuple[Outcome, list[Request]]:
         """Give a job, let the device answer every request; return the outcome and the requests."""
-        seen: list[Request] = []
         self.job(text)
+        seen = self.serve()
+        return self._reported(accepted), seen
+
+    def serve(self) -> list[Request]:
+        """Let the device answer every request until the host reports; return the requests."""
+        seen: list[Request] = []
         while self._pending is None:
             if (request := self._next_request(0.0)) is not None:
                 seen.append(request)
                 self.reply(request, *self.device.answer(request.opcode, request.payload))
             if len(seen) > _MOST:
                 fail(f"{_MOST} requests came, and there is no end")
-        return self._reported(accepted), seen
+        return seen
 
-    def _reported(self, accepted: tuple[str, ...]) -> Outcome:
+    def _reported(self, accepted: tuple[str, ...], due: bytes = b"") -> Outcome:
         assert self._pending is not None
         text = self._pending.payload.decode("utf-8", "replace")
-        word, _, rest = text.partition(" ")
         self.link.note(f"outcome: {text}")
-        if word == "unsupported" and self._verb != "call":
+        outcome = Outcome.of(text)
+        if outcome.word == "unsupported" and self._verb != "call":
             skip(f"the host program does not know the job {self._verb}")
-        if accepted and not {text, word} & set(accepted):
+        if accepted and not {outcome.text, outcome.word} & set(accepted):
             self.link.record("expected", text=" or ".join(accepted))
-            fail(f"the host reports `{text}`; due is {' or '.join(f'`{a}`' for a in accepted)}")
-        return Outcome(text, word, rest)
+            where = explain(outcome.text.rpartition(" ")[2], due) if due else ""
+            fail(
+                f"the host reports `{text}`; due is {' or '.join(f'`{a}`' for a in accepted)}"
+                + (f"; {where}" if where else "")
+            )
+        return outcome
 
     def _await_conductor(self, wait_ms: float = 0.0) -> None:
         """Wait for the report; what the host asks about the device is answered meanwhile."""
@@ -232,9 +234,17 @@ class Host:
         request = self._next_request(0.0)
         if request is None:
             self._too_early()
-        if opcode not in (None, request.opcode) or payload not in (None, request.payload):
+        if opcode not in (None, request.opcode):
             self._strange(request, self._due(opcode, payload))
+        if payload is not None and payload != request.payload:
+            self._strange(
+                request, self._due(opcode, payload), "; " + difference(request.payload, payload)
+            )
         return request
+
+    def request_or_end(self) -> Request | None:
+        """Wait for a request of the host, or for its report; return None when that has come."""
+        return self._next_request(0.0) if self._pending is None else None
 
     def requests(self, at_most: int, quiet_ms: float) -> list[Request]:
         """Return the requests that come until there are `at_most`, or none came for `quiet_ms`."""
@@ -245,7 +255,7 @@ class Host:
             if request is None:
                 self._too_early()
             if self.device.asks_about_it(request.opcode, request.payload):
-                self.reply(request, *self.device.answer(request.opcode, request.payload))
+                self._tell(request)
             else:
                 found.append(request)
         return found
@@ -279,9 +289,9 @@ class Host:
         self.send(request.reply(code, payload))
         self.replied(request, code)
 
-    def replied(self, request: Request, code: int = c.RET_OK) -> None:
-        """Note that a request was answered by other means than `reply`."""
-        self._seqs.reply(request.seq, is_error=code in c.ERRORS)
+    def replied(self, request: Request, code: int = c.RET_OK, is_echo: bool = False) -> None:
+        """Note that a request was answered by other means than `reply`; `is_echo`: a barrier."""
+        self._seqs.reply(request.seq, code in c.ERRORS, is_echo)
 
     def sif(self, opcode: int, payload: bytes = b"", skipped: int = 0) -> bytes:
         """Return the wire bytes of the next SIF; `skipped` are missing before it."""
@@ -301,6 +311,17 @@ class Host:
         """Send any bytes in one piece."""
         self.link.send(data)
 
+    def flood(self, what: str, data: bytes) -> None:
+        """Send more bytes than evidence should hold, in one piece."""
+        self.link.note(f"{what}: {len(data)} bytes")
+        self.link.transport.write(data)
+
+    def piecemeal(self, pieces: Iterable[bytes]) -> None:
+        """Send pieces, with a pause behind each so that the host reads them one by one."""
+        for piece in pieces:
+            self.send(piece)
+            time.sleep(_PAUSE_S)
+
     # What comes
 
     def _next_request(self, wait_ms: float) -> Request | None:
@@ -316,7 +337,18 @@ class Host:
             request = self._judge(arrival)
             if request is None or not self.device.asks_about_it(request.opcode, request.payload):
                 return request
-            self.reply(request, *self.device.answer(request.opcode, request.payload))
+            self._tell(request)
+
+    def _tell(self, request: Request) -> None:
+        """Answer a request about the device."""
+        self._told += 1
+        if self._told > _MOST_TOLD:
+            fail(
+                f"{_MOST_TOLD} requests about the device came, and there is no end (J2A-LIMIT-008)"
+            )
+        if self.slow_s:
+            self.link.wait_until(self.link.now_s() + self.slow_s)
+        self.reply(request, *self.device.answer(request.opcode, request.payload))
 
     def _next_arrival(self, timeout_s: float) -> Arrival | None:
         if self._held:
@@ -337,9 +369,12 @@ class Host:
             fail(f"the host sent {describe(frame)}")
         if arrival.raw != encode(frame):
             self.link.record("expected", encode(frame))
-            fail("the bytes that the host sent are not those of the oracle (J2A-STUFF-002)")
-        if wrong := self._seqs.request(frame.seq):
-            fail(f"{wrong} (J2A-SEQ-003)")
+            where = difference(arrival.raw, encode(frame))
+            fail(f"the frame of the host is not that of the oracle: {where} (J2A-STUFF-002)")
+        if self._seqs.none_is_free and self.device.is_barrier(frame.opcode, frame.payload):
+            self._seqs.barrier(frame.seq)
+        elif wrong := self._seqs.request(frame.seq):
+            fail(wrong)
         if frame.opcode == CONDUCTOR:
             if self._pending is not None:
                 fail("the host called the conductor while it waited for a job")
@@ -353,10 +388,10 @@ class Host:
         text = self._reported(()).text
         fail(f"the host reports `{text}` where a request was due")
 
-    def _strange(self, request: Request, due: str) -> NoReturn:
+    def _strange(self, request: Request, due: str, where: str = "") -> NoReturn:
         event = Frame(c.SOF, request.seq, request.opcode, request.payload)
         self.link.record("expected", text=due)
-        fail(f"{describe(event)} came where {due} was due")
+        fail(f"{describe(event)} came where {due} was due{where}")
 
     @staticmethod
     def _due(opcode: int | None, payload: bytes | None) -> str:

@@ -1,9 +1,10 @@
-"""The seqs of a host's requests (J2A-SEQ-003).
+"""The seqs of a host's requests (J2A-SEQ-003, J2A-SEQ-006).
 
 What flows in: the seqs of requests and of replies, in the order of the wire. What flows out:
 whether a seq is the one that is due. Rules: a reply shows that earlier requests will not be
 answered any more; an error reply may stand for another request, so a host may go on to wait after
-one.
+one. While no seq is free only a barrier may come; it takes an outstanding one, and nothing but its
+own reply answers it.
 """
 
 __all__ = ["Seqs"]
@@ -18,12 +19,19 @@ class Seqs:
         self._last: int | None = None
         self._open: list[int] = []
         self._doubtful: set[int] = set()
+        self._barrier: int | None = None
+
+    @property
+    def none_is_free(self) -> bool:
+        """All 256 are outstanding."""
+        return len(self._open) == _SEQS
 
     def request(self, seq: int) -> str:
         """Note a request; return what is wrong with its seq, or ""."""
+        if self.none_is_free:
+            return "all 256 seqs are outstanding, and the request is no barrier (J2A-SEQ-006)"
         last, self._last = self._last, seq
-        is_open = seq in self._open and len(self._open) < _SEQS
-        may_be_skipped = {*self._open, *self._doubtful}
+        is_open, may_be_skipped = seq in self._open, {*self._open, *self._doubtful}
         self._open = [*(s for s in self._open if s != seq), seq]
         if last is None:
             return ""
@@ -31,14 +39,21 @@ class Seqs:
         while due != seq and due in may_be_skipped and due != last:
             due = (due + 1) % _SEQS
         if seq != due:
-            return f"the request has seq 0x{seq:02X}, the one after 0x{last:02X} is due"
-        return f"the reply to seq 0x{seq:02X} is still owed" if is_open else ""
+            return f"the request has seq 0x{seq:02X}, 0x{due:02X} is due (J2A-SEQ-003)"
+        return f"the reply to seq 0x{seq:02X} is still owed (J2A-SEQ-003)" if is_open else ""
 
-    def reply(self, seq: int, is_error: bool) -> None:
-        """Note a reply."""
-        if seq not in self._open:
+    def barrier(self, seq: int) -> None:
+        """Note a barrier, which came while no seq was free."""
+        self._barrier = seq
+        self._open = [*(s for s in self._open if s != seq), seq]
+
+    def reply(self, seq: int, is_error: bool, is_echo: bool = False) -> None:
+        """Note a reply; `is_echo` says that it is the one to the barrier."""
+        if seq not in self._open or (seq == self._barrier and not is_echo):
             self._doubtful.discard(seq)
             return
+        if is_echo:
+            self._barrier = None
         index = self._open.index(seq)
         answered, self._open = self._open[: index + 1], self._open[index + 1 :]
         self._doubtful = {*self._doubtful, *answered} if is_error else set()

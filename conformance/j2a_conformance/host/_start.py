@@ -2,7 +2,7 @@
 
 What flows in: a host that has connected. What flows out: what it says that it is. Rules: as with
 devices, a silent link is a fault of the harness (`HarnessError`), bytes that are wrong are one of
-the host.
+the host; requests of its own before the first job are answered as a device answers them.
 """
 
 from j2a_conformance._judge import Judged
@@ -34,6 +34,7 @@ class Start(HostCase):
 
     def _run(self, host: Host) -> None:
         try:
+            host.serve()
             host.title = host.outcome("ready").rest
         except Judged as judged:
             lines, _ = host.link.evidence()

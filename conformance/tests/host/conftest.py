@@ -5,6 +5,8 @@ without them; `test_broken_hosts.py` breaks it rule by rule. Each rule has a met
 """
 
 import contextlib
+import math
+import os
 import re
 import threading
 import time
@@ -31,6 +33,10 @@ def spell(data: bytes) -> str:
     return f"{len(data)}#{zlib.crc32(data):08x}" if len(data) > 100 else data.hex() or "-"
 
 
+class Stalled(Exception):  # noqa: N818 - a state, reported as an outcome
+    """No seq is free."""
+
+
 class OutcomeError(Exception):
     """A transfer ends; the message is the outcome."""
 
@@ -42,6 +48,7 @@ class ReferenceHost:
         self.url = url
         self.stopped = False
         self.seq = 0xF0
+        self.ends_s = None
 
     def run(self) -> None:
         outcome = "ready reference"
@@ -61,15 +68,22 @@ class ReferenceHost:
             return self.job(text)
         except TransportError:
             return "lost"
+        finally:
+            self.ends_s = None
 
     def connected(self) -> None:
         self.start, self.body, self.escaped = None, b"", False
         self.waiting = {}
+        self.outstanding = []  # seqs, in the order of their requests
+        self.barrier_seq, self.nonce, self.barrier_s = None, b"", 0.0
         self.sifs = {"all": [], "a": [], "b": []}
         self.next_sif, self.missing = None, 0
         self.names, self.properties = None, None
 
     def conduct(self, outcome: str) -> str:
+        while self.is_stalled():
+            self.send_barrier()
+            self.receive(0.05)
         call = self.call(CONDUCTOR, outcome.encode()[:255], 60.0)
         return call.payload.decode()
 
@@ -83,19 +97,24 @@ class ReferenceHost:
                 return " ; ".join(self.outcome(call) for call in calls)
             case ["repeat", count, *words]:
                 return [self.job(" ".join(words)) for _ in range(int(count))][-1]
-            case ["call", *_]:
+            case ["call", _, _, ms]:
+                self.begin(int(ms) / 1e3)
                 try:
                     call = self.prepare(text.split(" "))
+                    self.exchange([call], 0)
                 except OutcomeError as failed:
                     return str(failed)
-                self.exchange([call], 0)
+                except Stalled:
+                    return "stalled"
                 return self.outcome(call)
             case ["read", name, ms]:
+                self.begin(int(ms) / 1e3)
                 try:
                     return f"data {spell(self.read_many(self.opcode(name), int(ms) / 1e3))}"
                 except OutcomeError as failed:
                     return str(failed)
             case ["write", name, data, ms]:
+                self.begin(int(ms) / 1e3)
                 try:
                     self.write_many(self.opcode(name), take(data), int(ms) / 1e3)
                 except OutcomeError as failed:
@@ -106,6 +125,10 @@ class ReferenceHost:
             case ["bye"]:
                 return ""
         return "unsupported"
+
+    def begin(self, limit_s: float) -> None:
+        """From now on there is one time limit for whatever the job needs."""
+        self.ends_s = time.monotonic() + limit_s
 
     def prepare(self, words: list[str]) -> SimpleNamespace:
         _, name, data, ms = words
@@ -119,10 +142,18 @@ class ReferenceHost:
             return "timeout"
         if call.code in c.ERRORS:
             return self.refusal(call)
+        if call.code > c.RET_MAX and call.code != c.RET_FAILED:
+            return self.reserved(call)
         return f"reply {call.code} {spell(call.payload)}"
 
     def refusal(self, call: SimpleNamespace) -> str:
-        return f"error {call.code}"
+        return f"error {call.code} {self.fate(call)}"
+
+    def fate(self, call: SimpleNamespace) -> str:
+        return "answered" if call.code == c.ERR_OPCODE else "maybe-executed"
+
+    def reserved(self, call: SimpleNamespace) -> str:
+        return "failed a reserved code"
 
     def report_sifs(self, handler: str, count: int, wait_s: float) -> str:
         deadline_s = time.monotonic() + wait_s
@@ -145,15 +176,22 @@ class ReferenceHost:
 
     def exchange(self, calls: list[SimpleNamespace], room: int) -> None:
         """Make the calls, as many at once as fit into `room` bytes."""
-        queue, deadline_s = list(calls), time.monotonic() + max(call.limit_s for call in calls)
-        while queue or self.waiting:
+        queue, began_s = list(calls), time.monotonic()
+        for call in calls:
+            call.ends_s = min(began_s + call.limit_s, self.ends_s or math.inf)
+        pending = list(calls)
+        while pending:
             while queue and self.fits(queue[0], room):
                 self.put_on_wire(queue.pop(0))
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0:
-                self.gave_up()
-                return
-            self.receive(left_s)
+            if (left_s := min(call.ends_s for call in pending) - time.monotonic()) > 0:
+                self.receive(left_s)
+            else:
+                late = [call for call in pending if call.ends_s <= time.monotonic()]
+                queue = [call for call in queue if call not in late]
+                pending = [call for call in pending if call not in late]
+                if given_up := [call for call in self.waiting.values() if call in late]:
+                    self.gave_up(*given_up)
+            pending = [call for call in pending if call in (*queue, *self.waiting.values())]
 
     def fits(self, call: SimpleNamespace, room: int) -> bool:
         sizes = [waiting.size for waiting in self.waiting.values()]
@@ -173,11 +211,57 @@ class ReferenceHost:
         self.link.write(wire)
 
     def new_seq(self) -> int:
-        seq, self.seq = self.seq, (self.seq + 1) % SEQS
+        if self.is_stalled():
+            raise Stalled
+        seq = self.seq
+        while seq in self.outstanding:
+            seq = (seq + 1) % SEQS
+        self.seq = (seq + 1) % SEQS
+        self.outstanding.append(seq)
         return seq
 
-    def gave_up(self) -> None:
-        self.waiting.clear()
+    def gave_up(self, *calls: SimpleNamespace) -> None:
+        """Wait no more for the replies to these calls; for none at all without arguments."""
+        left = {seq: call for seq, call in self.waiting.items() if calls and call not in calls}
+        self.waiting = left
+
+    # Barriers
+
+    def is_stalled(self) -> bool:
+        return len(self.outstanding) == SEQS
+
+    def send_barrier(self) -> None:
+        if c.GET_ECHO not in self.mapping_known() or time.monotonic() - self.barrier_s < 1.0:
+            return
+        self.barrier_seq, self.nonce, self.barrier_s = (
+            self.outstanding[0],
+            self.new_nonce(),
+            time.monotonic(),
+        )
+        opcode = self.names.index(c.GET_ECHO)
+        self.outstanding.append(self.outstanding.pop(0))
+        self.send(self.wire(self.barrier_seq, opcode, self.nonce))
+
+    def new_nonce(self) -> bytes:
+        return os.urandom(8)
+
+    def mapping_known(self) -> list[str]:
+        return self.names or []
+
+    def is_barriers_reply(self, code: int, payload: bytes) -> bool:
+        return code == c.ECHO and payload == self.nonce
+
+    def answered(self, seq: int, code: int, payload: bytes) -> None:
+        """Free the seqs of which a reply shows that they are not outstanding any more."""
+        if seq == self.barrier_seq:
+            if not self.is_barriers_reply(code, payload):
+                return
+            self.barrier_seq = None
+        elif code in c.ERRORS or seq not in self.outstanding:
+            if code == c.ERR_OPCODE and seq in self.outstanding:
+                self.outstanding.remove(seq)
+            return
+        del self.outstanding[: self.outstanding.index(seq) + 1]
 
     def wire(self, seq: int, opcode: int, payload: bytes) -> bytes:
         body = bytes((seq, opcode, len(payload))) + payload
@@ -241,6 +325,7 @@ class ReferenceHost:
         call = self.match(seq)
         if call is not None:
             call.code, call.payload = code, payload
+        self.answered(seq, code, payload)
 
     def match(self, seq: int) -> SimpleNamespace | None:
         return self.waiting.pop(seq, None)
@@ -278,11 +363,14 @@ class ReferenceHost:
 
     def props(self) -> dict[str, str]:
         if self.properties is None:
-            self.properties = {}
+            found = {}
             if c.GET_PROPERTIES in self.mapping():
-                content = self.read_all(self.names.index(c.GET_PROPERTIES), 3.0)
+                content = self.read_all(
+                    self.names.index(c.GET_PROPERTIES), 3.0, most=self.most_properties()
+                )
                 texts = content.decode().split("\0")
-                self.properties = dict(zip(texts[::2], texts[1::2], strict=False))
+                found = dict(zip(texts[::2], texts[1::2], strict=False))
+            self.properties = found
         return self.properties
 
     def version(self) -> tuple[int, ...]:
@@ -297,14 +385,21 @@ class ReferenceHost:
         if self.version()[0] != 1:
             raise OutcomeError("refused another version")
 
+    def most_properties(self) -> int:
+        return 16384
+
+    def number(self, text: str) -> int | None:
+        return int(text) if re.fullmatch(r"[1-9][0-9]{0,9}", text) else None
+
     def room(self) -> int:
-        return int(self.announced().get(c.PROP_RXBUF, "0"))
+        return self.number(self.announced().get(c.PROP_RXBUF, "")) or 0
 
     def longest(self, payload: bytes) -> int:
         """Return how long a payload may be; the properties are read where it matters."""
         if len(payload) <= c.MIN_ROOM:
             return c.MIN_ROOM
-        return int(self.announced().get(c.PROP_ROOM, "255"))
+        room = self.number(self.announced().get(c.PROP_ROOM, "")) or 0
+        return room if c.MIN_ROOM <= room < c.MAX_PAYLOAD else c.MAX_PAYLOAD
 
     # Transfers
 
@@ -342,9 +437,13 @@ class ReferenceHost:
     def is_old(self) -> bool:
         return self.version() == (1, 0)
 
-    def read_all(self, func: int, limit_s: float, is_old: bool = False) -> bytes:
+    def read_all(
+        self, func: int, limit_s: float, is_old: bool = False, most: int = 1 << 24
+    ) -> bytes:
         content = b""
         while True:
+            if len(content) > most:
+                raise OutcomeError("failed it has no end")
             if is_old and len(content) > 255:
                 raise OutcomeError("refused an old device")
             flags, data = self.chunk(func, 0, self.offset(content), b"", limit_s)

@@ -12,6 +12,8 @@ from j2a_conformance._coverage import host_coverage
 from j2a_spec import constants as c
 from j2a_spec.oracle import checksum, stuff
 
+from .conftest import OutcomeError
+
 BROKEN = []
 
 
@@ -212,8 +214,9 @@ class OneSeqForAll:
 
 @breaks("J2A-SEQ-003")
 class SameSeqAfterATimeout:
-    def gave_up(self):
-        super().gave_up()
+    def gave_up(self, *calls):
+        super().gave_up(*calls)
+        self.outstanding.pop()
         self.seq = (self.seq - 1) % 256
 
 
@@ -272,7 +275,7 @@ class KeepsStrays:
 
 @breaks("J2A-SEQ-005")
 class LateRepliesCount:
-    def gave_up(self):
+    def gave_up(self, *calls):
         pass
 
     def reply(self, seq, code, payload):
@@ -283,6 +286,41 @@ class LateRepliesCount:
             newest.code, newest.payload = code, payload
             self.waiting = {s: w for s, w in self.waiting.items() if w is not newest}
             self.waiting.pop(oldest, None)
+
+
+@breaks("J2A-SEQ-006")
+class UsesTheOldestSeqAgain:
+    def is_stalled(self):
+        if super().is_stalled():
+            self.outstanding.pop(0)
+        return False
+
+
+@breaks("J2A-SEQ-006")
+class SaysTimeoutWhenStalled:
+    def job(self, text):
+        outcome = super().job(text)
+        return "timeout" if outcome == "stalled" else outcome
+
+
+@breaks("J2A-SEQ-007")
+class TakesAnyEchoForTheBarriers:
+    def is_barriers_reply(self, code, payload):
+        return code == c.ECHO
+
+
+@breaks("J2A-SEQ-007")
+class LooksAtSevenBytesOfTheNonce:
+    def is_barriers_reply(self, code, payload):
+        return payload[:7] == self.nonce[:7]
+
+
+@breaks("J2A-SEQ-007")
+class SendsBarriersAllTheTime:
+    def send_barrier(self):
+        self.barrier_s = 0.0
+        super().send_barrier()
+        self.receive(0.001)
 
 
 # Names
@@ -353,6 +391,30 @@ class DropsWhatComesWhileItSends:
             super().send(wire[100:])
 
 
+@breaks("J2A-ERR-010")
+class SaysThatItWasNotExecuted:
+    def fate(self, call):
+        return "not-sent" if call.code in c.ERRORS else super().fate(call)
+
+
+@breaks("J2A-ERR-010")
+class SaysSoOfLostBytes:
+    def fate(self, call):
+        return "not-sent" if call.code == c.ERR_FRAMING else super().fate(call)
+
+
+@breaks("J2A-ERR-011")
+class TakesReservedCodesForResults:
+    def reserved(self, call):
+        return f"reply {call.code} {call.payload.hex() or '-'}"
+
+
+@breaks("J2A-ERR-011")
+class KnowsOneReservedCode:
+    def reserved(self, call):
+        return super().reserved(call) if call.code == 0xF1 else "reply 245 -"
+
+
 # Transfers
 
 
@@ -388,7 +450,7 @@ class CountsChunksOf249:
 
 @breaks("J2A-MANY-011")
 class NeedsNoLast:
-    def read_all(self, func, limit_s, is_old=False):
+    def read_all(self, func, limit_s, is_old=False, most=0):
         _, data = self.chunk(func, 0, 0, b"", limit_s)
         return data
 
@@ -455,6 +517,53 @@ class WritesNothingForNothing:
     def write_many(self, func, data, limit_s):
         if data:
             super().write_many(func, data, limit_s)
+
+
+@breaks("J2A-MANY-016")
+class EndsWritesAtIsLast:
+    def write_many(self, func, data, limit_s):
+        self.ended = False
+        super().write_many(func, data, limit_s)
+
+    def chunk(self, func, flags, offset, data, limit_s):
+        if getattr(self, "ended", False) and flags & c.FLAG_WRITE:
+            return c.FLAG_LAST, b""
+        found = super().chunk(func, flags, offset, data, limit_s)
+        self.ended = bool(flags & c.FLAG_WRITE and found[0] & c.FLAG_LAST)
+        return found
+
+
+@breaks("J2A-MANY-016")
+class WantsNoDataForAWrite:
+    def chunk(self, func, flags, offset, data, limit_s):
+        found = super().chunk(func, flags, offset, data, limit_s)
+        if flags & c.FLAG_WRITE and len(found[1]) > 7:
+            raise OutcomeError("failed data")
+        return found
+
+
+@breaks("J2A-MANY-020")
+class TakesNoEmptyEnd:
+    def is_last(self, flags):
+        self.flags = flags
+        return super().is_last(flags)
+
+    def read_all(self, func, limit_s, is_old=False, **options):
+        content = super().read_all(func, limit_s, is_old, **options)
+        if len(content) == 498 and self.chunks_read > 2:
+            raise OutcomeError("failed an empty end")
+        return content
+
+    def offset(self, content):
+        self.chunks_read = self.chunks_read + 1 if content else 1
+        return super().offset(content)
+
+
+@breaks("J2A-MANY-021")
+class OffsetInAnotherOrder:
+    def header(self, func, flags, offset):
+        four = offset.to_bytes(4, "little")
+        return bytes((func, flags)) + four[1::-1] + four[2:]
 
 
 @breaks("J2A-MANY-014", "J2A-PROP-005")
@@ -556,7 +665,51 @@ class MissesTheTurn:
         return max(0, seq - self.next_sif)
 
 
+@breaks("J2A-SIF-010")
+class CountsFromZero:
+    def connected(self):
+        super().connected()
+        self.next_sif = 0
+
+
 # Time and limits
+
+
+@breaks("J2A-TIME-008")
+class EveryCallHasTheWholeLimit:
+    def begin(self, limit_s):
+        pass
+
+
+@breaks("J2A-LIMIT-008")
+class TakesPropertiesWithoutEnd:
+    def most_properties(self):
+        return 1 << 30
+
+
+@breaks("J2A-LIMIT-008")
+class TakesShortPropertiesOnly:
+    def most_properties(self):
+        return 2048
+
+    def props(self):
+        try:
+            return super().props()
+        except OutcomeError:
+            self.properties = {}
+            return self.properties
+
+
+@breaks("J2A-LIMIT-009")
+class TakesEveryNumber:
+    def number(self, text):
+        return int(text[:20]) if text.isdecimal() else None
+
+
+@breaks("J2A-LIMIT-009")
+class TakesNumbersWithASign:
+    def number(self, text):
+        return int(text.strip()) if text.strip().removeprefix("+").isdigit() else None
 
 
 @breaks("J2A-TIME-006")

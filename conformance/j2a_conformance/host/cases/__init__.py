@@ -11,11 +11,13 @@ from j2a_conformance.host._case import HostCase
 
 from . import (
     announced,
+    broken,
     errors,
     limits,
     many,
     names,
     offsets,
+    pieces,
     received,
     recovery,
     sent,
@@ -29,6 +31,7 @@ __all__ = ["load"]
 _MODULES = (
     sent,
     received,
+    broken,
     recovery,
     seq,
     errors,
@@ -36,6 +39,7 @@ _MODULES = (
     many,
     offsets,
     announced,
+    pieces,
     sif,
     timing,
     limits,

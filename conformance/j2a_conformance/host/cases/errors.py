@@ -1,18 +1,25 @@
 """Error replies (J2A-ERR)."""
 
 import time
+from dataclasses import replace
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 
+from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import PING
-from j2a_conformance.host._host import Host, spell
+from j2a_conformance.host._device import DEMO, PING
+from j2a_conformance.host._dimensions import LENGTHS, content, frame
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._words import Outcome, spell
+
+_CODES = tuple(sorted(c.ERRORS))
+_QUIET_MS = 40.0
 
 
 class Payloads(HostCase):
-    """Answers with each error code, with the payloads that devices know and with others of 0, 1,
-    2 and 255 bytes.
+    """Answers with each error code: with the payloads that devices know, and with one of every
+    length from 0 to 255 bytes.
     """
 
     ID = "host.error.payloads"
@@ -22,10 +29,11 @@ class Payloads(HostCase):
 
     def _run(self, host: Host) -> None:
         known = [bytes((site, 0)) for site in range(c.SITE_LOST + 1)]
-        for code in sorted(c.ERRORS):
-            for payload in (*known, b"", b"\xff", b"\xff\xff", bytes(range(255))):
-                host.reply(host.asked(), code, payload)
-                host.outcome(f"error {code}")
+        plans = [(code, payload) for code in _CODES for payload in (*known, b"", b"\xff\xff")]
+        plans += [(_CODES[n // 2 % 4], content(n, 2)) for n in LENGTHS[1::2]]
+        for code, payload in plans:
+            host.reply(host.asked(), code, payload)
+            host.outcome(f"error {code}")
 
 
 class ByName(HostCase):
@@ -53,7 +61,7 @@ class Failed(HostCase):
 
     def _run(self, host: Host) -> None:
         host.reply(host.asked(), c.RET_FAILED, b"why")
-        host.outcome(f"reply 255 {spell(b'why')}")
+        host.replied_with(255, b"why")
 
 
 class Early(HostCase):
@@ -75,14 +83,116 @@ class Early(HostCase):
             host.replied(host.request(6, b"\x12" * 255), code)
             host.outcome(f"error {code}")
             host.reply(host.asked(), 1, b"next")
-            host.outcome(f"reply 1 {spell(b'next')}")
+            host.replied_with(1, b"next")
+
+
+class Foreign(HostCase):
+    """Sends error replies of each code with each of the 255 other seqs, and then the reply; and the
+    same while several calls wait.
+    """
+
+    ID = "host.error.foreign"
+    EXPECTATION = "They are dropped, and each call gets its own reply."
+    REQUIREMENTS = ("J2A-SEQ-004", "J2A-SEQ-005")
+    LEVEL = "core"
+    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
+
+    def _run(self, host: Host) -> None:
+        request = host.asked()
+        self.errors(host, {request.seq})
+        host.reply(request, 2, b"mine")
+        host.replied_with(2, b"mine")
+        host.job("together " + " ; ".join(f"call @6 0{n} {host.limit_ms}" for n in range(1, 4)))
+        waiting = host.requests(3, _QUIET_MS)
+        self.errors(host, {one.seq for one in waiting})
+        for one in waiting:
+            host.reply(one, 1, one.payload)
+        for _ in range(3 - len(waiting)):
+            late = host.request()
+            host.reply(late, 1, late.payload)
+        host.outcome("reply 1 01 ; reply 1 02 ; reply 1 03")
+
+    @staticmethod
+    def errors(host: Host, own: set[int]) -> None:
+        """Send error replies with every seq but these."""
+        others = [
+            frame(c.SOF, n, code, b"\x01\x00") for code in _CODES for n in LENGTHS if n not in own
+        ]
+        host.flood("error replies with other seqs", b"".join(others))
+
+
+class Reserved(HostCase):
+    """Answers with the reserved codes 0xF1 and 0xF5 to 0xFE, with payloads and without."""
+
+    ID = "host.error.reserved"
+    EXPECTATION = "The host reports an error of the device, never a result."
+    REQUIREMENTS = ("J2A-ERR-011",)
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        for code in (0xF1, *range(0xF5, 0xFF)):
+            for payload in (b"", b"\x01\x00", content(code, 1)):
+                host.reply(host.asked(), code, payload)
+                host.outcome("failed", "error", f"error {code}")
+        host.reply(host.asked(), 0xEF, b"next")
+        host.replied_with(0xEF, b"next")
+
+
+class Hint(HostCase):
+    """Answers calls by the errors 0xF2, 0xF3 and 0xF4: one alone, and one of three that wait, each
+    with its reply behind.
+    """
+
+    ID = "host.error.hint"
+    EXPECTATION = (
+        "The host waits on for the reply, or reports an error, of which it does not say that the "
+        "request was not executed; the other calls get their replies."
+    )
+    REQUIREMENTS = ("J2A-ERR-010",)
+    LEVEL = "core"
+    DEVICE = Foreign.DEVICE
+
+    def _run(self, host: Host) -> None:
+        said = False
+        for code in (c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING):
+            request = host.asked(b"one")
+            host.send(request.reply(code, b"\x04\x00") + request.reply(1, b"one"))
+            host.replied(request)
+            outcome = host.outcome(f"error {code}", f"reply 1 {spell(b'one')}")
+            said |= self.judge(outcome.text, outcome.fate)
+            host.job("together " + " ; ".join(f"call @6 0{n} {host.limit_ms}" for n in range(1, 4)))
+            waiting = host.requests(3, _QUIET_MS)
+            hinted = waiting[len(waiting) // 2]
+            host.send(hinted.reply(code, b"\x04\x00"))
+            for one in waiting:
+                host.reply(one, 1, one.payload)
+            for _ in range(3 - len(waiting)):
+                late = host.request()
+                host.reply(late, 1, late.payload)
+            parts = [Outcome.of(part) for part in host.outcome().whole.split(" ; ")]
+            for n, part in enumerate(parts, start=1):
+                is_hinted = hinted.payload == bytes((n,))
+                if part.text != f"reply 1 0{n}" and not (
+                    is_hinted and part.text == f"error {code}"
+                ):
+                    fail(f"the call with 0{n} ended as `{part.text}`")
+                said |= self.judge(part.text, part.fate)
+        if not said:
+            inform("the host program does not say whether a request was executed")
+
+    @staticmethod
+    def judge(text: str, fate: str) -> bool:
+        """Judge what is said of a request; tell whether something was."""
+        if fate == "not-sent" or "not executed" in text:
+            fail(f"`{text} {fate}` says of a request that was sent that it was not executed")
+        return text.startswith("reply") or fate != ""
 
 
 class AfterErrors(HostCase):
     """Sends an error reply and, behind it, the reply to the same request."""
 
     ID = "host.error.then-reply"
-    EXPECTATION = "The first answer ends the call, the second one is dropped."
+    EXPECTATION = "One of them ends the call, and neither the next one."
     REQUIREMENTS = ("J2A-SEQ-005", "J2A-ERR-007")
     LEVEL = "core"
 
@@ -90,6 +200,6 @@ class AfterErrors(HostCase):
         request = host.asked()
         host.send(request.reply(c.ERR_CHECKSUM, b"\x04\x00") + request.reply(1, b"second"))
         host.replied(request)
-        host.outcome("error 243")
+        host.outcome("error 243", f"reply 1 {spell(b'second')}")
         host.reply(host.asked(), 2, b"next")
-        host.outcome(f"reply 2 {spell(b'next')}")
+        host.replied_with(2, b"next")

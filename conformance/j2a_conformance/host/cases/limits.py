@@ -3,15 +3,17 @@
 from dataclasses import replace
 
 from j2a_spec import constants as c
+from j2a_spec.requirements import Level
 
 from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import DEMO, PING, STORE
-from j2a_conformance.host._host import Host, Request, spell
+from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, pattern, properties_content
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._words import Request, spell
 
 from .many import next_chunk, reply
 
-_QUIET_MS = 40.0
+_QUIET_MS = 20.0
 _LONG_QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time
 
 
@@ -133,7 +135,7 @@ class Room(HostCase):
                 if size <= host.device.room:
                     request = host.request(opcode, b"\x12" * size)
                     host.reply(request, 1, request.payload)
-                    host.outcome(f"reply 1 {spell(request.payload)}")
+                    host.replied_with(1, request.payload)
                 else:
                     host.outcome("refused")
 
@@ -151,7 +153,7 @@ class RoomForAll(HostCase):
             host.job(f"call {PING} {size}*7d {host.limit_ms}")
             request = host.request(host.device.opcode(PING), b"\x7d" * size)
             host.reply(request, 1, request.payload)
-            host.outcome(f"reply 1 {spell(request.payload)}")
+            host.replied_with(1, request.payload)
 
 
 class RoomForChunks(HostCase):
@@ -178,3 +180,100 @@ class RoomForChunks(HostCase):
                     fail(f"isLast is {int(is_last)} after {offset} of {size} bytes")
                 reply(host, chunk)
             host.outcome("written")
+
+
+def long_properties(size: int, *last: tuple[str, str]) -> tuple[tuple[str, str], ...]:
+    """Return properties of so many bytes together."""
+    found = [(c.PROP_SPEC, c.SPEC_VERSION)]
+    left = size - len(properties_content((*found, *last)))
+    for number in range(left // 250 - 1):
+        found.append((f"k{number:05}", "v" * 242))
+    left = size - len(properties_content((*found, *last)))
+    return (*found, ("rest", "r" * (left - 6)), *last)
+
+
+_ABSURD = ("0", "-1", "+300", " 300", "300 ", "0300", "3e2", "300.0", "0x80", "\u0663\u0660\u0660")
+
+
+class _Absurd(HostCase):
+    """A device whose property is no number."""
+
+    EXPECTATION = "The property counts as absent."
+    REQUIREMENTS: tuple[str, ...] = ("J2A-LIMIT-009",)
+    LEVEL: Level = "core"
+
+    @staticmethod
+    def be(host: Host, name: str, value: str) -> None:
+        """Be a device with this property."""
+        spec = (c.PROP_SPEC, c.SPEC_VERSION)
+        host.become(replace(DEMO, properties=(spec, (name, value))))
+
+
+class AbsurdRoom(_Absurd):
+    """Is a device whose j2a.room is no decimal number from 32 to 254, or has more than 10 digits;
+    has the host send 255 bytes.
+    """
+
+    ID = "host.limits.absurd-room"
+    EXPECTATION = "The property counts as absent: all 255 bytes are sent."
+
+    def _run(self, host: Host) -> None:
+        for value in (*_ABSURD, "31", "255", "256", "abc", "0" * 8 + "64", "64" * 6, "9" * 2000):
+            self.be(host, c.PROP_ROOM, value)
+            host.job(f"call {PING} 255*12 {host.limit_ms}")
+            request = host.request(host.device.opcode(PING), b"\x12" * 255)
+            host.reply(request, 1, request.payload)
+            host.replied_with(1, request.payload)
+
+
+class AbsurdBuffer(_Absurd):
+    """Is a device whose j2a.rxbuf is no decimal number, or has more than 10 digits; has the host
+    make three calls at once.
+    """
+
+    ID = "host.limits.absurd-rxbuf"
+    EXPECTATION = "The property counts as absent: each request comes after the reply before."
+    REQUIREMENTS = ("J2A-LIMIT-009", "J2A-LIMIT-003")
+
+    def _run(self, host: Host) -> None:
+        for value in (*_ABSURD, "abc", "0" * 8 + "64", "12345678901", "9" * 2000):
+            self.be(host, c.PROP_RXBUF, value)
+            together(host, "01", "02")
+            serve(host, 2, 0)
+            host.outcome("reply 1 01 ; reply 1 02")
+
+
+class Endless(HostCase):
+    """Is a device whose properties do not end within 1 MiB. Has the host send 100 bytes and read a
+    function.
+    """
+
+    ID = "host.limits.endless-properties"
+    EXPECTATION = "The host bounds what it takes; it refuses at least the read, and calls go on."
+    REQUIREMENTS = ("J2A-LIMIT-008",)
+    LEVEL = "core"
+
+    def _run(self, host: Host) -> None:
+        endless = long_properties(2**20 + 5000)
+        host.become_shy(replace(DEMO, properties=endless, content=pattern(700)))
+        host.do(f"call {PING} 100*61 {host.limit_ms}")
+        host.do(f"read {FETCH} {host.limit_ms}", "refused", "failed", "error")
+        host.reply(host.asked(), 1, b"next")
+        host.replied_with(1, b"next")
+
+
+class LongProperties(HostCase):
+    """Is a device with 4096 bytes of properties, the last of which is a j2a.room of 128 bytes; has
+    the host send 128 bytes and 129.
+    """
+
+    ID = "host.limits.long-properties"
+    EXPECTATION = "The host takes all of them: 129 bytes are refused."
+    REQUIREMENTS = ("J2A-LIMIT-008", "J2A-LIMIT-007")
+    LEVEL = "core"
+    DEVICE = replace(DEMO, properties=long_properties(4096, (c.PROP_ROOM, "128")))
+
+    def _run(self, host: Host) -> None:
+        host.job(f"call {PING} 129*12 {host.limit_ms}")
+        host.outcome("refused")
+        host.do(f"call {PING} 128*12 {host.limit_ms}", f"reply 0 {spell(bytes([18] * 128))}")

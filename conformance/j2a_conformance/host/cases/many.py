@@ -8,10 +8,18 @@ from j2a_spec.requirements import Level
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import FETCH, STORE, chunk_reply, pattern
-from j2a_conformance.host._host import Host, Request, spell
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._words import Request, difference, spell
 
 _MANY = 1
-_LARGE = 70_000
+_LARGE = 2**16 + 2000
+_SIZES = tuple(
+    zip(
+        (1, 6, 7, 248, 249, 250, 254, 255, 256, 257, 497, 498, 499, 504, 746, 747, 748, 1245),
+        5 * (0x12, 0xED, 0x7D, 0x61),
+        strict=False,
+    )
+)
 _FAILED = ("failed", "refused", "error")
 
 
@@ -76,18 +84,19 @@ def serve_read(host: Host, content: bytes, sizes: tuple[int, ...], noise: int = 
             return
 
 
-def serve_write(host: Host, content: bytes, noise: int = 0) -> None:
-    """Take a write and judge its chunks."""
+def serve_write(host: Host, content: bytes, flags: int = 0, data: bytes = b"") -> None:
+    """Take a write and judge its chunks; answer each with these flags and data."""
     offset = 0
     for _ in range(2 * len(content) // c.MANY_DATA + 8):
         chunk = next_chunk(host, STORE, offset, is_write=True)
         if chunk.data != content[offset : offset + len(chunk.data)]:
-            fail(f"the data of the chunk at {offset} are not those at this place")
+            where = difference(chunk.data, content[offset : offset + len(chunk.data)])
+            fail(f"the chunk at {offset} has other data than those at this place: {where}")
         offset += len(chunk.data)
         is_last = bool(chunk.flags & c.FLAG_LAST)
         if is_last and offset != len(content):
             fail(f"isLast is set after {offset} of {len(content)} bytes")
-        reply(host, chunk, noise)
+        reply(host, chunk, flags, data)
         if is_last:
             return
     fail("isLast was never set")
@@ -103,7 +112,13 @@ class Read(HostCase):
 
     ID = "host.many.read"
     EXPECTATION = "Each request asks for what follows the data received so far, up to isLast."
-    REQUIREMENTS = ("J2A-MANY-011", "J2A-MANY-001", "J2A-MANY-009")
+    REQUIREMENTS = (
+        "J2A-MANY-011",
+        "J2A-MANY-001",
+        "J2A-MANY-009",
+        "J2A-MANY-020",
+        "J2A-MANY-021",
+    )
     LEVEL = "many"
 
     def _run(self, host: Host) -> None:
@@ -114,13 +129,14 @@ class Read(HostCase):
             (250, (249,)),
             (498, (249, 249, 0)),
             (600, (1, 249, 10, 200)),
+            (sum(range(1, 250)), tuple(range(1, 250))),
             (_LARGE, (249,)),
         )
         for size, sizes in plans:
             content = pattern(size)
-            host.job(f"read {FETCH} {host.limit_ms}")
+            host.job(f"read {FETCH} {10 * host.limit_ms}")
             serve_read(host, content, sizes)
-            host.outcome(f"data {spell(content)}")
+            host.outcome(f"data {spell(content)}", due=content)
 
 
 class ByOpcode(HostCase):
@@ -147,26 +163,23 @@ class Write(HostCase):
     EXPECTATION = (
         "The chunks follow each other; the last one alone, if only an empty one, has isLast."
     )
-    REQUIREMENTS = ("J2A-MANY-013", "J2A-MANY-001", "J2A-MANY-009")
+    REQUIREMENTS = ("J2A-MANY-013", "J2A-MANY-001", "J2A-MANY-009", "J2A-MANY-021")
     LEVEL = "many"
 
     def _run(self, host: Host) -> None:
         for data, content in (
             ("-", b""),
-            ("1*12", b"\x12"),
-            ("249*ed", b"\xed" * 249),
-            ("250*7d", b"\x7d" * 250),
-            ("498*61", b"a" * 498),
+            *((f"{size}*{byte:02x}", bytes((byte,)) * size) for size, byte in _SIZES),
             (spelt(1001), pattern(1001)),
-            (spelt(_LARGE), pattern(_LARGE)),
+            (spelt(_LARGE - _LARGE % 7), pattern(_LARGE - _LARGE % 7)),
         ):
-            host.job(f"write {STORE} {data} {host.limit_ms}")
+            host.job(f"write {STORE} {data} {10 * host.limit_ms}")
             serve_write(host, content)
             host.outcome("written")
 
 
 class ReplyFlags(HostCase):
-    """Sets every bit without meaning in the flags of its replies."""
+    """Sets bits without meaning in the flags of its replies, each alone and all of them."""
 
     ID = "host.many.reply-flags"
     EXPECTATION = "They are ignored."
@@ -174,13 +187,31 @@ class ReplyFlags(HostCase):
     LEVEL = "many"
 
     def _run(self, host: Host) -> None:
-        for noise in (0xFE, 0x02, 0x80):
+        for noise in (0xFE, *(1 << bit for bit in range(1, 8))):
             host.job(f"read {FETCH} {host.limit_ms}")
             serve_read(host, pattern(30), (7,), noise)
-            host.outcome(f"data {spell(pattern(30))}")
+            host.outcome(f"data {spell(pattern(30))}", due=pattern(30))
             host.job(f"write {STORE} {spelt(700)} {host.limit_ms}")
             serve_write(host, pattern(700), noise)
             host.outcome("written")
+
+
+class WriteReplies(HostCase):
+    """Answers the chunks of writes with data of 0 to 249 bytes, and with isLast set where it is not
+    due and not set where it is.
+    """
+
+    ID = "host.many.write-replies"
+    EXPECTATION = "Both are ignored: the host goes on to the end."
+    REQUIREMENTS = ("J2A-MANY-016",)
+    LEVEL = "many"
+
+    def _run(self, host: Host) -> None:
+        for size in (0, 1, 6, 7, 100, 248, 249):
+            for flags in (0, c.FLAG_LAST):
+                host.job(f"write {STORE} {spelt(700)} {host.limit_ms}")
+                serve_write(host, pattern(700), flags, pattern(size))
+                host.outcome("written")
 
 
 class _Broken(HostCase):
@@ -190,10 +221,13 @@ class _Broken(HostCase):
     REQUIREMENTS: tuple[str, ...] = ("J2A-MANY-012",)
     LEVEL: Level = "many"
 
+    error = 0
+
     def spoil(self, host: Host, verb: str, position: int, code: int, payload: bytes) -> None:
         """Answer the chunk number `position` with this code and payload.
 
-        The payload may leave out the offset that is right: `OFFSET` stands for it.
+        The payload may leave out the offset that is right: `OFFSET` stands for it, and `WRONG` for
+        one that is wrong in the bits of `error`.
         """
         data = "" if verb == "read" else f" {spelt(700)}"
         name = FETCH if verb == "read" else STORE
@@ -204,16 +238,21 @@ class _Broken(HostCase):
             offset += len(chunk.data) if verb == "write" else 50
             if index < position:
                 reply(host, chunk, 0, b"" if verb == "write" else pattern(50))
-        right = chunk.offset.to_bytes(4, "little")
-        host.reply(chunk.request, code, payload.replace(b"OFFSET", right))
+        right, wrong = (n.to_bytes(4, "little") for n in (chunk.offset, chunk.offset ^ self.error))
+        payload = payload.replace(b"OFFSET", right).replace(b"WRONG", wrong)
+        host.reply(chunk.request, code, payload)
         host.outcome(*_FAILED)
 
     def both(self, host: Host, code: int, payload: bytes, data: bytes = b"") -> None:
         """Spoil reads and writes; `data` is what a reply to a read holds on top."""
-        for position in (0, 1):
+        for position in (0, 1, 6):
             self.spoil(host, "read", position, code, payload + data)
         for position in (0, 1, 2):  # the last one is the last chunk of the write
             self.spoil(host, "write", position, code, payload)
+
+    def one(self, host: Host, number: int, code: int, payload: bytes) -> None:
+        """Spoil a read or a write, which and where depends on `number`."""
+        self.spoil(host, ("read", "write")[number % 2], number // 2 % 3, code, payload)
 
 
 class OuterCode(_Broken):
@@ -222,8 +261,10 @@ class OuterCode(_Broken):
     ID = "host.many.outer-code"
 
     def _run(self, host: Host) -> None:
-        for code in (0x01, c.ECHO_MANY, c.RET_MAX, c.RET_FAILED):
+        for code in (0x01, c.RET_FAILED):
             self.both(host, code, b"\x00\x01OFFSET", b"data")
+        for number, code in enumerate((*range(2, 0xF0, 9), c.ECHO_MANY, c.RET_MAX)):
+            self.one(host, number, code, b"\x00\x01OFFSET")
         self.both(host, c.RET_FAILED, b"")
 
 
@@ -244,18 +285,20 @@ class ShortReply(_Broken):
     ID = "host.many.short-reply"
 
     def _run(self, host: Host) -> None:
-        for payload in (b"", b"\x00", b"\x00\x01", b"\x00\x01\x00\x00\x00"):
-            self.both(host, c.RET_OK, payload)
+        for size in range(6):
+            self.both(host, c.RET_OK, b"\x00\x01\x00\x00\x00"[:size])
 
 
 class WrongOffset(_Broken):
-    """Answers chunks with another offset than that of the request."""
+    """Answers chunks with another offset than that of the request: each of its 32 bits wrong."""
 
     ID = "host.many.wrong-offset"
 
     def _run(self, host: Host) -> None:
-        for offset in (b"\x01\x00\x00\x00", b"\x00\x01\x00\x00", b"\x00\x00\x00\x01"):
-            self.both(host, c.RET_OK, b"\x00\x01" + offset, b"data")
+        for bit in range(32):
+            self.error = 1 << bit
+            for verb in ("read", "write"):
+                self.spoil(host, verb, bit % 3, c.RET_OK, b"\x00\x01WRONG")
 
 
 class InnerCode(_Broken):
@@ -264,8 +307,10 @@ class InnerCode(_Broken):
     ID = "host.many.inner-code"
 
     def _run(self, host: Host) -> None:
-        for code in (0xF0, 0xF1, 0xFE, 0xFF):
+        for code in (0xF0, 0xFF):
             self.both(host, c.RET_OK, bytes((code, c.FLAG_LAST)) + b"OFFSET", b"data")
+        for number, code in enumerate(range(0xF1, 0xFF)):
+            self.one(host, number, c.RET_OK, bytes((code, c.FLAG_LAST)) + b"OFFSET")
 
 
 class EmptyChunk(_Broken):
@@ -274,7 +319,7 @@ class EmptyChunk(_Broken):
     ID = "host.many.empty-chunk"
 
     def _run(self, host: Host) -> None:
-        for position in (0, 1):
+        for position in (0, 1, 2, 6):
             self.spoil(host, "read", position, c.RET_OK, b"\x00\x00OFFSET")
 
 

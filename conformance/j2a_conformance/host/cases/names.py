@@ -11,7 +11,8 @@ from j2a_spec import constants as c
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import BARE, DEMO, FETCH, OLD, PING, STORE
-from j2a_conformance.host._host import Host, spell
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._words import spell
 
 _FULL = (*c.BUILTINS, *(f"f{n:x}" for n in range(50)), "g0")  # a mapping of 255 bytes
 
@@ -20,13 +21,13 @@ def call_by_name(host: Host, name: str) -> None:
     """Have the host call a function by its name, and judge the opcode."""
     host.job(f"call {name} 6e {host.limit_ms}")
     host.reply(host.request(host.device.opcode(name), b"n"), 3, name.encode())
-    host.outcome(f"reply 3 {spell(name.encode())}")
+    host.replied_with(3, name.encode())
 
 
 def call_by_opcode(host: Host) -> None:
     """Have the host call a function by its opcode."""
     host.reply(host.asked(b"o"), 4, b"opcode")
-    host.outcome(f"reply 4 {spell(b'opcode')}")
+    host.replied_with(4, b"opcode")
 
 
 class Names(HostCase):

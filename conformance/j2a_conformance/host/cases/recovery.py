@@ -6,7 +6,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode
 
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._host import Host, spell
+from j2a_conformance.host._host import Host
 
 _BOOT = b"\r\nboot v1.0 (7) \xf0\x00\xff\xff\x7d ready\r\n"
 
@@ -36,7 +36,7 @@ class Noise(HostCase):
             request = host.asked()
             host.send(junk + request.reply(size % 200, b"reply") + junk)
             host.replied(request)
-            host.outcome(f"reply {size % 200} {spell(b'reply')}")
+            host.replied_with(size % 200, b"reply")
 
 
 class NoiseAtRest(HostCase):
@@ -54,7 +54,7 @@ class NoiseAtRest(HostCase):
         for markers in (False, True, True, True):
             host.send(noise(rng, 60, markers))
             host.reply(host.asked(), 3, b"rest")
-            host.outcome(f"reply 3 {spell(b'rest')}")
+            host.replied_with(3, b"rest")
 
 
 class Cut(HostCase):
@@ -74,7 +74,7 @@ class Cut(HostCase):
             wire = request.reply(9, payload)
             host.send(wire[: min(cut, len(wire) - 1)] + wire)
             host.replied(request)
-            host.outcome(f"reply 9 {spell(payload)}")
+            host.replied_with(9, payload)
 
 
 class AfterEscape(HostCase):
@@ -92,7 +92,7 @@ class AfterEscape(HostCase):
             plain = wire[:cut] if wire[cut - 1] != c.ESC else wire[: cut - 1]
             host.send(plain + b"\x7d" + wire)
             host.replied(request)
-            host.outcome(f"reply 9 {spell(b'whole')}")
+            host.replied_with(9, b"whole")
 
 
 class Announced(HostCase):
@@ -108,7 +108,7 @@ class Announced(HostCase):
             request = host.asked()
             host.send(bytes((start, 0x30, 0x00, 0xFF)) + b"half")
             host.reply(request, 5, b"taken")
-            host.outcome(f"reply 5 {spell(b'taken')}")
+            host.replied_with(5, b"taken")
 
 
 class Storm(HostCase):
@@ -139,7 +139,7 @@ class Storm(HostCase):
                     break
             host.send(junk + reply)
             host.replied(request)
-            host.outcome(f"reply {count} {spell(b'storm')}")
+            host.replied_with(count, b"storm")
 
 
 class Reset(HostCase):
@@ -161,7 +161,7 @@ class Reset(HostCase):
             host.send(piece + _BOOT + host.sif(0x42, b"booted") + _BOOT)
             host.outcome("timeout", wait_ms=host.silence_ms)
             host.reply(host.asked(), 8, b"again")
-            host.outcome(f"reply 8 {spell(b'again')}")
+            host.replied_with(8, b"again")
 
 
 class Greeting(HostCase):
@@ -177,4 +177,4 @@ class Greeting(HostCase):
     def _run(self, host: Host) -> None:
         host.hang_up(_BOOT + b"\x12\x05" + host.sif(0x42, b"hello") + _BOOT)
         host.reply(host.asked(), 4, b"greeted")
-        host.outcome(f"reply 4 {spell(b'greeted')}")
+        host.replied_with(4, b"greeted")

@@ -7,7 +7,8 @@ is to compare.
 from j2a_spec import constants as c
 
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._host import CONDUCTOR, Host, spell
+from j2a_conformance.host._dimensions import LENGTHS, content
+from j2a_conformance.host._host import CONDUCTOR, Host
 
 _SENDER = (
     "J2A-FRAME-001",
@@ -26,11 +27,11 @@ def echo(host: Host, data: str, payload: bytes) -> None:
     host.job(f"call @6 {data} {host.limit_ms}")
     request = host.request(6, payload)
     host.reply(request, c.RET_OK, payload)
-    host.outcome(f"reply 0 {spell(payload)}")
+    host.replied_with(0, payload)
 
 
 class Sizes(HostCase):
-    """Has the host send payloads of many sizes from 0 to 255 bytes, and sends the same back."""
+    """Has the host send payloads of every size from 0 to 255 bytes, and sends the same back."""
 
     ID = "host.sent.sizes"
     EXPECTATION = "Each request is byte by byte that of the oracle, and each reply is handed over."
@@ -38,9 +39,12 @@ class Sizes(HostCase):
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:
-        for size in (*range(20), 100, *range(123, 128), *range(235, 240), 253, 254, 255):
-            data = f"{size}*a5" if size else "-"
-            echo(host, data, b"\xa5" * size)
+        for size in LENGTHS:
+            # Jobs spell long data by repetition.
+            length = next(n for n in range(min(size, 50), 0, -1) if size % n == 0) if size else 0
+            unit = content(length, size)
+            data = f"{size // length}*{unit.hex()}" if size else "-"
+            echo(host, data, unit * (size // length) if size else b"")
 
 
 class Values(HostCase):
@@ -71,13 +75,16 @@ class Opcodes(HostCase):
     def _run(self, host: Host) -> None:
         for opcode in range(2, 256):
             if opcode != CONDUCTOR:
-                host.job(f"call @{opcode} - {host.limit_ms}")
-                host.reply(host.request(opcode, b""), c.RET_OK, b"")
-                host.outcome("reply 0 -")
+                payload = content(opcode % 20)
+                host.job(f"call @{opcode} {payload.hex() or '-'} {host.limit_ms}")
+                host.reply(host.request(opcode, payload), c.RET_OK, b"")
+                host.replied_with(0, b"")
 
 
 class Seqs(HostCase):
-    """Has the host make 300 calls in a row, so that each seq and each checksum comes."""
+    """Has the host make 300 calls in a row, so that each seq and each checksum comes, with one byte
+    and with 255.
+    """
 
     ID = "host.sent.seqs"
     EXPECTATION = (
@@ -88,9 +95,9 @@ class Seqs(HostCase):
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:
-        opcode = 6
-        host.job(f"repeat 300 call @{opcode} 7a {host.limit_ms}")
-        for count in range(300):
-            request = host.request(opcode, b"\x7a")
-            host.reply(request, c.RET_OK, bytes((count % 256,)))
-        host.outcome("reply 0 2b")
+        for size in (1, 255):
+            host.job(f"repeat 300 call @6 {size}*7a {host.limit_ms}")
+            for count in range(300):
+                request = host.request(6, b"\x7a" * size)
+                host.reply(request, c.RET_OK, bytes((count % 256,)))
+            host.replied_with(0, b"\x2b")

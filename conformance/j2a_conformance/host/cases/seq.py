@@ -2,9 +2,17 @@
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
+from j2a_spec.requirements import Level
 
+from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._host import Host, spell
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._words import Request
+
+_SEQS = 256
+_BARRIER_MS = 200.0
+_QUIET_MS = 30.0
+_REPLACED_S = 0.9
 
 
 def stray(seq: int, payload: bytes = b"stray", start: int = c.SOF) -> bytes:
@@ -49,22 +57,88 @@ class Silence(HostCase):
         host.outcome("timeout", wait_ms=limit_ms)
 
 
-class LongSilence(HostCase):
-    """Leaves 300 calls in a row without an answer, more than there are seqs."""
+class _Stalled(HostCase):
+    """A device that leaves so many calls without an answer that no seq is free."""
 
-    ID = "host.seq.long-silence"
-    EXPECTATION = "256 calls have 256 different seqs, one after the other, and each call ends."
-    REQUIREMENTS = ("J2A-SEQ-003", "J2A-TIME-006")
-    LEVEL = "core"
+    LEVEL: Level = "core"
+
+    @staticmethod
+    def stall(host: Host) -> tuple[list[Request], Request | None]:
+        """Leave 256 calls unanswered, and some more; return them, and the barrier if one comes."""
+        host.do(f"call {c.GET_ECHO} - {host.limit_ms}", f"reply {c.ECHO} -")  # it knows the opcode
+        limit_ms = max(host.silence_ms // 60, 1)
+        host.job(f"repeat {_SEQS + 20} call @6 73 {limit_ms}")
+        given_up = [host.request(6, b"s") for _ in range(_SEQS)]
+        return given_up, barrier(host, _BARRIER_MS)
+
+
+def barrier(host: Host, wait_ms: float) -> Request | None:
+    """Return a barrier if one comes; while no seq is free nothing else may."""
+    for request in host.requests(1, wait_ms):
+        if not host.device.is_barrier(request.opcode, request.payload):
+            fail(f"opcode {request.opcode} came while no seq was free (J2A-SEQ-006)")
+        return request
+    return None
+
+
+class Stalled(_Stalled):
+    """Leaves 256 calls without an answer and has the host make 20 more; answers the barrier by
+    other bytes, by another code and by a SIF, and then by its nonce.
+    """
+
+    ID = "host.seq.stalled"
+    EXPECTATION = (
+        "256 calls have 256 different seqs, one after the other; the others fail as `stalled`. "
+        "Nothing but one barrier is sent until its nonce comes back."
+    )
+    REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-007", "J2A-SEQ-003", "J2A-TIME-006")
 
     def _run(self, host: Host) -> None:
-        count, limit_ms = 300, max(host.silence_ms // 40, 1)
-        host.job(f"repeat {count} call @6 73 {limit_ms}")
-        for _ in range(count):
-            host.request(6, b"s")
-        host.outcome("timeout", wait_ms=limit_ms)
-        host.reply(host.asked(), 1, b"next")
-        host.outcome(f"reply 1 {spell(b'next')}")
+        given_up, found = self.stall(host)
+        if found is None:  # a host may do without barriers
+            host.reply(given_up[-1], 1, b"late")
+            host.outcome("stalled")
+        else:
+            began_s, nonce = host.link.now_s(), found.payload
+            host.send(found.reply(c.ECHO, bytes((nonce[0] ^ 1,)) + nonce[1:]))
+            host.send(found.reply(c.ECHO, nonce[:-1]) + found.reply(c.ECHO, nonce + b"\x00"))
+            host.send(found.reply(c.RET_OK, nonce) + found.reply(c.ERR_CHECKSUM, nonce))
+            host.send(host.sif(c.ECHO, nonce) + found.reply(c.ECHO, b""))
+            other = barrier(host, _QUIET_MS)
+            if other is not None:
+                if host.link.now_s() - began_s < _REPLACED_S:
+                    fail("a second barrier came before 1 s was over (J2A-SEQ-007)")
+                if other.payload == nonce:
+                    fail("a second barrier has the nonce of the first one (J2A-SEQ-007)")
+                found = other
+            host.send(found.reply(c.ECHO, found.payload))
+            host.replied(found, is_echo=True)
+            host.outcome("stalled")
+        for payload in (b"next", b"over"):
+            host.reply(host.asked(payload), 1, payload)
+            host.replied_with(1, payload)
+
+
+class StalledLate(_Stalled):
+    """Leaves 256 calls without an answer, and then answers all of them, and the barrier at last."""
+
+    ID = "host.seq.stalled-late"
+    EXPECTATION = "No late reply answers another call; calls go on as soon as a seq is free."
+    REQUIREMENTS = ("J2A-SEQ-006", "J2A-SEQ-005", "J2A-SEQ-003")
+
+    def _run(self, host: Host) -> None:
+        given_up, found = self.stall(host)
+        for late in given_up[:100]:
+            host.reply(late, 5, b"sifs all 0 0")  # a host that takes it for a job reports
+        host.outcome("stalled")
+        for late in given_up[100:]:
+            host.reply(late, 5, b"sifs all 0 0")
+        if found is not None:
+            host.send(found.reply(c.ECHO, found.payload))
+            host.replied(found, is_echo=True)
+        for payload in (b"next", b"over"):
+            host.reply(host.asked(payload), 1, payload)
+            host.replied_with(1, payload)
 
 
 class Others(HostCase):
@@ -79,7 +153,7 @@ class Others(HostCase):
         request = host.asked()
         host.send(b"".join(stray(request.seq + n) for n in range(1, 256)))
         host.reply(request, 2, b"mine")
-        host.outcome(f"reply 2 {spell(b'mine')}")
+        host.replied_with(2, b"mine")
 
 
 class OnlyOthers(HostCase):
@@ -109,7 +183,7 @@ class Sos(HostCase):
         request = host.asked()
         host.send(stray(request.seq, b"SIF", c.SOS))
         host.reply(request, 2, b"reply")
-        host.outcome(f"reply 2 {spell(b'reply')}")
+        host.replied_with(2, b"reply")
         host.reset_sifs(request.seq + 1)
 
 
@@ -128,7 +202,7 @@ class Late(HostCase):
             request = host.asked(b"two")
             host.send(late.reply(5, payload))
             host.reply(request, 6, b"own")
-            host.outcome(f"reply 6 {spell(b'own')}")
+            host.replied_with(6, b"own")
 
 
 class LateAtRest(HostCase):
@@ -146,7 +220,7 @@ class LateAtRest(HostCase):
         host.outcome("timeout", wait_ms=host.silence_ms)
         host.send(late.reply(5, b"sifs all 0 0"))  # a host that takes it for a job reports
         host.reply(host.asked(b"two"), 6, b"own")
-        host.outcome(f"reply 6 {spell(b'own')}")
+        host.replied_with(6, b"own")
 
 
 class LateError(HostCase):
@@ -163,7 +237,7 @@ class LateError(HostCase):
         request = host.asked(b"two")
         host.send(late.reply(c.ERR_TIMEOUT, b"\x03\x00"))
         host.reply(request, 6, b"own")
-        host.outcome(f"reply 6 {spell(b'own')}")
+        host.replied_with(6, b"own")
 
 
 class Twice(HostCase):
@@ -177,15 +251,15 @@ class Twice(HostCase):
     def _run(self, host: Host) -> None:
         first = host.asked(b"one")
         host.reply(first, 5, b"once")
-        host.outcome(f"reply 5 {spell(b'once')}")
+        host.replied_with(5, b"once")
         request = host.asked(b"two")
         host.send(first.reply(5, b"twice"))
         host.reply(request, 6, b"own")
-        host.outcome(f"reply 6 {spell(b'own')}")
+        host.replied_with(6, b"own")
         request = host.asked(b"three")
         host.send(2 * request.reply(7, b"three"))
         host.replied(request)
-        host.outcome(f"reply 7 {spell(b'three')}")
+        host.replied_with(7, b"three")
 
 
 class Unasked(HostCase):
@@ -202,4 +276,4 @@ class Unasked(HostCase):
         host.send(b"".join(stray(host.resting_seq + n) for n in range(1, 256)))
         for payload in (b"one", b"two", b"three"):
             host.reply(host.asked(payload), 6, payload)
-            host.outcome(f"reply 6 {spell(payload)}")
+            host.replied_with(6, payload)

@@ -7,25 +7,44 @@ from j2a_spec.oracle import checksum, stuff
 
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._host import Host, spell
+from j2a_conformance.host._dimensions import (
+    LENGTHS,
+    SPECIAL,
+    content,
+    escaped,
+    frame,
+    with_sum,
+)
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._words import Sifs, explain_sifs, spell
 
 from .received import largest
 
 _HANDLED = 0x2A
 """The opcode that the handlers `a` and `b` of the host program are for."""
 
-Sifs = list[tuple[int, bytes]]
 
+def handed(
+    host: Host, sifs: Sifs, missing: int | None = 0, handler: str = "all", never: Sifs | None = None
+) -> None:
+    """Judge that a handler has got exactly these SIFs, and how many the host says are missing.
 
-def handed(host: Host, sifs: Sifs, missing: int | None = 0, handler: str = "all") -> None:
-    """Judge that a handler has got exactly these SIFs, and how many the host says are missing."""
-    content = b"".join(bytes((opcode, len(payload))) + payload for opcode, payload in sifs)
+    Args:
+        host: the host.
+        sifs: those that were sent.
+        missing: how many must be missing; None leaves it open.
+        handler: `all`, `a` or `b`.
+        never: broken ones, which a host may have handed over.
+    """
+    due = b"".join(bytes((opcode, len(payload))) + payload for opcode, payload in sifs)
     outcome, _ = host.do(f"sifs {handler} {len(sifs)} {host.limit_ms}", "sifs")
     count, _, data = outcome.rest.partition(" ")
-    if data != spell(content):
-        shown = content.hex(" ") if len(content) <= 40 else spell(content)
-        host.link.record("expected", text=f"{len(sifs)} SIFs: {shown}")
-        fail(f"the host reports the SIFs {data}, not {spell(content)}")
+    if data != spell(due):
+        shown = ", ".join(f"0x{o:02X} {spell(p)}" for o, p in sifs[:8])
+        more = f" and {len(sifs) - 8} more" if len(sifs) > 8 else ""
+        host.link.record("expected", text=f"the SIFs {shown}{more}")
+        where = explain_sifs(data, sifs, never or [])
+        fail(f"the handler `{handler}` got {data} of {len(sifs)} SIFs, not {spell(due)}; {where}")
     if missing is not None and count != str(missing):
         fail(f"the host reports {count} missing SIFs, not {missing} (J2A-SIF-009)")
 
@@ -59,12 +78,12 @@ class AnyTime(HostCase):
         host.send(sif(b"before 1") + sif(b"before 2"))
         host.send(sif(b"directly before") + request.reply(3, b"own") + sif(b"behind"))
         host.replied(request)
-        host.outcome(f"reply 3 {spell(b'own')}")
+        host.replied_with(3, b"own")
         before = sif(b"before a job")
         host.send(before + host.job_frame(f"call @6 - {host.limit_ms}") + sif(b"behind a job"))
         request = host.request(6, b"")
         host.reply(request, 4, b"next")
-        host.outcome(f"reply 4 {spell(b'next')}")
+        host.replied_with(4, b"next")
         handed(host, sent)
 
 
@@ -82,12 +101,14 @@ class EveryOpcode(HostCase):
         sent: Sifs = [(opcode, b"\x01") for opcode in range(256)]
         host.send(b"".join(host.sif(*one) for one in sent))
         host.reply(request, 3, b"own")
-        host.outcome(f"reply 3 {spell(b'own')}")
+        host.replied_with(3, b"own")
         handed(host, sent)
 
 
 class LikeErrors(HostCase):
-    """Sends SIFs that look like error replies to the call that waits, its seq included."""
+    """Sends SIFs with the opcodes 0xF0 to 0xFF, of every length and with the seq of the call that
+    waits; and the same while none waits but that for the next job.
+    """
 
     ID = "host.sif.like-errors"
     EXPECTATION = "Each is handed over, and the call gets its reply."
@@ -95,18 +116,26 @@ class LikeErrors(HostCase):
     LEVEL = "sif"
 
     def _run(self, host: Host) -> None:
-        for code in sorted(c.ERRORS):
-            request = host.asked()
-            host.reset_sifs(request.seq)
-            host.send(host.sif(code, b"\x01\x00"))
-            host.reply(request, 3, b"own")
-            host.outcome(f"reply 3 {spell(b'own')}")
-            handed(host, [(code, b"\x01\x00")], missing=None)
+        codes = (*sorted(c.ERRORS), *range(0xF0, 0x100))
+        sent: Sifs = [(code, b"\x01\x00") for code in codes]
+        sent += [(codes[n % len(codes)], content(n, 3)) for n in LENGTHS]
+
+        def flood(seq: int) -> None:
+            host.flood("SIFs like errors", b"".join(frame(c.SOS, seq, *one) for one in sent))
+            host.reset_sifs((seq + 1) % 256)
+
+        request = host.asked()
+        flood(request.seq)
+        host.reply(request, 3, b"own")
+        host.replied_with(3, b"own")
+        handed(host, sent, missing=None)
+        flood(host.resting_seq)
+        handed(host, sent, missing=None)
 
 
 class Sizes(HostCase):
-    """Sends SIFs with payloads of every size, with 255 start bytes, and of the largest size, with
-    every byte escaped but the length.
+    """Sends SIFs with payloads of every size, of which most have a checksum that is escaped; with
+    255 start bytes; and with each special byte as seq, opcode and length.
     """
 
     ID = "host.sif.sizes"
@@ -116,15 +145,67 @@ class Sizes(HostCase):
 
     def _run(self, host: Host) -> None:
         anchor(host)
-        sent: Sifs = [(size, bytes((size,)) * size) for size in range(256)]
-        sent += [(byte, bytes((byte,)) * 255) for byte in sorted(c.STUFFED)]
-        host.send(b"".join(host.sif(*one) for one in sent))
-        handed(host, sent)
+        sent: Sifs = []
+        stream = b""
+        for size in LENGTHS:
+            opcode, payload, seq = size * 7 % 256, content(size, 8), host.next_sif_seq()
+            if size % 4:
+                payload = with_sum(seq, opcode, payload, (c.SOF, c.SOS, c.ESC)[size % 4 - 1])
+            sent.append((opcode, payload))
+            stream += frame(c.SOS, seq, opcode, payload)
+        host.flood("SIFs of every size", stream)
+        more: Sifs = [(byte, bytes((byte,)) * 255) for byte in sorted(c.STUFFED)]
+        host.send(b"".join(host.sif(*one) for one in more))
+        handed(host, sent + more)
+        for seq in SPECIAL:
+            host.reset_sifs(seq)
+            sent = [(opcode, content(length, 1)) for opcode in SPECIAL for length in SPECIAL]
+            stream = b"".join(frame(c.SOS, seq, *one) for one in sent)
+            stream += b"".join(escaped(c.SOS, seq, *one) for one in sent)
+            host.flood("SIFs of special bytes", stream)
+            handed(host, sent + sent, missing=None)
         for seq in sorted(c.STUFFED):
             payload = largest(seq, 0x12)
             host.reset_sifs(seq)
             host.send(host.sif(0x12, payload))
             handed(host, [(0x12, payload)], missing=None)
+
+
+class Again(HostCase):
+    """Sends SIFs with the seq of the one before, with seqs that go back, and such as come after a
+    reset of the device, whose counter begins at 0; then a gap.
+    """
+
+    ID = "host.sif.again"
+    EXPECTATION = "Each is handed over; from the new seq on the host counts as ever."
+    REQUIREMENTS = ("J2A-SIF-003", "J2A-SIF-007", "J2A-SIF-009")
+    LEVEL = "sif"
+
+    def _run(self, host: Host) -> None:
+        for seqs in ((7, 7, 7), (7, 6, 5), (3, 0), (0, 0), (255, 255), (200, 0, 0, 128)):
+            sent: Sifs = [(0x2A, b"the same") for _ in seqs]
+            host.send(b"".join(frame(c.SOS, seq, *sent[0]) for seq in seqs))
+            handed(host, sent, missing=None)
+            host.reset_sifs(seqs[-1] + 1)
+            host.send(host.sif(0x2A, b"1") + host.sif(0x2A, b"2") + host.sif(0x2A, b"3", 5))
+            handed(host, [(0x2A, b"1"), (0x2A, b"2"), (0x2A, b"3")], missing=5)
+
+
+class First(HostCase):
+    """Opens a new link on which the first SIF has the seq 77, and on another one 0."""
+
+    ID = "host.sif.first"
+    EXPECTATION = "The host counts from the first SIF of a link on; none before it is missing."
+    REQUIREMENTS = ("J2A-SIF-010", "J2A-SIF-009")
+    LEVEL = "sif"
+
+    def _run(self, host: Host) -> None:
+        for seq in (77, 0):
+            host.hang_up()
+            host.outcome()  # the host is there
+            host.reset_sifs(seq)
+            host.send(host.sif(0x30, b"first") + host.sif(0x30, b"third", 1))
+            handed(host, [(0x30, b"first"), (0x30, b"third")], missing=1)
 
 
 class NoAnswer(HostCase):
@@ -190,7 +271,7 @@ class Damaged(HostCase):
             good = host.sif(0x45, b"good")
             host.send(good + request.reply(3, b"own"))
             host.replied(request)
-            host.outcome(f"reply 3 {spell(b'own')}")
+            host.replied_with(3, b"own")
             handed(host, [(0x45, b"good")], missing=1)
 
 
@@ -209,20 +290,20 @@ class Cuts(HostCase):
             reply = request.reply(3, b"reply")
             host.send(reply[:cut] + host.sif(0x50, b"SIF") + reply)
             host.replied(request)
-            host.outcome(f"reply 3 {spell(b'reply')}")
+            host.replied_with(3, b"reply")
             request = host.asked()
             seq = host.next_sif_seq()
             host.reset_sifs(seq)  # the same SIF comes again, whole
             host.send(host.sif(0x51, b"whole")[:cut])
             host.reset_sifs(seq)
             host.reply(request, 4, b"reply")
-            host.outcome(f"reply 4 {spell(b'reply')}")
+            host.replied_with(4, b"reply")
             host.send(host.sif(0x51, b"whole"))
             handed(host, [(0x50, b"SIF"), (0x51, b"whole")])
 
 
 class Missing(HostCase):
-    """Leaves 1, 2, 100 and 254 SIFs out, and lets the counter run over."""
+    """Leaves 0 to 254 SIFs out, one by one and summed up, and lets the counter run over."""
 
     ID = "host.sif.missing"
     EXPECTATION = "The host counts exactly those that are missing."
@@ -231,7 +312,10 @@ class Missing(HostCase):
 
     def _run(self, host: Host) -> None:
         anchor(host)
-        for skipped in (0, 1, 2, 100, 254, 0, 0):
+        gaps = [gap * 101 % 255 for gap in range(255)]
+        host.send(b"".join(host.sif(0x64, b"", gap) for gap in gaps))
+        handed(host, [(0x64, b"")] * len(gaps), sum(gaps))
+        for skipped in (0, 1, 2, 100, 127, 128, 129, 254, 0, 0):
             host.send(host.sif(0x60, b"gap", skipped) + host.sif(0x61, b"next"))
             handed(host, [(0x60, b"gap"), (0x61, b"next")], skipped)
         for _ in range(3):
@@ -257,5 +341,5 @@ class Burst(HostCase):
         sent: Sifs = [(n % 256, rng.randbytes(100)) for n in range(400)]
         host.send(b"".join(host.sif(*one) for one in sent))
         host.reply(request, 3, b"own")
-        host.outcome(f"reply 3 {spell(b'own')}")
+        host.replied_with(3, b"own")
         handed(host, sent)

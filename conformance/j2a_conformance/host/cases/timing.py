@@ -1,16 +1,19 @@
 """Every call ends (J2A-TIME-006)."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from j2a_spec.requirements import Level
 
-from j2a_conformance._judge import fail
+from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
-from j2a_conformance.host._device import STORE
-from j2a_conformance.host._host import Host, spell
+from j2a_conformance.host._device import DEMO, FETCH, PING, STORE
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._words import Outcome, spell
 
-from .many import next_chunk, reply, spelt
+from .many import chunk_of, next_chunk, reply, spelt
 
+_LONG = (0, 3, 4)
 _ENDED = ("lost", "timeout", "failed")
 
 
@@ -25,7 +28,7 @@ class _Ends(HostCase):
     def next_call(host: Host) -> None:
         """Judge that a call is answered as ever."""
         host.reply(host.asked(b"next"), 8, b"next")
-        host.outcome(f"reply 8 {spell(b'next')}")
+        host.replied_with(8, b"next")
 
 
 class NoReply(_Ends):
@@ -114,7 +117,7 @@ class Slow(HostCase):
     LEVEL = "timing"
 
     def _run(self, host: Host) -> None:
-        limit_ms = 4 * host.silence_ms
+        limit_ms = 8 * host.silence_ms
         request = host.asked(limit_ms=limit_ms)
         host.link.wait_until(host.link.now_s() + limit_ms / 2e3)
         host.reply(request, 3, b"slow")
@@ -185,4 +188,120 @@ class NoReplyInTransfer(_Ends):
         reply(host, next_chunk(host, STORE, 0, is_write=True))
         next_chunk(host, STORE, 249, is_write=True)
         host.outcome("timeout", "failed", wait_ms=3 * host.silence_ms)
+        self.next_call(host)
+
+
+class Queued(_Ends):
+    """Has the host make six calls at once, with time limits from 5 ms to 10 s, to a device that
+    takes one at a time and answers the first one late.
+    """
+
+    ID = "host.time.queued"
+    EXPECTATION = (
+        "The calls whose time is over while they wait for their turn are not sent; the others are, "
+        "and get their replies."
+    )
+    REQUIREMENTS = ("J2A-TIME-006", "J2A-LIMIT-003")
+
+    def _run(self, host: Host) -> None:
+        long_ms = 10 * host.silence_ms
+        limits = (10_000, 5, host.silence_ms // 2, long_ms, 10_000, 20)
+        calls = [f"call @6 0{n} {limit_ms}" for n, limit_ms in enumerate(limits)]
+        host.job(" ; ".join([f"together {calls[0]}", *calls[1:]]))
+        began_s = host.link.now_s()
+        first = host.request(6)
+        host.link.wait_until(began_s + 2 * host.silence_ms / 1e3)
+        host.reply(first, 1, first.payload)
+        if first.payload != b"\x00":
+            host.serve()
+            inform("the host did not send the first call first")
+        for _ in _LONG[1:]:
+            request = host.request(6)
+            late = host.link.now_s() - began_s > long_ms / 1e3
+            if request.payload[0] not in _LONG:
+                limit_ms = limits[request.payload[0]]
+                fail(f"a call was sent whose time limit of {limit_ms} ms was over", suspect=True)
+            host.reply(request, 1, request.payload)
+        outcome = host.outcome().whole.split(" ; ")
+        for n, part in enumerate(map(Outcome.of, outcome)):
+            due = f"reply 1 0{n}" if n in _LONG else "timeout"
+            if part.text != due:
+                fail(f"the call {n} ended as `{part.whole}`, due is `{due}`", suspect=late)
+
+
+class QueuedThenSilent(_Ends):
+    """Has the host make two calls at once to a device that takes one at a time; answers the first
+    one after half of the time limit and the second one never.
+    """
+
+    ID = "host.time.queued-then-silent"
+    EXPECTATION = "The second call ends by its time limit, in which it waited for its turn."
+    REQUIREMENTS = ("J2A-TIME-006", "J2A-TIME-008")
+
+    def _run(self, host: Host) -> None:
+        limit_ms = 6 * host.silence_ms
+        host.job(f"together call @6 01 {limit_ms} ; call @6 02 {limit_ms}")
+        began_s = host.link.now_s()
+        first = host.request(6)
+        host.link.wait_until(began_s + limit_ms / 2e3)
+        host.reply(first, 1, first.payload)
+        host.request(6)
+        ends_within(host, began_s, limit_ms, 1.35)
+
+
+def ends_within(host: Host, began_s: float, limit_ms: int, factor: float) -> Outcome:
+    """Judge that the job ends by its time limit, and return its outcome."""
+    request = host.request_or_end()
+    took_ms = (host.link.now_s() - began_s) * 1e3
+    if took_ms > factor * limit_ms:
+        what = "ended" if request is None else "sent another request"
+        fail(f"the job {what} after {took_ms:.0f} ms, its limit is {limit_ms} ms", suspect=True)
+    return host.outcome(wait_ms=2 * limit_ms)
+
+
+class SlowTransfers(_Ends):
+    """Answers each chunk of a read and of a write after a third of the time limit, and never the
+    last.
+    """
+
+    ID = "host.time.slow-transfers"
+    EXPECTATION = "The transfer ends by its time limit, which is one for all chunks."
+    REQUIREMENTS = ("J2A-TIME-008", "J2A-TIME-006")
+    LEVEL = "many"
+
+    def _run(self, host: Host) -> None:
+        for verb, data in (("read", ""), ("write", f" {spelt(2520)}")):
+            limit_ms = 3 * host.silence_ms
+            host.job(f"{verb} {FETCH if data == '' else STORE}{data} {limit_ms}")
+            began_s = host.link.now_s()
+            for _ in range(7):
+                if (request := host.request_or_end()) is None:
+                    break
+                host.link.wait_until(host.link.now_s() + limit_ms / 3e3)
+                reply(host, chunk_of(request), 0, b"" if data else bytes(10))
+            outcome = ends_within(host, began_s, limit_ms, 1.9)
+            if outcome.word not in ("timeout", "failed"):
+                fail(f"the host reports `{outcome.whole}`")
+            self.next_call(host)
+
+
+class SlowProperties(_Ends):
+    """Is a device that takes a third of the time limit for each chunk of its properties, which are
+    many; has the host send 100 bytes.
+    """
+
+    ID = "host.time.slow-properties"
+    EXPECTATION = "The call ends by its time limit, which covers the properties."
+    REQUIREMENTS = ("J2A-TIME-008", "J2A-TIME-006")
+
+    def _run(self, host: Host) -> None:
+        limit_ms = 3 * host.silence_ms
+        host.become_shy(replace(DEMO, chunk=4))
+        host.slow_s = limit_ms / 3e3
+        try:
+            host.job(f"call {PING} 100*61 {limit_ms}")
+            began_s = host.link.now_s()
+            ends_within(host, began_s, limit_ms, 1.9)
+        finally:
+            host.slow_s = 0.0
         self.next_call(host)

@@ -1,0 +1,196 @@
+"""The dimensions of what a device sends: length, field, escapes, damage, place of the cut.
+
+What flows in: a start byte, a seq and lengths. What flows out: frames that are right, however they
+are escaped, and `Broken` ones with a word on what is wrong. Rules: seeded, so that each run sends
+the same; the oracle has seen that a broken frame holds no good one.
+"""
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, checksum, stuff
+
+__all__ = [
+    "LENGTHS",
+    "SPECIAL",
+    "Broken",
+    "content",
+    "cut_off",
+    "escape_ff",
+    "escaped",
+    "frame",
+    "interrupted",
+    "places",
+    "with_sum",
+    "wrong_sums",
+]
+
+LENGTHS = range(c.MAX_PAYLOAD + 1)
+SPECIAL = bytes(sorted({*c.STUFFED, *(b - 1 for b in c.STUFFED), *(b + 1 for b in c.STUFFED)}))
+_FIELDS = ("seq", "opcode", "length")
+_EVERY_MASK = (0, 1, 17, 64, 255)  # lengths at which each wrong checksum there is comes
+_ERRORS = tuple(sorted(c.ERRORS))
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """A frame that nobody may act on.
+
+    Attributes:
+        what: what is wrong with it, in words.
+        wire: its bytes; they may end inside it, where a start byte must follow.
+        code: its opcode, by which an outcome tells that it was taken.
+        payload: as a host may read it that takes it.
+    """
+
+    what: str
+    wire: bytes
+    code: int
+    payload: bytes
+
+
+@cache
+def content(length: int, salt: int = 0) -> bytes:
+    """Return a payload of this length, different for each salt; a third of it is special."""
+    rng = random.Random(1000 * salt + length)
+    return bytes(
+        rng.choice(SPECIAL) if rng.random() < 0.3 else rng.randrange(256) for _ in range(length)
+    )
+
+
+def with_sum(seq: int, code: int, payload: bytes, wanted: int) -> bytes:
+    """Return the payload, of at least one byte, changed in a place so that the sum is `wanted`."""
+    middle = len(payload) // 2
+    byte = payload[middle] ^ checksum(seq, code, payload) ^ wanted
+    return payload[:middle] + bytes((byte,)) + payload[middle + 1 :]
+
+
+def _body(seq: int, code: int, payload: bytes, error: int = 0) -> bytes:
+    check = checksum(seq, code, payload) ^ error
+    return bytes((seq, code, len(payload))) + payload + bytes((check,))
+
+
+def frame(start: int, seq: int, code: int, payload: bytes, error: int = 0) -> bytes:
+    """Return the wire bytes of a frame whose checksum is wrong in the bits of `error`."""
+    return bytes((start,)) + stuff(_body(seq, code, payload, error))
+
+
+def escaped(start: int, seq: int, code: int, payload: bytes, at: set[int] | None = None) -> bytes:
+    """Return a frame with needless escapes.
+
+    Args:
+        start, seq, code, payload: of the frame.
+        at: indices of the bytes behind the start byte to escape, where they can be; None is all.
+    """
+    wire = bytearray((start,))
+    for index, byte in enumerate(_body(seq, code, payload)):
+        free = (byte - 1) % 256 not in (*c.MARKERS, 0xFF) and (at is None or index in at)
+        wire += bytes((c.ESC, byte - 1)) if free or byte in c.STUFFED else bytes((byte,))
+    return bytes(wire)
+
+
+def places(length: int, rng: random.Random, first: int = 1) -> tuple[int, ...]:
+    """Return indices of bytes of a frame behind its start byte: all of a short one, else some."""
+    size = length + c.HEADER + 1
+    if length <= 4:
+        return tuple(range(first, size))
+    return tuple(sorted({size - 1, rng.randrange(first, c.HEADER), rng.randrange(c.HEADER, size)}))
+
+
+def _named(index: int, length: int) -> str:
+    if index < c.HEADER:
+        return f"the {_FIELDS[index]}"
+    return "the checksum" if index == length + c.HEADER else f"payload byte {index - c.HEADER}"
+
+
+def _code(number: int) -> int:
+    """Return a return value of a function; each fifth is that of an error reply."""
+    return _ERRORS[number // 5 % len(_ERRORS)] if number % 5 == 4 else 1 + number % c.RET_MAX
+
+
+def wrong_sums(start: int, seq: int) -> Iterator[Broken]:
+    """Yield frames of every length whose checksum is wrong; of some lengths, in every way."""
+    for length in LENGTHS:
+        masks = range(1, 256) if length in _EVERY_MASK else (1 << length % 8, 0x80, 1 + length)
+        for mask in masks:
+            payload, code = content(length, mask % 4), _code(length + mask)
+            wire = frame(start, seq, code, payload, mask)
+            yield Broken(f"the checksum wrong by 0x{mask:02X}", wire, code, payload)
+
+
+def escape_ff(start: int, seq: int) -> Iterator[Broken]:
+    """Yield frames of every length with ESC 0xFF in a field, or between two.
+
+    Each is whole for a host that reads ESC 0xFF as 0x00 or as 0xFF, or that leaves it out.
+    """
+    kinds = ((b"\x7d\xff", 0x00), (b"\x7d\xff", 0xFF), (b"\x7d\xff", None))
+    return _everywhere(start, seq, kinds)
+
+
+def interrupted(start: int, seq: int) -> Iterator[Broken]:
+    """Yield frames of every length with a raw start byte in a field, or between two.
+
+    Each is whole for a host that takes the start byte for a value, leaves it out, or takes it as
+    escaped where ESC stands before it.
+    """
+    markers = [(m, bytes((m,))) for m in sorted(c.MARKERS)]
+    kinds = [kind for m, raw in markers for kind in ((raw, m), (raw, None), (b"\x7d" + raw, m + 1))]
+    return _everywhere(start, seq, tuple(kinds))
+
+
+def _everywhere(
+    start: int, seq: int, kinds: tuple[tuple[bytes, int | None], ...]
+) -> Iterator[Broken]:
+    rng = random.Random(len(kinds))
+    first = 0 if start == c.SOS else 1  # another seq is no reply in any case
+    for length in LENGTHS:
+        for index in places(length, rng, first):
+            some = kinds if length < 30 or length > 250 else rng.sample(kinds, 2)
+            whole = Frame(start, seq, _code(length + index), content(length, index % 5))
+            misread = (_misread(whole, index, *kind) for kind in some)
+            yield from (broken for broken in misread if broken is not None)
+
+
+def _misread(whole: Frame, index: int, sent: bytes, read_as: int | None) -> Broken | None:
+    """Return a frame that is whole if `sent`, at `index`, is read as one value or as none."""
+    seq, code, payload = whole.seq, whole.opcode, whole.payload
+    last = len(payload) + c.HEADER
+    if read_as is not None:
+        if (index == c.HEADER - 1 and len(payload) != read_as) or (index == last and not payload):
+            return None
+        if index == last:
+            payload = with_sum(seq, code, payload, read_as)
+        elif index >= c.HEADER:
+            at = index - c.HEADER
+            payload = payload[:at] + bytes((read_as,)) + payload[at + 1 :]
+        seq, code = read_as if index == 0 else seq, read_as if index == 1 else code
+    body = _body(seq, code, payload)
+    behind = body[index + (read_as is not None) :]
+    wire = bytes((whole.start,)) + stuff(body[:index]) + sent + stuff(behind)
+    if sent[-1] in c.MARKERS and _begins_good(behind):
+        return None
+    place = "before" if read_as is None else "at"
+    what = f"{sent.hex(' ')} {place} {_named(index, len(payload))}"
+    return Broken(what, wire, code, payload)
+
+
+def _begins_good(body: bytes) -> bool:
+    """Tell whether what follows a start byte is a frame that is right."""
+    if len(body) <= c.HEADER or len(body) <= body[2] + c.HEADER:
+        return False
+    end = body[2] + c.HEADER
+    return checksum(body[0], body[1], body[c.HEADER : end]) == body[end]
+
+
+def cut_off(start: int, seq: int) -> Iterator[Broken]:
+    """Yield frames of every length, cut off somewhere; those of a few lengths everywhere."""
+    rng = random.Random(5)
+    for length in LENGTHS:
+        code, payload = _code(length), content(length, 9)
+        wire = frame(start, seq, code, payload)
+        every = range(1, len(wire)) if length in (0, 6, 20) else {1, 4, len(wire) - 1}
+        for end in (*every, rng.randrange(1, len(wire))):
+            yield Broken(f"cut off behind {end} bytes", wire[:end], code, payload)
