@@ -8,15 +8,35 @@ from dataclasses import dataclass, field
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, Skipped, encode
 
-__all__ = ["DAMAGE", "Expected", "ManyReply", "Request", "describe", "many_payload", "refusal"]
+__all__ = [
+    "DAMAGE",
+    "Expected",
+    "ManyReply",
+    "Request",
+    "describe",
+    "difference",
+    "first_difference",
+    "many_payload",
+    "refusal",
+]
 
 DAMAGE = frozenset({c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING})
 """Codes that say that the request was damaged on its way."""
 
 
+RESERVED = frozenset(range(c.RET_MAX + 1, c.RET_FAILED)) - c.ERRORS
+"""Codes that no device sends (J2A-ERR-011)."""
+
+_NEVER = DAMAGE | RESERVED
+
+
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """A reply that is due. None leaves a field open, but no answer says the request was damaged."""
+    """A reply that is due.
+
+    None leaves a field open; even then the code says neither that the request was damaged, nor is
+    it reserved (J2A-ERR-011).
+    """
 
     seq: int
     code: int | None = None
@@ -27,7 +47,7 @@ class Expected:
         return (
             frame.start == c.SOF
             and frame.seq == self.seq
-            and (frame.opcode not in DAMAGE if self.code is None else frame.opcode == self.code)
+            and (frame.opcode not in _NEVER if self.code is None else frame.opcode == self.code)
             and self.payload in (None, frame.payload)
         )
 
@@ -74,6 +94,21 @@ class ManyReply:
 def many_payload(func: int, flags: int = 0, offset: int = 0, data: bytes = b"") -> bytes:
     """Return the payload of a request to a2jMany; `flags` may hold any bits."""
     return bytes((func, flags)) + offset.to_bytes(4, "little") + data
+
+
+def first_difference(came: bytes, due: bytes) -> str:
+    """Return where two byte strings part, in words; places count from 1."""
+    for place, (here, there) in enumerate(zip(came, due, strict=False), 1):
+        if here != there:
+            return f"byte {place} of {len(due)} is 0x{here:02X} and not 0x{there:02X}"
+    return f"{len(came)} bytes and not {len(due)}"
+
+
+def difference(came: Event, due: Expected) -> str:
+    """Return where the payload of a frame parts from the due one, or "" where it does not."""
+    if not isinstance(came, Frame) or due.payload in (None, came.payload):
+        return ""
+    return f"; payload: {first_difference(came.payload, due.payload or b'')}"
 
 
 def describe(event: Event) -> str:

@@ -4,7 +4,7 @@ from typing import NoReturn
 
 from ._model import Verdict
 
-__all__ = ["Judged", "fail", "inform", "skip"]
+__all__ = ["Judged", "fail", "inform", "lack", "skip"]
 
 
 class Judged(Exception):  # noqa: N818 - a judgement, not always an error
@@ -17,6 +17,7 @@ class Judged(Exception):  # noqa: N818 - a judgement, not always an error
 
     Attributes:
         final: all attempts that there are were made.
+        missing: the device lacks a function, without which a level is not reached.
     """
 
     def __init__(self, verdict: Verdict, reason: str, suspect: bool = False) -> None:
@@ -25,6 +26,7 @@ class Judged(Exception):  # noqa: N818 - a judgement, not always an error
         self.reason = reason
         self.suspect = suspect
         self.final = False
+        self.missing = False
 
 
 def fail(reason: str, suspect: bool = False) -> NoReturn:
@@ -35,6 +37,13 @@ def fail(reason: str, suspect: bool = False) -> NoReturn:
 def skip(reason: str) -> NoReturn:
     """The device does not claim what the case needs."""
     raise Judged(Verdict.UNIMPLEMENTED, reason)
+
+
+def lack(reason: str) -> NoReturn:
+    """The device lacks a function; a failure where it is said to reach the level of the case."""
+    judged = Judged(Verdict.UNIMPLEMENTED, reason)
+    judged.missing = True
+    raise judged
 
 
 def inform(reason: str) -> NoReturn:

@@ -6,15 +6,25 @@ that a stale answer is recognised; the default seqs and the barrier hold no byte
 stuffing, so that a fault in stuffing shows only where it is tested.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, Skipped, checksum, encode
 
-from ._expected import DAMAGE, Expected, ManyReply, Request, describe, many_payload, refusal
-from ._judge import Judged, fail, skip
+from ._expected import (
+    DAMAGE,
+    Expected,
+    ManyReply,
+    Request,
+    describe,
+    difference,
+    first_difference,
+    many_payload,
+    refusal,
+)
+from ._judge import Judged, fail, lack
 from ._model import Claims, Verdict
 from ._wire import Arrival, Link
 
@@ -33,6 +43,8 @@ _QUIET_S = 0.025  # longer than the longest byte timeout (J2A-TIME-002)
 _ATTEMPTS = 6
 _UNHURRIED = 25  # of the attempts on a lossy link, each so-many-th waits for a slow answer
 _LOSSY_ROOM = 256
+_BATCH = 2048  # bytes of requests in one write, where j2a.rxbuf is not less
+_IN_FLIGHT = 100  # exchanges; far fewer than there are seqs
 MANY_ONLY = frozenset({c.GET_PROPERTIES, c.GET_ECHO_MANY, "store"})
 """Functions made for a2jMany, which cannot be called directly."""
 _Result = TypeVar("_Result")
@@ -69,7 +81,7 @@ class Peer:
     def opcode(self, name: str) -> int:
         """Return the opcode of a function, or end the case as unimplemented."""
         if not self.has(name):
-            skip(f"the device has no function {name}")
+            lack(f"the device has no function {name}")
         return self.claims.functions.index(name)
 
     def hide_application(self) -> None:
@@ -150,25 +162,62 @@ class Peer:
         payload = many_payload(index, flags, offset, data)
         return self.request(self.opcode(c.MANY), payload, code)
 
+    def direct(self, name: str, payload: bytes = b"") -> Request:
+        """Return a request whose opcode names a function for a2jMany, and its due refusal."""
+        if name == c.GET_PROPERTIES:
+            return self.request(self.opcode(name), payload, c.RET_FAILED, b"")
+        return self.request(self.opcode(name), payload, c.ERR_OPCODE)
+
     # Exchanges
 
     def play(
-        self, stream: bytes, *expected: Expected, alone: bool = False, wait_s: float = 0.0
+        self,
+        stream: bytes,
+        *expected: Expected,
+        alone: bool = False,
+        wait_s: float = 0.0,
+        exact: bool = False,
     ) -> list[Frame]:
         """Send `stream` in one piece and return the replies, which are these and in this order.
 
-        With `alone`, nothing else may come; `wait_s` is time that the device needs. On a lossy link
-        a failure is tried again, so `stream` may be sent more than once.
+        With `alone`, nothing else may come; `wait_s` is time that the device needs; with `exact`
+        the replies are the bytes of the oracle. On a lossy link a failure is tried again, so
+        `stream` may be sent more than once.
         """
 
         def body() -> list[Frame]:
             self.link.send(stream)
-            frames = self.expect(*expected, wait_s=wait_s)
+            frames = self.expect(*expected, wait_s=wait_s, exact=exact)
             if alone:
                 self.barrier()
             return frames
 
         return self.carried(body)
+
+    def play_all(self, exchanges: Iterable[tuple[bytes, Sequence[Expected]]]) -> None:
+        """Play streams and their due replies, which are the bytes of the oracle, in order.
+
+        As many go out in one piece as j2a.rxbuf holds, so that this is fast; one by one where the
+        device announces none, or the link is lossy.
+        """
+        room = 0 if self.link.lossy else self.room(_BATCH)
+        batch: list[tuple[bytes, Sequence[Expected]]] = []
+        for exchange in exchanges:
+            size = sum(len(stream) for stream, _ in batch)
+            if batch and (size + len(exchange[0]) > room or len(batch) == _IN_FLIGHT):
+                self._play_batch(batch)
+                batch.clear()
+            batch.append(exchange)
+        if batch:
+            self._play_batch(batch)
+
+    def _play_batch(self, batch: list[tuple[bytes, Sequence[Expected]]]) -> None:
+        stream = b"".join(stream for stream, _ in batch)
+        self.play(stream, *(due for _, expected in batch for due in expected), exact=True)
+
+    def ask_all(self, requests: Iterable[Request]) -> None:
+        """Send requests and compare their replies with the oracle, byte by byte; see `play_all`."""
+        self.play_all((request.wire, [request.expected]) for request in requests)
 
     def ask(self, *requests: Request) -> Frame:
         """Send each request, wait for its due reply, and return the last."""
@@ -204,29 +253,20 @@ class Peer:
             if len(data) > at_most:
                 fail(f"{func} has no end within {at_most} bytes")
 
-    def expect(self, *expected: Expected, wait_s: float = 0.0) -> list[Frame]:
+    def expect(self, *expected: Expected, wait_s: float = 0.0, exact: bool = False) -> list[Frame]:
         """Receive exactly these replies, SIFs aside; `wait_s` is time that the device needs."""
         timeout_s = self.link.reply_timeout_s + wait_s
-        return [self._receive(due, timeout_s)[1] for due in expected]
+        return [self._receive(due, timeout_s, exact) for due in expected]
 
     def ask_exact(self, request: Request) -> Frame:
         """Send a request and compare its reply with the oracle, byte by byte; return it."""
-        return self.carried(lambda: self._ask_exact(request))
+        return self.play(request.wire, request.expected, exact=True)[0]
 
-    def _ask_exact(self, request: Request) -> Frame:
-        self.link.send(request.wire)
-        arrival, frame = self._receive(request.expected, self.link.reply_timeout_s)
-        wanted = encode(frame)
-        if arrival.raw != wanted:
-            self.link.record("expected", wanted)
-            fail("the bytes of the reply are not those of the oracle")
-        return frame
-
-    def _receive(self, due: Expected, timeout_s: float) -> tuple[Arrival, Frame]:
+    def _receive(self, due: Expected, timeout_s: float, exact: bool) -> Frame:
         arrival = self.next_frame(timeout_s)
         if arrival is None:
             tail = self.link.unfinished()
-            self.link.record("expected", due.wire, str(due))
+            self._show(due)
             rest = (
                 f", only the unfinished {tail.hex(' ')}; slow? --baud, --timeout-scale"
                 if tail
@@ -235,11 +275,27 @@ class Peer:
             fail(f"no answer within {timeout_s:.1f} s{rest}")
         event = arrival.event
         if not isinstance(event, Frame) or not due.matches(event):
-            self.link.record("expected", due.wire, str(due))
+            self._show(due, arrival)
             # An unasked 0xF2 may mean that this machine stalled in the middle of a frame.
             stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
-            fail(f"{describe(event)} came instead of {due}", suspect=stalled)
-        return arrival, event
+            text = f"{describe(event)} came instead of {due}{difference(event, due)}"
+            fail(text, suspect=stalled)
+        if exact and arrival.raw != (wanted := encode(event)):
+            self._show(due, arrival, wanted)
+            where = first_difference(arrival.raw, wanted)
+            fail(f"the bytes of the reply are not those of the oracle: on the wire {where}")
+        return event
+
+    def _show(
+        self, due: Expected, arrival: Arrival | None = None, wanted: bytes | None = None
+    ) -> None:
+        """End the evidence with what matters: the request, what came, and what was due."""
+        self.link.remind("the request, as it was sent:", self.link.request_of(due.seq))
+        self.link.remind("what came:", arrival)
+        if wanted is None:
+            self.link.record("expected", due.wire, str(due))
+        else:
+            self.link.record("expected", wanted)
 
     def next_frame(self, timeout_s: float) -> Arrival | None:
         """Return the next arrival that is a frame, whole or broken, and no SIF."""
@@ -249,6 +305,12 @@ class Peer:
             if self.strict:
                 fail(f"{describe(arrival.event)} came (J2A-FRAME-010)")
         return None
+
+    def silence(self, time_s: float, when: str) -> None:
+        """Fail when a frame comes within `time_s`; `when` says in words what the time is for."""
+        if (arrival := self.next_frame(time_s)) is not None:
+            culprit = self._culprit(arrival)
+            fail(f"{describe(arrival.event)} came {when}, where silence was due{culprit}")
 
     def next_sif(self, index: int) -> Frame:
         """Return the SIF number `index` of this link, or fail."""
@@ -275,10 +337,21 @@ class Peer:
             fail("a good request was not answered")
         event = arrival.event
         if not isinstance(event, Frame) or not request.expected.matches(event):
+            culprit = self._culprit(arrival)
             text = f"nothing, and then {request.expected}"
             self.link.record("expected", request.expected.wire, text)
             stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
-            fail(f"{describe(event)} came where silence was due", suspect=stalled)
+            fail(f"{describe(event)} came where silence was due{culprit}", suspect=stalled)
+
+    def _culprit(self, arrival: Arrival) -> str:
+        """Return what an unwanted frame answers, in words, and put both into the evidence."""
+        seq = getattr(arrival.event, "seq", None)
+        request = None if seq is None else self.link.request_of(seq)
+        if request is None:
+            return ""
+        self.link.remind("the frame with this seq, as it was sent:", request)
+        self.link.remind("what came:", arrival)
+        return f"; it has the seq of {describe(request.event)}"
 
     def probe(self) -> Request:
         """Return a request to a2jEcho like no other before, without a byte that needs stuffing."""

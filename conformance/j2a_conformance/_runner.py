@@ -7,9 +7,10 @@ again; which failures are allowed or known is the business of `Rules`.
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from datetime import datetime
 
+from j2a_spec.requirements import Level
 from j2a_transports import Transport, TransportError
 
 from ._case import Case
@@ -40,6 +41,7 @@ def run(
     lossy: int = 0,
     fresh: bool = False,
     builtins_only: bool = False,
+    claimed: Collection[Level] = (),
     stop_on_failure: bool = False,
     on_result: Callable[[Result], None] = lambda _: None,
 ) -> Run:
@@ -58,6 +60,8 @@ def run(
             many attempts, and a case in 10; 0: the link is good.
         fresh: opening the link resets the device, so its first SIF has the seq 0.
         builtins_only: do not use functions of the application, whatever their names.
+        claimed: the levels that the device is said to reach. A function that one of their cases
+            needs and the device lacks is a failure then, and not unimplemented.
         stop_on_failure: leave out what comes after the first failed case.
         on_result: called with each result as it comes.
 
@@ -74,7 +78,9 @@ def run(
         raise HarnessError(f"cannot open {url or 'the link'}: {error}") from error
     cases = tuple(cases)
     asked = tuple(case.ID for case in cases)
-    session = _Session(opener, Link(transport, timeout_scale, baud, lossy), fresh, builtins_only)
+    session = _Session(
+        opener, Link(transport, timeout_scale, baud, lossy), fresh, builtins_only, claimed
+    )
     results: list[Result] = []
     stopped = ""
     try:
@@ -122,11 +128,13 @@ class _Session:
         link: Link,
         fresh: bool,
         builtins_only: bool,
+        claimed: Collection[Level],
     ) -> None:
         self.opener = opener
         self.link = link
         self.peer = Peer(link, Claims(mapped=False, functions=(), fresh=fresh))
         self.builtins_only = builtins_only
+        self.claimed = claimed
         self.known = False
 
     def close(self) -> None:
@@ -177,6 +185,9 @@ class _Session:
         except Judged as judged:
             if judged.verdict is Verdict.FAILED:
                 return judged.verdict, judged.reason, self._again(judged)
+            if judged.missing and case.LEVEL in self.claimed:
+                reason = f"{judged.reason}, and is said to reach the level {case.LEVEL}"
+                return Verdict.FAILED, reason, False
             try:
                 if self.known:
                     self.peer.barrier()

@@ -231,9 +231,9 @@ def _found_at(peer: Peer, opcode: int) -> str:
     if (frame.opcode, frame.payload) == (c.ECHO, b"j2a"):
         return c.GET_ECHO
     if opcode > 1:
-        # It fails when it is called directly (J2A-PROP-008), a2jDebug does not.
-        failed = (c.RET_FAILED, c.ERR_OPCODE)
-        return c.GET_PROPERTIES if frame.opcode in failed else c.GET_DEBUG
+        # A direct call of a2jGetProperties fails (J2A-PROP-008), of a2jDebug it does not.
+        failed = frame.opcode in (c.RET_FAILED, c.ERR_OPCODE)
+        return c.GET_PROPERTIES if failed else c.GET_DEBUG
     # a2jMany finds 3 bytes too short (J2A-MANY-003) and the function 0 wrong (J2A-MANY-005).
     if frame.opcode == c.RET_FAILED:
         return c.MANY

@@ -1,7 +1,7 @@
 """Testees: TOML files that say how to build and start a device, and where it answers.
 
-What flows in: a file with `title`, and `url` or `serve`, and perhaps `build`, `needs`, `fresh` and
-`[[deviation]]` tables.
+What flows in: a file with `title`, and `url` or `serve`, and perhaps `build`, `needs`, `fresh`,
+`claims` and `[[deviation]]` tables.
 What flows out: a URL to judge, for as long as the testee runs. Rules: commands run in the root of
 the repository, which is two folders above the file and the value of `{root}`; nothing waits without
 an end; what was started is ended, with all that it started itself.
@@ -18,9 +18,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import j2a_transports
+from j2a_spec.requirements import Level
 
 from ._deviations import Deviation, parse
 from ._model import HarnessError
@@ -30,6 +31,7 @@ from ._process import Process
 __all__ = ["Testee", "load_testee"]
 
 _COMMANDS: Final = ("build", "serve", "needs")
+_LEVELS: Final = get_args(Level)
 _ROOT: Final = "{root}"
 _BUILD_S = 600.0
 _START_S = 60.0
@@ -48,6 +50,7 @@ class Testee:
         needs: programs without which it cannot be built or started; looked for before that.
         fresh: it starts anew with each link, so that the first SIF has the seq 0.
         root: where the commands run.
+        claims: the levels of conformance that it is said to reach.
         deviations: what it is known to do wrong.
     """
 
@@ -58,6 +61,7 @@ class Testee:
     needs: tuple[str, ...] = ()
     fresh: bool = False
     root: Path = Path()
+    claims: tuple[Level, ...] = ()
     deviations: tuple[Deviation, ...] = ()
 
     @contextmanager
@@ -150,13 +154,13 @@ def load_testee(path: Path) -> Testee:
             "conformance/testees/NAME.toml, and the commands run in that root"
         )
     deviations = parse(entry.pop("deviation", []), str(path))
-    words: dict[str, Any] = {key: tuple(entry.pop(key, ())) for key in _COMMANDS}
+    words: dict[str, Any] = {key: tuple(entry.pop(key, ())) for key in (*_COMMANDS, "claims")}
     return Testee(root=folders[2], deviations=deviations, **words, **entry)
 
 
 def _mistake(entry: dict[str, object]) -> str:
     """Return what is wrong with a testee file, or ""; its deviations are another matter."""
-    if unknown := entry.keys() - {"title", "url", "fresh", "deviation", *_COMMANDS}:
+    if unknown := entry.keys() - {"title", "url", "fresh", "claims", "deviation", *_COMMANDS}:
         return f"there is no key `{min(unknown)}`"
     if not _is_text(entry.get("title")):
         return "it needs a `title`, a text"
@@ -164,6 +168,9 @@ def _mistake(entry: dict[str, object]) -> str:
         return "`url` is a text"
     if not isinstance(entry.get("fresh", False), bool):
         return "`fresh` is true or false"
+    claims = entry.get("claims", [])
+    if not isinstance(claims, list) or not set(claims) <= set(_LEVELS):
+        return f"`claims` is a list of levels, which are {', '.join(_LEVELS)}"
     for key in _COMMANDS:
         words = entry.get(key, ["-"])
         if not isinstance(words, list) or not words or not all(map(_is_text, words)):

@@ -22,6 +22,7 @@ __all__ = ["Arrival", "Link", "Splitter"]
 
 _BEFORE_MARKER: Final = re.compile(rb"(?=[\x12\xed])")
 _EVIDENCE_KEPT: Final = 40
+_SENT_KEPT: Final = 256  # writes; enough to find the request of any seq again
 _SPIN_S: Final = 0.0015
 _REPLY_S: Final = 2.0
 _HURRIED_S: Final = 0.05  # more than a device takes to give up a frame (J2A-TIME-002)
@@ -107,6 +108,7 @@ class Link:
         self._waiting: deque[Arrival] = deque()
         self._evidence: deque[Evidence] = deque(maxlen=_EVIDENCE_KEPT)
         self._entries = 0
+        self._sent: deque[bytes] = deque(maxlen=_SENT_KEPT)
         self._adopt(transport)
         self._began_s = self.now_s()
 
@@ -151,6 +153,7 @@ class Link:
     def begin(self) -> None:
         """Start the evidence of a new case."""
         self._evidence.clear()
+        self._sent.clear()
         self._entries = 0
         self.repeated = 0
         self.hurried = bool(self.lossy)
@@ -166,6 +169,12 @@ class Link:
         """Add a note to the evidence."""
         self.record("note", text=text)
 
+    def remind(self, text: str, arrival: Arrival | None) -> None:
+        """Note bytes that matter for a failure once more, unless they are the last that is seen."""
+        last = list(self._evidence)[-2:]
+        if arrival is not None and all(entry.data != arrival.raw for entry in last):
+            self.record("note", arrival.raw, text)
+
     def evidence(self) -> tuple[tuple[Evidence, ...], int]:
         """Return the last lines of evidence, and the number of those before them."""
         return tuple(self._evidence), self._entries - len(self._evidence)
@@ -175,7 +184,20 @@ class Link:
     def send(self, data: bytes) -> None:
         """Write `data` to the link in one piece."""
         self.record("sent", data)
+        self._sent.append(data)
         self.transport.write(data)
+
+    def request_of(self, seq: int) -> Arrival | None:
+        """Return the newest frame that was sent with this seq, whole or broken, or None."""
+        for data in reversed(self._sent):
+            splitter = Splitter()
+            found = splitter.feed(data, 0.0)
+            if splitter.tail:
+                found.append(Arrival(splitter.tail, decode(splitter.tail)[0], 0.0))
+            for arrival in reversed(found):
+                if getattr(arrival.event, "seq", None) == seq:
+                    return arrival
+        return None
 
     def _read(self, timeout_s: float) -> None:
         data = self.transport.read(timeout_s)

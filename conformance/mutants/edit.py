@@ -1,7 +1,8 @@
 """Makes the edited copy of a mutant: `python conformance/mutants/edit.py ID FOLDER`.
 
-What flows in: the id of a mutant. What flows out: in FOLDER, which is made anew, a copy of its
-sources with the edit. `make -C firmware MUTANT=ID` calls this; for Python put FOLDER on PYTHONPATH.
+What flows in: the id of a mutant, of a table or a generated one. What flows out: in FOLDER, which
+is made anew, a copy of its sources with the edit. `make -C firmware MUTANT=ID` calls this; for
+Python put FOLDER on PYTHONPATH.
 Rule: only an empty folder, or one that this program has made and marked, is deleted.
 """
 
@@ -10,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
+import dimensional
 from tables import TableError, copy, find
 
 _MARK: Final = ".j2a-mutant"
@@ -19,7 +21,7 @@ def main(arguments: list[str]) -> int:
     """Make the copy; return the exit code."""
     try:
         name, folder = arguments
-        mutant, target = find(name)
+        mutant, target = dimensional.find(name) if "@" in name else find(name)
         _make(Path(folder))
         copy(target, mutant, Path(folder))
     except (OSError, TableError) as error:

@@ -136,12 +136,15 @@ def _opening(tokens: list[_Token], at: int) -> int:
 def _in_c_function(
     source: str, tokens: list[_Token], first: int, last: int, function: str
 ) -> Iterator[Change]:
-    is_start = True  # of a statement
+    starts = {first}  # of statements
     for at in range(first, last):
         token, before = tokens[at], tokens[at - 1]
-        if is_start:
+        if at in starts:
             yield from _c_statement(source, tokens, at, last, function)
-        is_start = token.text in (";", "{", "}") or (token.text == "else")
+        if token.text in (";", "{", "}", "else"):
+            starts.add(at + 1)
+        elif token.text in ("if", "for", "while"):
+            starts.add(_closing(tokens, at + 1) + 1)
         if token.kind == "sign":
             yield from _c_operator(tokens, at, function)
         elif token.kind == "number":

@@ -353,7 +353,7 @@ def _report(run: _Run, mutants: dict[str, Mechanical]) -> int:
         f"{run.target}: {len(judged)} random mutants, {killed} killed "
         f"({killed - by_tests} by the suite, {by_tests} by own tests), {len(left)} survive"
     )
-    return 0 if judged and killed >= _GOAL * len(judged) else 1
+    return 0 if judged and killed >= int(_GOAL * len(judged)) else 1
 
 
 def _diff(mutant: Mechanical) -> str:

@@ -107,6 +107,47 @@ class NeedsAPauseAfterNoise:
             super().byte(byte)
 
 
+@breaks("J2A-SUM-003", "J2A-ERR-002")
+class IgnoresLongChecksums:
+    def sum_is_right(self, body):
+        return len(body) > 15 or super().sum_is_right(body)
+
+
+@breaks("J2A-ERR-003", "J2A-FRAME-007")
+class SilentBehind64Bytes:
+    def abandon(self, code):
+        if code == c.ERR_FRAMING and len(self.body) > 64:
+            self.start = None
+        else:
+            super().abandon(code)
+
+
+@breaks("J2A-ERR-004", "J2A-STUFF-004")
+class EscapeFfOfLongFrames:
+    def escape_ff(self):
+        if len(self.body) > 64:
+            self.value(0)
+        else:
+            super().escape_ff()
+
+
+@breaks("J2A-TIME-002")
+class WaitsForLongFrames:
+    def pause(self):
+        if len(self.body) < 100:
+            super().pause()
+
+
+@breaks("J2A-STUFF-001")
+class DoesNotStuffTheLengthOfSifs:
+    def wire(self, start, seq, opcode, payload):
+        wire = super().wire(start, seq, opcode, payload)
+        plain = bytes((seq, opcode))
+        if start == c.SOS and wire[1:3] == plain and wire[3] == c.ESC:
+            return wire[:3] + bytes((wire[4] + 1,)) + wire[5:]
+        return wire
+
+
 @breaks("J2A-FRAME-010")
 class SendsFillBytes:
     def wire(self, start, seq, opcode, payload):
@@ -457,6 +498,38 @@ class GoesOnAfterEscapeFf:
         self.escaped = False
 
 
+@breaks("J2A-ERR-011")
+class ReservedCode:
+    def do_a2jDebug(self, payload):  # noqa: N802
+        return (0xF5, b"") if len(payload) > 63 else super().do_a2jDebug(payload)
+
+    def limited(self, code):
+        return code if code in (*range(c.RET_MAX + 1), 0xF5) else c.RET_FAILED
+
+
+@breaks("J2A-ERR-012")
+class ErrorsFirst:
+    """Sends what else it has to say only when nothing more is there to be received."""
+
+    late = None
+
+    def received(self, data):
+        self.late = [] if len(data) > 20 else None
+        return data
+
+    def reply(self, seq, code, payload):
+        if self.late is None or code in c.ERRORS:
+            super().reply(seq, code, payload)
+        else:
+            self.late.append((seq, code, payload))
+
+    def periodic(self):
+        late, self.late = self.late or (), None
+        for reply in late:
+            super().reply(*reply)
+        super().periodic()
+
+
 # Mapping
 
 
@@ -527,6 +600,15 @@ class HeaderIsTurnedRound:
 class ShortHeaderIsFine:
     def short_header(self, payload):
         return 0, payload
+
+
+@breaks("J2A-MANY-020")
+class EmptyChunkIsNoEnd:
+    def store(self, write, offset, data):
+        if write and offset and not data:
+            self.stored = b""
+            return 0, True, b""
+        return super().store(write, offset, data)
 
 
 @breaks("J2A-MANY-004")
@@ -647,6 +729,16 @@ class ReadBehindTheEndFails:
         if offset > len(self.property_bytes()):
             return c.RET_FAILED, True, b""
         return super().read_properties(write, offset)
+
+
+@breaks("J2A-CAP-001")
+class TwoSpaces:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_CAPS, "crc16  time"))
+
+
+@breaks("J2A-CAP-001")
+class CapitalToken:
+    properties = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_CAPS, "CRC16"))
 
 
 KNOWN = selftest.load()

@@ -235,11 +235,11 @@ def test_an_exception_within_a_case_is_no_verdict(name, error, reference, judged
         started(peer, ms)
         armed.append(ms)
 
-    def expect(peer, *expected, wait_s=0.0):
+    def expect(peer, *expected, **options):
         if armed == [1] or armed == [2]:
             armed.append("only once")
             raise error
-        return expected_before(peer, *expected, wait_s=wait_s)
+        return expected_before(peer, *expected, **options)
 
     started, expected_before = sif._period, Peer.expect
     monkeypatch.setattr(sif, "_period", period)

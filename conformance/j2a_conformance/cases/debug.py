@@ -1,14 +1,28 @@
 """Debug text (J2A-DEBUG). `ret` of the demo application writes a line for each call."""
 
+from collections.abc import Iterable
+
 from j2a_spec import constants as c
 
 from j2a_conformance._case import Case
-from j2a_conformance._judge import fail, skip
+from j2a_conformance._dimensions import payload_of, spread
+from j2a_conformance._expected import first_difference
+from j2a_conformance._judge import fail, inform
 from j2a_conformance._peer import Peer
 
 _AT_MOST = 100_000
 _SHIFTS = 10
 _LOSSY_SHIFTS = 6  # more exchanges in a row than that hardly ever pass unharmed
+_TARGETS = (1, 8, 9, 31, 32, 33, 63, 64, 65, 126, 127, 128, 129, 253, 254, 255, 256, 257, 509, 510,
+            511, 512, 513)  # fmt: skip
+
+
+def line_of(code: int) -> bytes:
+    """Return the line that `ret` of the demo application writes for a code."""
+    return b"ret 0x%02X\n" % code
+
+
+LINE = len(line_of(0))
 
 
 def take(peer: Peer, payload: bytes = b"") -> tuple[bytes, int]:
@@ -19,31 +33,40 @@ def take(peer: Peer, payload: bytes = b"") -> tuple[bytes, int]:
     return frame.payload, frame.opcode
 
 
-def drain(peer: Peer) -> tuple[bytes, bool]:
-    """Take all debug text; return it, and whether some was lost."""
-    text, lost = b"", False
+def drain(peer: Peer, at_most: int = _AT_MOST) -> tuple[bytes, bool]:
+    """Take all debug text and judge the bits of each call; return it, and whether some was lost."""
+    text, lost, calls = b"", False, 0
     while True:
         part, code = take(peer)
+        calls += 1
         text += part
+        if code & c.DEBUG_LOST and calls > 1:
+            fail("bit 1 is set again, though nothing was written since the last call")
         lost = lost or bool(code & c.DEBUG_LOST)
         if not code & c.DEBUG_MORE:
+            if (again := take(peer)) != (b"", 0):
+                fail(f"bit 0 is 0, and the next call returns {again} behind {len(text)} bytes")
             return text, lost
         if not part:
             fail("a2jDebug says that more is pending and returns nothing")
-        if len(text) > _AT_MOST:
-            fail(f"a2jDebug has no end within {_AT_MOST} bytes")
+        if len(text) > at_most:
+            fail(f"a2jDebug has no end within {at_most} bytes")
 
 
-def write_line(peer: Peer, code: int = 0x05) -> bytes:
-    """Have the application write a line, and take it."""
-    drain(peer)
-    peer.call("ret", bytes((code,)))
-    text, lost = drain(peer)
-    if not text:
-        skip("no function is known that writes debug text")
-    if lost:
-        fail("text was lost, though only one line was written")
-    return text
+def write(peer: Peer, codes: Iterable[int]) -> bytes:
+    """Have the application write a line for each code; return the text."""
+    codes = tuple(codes)
+    peer.ask_all(peer.request(peer.opcode("ret"), bytes((n,)), n, b"") for n in codes)
+    return b"".join(map(line_of, codes))
+
+
+def check_text(text: bytes, written: bytes, lost: bool) -> None:
+    """Fail unless `text` is what was written, or less of it where text was lost."""
+    if lost != (text != written):
+        where = "" if lost else f": {first_difference(text, written)}"
+        fail(f"bit 1 is {int(lost)}, and {len(text)} of {len(written)} bytes came{where}")
+    if not _left_of(text, written):
+        fail("the text is not what was written")
 
 
 class Nothing(Case):
@@ -57,14 +80,15 @@ class Nothing(Case):
 
     def _run(self, peer: Peer) -> None:
         drain(peer)
-        for payload in (b"", b"x", b"\xff" * peer.longest):
+        several = (payload_of(length, n) for n, length in enumerate(spread(peer.longest, 31)))
+        for payload in (b"", b"x", b"\xff" * peer.longest, *several):
             if take(peer, payload) != (b"", 0):
                 fail(f"text or a code for a request with {len(payload)} payload bytes")
 
 
 class Text(Case):
-    """Has one line written and takes it, by requests with and without payload; then has two
-    different lines written and takes both.
+    """Has `ret` write a line for each of its codes and takes it, by requests with and without
+    payload; then has several lines written and takes them together.
     """
 
     ID = "debug.text"
@@ -77,29 +101,78 @@ class Text(Case):
     NEEDS = (c.GET_DEBUG, "ret")
 
     def _run(self, peer: Peer) -> None:
-        line = peer.carried(lambda: write_line(peer))
-        for payload in (b"", b"x", bytes(peer.longest)):
-            peer.carried(lambda p=payload: self._taken(peer, line, p))  # type: ignore[misc]
-        newer = peer.carried(lambda: write_line(peer, 0x06))
-        peer.carried(lambda: self._in_order(peer, line + newer))
+        payloads = (b"", b"x", bytes(peer.longest), b"\x00", b"\xff" * 9)
+        for n, code in enumerate((0x05, 0x12, 0x7D, 0xED, 0x00, 0xEF, 0xAB, 0x06)):
+            payload = payloads[n % len(payloads)]
+            peer.carried(lambda v=code, p=payload: self._taken(peer, v, p))  # type: ignore[misc]
+        peer.carried(lambda: self._in_order(peer))
 
     @staticmethod
-    def _taken(peer: Peer, line: bytes, payload: bytes) -> None:
+    def _taken(peer: Peer, code: int, payload: bytes) -> None:
         drain(peer)
-        peer.call("ret", b"\x05")
+        line = write(peer, [code])
         if (taken := take(peer, payload)) != (line, 0):
             fail(f"{taken} instead of {(line, 0)}")
         if take(peer) != (b"", 0):
             fail("text comes a second time")
 
     @staticmethod
-    def _in_order(peer: Peer, lines: bytes) -> None:
+    def _in_order(peer: Peer) -> None:
         drain(peer)
-        peer.call("ret", b"\x05")
-        peer.call("ret", b"\x06")
+        lines = write(peer, [0x05, 0x06])
         text, lost = drain(peer)
-        if not _left_of(text, lines) or (text != lines and not lost):
-            fail(f"{text!r} instead of {lines!r}")
+        check_text(text, lines, lost)
+
+
+class Boundaries(Case):
+    """Has so many lines written that 254, 255, 256, 510 bytes and the like are pending, as far as
+    the device keeps that much, and takes them; what a call left over is pending, too.
+    """
+
+    ID = "debug.boundaries"
+    EXPECTATION = (
+        "All of the text in order; bit 0 in each call after which some is pending, and in no other."
+    )
+    REQUIREMENTS = ("J2A-DEBUG-001", "J2A-DEBUG-002")
+    LEVEL = "debug"
+    NEEDS = (c.GET_DEBUG, "ret")
+
+    def _run(self, peer: Peer) -> None:
+        if peer.link.lossy:
+            inform("the link was declared lossy: too many exchanges in a row")
+        drain(peer)
+        write(peer, [0x05] * (peer.longest // LINE + 2))
+        piece = len(take(peer)[0])  # what a call takes at most, as far as can be seen
+        drain(peer)
+        reached = [target for target in _TARGETS if self._pending(peer, target, piece)]
+        peer.link.note(f"pending were {', '.join(map(str, reached))} bytes")
+
+    @staticmethod
+    def _pending(peer: Peer, target: int, piece: int) -> bool:
+        """Have exactly `target` bytes pending, and take them; tell whether that was possible."""
+        # What a call of a longer text leaves over shifts the sum: a line has always 9 bytes.
+        for longer in range(0, 6 * piece, LINE):
+            left = longer - longer // piece * piece
+            if left <= target and (target - left) % LINE == 0 and (longer == 0 or left):
+                break
+        else:
+            return False
+        written = write(peer, (n % 240 for n in range(longer // LINE)))
+        text = b""
+        for _ in range(longer // piece):
+            part, code = take(peer)
+            text += part
+            if code & c.DEBUG_LOST:
+                drain(peer)
+                return False  # it does not keep so much
+        if len(written) - len(text) != left:
+            fail(f"{len(text)} of {len(written)} bytes came in {longer // piece} calls")
+        written += write(peer, (n % 240 for n in range(60, 60 + (target - left) // LINE)))
+        rest, lost = drain(peer)
+        if lost:
+            return False
+        check_text(text + rest, written, lost)
+        return True
 
 
 class Overflow(Case):
@@ -108,34 +181,33 @@ class Overflow(Case):
     ID = "debug.more-and-lost"
     EXPECTATION = (
         "At most 255 bytes a time; bit 0 as long as more is pending; all text in order, or less of "
-        "it and then bit 1 once."
+        "it and then bit 1 once, in the first call."
     )
     REQUIREMENTS = ("J2A-DEBUG-001", "J2A-DEBUG-002")
     LEVEL = "debug"
     NEEDS = (c.GET_DEBUG, "ret")
 
     def _run(self, peer: Peer) -> None:
-        line = peer.carried(lambda: write_line(peer))
         for shift in range(_LOSSY_SHIFTS if peer.link.lossy else _SHIFTS):
-            if peer.carried(lambda n=1 << shift: self._lost(peer, line, n)):  # type: ignore[misc]
+            if (held := peer.carried(lambda n=1 << shift: self._held(peer, n))) is not None:  # type: ignore[misc]
+                if not peer.link.lossy:
+                    self._around(peer, held)
                 return  # larger amounts show nothing new
         peer.link.note("no text was lost, so that bit 1 could not be seen set")
 
+    def _around(self, peer: Peer, held: int) -> None:
+        """Fill what the device keeps all but, exactly, and a little over; and again at once."""
+        for lines in (held // LINE - 1, held // LINE, held // LINE + 1, held // LINE + 9, 1):
+            self._held(peer, lines)
+
     @staticmethod
-    def _lost(peer: Peer, line: bytes, lines: int) -> bool:
-        """Have the lines written and take them; tell whether some were lost."""
+    def _held(peer: Peer, lines: int) -> int | None:
+        """Have the lines written and take them; return how much came where some was lost."""
         drain(peer)
-        written = line * lines
-        for _ in range(lines):
-            peer.call("ret", b"\x05")
+        written = write(peer, (n % 240 for n in range(lines)))
         text, lost = drain(peer)
-        if lost != (text != written):
-            fail(f"bit 1 is {int(lost)}, and {len(text)} of {len(written)} bytes came")
-        if not _left_of(text, written):
-            fail("the text is not what was written")
-        if take(peer) != (b"", 0):
-            fail("bit 1 is set a second time, or text follows though bit 0 was 0")
-        return lost
+        check_text(text, written, lost)
+        return len(text) if lost else None
 
 
 def _left_of(text: bytes, written: bytes) -> bool:

@@ -6,8 +6,9 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import checksum
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import payload_of
 from j2a_conformance._judge import fail, skip
-from j2a_conformance._peer import Peer, Request, refusal
+from j2a_conformance._peer import Expected, Peer, Request, refusal
 
 from .sums import with_sum
 
@@ -55,28 +56,46 @@ class InOrder(Case):
 
 
 class ErrorsInOrder(Case):
-    """Sends a good request, a broken one and another good one in one piece; the broken one is cut
-    by a start byte, has ESC 0xFF in it, or a wrong checksum.
+    """Sends good requests of many lengths with broken ones between them in one piece: cut by a
+    start byte, with ESC 0xFF in them, with a wrong checksum or with an opcode out of range.
     """
 
     ID = "dispatch.errors-in-order"
-    EXPECTATION = "The error reply between the two echoes."
-    REQUIREMENTS = ("J2A-DISP-001",)
+    EXPECTATION = "Each error reply between the echoes before and behind the broken request."
+    REQUIREMENTS = ("J2A-DISP-001", "J2A-ERR-012")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
-        seq, opcode = peer.seq(), peer.opcode(c.GET_ECHO)
-        wrong = with_sum(seq, opcode, b"abc", checksum(seq, opcode, b"abc") ^ 0x01)
-        for code, broken in (
-            (c.ERR_FRAMING, wrong[:-1]),
-            (c.ERR_FRAMING, wrong[:-1] + b"\x7d\xff"),
+        room = peer.room(1024)
+        if room < 40:
+            skip("the device announces no j2a.rxbuf that holds three requests")
+        exchanges: list[tuple[bytes, list[Expected]]] = []
+        for n in range(48):
+            first, last = peer.echo(payload_of(n % 5, n)), peer.probe()
+            code, broken = self._broken(peer, n)
+            seq = broken.seq
+            stream = first.wire + broken.wire + last.wire
+            if len(stream) <= room:
+                due = [first.expected, refusal(seq, code), last.expected]
+                exchanges.append((stream, due))
+        peer.play_all(exchanges)
+
+    @staticmethod
+    def _broken(peer: Peer, n: int) -> tuple[int, Request]:
+        """Return a broken request and the error that it is due."""
+        seq, opcode, data = peer.seq(), peer.opcode(c.GET_ECHO), payload_of(n % 23, n)
+        wrong = with_sum(seq, opcode, data, checksum(seq, opcode, data) ^ 1 << n // 4 % 8)
+        free = peer.out_of_range()
+        if n % 4 == 0 and free:
+            request = peer.request(free[n % len(free)], data, seq=seq)
+            return c.ERR_OPCODE, request
+        code, wire = (
             (c.ERR_CHECKSUM, wrong),
-        ):
-            first, last = peer.echo(b"1"), peer.echo(b"2")
-            stream = first.wire + broken + last.wire
-            if len(stream) > peer.room(len(stream)):
-                skip("the device announces no j2a.rxbuf that holds three requests")
-            peer.play(stream, first.expected, refusal(seq, code), last.expected)
+            (c.ERR_CHECKSUM, wrong),
+            (c.ERR_FRAMING, wrong[: 3 + n % 3]),
+            (c.ERR_FRAMING, wrong[:4] + b"\x7d\xff"),
+        )[n % 4]
+        return code, Request(wire, refusal(seq, code))
 
 
 class AtIndex(Case):

@@ -1,9 +1,12 @@
 """Error replies (J2A-ERR); those of the checksum are in `sums`, those of time in `timing`."""
 
+from collections.abc import Iterator
+
 from j2a_spec import constants as c
 from j2a_spec.oracle import checksum
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import lengths, payload_of, spread
 from j2a_conformance._judge import fail
 from j2a_conformance._peer import Expected, Peer, Request, many_payload
 
@@ -11,7 +14,9 @@ from .sums import with_sum
 
 
 class OutOfRange(Case):
-    """Calls every opcode that names no function, with and without payload."""
+    """Calls every opcode that names no function, with and without payload, and some of them with
+    payloads of every length.
+    """
 
     ID = "error.opcode-out-of-range"
     EXPECTATION = "Error 0xF0 for each."
@@ -19,11 +24,16 @@ class OutOfRange(Case):
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
-        for opcode in peer.out_of_range():
-            peer.ask(peer.request(opcode, b"", c.ERR_OPCODE))
-            peer.ask(peer.request(opcode, b"payload", c.ERR_OPCODE))
-        for opcode in peer.out_of_range()[-1:]:
-            peer.ask(peer.request(opcode, bytes(range(255)), c.ERR_OPCODE))
+        free = peer.out_of_range()
+        peer.ask_all(
+            peer.request(opcode, payload, c.ERR_OPCODE)
+            for opcode in free
+            for payload in (b"", b"payload")
+        )
+        peer.ask_all(
+            peer.request(free[length * 37 % len(free)], payload_of(length, length), c.ERR_OPCODE)
+            for length in (lengths() if free else ())
+        )
 
 
 class ChecksumFirst(Case):
@@ -92,7 +102,9 @@ class Payload(Case):
 
 
 class SeqOfErrors(Case):
-    """Breaks requests with every seq, by a start byte, by ESC 0xFF and by the checksum."""
+    """Breaks requests with every seq, by a start byte, by ESC 0xFF and by the checksum, and with
+    some seqs by a pause; asks a2jMany for what it refuses with every seq.
+    """
 
     ID = "error.seq"
     EXPECTATION = "The seq of the broken request in each error reply."
@@ -100,14 +112,26 @@ class SeqOfErrors(Case):
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
+        peer.play_all(self._streams(peer))
+        for seq in (0x00, 0x11, 0x12, 0x7C, 0x7D, 0x7E, 0xEC, 0xED, 0xEE, 0xFF):
+            wire = peer.echo(b"abc", seq).wire
+            peer.play(wire[: len(wire) - 2], Expected(seq, c.ERR_TIMEOUT), exact=True)
+
+    @staticmethod
+    def _streams(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
         opcode = peer.opcode(c.GET_ECHO)
         for seq in range(256):
             good = peer.echo(b"abc", seq)
             known = len(good.wire) - 6  # bytes up to and with seq
             wrong = with_sum(seq, opcode, b"abc", checksum(seq, opcode, b"abc") ^ 0x40)
-            peer.play(wrong, Expected(seq, c.ERR_CHECKSUM))
-            peer.play(good.wire[: known + 2] + b"\x7d\xff", Expected(seq, c.ERR_FRAMING))
-            peer.play(good.wire[: known + 2] + bytes((c.SOS,)), Expected(seq, c.ERR_FRAMING))
+            yield wrong, [Expected(seq, c.ERR_CHECKSUM)]
+            yield good.wire[: known + 2] + b"\x7d\xff", [Expected(seq, c.ERR_FRAMING)]
+            yield good.wire[: known + 2] + bytes((c.SOS,)), [Expected(seq, c.ERR_FRAMING)]
+            if peer.has(c.MANY):
+                request = peer.request(
+                    peer.opcode(c.MANY), many_payload(0xFF, seq), c.ERR_OPCODE, seq=seq
+                )
+                yield request.wire, [request.expected]
 
 
 class SeqUnknown(Case):
@@ -151,3 +175,25 @@ class OnlyOnce(Case):
         payload = many_payload(0xFF)
         wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x10)
         peer.play(wire + b"abc" * 20, Expected(seq, c.ERR_CHECKSUM), alone=True)
+
+
+class ReservedCodes(Case):
+    """Calls the built-in functions with payloads of many lengths and kinds."""
+
+    ID = "error.reserved-codes"
+    EXPECTATION = "Replies with any code but 0xF1 and 0xF5 to 0xFE, which are reserved."
+    REQUIREMENTS = ("J2A-ERR-011",)
+    LEVEL = "core"
+
+    def _run(self, peer: Peer) -> None:
+        refused = (c.MANY, c.GET_PROPERTIES)  # where they are called like this
+        names = [name for name in c.BUILTINS if peer.has(name) and name not in refused]
+        for n, length in enumerate(spread(peer.longest, 31)):
+            data = payload_of(length, n)
+            for name in names[n % 3 :: 3]:
+                if name == c.GET_ECHO_MANY:
+                    peer.ask(peer.many(name, n % 4, n, data[: peer.longest_chunk]))
+                elif name != c.GET_MAPPING or peer.claims.mapped:
+                    peer.ask(peer.request(peer.opcode(name), data))
+        for opcode in peer.out_of_range()[::7]:
+            peer.ask(peer.request(opcode, b"reserved"))

@@ -1,12 +1,15 @@
 """Frames: layout, lengths, what is skipped, and what interrupts a frame (J2A-FRAME)."""
 
 import random
+from collections.abc import Iterator
 from itertools import product
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, Incomplete, checksum, decode, encode
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import lengths, payload_of, pieces, places, spread
+from j2a_conformance._judge import Judged
 from j2a_conformance._peer import Expected, Peer, refusal
 
 PATTERNS = (0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C)
@@ -45,19 +48,22 @@ class Layout(Case):
 
 
 class Lengths(Case):
-    """Echoes payloads of every length from 0 to 255 with eight patterns each: all 0x12, 0xED,
-    0x7D, 0x11, 0xEC, 0x7C, counting, random.
+    """Echoes payloads of every length from 0 to 255 of five kinds each: all values in a row,
+    special bytes in disorder, runs of special bytes, noise, one special byte only; as many
+    at a time as j2a.rxbuf holds.
     """
 
     ID = "frame.lengths"
     EXPECTATION = (
-        "2048 of 2048 echoes come back unchanged, but those that are longer than the room of the "
-        "device, which are answered by 0xFF."
+        "1280 of 1280 echoes come back unchanged, each reply as the bytes of the oracle, but those "
+        "that are longer than the room of the device, which are answered by 0xFF."
     )
     REQUIREMENTS = (
+        "J2A-FRAME-001",
         "J2A-FRAME-004",
         "J2A-FRAME-005",
         "J2A-STUFF-001",
+        "J2A-STUFF-002",
         "J2A-STUFF-003",
         "J2A-SUM-001",
         "J2A-SUM-002",
@@ -66,8 +72,11 @@ class Lengths(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        for length in range(256):
-            peer.ask(*(peer.echo(payload) for payload in patterns(length)))
+        peer.ask_all(
+            peer.echo(payload_of(length, kind + 5 * (length % 7)))
+            for length in lengths()
+            for kind in range(5)
+        )
 
 
 class Largest(Case):
@@ -112,8 +121,17 @@ class Noise(Case):
         for stream in streams:
             request = peer.probe()
             peer.play(stream + request.wire, request.expected)
+        peer.play_all(self._before(peer))
         for stream in (b"\x11" * 600, bytes(random.Random(1).choices(CLEAN, k=1500))):
             peer.play(stream, alone=True)
+
+    @staticmethod
+    def _before(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        """Yield good frames behind and before noise of many lengths."""
+        for n, length in enumerate(spread(300, 23, 1)):
+            noise = bytes(byte for byte in payload_of(length, n) if byte not in c.MARKERS)
+            request = peer.echo(payload_of(n, n + 1))
+            yield noise + request.wire + noise[: n % 9], [request.expected]
 
 
 class NoiseBehind(Case):
@@ -161,6 +179,103 @@ class Interrupted(Case):
                     request = peer.probe()
                     stream = frame[:cut] + between + request.wire
                     peer.play(stream, *answers(stream[: -len(request.wire) + 1]), request.expected)
+
+
+class InterruptedAnywhere(Case):
+    """Cuts long frames after each of their bytes by a good frame, in turn directly, behind SOS,
+    behind ESC, and behind ESC and SOS; at some places in each of these ways.
+    """
+
+    ID = "frame.interrupted-anywhere"
+    EXPECTATION = (
+        "Error 0xF4 with the seq of the long frame, if its seq was complete, and then the reply to "
+        "the good frame, wherever the cut is."
+    )
+    REQUIREMENTS = (
+        "J2A-FRAME-005",
+        "J2A-FRAME-007",
+        "J2A-FRAME-009",
+        "J2A-ERR-003",
+        "J2A-ERR-005",
+    )
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        peer.play_all(self._streams(peer))
+
+    @staticmethod
+    def _streams(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        ways = (b"", bytes((c.SOS,)), bytes((c.ESC,)), bytes((c.ESC, c.SOS)))
+        opcodes = [peer.opcode(c.GET_ECHO), *peer.out_of_range()[-1:]]
+        opcodes += [peer.opcode(c.MANY)] if peer.has(c.MANY) else []
+        for kind, length in ((0, 255), (1, 255), (3, 140)):
+            frame = encode(
+                Frame(c.SOF, 0x55 + kind, opcodes[kind % len(opcodes)], payload_of(length, kind))
+            )
+            at_all = set(spread(len(frame), 61))
+            for cut in places(frame):
+                if kind and not (cut % 5 == kind or cut in at_all):
+                    continue
+                for way in ways if kind == 0 and cut in at_all else (ways[cut % 4],):
+                    request = peer.probe()
+                    stream = frame[:cut] + way
+                    yield stream + request.wire, [*answers(stream + b"\x12"), request.expected]
+
+
+class Pieces(Case):
+    """Sends good, damaged and interrupted frames of many lengths in two to four pieces with a short
+    pause between them, and some byte by byte; also noise and a start byte in one piece, and the
+    rest of the frame in another.
+    """
+
+    ID = "frame.pieces"
+    EXPECTATION = "The same replies as for the whole, wherever it was cut."
+    REQUIREMENTS = (
+        "J2A-FRAME-005",
+        "J2A-FRAME-006",
+        "J2A-FRAME-007",
+        "J2A-FRAME-009",
+        "J2A-STUFF-003",
+        "J2A-SUM-003",
+        "J2A-ECHO-001",
+    )
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        for n, length in enumerate(spread(step=43)):
+            request = peer.echo(payload_of(length, n))
+            self._in_pieces(peer, pieces(request.wire, n), request.expected)
+            good = peer.probe()
+            wrong = bytearray(request.wire)
+            wrong[-1] ^= 0x02 if wrong[-1] ^ 0x02 not in c.STUFFED else 0x08
+            if decode(bytes(wrong)) == [FrameError("checksum", c.SOF, request.seq)]:
+                due = [refusal(request.seq, c.ERR_CHECKSUM), good.expected]
+                self._in_pieces(peer, pieces(bytes(wrong) + good.wire, n + 1), *due)
+            cut = request.wire[: 2 + n * 37 % (len(request.wire) - 2)]
+            due = [*answers(cut + b"\x12"), good.expected]
+            self._in_pieces(peer, pieces(cut + good.wire, n + 2), *due)
+        for noise in (b"\x00", b"\x11\xec", b"\x7d", CLEAN, CLEAN * 3):
+            request = peer.probe()
+            self._in_pieces(peer, [noise + request.wire[:1], request.wire[1:]], request.expected)
+            self._in_pieces(peer, [noise, request.wire], request.expected)
+        for length in (0, 20, 255):
+            request = peer.echo(payload_of(length, 1))
+            single = [bytes((byte,)) for byte in request.wire]
+            self._in_pieces(peer, single, request.expected, pause_s=0.0)
+
+    @staticmethod
+    def _in_pieces(peer: Peer, parts: list[bytes], *due: Expected, pause_s: float = 0.001) -> None:
+        def body() -> None:
+            try:
+                for part in parts:
+                    peer.link.send(part)
+                    if pause_s:
+                        peer.link.wait_until(peer.link.now_s() + pause_s)
+                peer.expect(*due, exact=True)
+            except Judged as judged:  # a stall makes a pause that is refused rightly
+                raise Judged(judged.verdict, judged.reason, suspect=True) from judged
+
+        peer.attempts(body)
 
 
 class EscapedMarker(Case):
@@ -216,6 +331,19 @@ class FromHost(Case):
         ]
         for stream in streams:
             peer.play(stream, alone=True)
+        peer.play_all(self._of_lengths(peer, opcode))
+
+    @staticmethod
+    def _of_lengths(peer: Peer, opcode: int) -> Iterator[tuple[bytes, list[Expected]]]:
+        """Yield frames with SOS of many lengths, good, damaged and cut, each before a good one."""
+        for n, length in enumerate(spread(step=17)):
+            frame = bytearray(encode(Frame(c.SOS, n * 7 % 256, opcode, payload_of(length, n))))
+            if n % 3 == 1:
+                del frame[-1 - n % 2 :]
+            elif n % 3 == 2:
+                frame[-1] ^= 0x01 if frame[-1] ^ 0x01 not in c.STUFFED else 0x04
+            request = peer.probe()
+            yield bytes(frame) + request.wire, [request.expected]
 
 
 class Garbage(Case):

@@ -6,6 +6,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import payload_of
 from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance._peer import MANY_ONLY, Peer, Request, describe, many_payload, refusal
 
@@ -13,6 +14,7 @@ from .sums import with_sum
 
 _DELAY_MS = 80
 _REQUESTS = 200  # no seq stands for two
+_FRAME = 5  # bytes of the shortest request
 _ROOM = 32768  # less than pipes and sockets hold, so that nobody waits for the other side to read
 
 
@@ -24,13 +26,14 @@ def delay(peer: Peer, ms: int) -> list[Request]:
 
 
 class Window(Case):
-    """Sends as many requests without waiting as j2a.rxbuf allows: small ones, one large one with
-    small ones, stuffed ones; each also while `delay` keeps the device busy.
+    """Sends requests of exactly j2a.rxbuf bytes without waiting: many small ones, few large ones,
+    stuffed ones, ones of all lengths, and damaged and refused ones between them; each also while
+    `delay` keeps the device busy.
     """
 
     ID = "limits.window"
     EXPECTATION = "Every request is answered, in order."
-    REQUIREMENTS = ("J2A-LIMIT-001", "J2A-DISP-001")
+    REQUIREMENTS = ("J2A-LIMIT-001", "J2A-DISP-001", "J2A-ERR-012")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -38,29 +41,55 @@ class Window(Case):
             skip(f"the device announces no {c.PROP_RXBUF}")
         room = peer.room(_ROOM)
         for busy in (False, True) if peer.has("delay") else (False,):
-            for kind in ("small", "large", "stuffed"):
+            for kind in ("small", "large", "stuffed", "mixed", "small"):
                 requests = delay(peer, _DELAY_MS) if busy else []
-                left = room - sum(len(r.wire) for r in requests)
-                if kind == "large":
-                    requests.append(peer.echo(b"L" * max(min(255, left - 20), 0)))
-                    left -= len(requests[-1].wire)
-                # As many as there are seqs for, and so large that they fill the room.
-                size = min(c.MAX_PAYLOAD, left // _REQUESTS)
-                while len(requests) < _REQUESTS:
-                    payload = b"%02d" % (len(requests) % 100) + b"W" * max(size - 2, 0)
-                    if kind == "stuffed":
-                        payload = (b"\x12\xed\x7d" * 85)[: max(size // 2, 3)]
-                    request = peer.echo(payload)
-                    if len(request.wire) > left:
-                        break
-                    left -= len(request.wire)
-                    requests.append(request)
-                peer.link.note(f"{len(requests)} requests, {kind}, busy: {busy}")
+                fill(peer, requests, room, kind)
+                size = sum(len(r.wire) for r in requests)
+                peer.link.note(f"{len(requests)} requests, {size} bytes, {kind}, busy: {busy}")
                 stream = b"".join(r.wire for r in requests)
                 peer.play(stream, *(r.expected for r in requests), wait_s=_DELAY_MS / 1e3)
         peer.barrier()
         if peer.rxbuf > _ROOM and not peer.link.lossy:
             inform(f"{_ROOM} bytes were used of the {peer.rxbuf} that {c.PROP_RXBUF} announces")
+
+
+def fill(peer: Peer, requests: list[Request], room: int, kind: str) -> None:
+    """Append requests of a kind until all are `room` bytes long, or nearly, with seqs of their own.
+
+    Small ones are larger where there are not enough seqs to fill the room.
+    """
+    left = room - sum(len(r.wire) for r in requests)
+    small = max(left // _REQUESTS - _FRAME, 2)
+    while left >= _FRAME and len(requests) < _REQUESTS:
+        n = len(requests)
+        data = {
+            "small": b"%02d" % (n % 100) + b"W" * (small - 2),
+            "large": payload_of(min(255, max(left - _FRAME, 0)), n * 5 + 3),
+            "stuffed": (b"\x12\xed\x7d" * 85)[: max(small // 2, 3)],
+            "mixed": payload_of(n * 37 % (small * 2), n),
+        }[kind]
+        # Shorter where it would leave a rest that no request fits into.
+        while (request := _one(peer, kind, n, data)) and (
+            len(request.wire) > left or 0 < left - len(request.wire) < _FRAME
+        ):
+            if not data:
+                break
+            data = data[: -max((len(request.wire) - left) // 2, 1)]
+        if len(request.wire) > left:
+            return
+        left -= len(request.wire)
+        requests.append(request)
+
+
+def _one(peer: Peer, kind: str, n: int, data: bytes) -> Request:
+    """Return a request to a2jEcho; of the mixed ones some are damaged or refused."""
+    if kind == "mixed" and n % 7 == 3:
+        seq, opcode = peer.seq(), peer.opcode(c.GET_ECHO)
+        wire = with_sum(seq, opcode, data, checksum(seq, opcode, data) ^ 0x08)
+        return Request(wire, refusal(seq, c.ERR_CHECKSUM))
+    if kind == "mixed" and n % 7 == 5 and (free := peer.out_of_range()):
+        return peer.request(free[n % len(free)], data, c.ERR_OPCODE)
+    return peer.echo(data)
 
 
 class CutFrame(Case):
@@ -193,8 +222,7 @@ class Room(Case):
         for opcode in peer.out_of_range()[-1:]:
             peer.ask(peer.request(opcode, bytes(length), c.ERR_OPCODE))
         for name in sorted(n for n in MANY_ONLY if peer.has(n)):
-            code = c.RET_FAILED if name == c.GET_PROPERTIES else c.ERR_OPCODE
-            peer.ask(peer.request(peer.opcode(name), bytes(length), code))
+            peer.ask(peer.direct(name, bytes(length)))
         seq, opcode, payload = peer.seq(), peer.opcode(c.GET_ECHO), b"w" * length
         wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x04)
         peer.play(wire, refusal(seq, c.ERR_CHECKSUM), alone=True)

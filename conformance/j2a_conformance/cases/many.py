@@ -1,12 +1,14 @@
 """a2jMany: the header, the kinds of functions, all four bytes of the offset (J2A-MANY)."""
 
+from collections.abc import Iterator
 from itertools import product
 
 from j2a_spec import constants as c
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import lane_offset, payload_of, spread
 from j2a_conformance._judge import fail, inform, skip
-from j2a_conformance._peer import ManyReply, Peer
+from j2a_conformance._peer import Expected, ManyReply, Peer, Request, many_payload
 
 OFFSETS = (
     0, 1, 0x12, 0x7D, 0xED, 255, 256, 257, 498, 0x127D, 0xED00, 0xFFFF, 0x10000, 0x12EDED,
@@ -27,9 +29,19 @@ def _echo_many(peer: Peer, flags: int, offset: int, data: bytes) -> None:
         fail(f"a2jEchoMany returns {reply}")
 
 
+def echoed(peer: Peer, flags: int, offset: int, data: bytes) -> Request:
+    """Return a request to a2jEchoMany with its whole reply."""
+    request = peer.many(c.GET_ECHO_MANY, flags, offset, data)
+    if peer.is_too_long(peer.opcode(c.MANY), many_payload(0, 0, 0, data)):
+        return request
+    answer = many_payload(c.ECHO_MANY, flags & c.FLAG_LAST, offset, data)
+    return Request(request.wire, Expected(request.seq, c.RET_OK, answer))
+
+
 class EchoLengths(Case):
     """Sends chunks of every length from 0 to 249, or what fits into the room of the device, through
-    a2jEchoMany.
+    a2jEchoMany, as reads and as writes, with other flags and another offset each time: over the
+    case, each of the four bytes of the offset takes every value.
     """
 
     ID = "many.echo-lengths"
@@ -39,31 +51,52 @@ class EchoLengths(Case):
         "J2A-MANY-002",
         "J2A-MANY-004",
         "J2A-MANY-008",
+        "J2A-MANY-009",
+        "J2A-MANY-021",
         "J2A-ECHO-002",
         "J2A-FRAME-005",
     )
     LEVEL = "many"
 
     def _run(self, peer: Peer) -> None:
-        for length in range(peer.longest_chunk + 1):
-            flags = c.FLAG_WRITE | (length % 2)
-            echo_many(peer, flags, length * 249, bytes(range(length)))
+        peer.ask_all(self._requests(peer))
+
+    @staticmethod
+    def _requests(peer: Peer) -> Iterator[Request]:
+        most = peer.longest_chunk
+        for n in range(256):
+            length = n % (most + 1)
+            # Three of four are known flags only: 0 to 3.
+            flags = n % 4 if n % 3 else (n * 7) % 256
+            yield echoed(peer, flags, lane_offset(n), payload_of(length, n))
+        for n in range(256):  # the same offsets with the other direction, and little data
+            flags = (n % 4 ^ c.FLAG_WRITE) | (n * 7 & 0xFC if n % 3 == 0 else 0)
+            yield echoed(peer, flags, lane_offset(n), payload_of(n % 5, n))
         for value in sorted(c.STUFFED):
-            data = bytes((value,)) * peer.longest_chunk
-            echo_many(peer, c.FLAG_LAST, value * 0x01010101, data)
+            yield echoed(peer, c.FLAG_LAST, value * 0x01010101, bytes((value,)) * most)
 
 
 class Offsets(Case):
-    """Sends chunks with offsets that use each of the four bytes through a2jEchoMany."""
+    """Sends chunks with offsets that use each of the four bytes and each of the 32 bits through
+    a2jEchoMany, as reads and as writes.
+    """
 
     ID = "many.offsets"
     EXPECTATION = "The offset of the reply is that of the request."
-    REQUIREMENTS = ("J2A-MANY-001", "J2A-MANY-002", "J2A-MANY-008", "J2A-ECHO-002")
+    REQUIREMENTS = (
+        "J2A-MANY-001",
+        "J2A-MANY-002",
+        "J2A-MANY-008",
+        "J2A-MANY-021",
+        "J2A-ECHO-002",
+    )
     LEVEL = "many"
 
     def _run(self, peer: Peer) -> None:
-        for offset in OFFSETS:
-            echo_many(peer, c.FLAG_LAST, offset, b"offset")
+        bits = [1 << bit for bit in range(32)]
+        for offset in (*OFFSETS, *bits, *(bit - 1 for bit in bits), *(2**32 - bit for bit in bits)):
+            for flags in (c.FLAG_LAST, c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST):
+                echo_many(peer, flags, offset, b"offset")
 
 
 class Flags(Case):
@@ -77,8 +110,11 @@ class Flags(Case):
     LEVEL = "many"
 
     def _run(self, peer: Peer) -> None:
-        for flags, data in product(range(256), (b"", b"f")):
-            echo_many(peer, flags, 7, data)
+        peer.ask_all(
+            echoed(peer, flags, offset, data)
+            for flags in range(256)
+            for offset, data in ((7, b""), (lane_offset(flags), b"f"))
+        )
 
 
 class ShortHeader(Case):
@@ -91,7 +127,8 @@ class ShortHeader(Case):
 
     def _run(self, peer: Peer) -> None:
         header = bytes((peer.opcode(c.GET_ECHO_MANY), 1, 2, 3, 4))
-        for payload in (*(header[:n] for n in range(6)), b"\xff", b"\0\0\0", b"\xff" * 5):
+        short = [payload_of(length, n) for n in range(5) for length in range(c.MANY_HEADER)]
+        for payload in (*(header[:n] for n in range(6)), b"\xff", b"\0\0\0", *short):
             peer.ask(peer.request(peer.opcode(c.MANY), payload, c.RET_FAILED))
 
 
@@ -136,6 +173,12 @@ class WrongKind(Case):
             peer.ask(peer.many(func, c.FLAG_LAST, 0, b"x", code=c.ERR_OPCODE))
         for flags, data in ((0, b""), (c.FLAG_WRITE, bytes(249)), (0xFF, b"\x12" * 249)):
             peer.ask(peer.many(c.GET_ECHO, flags, 0x12, data, code=c.ERR_OPCODE))
+        funcs = [0, *known, *peer.out_of_range()]
+        for n, length in enumerate(spread(c.MANY_DATA, 13)):
+            func = funcs[n * 5 % len(funcs)]
+            data = payload_of(length, n)
+            request = peer.many(func, n * 3 % 256, lane_offset(n), data, code=c.ERR_OPCODE)
+            peer.ask_exact(request)
         peer.barrier()
 
 
@@ -150,22 +193,23 @@ class CalledDirectly(Case):
     def _run(self, peer: Peer) -> None:
         names = [n for n in (c.GET_ECHO_MANY, "store") if peer.has(n)]
         for name in names:
-            for payload in (b"", bytes(6), bytes(range(255))):
-                peer.ask(peer.request(peer.opcode(name), payload, c.ERR_OPCODE))
+            several = (payload_of(length, n) for n, length in enumerate(spread(step=67)))
+            peer.ask_all(peer.direct(name, payload) for payload in (bytes(6), *several))
         if not names:
             skip("the device has no function that is known to be made for a2jMany")
 
 
 class FourBytes(Case):
-    """Reads the properties at offsets behind their end that differ from good offsets in one of the
-    upper three bytes only; the same with `store`.
+    """Reads the properties at offsets behind their end that differ from good offsets in the upper
+    three bytes only, in each bit of them; the same with `store`, and writes to it there.
     """
 
     ID = "many.four-offset-bytes"
     EXPECTATION = (
-        "Nothing at these offsets: a device that looks at the lower bytes alone would send data."
+        "Nothing at these offsets, and a write to them changes nothing of what is stored: a device "
+        "that looks at some of the bytes alone would send data, or replace it."
     )
-    REQUIREMENTS = ("J2A-MANY-007",)
+    REQUIREMENTS = ("J2A-MANY-007", "J2A-MANY-008", "J2A-MANY-019")
     LEVEL = "many"
     NEEDS = (c.MANY,)
 
@@ -173,55 +217,128 @@ class FourBytes(Case):
         names = [n for n in (c.GET_PROPERTIES, "store") if peer.has(n)]
         for name in names:
             if name == "store":
-                peer.ask(peer.many(name, c.FLAG_WRITE | c.FLAG_LAST, 0, b"0123456789"))
+                peer.ask(peer.many(name, c.FLAG_WRITE | c.FLAG_LAST, 0, _STORED))
             size = len(peer.read_all(name))
-            for low, upper in product((0, 1), (1 << 8, 1 << 16, 1 << 24, 1 << 31)):
-                if upper + low < size:
-                    continue
-                reply = peer.ask_many(peer.many(name, offset=upper + low))
-                if reply.data or not reply.flags & c.FLAG_LAST:
-                    fail(f"{name} sends {len(reply.data)} bytes at offset {upper + low} of {size}")
-                if reply.offset != upper + low:
-                    fail(f"offset {reply.offset} in the reply, {upper + low} in the request")
+            for upper, low in product((*_UPPER, 0xFFFFFF00), (0, 1, 9, 0xFE, 0xFF)):
+                if upper + low >= size:
+                    self._read(peer, name, upper + low, size)
+            if name == "store":
+                self._write(peer)
         if not names:
             inform("no function of this device shows which offset it was given")
 
+    @staticmethod
+    def _read(peer: Peer, name: str, offset: int, size: int) -> None:
+        reply = peer.ask_many(peer.many(name, offset=offset))
+        if reply.data or not reply.flags & c.FLAG_LAST:
+            fail(f"{name} sends {len(reply.data)} bytes at offset {offset} of {size}")
+        if reply.offset != offset:
+            fail(f"offset {reply.offset} in the reply, {offset} in the request")
+
+    @staticmethod
+    def _write(peer: Peer) -> None:
+        for upper, low in product(_UPPER, (0, len(_STORED))):
+            offset = upper + low
+            flags = c.FLAG_WRITE | (c.FLAG_LAST if low else 0)
+            reply = peer.ask_many(peer.many("store", flags, offset, b"elsewhere"))
+            if reply.offset != offset:
+                fail(f"offset {reply.offset} in the reply, {offset} in the request")
+            found = peer.ask_many(peer.many("store")).data[: len(_STORED) + 1]
+            if not found.startswith(_STORED) or (reply.code > c.RET_MAX and found != _STORED):
+                fail(
+                    f"a write to `store` at offset {offset} changes what is at offset 0: {found!r}"
+                )
+
+
+_STORED = b"0123456789"
+_UPPER = tuple(1 << bit for bit in range(8, 32))
+
 
 class StoreLarge(Case):
-    """Writes 100 bytes to `store` in chunks of 7 and reads them from several offsets; then writes
-    0, 1, 248, 249, 250, 498, 499, 600 and 70,000 bytes, as far as they fit, and reads them back.
+    """Writes as much to `store` as fits, up to 249 bytes, in chunks of 1, 3, 7 bytes and as a
+    whole, and reads it from every offset; then writes 0, 1, 248, 249, 250, 498, 499, 600 and
+    70,000 bytes, as far as they fit, and reads them back.
     """
 
     ID = "many.store"
-    EXPECTATION = "What was written, byte by byte, at every offset."
-    REQUIREMENTS = ("J2A-MANY-001", "J2A-MANY-002", "J2A-MANY-007", "J2A-MANY-008")
+    EXPECTATION = (
+        "What was written, byte by byte, at every offset, and as many bytes however they are cut."
+    )
+    REQUIREMENTS = (
+        "J2A-MANY-001",
+        "J2A-MANY-002",
+        "J2A-MANY-007",
+        "J2A-MANY-008",
+        "J2A-MANY-021",
+    )
     LEVEL = "many"
     NEEDS = (c.MANY, "store")
 
     def _run(self, peer: Peer) -> None:
-        data = bytes(range(100))
-        self._write(peer, data, 7)
-        for offset in range(0, 100, 9):
-            reply = peer.ask_many(peer.many("store", offset=offset))
-            if not reply.data or not data.startswith(reply.data, offset):
-                fail(f"a read of `store` at offset {offset} returns {reply}")
+        held = self._small(peer)
         # Of large amounts a lossy link changes a part without a trace: the checksum is short.
         large = () if peer.link.lossy else (70_000,)
-        for size in (0, 1, 248, 249, 250, 498, 499, 600, *large):
+        for n, size in enumerate((0, 1, 248, 249, 250, 498, 499, 600, *large)):
             data = b"".join(n.to_bytes(4, "big") for n in range(size // 4 + 1))[:size]
-            if not self._write(peer, data):
-                peer.link.note(f"{size} bytes do not fit")
+            taken = self._write(peer, data, unknown=n)
+            if taken < size:
+                self._full(peer, data, taken, held)
                 break
             if peer.read_all("store", max(2 * size, 65536)) != data:
                 fail(f"`store` does not return the {size} bytes that were written")
 
+    def _small(self, peer: Peer) -> int:
+        """Write and read within the first 249 bytes; return how many fit in one chunk."""
+        data = payload_of(peer.longest_chunk, 3)
+        held = self._write(peer, data)
+        if held < min(len(data), 128):
+            fail(f"`store` takes {held} bytes; there is room for 128 in any case")
+        data = data[:held]
+        for chunk in (7, 3, 1) if not peer.link.lossy else (7,):
+            if (taken := self._write(peer, data, chunk, chunk)) < held:
+                fail(f"`store` holds {held} bytes, but only {taken} of them in chunks of {chunk}")
+            if peer.read_all("store") != data:
+                fail(f"`store` does not return what was written in chunks of {chunk}")
+        for offset in range(held):
+            reply = peer.ask_many(peer.many("store", offset=offset))
+            if not reply.data or not data.startswith(reply.data, offset):
+                fail(f"a read of `store` at offset {offset} returns {reply}")
+            if offset + len(reply.data) == held and not reply.flags & c.FLAG_LAST:
+                fail(f"isLast is not set in the last chunk, read from offset {offset}")
+        return held
+
+    def _full(self, peer: Peer, data: bytes, taken: int, held: int) -> None:
+        """A write was refused: the same number of bytes fits, whatever the chunks are."""
+        limits = {}
+        for chunk in (64, 249, 100):
+            limits[chunk] = self._last(peer, data, self._write(peer, data, chunk))
+        peer.link.note(f"`store` holds {max(limits.values())} bytes")
+        if peer.link.lossy:
+            return
+        if len(set(limits.values())) > 1 or max(limits.values()) < max(taken, held):
+            fail(f"`store` holds another number of bytes with each length of the chunks: {limits}")
+
     @staticmethod
-    def _write(peer: Peer, data: bytes, chunk: int = 0) -> bool:
-        """Write `data` in chunks; tell whether it fits. 128 bytes fit in any case."""
-        chunk = chunk or peer.longest_chunk
+    def _last(peer: Peer, data: bytes, taken: int) -> int:
+        """Fill what is left byte by byte; return how much was taken then."""
+        while taken < len(data):
+            chunk = peer.many("store", c.FLAG_WRITE, taken, data[taken : taken + 1])
+            if peer.ask_many(chunk).code > c.RET_MAX:
+                break
+            taken += 1
+        return taken
+
+    @staticmethod
+    def _write(peer: Peer, data: bytes, chunk: int = 0, unknown: int = 0) -> int:
+        """Write `data` in chunks; return how many bytes were taken.
+
+        Flag bits without a meaning, which `unknown` chooses, make no difference (J2A-MANY-009).
+        """
+        chunk = min(chunk or peer.longest_chunk, peer.longest_chunk)
         chunks = range(0, max(len(data), 1), chunk)
-        for offset in chunks:
+        for n, offset in enumerate(chunks):
             flags = c.FLAG_WRITE | (c.FLAG_LAST if offset == chunks[-1] else 0)
+            flags |= (unknown * 0x24 + n * 0x14) & 0xFC if unknown else 0
             part = data[offset : offset + chunk]
             reply = peer.ask_many(peer.many("store", flags, offset, part))
             if reply.offset != offset:
@@ -231,11 +348,38 @@ class StoreLarge(Case):
                 held = peer.ask_many(peer.many("store", offset=offset)).data
                 if held and part.startswith(held):
                     continue
-            if reply.code == c.RET_FAILED and offset + len(part) > 128:
-                return False
+            if reply.code == c.RET_FAILED:
+                return offset
             if reply.code > c.RET_MAX:
                 fail(f"code 0x{reply.code:02X} for a chunk of {len(part)} bytes at {offset}")
-        return True
+        return len(data)
+
+
+class WriteFlags(Case):
+    """Writes to `store`, and reads from it, with every value of the flags."""
+
+    ID = "many.write-flags"
+    EXPECTATION = "Bit 1 alone says whether it is a write; isLast and unknown bits change nothing."
+    REQUIREMENTS = ("J2A-MANY-009", "J2A-MANY-010")
+    LEVEL = "many"
+    NEEDS = (c.MANY, "store")
+
+    def _run(self, peer: Peer) -> None:
+        data = b"first"
+        peer.ask(peer.many("store", c.FLAG_WRITE | c.FLAG_LAST, 0, data))
+        for flags in range(256):
+            part = b"flags %03d" % flags
+            reply = peer.ask_many(peer.many("store", flags, 0, part))
+            if flags & c.FLAG_WRITE:
+                data = part
+            elif reply.data != data:
+                fail(
+                    f"a read with the flags 0x{flags:02X} returns {reply.data[:20]!r}, not {data!r}"
+                )
+            found = peer.ask_many(peer.many("store", flags & ~c.FLAG_WRITE)).data
+            if found != data:
+                kind = "write" if flags & c.FLAG_WRITE else "read"
+                fail(f"`store` holds {found[:20]!r} behind a {kind} with the flags 0x{flags:02X}")
 
 
 class ReadRequests(Case):

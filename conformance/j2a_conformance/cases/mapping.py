@@ -5,14 +5,15 @@ from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING
 
 from j2a_conformance._case import Case
-from j2a_conformance._judge import fail, skip
+from j2a_conformance._dimensions import payload_of, spread
+from j2a_conformance._judge import fail, lack
 from j2a_conformance._peer import Peer
 
 
 def mapping(peer: Peer, payload: bytes = b"") -> bytes:
     """Return the payload of the reply of a2jGetMapping, or end the case where it is built out."""
     if not peer.claims.mapped:
-        skip("the function map is not built in")
+        lack("the function map is not built in")
     return peer.ask(peer.request(0, payload, c.RET_OK)).payload
 
 
@@ -73,6 +74,7 @@ class RequestPayload(Case):
 
     def _run(self, peer: Peer) -> None:
         wanted = mapping(peer)
-        for payload in (b"\0", b"x", bytes(6), b"\x12\xed\x7d", bytes(range(255)), b"\xff" * 255):
+        several = (payload_of(length, n) for n, length in enumerate(spread(step=61)))
+        for payload in (b"\0", b"x", bytes(6), b"\x12\xed\x7d", b"\xff" * 255, *several):
             if mapping(peer, payload[: peer.longest]) != wanted:
                 fail(f"another mapping for a request with {len(payload)} payload bytes")

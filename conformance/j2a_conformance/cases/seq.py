@@ -5,8 +5,11 @@ import random
 from j2a_spec import constants as c
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import payload_of
 from j2a_conformance._judge import fail
 from j2a_conformance._peer import Peer
+
+from .sif import compare
 
 
 class Every(Case):
@@ -20,7 +23,7 @@ class Every(Case):
     def _run(self, peer: Peer) -> None:
         shuffled = random.Random(3).sample(range(256), 256)
         for order in (range(256), range(255, -1, -1), shuffled):
-            peer.ask(*(peer.echo(b"seq", seq=seq) for seq in order))
+            peer.ask_all(peer.echo(payload_of(seq % 9, seq), seq=seq) for seq in order)
 
 
 class Repeated(Case):
@@ -55,8 +58,7 @@ class RepeatedEffect(Case):
         request = peer.request(peer.opcode("sif"), b"\x34again", c.RET_OK)
         peer.ask(request, request, request)
         for n in range(3):
-            if peer.next_sif(before + n).opcode != 0x34:
-                fail("the SIF that came is not the one that was asked for")
+            compare(peer, before + n, 0x34, b"again")
 
 
 class OfErrors(Case):
@@ -70,5 +72,6 @@ class OfErrors(Case):
     def _run(self, peer: Peer) -> None:
         if not (free := peer.out_of_range()):
             fail("the device claims 256 functions")
-        for seq in range(256):
-            peer.ask(peer.request(free[-1], b"", c.ERR_OPCODE, seq=seq))
+        peer.ask_all(
+            peer.request(free[seq % len(free)], b"", c.ERR_OPCODE, seq=seq) for seq in range(256)
+        )

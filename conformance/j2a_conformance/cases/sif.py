@@ -11,8 +11,10 @@ from j2a_spec.oracle import Frame, encode
 from j2a_transports import TransportError
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import lengths, payload_of
+from j2a_conformance._expected import first_difference
 from j2a_conformance._judge import Judged, fail, inform
-from j2a_conformance._peer import Expected, Peer, refusal
+from j2a_conformance._peer import Expected, Peer, describe, refusal
 from j2a_conformance._wire import Arrival
 
 from .frame import patterns
@@ -54,10 +56,34 @@ def check_counter(peer: Peer, first: int = 0) -> None:
     """
     if peer.link.lossy and not first:
         return
-    seqs = [sif.seq for sif in frames(peer.link.sifs[first:])]
-    for before, after in pairwise(seqs):
-        if after != (before + 1) % 256:
-            fail(f"a SIF with seq 0x{after:02X} follows one with seq 0x{before:02X}")
+    for before, after in pairwise(peer.link.sifs[first:]):
+        old, new = frames([before, after])
+        if new.seq != (old.seq + 1) % 256:
+            show(peer, before, after)
+            fail(f"a SIF with seq 0x{new.seq:02X} follows one with seq 0x{old.seq:02X}")
+
+
+def show(peer: Peer, *sifs: Arrival) -> None:
+    """End the evidence with the SIFs in question."""
+    for sif in sifs:
+        peer.link.record("sif", sif.raw, "the SIF in question:")
+
+
+def compare(peer: Peer, index: int, opcode: int, payload: bytes) -> None:
+    """Fail unless the SIF number `index` of the link is this one, as the bytes of the oracle."""
+    sif = peer.next_sif(index)
+    arrival = peer.link.sifs[index]
+    wanted = encode(Frame(c.SOS, sif.seq, opcode, payload))
+    if arrival.raw != wanted:
+        show(peer, arrival)
+        peer.link.record("expected", wanted)
+        where = first_difference(arrival.raw, wanted)
+        if (sif.opcode, sif.payload) == (opcode, payload):
+            fail(f"the bytes of the SIF are not those of the oracle: on the wire {where}")
+        if sif.opcode != opcode:
+            fail(f"{describe(sif)} came, opcode 0x{opcode:02X} was asked for")
+        where = first_difference(sif.payload, payload)
+        fail(f"{describe(sif)} is not the SIF that was asked for; payload: {where}")
 
 
 class Start(Case):
@@ -88,11 +114,44 @@ class Start(Case):
     def _sif(peer: Peer, opcode: int, payload: bytes) -> None:
         before = len(peer.link.sifs)
         peer.ask(peer.request(peer.opcode("sif"), bytes((opcode,)) + payload, c.RET_OK, b""))
-        sif = peer.next_sif(before)
-        wanted = encode(Frame(c.SOS, sif.seq, opcode, payload))
-        if peer.link.sifs[before].raw != wanted:
-            peer.link.record("expected", wanted)
-            fail("the bytes of the SIF are not those of the oracle")
+        compare(peer, before, opcode, payload)
+
+
+class EveryLength(Case):
+    """Asks for a SIF of every length that the room of the device allows, up to 254 bytes, with
+    another opcode each and with payloads of many kinds.
+    """
+
+    ID = "sif.every-length"
+    EXPECTATION = "The SIF that was asked for, as the bytes of the oracle, and a reply of its own."
+    REQUIREMENTS = (
+        "J2A-FRAME-001",
+        "J2A-FRAME-003",
+        "J2A-FRAME-004",
+        "J2A-STUFF-001",
+        "J2A-STUFF-002",
+        "J2A-SUM-001",
+        "J2A-SUM-002",
+        "J2A-SIF-001",
+        "J2A-SIF-002",
+    )
+    LEVEL = "sif"
+    NEEDS = ("sif",)
+
+    def _run(self, peer: Peer) -> None:
+        for length in lengths(peer.longest - 1):
+            peer.carried(lambda n=length: self._sif(peer, n))  # type: ignore[misc]
+
+    @staticmethod
+    def _sif(peer: Peer, length: int) -> None:
+        before = len(peer.link.sifs)
+        opcode, payload = length * 29 % 256, payload_of(length, length + 1)
+        asked = bytes((opcode,)) + payload
+        reply = peer.ask_exact(peer.request(peer.opcode("sif"), asked))
+        if reply.opcode == c.RET_FAILED:
+            return  # `sif.during-request` says what a device may refuse
+        compare(peer, before, opcode, payload)
+        check_counter(peer, max(before - 1, 0))
 
 
 class Counter(Case):
@@ -114,6 +173,7 @@ class Counter(Case):
         if not peer.claims.fresh or peer.link.lossy:
             peer.link.note("whether this is the first SIF after a reset is not known")
         elif first != 0:
+            show(peer, peer.link.sifs[0])
             fail(f"the first SIF after the reset has the seq 0x{first:02X}")
 
     @staticmethod
@@ -122,9 +182,7 @@ class Counter(Case):
         broken, request = peer.probe(), peer.request(peer.opcode("sif"), bytes((value, value)))
         stream = broken.wire[:4] + request.wire
         peer.play(stream, refusal(broken.seq, c.ERR_FRAMING), Expected(request.seq, c.RET_OK))
-        sif = peer.next_sif(before)
-        if (sif.opcode, sif.payload) != (value, bytes((value,))):
-            fail(f"opcode 0x{sif.opcode:02X} in the SIF, 0x{value:02X} was asked for")
+        compare(peer, before, value, bytes((value,)))
         check_counter(peer, max(before - 1, 0))
 
 
@@ -180,11 +238,10 @@ class DuringRequest(Case):
         reply = peer.call("sif", b"\x22" + payload)
         taken = reply.opcode == c.RET_OK
         if taken:
-            sif = peer.next_sif(before)
-            if (sif.opcode, sif.payload) != (0x22, payload):
-                fail(f"the SIF with {len(payload)} payload bytes is not what was asked for")
+            compare(peer, before, 0x22, payload)
         peer.barrier()
         if len(peer.link.sifs) != before + taken:
+            show(peer, *peer.link.sifs[before:])
             fail(f"{len(peer.link.sifs) - before} SIFs for code 0x{reply.opcode:02X}")
         return not taken
 
@@ -208,10 +265,10 @@ class DuringDelay(Case):
                 peer.play(delay.wire, delay.expected, wait_s=0.06)
                 peer.next_sif(len(peer.link.sifs))
         check_counter(peer)
-        counts = [
-            int.from_bytes(sif.payload, "little")
-            for sif in frames(peer.link.sifs[before:])
-            if sif.opcode == PERIODIC
-        ]
-        if counts != sorted(set(counts)):
-            fail("the counter in the periodic SIFs does not go up")
+        every = peer.link.sifs[before:]
+        counted = [a for a in every if frames([a])[0].opcode == PERIODIC]
+        for old, new in pairwise(counted):
+            earlier, later = (int.from_bytes(f.payload, "little") for f in frames([old, new]))
+            if later <= earlier:
+                show(peer, old, new)
+                fail(f"the counter in the periodic SIFs goes from {earlier} to {later}")

@@ -1,9 +1,12 @@
 """Byte stuffing, both ways (J2A-STUFF)."""
 
+from collections.abc import Iterator
+
 from j2a_spec import constants as c
-from j2a_spec.oracle import checksum
+from j2a_spec.oracle import Frame, checksum, encode
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import payload_of, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
 STUFFED = sorted(c.STUFFED)
@@ -28,8 +31,7 @@ class Replies(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        for value in range(256):
-            peer.ask_exact(peer.echo(bytes((value, 0x41, value))))
+        peer.ask_all(peer.echo(bytes((value, 0x41, value))) for value in range(256))
 
 
 class Fields(Case):
@@ -89,6 +91,10 @@ class Needless(Case):
         for first in range(0, len(values), peer.longest):
             many = bytes(values[first : first + peer.longest])
             self._exchange(peer, opcode, many, peer.seq(), set(range(3, 3 + len(many))))
+        for n, length in enumerate(n for n in spread(step=19) if n <= peer.longest):
+            payload = payload_of(length, n)
+            places = set(range(n % 3, length + 4, 2 + n % 3)) | {0, 1, 2, length + 3}
+            self._exchange(peer, opcode, payload, (n * 11) % 256, places)
         for field in (0, 1, 2, 4):
             self._exchange(peer, opcode, b"x", peer.seq(), {field})
         self._exchange(peer, opcode, b"x", peer.seq(), {0, 1, 2, 3, 4})
@@ -103,6 +109,35 @@ class Needless(Case):
             forced = place in places and escapable(value)
             wire += escaped(value) if forced or value in c.STUFFED else bytes((value,))
         peer.play(wire, Expected(seq, c.ECHO, payload))
+
+
+class EscapeFfAnywhere(Case):
+    """Puts ESC 0xFF behind each byte of long frames, then some of the rest of the frame, and a good
+    frame behind that.
+    """
+
+    ID = "stuff.escape-ff-anywhere"
+    EXPECTATION = (
+        "Error 0xF4 if the seq was complete, else nothing; then the reply to the good frame."
+    )
+    REQUIREMENTS = ("J2A-STUFF-004", "J2A-ERR-004", "J2A-ERR-005", "J2A-ERR-009", "J2A-FRAME-009")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        peer.play_all(self._streams(peer))
+
+    @staticmethod
+    def _streams(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        many = peer.opcode(c.MANY if peer.has(c.MANY) else c.GET_ECHO)
+        for n, (opcode, length) in enumerate(((peer.opcode(c.GET_ECHO), 255), (many, 150))):
+            frame = encode(Frame(c.SOF, 0x56 + n, opcode, payload_of(length, 3 * n)))
+            for cut in range(1, len(frame), 1 + 3 * n):
+                if frame[cut - 1] == c.ESC:  # ESC ESC would be a value of its own
+                    continue
+                request = peer.probe()
+                due = [refusal(0x56 + n, c.ERR_FRAMING)] if cut > 1 else []
+                rest = frame[cut : cut + cut % 6]
+                yield frame[:cut] + b"\x7d\xff" + rest + request.wire, [*due, request.expected]
 
 
 class EscapeFf(Case):

@@ -1,6 +1,6 @@
 """The checksum (J2A-SUM) and what happens when it is wrong."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import reduce
 from operator import xor
 
@@ -8,8 +8,9 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import checksum, stuff
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import lane_offset, lengths, payload_of
 from j2a_conformance._judge import fail
-from j2a_conformance._peer import Peer, many_payload, refusal
+from j2a_conformance._peer import Expected, Peer, many_payload, refusal
 
 
 def with_sum(seq: int, opcode: int, payload: bytes, value: int) -> bytes:
@@ -121,6 +122,67 @@ class FlippedBits(Case):
                 body = bytearray((seq, opcode, 2, 0x55, 0xAA, checksum(seq, opcode, b"\x55\xaa")))
                 body[place] ^= 1 << bit
                 peer.play(bytes((c.SOF,)) + stuff(bytes(body)), refusal(body[0], c.ERR_CHECKSUM))
+
+
+def damaged(peer: Peer, name: str, data: bytes, n: int) -> tuple[bytes, list[Expected]]:
+    """Return a request with one wrong bit, and the error that it is due.
+
+    Which bit it is depends on `n`: of the checksum, of the first, last or another byte of the
+    payload, of the opcode, or of the seq. (A wrong length moves the end of the frame.)
+    """
+    seq, opcode = peer.seq(), peer.opcode(name)
+    body = bytearray((seq, opcode, len(data), *data, checksum(seq, opcode, data)))
+    last = len(body) - 1
+    inside = 3 + n * 5 % len(data) if data else last
+    place = (last, inside, 0, last, 3 if data else last, 1, max(last - 1, 3))[n % 7]
+    bits = [1 << (n + shift) % 8 for shift in range(8)]
+    if place == 1:  # so that it stays one, for a device of 2014 refuses any other at once
+        bits = [bit for bit in bits if 0 < opcode ^ bit < len(peer.claims.functions)] or [0]
+    body[place] ^= bits[0]
+    body[last] ^= not bits[0]
+    return bytes((c.SOF,)) + stuff(bytes(body)), [refusal(body[0], c.ERR_CHECKSUM)]
+
+
+class EveryLength(Case):
+    """Damages one bit of requests of every length from 0 to 255: of seq, opcode, payload, checksum;
+    of a2jEcho, and in turn of writes and reads through a2jMany, of `ret` and of `sif`.
+    """
+
+    ID = "sum.every-length"
+    EXPECTATION = "Error 0xF3 for each with the seq as it was received, and nothing is executed."
+    REQUIREMENTS = ("J2A-SUM-001", "J2A-SUM-003", "J2A-ERR-002", "J2A-ERR-005", "J2A-FRAME-005")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        before = len(peer.link.sifs)
+        flags = c.FLAG_WRITE | c.FLAG_LAST
+        if stores := peer.has("store"):
+            peer.ask(peer.many("store", flags, 0, b"good"))
+        peer.play_all(
+            damaged(peer, c.GET_ECHO, payload_of(length, length), length) for length in lengths()
+        )
+        peer.play_all(self._others(peer))
+        peer.barrier()
+        if len(peer.link.sifs) > before:
+            sif = peer.link.sifs[before]
+            peer.link.record("sif", sif.raw, "not asked for by any good request:")
+            fail("a SIF was sent for a request with a wrong checksum")
+        if stores and (data := peer.read_all("store")) != b"good":
+            fail(f"`store` holds {data[:16].hex(' ')} after writes with a wrong checksum")
+
+    @staticmethod
+    def _others(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        """Yield damaged requests to functions that would do something."""
+        named = (c.GET_ECHO_MANY, "store", "ret", "sif", "store", c.GET_MAPPING, c.GET_PROPERTIES)
+        names = [n for n in named if peer.has(n) and (n != c.GET_MAPPING or peer.claims.mapped)]
+        for length in lengths() if names else ():
+            name = names[length % len(names)]
+            data = payload_of(length, length + 3)
+            if name in (c.GET_ECHO_MANY, "store", c.GET_PROPERTIES):
+                offset = 0 if length % 2 else lane_offset(length)
+                header = many_payload(peer.opcode(name), length * 3 % 4, offset)
+                name, data = c.MANY, header + data[: c.MANY_DATA]
+            yield damaged(peer, name, data, length * 3)
 
 
 class NotStored(Case):

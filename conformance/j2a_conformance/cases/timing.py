@@ -6,12 +6,13 @@ and only when it is refused again and again: a stall between here and the device
 """
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import Frame, encode
+from j2a_spec.oracle import Frame, checksum, encode, stuff
 
 from j2a_conformance._case import Case
+from j2a_conformance._dimensions import lane_offset, payload_of, spread
 from j2a_conformance._judge import Judged, fail, inform
 from j2a_conformance._model import Verdict
-from j2a_conformance._peer import Expected, Peer
+from j2a_conformance._peer import Expected, Peer, Request, many_payload
 
 _ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
 _GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
@@ -84,6 +85,33 @@ class ShortPause(Case):
                 accepts(peer, [wire[:cut], wire[cut:]], pause_s, due)
 
 
+def long_frames(peer: Peer) -> list[Request]:
+    """Return long requests of several functions, and one that is refused, with their replies."""
+    found = [peer.echo(payload_of(length, n)) for n, length in enumerate((255, 100, 40))]
+    if peer.has(c.MANY):
+        data = payload_of(peer.longest_chunk, 2)
+        answer = many_payload(c.ECHO_MANY, 0, lane_offset(5), data)
+        many = peer.many(c.GET_ECHO_MANY, c.FLAG_WRITE, lane_offset(5), data)
+        found.append(Request(many.wire, Expected(many.seq, c.RET_OK, answer)))
+    free = peer.out_of_range()[-1:]
+    return found + [peer.request(o, payload_of(70, 1), c.ERR_OPCODE) for o in free]
+
+
+class LongFrames(Case):
+    """Pauses for 8.5 ms at many places in long requests."""
+
+    ID = "timing.pause-in-long-frame"
+    EXPECTATION = "Each request is answered as if there was no pause."
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-FRAME-005")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        for n, request in enumerate(long_frames(peer)):
+            wire = request.wire
+            for cut in spread(len(wire) - 1, 97, 1)[n % 3 :: 5]:
+                accepts(peer, [wire[:cut], wire[cut:]], 0.0085, request.expected)
+
+
 class Trickle(Case):
     """Sends a frame byte by byte with 4 ms between them, longer than 20 ms in all."""
 
@@ -110,12 +138,14 @@ class GivesUp(Case):
         for wire, seq in ((plain.wire, plain.seq), (awkward(peer)[0], 0xED)):
             for cut in range(1, len(wire)):
                 if seq_known(wire, cut):
-                    peer.attempts(lambda w=wire, n=cut, s=seq: self._cut(peer, w[:n], s))  # type: ignore[misc]
+                    peer.attempts(lambda w=wire, n=cut, s=seq: self.cut(peer, w[:n], s))  # type: ignore[misc]
         peer.barrier()
 
     @staticmethod
-    def _cut(peer: Peer, part: bytes, seq: int) -> None:
-        allowed_s = _GIVEN_UP_S + peer.claims.rtt_s + 0.002
+    def cut(peer: Peer, part: bytes, seq: int) -> None:
+        """Send a part of a frame, and judge the answer and when it comes."""
+        # Counted from the end of the last byte, which may still be on its way.
+        allowed_s = _GIVEN_UP_S + peer.claims.rtt_s + 0.002 + len(part) * peer.link.byte_s
         before_s = peer.link.now_s()
         peer.link.send(part)
         sent_s = peer.link.now_s()
@@ -131,6 +161,43 @@ class GivesUp(Case):
             fail(f"given up after {(arrival.at_s - before_s) * 1e3:.1f} ms")
         if arrival.at_s - sent_s > allowed_s:
             fail(f"given up after {(arrival.at_s - sent_s) * 1e3:.1f} ms", suspect=True)
+
+
+class GivesUpLong(Case):
+    """Sends the beginning of long requests, up to many of their bytes, and no more; after some of
+    them the rest.
+    """
+
+    ID = "timing.gives-up-long"
+    EXPECTATION = (
+        "Error 0xF2 with the seq of the frame, not before 9 ms and within 20 ms; what comes of the "
+        "frame after that is skipped."
+    )
+    REQUIREMENTS = ("J2A-TIME-002", "J2A-TIME-003", "J2A-ERR-005", "J2A-ERR-009")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        self._silent(peer)
+        for n, request in enumerate(long_frames(peer)):
+            wire = request.wire
+            for k, cut in enumerate(spread(len(wire) - 1, 53, 2)[n % 4 :: 4]):
+                part, rest = wire[:cut], wire[cut:] if k % 3 == 0 else b""
+                peer.attempts(lambda a=part, b=rest, r=request: self._cut(peer, a, b, r.seq))  # type: ignore[misc]
+
+    @staticmethod
+    def _cut(peer: Peer, part: bytes, rest: bytes, seq: int) -> None:
+        GivesUp.cut(peer, part, seq)
+        if rest:
+            peer.play(rest, alone=True)
+
+    @staticmethod
+    def _silent(peer: Peer) -> None:
+        """Frames that start with SOS are given up, too, and nothing says so."""
+        for length in (0, 30, 90, 200):
+            frame = encode(Frame(c.SOS, 0x57, peer.opcode(c.GET_ECHO), payload_of(length, 2)))
+            peer.link.send(frame[:-1])
+            peer.silence(0.03 * max(peer.link.scale, 1.0), "for a frame that starts with SOS")
+            peer.play(frame[-1:], alone=True)
 
 
 class SeqUnknown(Case):
@@ -152,8 +219,9 @@ class SeqUnknown(Case):
         peer.link.send(first)
         # Counted from the end of the last byte, which may still be on its way.
         sending_s = len(first) * peer.link.byte_s
-        if peer.next_frame(0.03 * max(peer.link.scale, 1.0) + sending_s) is not None:
-            fail("a frame whose seq was not received was answered")
+        peer.silence(
+            0.03 * max(peer.link.scale, 1.0) + sending_s, "for a frame whose seq had not come"
+        )
         if rest:
             peer.link.send(rest)
         try:
@@ -191,15 +259,16 @@ class LongLength(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
-        for extra in (1, 2, 100):
-            request = peer.echo(b"0123456789")
-            wire = bytearray(request.wire)
-            wire[wire.index(b"0123456789") - 1] += extra
-            peer.play(bytes(wire), Expected(request.seq, c.ERR_TIMEOUT))
+        opcode = peer.opcode(c.GET_ECHO)
+        for length, extra in ((10, 1), (10, 2), (10, 100), (0, 1), (0, 255), (64, 3), (200, 55)):
+            seq, data = peer.seq(), payload_of(length, 2)
+            body = bytes((seq, opcode, length + extra, *data, checksum(seq, opcode, data)))
+            due = Expected(seq, c.ERR_TIMEOUT)
+            peer.play(bytes((c.SOF,)) + stuff(body), due, exact=True)
 
 
 class BetweenFrames(Case):
-    """Pauses for up to 200 ms after a good frame, after an error reply, after bytes that start no
+    """Pauses for up to 1.1 s after a good frame, after an error reply, after bytes that start no
     frame, and after SOS.
     """
 
@@ -217,13 +286,14 @@ class BetweenFrames(Case):
         self._quiet(peer, 50)
         for noise in (b"\x00\x7d", b"\xed", b"\xed\x01\x02\x03"):
             self._quiet(peer, 50, noise)
+        if not peer.link.lossy:
+            self._quiet(peer, 1100)
 
     @staticmethod
     def _quiet(peer: Peer, pause_ms: int, noise: bytes = b"") -> None:
         def body() -> None:
             peer.link.send(noise)
-            if peer.next_frame(pause_ms / 1e3) is not None:
-                fail(f"something came in a pause of {pause_ms} ms between two frames")
+            peer.silence(pause_ms / 1e3, f"in a pause of {pause_ms} ms between two frames")
             peer.barrier()
 
         peer.attempts(body)

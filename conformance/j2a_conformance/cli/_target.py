@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 import j2a_transports
+from j2a_spec.requirements import Level
 from j2a_transports import Transport
 
 from j2a_conformance._deviations import Deviation
@@ -39,6 +40,7 @@ class Target:
         fresh: opening the link resets it.
         title: what it is, or "".
         known: the deviations that it is known to have.
+        claims: the levels that it is said to reach.
         opener: opens the link.
     """
 
@@ -46,6 +48,7 @@ class Target:
     fresh: bool
     title: str
     known: tuple[Deviation, ...]
+    claims: tuple[Level, ...]
     opener: Callable[[], Transport]
 
     @property
@@ -112,7 +115,7 @@ def reach(where: str, baud: int = 0) -> Iterator[Target]:
     testee = load_testee(Path(where))
     with testee.started() as url:
         target = _target(url, baud, testee.fresh, testee.title, testee.deviations)
-        yield replace(target, url=testee.url or url)
+        yield replace(target, url=testee.url or url, claims=testee.claims)
 
 
 def _target(
@@ -123,7 +126,7 @@ def _target(
     known: tuple[Deviation, ...] = (),
 ) -> Target:
     keywords: dict[str, int] = {}
-    target = Target(url, fresh, title, known, lambda: j2a_transports.open(url, **keywords))
+    target = Target(url, fresh, title, known, (), lambda: j2a_transports.open(url, **keywords))
     if baud and target.inner.startswith("serial:"):
         own = _BAUD.search(target.inner)
         if own is None:

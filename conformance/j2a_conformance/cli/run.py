@@ -6,8 +6,10 @@ What flows in: a URL or a testee file, and which cases. What flows out: reports,
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 import j2a_transports
+from j2a_spec.requirements import Level
 
 from j2a_conformance import _deviations
 from j2a_conformance._case import Case
@@ -57,6 +59,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         help="a list of what the device is known to do wrong, in TOML",
     )
     _target.add_arguments(command)
+    _add_claims(command)
     command.add_argument(
         "--lossy",
         type=int,
@@ -82,6 +85,19 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "--builtins-only",
         action="store_true",
         help="do not use functions with the names of the demo application: they are something else",
+    )
+
+
+def _add_claims(command: argparse.ArgumentParser) -> None:
+    levels = get_args(Level)
+    command.add_argument(
+        "--claims",
+        nargs="+",
+        choices=levels,
+        default=[],
+        metavar="LEVEL",
+        help="levels that the device is said to reach: a function that their cases need and that "
+        f"it lacks is a failure, not unimplemented; of {', '.join(levels)}",
     )
 
 
@@ -146,6 +162,7 @@ def _judge(
         lossy=args.lossy or 0,
         fresh=target.fresh or args.fresh,
         builtins_only=args.builtins_only,
+        claimed={*target.claims, *args.claims},
         stop_on_failure=args.stop_on_failure,
         on_result=show,
     )

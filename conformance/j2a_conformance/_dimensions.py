@@ -1,0 +1,75 @@
+"""What cases vary: lengths, payloads, places in a frame, pieces, offsets.
+
+What flows in: numbers. What flows out: test data, the same for the same numbers. Rules: a rule that
+holds for one value of a dimension says nothing of the next, so a case walks over all of a cheap
+dimension and takes from the others a different value at each step; strides are odd and differ, so
+that no two dimensions stay in step.
+"""
+
+import random
+from typing import Final
+
+from j2a_spec import constants as c
+
+__all__ = ["SPECIAL", "lane_offset", "lengths", "payload_of", "pieces", "places", "spread"]
+
+SPECIAL: Final = bytes(
+    (0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C, 0x13, 0xEE, 0x7E, 0x00, 0x01, 0x7F, 0x80, 0xFE, 0xFF)
+)
+"""Bytes with a meaning, those beside them, and the ends of the range."""
+
+_EDGES: Final = (0, 1, 2, 16, 17, 18, 31, 32, 33, 63, 64, 65, 124, 125, 126, 127, 128, 129)
+_EDGES_ABOVE: Final = (236, 237, 238, 248, 249, 250, 253, 254, 255)
+
+
+def payload_of(length: int, n: int = 0) -> bytes:
+    """Return `length` bytes of the kind that `n` chooses.
+
+    In turn: all values in a row from another first value, special bytes in disorder, runs of
+    special bytes between others, noise, and one special byte only.
+    """
+    kind, salt = n % 5, n // 5 + length * 7
+    rng = random.Random(length << 16 | n)
+    if kind == 0:
+        return bytes((salt + index * (1 + 2 * (n // 5 % 4))) % 256 for index in range(length))
+    if kind == 1:
+        return bytes(rng.choices(SPECIAL, k=length))
+    if kind == 2:
+        data = b""
+        while len(data) < length:
+            run = bytes((rng.choice(SPECIAL),)) * rng.randint(1, 9)
+            data += run + rng.randbytes(rng.randint(0, 3))
+        return data[:length]
+    if kind == 3:
+        return rng.randbytes(length)
+    return bytes((SPECIAL[salt % len(SPECIAL)],)) * length
+
+
+def lengths(at_most: int = c.MAX_PAYLOAD) -> range:
+    """Return every length of a payload, up to `at_most` bytes."""
+    return range(at_most + 1)
+
+
+def spread(at_most: int = c.MAX_PAYLOAD, step: int = 29, first: int = 0) -> list[int]:
+    """Return some numbers from `first` to `at_most`: every `step`-th, and those beside limits."""
+    found = {*range(first, at_most + 1, step), *_EDGES, *_EDGES_ABOVE, at_most}
+    return sorted(number for number in found if first <= number <= at_most)
+
+
+def places(wire: bytes) -> range:
+    """Return every place inside a frame: numbers of bytes that came, of 1 up to all but one."""
+    return range(1, len(wire))
+
+
+def pieces(data: bytes, n: int) -> list[bytes]:
+    """Return `data` in two to four pieces, cut at other places for each `n`."""
+    rng = random.Random(len(data) << 16 | n)
+    most = min(3, len(data) - 1)
+    cuts = sorted(rng.sample(range(1, len(data)), min(1 + n % 3, most))) if most else []
+    return [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
+
+
+def lane_offset(n: int) -> int:
+    """Return an offset; over 256 numbers `n` each of its four bytes takes each value once."""
+    lanes = (n, n * 5 + 0x12, n * 11 + 0x7D, n * 23 + 0xED)
+    return int.from_bytes(bytes(lane % 256 for lane in lanes), "little")
