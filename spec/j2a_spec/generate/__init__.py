@@ -20,9 +20,8 @@ def outputs(root: Path) -> dict[Path, str]:
         **{root / path: text for path, text in vector_files.outputs(tests).items()},
         root / "firmware/core/j2a_const.h": c_files.constants(),
         root / "firmware/core/j2a_vectors.h": c_files.vectors(tests["frame"], tests["stream"]),
-        root / "spec/SPEC.md": spec_text.fill(
-            (root / "spec/SPEC.md").read_text("utf-8"),
-        ),
+        root / "spec/SPEC.md": spec_text.fill((root / "spec/SPEC.md").read_text("utf-8")),
+        root / "spec/LINKS.md": spec_text.fill_tables((root / "spec/LINKS.md").read_text("utf-8")),
     }
 
 

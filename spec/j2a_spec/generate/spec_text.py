@@ -1,10 +1,12 @@
-"""SPEC.md: puts the texts of `requirements.toml` and the tables of constants into their places.
+"""SPEC.md and LINKS.md: puts texts of requirements and tables of constants into their places.
 
 A normative paragraph of SPEC.md starts with the id in bold and the generator writes all that
-follows in it. Between `<!-- table: NAME -->` and `<!-- end -->` it writes the table of that name.
+follows in it. Between `<!-- table: NAME -->` and `<!-- end -->` it writes the table of that name:
+the requirements, or a group of constants, whose name is that of the group with hyphens.
 """
 
 import re
+from collections.abc import Iterable
 from itertools import groupby
 
 from j2a_spec import constants as c
@@ -31,7 +33,19 @@ def fill(text: str) -> str:
             f"missing {missing}, unknown {unknown}, or another order"
         )
     text = _PARAGRAPH.sub(lambda match: _paragraph(requirements[match[1]]), text)
-    return _TABLE.sub(lambda match: match[1] + _tables()[match[2]] + match[3], text)
+    return fill_tables(text)
+
+
+def fill_tables(text: str) -> str:
+    """Return a document with every table written anew.
+
+    Raises:
+        ValueError: it asks for a table that does not exist.
+    """
+    tables = _tables()
+    if unknown := {match[2] for match in _TABLE.finditer(text)} - set(tables):
+        raise ValueError(f"no such table: {', '.join(sorted(unknown))}")
+    return _TABLE.sub(lambda match: match[1] + tables[match[2]] + match[3], text)
 
 
 def _paragraph(requirement: Requirement) -> str:
@@ -42,18 +56,17 @@ def _paragraph(requirement: Requirement) -> str:
 
 
 def _tables() -> dict[str, str]:
-    return {"constants": _constants(), "requirements": _requirements()}
+    groups = groupby(c.TABLE, key=lambda row: row.group)
+    constants = {name.lower().replace(" ", "-"): _constants(name, rows) for name, rows in groups}
+    return {**constants, "requirements": _requirements()}
 
 
-def _constants() -> str:
-    blocks = []
-    for group, rows in groupby(c.TABLE, key=lambda row: row.group):
-        lines = [f"| {group} | value | meaning |", "|---|---|---|"]
-        for row in rows:
-            number = f"{row.value} (0x{row.value:02X})"
-            lines.append(f"| {row.name} | {number} | {row.meaning} |")
-        blocks.append("\n".join(lines) + "\n")
-    return "\n".join(blocks)
+def _constants(group: str, rows: Iterable[c.Constant]) -> str:
+    lines = [f"| {group} | value | meaning |", "|---|---|---|"]
+    for row in rows:
+        number = f"{row.value} (0x{row.value:02X})"
+        lines.append(f"| {row.name} | {number} | {row.meaning} |")
+    return "\n".join(lines) + "\n"
 
 
 def _requirements() -> str:
