@@ -49,7 +49,7 @@ from j2a.errors import (
 )
 from j2a.events import Reply
 
-__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "Peer"]
+__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "Peer", "is_map"]
 
 DEFAULT_MAX_BYTES: Final = 64 * 2**20
 MAX_PROPERTIES: Final = 16 * 1024
@@ -98,18 +98,18 @@ class Peer:
             self._no_map = "it has no function map"
         elif reply.code != RET_OK:
             self._no_map = f"its function map came with code 0x{reply.code:02X}, so it is damaged"
-        elif reply.payload and not reply.payload.endswith(b"\0"):
+        elif not is_map(reply):
+            raise ProtocolError(
+                f"the function map does not begin with {GET_MAPPING}; "
+                "does the link echo what is sent?"
+            )
+        elif not reply.payload.endswith(b"\0"):
             self._no_map = "its function map is cut off"
         else:
             self._no_map = ""
             for opcode, name in enumerate(reply.payload.split(b"\0")[:-1]):
                 if name:
                     functions.setdefault(name.decode("utf-8", "replace"), opcode)
-            if functions.get(GET_MAPPING) != 0:
-                raise ProtocolError(
-                    f"the function map does not begin with {GET_MAPPING}; "
-                    "does the link echo what is sent?"
-                )
         self.functions = functions
 
     def resolve(self, function: object) -> tuple[str, int]:
@@ -304,6 +304,15 @@ class Peer:
     ) -> Steps[None]:
         yield from probe_offsets(what, opcode, content, first)
         self._probed.add(opcode)
+
+
+def is_map(reply: Reply | None) -> bool:
+    """Whether a reply of a2jGetMapping begins as a function map does (J2A-MAP-001)."""
+    return (
+        reply is not None
+        and reply.code == RET_OK
+        and reply.payload.startswith(GET_MAPPING.encode() + b"\0")
+    )
 
 
 def unpack_properties(content: bytes) -> dict[str, str]:

@@ -26,7 +26,7 @@ from j2a_spec.constants import (
 from j2a._arguments import check_timeout
 from j2a._limits import DEVICE_LIMITS, Limits
 from j2a._many import Ask, Progress, Steps, preparing
-from j2a._peer import Peer
+from j2a._peer import Peer, is_map
 from j2a._session import MAX_WINDOW, NONCE_BYTES, Session
 from j2a._trace import Trace
 from j2a.errors import (
@@ -56,6 +56,7 @@ MAX_SIFS_WAITING: Final = 65536
 MAX_DEBUG_READS: Final = 256
 """A device that writes debug text faster than it is read does not keep its reader for ever."""
 
+_MAP_ASKS: Final = 4
 _FIRST_LIMIT_S: Final = 0.25
 _STALE_BYTES: Final = 2**18
 
@@ -120,9 +121,7 @@ class Shell:
             limits = list(_boot_limits(check_timeout(boot_time)))
         for attempt, limit_s in enumerate(limits, start=1):
             try:
-                self._peer.take_map((yield Ask(GET_MAPPING, b"", 0, limit_s)))
-            except OpcodeRefused:
-                self._peer.take_map(None)
+                yield from self._take_map(limit_s)
             except (CallTimeout, RemoteError):
                 if attempt == len(limits):
                     raise
@@ -132,6 +131,25 @@ class Shell:
         if self._window > 1:
             yield from self._peer.read_properties()
             self._session.rxbuf = self._peer.rxbuf
+
+    def _take_map(self, limit_s: float) -> Steps[None]:
+        """Fetch the function map, which proves that a device answers.
+
+        One that has no map to show proves it by saying so twice in a row without a reply that was
+        not asked for, which neither noise nor the traffic of others does.
+        """
+        answers: list[Reply | None] = []
+        for _ in range(_MAP_ASKS):
+            strays = self.counters.stray_replies
+            reply = yield from _ask_map(limit_s)
+            if is_map(reply) or (answers == [reply] and self.counters.stray_replies == strays):
+                self._peer.take_map(reply)
+                return
+            answers = [reply] if self.counters.stray_replies == strays else []
+        raise ProtocolError(
+            "what answers shows no function map and does not say clearly that it has none, so it "
+            "is no device; see that speed and parity are the same at both ends"
+        )
 
     def _load_map(self) -> Steps[None]:
         if self._peer.functions is None:
@@ -214,6 +232,14 @@ class Shell:
 
     def _limit_s(self, timeout: object) -> float:
         return self._timeout if timeout is None else check_timeout(timeout)
+
+
+def _ask_map(limit_s: float) -> Steps[Reply | None]:
+    """Ask for the function map; None when the device refuses that."""
+    try:
+        return (yield Ask(GET_MAPPING, b"", 0, limit_s))
+    except OpcodeRefused:
+        return None
 
 
 def take_stale_input(transport: "Transport", session: Session) -> None:

@@ -311,7 +311,7 @@ class TestPeer:
         [
             (None, "no function map"),
             (Reply(0xFF, b"cut\0off"), "0xFF"),
-            (Reply(0, b"cut\0off"), "cut off"),
+            (Reply(0, b"a2jGetMapping\0cut\0off"), "cut off"),
         ],
     )
     def test_without_a_usable_map_calls_by_opcode_work(self, reply, reason):
