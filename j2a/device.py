@@ -66,7 +66,8 @@ class Device:
 
     Args:
         properties: keys and values that a host can read. `j2a.spec` and `j2a.rxbuf` are added
-            unless they are given, and `j2a.room` where the room is less than 255.
+            unless they are given, and `j2a.room` where the room is less than 255. Optional parts
+            are announced as `{"j2a.caps": "token token"}` (J2A-CAP-001).
         room: the longest payload of a request that it takes, 32..255 bytes; longer ones are
             answered by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). To try what hosts do with less.
         byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
