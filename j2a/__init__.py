@@ -41,6 +41,8 @@ from j2a.events import Counters, Frame, FrameError, Reply, Sif
 if TYPE_CHECKING:
     from j2a.aio import AsyncClient, aconnect
 
+    __version__: str
+
 __all__ = [
     "AsyncClient",
     "BadUrl",
@@ -89,4 +91,12 @@ def __getattr__(name: str) -> object:
         from j2a import aio  # noqa: PLC0415
 
         return getattr(aio, name)
+    if name == "__version__":
+        from importlib import metadata  # noqa: PLC0415 - slow to load, rarely used
+
+        return metadata.version("j2a")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})

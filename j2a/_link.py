@@ -40,7 +40,12 @@ def open_transport(url: str, options: dict[str, object]) -> j2a_transports.Trans
         BadUrl: the URL or an option is wrong.
         OpenFailed: it cannot be opened.
     """
+    if not isinstance(url, str):
+        raise BadUrl(f"a URL is a text such as 'serial:///dev/ttyACM0', not {url!r}")
     try:
         return j2a_transports.open(url, **options)
-    except TRANSPORT_ERRORS as error:
+    except j2a_transports.TransportError as error:
+        # Its message says all; what the driver met before would bury it.
+        raise link_error(error) from None
+    except OSError as error:
         raise link_error(error) from error

@@ -109,11 +109,11 @@ class Shell:
     def _connect(self, boot_time: float) -> Steps[None]:
         try:
             yield from self._refresh(boot_time)
-        except CallTimeout as error:
+        except CallTimeout:
             raise CallTimeout(
                 f"no device answered at {self._url} within {boot_time:g} s; see that the board "
                 "runs J2A and that speed and parity are the same at both ends"
-            ) from error
+            ) from None
 
     def _refresh(self, boot_time: float | None) -> Steps[None]:
         limits = [self._timeout]

@@ -90,7 +90,8 @@ class Counters:
         sif_gaps: times the SIF counter of the device jumped.
         sifs_missed: SIFs that these jumps show to be missing; a device that was reset in between
             makes it too large (J2A-SIF-009).
-        sifs_dropped: SIFs that no handler saw because the handlers fell too far behind.
+        sifs_dropped: SIFs that no handler saw, because the handlers fell too far behind or the
+            client was closed before they were done.
         handler_errors: exceptions that SIF handlers raised.
     """
 

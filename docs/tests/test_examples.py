@@ -10,19 +10,14 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import j2a_transports
 import pytest
 
 import j2a
+from docs.tests.repeat import EXAMPLES, LIMIT_S, ROOT, SHOWN_URL, shown
 from j2a.demo import DemoDevice
 from transports.tests.fake_gadget import Host, installed  # noqa: TID251 - not installed
-
-ROOT = Path(__file__).parents[2]
-EXAMPLES = ROOT / "docs/examples"
-SHOWN_URL = "serial:///dev/ttyACM0?baud=115200"
-LIMIT_S = 60
 
 
 @pytest.fixture
@@ -51,17 +46,17 @@ def run(*arguments):
     return result.stdout
 
 
-def shown(page):
-    """Return the first Python program of a page."""
-    return re.search(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)[1]
-
-
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
 def test_the_first_program_of_a_page_runs(page, url):
     program = shown(page)
     assert SHOWN_URL in program
     printed = run("-c", program.replace(SHOWN_URL, url))
     assert printed.startswith("J2A demo ['a2jGetMapping', ")
+
+
+def test_the_readme_shows_what_the_board_sends_unasked(url):
+    # It comes at the very end of the program.
+    assert run("-c", shown("README.md").replace(SHOWN_URL, url)).endswith("b'hello'\n")
 
 
 def test_the_readme_adds(url):
@@ -72,6 +67,7 @@ def test_tour(url):
     printed = run(EXAMPLES / "tour.py", url)
     assert "40 + 2 = 42" in printed
     assert "stored 240 bytes" in printed
+    assert printed.endswith("the board says 68656c6c6f\n")
 
 
 def test_asynchronous(url):

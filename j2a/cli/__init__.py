@@ -108,7 +108,7 @@ def _run(argv: list[str]) -> int:
     name = argv[0] if argv else "--help"
     if name in _COMMANDS:
         command: Any = import_module(f"j2a.cli._{name}")
-        what: str = command.__doc__.splitlines()[0].partition(": ")[2]
+        what = _COMMANDS[name]
         parser = _Parser(
             prog=f"j2a {name}",
             description=what[0].upper() + what[1:],

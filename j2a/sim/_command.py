@@ -28,7 +28,7 @@ def _argument(convert: Callable[[str], Any]) -> Callable[[str], Any]:
         try:
             return convert(text)
         except ValueError:
-            takes = (convert.__doc__ or "").rstrip(".")
+            takes = (convert.__doc__ or "another value").rstrip(".")
             raise argparse.ArgumentTypeError(f"{text!r} is not {takes}") from None
 
     return checked

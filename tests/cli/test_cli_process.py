@@ -30,6 +30,27 @@ raise SystemExit(point.load()())
 """
 
 
+_HELP_OF_ALL = """
+from j2a.cli import _COMMANDS, main
+for name in _COMMANDS:
+    if main([name, "--help"]) != 0:
+        raise SystemExit(name)
+"""
+
+
+def test_help_without_docstrings_and_assertions():
+    for program in (["-c", _HELP_OF_ALL], ["-m", "j2a_conformance", "run", "--help"]):
+        result = subprocess.run(
+            [sys.executable, "-OO", *program],
+            capture_output=True,
+            text=True,
+            timeout=WAIT_S,
+            check=False,
+        )
+        assert (result.returncode, result.stderr) == (0, "")
+        assert "usage: j2a" in result.stdout
+
+
 def test_serve_and_call(start, run):
     server = start("serve", "--listen", "tcp://127.0.0.1:0", "-v")
     url = server.line_with("listening on ").split()[-1]

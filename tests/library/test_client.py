@@ -1,12 +1,15 @@
 """The blocking client with a device in Python: calls, mistakes, transfers, connecting."""
 
+import asyncio
 import contextlib
+import importlib.metadata
 import logging
 import math
 import struct
 import subprocess
 import sys
 import threading
+import traceback
 
 import j2a_transports
 import pytest
@@ -239,7 +242,7 @@ class TestConnecting:
         near, far = j2a_transports.pair()
 
         def echo():
-            with contextlib.suppress(j2a_transports.LinkLost):
+            with contextlib.suppress(j2a_transports.TransportError):
                 while True:
                     far.write(far.read(None))
 
@@ -272,6 +275,26 @@ class TestConnecting:
             calls = [Background(client.echo, b"%d" % n) for n in range(100)]
             assert [call.result() for call in calls] == [b"%d" % n for n in range(100)]
 
+    @pytest.mark.parametrize(
+        "url",
+        [
+            "serial:///dev/no-such-port",
+            "tcp://127.0.0.1:1",
+            "usb://no-such-board",
+            "exec:./no-such-program",
+            "nosuch:x",
+            "tcp://127.0.0.1:1?nosuch=1",
+            "tcp://127.0.0.1:1?write_timeout=x",
+            5,
+        ],
+    )
+    def test_a_mistake_of_the_user_is_one_traceback(self, url):
+        for connect in (j2a.connect, lambda url: asyncio.run(j2a.aconnect(url))):
+            with pytest.raises((j2a.OpenFailed, j2a.BadUrl)) as caught:
+                connect(url)
+            shown = "".join(traceback.format_exception(caught.value))
+            assert shown.count("Traceback (most recent call last)") == 1
+
     def test_importing_loads_no_driver_and_no_asyncio(self):
         heavy = ["asyncio", "serial", "construct"]
         code = f"import j2a, sys; print([name for name in {heavy} if name in sys.modules])"
@@ -281,8 +304,10 @@ class TestConnecting:
         assert run.stdout.strip() == "[]"
 
     def test_all_that_is_public_is_there(self):
-        for name in j2a.__all__:
+        for name in (*j2a.__all__, "__version__"):
             assert getattr(j2a, name) is not None
+            assert name in dir(j2a)
+        assert j2a.__version__ == importlib.metadata.version("j2a")
         with pytest.raises(AttributeError):
             j2a.nosuch  # noqa: B018
 

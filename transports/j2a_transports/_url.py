@@ -148,7 +148,7 @@ class Url:
             try:
                 values[name] = known[name](value)
             except (ValueError, KeyError):
-                takes = (known[name].__doc__ or "").rstrip(".")
+                takes = (known[name].__doc__ or "another value").rstrip(".")
                 raise BadUrl(f"{self.text}: option {name}={value!r} takes {takes}") from None
         return values
 
