@@ -13,9 +13,22 @@ from typing import Final, Literal, get_args
 from j2a_spec import SPEC_VERSION
 from j2a_spec.requirements import Level
 
-__all__ = ["Claims", "Evidence", "HarnessError", "Kind", "Outcome", "Result", "Run", "Verdict"]
+__all__ = [
+    "STOPPED_BY_USER",
+    "Claims",
+    "Evidence",
+    "HarnessError",
+    "Kind",
+    "Outcome",
+    "Result",
+    "Run",
+    "Verdict",
+]
 
 Kind = Literal["sent", "received", "sif", "expected", "note"]
+
+STOPPED_BY_USER: Final = "interrupted"
+"""Of a run that Ctrl-C or SIGTERM has ended."""
 
 _NEEDS: Final[dict[Level, Level]] = {"core": "frame"}
 """The level below; what is not named here needs core."""

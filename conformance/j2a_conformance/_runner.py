@@ -16,7 +16,7 @@ from j2a_transports import Transport, TransportError
 from ._case import Case
 from ._deviations import Rules
 from ._judge import Judged
-from ._model import Claims, HarnessError, Result, Run, Verdict
+from ._model import STOPPED_BY_USER, Claims, HarnessError, Result, Run, Verdict
 from ._peer import Peer
 from ._smoke import SMOKE
 from ._wire import Link
@@ -99,7 +99,7 @@ def run(
             if stopped:
                 break
     except KeyboardInterrupt:
-        stopped = "interrupted"
+        stopped = STOPPED_BY_USER
     finally:
         session.close()
     ran = {result.case for result in results}

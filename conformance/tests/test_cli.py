@@ -167,18 +167,42 @@ def test_a_testee_may_stand_behind_the_options(capsys):
     assert "/does/not/exist.toml is no testee" in capsys.readouterr().err
 
 
-def test_ctrl_c_ends_without_a_traceback():
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "SIGTERM"]
+)
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "exec:{}"],
+        ["run", "exec:{}", "--repeat", "3"],
+        ["selftest", "exec:{}"],
+        ["faults", "exec:{}"],
+        ["faults", "exec:{}", "--soak", "60"],
+        ["host", "tcp://127.0.0.1:0"],
+        ["host", "--", "sh", "{}"],
+    ],
+    ids=" ".join,
+)
+def test_a_signal_ends_every_command_without_a_traceback(words, number, code, tmp_path):
+    started, script = tmp_path / "started", tmp_path / "device"
+    script.write_text(f"touch {started}; exec sleep 60\n")
+    run_script = f"sh {script}" if words[1] == "exec:{}" else str(script)
     process = subprocess.Popen(
-        [sys.executable, "-m", "j2a_conformance", "run", "exec:sleep 60"],
+        [sys.executable, "-m", "j2a_conformance", *(word.format(run_script) for word in words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
     try:
-        time.sleep(1.5)
-        process.send_signal(signal.SIGINT)
+        if "tcp:" in words[1]:
+            assert "Waiting for a host" in process.stdout.readline()
+        end = time.monotonic() + 60
+        while "tcp:" not in words[1] and not started.exists():
+            assert time.monotonic() < end and process.poll() is None
+            time.sleep(0.02)
+        process.send_signal(number)
         out, err = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert process.returncode == 3, err
+    assert process.returncode == code, err
     assert "Traceback" not in out + err

@@ -6,7 +6,6 @@ imported when it is used; SIGTERM ends the program in order, with all that was s
 """
 
 import argparse
-import os
 import signal
 import sys
 import traceback
@@ -17,7 +16,8 @@ from typing import Final, NoReturn
 
 from j2a_conformance._model import HarnessError
 
-from ._exit import HARNESS, UsageError
+from ._exit import HARNESS, INTERRUPTED, UsageError
+from ._output import drop_output, note, prepare_output
 
 __all__ = ["main"]
 
@@ -29,6 +29,10 @@ _COMMANDS: Final = {
     "selftest": "what a device's test of itself found",
     "faults": "judge a device behind a link that damages bytes",
 }
+
+
+_ended_by: Final[list[int]] = []
+"""The signal that ended the program in place of Ctrl-C."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -64,6 +68,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, _Parser | None]:
 def _end(number: int, _frame: FrameType | None) -> NoReturn:
     """End like Ctrl-C does; a second signal must not cut that short."""
     signal.signal(number, signal.SIG_IGN)
+    _ended_by.append(number)
     raise KeyboardInterrupt
 
 
@@ -75,28 +80,32 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is None:
         signal.signal(signal.SIGTERM, _end)
+    prepare_output()
     words = sys.argv[1:] if argv is None else list(argv)
     parser, command = _parser(words)
     args = parser.parse_args(words)
     try:
         status: int = _module(args.command).main(args)
         sys.stdout.flush()
-        return status
+        return 128 + _ended_by[0] if status == INTERRUPTED and _ended_by else status
     except UsageError as error:
         assert command is not None
         command.error(str(error))
     except HarnessError as error:
-        print(f"j2a-conform: {error}", file=sys.stderr)
+        note(f"j2a-conform: {error}")
     except KeyboardInterrupt:
-        print("j2a-conform: interrupted", file=sys.stderr)
-    except BrokenPipeError:
-        # Nobody reads the output any more; Python would write the rest at exit, and complain.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        note("j2a-conform: interrupted")
+        return 128 + _ended_by[0] if _ended_by else INTERRUPTED
+    except BrokenPipeError:  # nobody reads the output any more
+        drop_output()
+    except OSError as error:  # of standard output: a full disk, or it is closed
+        drop_output()
+        note(f"j2a-conform: cannot write the output: {error.strerror}")
     except Exception as error:
         verbose = getattr(args, "verbose", None)  # None: the command has no -v
         if verbose:
             traceback.print_exc()
         hint = ", -v shows more" if verbose is False else ""
         what = f"{type(error).__name__}: {error}"
-        print(f"j2a-conform: a fault of the suite{hint}: {what}", file=sys.stderr)
+        note(f"j2a-conform: a fault of the suite{hint}: {what}")
     return HARNESS

@@ -16,8 +16,9 @@ from j2a_conformance._case import About
 from j2a_conformance._model import HarnessError
 
 from ._exit import UsageError
+from ._output import show
 
-__all__ = ["add_arguments", "matching", "misplaced_url", "show"]
+__all__ = ["add_arguments", "matching", "misplaced_url", "show_cases"]
 
 _Case = TypeVar("_Case", bound=About)
 
@@ -92,11 +93,11 @@ def _matches(case: About, pattern: str) -> bool:
     return any(fnmatchcase(name, pattern) for name in (case.ID, *case.REQUIREMENTS))
 
 
-def show(cases: Iterable[About], coverage: dict[str, str]) -> None:
+def show_cases(cases: Iterable[About], coverage: dict[str, str]) -> None:
     """Print the cases, and what covers each requirement."""
     for case in cases:
-        print(f"{case.ID}  ({case.LEVEL})\n  {case.DESCRIPTION}\n  {' '.join(case.REQUIREMENTS)}")
-    print()
+        show(f"{case.ID}  ({case.LEVEL})\n  {case.DESCRIPTION}\n  {' '.join(case.REQUIREMENTS)}")
+    show()
     for name, by in coverage.items():
-        print(f"{name}  {by}")
+        show(f"{name}  {by}")
     sys.stdout.flush()

@@ -1,10 +1,19 @@
-"""The exit codes of `j2a-conform`. Rule: all but HARNESS are judgements."""
+"""The exit codes of `j2a-conform`. Rule: all but HARNESS and INTERRUPTED are judgements."""
 
 from typing import Final
 
-from j2a_conformance._model import Outcome, Run
+from j2a_conformance._model import STOPPED_BY_USER, Outcome, Run
 
-__all__ = ["CONFORMANT", "FAILED", "HARNESS", "NOTHING", "UNEXPECTED", "UsageError", "status"]
+__all__ = [
+    "CONFORMANT",
+    "FAILED",
+    "HARNESS",
+    "INTERRUPTED",
+    "NOTHING",
+    "UNEXPECTED",
+    "UsageError",
+    "status",
+]
 
 CONFORMANT = 0
 """Nothing failed."""
@@ -14,6 +23,8 @@ UNEXPECTED = 2
 """Nothing failed, but something that was known to fail passed, so the list is out of date."""
 HARNESS = 3
 """The harness, the link or the arguments are wrong: nothing can be said."""
+INTERRUPTED = 130
+"""Ctrl-C ended it; SIGTERM: 143. What was judged by then is reported."""
 NOTHING = 4
 """Nothing was tested: the device claims none of what was asked for."""
 
@@ -32,4 +43,6 @@ class UsageError(Exception):
 
 def status(run: Run) -> int:
     """Return the exit code of a run."""
+    if run.stopped == STOPPED_BY_USER:
+        return INTERRUPTED
     return _STATUS[run.outcome]

@@ -8,9 +8,10 @@ a series that ends early says so, and tells what it saw.
 from collections import Counter
 from collections.abc import Callable
 
-from j2a_conformance._model import HarnessError, Run, Verdict
+from j2a_conformance._model import STOPPED_BY_USER, HarnessError, Run, Verdict
 
-from ._exit import FAILED, HARNESS, status
+from ._exit import FAILED, HARNESS, INTERRUPTED, status
+from ._output import show
 
 __all__ = ["repeat"]
 
@@ -25,30 +26,32 @@ def repeat(times: int, once: Callable[[], Run]) -> tuple[Run, int]:
     """
     runs: list[Run] = []
     stopped = ""
-    print(f"{'run':>5}{'seconds':>9}" + "".join(f"{v.value:>17}" for v in Verdict), flush=True)
+    show(f"{'run':>5}{'seconds':>9}" + "".join(f"{v.value:>17}" for v in Verdict), flush=True)
     while len(runs) < times and not stopped:
         try:
             run = once()
         except (HarnessError, KeyboardInterrupt) as error:
             if not runs:
                 raise
-            stopped = str(error) or "interrupted"
+            stopped = str(error) or STOPPED_BY_USER
             break
         runs.append(run)
         stopped = run.stopped
         counts = Counter(result.verdict for result in run.results)
         cells = "".join(f"{counts[v] or '-':>17}" for v in Verdict)
-        print(f"{len(runs):5}{run.duration_s:9.1f}{cells}", flush=True)
-    print()
+        show(f"{len(runs):5}{run.duration_s:9.1f}{cells}", flush=True)
+    show()
     differ = _differ(runs)
     for case, verdicts in differ.items():
         words = ", ".join(f"{verdict.value} {count} times" for verdict, count in verdicts.items())
-        print(f"NOT THE SAME in all runs: {case}: {words}")
+        show(f"NOT THE SAME in all runs: {case}: {words}")
     if stopped:
         whole = sum(not run.stopped for run in runs)
-        print(f"Ended after {whole} of {times} runs: {stopped}.")
+        show(f"Ended after {whole} of {times} runs: {stopped}.")
     elif not differ:
-        print(f"The verdicts of {times} runs are the same, case by case.")
+        show(f"The verdicts of {times} runs are the same, case by case.")
+    if stopped == STOPPED_BY_USER:
+        return runs[-1], INTERRUPTED
     code = FAILED if differ else status(runs[-1])
     return runs[-1], HARNESS if stopped and code != FAILED else code
 

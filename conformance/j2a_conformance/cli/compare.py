@@ -9,6 +9,7 @@ from pathlib import Path
 from j2a_conformance.reports import _compare, _json
 
 from ._exit import CONFORMANT, FAILED, HARNESS, NOTHING
+from ._output import show
 
 __all__ = ["add_arguments", "main"]
 
@@ -31,7 +32,7 @@ def main(args: argparse.Namespace) -> int:
         HarnessError: a file is no report.
     """
     found = _compare.compare(_json.read(args.before), _json.read(args.after))
-    print(_compare.report(found), flush=True)
+    show(_compare.report(found), flush=True)
     if found.regressions:
         return FAILED
     if found.lost:

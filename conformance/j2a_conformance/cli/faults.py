@@ -6,7 +6,6 @@ statistics, a vector where the device is wrong, and an exit code.
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +19,8 @@ from j2a_conformance.faults._series import Found
 from j2a_conformance.faults._soak import Soak, soak
 
 from . import _target
-from ._exit import CONFORMANT, FAILED, HARNESS, NOTHING, UsageError
+from ._exit import CONFORMANT, FAILED, INTERRUPTED, NOTHING, UsageError
+from ._output import note, show
 from ._reports import check_writable
 
 __all__ = ["add_arguments", "kinds_of", "main"]
@@ -50,7 +50,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     command.description = (
         "Sends echo requests through seeded faults and counts what becomes of them. A stream that "
         "the device answers wrongly is shrunk and saved. Exit code: 0 the device is right, 1 it is "
-        "not, 3 harness, link or arguments wrong, or interrupted, 4 nothing was tested: a row had "
+        "not, 3 harness, link or arguments wrong, 4 nothing was tested: a row had "
         "no faults, more than half of its exchanges with faults could not be judged, no batch of "
         "a soak could be compared, or no stream could be played."
     )
@@ -157,7 +157,7 @@ def _judge(target: _target.Target, args: argparse.Namespace, kinds: Sequence[Kin
             baud=args.baud or 0,
         )
     except Found as found:
-        print(f"{target.url}: {found.reason}")
+        show(f"{target.url}: {found.reason}")
         return FAILED
     if args.replay:
         return _replay(player, args)
@@ -169,7 +169,7 @@ def _judge(target: _target.Target, args: argparse.Namespace, kinds: Sequence[Kin
 def _rows(player: Player, url: str, args: argparse.Namespace, kinds: Sequence[Kind]) -> int:
     setup = Setup(args.frames, args.seconds, args.seed, args.payload, _SIDES[args.direction])
     found = run(player, setup, kinds, url, _progress if args.verbose else lambda _: None)
-    print(_report.report(found), flush=True)
+    show(_report.report(found), flush=True)
     if found.wrong:
         _save(player, found.wrong, args.vector)
     if args.json:
@@ -178,16 +178,16 @@ def _rows(player: Player, url: str, args: argparse.Namespace, kinds: Sequence[Ki
         except OSError as error:
             if not found.failed:
                 raise HarnessError(f"cannot write the JSON report: {error}") from error
-            print(f"j2a-conform: cannot write the JSON report: {error}", file=sys.stderr)
+            note(f"j2a-conform: cannot write the JSON report: {error}")
+    if found.interrupted:
+        return INTERRUPTED
     if found.failed:
         return FAILED
-    if found.interrupted:
-        return HARNESS
     return NOTHING if found.gaps else CONFORMANT
 
 
 def _progress(row: Row) -> None:
-    print(f"{row.kind}: {row.frames} requests, {row.faults} faults", flush=True)
+    show(f"{row.kind}: {row.frames} requests, {row.faults} faults", flush=True)
 
 
 def _save(player: Player, wrong: Wrong, path: Path) -> None:
@@ -197,9 +197,9 @@ def _save(player: Player, wrong: Wrong, path: Path) -> None:
     try:
         _vectors.save(path, wrong.stream, wrong.reason, player.rules)
     except HarnessError as error:
-        print(f"j2a-conform: {error}", file=sys.stderr)
+        note(f"j2a-conform: {error}")
     else:
-        print(f"saved as {path}; j2a-conform faults --replay {path} URL plays it again")
+        show(f"saved as {path}; j2a-conform faults --replay {path} URL plays it again")
 
 
 def _replay(player: Player, args: argparse.Namespace) -> int:
@@ -212,40 +212,40 @@ def _replay(player: Player, args: argparse.Namespace) -> int:
             outcome = "not played"
         elif reason := player.fault(stream):
             failed += 1
-            print(f"{name}: {reason}", flush=True)
+            show(f"{name}: {reason}", flush=True)
             continue
         else:
             outcome = "right"
         if args.verbose:
-            print(f"{name}: {outcome}", flush=True)
+            show(f"{name}: {outcome}", flush=True)
     right = len(streams) - failed - unplayed
     rest = f", {unplayed} not played: more than the device has room for" if unplayed else ""
-    print(f"{right} of {len(streams)} streams are answered rightly{rest}")
+    show(f"{right} of {len(streams)} streams are answered rightly{rest}")
     if failed:
         return FAILED
     return CONFORMANT if right else NOTHING
 
 
 def _soak(player: Player, args: argparse.Namespace) -> int:
-    def show(state: Soak) -> None:
+    def tell(state: Soak) -> None:
         if args.verbose:
-            print(state, flush=True)
+            show(state, flush=True)
 
     try:
-        state = soak(player, args.soak, args.seed, show)
+        state = soak(player, args.soak, args.seed, tell)
     except Found as found:
         wrong = shortest(player, found)
-        print("\n".join(_report.wrong_lines(wrong)), flush=True)
+        show("\n".join(_report.wrong_lines(wrong)), flush=True)
         _save(player, wrong, args.vector)
         return FAILED
-    print(state)
+    show(state)
     if state.complaint:
-        print(f"the device is wrong: {state.complaint}")
+        show(f"the device is wrong: {state.complaint}")
         return FAILED
     if state.interrupted:
-        print("INTERRUPTED")
-        return HARNESS
+        show("INTERRUPTED")
+        return INTERRUPTED
     if not state.exact:
-        print("NOT TESTED: no batch could be compared, they are more than the device has room for")
+        show("NOT TESTED: no batch could be compared, they are more than the device has room for")
         return NOTHING
     return CONFORMANT

@@ -17,6 +17,7 @@ from j2a_conformance.reports import _console
 
 from . import _cases, _reports
 from ._exit import CONFORMANT, UsageError, status
+from ._output import show
 from ._target import check_scale
 
 __all__ = ["add_arguments", "main"]
@@ -69,7 +70,7 @@ def main(args: argparse.Namespace) -> int:
         args.target = [url]
     cases = _cases.matching((START, *load()), args.level, args.case)
     if args.list:
-        _cases.show(cases, host_coverage())
+        _cases.show_cases(cases, host_coverage())
         return CONFORMANT
     if not args.target:
         raise UsageError("a host is needed, e.g. -- python conformance/hosts/client.py")
@@ -80,7 +81,7 @@ def main(args: argparse.Namespace) -> int:
     with _place(args) as place:
         found = _judge(place, args, cases)
     try:
-        print(_console.report(found), flush=True)
+        show(_console.report(found), flush=True)
     finally:  # also where nobody reads the output
         reports.write(found)
     return status(found)
@@ -96,13 +97,13 @@ def _place(args: argparse.Namespace) -> Listening:
 
 
 def _tell(url: str) -> None:
-    print(f"Waiting for a host at {url}", flush=True)
+    show(f"Waiting for a host at {url}", flush=True)
 
 
 def _judge(place: Listening, args: argparse.Namespace, cases: Sequence[HostCase]) -> Run:
-    def show(result: Result) -> None:
+    def tell(result: Result) -> None:
         if args.verbose:
-            print(_console.line(result), flush=True)
+            show(_console.line(result), flush=True)
 
     return run(
         place,
@@ -110,7 +111,7 @@ def _judge(place: Listening, args: argparse.Namespace, cases: Sequence[HostCase]
         url=shlex.join(_shown(args.target)),
         timeout_scale=args.timeout_scale,
         stop_on_failure=args.stop_on_failure,
-        on_result=show,
+        on_result=tell,
     )
 
 

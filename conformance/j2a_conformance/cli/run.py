@@ -22,6 +22,7 @@ from j2a_conformance.reports import _console
 
 from . import _cases, _reports, _target
 from ._exit import CONFORMANT, UsageError, status
+from ._output import show
 from ._repeat import repeat
 from ._target import Target, reach
 
@@ -111,7 +112,7 @@ def main(args: argparse.Namespace) -> int:
     # Every run begins with the smoke step; to ask for a case of it is no mistake.
     cases = _cases.matching((*SMOKE, *load()), args.level, args.case)
     if args.list:
-        _cases.show(cases, coverage())
+        _cases.show_cases(cases, coverage())
         return CONFORMANT
     if not args.url:
         raise UsageError("a URL is needed, e.g. tcp://127.0.0.1:5000")
@@ -138,7 +139,7 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
         else:
             found, code = repeat(args.repeat, lambda: _judge(target, rules, args, cases))
     try:
-        print(_console.report(found), flush=True)
+        show(_console.report(found), flush=True)
     finally:  # also where nobody reads the output
         reports.write(found)
     return code
@@ -147,9 +148,9 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
 def _judge(
     target: Target, rules: _deviations.Rules, args: argparse.Namespace, cases: Sequence[Case]
 ) -> Run:
-    def show(result: Result) -> None:
+    def tell(result: Result) -> None:
         if args.verbose:
-            print(_console.line(result), flush=True)
+            show(_console.line(result), flush=True)
 
     return run(
         target.opener,
@@ -164,5 +165,5 @@ def _judge(
         builtins_only=args.builtins_only,
         claimed={*target.claims, *args.claims},
         stop_on_failure=args.stop_on_failure,
-        on_result=show,
+        on_result=tell,
     )

@@ -16,6 +16,7 @@ from j2a_conformance.reports import _console
 
 from . import _target
 from ._exit import CONFORMANT, FAILED, NOTHING, status
+from ._output import show
 
 __all__ = ["add_arguments", "main"]
 
@@ -42,9 +43,9 @@ def main(args: argparse.Namespace) -> int:
     """
     _target.check(args)
 
-    def show(result: Result) -> None:
+    def tell(result: Result) -> None:
         if args.verbose:
-            print(_console.line(result), flush=True)
+            show(_console.line(result), flush=True)
 
     baud = args.baud or 0
     with _target.reach(args.url, baud) as target:
@@ -55,10 +56,10 @@ def main(args: argparse.Namespace) -> int:
             timeout_scale=args.timeout_scale,
             baud=baud,
             fresh=target.fresh,
-            on_result=show,
+            on_result=tell,
         )
     if found.claims is None:
-        print(_console.report(found))
+        show(_console.report(found))
         return status(found)
     return _judge(found)
 
@@ -67,18 +68,18 @@ def _judge(found: Run) -> int:
     assert found.claims is not None
     value = found.claims.properties.get(c.PROP_SELFTEST)
     if value is None:
-        print(f"The device has no property {c.PROP_SELFTEST}: {HOW_TO_BUILD}.")
+        show(f"The device has no property {c.PROP_SELFTEST}: {HOW_TO_BUILD}.")
         return NOTHING
-    print(f"{c.PROP_SELFTEST} = {value}")
+    show(f"{c.PROP_SELFTEST} = {value}")
     result = read(value)
     if result is None:
-        print("FAILED: this is no result of a self-test (J2A-PROP-007).")
+        show("FAILED: this is no result of a self-test (J2A-PROP-007).")
         return FAILED
     if fault := _fault(result):
-        print(f"FAILED: {fault}.")
+        show(f"FAILED: {fault}.")
         return FAILED
     rest = "all" if result.is_complete else f"without the {result.known - result.ran} largest"
-    print(f"Passed: {result.ran} of {result.known} golden vectors, {rest}; those of this suite.")
+    show(f"Passed: {result.ran} of {result.known} golden vectors, {rest}; those of this suite.")
     return CONFORMANT
 
 

@@ -13,7 +13,7 @@ from datetime import datetime
 from j2a_transports import TransportError
 
 from j2a_conformance._judge import Judged
-from j2a_conformance._model import Result, Run, Verdict
+from j2a_conformance._model import STOPPED_BY_USER, Result, Run, Verdict
 
 from ._case import HostCase
 from ._device import DEMO
@@ -74,7 +74,7 @@ def run(
         if results[-1].verdict is not Verdict.FAILED:
             host.job("bye")
     except KeyboardInterrupt:
-        stopped = "interrupted"
+        stopped = STOPPED_BY_USER
     finally:
         host.close()
     ran = {result.case for result in results}

@@ -10,8 +10,8 @@ from xml.sax.saxutils import escape
 
 from j2a_conformance._model import Outcome, Run
 
-from ._printable import printable
 from ._summary import Standing, levels
+from ._text import file_text
 
 __all__ = ["render", "text"]
 
@@ -57,7 +57,7 @@ def text(run: Run) -> str:
 def _label(run: Run) -> str:
     profile = "" if run.profile == "strict" else f" {run.profile}"
     role = "" if run.role == "device" else f" {run.role}"
-    return printable(f"J2A {run.spec_version}{role}{profile}")
+    return file_text(f"J2A {run.spec_version}{role}{profile}")
 
 
 def _message(run: Run) -> tuple[str, str]:

@@ -8,6 +8,7 @@ from typing import get_args
 
 from j2a_spec import constants as c
 from j2a_spec import requirements
+from j2a_spec.printable import printable
 from j2a_spec.requirements import Level
 
 from j2a_conformance._deviations import STRICT
@@ -34,14 +35,15 @@ def line(result: Result) -> str:
     again = f" ({result.attempts} attempts)" if result.attempts > 1 else ""
     again += f" ({result.repeated} exchanges repeated)" if result.repeated else ""
     reason = f": {result.reason}" if result.reason else ""
-    return (
+    return printable(
         f"{result.verdict.value:{_WIDEST}} {result.case}  {result.duration_s:.2f} s{again}{reason}"
     )
 
 
 def report(run: Run) -> str:
     """Return the whole report: what the device claims, each failure, the table, the judgement."""
-    return "\n".join((*_claims(run), *_failures(run), *_others(run), *_table(run), *_end(run)))
+    lines = (*_claims(run), *_failures(run), *_others(run), *_table(run), *_end(run))
+    return "\n".join(printable(line) for line in lines)
 
 
 def _claims(run: Run) -> Iterator[str]:

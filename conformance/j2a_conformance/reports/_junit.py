@@ -17,8 +17,8 @@ from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 from j2a_conformance._model import Outcome, Result, Run, Verdict
 
 from ._console import evidence_lines
-from ._printable import printable
 from ._summary import judgement
+from ._text import file_text
 
 __all__ = ["render"]
 
@@ -41,7 +41,7 @@ def _suite(run: Run, name: str, cases: Iterable[TestCase]) -> TestSuite:
     suite = TestSuite(f"J2A {name}")
     suite.timestamp = run.started
     for key, value in (("url", run.url), ("profile", run.profile), ("lossy", str(run.lossy))):
-        suite.add_property(key, printable(value))
+        suite.add_property(key, file_text(value))
     for case in cases:
         suite.add_testcase(case)
     return suite
@@ -50,11 +50,11 @@ def _suite(run: Run, name: str, cases: Iterable[TestCase]) -> TestSuite:
 def _whole(run: Run) -> Iterator[TestCase]:
     """Yield a test case for all that is wrong with the run and not with a case of it."""
     if run.stopped:
-        yield _wrong("stopped", Error(printable(f"the run ended early: {run.stopped}"), "stopped"))
+        yield _wrong("stopped", Error(file_text(f"the run ended early: {run.stopped}"), "stopped"))
     elif run.outcome is Outcome.NOTHING:
         yield _wrong("nothing", Error(judgement(run), "nothing"))
     for number, sentence in enumerate(run.stale, 1):
-        yield _wrong(f"stale.{number}", Failure(printable(sentence), "stale"))
+        yield _wrong(f"stale.{number}", Failure(file_text(sentence), "stale"))
 
 
 def _wrong(name: str, what: Error | Failure) -> TestCase:
@@ -64,15 +64,15 @@ def _wrong(name: str, what: Error | Failure) -> TestCase:
 
 
 def _case(result: Result) -> TestCase:
-    case = TestCase(printable(result.case), f"j2a.{result.level}", round(result.duration_s, 3))
+    case = TestCase(file_text(result.case), f"j2a.{result.level}", round(result.duration_s, 3))
     texts = requirements.load()
     rules = [f"{name}: {texts[name].text}" for name in result.requirements]
     if result.verdict is Verdict.FAILED:
-        failure = Failure(printable(result.reason), result.verdict.value)
-        failure.text = printable("\n".join((*rules, *evidence_lines(result))))
+        failure = Failure(file_text(result.reason), result.verdict.value)
+        failure.text = file_text("\n".join((*rules, *evidence_lines(result))))
         case.result = [failure]
     elif result.verdict in (Verdict.UNIMPLEMENTED, Verdict.KNOWN_DEVIATION):
-        case.result = [Skipped(printable(result.reason), result.verdict.value)]
+        case.result = [Skipped(file_text(result.reason), result.verdict.value)]
     about = [result.description, f"Expected: {result.expectation}", *rules]
-    case.system_out = printable("\n".join(filter(None, (*about, result.reason))))
+    case.system_out = file_text("\n".join(filter(None, (*about, result.reason))))
     return case

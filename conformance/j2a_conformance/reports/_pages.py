@@ -13,7 +13,7 @@ from importlib.resources import files
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from ._printable import printable
+from ._text import file_text
 
 __all__ = ["data_url", "page"]
 
@@ -21,7 +21,7 @@ __all__ = ["data_url", "page"]
 def page(template: str, **values: object) -> bytes:
     """Return the page that the template makes of these values."""
     text = _environment().get_template(template).render(values)
-    return printable(text).encode()
+    return file_text(text).encode()
 
 
 def data_url(svg: bytes) -> str:
