@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Final, Self
 
 from j2a_spec.constants import ERR_CHECKSUM, ERR_FRAMING, ERR_OPCODE, ERR_TIMEOUT, RET_FAILED
+from j2a_spec.printable import printable
 
 __all__ = [
     "BadUrl",
@@ -66,6 +67,10 @@ class J2AError(Exception):
         super().__init__(*args)
         if outcome is not None:
             self.outcome = outcome
+
+    def __str__(self) -> str:
+        # Names and text of the device may be part of it, and a traceback prints it to a terminal.
+        return printable(super().__str__())
 
     def copy(self, text: str, outcome: Outcome) -> Self:
         """Return an error like this one with another message and outcome.
@@ -166,7 +171,7 @@ class RemoteError(J2AError):
         self.payload = payload
 
     def __str__(self) -> str:
-        return str(self.args[0])
+        return printable(str(self.args[0]))
 
 
 class OpcodeRefused(RemoteError):
