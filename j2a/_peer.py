@@ -216,7 +216,7 @@ class Peer:
         return read_chunks(
             what,
             opcode,
-            max_bytes=max_bytes,
+            max_bytes=min(max_bytes, MAX_OFFSET),  # offsets do not wrap (J2A-MANY-018)
             guard=lambda content, first: self._guard_read(what, opcode, content, first),
             progress=progress,
         )

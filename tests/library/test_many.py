@@ -114,6 +114,34 @@ class TestAgainstTheDemo:
         assert drive(device._execute, know(device).read_properties()).items() >= properties.items()
 
 
+class TestTheEndOfTheOffsets:
+    """Made short, because nobody waits for 4 GiB."""
+
+    @pytest.fixture(autouse=True)
+    def end(self, monkeypatch):
+        monkeypatch.setattr("j2a._peer.MAX_OFFSET", 1000)
+
+    @pytest.mark.requirement("J2A-MANY-018")
+    @pytest.mark.parametrize("size", [1000, 1001, 5000])
+    def test_a_read_ends_there(self, demo, peer, size):
+        demo._content += content(size)
+        steps = peer.read("store", 2**40, None)
+        if size <= 1000:
+            assert drive(demo._execute, steps) == content(size)
+            return
+        requests = []
+        with pytest.raises(j2a.ProtocolError, match="more than 1000 bytes"):
+            drive(demo._execute, steps, requests)
+        assert max(int.from_bytes(r[2:6], "little") for r in requests) < 1000
+
+    @pytest.mark.requirement("J2A-MANY-018")
+    def test_a_write_that_goes_beyond_is_not_begun(self, demo, peer):
+        drive(demo._execute, peer.write("store", content(1000), None))
+        for do in (peer.write, lambda _name, *rest: peer.echo(*rest)):
+            with pytest.raises(j2a.LocalError, match="1000 bytes at most"):
+                do("store", content(1001), None)
+
+
 class TestWhatADeviceMayNotAnswer:
     def read(self, peer, *replies):
         return drive(answers(*replies), peer.read("store", 1000, None))
