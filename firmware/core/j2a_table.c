@@ -51,6 +51,9 @@ const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0
 #undef J2A_PROPERTY
 #define J2A_PROPERTY(key, value) key "\0" value "\0"
 const unsigned char J2A_FLASH j2a_properties[] = J2A_PROPERTY_ROOM
+#ifdef J2A_ADD_SPEC /* by the build, for a properties.def without it: it belongs to each device */
+    J2A_PROPERTY("j2a.spec", J2A_SPEC_VERSION)
+#endif
 #include "properties.def"
     "";
 #endif

@@ -23,9 +23,10 @@ typedef void (*cortex_m_handler)(void);
  * is told this. */
 void cortex_m_reset(void);
 
-/* Switches one of the board's interrupts on, 0..31. */
+/* Switches one of the board's interrupts on, 0..239. */
 static inline void cortex_m_enable(uint32_t interrupt) {
-    CORTEX_M_REG(0xE000E100) = UINT32_C(1) << interrupt; /* ISER: zeros change nothing */
+    /* NVIC_ISER0 to ISER7: zeros change nothing. */
+    CORTEX_M_REG(0xE000E100 + interrupt / 32 * 4) = UINT32_C(1) << interrupt % 32;
 }
 
 /* Starts the clock. clock_hz: the frequency of the processor, a whole number of MHz. Called once. */
