@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from j2a_spec import constants as c
-from j2a_spec import vectors
+from j2a_spec import requirements, vectors
 from j2a_spec.generate import outputs, spec_text, stale
 from j2a_spec.generate.frames import SPECIAL
 from j2a_spec.grammar import GRAMMARS
 from j2a_spec.oracle import Frame, FrameError, Incomplete, Skipped, decode, encode, stuff
-from j2a_spec.requirements import load
+from j2a_spec.requirements import load, superseded
 
 ROOT = Path(__file__).parents[2]
 
@@ -200,3 +200,55 @@ def test_a_specification_without_a_requirement_is_refused() -> None:
     text = (ROOT / "spec/SPEC.md").read_text("utf-8")
     with pytest.raises(ValueError, match="J2A-SUM-001"):
         spec_text.fill(text.replace("**J2A-SUM-001**", "J2A-SUM-001"))
+
+
+def test_what_was_replaced_stays_behind_what_is_in_force() -> None:
+    assert {name: r.superseded_by for name, r in superseded().items()} == {
+        "J2A-SEQ-002": "J2A-SEQ-008",
+        "J2A-DISP-006": "J2A-DISP-009",
+    }
+    assert list(requirements._read()) == [*load(), *superseded()]
+    named = {name for kind in vectors.KINDS for name in named_by(kind)}
+    assert named & set(superseded()) == set()
+    text = (ROOT / "spec/SPEC.md").read_text("utf-8")
+    assert "*(Replaced by J2A-SEQ-008.)*" in text[text.index("## Appendix B") :]
+
+
+def test_each_id_of_an_area_was_given_once_and_none_was_left_out() -> None:
+    known = load() | superseded()
+    for area in {r.area for r in known.values()}:
+        numbers = sorted(int(name[-3:]) for name, r in known.items() if r.area == area)
+        assert numbers == list(range(1, len(numbers) + 1)), area
+
+
+@pytest.mark.parametrize("by", ["J2A-NONE-001", "J2A-SUM-001"])
+def test_a_replacement_must_be_in_force(by: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def entry(name: str, **more: str) -> dict[str, str]:
+        return {
+            "id": name,
+            "level": "frame",
+            "role": "both",
+            "source": "decision",
+            "text": "MUST",
+            **more,
+        }
+
+    entries = [
+        entry("J2A-SUM-001", superseded_by="J2A-SUM-002"),
+        entry("J2A-SUM-002"),
+        entry("J2A-SUM-003", superseded_by=by),
+    ]
+    monkeypatch.setattr(requirements.tomllib, "loads", lambda _: {"requirement": entries})
+    requirements._read.cache_clear()
+    try:
+        with pytest.raises(ValueError, match=f"J2A-SUM-003: '{by}', which replaces it"):
+            load()
+    finally:
+        monkeypatch.undo()
+        requirements._read.cache_clear()
+
+
+def test_each_group_of_constants_is_shown_once() -> None:
+    texts = "".join((ROOT / name).read_text("utf-8") for name in ("spec/SPEC.md", "spec/LINKS.md"))
+    for group in {row.group for row in c.TABLE}:
+        assert texts.count(f"<!-- table: {group.lower().replace(' ', '-')} -->") == 1, group
