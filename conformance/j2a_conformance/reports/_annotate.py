@@ -17,6 +17,7 @@ __all__ = ["Annotated", "Field", "annotate"]
 
 _SHOWN: Final = 12
 _HEADER: Final = ("seq", "opcode", "length")
+_ESCAPE_FF: Final = bytes((c.ESC, 0xFF))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +72,17 @@ def _piece(raw: bytes, event: object) -> Annotated:
         return Annotated((Field("", _symbols(raw)),), f"{len(raw)} bytes without a start byte")
     start = "SOF" if raw[0] == c.SOF else "SOS"
     symbols = _symbols(raw[1:])
-    values = [symbol[-1] if len(symbol) == 1 else (symbol[1] + 1) & 0xFF for symbol in symbols]
+    # Of an ESC that ends the piece the value has not come; ESC 0xFF has none.
+    ends_in_escape = bool(symbols) and symbols[-1] == bytes((c.ESC,))
+    values = [
+        symbol[-1] if len(symbol) == 1 else (symbol[1] + 1) & 0xFF
+        for symbol in (symbols[:-1] if ends_in_escape else symbols)
+        if symbol != _ESCAPE_FF
+    ]
     fields = [Field("start", (raw[:1],))]
     fields += [Field(name, (symbol,)) for name, symbol in zip(_HEADER, symbols, strict=False)]
     if len(symbols) > 3:
-        end = 3 + values[2]
+        end = 3 + (values[2] if len(values) > 2 else 0)
         fields += [Field("payload", symbols[3:end]), Field("checksum", symbols[end:])]
     named = zip(_HEADER, values, strict=False)
     words = [start, *(f"{name}=0x{value:02X}" for name, value in named)]
@@ -92,6 +99,8 @@ def _piece(raw: bytes, event: object) -> Annotated:
             )
         case _:
             words.append("INCOMPLETE")
+    if ends_in_escape and not isinstance(event, Frame):
+        words.append("behind ESC")
     return Annotated(tuple(field for field in fields if field.symbols), " ".join(words))
 
 
