@@ -18,7 +18,7 @@ SPECIAL: Final = bytes(
 )
 """Bytes with a meaning, those beside them, and the ends of the range."""
 
-_EDGES: Final = (0, 1, 2, 16, 17, 18, 31, 32, 33, 63, 64, 65, 124, 125, 126, 127, 128, 129)
+_EDGES: Final = (0, 1, 2, 12, 17, 18, 31, 32, 33, 63, 64, 65, 100, 125, 127, 128, 129, 200)
 _EDGES_ABOVE: Final = (236, 237, 238, 248, 249, 250, 253, 254, 255)
 
 

@@ -194,30 +194,30 @@ class Peer:
 
         return self.carried(body)
 
-    def play_all(self, exchanges: Iterable[tuple[bytes, Sequence[Expected]]]) -> None:
-        """Play streams and their due replies, which are the bytes of the oracle, in order.
+    def play_all(self, exchanges: Iterable[tuple[bytes, Sequence[Expected]]]) -> list[Frame]:
+        """Play streams and their due replies, which are the bytes of the oracle; return these.
 
         As many go out in one piece as j2a.rxbuf holds, so that this is fast; one by one where the
         device announces none, or the link is lossy.
         """
         room = 0 if self.link.lossy else self.room(_BATCH)
         batch: list[tuple[bytes, Sequence[Expected]]] = []
+        frames: list[Frame] = []
         for exchange in exchanges:
             size = sum(len(stream) for stream, _ in batch)
             if batch and (size + len(exchange[0]) > room or len(batch) == _IN_FLIGHT):
-                self._play_batch(batch)
+                frames += self._play_batch(batch)
                 batch.clear()
             batch.append(exchange)
-        if batch:
-            self._play_batch(batch)
+        return frames + (self._play_batch(batch) if batch else [])
 
-    def _play_batch(self, batch: list[tuple[bytes, Sequence[Expected]]]) -> None:
+    def _play_batch(self, batch: list[tuple[bytes, Sequence[Expected]]]) -> list[Frame]:
         stream = b"".join(stream for stream, _ in batch)
-        self.play(stream, *(due for _, expected in batch for due in expected), exact=True)
+        return self.play(stream, *(due for _, expected in batch for due in expected), exact=True)
 
-    def ask_all(self, requests: Iterable[Request]) -> None:
+    def ask_all(self, requests: Iterable[Request]) -> list[Frame]:
         """Send requests and compare their replies with the oracle, byte by byte; see `play_all`."""
-        self.play_all((request.wire, [request.expected]) for request in requests)
+        return self.play_all((request.wire, [request.expected]) for request in requests)
 
     def ask(self, *requests: Request) -> Frame:
         """Send each request, wait for its due reply, and return the last."""

@@ -144,34 +144,57 @@ class Boundaries(Case):
         write(peer, [0x05] * (peer.longest // LINE + 2))
         piece = len(take(peer)[0])  # what a call takes at most, as far as can be seen
         drain(peer)
-        reached = [target for target in _TARGETS if self._pending(peer, target, piece)]
+        held = self._overflow(peer)
+        reached = [target for target in _TARGETS if self._pending(peer, target, piece, held)]
         peer.link.note(f"pending were {', '.join(map(str, reached))} bytes")
 
     @staticmethod
-    def _pending(peer: Peer, target: int, piece: int) -> bool:
+    def _overflow(peer: Peer) -> int:
+        """Have more written than the device keeps; return how much that is, or 0 if unknown."""
+        for shift in range(3, _SHIFTS):
+            write(peer, [0x05] * (1 << shift))
+            text, lost = drain(peer)
+            if lost:
+                return len(text)
+        return 0
+
+    @staticmethod
+    def _pending(peer: Peer, target: int, piece: int, held: int) -> bool:
         """Have exactly `target` bytes pending, and take them; tell whether that was possible."""
-        # What a call of a longer text leaves over shifts the sum: a line has always 9 bytes.
-        for longer in range(0, 6 * piece, LINE):
-            left = longer - longer // piece * piece
-            if left <= target and (target - left) % LINE == 0 and (longer == 0 or left):
-                break
-        else:
+        # A line has always 9 bytes; what calls of a longer text leave over shifts the sum, and so
+        # does a text of which the device could not keep all.
+        starts = [*range(0, 6 * piece, LINE), *([held] if held else [])]
+        plans = (
+            (start, calls, start - calls * piece)
+            for start in starts
+            for calls in range(start // piece + 1)
+        )
+        fitting = (
+            plan
+            for plan in plans
+            if 0 < plan[2] <= target and (target - plan[2]) % LINE == 0 and plan[1]
+        )
+        start, calls, left = next(fitting, (0, 0, 0))
+        if not calls and target % LINE:
             return False
-        written = write(peer, (n % 240 for n in range(longer // LINE)))
-        text = b""
-        for _ in range(longer // piece):
+        is_whole = start % LINE == 0
+        written = write(peer, (n % 240 for n in range(start // LINE + (0 if is_whole else 9))))
+        for n in range(calls):
             part, code = take(peer)
-            text += part
-            if code & c.DEBUG_LOST:
+            written = written[len(part) :]
+            if len(part) != piece or (n == 0) < bool(code & c.DEBUG_LOST):
+                fail(f"{len(part)} bytes and the code 0x{code:02X} in call {n + 1} of {calls}")
+            if is_whole and code & c.DEBUG_LOST:
                 drain(peer)
                 return False  # it does not keep so much
-        if len(written) - len(text) != left:
-            fail(f"{len(text)} of {len(written)} bytes came in {longer // piece} calls")
-        written += write(peer, (n % 240 for n in range(60, 60 + (target - left) // LINE)))
+        new = write(peer, (n % 240 for n in range(60, 60 + (target - left) // LINE)))
         rest, lost = drain(peer)
         if lost:
             return False
-        check_text(text + rest, written, lost)
+        if len(rest) != target or not rest.endswith(new):
+            fail(f"{len(rest)} bytes came, {target} were pending, of which the last {len(new)} new")
+        if is_whole:
+            check_text(rest, written + new, lost)
         return True
 
 

@@ -1,9 +1,9 @@
 """Error replies (J2A-ERR); those of the checksum are in `sums`, those of time in `timing`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import checksum
+from j2a_spec.oracle import Frame, checksum
 
 from j2a_conformance._case import Case
 from j2a_conformance._dimensions import lengths, payload_of, spread
@@ -13,6 +13,13 @@ from j2a_conformance._peer import Expected, Peer, Request, many_payload
 from .sums import with_sum
 
 
+def check_payloads(errors: Iterable[Frame]) -> None:
+    """Fail unless each error reply has two bytes of payload."""
+    for error in errors:
+        if len(error.payload) != 2:
+            fail(f"error 0x{error.opcode:02X} has {len(error.payload)} payload bytes, not 2")
+
+
 class OutOfRange(Case):
     """Calls every opcode that names no function, with and without payload, and some of them with
     payloads of every length.
@@ -20,7 +27,7 @@ class OutOfRange(Case):
 
     ID = "error.opcode-out-of-range"
     EXPECTATION = "Error 0xF0 for each."
-    REQUIREMENTS = ("J2A-ERR-001", "J2A-DISP-001")
+    REQUIREMENTS = ("J2A-ERR-001", "J2A-ERR-006", "J2A-DISP-001")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -30,10 +37,11 @@ class OutOfRange(Case):
             for opcode in free
             for payload in (b"", b"payload")
         )
-        peer.ask_all(
+        frames = peer.ask_all(
             peer.request(free[length * 37 % len(free)], payload_of(length, length), c.ERR_OPCODE)
             for length in (lengths() if free else ())
         )
+        check_payloads(frames)
 
 
 class ChecksumFirst(Case):
@@ -96,9 +104,7 @@ class Payload(Case):
             many = peer.request(peer.opcode(c.GET_ECHO_MANY))
             streams.append((many.seq, c.ERR_OPCODE, many.wire))
         for seq, code, stream in streams:
-            payload = peer.ask_exact(Request(stream, Expected(seq, code))).payload
-            if len(payload) != 2:
-                fail(f"error 0x{code:02X} has {len(payload)} payload bytes, not 2")
+            check_payloads([peer.ask_exact(Request(stream, Expected(seq, code)))])
 
 
 class SeqOfErrors(Case):
@@ -108,11 +114,21 @@ class SeqOfErrors(Case):
 
     ID = "error.seq"
     EXPECTATION = "The seq of the broken request in each error reply."
-    REQUIREMENTS = ("J2A-ERR-005", "J2A-SEQ-001")
+    REQUIREMENTS = (
+        "J2A-ERR-002",
+        "J2A-ERR-003",
+        "J2A-ERR-004",
+        "J2A-ERR-005",
+        "J2A-ERR-006",
+        "J2A-SEQ-001",
+        "J2A-STUFF-001",
+        "J2A-STUFF-004",
+        "J2A-FRAME-002",
+    )
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
-        peer.play_all(self._streams(peer))
+        check_payloads(peer.play_all(self._streams(peer)))
         for seq in (0x00, 0x11, 0x12, 0x7C, 0x7D, 0x7E, 0xEC, 0xED, 0xEE, 0xFF):
             wire = peer.echo(b"abc", seq).wire
             peer.play(wire[: len(wire) - 2], Expected(seq, c.ERR_TIMEOUT), exact=True)

@@ -8,7 +8,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, Incomplete, checksum, decode, encode
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lengths, payload_of, pieces, places, spread
+from j2a_conformance._dimensions import SPECIAL, lengths, payload_of, pieces, places, spread
 from j2a_conformance._judge import Judged
 from j2a_conformance._peer import Expected, Peer, refusal
 
@@ -229,9 +229,9 @@ class InterruptedAnywhere(Case):
 
 
 class Pieces(Case):
-    """Sends good, damaged and interrupted frames of many lengths in two to four pieces with a short
-    pause between them, and some byte by byte; also noise and a start byte in one piece, and the
-    rest of the frame in another.
+    """Sends good, damaged and interrupted frames, and frames with ESC 0xFF, of many lengths in two
+    to four pieces with a short pause between them, and some byte by byte; also noise and a start
+    byte in one piece, and the rest of the frame in another.
     """
 
     ID = "frame.pieces"
@@ -241,15 +241,23 @@ class Pieces(Case):
         "J2A-FRAME-006",
         "J2A-FRAME-007",
         "J2A-FRAME-009",
+        "J2A-STUFF-001",
         "J2A-STUFF-003",
+        "J2A-STUFF-004",
+        "J2A-STUFF-005",
+        "J2A-SUM-001",
         "J2A-SUM-003",
+        "J2A-ERR-002",
+        "J2A-ERR-003",
+        "J2A-ERR-004",
         "J2A-ECHO-001",
     )
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
         for n, length in enumerate(spread(step=43)):
-            request = peer.echo(payload_of(length, n))
+            seq = SPECIAL[n * 4 % len(SPECIAL)] if n % 2 else None
+            request = peer.echo(payload_of(length, n), seq)
             self._in_pieces(peer, pieces(request.wire, n), request.expected)
             good = peer.probe()
             wrong = bytearray(request.wire)
@@ -258,6 +266,7 @@ class Pieces(Case):
                 due = [refusal(request.seq, c.ERR_CHECKSUM), good.expected]
                 self._in_pieces(peer, pieces(bytes(wrong) + good.wire, n + 1), *due)
             cut = request.wire[: 2 + n * 37 % (len(request.wire) - 2)]
+            cut += b"\x7d\xff" if n % 3 == 0 and cut[-1] != c.ESC else b""
             due = [*answers(cut + b"\x12"), good.expected]
             self._in_pieces(peer, pieces(cut + good.wire, n + 2), *due)
         for noise in (b"\x00", b"\x11\xec", b"\x7d", CLEAN, CLEAN * 3):

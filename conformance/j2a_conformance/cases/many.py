@@ -413,6 +413,12 @@ class ReplyFlags(Case):
             if not peer.has(name):
                 continue
             for flags in (0, c.FLAG_LAST, c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST, 0xFF):
-                reply = peer.ask_many(peer.many(name, flags, 0, b"flags"))
-                if reply.flags & ~c.FLAG_LAST:
-                    fail(f"flags 0x{reply.flags:02X} in a reply of {name}")
+                self._ask(peer, name, flags, b"flags")
+            for n, length in enumerate(spread(peer.longest_chunk, 47)):
+                self._ask(peer, name, (2, 0xFE, 0, 3, 0xFC)[n % 5], payload_of(length, n))
+
+    @staticmethod
+    def _ask(peer: Peer, name: str, flags: int, data: bytes) -> None:
+        reply = peer.ask_many(peer.many(name, flags, 0, data))
+        if reply.flags & ~c.FLAG_LAST:
+            fail(f"flags 0x{reply.flags:02X} in a reply of {name} to {len(data)} bytes of data")

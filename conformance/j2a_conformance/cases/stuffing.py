@@ -6,7 +6,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum, encode
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import payload_of, spread
+from j2a_conformance._dimensions import SPECIAL, payload_of, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
 STUFFED = sorted(c.STUFFED)
@@ -60,7 +60,7 @@ class Fields(Case):
 
 
 class ReplyCodes(Case):
-    """Has a function return 0x12 and 0x7D."""
+    """Has a function return 0x12, 0x7D, 0xED and their neighbours."""
 
     ID = "stuff.reply-code"
     EXPECTATION = "The opcode field of the reply is stuffed."
@@ -69,8 +69,9 @@ class ReplyCodes(Case):
     NEEDS = ("ret",)
 
     def _run(self, peer: Peer) -> None:
-        for value in (0x12, 0x7D, 0x11, 0x7C):
-            peer.ask(peer.request(peer.opcode("ret"), bytes((value,)), value, b""))
+        opcode = peer.opcode("ret")
+        values = (0x12, 0x7D, 0xED, 0x11, 0x7C, 0xEC, 0x7E)
+        peer.ask_all(peer.request(opcode, bytes((value,)), value, b"") for value in values)
 
 
 class Needless(Case):
@@ -95,6 +96,13 @@ class Needless(Case):
             payload = payload_of(length, n)
             places = set(range(n % 3, length + 4, 2 + n % 3)) | {0, 1, 2, length + 3}
             self._exchange(peer, opcode, payload, (n * 11) % 256, places)
+        for value in (0x00, 0x01, 0x7E, 0x7F, 0x80, 0xFF):  # as the checksum, and in long rows
+            seq = peer.seq()
+            filler = checksum(seq, opcode, b"\0") ^ value
+            self._exchange(peer, opcode, bytes((filler,)), seq, {4})
+            for length in (60, peer.longest):
+                data = bytes((value,)) * length
+                self._exchange(peer, opcode, data, peer.seq(), set(range(3, 3 + length)))
         for field in (0, 1, 2, 4):
             self._exchange(peer, opcode, b"x", peer.seq(), {field})
         self._exchange(peer, opcode, b"x", peer.seq(), {0, 1, 2, 3, 4})
@@ -138,6 +146,15 @@ class EscapeFfAnywhere(Case):
                 due = [refusal(0x56 + n, c.ERR_FRAMING)] if cut > 1 else []
                 rest = frame[cut : cut + cut % 6]
                 yield frame[:cut] + b"\x7d\xff" + rest + request.wire, [*due, request.expected]
+        for n, seq in enumerate(SPECIAL):
+            frame = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), b"abc"[: n % 4]))
+            known = 3 if frame[1] == c.ESC else 2
+            for cut in range(known, len(frame)):
+                if frame[cut - 1] == c.ESC:
+                    continue
+                request = peer.probe()
+                due = [refusal(seq, c.ERR_FRAMING)]
+                yield frame[:cut] + b"\x7d\xff" + request.wire, [*due, request.expected]
 
 
 class EscapeFf(Case):

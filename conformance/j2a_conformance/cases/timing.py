@@ -65,6 +65,15 @@ def awkward(peer: Peer) -> tuple[bytes, Expected]:
     return wire, Expected(0xED, c.ECHO, payload)
 
 
+def escaped(peer: Peer) -> tuple[bytes, Expected]:
+    """Return an echo in which each field is escaped, needed or not, and its due reply."""
+    seq, opcode, payload = 0x41, peer.opcode(c.GET_ECHO), b"x"
+    body = (seq, opcode, len(payload), *payload, checksum(seq, opcode, payload))
+    wire = b"".join(bytes((c.ESC, value - 1)) for value in body)
+    assert not {value - 1 for value in body} & {c.SOF, c.SOS, -1, 0xFF}
+    return bytes((c.SOF,)) + wire, Expected(seq, c.ECHO, payload)
+
+
 def seq_known(wire: bytes, cut: int) -> bool:
     """Tell whether the first `cut` bytes of a frame hold its seq."""
     return cut >= (3 if wire[1] == c.ESC else 2)
@@ -79,8 +88,8 @@ class ShortPause(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
-        for pause_s in (0.004, 0.0085):
-            wire, due = awkward(peer)
+        frames = [(0.004, *awkward(peer)), (0.0085, *awkward(peer)), (0.0085, *escaped(peer))]
+        for pause_s, wire, due in frames:
             for cut in range(1, len(wire)):
                 accepts(peer, [wire[:cut], wire[cut:]], pause_s, due)
 
@@ -139,6 +148,9 @@ class GivesUp(Case):
             for cut in range(1, len(wire)):
                 if seq_known(wire, cut):
                     peer.attempts(lambda w=wire, n=cut, s=seq: self.cut(peer, w[:n], s))  # type: ignore[misc]
+        for cut in (2, 3, 4, 6, 7):  # with an escape that does not end, in every field
+            part = plain.wire[:cut] + bytes((c.ESC,))
+            peer.attempts(lambda p=part: self.cut(peer, p, plain.seq))  # type: ignore[misc]
         peer.barrier()
 
     @staticmethod
