@@ -26,7 +26,7 @@ SLOW = ("timing.", "scenario-", "frame.pieces", "frame.lengths", "seq.", "limits
 """Cases that take long and that no option of a build changes."""
 
 
-def judge(build, chosen=lambda case: True, device=Firmware2014, resets=True, scale=0.05):
+def judge(build, chosen=lambda case: True, device=Firmware2014, resets=True, scale=0.2):
     """Judge a build in this process by the profile; opening the link resets it unless told."""
     links = []
 

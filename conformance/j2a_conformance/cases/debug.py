@@ -141,8 +141,9 @@ class Boundaries(Case):
         if peer.link.lossy:
             inform("the link was declared lossy: too many exchanges in a row")
         drain(peer)
-        write(peer, [0x05] * (peer.longest // LINE + 2))
-        piece = len(take(peer)[0])  # what a call takes at most, as far as can be seen
+        write(peer, [0x05] * (c.MAX_PAYLOAD // LINE + 2))
+        part, code = take(peer)
+        piece = len(part) if code & c.DEBUG_MORE else 0  # what a call takes, where that was seen
         drain(peer)
         held = self._overflow(peer)
         reached = [target for target in _TARGETS if self._pending(peer, target, piece, held)]
@@ -163,16 +164,14 @@ class Boundaries(Case):
         """Have exactly `target` bytes pending, and take them; tell whether that was possible."""
         # A line has always 9 bytes; what calls of a longer text leave over shifts the sum, and so
         # does a text of which the device could not keep all.
-        starts = [*range(0, 6 * piece, LINE), *([held] if held else [])]
+        starts = [*range(0, 6 * piece, LINE), *([held] if held and piece else [])]
         plans = (
             (start, calls, start - calls * piece)
             for start in starts
-            for calls in range(start // piece + 1)
+            for calls in range(1, start // piece + 1)
         )
         fitting = (
-            plan
-            for plan in plans
-            if 0 < plan[2] <= target and (target - plan[2]) % LINE == 0 and plan[1]
+            plan for plan in plans if 0 < plan[2] <= target and (target - plan[2]) % LINE == 0
         )
         start, calls, left = next(fitting, (0, 0, 0))
         if not calls and target % LINE:

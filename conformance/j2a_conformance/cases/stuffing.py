@@ -100,7 +100,7 @@ class Needless(Case):
             seq = peer.seq()
             filler = checksum(seq, opcode, b"\0") ^ value
             self._exchange(peer, opcode, bytes((filler,)), seq, {4})
-            for length in (60, peer.longest):
+            for length in (min(60, peer.longest), peer.longest):
                 data = bytes((value,)) * length
                 self._exchange(peer, opcode, data, peer.seq(), set(range(3, 3 + length)))
         for field in (0, 1, 2, 4):

@@ -192,7 +192,8 @@ class GivesUpLong(Case):
         self._silent(peer)
         for n, request in enumerate(long_frames(peer)):
             wire = request.wire
-            for k, cut in enumerate(spread(len(wire) - 1, 53, 2)[n % 4 :: 4]):
+            cuts = {*spread(len(wire) - 1, 53, 2)[n % 4 :: 4], len(wire) - 1}
+            for k, cut in enumerate(sorted(cuts)):
                 part, rest = wire[:cut], wire[cut:] if k % 3 == 0 else b""
                 peer.attempts(lambda a=part, b=rest, r=request: self._cut(peer, a, b, r.seq))  # type: ignore[misc]
 
