@@ -305,8 +305,10 @@ class Session:
         self._counts["bytes_received"] += len(data)
         self._tracer.note("rx", data)
         events: list[Call | Sif] = []
+        is_traced = self._tracer.is_on
         for event in self._deframer.feed(data):
-            self._tracer.note("rx", event)
+            if is_traced:
+                self._tracer.note("rx", event)
             if isinstance(event, FrameError):
                 self._is_lost = True
                 kind = "checksum_errors" if event.reason == "checksum" else "framing_errors"

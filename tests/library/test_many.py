@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import j2a
-from j2a._many import Steps
+from j2a._many import Steps, read_chunks
 from j2a._peer import DEFAULT_MAX_BYTES, Peer
 from j2a.demo import STORE_BYTES, DemoDevice
 from j2a.events import Reply
@@ -223,6 +223,20 @@ def test_what_the_replies_to_a_write_carry_is_ignored(demo, peer, is_last, data)
     requests = []
     assert drive(answers(*replies), peer.write("store", bytes(600), None), requests) == 0
     assert len(requests) == 3
+
+
+def test_a_guard_is_asked_once_and_copies_nothing():
+    seen = []
+
+    def guard(content, _first):
+        seen.append(content)
+        return
+        yield
+
+    replies = [chunk(bytes(249), offset=249 * n, is_last=n == 9) for n in range(10)]
+    steps = read_chunks("f", 6, max_bytes=4096, guard=guard)
+    assert drive(answers(*replies), steps) == bytes(2490)
+    assert [type(content) for content in seen] == [bytearray]
 
 
 class TestOldDevices:
