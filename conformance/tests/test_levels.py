@@ -71,3 +71,22 @@ def test_what_counts_as_tested(verdict):
     seen = verdict not in (Verdict.UNIMPLEMENTED, Verdict.INFORMATIONAL)
     assert run.tested == seen
     assert run_of(("frame", verdict)).tested == seen
+
+
+def test_a_function_that_a_claimed_level_needs_is_missing(reference, judged):
+    class Lacks(reference):
+        names = tuple(name for name in reference.names if name not in ("sif", "delay"))
+
+    found = judged(Lacks, ["sif.every-length", "limits.cut-frame"], claimed=["sif"])
+    by_case = {result.case: result for result in found.results}
+    assert by_case["sif.every-length"].verdict is Verdict.FAILED
+    assert by_case["sif.every-length"].reason == (
+        "the device has no function sif, and is said to reach the level sif"
+    )
+    assert by_case["limits.cut-frame"].verdict is Verdict.UNIMPLEMENTED
+    assert not found.conformant
+
+
+def test_a_missing_property_is_no_missing_function(reference, judged):
+    found = judged(reference, ["properties.selftest"], claimed=["properties"])
+    assert found.results[-1].verdict is Verdict.UNIMPLEMENTED
