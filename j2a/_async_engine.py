@@ -216,13 +216,15 @@ class AsyncEngine:
         with self._changed:
             item = self._items.popleft()
             if isinstance(item, bytes):
+                if self._in_flight + PIECE > IN_FLIGHT:
+                    self._changed.notify_all()
                 self._in_flight -= len(item)
-            self._changed.notify_all()
             if self._items:
                 self._loop.call_soon(self._take)
         if isinstance(item, bytes):
-            self._settle(self._session.receive(item))
-            if self._loop.time() >= self._flood_limit:
+            now = self._loop.time()
+            self._settle(self._session.receive(item, now))
+            if now >= self._flood_limit:
                 self._judge(math.inf)
         elif isinstance(item, float):
             self._judge(item)
@@ -308,7 +310,7 @@ class AsyncEngine:
         """
         with self._changed:
             if isinstance(item, bytes):
-                while self._in_flight >= IN_FLIGHT and not self._has_ended:
+                while self._in_flight + len(item) > IN_FLIGHT and not self._has_ended:
                     self._changed.wait(WAIT_S)
                 if self._has_ended:
                     raise LinkClosed(f"{self._transport.url} is closed")

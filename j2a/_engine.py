@@ -161,7 +161,7 @@ class Engine:
         with self._turn:
             pass
         with self._state:
-            self._settle(self._session.receive(piece))
+            self._settle(self._session.receive(piece, time.monotonic()))
 
     # ------------------------------------------------------------------ SIFs
 

@@ -202,6 +202,8 @@ class Session:
         changed = []
         while self._queue and len(self._sent) < self._window:
             call = next(iter(self._queue))
+            if call.deadline is not None and call.deadline <= self._now:
+                break  # it is too late to send it: handle_timeout is due
             seq = self._free_seq()
             if seq is None:
                 self._send_barrier()
@@ -297,11 +299,18 @@ class Session:
 
     # ------------------------------------------------------------------ input
 
-    def receive(self, data: bytes) -> list[Call | Sif]:
+    def receive(self, data: bytes, now: float | None = None) -> list[Call | Sif]:
         """Take bytes that arrived; return SIFs, calls that ended and calls sent, in this order.
 
         Never raises, whatever the bytes are.
+
+        Args:
+            data: the bytes.
+            now: the time, in seconds; None is that of the last call of any method. A call that
+                waits for its turn is not sent after its time.
         """
+        if now is not None:
+            self._now = now
         self._counts["bytes_received"] += len(data)
         self._tracer.note("rx", data)
         events: list[Call | Sif] = []

@@ -11,6 +11,7 @@ from j2a_spec.constants import SOF, SOS
 
 import j2a
 from j2a._async_engine import IN_FLIGHT
+from j2a._session import Session
 from j2a._threads import PIECE
 
 from .support import PATIENCE_S
@@ -141,6 +142,20 @@ class TestLateReaders:
         results = work(Suspended(answers=3), [*range(1, 9)])
         assert sum(isinstance(result, bytes) for result in results) == 3
         assert sum(isinstance(result, j2a.CallTimeout) for result in results) == 5
+
+    def test_a_call_whose_turn_comes_too_late_is_not_sent(self):
+        session = Session(first_seq=0)
+        calls = [
+            session.start_call("call", n, b"", now=0.0, timeout_s=1.0, waiter=object())
+            for n in (1, 2)
+        ]
+        session.data_to_send()
+        reply = oracle.encode(oracle.Frame(SOF, 0, 0, b"done"))
+        assert session.receive(reply, 1.5) == calls[:1]
+        assert session.data_to_send() == b""
+        assert session.handle_timeout(1.5) == calls[1:]
+        assert calls[1].error.outcome is j2a.Outcome.NOT_SENT
+        assert session.data_to_send() == b""
 
     @both
     def test_a_transport_with_a_thread_of_its_own_gets_time(self, work, monkeypatch):

@@ -13,7 +13,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, Final
 
-from ._base import BadUrl, Listener, OpenFailed, Transport
+from ._base import BadUrl, Listener, OpenFailed, Transport, TransportError
 from ._url import Url
 
 ENTRY_POINT_GROUP: Final = "j2a.transports"
@@ -58,7 +58,11 @@ def open(url: str, **options: object) -> Transport:
         MissingExtra: a Python package is missing; the message names it.
     """
     parsed = Url.parse(url, options)
-    transport: Transport = _driver(parsed).open_url(parsed)
+    try:
+        transport: Transport = _driver(parsed).open_url(parsed)
+    except TransportError as error:
+        # Its message says all; what the driver met before would bury it.
+        raise error from None
     return transport
 
 
