@@ -102,6 +102,8 @@ class Runner:
                 else:
                     self._receive(self._client)
                     self._meet_another()
+                if self._wait_s() > 0:
+                    continue  # simulated time is still ahead
                 self._feed()
                 self.sim.run(self._slice)
                 self._send()
@@ -113,7 +115,7 @@ class Runner:
             self._client = self._next = None
 
     def _wait_s(self) -> float:
-        """How long to wait for input before the next slice."""
+        """How long to wait for input before the next slice, or before the next look at `stop`."""
         sim = self.sim
         if self._speed == 0:
             if sim.counters.queued or self._backlog:
@@ -121,7 +123,7 @@ class Runner:
             if sim.cycle < self._active_until:
                 self._pacer.restart(sim.time_s)
                 return 0.0
-        return self._pacer.wait_s(sim.time_s)
+        return min(self._pacer.wait_s(sim.time_s), LOOK_S)
 
     def _stay_active(self) -> None:
         self._active_until = self.sim.cycle + self.sim.cycles(ACTIVE_S)

@@ -42,7 +42,7 @@ def hostile(fake, wire):
         if request.opcode == 0:
             return reply(request.seq, 0, mapping)
         if request.opcode == 1:
-            func, _, offset = struct.unpack_from("<BBL", request.payload)
+            _func, _, offset = struct.unpack_from("<BBL", request.payload)
             chunk = content[offset : offset + 200]
             flags = FLAG_LAST if offset + 200 >= len(content) else 0
             return reply(request.seq, 0, struct.pack("<BBL", 0, flags, offset) + chunk)

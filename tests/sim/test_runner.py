@@ -312,6 +312,20 @@ def test_command_ends_cleanly_by_signal(firmware, number):
     assert re.fullmatch(rb"cycles=\d+ .*bytes_in=5 bytes_out=5 .*\n", err)
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("hosts", [0, 1])
+def test_a_slow_simulation_ends_at_once(firmware, number, hosts):
+    """Simulated time is ahead by some milliseconds, which at this speed are minutes."""
+    with command(firmware("echo"), "--speed", "0.00001") as process:
+        url = process.stdout.readline().decode().split()[-1]
+        with contextlib.ExitStack() as stack:
+            for _ in range(hosts):
+                stack.enter_context(j2a_transports.open(url)).write(b"hello")
+            process.send_signal(number)
+            process.communicate(timeout=WAIT_S)
+    assert process.returncode == 128 + number
+
+
 def test_command_on_standard_streams(firmware):
     options = ["--listen", "stdio:", "--speed", "0", "--once"]
     with command(firmware("echo"), *options, stdin=subprocess.PIPE) as process:

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 SLICE_S: Final = 0.001
 # At speed 0, simulated time after the last sign of traffic that still passes at full speed.
 ACTIVE_S: Final = 0.005
+LOOK_S: Final = 0.1  # so often a wait looks whether it shall end
 RESET_RECOVERY_S: Final = 0.01  # USB 2.0, 7.1.7.5
 SET_ADDRESS_RECOVERY_S: Final = 0.002  # USB 2.0, 9.2.6.3
 
@@ -195,7 +196,9 @@ class UsbHost:
         wait_s = self._wait_s()
         with self._changed:
             if wait_s and not self._jobs:
-                self._changed.wait(wait_s)
+                self._changed.wait(min(wait_s, LOOK_S))
+                if wait_s > LOOK_S and not self._jobs:
+                    return  # not yet due, and whoever waits may have to stop
             jobs = list(self._jobs)
             self._jobs.clear()
         for job in jobs:
