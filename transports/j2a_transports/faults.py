@@ -215,8 +215,8 @@ def _parse(url: Url) -> tuple[str, Rates, Rates, int, dict[str, object]]:
         raise BadUrl(f"{url.text}: expected faults:seed=1,drop=0.001:inner-url")
     if _depth(url.rest) >= MAX_NESTED:
         raise BadUrl(
-            f"{url.text[:40]}...: faults: stands inside faults: more than {MAX_NESTED} times; "
-            "one with several options does the same"
+            f"{url.text[:40]}...: at most {MAX_NESTED} faults: may stand inside each other; one "
+            "with several options does the same"
         )
     # Keywords of the call that are no fault options belong to the inner transport.
     own = {name: value for name, value in url.keywords.items() if name in OPTIONS}
