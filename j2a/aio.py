@@ -74,7 +74,7 @@ class AsyncClient(Shell):
         Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
 
         Raises: LocalError for a wrong argument; RemoteError when the device refused the request;
-            CallTimeout when no reply came in time; LinkError when the link is lost or closed.
+            CallTimeout when no reply came in time; LinkError when the link is lost or stalled.
         """
         data = check_payload(payload)
         return await self._drive(

@@ -90,7 +90,7 @@ class Client(Shell):
                 `PayloadTooLong` if the device has no room for the payload.
             RemoteError: the device refused the request; the type says why.
             CallTimeout: there was no reply in time.
-            LinkError: the link is lost or closed.
+            LinkError: the link is lost, closed or stalled.
         """
         data = check_payload(payload)
         return self._drive(self._call(function, data), self._call_limits(timeout, self._now()))
@@ -200,6 +200,8 @@ class Client(Shell):
     @property
     def properties(self) -> dict[str, str]:
         """The device's properties, read when first asked for; empty when it has none.
+
+        Reading them takes at most ten time limits of the client and 16 KiB (J2A-LIMIT-008).
 
         Source: J2A-PROP-001, J2A-PROP-005.
 

@@ -1,16 +1,20 @@
 """A link whose 256 seqs are all outstanding: no seq is reused, and barriers free them."""
 
+import asyncio
 import itertools
 import math
+import time
 
+import j2a_transports
 import pytest
 from j2a_spec import oracle
-from j2a_spec.constants import ECHO
+from j2a_spec.constants import ECHO, SOF
 
 import j2a
 from j2a._session import Session
 from j2a.events import Reply
 
+from .support import PATIENCE_S, linked
 from .test_session import Host
 
 ECHO_OPCODE = 4
@@ -170,3 +174,71 @@ def test_a_barrier_does_not_exceed_what_the_device_can_hold():
     host.wait(10)
     host.fail()
     assert len(host.sent) == 2
+
+
+def answer_barrier(far: j2a_transports.Transport, seen: list[oracle.Frame]) -> bool:
+    """Read what came; answer a barrier, which frees all seqs, and say whether there was one."""
+    data = far.read(PATIENCE_S)
+    assert data, "no request comes"
+    events = oracle.decode(data)
+    seen += [event for event in events if isinstance(event, oracle.Frame)]
+    for frame in seen:
+        if len(frame.payload) == 8:
+            far.write(oracle.encode(oracle.Frame(SOF, frame.seq, ECHO, frame.payload)))
+            return True
+    return False
+
+
+@pytest.mark.requirement("J2A-SEQ-006", "J2A-SEQ-007")
+def test_the_client_recovers_by_a_barrier():
+    near, far = j2a_transports.pair()
+    seen: list[oracle.Frame] = []
+    with j2a.Client(near, timeout=0.0005) as client:
+        client._session.echo_opcode = ECHO_OPCODE
+        for _ in range(256):
+            with pytest.raises(j2a.CallTimeout):
+                client.call(7)
+        with pytest.raises(j2a.LinkStalled):
+            client.call(7)
+        while not answer_barrier(far, seen):
+            pass
+        assert [frame.opcode for frame in seen] == [7] * 256 + [ECHO_OPCODE]
+        deadline = time.monotonic() + PATIENCE_S
+        while client._session._owed:
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+        with pytest.raises(j2a.CallTimeout):
+            client.call(7)
+    far.close()
+
+
+@pytest.mark.requirement("J2A-SEQ-006", "J2A-SEQ-007")
+def test_the_asyncio_client_recovers_by_a_barrier():
+    async def run() -> None:
+        near, far = j2a_transports.pair()
+        seen: list[oracle.Frame] = []
+        async with j2a.AsyncClient(near, timeout=0.0005) as client:
+            client._session.echo_opcode = ECHO_OPCODE
+            for _ in range(256):
+                with pytest.raises(j2a.CallTimeout):
+                    await client.call(7)
+            with pytest.raises(j2a.LinkStalled):
+                await client.call(7)
+            while not await asyncio.to_thread(answer_barrier, far, seen):
+                pass
+            assert [frame.opcode for frame in seen] == [7] * 256 + [ECHO_OPCODE]
+            while client._session._owed:
+                await asyncio.sleep(0.001)
+            with pytest.raises(j2a.CallTimeout):
+                await client.call(7)
+        far.close()
+
+    asyncio.run(asyncio.wait_for(run(), PATIENCE_S))
+
+
+def test_connecting_finds_the_opcode_of_barriers():
+    with linked() as client:
+        assert client._session.echo_opcode == client.functions["a2jEcho"]
+        nonces = {client._session._nonce() for _ in range(100)}
+        assert len(nonces) == 100
+        assert {len(nonce) for nonce in nonces} == {8}
