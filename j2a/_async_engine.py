@@ -26,7 +26,7 @@ from j2a._link import WAIT_S
 from j2a._session import Call, Session
 from j2a._shell import MAX_SIFS_WAITING, foreign_process, take_stale_input
 from j2a._threads import JOIN_S, LOOK_S, PIECE, LinkThreads, join_threads, start_thread
-from j2a.errors import LinkClosed, LinkError, LocalError
+from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
 
 if TYPE_CHECKING:
@@ -99,6 +99,10 @@ class AsyncEngine:
             call = self._session.start_call(
                 what, opcode, payload, now=self._loop.time(), timeout_s=limit_s, waiter=done
             )
+        except J2AError:
+            # Who tries again and again must not keep the event loop for itself.
+            await asyncio.sleep(0)
+            raise
         finally:
             self._flush()  # where the link is stalled, a barrier
         try:

@@ -214,6 +214,30 @@ class TestFloods:
 
         asyncio.run(main())
 
+    def test_the_event_loop_has_turns_between_calls_that_fail_at_once(self):
+        async def main():
+            near, far = j2a_transports.pair()
+            async with j2a.AsyncClient(near) as client:
+                far.close()
+                while client.is_open:
+                    await asyncio.sleep(0)
+                turns = 0
+
+                async def count():
+                    nonlocal turns
+                    while True:
+                        turns += 1
+                        await asyncio.sleep(0)
+
+                counter = asyncio.create_task(count())
+                for _ in range(100):
+                    with pytest.raises(j2a.LinkLost):
+                        await client.call(1)
+                assert turns >= 99
+                counter.cancel()
+
+        asyncio.run(asyncio.wait_for(main(), PATIENCE_S))
+
     def test_the_event_loop_has_turns_between_sifs(self, monkeypatch):
         monkeypatch.setattr("j2a._async_engine._TURN_S", 0.0)
 
