@@ -2,7 +2,7 @@
 
 What flows in: a start byte, a seq and lengths. What flows out: frames that are right, however they
 are escaped, and `Broken` ones with a word on what is wrong. Rules: seeded, so that each run sends
-the same; the oracle has seen that a broken frame holds no good one.
+the same; no broken frame holds a good one.
 """
 
 import random

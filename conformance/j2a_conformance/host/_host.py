@@ -73,6 +73,7 @@ class Host:
 
     def _begin(self) -> None:
         self._seqs = Seqs()
+        self._is_met = False
         self._pending: Frame | None = None
         self._held.clear()
 
@@ -335,7 +336,10 @@ class Host:
                     f"nothing came from the host for {self._patience_s + wait_ms / 1e3:.1f} s{rest}"
                 )
             request = self._judge(arrival)
-            if request is None or not self.device.asks_about_it(request.opcode, request.payload):
+            # Before its first call for a job a host may ask for what it likes.
+            if request is None or (
+                self._is_met and not self.device.asks_about_it(request.opcode, request.payload)
+            ):
                 return request
             self._tell(request)
 
@@ -378,7 +382,7 @@ class Host:
         if frame.opcode == CONDUCTOR:
             if self._pending is not None:
                 fail("the host called the conductor while it waited for a job")
-            self._pending = frame
+            self._pending, self._is_met = frame, True
             return None
         return Request(frame.seq, frame.opcode, frame.payload, len(arrival.raw))
 

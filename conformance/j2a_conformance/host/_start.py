@@ -34,7 +34,6 @@ class Start(HostCase):
 
     def _run(self, host: Host) -> None:
         try:
-            host.serve()
             host.title = host.outcome("ready").rest
         except Judged as judged:
             lines, _ = host.link.evidence()

@@ -114,23 +114,26 @@ def _joined(sifs: Sequence[tuple[int, bytes]]) -> bytes:
     return b"".join(bytes((opcode, len(payload))) + payload for opcode, payload in sifs)
 
 
-def explain_sifs(reported: str, due: Sifs, never: Sifs) -> str:
+def explain_sifs(reported: str, due: Sifs, never: Sequence[tuple[int, tuple[int, bytes]]]) -> str:
     """Return which SIF is missing, comes twice, too early or damaged; "" where nobody can tell.
 
     Args:
         reported: the joined SIFs, as a host program spells them.
         due: what it should have reported.
-        never: those that it must not report.
+        never: those that it must not report, each with how many of `due` came before it.
     """
     for what, found in _guesses(due, never):
         if spell(_joined(found)) == reported:
             return what
     if _LONG.fullmatch(reported) is None:
         return explain(reported, _joined(due))
-    return f"{reported.partition('#')[0]} bytes were reported, {len(_joined(due))} are due"
+    more = int(reported.partition("#")[0]) - len(_joined(due))
+    return f"{abs(more)} bytes {'more' if more > 0 else 'less'} than are due"
 
 
-def _guesses(due: Sifs, never: Sifs) -> Iterator[tuple[str, Sifs]]:
+def _guesses(
+    due: Sifs, never: Sequence[tuple[int, tuple[int, bytes]]]
+) -> Iterator[tuple[str, Sifs]]:
     yield "none was handed over", []
     for index, sif in enumerate(due):
         named = f"SIF {index} of {len(due)} (opcode 0x{sif[0]:02X}, {len(sif[1])} bytes)"
@@ -141,9 +144,8 @@ def _guesses(due: Sifs, never: Sifs) -> Iterator[tuple[str, Sifs]]:
         if behind:
             yield f"{named} came behind the next one", [*before, behind[0], sif, *behind[1:]]
             yield f"{named} and all before it are missing", behind
-    for sif in never:
+    for index, sif in never:
         text = f"a broken SIF was handed over: opcode 0x{sif[0]:02X}, {len(sif[1])} bytes"
-        yield text, [*due, sif]
-        yield text, [sif, *due]
+        yield text, [*due[:index], sif, *due[index:]]
     opcodes = [(o, p) for o, p in due if o < c.ERR_OPCODE]
     yield "those with opcodes from 0xF0 are missing", opcodes

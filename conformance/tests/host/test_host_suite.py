@@ -25,6 +25,16 @@ def test_the_reference_host_conforms(host_reference, host_judged):
     assert run.title == "reference"
 
 
+def test_a_request_of_its_own_before_the_first_job_is_no_fault(host_reference, host_judged):
+    class Chatty(host_reference):
+        def connected(self):
+            super().connected()
+            self.call(4, b"is anybody there?", 3.0)
+
+    run = host_judged(Chatty, ["host.start", "host.names.moved", "host.time.link-closed"])
+    assert {r.case: r.reason for r in run.results if r.verdict is not Verdict.OK} == {}
+
+
 @pytest.mark.parametrize("name", ["client", "aio"])
 def test_our_hosts_conform(name, capsys):
     assert main(["host", "--", sys.executable, str(HOSTS / f"{name}.py")]) == 0

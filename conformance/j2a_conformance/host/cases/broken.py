@@ -136,9 +136,10 @@ class _BrokenSifs(HostCase):
         anchor(host)
         request = host.asked()
         broken = list(type(self).KIND(c.SOS, 0x55))
-        stream, good = b"", Sifs()
+        stream, good, never = b"", Sifs(), []
         for index, one in enumerate(broken):
             stream += one.wire
+            never.append((len(good), (one.code, one.payload)))
             if index % 10 == 0:
                 good.append((index % 256, b"%d" % index))
                 stream += host.sif(*good[-1])
@@ -146,7 +147,6 @@ class _BrokenSifs(HostCase):
         host.send(host.sif(0x45, b"good"))
         host.reply(request, 3, b"own")
         host.replied_with(3, b"own")
-        never = [(one.code, one.payload) for one in broken]
         handed(host, [*good, (0x45, b"good")], never=never)
 
 

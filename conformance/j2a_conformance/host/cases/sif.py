@@ -1,6 +1,7 @@
 """Server-initiated frames (J2A-SIF)."""
 
 import random
+from collections.abc import Sequence
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import checksum, stuff
@@ -25,7 +26,11 @@ _HANDLED = 0x2A
 
 
 def handed(
-    host: Host, sifs: Sifs, missing: int | None = 0, handler: str = "all", never: Sifs | None = None
+    host: Host,
+    sifs: Sifs,
+    missing: int | None = 0,
+    handler: str = "all",
+    never: Sequence[tuple[int, tuple[int, bytes]]] = (),
 ) -> None:
     """Judge that a handler has got exactly these SIFs, and how many the host says are missing.
 
@@ -34,7 +39,7 @@ def handed(
         sifs: those that were sent.
         missing: how many must be missing; None leaves it open.
         handler: `all`, `a` or `b`.
-        never: broken ones, which a host may have handed over.
+        never: broken ones, which a host may have handed over; see `explain_sifs`.
     """
     due = b"".join(bytes((opcode, len(payload))) + payload for opcode, payload in sifs)
     outcome, _ = host.do(f"sifs {handler} {len(sifs)} {host.limit_ms}", "sifs")
@@ -43,7 +48,7 @@ def handed(
         shown = ", ".join(f"0x{o:02X} {spell(p)}" for o, p in sifs[:8])
         more = f" and {len(sifs) - 8} more" if len(sifs) > 8 else ""
         host.link.record("expected", text=f"the SIFs {shown}{more}")
-        where = explain_sifs(data, sifs, never or [])
+        where = explain_sifs(data, sifs, never)
         fail(f"the handler `{handler}` got {data} of {len(sifs)} SIFs, not {spell(due)}; {where}")
     if missing is not None and count != str(missing):
         fail(f"the host reports {count} missing SIFs, not {missing} (J2A-SIF-009)")
