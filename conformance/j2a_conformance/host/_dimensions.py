@@ -6,7 +6,7 @@ the same; no broken frame holds a good one.
 """
 
 import random
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 
@@ -33,6 +33,7 @@ SPECIAL = bytes(sorted({*c.STUFFED, *(b - 1 for b in c.STUFFED), *(b + 1 for b i
 _FIELDS = ("seq", "opcode", "length")
 _EVERY_MASK = (0, 1, 17, 64, 255)  # lengths at which each wrong checksum there is comes
 _ERRORS = tuple(sorted(c.ERRORS))
+_RETURNED = (*range(c.RET_MAX + 1), c.RET_FAILED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,50 +107,64 @@ def _named(index: int, length: int) -> str:
     return "the checksum" if index == length + c.HEADER else f"payload byte {index - c.HEADER}"
 
 
-def _code(number: int) -> int:
-    """Return a return value of a function; each fifth is that of an error reply."""
-    return _ERRORS[number // 5 % len(_ERRORS)] if number % 5 == 4 else 1 + number % c.RET_MAX
+def _fields(start: int, seq: int, number: int) -> tuple[int, int]:
+    """Return seq and opcode of a frame: of a SIF any, of a reply its own and any return value.
+
+    Each fifth reply is an error reply.
+    """
+    if start == c.SOS:
+        return (seq + number * 3) % 256, (number * 7) % 256
+    if number % 5 == 4:
+        return seq, _ERRORS[number // 5 % len(_ERRORS)]
+    return seq, _RETURNED[number % len(_RETURNED)]
 
 
-def wrong_sums(start: int, seq: int) -> Iterator[Broken]:
-    """Yield frames of every length whose checksum is wrong; of some lengths, in every way."""
-    for length in LENGTHS:
+def wrong_sums(start: int, seq: int, lengths: Iterable[int] = LENGTHS) -> Iterator[Broken]:
+    """Yield frames of these lengths whose checksum is wrong; of some lengths, in every way.
+
+    Args:
+        start: SOF or SOS.
+        seq: of replies; SIFs have every seq there is.
+        lengths: of the payloads.
+    """
+    for length in lengths:
         masks = range(1, 256) if length in _EVERY_MASK else (1 << length % 8, 0x80, 1 + length)
         for mask in masks:
-            payload, code = content(length, mask % 4), _code(length + mask)
-            wire = frame(start, seq, code, payload, mask)
+            payload, fields = content(length, mask % 4), _fields(start, seq, length + mask)
+            wire, code = frame(start, *fields, payload, mask), fields[1]
             yield Broken(f"the checksum wrong by 0x{mask:02X}", wire, code, payload)
 
 
-def escape_ff(start: int, seq: int) -> Iterator[Broken]:
-    """Yield frames of every length with ESC 0xFF in a field, or between two.
+def escape_ff(start: int, seq: int, lengths: Iterable[int] = LENGTHS) -> Iterator[Broken]:
+    """Yield frames with ESC 0xFF in a field, or between two; see `wrong_sums`.
 
     Each is whole for a host that reads ESC 0xFF as 0x00 or as 0xFF, or that leaves it out.
     """
     kinds = ((b"\x7d\xff", 0x00), (b"\x7d\xff", 0xFF), (b"\x7d\xff", None))
-    return _everywhere(start, seq, kinds)
+    return _everywhere(start, seq, lengths, kinds)
 
 
-def interrupted(start: int, seq: int) -> Iterator[Broken]:
-    """Yield frames of every length with a raw start byte in a field, or between two.
+def interrupted(start: int, seq: int, lengths: Iterable[int] = LENGTHS) -> Iterator[Broken]:
+    """Yield frames with a raw start byte in a field, or between two; see `wrong_sums`.
 
     Each is whole for a host that takes the start byte for a value, leaves it out, or takes it as
     escaped where ESC stands before it.
     """
     markers = [(m, bytes((m,))) for m in sorted(c.MARKERS)]
     kinds = [kind for m, raw in markers for kind in ((raw, m), (raw, None), (b"\x7d" + raw, m + 1))]
-    return _everywhere(start, seq, tuple(kinds))
+    return _everywhere(start, seq, lengths, tuple(kinds))
 
 
 def _everywhere(
-    start: int, seq: int, kinds: tuple[tuple[bytes, int | None], ...]
+    start: int, seq: int, lengths: Iterable[int], kinds: tuple[tuple[bytes, int | None], ...]
 ) -> Iterator[Broken]:
-    rng = random.Random(len(kinds))
     first = 0 if start == c.SOS else 1  # another seq is no reply in any case
-    for length in LENGTHS:
+    for length in lengths:
+        rng = random.Random(len(kinds) + length)
         for index in places(length, rng, first):
             some = kinds if length < 30 or length > 250 else rng.sample(kinds, 2)
-            whole = Frame(start, seq, _code(length + index), content(length, index % 5))
+            fields = _fields(start, seq, length + index)
+            whole = Frame(start, *fields, content(length, index % 5))
             misread = (_misread(whole, index, *kind) for kind in some)
             yield from (broken for broken in misread if broken is not None)
 
@@ -185,12 +200,12 @@ def _begins_good(body: bytes) -> bool:
     return checksum(body[0], body[1], body[c.HEADER : end]) == body[end]
 
 
-def cut_off(start: int, seq: int) -> Iterator[Broken]:
-    """Yield frames of every length, cut off somewhere; those of a few lengths everywhere."""
-    rng = random.Random(5)
-    for length in LENGTHS:
-        code, payload = _code(length), content(length, 9)
-        wire = frame(start, seq, code, payload)
+def cut_off(start: int, seq: int, lengths: Iterable[int] = LENGTHS) -> Iterator[Broken]:
+    """Yield frames that are cut off; those of a few lengths everywhere; see `wrong_sums`."""
+    for length in lengths:
+        rng, payload = random.Random(length), content(length, 9)
+        own, code = _fields(start, seq, length)
+        wire = frame(start, own, code, payload)
         every = range(1, len(wire)) if length in (0, 6, 20) else {1, 4, len(wire) - 1}
         for end in (*every, rng.randrange(1, len(wire))):
             yield Broken(f"cut off behind {end} bytes", wire[:end], code, payload)

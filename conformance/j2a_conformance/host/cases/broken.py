@@ -22,7 +22,7 @@ from j2a_conformance.host._dimensions import (
     wrong_sums,
 )
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Sifs, spell
+from j2a_conformance.host._words import Request, Sifs, spell
 
 from .sif import anchor, handed
 
@@ -48,6 +48,13 @@ def judged(host: Host, broken: list[Broken], code: int, payload: bytes) -> None:
         raise
 
 
+def behind_an_error(host: Host) -> Request:
+    """Refuse a call by an error reply, and return the next one: nothing has come in between."""
+    host.job(f"repeat 2 call @6 - {10 * host.limit_ms}")  # what is sent then takes its time
+    host.reply(host.request(6, b""), c.ERR_CHECKSUM, b"\x04\x00")
+    return host.request(6, b"")
+
+
 class _Replies(HostCase):
     """Broken replies of every length, then the right one."""
 
@@ -56,7 +63,7 @@ class _Replies(HostCase):
     KIND: ClassVar[Kind]
 
     def _run(self, host: Host) -> None:
-        request = host.asked()
+        request = behind_an_error(host)
         broken = list(type(self).KIND(c.SOF, request.seq))
         host.flood(f"{len(broken)} broken replies", b"".join(one.wire for one in broken))
         host.reply(request, c.RET_OK, _RIGHT)
@@ -112,17 +119,18 @@ class Each(HostCase):
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:
-        kinds: dict[int, list[Broken]] = {length: [] for length in LENGTHS}
-        for kind in (wrong_sums, escape_ff, interrupted, cut_off):
-            for one in kind(c.SOF, 0):
-                kinds[len(one.payload)].append(one)
         for length in LENGTHS:
+            if (
+                length == len(LENGTHS) // 2
+            ):  # from here on the calls have the other half of all seqs
+                host.do(f"repeat 2 call @6 - {host.limit_ms}", "reply 0 -")
             request, payload = host.asked(), content(length, 3)
-            # The seq of these is 0, so that they are strays for a host that takes them.
-            some = kinds[length][length % 5 :: max(1, len(kinds[length]) // 5)]
+            kinds = (wrong_sums, escape_ff, interrupted, cut_off)
+            broken = [one for kind in kinds for one in kind(c.SOF, request.seq, [length])]
+            some = broken[length % 3 :: max(1, len(broken) // 6)]
             host.send(b"".join(one.wire for one in some) + request.reply(1, payload))
             host.replied(request)
-            host.replied_with(1, payload)
+            judged(host, some, 1, payload)
 
 
 class _BrokenSifs(HostCase):
@@ -134,7 +142,7 @@ class _BrokenSifs(HostCase):
 
     def _run(self, host: Host) -> None:
         anchor(host)
-        request = host.asked()
+        request = behind_an_error(host)
         broken = list(type(self).KIND(c.SOS, 0x55))
         stream, good, never = b"", Sifs(), []
         for index, one in enumerate(broken):
