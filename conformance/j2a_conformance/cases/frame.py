@@ -152,6 +152,17 @@ class NoiseBehind(Case):
         for behind in (b"\0", b"\x7d", b"\xff" * 9, b"\x7d\xff", b"abc\x7d\x7d"):
             request = peer.probe()
             peer.play(request.wire + behind, request.expected, alone=True)
+        peer.play_all(self._every_value(peer))
+
+    @staticmethod
+    def _every_value(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        """Yield frames of many lengths before every value that starts no frame."""
+        for n, length in enumerate(spread(step=59)):
+            request, good = peer.echo(payload_of(length, n)), peer.probe()
+            first = n * 17 % len(CLEAN)
+            noise = CLEAN[first:] + CLEAN[:first]
+            yield request.wire, [request.expected]
+            yield noise + good.wire, [good.expected]
 
 
 class Interrupted(Case):
