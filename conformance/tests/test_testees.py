@@ -1,5 +1,7 @@
 """The testees of the project conform: posix firmware, AVR in simavr, Python Device."""
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import j2a_transports
@@ -112,3 +114,26 @@ def test_with_parts_built_out(options, tmp_path):
 def fast():
     """Every case that waits for no time to pass."""
     return [c for c in load() if c.LEVEL != "timing" and not c.ID.startswith("scenario")]
+
+
+@pytest.mark.parametrize("places", [1, 32])
+def test_a_finding_of_the_sanitizers_fails(places, tmp_path, need):
+    """The sanitized build ends at undefined behaviour that no answer shows."""
+    need("gcc")
+    root = FOLDER.parents[1]
+    build = list(load_testee(FOLDER / "posix-sanitized.toml").build)
+    for part in ("core", "apps", "ports"):
+        shutil.copytree(root / "firmware" / part, tmp_path / "firmware" / part)
+    shutil.copy(root / "firmware" / "Makefile", tmp_path / "firmware")
+    source = tmp_path / "firmware/core/j2a_rx.c"
+    text = source.read_text("utf-8")
+    shift = f"{{ volatile int n = {places}; n = 1 << n; }} rx->payload[count] ="
+    changed = text.replace("rx->payload[count] =", shift)
+    assert changed != text
+    source.write_text(changed, "utf-8")
+    build[build.index("firmware")] = str(tmp_path / "firmware")
+    subprocess.run(build, check=True, cwd=root)
+    url = f"exec:{tmp_path}/firmware/build/posix-sanitized/demo"
+    cases = [case for case in load() if case.ID == "frame.largest"]
+    found = run(lambda: j2a_transports.open(url), cases, timeout_scale=0.2)
+    assert found.conformant is (places == 1), found.results

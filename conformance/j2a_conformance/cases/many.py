@@ -269,6 +269,7 @@ class StoreLarge(Case):
         "J2A-MANY-002",
         "J2A-MANY-007",
         "J2A-MANY-008",
+        "J2A-MANY-009",
         "J2A-MANY-021",
     )
     LEVEL = "many"
