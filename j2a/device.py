@@ -168,8 +168,10 @@ class Device:
             opcode: 0..255, what hosts register handlers for.
             payload: 0 to 255 bytes.
 
-        Returns: how many hosts it goes to. It does not wait for them: one that reads too slowly
-            loses it, and sees the gap in the numbers.
+        It does not wait for the hosts: one that reads too slowly loses the SIF, and sees the gap in
+        the numbers.
+
+        Returns: how many hosts it goes to.
 
         Raises:
             LocalError: an argument is wrong.
