@@ -121,7 +121,7 @@ class Server:
     def send_sif(self, opcode: int, payload: bytes) -> None:
         """Send a SIF, before the reply to the request in work if there is one."""
         self._send(SOS, self._sif_seq, opcode, payload)
-        self._sif_seq = (self._sif_seq + 1) & 0xFF
+        self.skip_sif()
 
     def skip_sif(self) -> None:
         """Count a SIF that cannot be sent, so that the host sees the gap (J2A-SIF-002)."""

@@ -155,7 +155,9 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
             f"{url.text}: pyserial refuses it ({error}); our options are: {own}"
         ) from error
     except OSError as error:
-        advice = _ADVICE.get(error.errno or 0, f"{error}; is it a serial port, and free?")
+        # pyserial quotes the system as a tuple: (25, 'Inappropriate ioctl for device').
+        reason = re.sub(r"\(\d+, '([^']*)'\)", r"\1", str(error))
+        advice = _ADVICE.get(error.errno or 0, f"{reason}; is it a serial port, and free?")
         raise OpenFailed(f"{url.text}: {advice}") from error
     except Exception as error:
         # termios.error is no OSError.
