@@ -806,6 +806,15 @@ class MoreIsNotTold:
         return code & c.DEBUG_LOST, text
 
 
+@breaks("J2A-DEBUG-002")
+class MoreBehindAFullReply:
+    debug_size = 1000
+
+    def do_a2jDebug(self, payload):  # noqa: N802
+        code, text = super().do_a2jDebug(payload)
+        return code | (c.DEBUG_MORE if len(text) == 255 else 0), text
+
+
 @breaks("J2A-DEBUG-003")
 class DebugWantsNoPayload:
     def do_a2jDebug(self, payload):  # noqa: N802
