@@ -57,6 +57,8 @@ step dist "wheel and sdist hold the four packages" python tools/check_dist.py
 step demo "what make demo shows" bash -c \
     'python tools/demo.py >build/demo.log 2>&1 || { cat build/demo.log; exit 1; }; tail -4 build/demo.log'
 step speed "encode and decode in Python, for information" python -m tests.benchmarks.ratios
+step interpreters "the tests of the library on the other Pythons from 3.11 on of this machine" \
+    python tools/interpreters.py
 if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
 fi

@@ -76,15 +76,16 @@ def test_an_interrupt_endpoint_gets_no_empty_packet(
     with linked(board(kind=3)) as link:
         pipe = link.device.pipes[0x02]
         pipe.needs_bytes = True
-        link.near.write_timeout_s = 0.5
         for size in SIZES:
             link.near.write(bytes(size))
             assert read_exactly(link.far, size) == bytes(size)
         # A write that times out leaves none behind either.
+        link.near.write_timeout_s = 0.5
         with pytest.raises(WriteTimeout):
             link.near.write(bytes(64 * (ROOM + 1)))
         assert read_exactly(link.far, 64 * ROOM) == bytes(64 * ROOM)
         assert link.near.read(0.1) == b""
+        link.near.write_timeout_s = PATIENCE_S
         link.near.write(b"on")
         assert read_exactly(link.far, 2) == b"on"
         assert 0 not in pipe.log
@@ -203,6 +204,7 @@ def test_the_empty_packet_that_a_board_refuses_comes_later(link: Link) -> None:
     with link.device.changed:
         assert link.device.changed.wait_for(lambda: len(log) > ROOM, PATIENCE_S)
     assert log == [64] * ROOM + [0]
+    link.near.write_timeout_s = PATIENCE_S
     link.near.write(b"on")
     assert read_exactly(link.far, 2) == b"on"
 

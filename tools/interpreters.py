@@ -1,0 +1,167 @@
+"""Run the tests of the library on every other Python from 3.11 on that this machine has.
+
+What flows in: the interpreters in PATH, in /usr/bin, and those of pyenv; constraints.txt. What
+flows out: what pytest says on each, and an exit code. Rules: of each minor version the newest one
+is taken, that of .venv is left to the other tests; each has an environment of its own in
+build/python, with the pinned packages that the tests import, renewed when these change.
+"""
+
+import hashlib
+import importlib.metadata
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parent.parent
+OLDEST = (3, 11)
+EXTRAS = ("serial", "usb", "conformance", "build")
+TOOLS = ("pytest", "pytest-timeout", "pytest-xdist", "hypothesis")
+TESTS = ("tests/library", "transports/tests")
+LIMIT_S = 1800
+Version = tuple[int, int, int]
+
+
+def candidates() -> Iterator[Path]:
+    """Yield the programs that may be a Python 3."""
+    folders = [Path(name) for name in os.environ.get("PATH", "").split(os.pathsep) if name]
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    folders += [Path("/usr/bin"), Path("/usr/local/bin"), *pyenv.glob("versions/*/bin")]
+    for folder in dict.fromkeys(folders):
+        yield from (
+            path for path in folder.glob("python3*") if re.fullmatch(r"[\d.]+", path.name[6:])
+        )
+
+
+def version_of(program: Path) -> Version | None:
+    """Return the version of a CPython; None for what is none, or does not run."""
+    code = "import sys; print(sys.implementation.name, *sys.version_info[:3])"
+    try:
+        done = subprocess.run(
+            [program, "-I", "-c", code], capture_output=True, text=True, check=False, timeout=60
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    found = re.fullmatch(r"cpython (\d+) (\d+) (\d+)\n", done.stdout)
+    return (int(found[1]), int(found[2]), int(found[3])) if found else None
+
+
+def interpreters() -> dict[Version, Path]:
+    """Return the newest interpreter of each minor version but ours, oldest first."""
+    newest: dict[tuple[int, int], tuple[Version, Path]] = {}
+    for program in candidates():
+        version = version_of(program)
+        if version is None or not OLDEST <= version[:2] != sys.version_info[:2]:
+            continue
+        if version > newest.get(version[:2], ((0, 0, 0), program))[0]:
+            newest[version[:2]] = version, program
+    return dict(sorted(newest.values()))
+
+
+def packages() -> set[str]:
+    """Return the names of what the tests import, and of what that needs."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *TOOLS, *(text for name in EXTRAS for text in extras[name])]
+    found: set[str] = set()
+    while wanted:
+        requirement = Requirement(wanted.pop())
+        name = canonicalize_name(requirement.name)
+        applies = requirement.marker is None or requirement.marker.evaluate({"extra": ""})
+        if applies and name not in found:
+            found.add(name)
+            wanted += importlib.metadata.requires(name) or []
+    return found
+
+
+def pins() -> str:
+    """Return the part of constraints.txt that is about these packages."""
+    names = packages()
+    blocks = re.split(r"\n(?=\w)", (ROOT / "constraints.txt").read_text())
+    return "\n".join(
+        block for block in blocks if canonicalize_name(re.split(r"[=\s]", block)[0]) in names
+    )
+
+
+def environment(program: Path, version: Version) -> Path:
+    """Make the virtual environment of an interpreter, and return its Python.
+
+    Raises:
+        CalledProcessError: the packages cannot be installed.
+    """
+    folder = ROOT / "build/python" / ".".join(map(str, version))
+    python, stamp = folder / "bin/python", folder / "pins.sha256"
+    wanted = pins()
+    digest = hashlib.sha256(wanted.encode()).hexdigest()
+    if python.exists() and stamp.exists() and stamp.read_text() == digest:
+        return python
+    shutil.rmtree(folder, ignore_errors=True)
+    subprocess.run([program, "-m", "venv", folder], check=True)
+    (folder / "pins.txt").write_text(wanted)
+    pip: list[str | Path] = [
+        python,
+        "-m",
+        "pip",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-input",
+        "install",
+    ]
+    subprocess.run([*pip, "--require-hashes", "--no-deps", "-r", folder / "pins.txt"], check=True)
+    subprocess.run([*pip, "--no-deps", "--no-build-isolation", "-e", ROOT], check=True)
+    stamp.write_text(digest)
+    return python
+
+
+def run_tests(python: Path) -> int:
+    """Run the tests; return pytest's exit code."""
+    return subprocess.run(
+        [
+            python,
+            "-m",
+            "pytest",
+            "-q",
+            "-n",
+            "3",
+            "-m",
+            "not slow",
+            "-p",
+            "no:cacheprovider",
+            *TESTS,
+        ],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        check=False,
+        timeout=LIMIT_S,
+    ).returncode
+
+
+def main() -> int:
+    """Run the tests on each interpreter; return the exit code."""
+    found = interpreters()
+    if not found:
+        print("there is no other Python from 3.11 on here")
+    failed = []
+    for version, program in found.items():
+        name = ".".join(map(str, version))
+        print(f"Python {name}, {program}", flush=True)
+        try:
+            if run_tests(environment(program, version)):
+                failed.append(name)
+        except subprocess.SubprocessError as error:
+            print(error, file=sys.stderr)
+            failed.append(name)
+    if failed:
+        print(f"failed on Python {', '.join(failed)}", file=sys.stderr)
+    return bool(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
