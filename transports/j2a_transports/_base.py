@@ -115,9 +115,9 @@ class Transport(_Closable):
         """
 
     def wake_reader(self) -> bool:
-        """Make the `read` that waits in another thread, or the next one, return early if it can.
+        """Make a `read(None)` that waits in another thread, or else the next one, return early.
 
-        That read returns what has arrived, or `b""` also where it was to wait for ever.
+        It returns what has arrived, or `b""`. A `read` with a time limit may wait until that.
 
         Returns:
             Whether the transport can do it. It cannot where a thread of its own stands between

@@ -199,6 +199,23 @@ class BackToBack:
         ends.there.write(b"!")
         assert reader.result() == b"!"
 
+    def test_a_reader_that_is_woken_returns_early(self, ends: Ends) -> None:
+        here, there, _ = ends
+        if not here.wake_reader():
+            pytest.skip("this transport cannot wake its reader")
+        # Before the read, which is the first without a time limit, and while it waits.
+        assert here.read(None) == b""
+        reading = Background(lambda: here.read(None))
+        time.sleep(SETTLE_S)
+        assert here.wake_reader()
+        assert reading.result() == b""
+        there.write(b"x")
+        assert here.read(PATIENCE_S) == b"x"
+        there.write(b"y")
+        here.wake_reader()
+        data = here.read(None) or here.read(PATIENCE_S)
+        assert data == b"y"
+
     def test_close_ends_a_blocked_read(self, ends: Ends) -> None:
         reader = Background(lambda: ends.here.read(None))
         time.sleep(SETTLE_S)
