@@ -23,6 +23,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from random import Random
@@ -43,14 +44,19 @@ _KILLERS: Final = ROOT / "build/mutants/killers.json"
 _EQUIVALENT: Final = FOLDER / "random/equivalent.toml"
 _DEVICE: Final = ("_deframer", "_codec", "_server", "_functions", "device")
 _NOT_OF_HOSTS: Final = {"_server", "_functions", "device", "demo", "__main__", "__init__"}
-_BUILDS: Final[dict[str, tuple[Variant, ...]]] = {
-    "core": (
-        Variant("core", "posix", "demo"),
-        Variant("core", "posix", "demo", "-DJ2A_ROOM=119"),
-    ),
-    "device": (Variant("device"), Variant("device", options="room=119")),
-    "library": (Variant("host", program="client"), Variant("host", program="aio")),
+_ALL: Final = ("*",)
+_OF_ROOM: Final = ("limits.*", "debug.*", "properties.*", "many.*")
+_BUILDS: Final[dict[str, dict[Variant, tuple[str, ...]]]] = {
+    "core": {
+        Variant("core", "posix", "demo"): _ALL,
+        Variant("core", "posix", "demo", "-DJ2A_ROOM=119"): _OF_ROOM,
+        Variant("core", "posix", "demo", "-DJ2A_WITH_SELFTEST=1"): ("properties.*",),
+    },
+    "device": {Variant("device"): _ALL, Variant("device", options="room=119"): _OF_ROOM},
+    "library": {Variant("host", program="client"): _ALL, Variant("host", program="aio"): _ALL},
 }
+"""The builds that judge a target, each by the cases for which it is another build."""
+
 _TESTS: Final = {
     "_codec": ("codec", "server", "session"),
     "_deframer": ("codec", "server", "session", "faults"),
@@ -167,19 +173,20 @@ def _matches(text: str, pattern: str) -> bool:
 def _judge(target: str, mutant: Mechanical, order: tuple[str, ...]) -> Found:
     """Judge one mutant; in a process of its own."""
     edited = Mutant(mutant.id, "", mutant.rule, (mutant.edit,))
+    is_other = False
     try:
-        builds = list(_different(target, edited))
+        for how in _different(target, edited):
+            is_other = True
+            known, patterns = cases(how.target), _BUILDS[target][how]
+            ordered = dict.fromkeys((*(name for name in order if name in known), *known))
+            named = (n for n in ordered if any(fnmatchcase(n, pattern) for pattern in patterns))
+            outcome: Outcome = judge(Job(how, edited, tuple(named), is_any=True))
+            if outcome.failed:
+                return Found(outcome.failed[-1])
     except TableError:
         return Found(is_none="does not compile")
-    if not builds:
+    if not is_other:
         return Found(is_none="compiles to the same")
-    for how in builds:
-        known = cases(how.target)
-        named = tuple(name for name in order if name in known)
-        named += tuple(name for name in known if name not in named)
-        outcome: Outcome = judge(Job(how, edited, named, is_any=True))
-        if outcome.failed:
-            return Found(outcome.failed[-1])
     return Found(by=_own_tests(target, edited) if target != "core" else "")
 
 
@@ -203,8 +210,13 @@ def _different(target: str, mutant: Mutant) -> Iterator[Variant]:
         copy("core", mutant, Path(name))
         for how in _BUILDS["core"]:
             file = mutant.edits[0].file
-            if written(how, Path(name), file) != written(how, ROOT, file):
+            if written(how, Path(name), file) != _unmutated(how, file):
                 yield how
+
+
+@cache
+def _unmutated(how: Variant, file: str) -> bytes:
+    return written(how, ROOT, file)
 
 
 def _code(source: str) -> bytes:
