@@ -348,7 +348,7 @@ def _python(folder: Path, *arguments: str) -> list[str]:
 def _ordered(known: Mapping[str, _AnyCase], names: Collection[str], rule: str) -> list[_AnyCase]:
     """Return the cases, those of a rule first: a mutant may be lost on the way."""
     if not rule:
-        return [known[name] for name in names]
+        return [known[name] for name in names if name in known]
     found = [case for name, case in known.items() if name in names]
     return sorted(found, key=lambda case: rule not in case.REQUIREMENTS)
 
