@@ -151,7 +151,7 @@ class _Trial:
         if self._job.every:
             return self._twice(naming)
         if self._job.quick or self._job.is_any:
-            return self._first(self._job.cases)
+            return self._confirmed(self._job.cases)
         for attempt in range(_ATTEMPTS):
             try:
                 for name in naming if attempt else self._job.cases:
@@ -172,6 +172,14 @@ class _Trial:
         others = tuple(name for name in first if name not in naming)
         again = self._run(others).with_verdict(Verdict.FAILED) if others else ()
         return (*killed, *(r.case for r in again if r.case in others and not _died(r)))
+
+    def _confirmed(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Do cases up to one that fails, and fails again when it is done alone."""
+        while names and (failed := self._first(names)):
+            if failed[-1] not in names or self._first(failed[-1:]):
+                return failed
+            names = names[names.index(failed[-1]) + 1 :]
+        return ()
 
     def _failed(self, name: str) -> tuple[str, ...]:
         """Do one case; return what failed, unless the target is gone."""
