@@ -128,6 +128,8 @@ def explain_sifs(reported: str, due: Sifs, never: Sequence[tuple[int, tuple[int,
     if _LONG.fullmatch(reported) is None:
         return explain(reported, _joined(due))
     more = int(reported.partition("#")[0]) - len(_joined(due))
+    if not more:
+        return "as many bytes as are due, but others, or in another order"
     return f"{abs(more)} bytes {'more' if more > 0 else 'less'} than are due"
 
 

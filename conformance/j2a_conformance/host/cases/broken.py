@@ -18,6 +18,7 @@ from j2a_conformance.host._dimensions import (
     content,
     cut_off,
     escape_ff,
+    frame,
     interrupted,
     wrong_sums,
 )
@@ -128,7 +129,9 @@ class Each(HostCase):
             kinds = (wrong_sums, escape_ff, interrupted, cut_off)
             broken = [one for kind in kinds for one in kind(c.SOF, request.seq, [length])]
             some = broken[length % 3 :: max(1, len(broken) // 6)]
-            host.send(b"".join(one.wire for one in some) + request.reply(1, payload))
+            start = (c.SOF, c.SOS)[length % 2]
+            cut = frame(start, length, length, b"cut")[: 3 + length % 4]  # of every seq
+            host.send(b"".join(one.wire for one in some) + cut + request.reply(1, payload))
             host.replied(request)
             judged(host, some, 1, payload)
 

@@ -30,7 +30,7 @@ class Payloads(HostCase):
     def _run(self, host: Host) -> None:
         known = [bytes((site, 0)) for site in range(c.SITE_LOST + 1)]
         plans = [(code, payload) for code in _CODES for payload in (*known, b"", b"\xff\xff")]
-        plans += [(_CODES[n // 2 % 4], content(n, 2)) for n in LENGTHS[1::2]]
+        plans += [(_CODES[n % 4], content(n, 2)) for n in LENGTHS]
         for code, payload in plans:
             host.reply(host.asked(), code, payload)
             host.outcome(f"error {code}")
@@ -98,7 +98,7 @@ class Foreign(HostCase):
     DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1000")))
 
     def _run(self, host: Host) -> None:
-        request = host.asked()
+        request = host.asked(limit_ms=10 * host.limit_ms)
         self.errors(host, {request.seq})
         host.reply(request, 2, b"mine")
         host.replied_with(2, b"mine")

@@ -22,7 +22,9 @@ def noise(rng: random.Random, size: int, markers: bool) -> bytes:
 
 
 class Noise(HostCase):
-    """Sends bytes that start no frame before a reply and behind it, with the reply in one piece."""
+    """Sends bytes that start no frame, each one as the last, before a reply and behind it, with the
+    reply in one piece.
+    """
 
     ID = "host.recovery.noise"
     EXPECTATION = "They are skipped without an answer, and the reply is taken."
@@ -31,12 +33,12 @@ class Noise(HostCase):
 
     def _run(self, host: Host) -> None:
         rng = random.Random(6)
-        for size in (1, 2, 3, 7, 40, 300):
-            junk = noise(rng, size, markers=False)
+        for last in set(range(256)) - c.MARKERS:
+            junk = noise(rng, last % 70 if last else 300, markers=False) + bytes((last,))
             request = host.asked()
-            host.send(junk + request.reply(size % 200, b"reply") + junk)
+            host.send(junk + request.reply(last % 200, b"reply") + junk)
             host.replied(request)
-            host.replied_with(size % 200, b"reply")
+            host.replied_with(last % 200, b"reply")
 
 
 class NoiseAtRest(HostCase):

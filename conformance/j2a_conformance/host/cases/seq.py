@@ -6,6 +6,7 @@ from j2a_spec.requirements import Level
 
 from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._dimensions import content, frame
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._words import Request
 
@@ -142,7 +143,9 @@ class StalledLate(_Stalled):
 
 
 class Others(HostCase):
-    """Sends replies with each of the 255 other seqs before the reply."""
+    """Sends replies with each of the 255 other seqs before the reply, of every length and with
+    every code, those that differ in one bit of the seq with more.
+    """
 
     ID = "host.seq.others"
     EXPECTATION = "They are dropped, and the reply with the seq of the call is taken."
@@ -150,8 +153,13 @@ class Others(HostCase):
     LEVEL = "core"
 
     def _run(self, host: Host) -> None:
-        request = host.asked()
-        host.send(b"".join(stray(request.seq + n) for n in range(1, 256)))
+        request = host.asked(limit_ms=10 * host.limit_ms)
+        others = [stray(request.seq + n) for n in range(1, 256)]
+        for n in range(1, 256):
+            for seq in (request.seq + n, request.seq ^ (1 << n % 8), request.seq ^ 0x80):
+                others.append(frame(c.SOF, seq % 256, n - 1, content(n, 1)))
+                others.append(frame(c.SOF, seq % 256, n * 7 % 256, content(n * 5 % 256, 2)))
+        host.flood("replies with other seqs", b"".join(others))
         host.reply(request, 2, b"mine")
         host.replied_with(2, b"mine")
 

@@ -320,6 +320,12 @@ class Missing(HostCase):
         gaps = [gap * 101 % 255 for gap in range(255)]
         host.send(b"".join(host.sif(0x64, b"", gap) for gap in gaps))
         handed(host, [(0x64, b"")] * len(gaps), sum(gaps))
+        for gap in (1, 2, 77, 254):
+            host.reset_sifs(255 - gap)
+            host.send(host.sif(0x65, b"before"))
+            handed(host, [(0x65, b"before")], missing=None)
+            host.send(host.sif(0x66, b"seq 0", gap))
+            handed(host, [(0x66, b"seq 0")], gap)
         for skipped in (0, 1, 2, 100, 127, 128, 129, 254, 0, 0):
             host.send(host.sif(0x60, b"gap", skipped) + host.sif(0x61, b"next"))
             handed(host, [(0x60, b"gap"), (0x61, b"next")], skipped)
