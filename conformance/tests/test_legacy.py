@@ -64,6 +64,8 @@ NOT_SHOWN = {
     "properties.content",  # it takes long properties to see one byte of the offset
     "properties.pairs",
     "properties.written",
+    "properties.direct",
+    "many.byte-order",
     "debug.nothing-pending",
     "debug.text",
 }
