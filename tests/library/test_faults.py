@@ -243,5 +243,6 @@ def test_faults_are_seen_by_the_counters():
                 world.bad += 1
         seen = client.counters
     assert world.bad
-    assert seen.timeouts + seen.error_replies == world.bad
+    # An error reply may name a call whose true reply comes after all.
+    assert seen.timeouts + seen.error_replies >= world.bad
     assert seen.checksum_errors + seen.framing_errors + seen.error_replies > 0
