@@ -1,6 +1,7 @@
 """A link whose 256 seqs are all outstanding: no seq is reused, and barriers free them."""
 
 import asyncio
+import contextlib
 import itertools
 import math
 import time
@@ -18,6 +19,7 @@ from .support import PATIENCE_S, linked
 from .test_session import Host
 
 ECHO_OPCODE = 4
+MANY_CALLS = 10_000  # on a busy machine some miss their limit before they are sent
 
 
 class Stalled(Host):
@@ -195,11 +197,10 @@ def test_the_client_recovers_by_a_barrier():
     seen: list[oracle.Frame] = []
     with j2a.Client(near, timeout=0.0005) as client:
         client._session.echo_opcode = ECHO_OPCODE
-        for _ in range(256):
-            with pytest.raises(j2a.CallTimeout):
-                client.call(7)
         with pytest.raises(j2a.LinkStalled):
-            client.call(7)
+            for _ in range(MANY_CALLS):
+                with contextlib.suppress(j2a.CallTimeout):
+                    client.call(7)
         while not answer_barrier(far, seen):
             pass
         assert [frame.opcode for frame in seen] == [7] * 256 + [ECHO_OPCODE]
@@ -219,11 +220,10 @@ def test_the_asyncio_client_recovers_by_a_barrier():
         seen: list[oracle.Frame] = []
         async with j2a.AsyncClient(near, timeout=0.0005) as client:
             client._session.echo_opcode = ECHO_OPCODE
-            for _ in range(256):
-                with pytest.raises(j2a.CallTimeout):
-                    await client.call(7)
             with pytest.raises(j2a.LinkStalled):
-                await client.call(7)
+                for _ in range(MANY_CALLS):
+                    with contextlib.suppress(j2a.CallTimeout):
+                        await client.call(7)
             while not await asyncio.to_thread(answer_barrier, far, seen):
                 pass
             assert [frame.opcode for frame in seen] == [7] * 256 + [ECHO_OPCODE]
