@@ -84,7 +84,7 @@ def barrier(host: Host, wait_ms: float) -> Request | None:
 
 class Stalled(_Stalled):
     """Leaves 256 calls without an answer and has the host make 20 more; answers the barrier by
-    other bytes, by another code and by a SIF, and then by its nonce.
+    other bytes, by another code and by a SIF, then by its nonce; and does the first part again.
     """
 
     ID = "host.seq.stalled"
@@ -115,9 +115,21 @@ class Stalled(_Stalled):
             host.send(found.reply(c.ECHO, found.payload))
             host.replied(found, is_echo=True)
             host.outcome("stalled")
+            self._stall_again(host, {nonce, found.payload})
         for payload in (b"next", b"over"):
             host.reply(host.asked(payload), 1, payload)
             host.replied_with(1, payload)
+
+    def _stall_again(self, host: Host, nonces: set[bytes]) -> None:
+        given_up, found = self.stall(host)
+        if found is None:
+            host.reply(given_up[-1], 1, b"late")
+        else:
+            if found.payload in nonces:
+                fail("a barrier has the nonce of an earlier one (J2A-SEQ-007)")
+            host.send(found.reply(c.ECHO, found.payload))
+            host.replied(found, is_echo=True)
+        host.outcome("stalled")
 
 
 class StalledLate(_Stalled):
