@@ -21,6 +21,7 @@ from j2a_conformance._peer import describe
 from j2a_conformance._wire import Arrival, Link
 
 from ._device import PING, Device
+from ._dimensions import frame as wire_of
 from ._program import Listening
 from ._seqs import Seqs
 from ._words import Outcome, Request, difference, explain, spell
@@ -159,7 +160,7 @@ class Host:
         self._verb = text.partition(" ")[0]
         self.link.note(f"job: {text}")
         self._seqs.reply(seq, is_error=False)
-        return encode(Frame(c.SOF, seq, c.RET_OK, text.encode()))
+        return wire_of(c.SOF, seq, c.RET_OK, text.encode())
 
     def outcome(self, *accepted: str, wait_ms: float = 0.0, due: bytes = b"") -> Outcome:
         """Wait for the report of the host and return it.
@@ -297,7 +298,7 @@ class Host:
     def sif(self, opcode: int, payload: bytes = b"", skipped: int = 0) -> bytes:
         """Return the wire bytes of the next SIF; `skipped` are missing before it."""
         self._sif_seq = (self._sif_seq + skipped) % 256
-        return encode(Frame(c.SOS, self.next_sif_seq(), opcode, payload))
+        return wire_of(c.SOS, self.next_sif_seq(), opcode, payload)
 
     def next_sif_seq(self) -> int:
         """Return the seq that is due in the next SIF, which is sent by other means than `sif`."""

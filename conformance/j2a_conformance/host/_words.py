@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import Frame, encode
+
+from ._dimensions import frame
 
 __all__ = ["Outcome", "Request", "Sifs", "difference", "explain", "explain_sifs", "spell"]
 
@@ -43,7 +44,7 @@ class Request:
 
     def reply(self, code: int = c.RET_OK, payload: bytes = b"") -> bytes:
         """Return the wire bytes of a reply to it."""
-        return encode(Frame(c.SOF, self.seq, code, payload))
+        return frame(c.SOF, self.seq, code, payload)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ import random
 import pytest
 from j2a_conformance.host import _dimensions as d
 from j2a_spec import constants as c
-from j2a_spec.oracle import Frame, decode
+from j2a_spec.oracle import Frame, decode, encode
 
 KINDS = [d.wrong_sums, d.escape_ff, d.interrupted, d.cut_off]
 SEQ = 0x12
@@ -36,6 +36,7 @@ def test_every_length_and_every_escape_of_a_right_frame():
     for length in d.LENGTHS[::5]:
         payload = d.content(length)
         due = [Frame(c.SOS, 0x7D, 0x12, payload)]
+        assert d.frame(c.SOS, 0x7D, 0x12, payload) == encode(due[0])
         assert frames(d.frame(c.SOS, 0x7D, 0x12, payload)) == due
         assert frames(d.escaped(c.SOS, 0x7D, 0x12, payload)) == due
         for index in d.places(length, random.Random(length), first=0):

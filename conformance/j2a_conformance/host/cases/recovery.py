@@ -33,12 +33,13 @@ class Noise(HostCase):
 
     def _run(self, host: Host) -> None:
         rng = random.Random(6)
-        for last in set(range(256)) - c.MARKERS:
-            junk = noise(rng, last % 70 if last else 300, markers=False) + bytes((last,))
+        ends = [bytes((last,)) for last in range(256) if last not in c.MARKERS]
+        for number, (before, behind) in enumerate(zip(ends[::2], ends[1::2], strict=True)):
+            junk = noise(rng, number % 70 or 300, markers=False)
             request = host.asked()
-            host.send(junk + request.reply(last % 200, b"reply") + junk)
+            host.send(junk + before + request.reply(number, b"reply") + junk + behind)
             host.replied(request)
-            host.replied_with(last % 200, b"reply")
+            host.replied_with(number, b"reply")
 
 
 class NoiseAtRest(HostCase):

@@ -239,7 +239,7 @@ class QueuedThenSilent(_Ends):
     REQUIREMENTS = ("J2A-TIME-006", "J2A-TIME-008")
 
     def _run(self, host: Host) -> None:
-        limit_ms = 6 * host.silence_ms
+        limit_ms = 4 * host.silence_ms
         host.job(f"together call @6 01 {limit_ms} ; call @6 02 {limit_ms}")
         began_s = host.link.now_s()
         first = host.request(6)
