@@ -146,7 +146,7 @@ def test_map_too_long_for_a_frame(make, tmp_path):
 @pytest.mark.parametrize(
     ("functions", "properties", "message"),
     [
-        ("J2A_CALL(, f)", "", "j2a_name_is_empty"),
+        ("J2A_CALL(, f)", "", 'the name "" has other characters'),
         ("J2A_CALL(twice, f)\nJ2A_CALL(twice, g)", "", "j2a_name_twice"),
         ("J2A_CALL(a2jEcho, f)", "", "j2a_name_a2jEcho"),
         ("", 'J2A_PROPERTY("", "value")', "j2a_property_is_empty"),

@@ -105,7 +105,10 @@ def test_the_lists_of_all_apps_are_taken():
     assert len(lists) > 20
     for path in lists:
         done = subprocess.run(
-            ["awk", "-f", FIRMWARE / "core/lists.awk", path], capture_output=True, text=True, check=False
+            ["awk", "-f", FIRMWARE / "core/lists.awk", path],
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), path
 
