@@ -225,10 +225,10 @@ class InterruptedAnywhere(Case):
         ways = (b"", bytes((c.SOS,)), bytes((c.ESC,)), bytes((c.ESC, c.SOS)))
         opcodes = [peer.opcode(c.GET_ECHO), *peer.out_of_range()[-1:]]
         opcodes += [peer.opcode(c.MANY)] if peer.has(c.MANY) else []
-        for kind, length in ((0, 255), (1, 255), (3, 140)):
-            frame = encode(
-                Frame(c.SOF, 0x55 + kind, opcodes[kind % len(opcodes)], payload_of(length, kind))
-            )
+        for kind, length in ((0, 255), (1, 255), (2, 255), (3, 140)):
+            data = b"plain" * 51 if kind == 2 else payload_of(length, kind)
+            opcode = opcodes[kind % len(opcodes)]
+            frame = encode(Frame(c.SOF, 0x55 + kind, opcode, data))
             at_all = set(spread(len(frame), 61))
             for cut in places(frame):
                 if kind and not (cut % 5 == kind or cut in at_all):
