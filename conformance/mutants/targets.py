@@ -306,6 +306,8 @@ def _build(how: Variant, folder: Path) -> None:
     """Build the firmware in `folder`; what has the time of its source is not compiled again."""
     if (built := _built(how)).is_dir():
         shutil.copytree(built, folder / "out")
+        for path in (folder / "out").rglob("*.d"):  # what an object depends on, by its full name
+            path.write_text(path.read_text("utf-8").replace(f"{built}", f"{folder}/out"), "utf-8")
     _make(how, folder / "firmware", folder / "out")
 
 
