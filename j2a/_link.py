@@ -7,7 +7,7 @@ from typing import Final
 
 import j2a_transports
 
-from j2a.errors import BadUrl, LinkClosed, LinkError, LinkLost, LocalError, OpenFailed
+from j2a.errors import BadUrl, LinkClosed, LinkError, LinkLost, LocalError, OpenFailed, Outcome
 
 __all__ = ["TRANSPORT_ERRORS", "WAIT_S", "link_error", "open_transport"]
 
@@ -38,7 +38,7 @@ def open_transport(url: str, options: dict[str, object]) -> j2a_transports.Trans
 
     Raises:
         BadUrl: the URL or an option is wrong.
-        OpenFailed: it cannot be opened.
+        LinkError: it cannot be opened, so nothing was sent; mostly `OpenFailed`.
     """
     if not isinstance(url, str):
         raise BadUrl(f"a URL is a text such as 'serial:///dev/ttyACM0', not {url!r}")
@@ -46,6 +46,11 @@ def open_transport(url: str, options: dict[str, object]) -> j2a_transports.Trans
         return j2a_transports.open(url, **options)
     except j2a_transports.TransportError as error:
         # Its message says all; what the driver met before would bury it.
-        raise link_error(error) from None
+        raise _not_sent(error) from None
     except OSError as error:
-        raise link_error(error) from error
+        raise _not_sent(error) from error
+
+
+def _not_sent(error: Exception) -> LinkError | LocalError:
+    reason = link_error(error)
+    return reason.copy(str(reason), Outcome.NOT_SENT)

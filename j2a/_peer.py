@@ -7,6 +7,7 @@ kept until `forget`. Old devices are recognised by what they lack (J2A-PROP-005)
 """
 
 from difflib import get_close_matches
+from functools import partial
 from typing import Final
 
 from j2a_spec.constants import (
@@ -27,6 +28,7 @@ from j2a._many import (
     LEGACY_OFFSET,
     MAX_OFFSET,
     Chunk,
+    Guard,
     Progress,
     Steps,
     echo_chunks,
@@ -139,8 +141,7 @@ class Peer:
     def read_properties(self) -> Steps[dict[str, str]]:
         """Read the properties unless they are known; a device without the function has none."""
         if self.properties is None:
-            known = self.functions or {}
-            opcode = known.get(GET_PROPERTIES) if MANY in known else None
+            opcode = self._properties_opcode
             content = b""
             if opcode is not None:
                 content = yield from read_chunks(
@@ -148,11 +149,17 @@ class Peer:
                     opcode,
                     max_bytes=MAX_PROPERTIES,
                     advice="this library takes no longer properties (J2A-LIMIT-008)",
-                    guard=lambda content, first: self._guard_properties(opcode, content, first),
+                    guard=partial(self._guard_properties, opcode),
                 )
             self.properties = unpack_properties(content)
             self.announced = Announced(self.properties)
         return self.properties
+
+    @property
+    def _properties_opcode(self) -> int | None:
+        """The opcode of a2jGetProperties, None for a device whose properties cannot be read."""
+        known = self.functions or {}
+        return known.get(GET_PROPERTIES) if MANY in known else None
 
     @property
     def rxbuf(self) -> int:
@@ -209,15 +216,20 @@ class Peer:
 
     def read(self, function: object, max_bytes: object, progress: Progress | None) -> Steps[bytes]:
         """Read all that a function has; see `read_chunks`."""
-        self.check_version()
         what, opcode = self.resolve(function)
+        guard: Guard
+        if opcode == self._properties_opcode:  # of a device of any version (J2A-VER-003)
+            guard = partial(self._guard_properties, opcode)
+        else:
+            self.check_version()
+            guard = partial(self._guard_read, what, opcode)
         if not isinstance(max_bytes, int) or max_bytes < 0:
             raise LocalError(f"max_bytes is a number of bytes from 0 on, not {max_bytes!r}")
         return read_chunks(
             what,
             opcode,
             max_bytes=min(max_bytes, MAX_OFFSET),  # offsets do not wrap (J2A-MANY-018)
-            guard=lambda content, first: self._guard_read(what, opcode, content, first),
+            guard=guard,
             progress=progress,
         )
 

@@ -89,6 +89,18 @@ class TestAnotherMajorVersion:
         assert not any(request[1] & FLAG_WRITE for request in requests)
 
     @pytest.mark.requirement("J2A-VER-003")
+    @pytest.mark.parametrize("version", ["0.9", "2.0", "10.1"])
+    @pytest.mark.parametrize("is_known", [True, False])
+    def test_its_properties_may_be_read_as_any_data(self, version, is_known):
+        other = device(version, long="x" * 600)
+        peer = know(other)
+        if is_known:
+            drive(other._execute, peer.read_properties())
+        raw = drive(other._execute, peer.read("a2jGetProperties", DEFAULT_MAX_BYTES, None))
+        assert b"j2a.spec\0" + version.encode() + b"\0" in raw
+        assert b"long\0" + b"x" * 600 + b"\0" in raw
+
+    @pytest.mark.requirement("J2A-VER-003")
     def test_what_it_announces_counts_as_absent(self):
         said = {"j2a.rxbuf": "64", "j2a.room": "40", "j2a.caps": "future"}
         announced = Announced({"j2a.spec": "2.0", **said})

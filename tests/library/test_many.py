@@ -1,5 +1,6 @@
 """Transfers in chunks, without a link: what is sent, what is refused, devices of version 1.0."""
 
+import random
 import struct
 from collections.abc import Callable
 
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import j2a
+from j2a._announced import Announced
 from j2a._many import Steps, read_chunks
 from j2a._peer import DEFAULT_MAX_BYTES, Peer
 from j2a.demo import STORE_BYTES, DemoDevice
@@ -61,6 +63,43 @@ def demo():
 @pytest.fixture
 def peer(demo):
     return know(demo)
+
+
+class TestLongOffsets:
+    """Transfers that use every byte of the offset but the highest, and its lowest bit."""
+
+    data = random.Random(24).randbytes(2**24 + 600)
+
+    def trusted(self):
+        peer = know(DemoDevice())
+        peer.properties = {"j2a.spec": "1.1"}
+        peer.announced = Announced(peer.properties)
+        peer.room = 255
+        return peer
+
+    @pytest.mark.requirement("J2A-MANY-001", "J2A-MANY-011")
+    def test_a_read_beyond_24_bits(self):
+        data = self.data
+
+        def execute(_opcode, payload):
+            offset = int.from_bytes(payload[2:6], "little")
+            part = data[offset : offset + 249]
+            return chunk(part, is_last=offset + 249 >= len(data), offset=offset)
+
+        assert drive(execute, self.trusted().read("store", DEFAULT_MAX_BYTES, None)) == data
+
+    @pytest.mark.requirement("J2A-MANY-013")
+    def test_a_write_beyond_24_bits(self):
+        taken = bytearray()
+
+        def execute(_opcode, payload):
+            offset = int.from_bytes(payload[2:6], "little")
+            assert offset == len(taken)
+            taken.extend(payload[6:])
+            return chunk(offset=offset)
+
+        assert drive(execute, self.trusted().write("store", self.data, None)) == 0
+        assert taken == self.data
 
 
 class TestAgainstTheDemo:

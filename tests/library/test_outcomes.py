@@ -3,6 +3,7 @@
 import copy
 import pickle
 
+import j2a_transports
 import pytest
 from j2a_spec import oracle
 from j2a_spec.constants import SOF
@@ -48,6 +49,28 @@ def test_every_error_has_one_and_copies_keep_it(kind):
 )
 def test_what_is_wrong_here_was_not_sent(kind):
     assert kind.outcome is Outcome.NOT_SENT
+
+
+TRANSPORT_ERRORS = [
+    (j2a_transports.BadUrl, j2a.BadUrl),
+    (j2a_transports.OpenFailed, j2a.OpenFailed),
+    (j2a_transports.LinkLost, j2a.LinkLost),
+    (j2a_transports.LinkClosed, j2a.LinkClosed),
+    (j2a_transports.WriteTimeout, j2a.LinkLost),
+    (OSError, j2a.LinkLost),
+]
+
+
+@pytest.mark.parametrize(("raised", "kind"), TRANSPORT_ERRORS)
+def test_what_fails_while_opening_was_not_sent(monkeypatch, raised, kind):
+    def fail(*_args, **_options):
+        raise raised("why")
+
+    monkeypatch.setattr(j2a_transports, "open", fail)
+    with pytest.raises(kind, match="why") as caught:
+        j2a.connect("tcp://127.0.0.1:1")
+    assert type(caught.value) is kind
+    assert caught.value.outcome is Outcome.NOT_SENT
 
 
 def start(session: Session, what: str, now: float = 0.0, timeout_s: float = 1.0):
