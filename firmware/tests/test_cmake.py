@@ -233,6 +233,25 @@ def test_mistakes_are_told(cmake, tmp_path, call, settings, message):
     assert message in " ".join(result.stderr.split())
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("functions.def", "\nJ2A_CAL(one, one)\n", "functions.def:2: J2A_CAL is not J2A_CALL"),
+        ("properties.def", 'J2A_PROPERTY("a")\n', "properties.def:1: J2A_PROPERTY takes a key"),
+    ],
+)
+def test_a_slip_in_a_list_is_told(cmake, need, installed, tmp_path, name, content, message):
+    need("awk")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "app.c").touch()
+    (tmp_path / "a" / name).write_text(content)
+    text = PROJECT.format(languages="NONE") + "find_package(j2a REQUIRED)\nj2a_add_app(x APP a)\n"
+    (tmp_path / "CMakeLists.txt").write_text(text)
+    result = cmake(tmp_path, tmp_path / "build", f"CMAKE_PREFIX_PATH={installed / 'prefix'}")
+    assert result.returncode != 0
+    assert message in " ".join(result.stderr.split())
+
+
 def test_misspelt_number_is_warned_of_and_a_port_mk_must_be_understood(cmake, tmp_path):
     port = tmp_path / "port"
     port.mkdir()
