@@ -1,8 +1,8 @@
 """Builds the wheel and the sdist, and compares what they hold with the source tree.
 
 What flows in: the repository, and hatchling from the environment. What flows out: exit status 0, or
-a list of what is missing. Rules: everything that the four packages need at run time is in both
-archives, nothing beside the four packages is in the wheel, and both console commands are declared.
+a list of what is missing. Rules: everything that the packages need at run time is in both archives,
+nothing beside the packages is in the wheel, and both console commands are declared.
 """
 
 import subprocess
@@ -15,6 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = {
     "j2a": ROOT,
+    "j2a_console.py": ROOT,
     "j2a_spec": ROOT / "spec",
     "j2a_transports": ROOT / "transports",
     "j2a_conformance": ROOT / "conformance",
@@ -23,7 +24,7 @@ COMMANDS = {"j2a", "j2a-conform"}
 
 
 def sources() -> set[str]:
-    """Return the files of the four packages as git knows them, by their name in a wheel."""
+    """Return the files of the packages as git knows them, by their name in a wheel."""
     found = set()
     for name, folder in PACKAGES.items():
         listing = subprocess.run(

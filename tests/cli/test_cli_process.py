@@ -30,6 +30,48 @@ raise SystemExit(point.load()())
 """
 
 
+_INTERRUPTED_IMPORT = """
+import os, signal, sys
+from importlib.metadata import entry_points
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == {at!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+(point,) = entry_points(group="console_scripts", name={program!r})
+sys.argv[1:] = ["run" if {program!r} == "j2a-conform" else "info", "--help"]
+raise SystemExit(point.load()())
+"""
+
+
+@pytest.mark.parametrize(
+    ("program", "at"),
+    [
+        ("j2a", "j2a"),
+        ("j2a", "j2a._engine"),
+        ("j2a", "j2a.cli._output"),
+        ("j2a", "j2a.cli._info"),
+        ("j2a-conform", "j2a_conformance"),
+        ("j2a-conform", "j2a_conformance.host.cases"),
+        ("j2a-conform", "j2a_conformance.cli.run"),
+    ],
+)
+@pytest.mark.parametrize("ignored", [False, True])
+def test_ctrl_c_while_the_program_is_imported(program, at, ignored):
+    code = _INTERRUPTED_IMPORT.format(program=program, at=at)
+    ignore = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n" if ignored else ""
+    result = subprocess.run(
+        [sys.executable, "-c", ignore + code],
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert result.returncode == (0 if ignored else 130)
+    assert bool(result.stdout) == ignored
+    assert result.stderr.removeprefix("j2a-conform: interrupted\n") == ""
+
+
 _HELP_OF_ALL = """
 from j2a.cli import _COMMANDS, main
 for name in _COMMANDS:

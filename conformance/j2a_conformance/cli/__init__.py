@@ -82,9 +82,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGTERM, _end)
     prepare_output()
     words = sys.argv[1:] if argv is None else list(argv)
-    parser, command = _parser(words)
-    args = parser.parse_args(words)
+    command = args = None
     try:
+        parser, command = _parser(words)
+        args = parser.parse_args(words)
         status: int = _module(args.command).main(args)
         sys.stdout.flush()
         return 128 + _ended_by[0] if status == INTERRUPTED and _ended_by else status
