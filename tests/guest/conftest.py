@@ -30,7 +30,7 @@ Guest = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture(scope="session")
 def guest(need: Callable[[str], None], missing: Callable[[str], NoReturn]) -> Guest:
-    """guest(*command, timeout=60) runs a command in the guest; it has to return `code`."""
+    """guest(*command, timeout=240) runs a command in the guest; it has to return `code`."""
     for tool in TOOLS:
         need(tool)
     folders = [
@@ -41,7 +41,7 @@ def guest(need: Callable[[str], None], missing: Callable[[str], NoReturn]) -> Gu
     ]
     subprocess.run([sys.executable, "-m", "compileall", "-q", *folders], check=False, timeout=120)
 
-    def run(*command: str, timeout: int = 90, code: int = 0) -> subprocess.CompletedProcess[str]:
+    def run(*command: str, timeout: int = 240, code: int = 0) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
             [sys.executable, SCRIPT, f"--timeout={timeout}", "--", *command],
             stdin=subprocess.DEVNULL,
