@@ -88,7 +88,11 @@ class AsyncEngine:
         take_stale_input(transport, session)
         self.dispatcher = self._loop.create_task(self._dispatch())
         self._link = LinkThreads(transport, self._hand_over, self._hand_over, self._hand_over)
-        self._link.start()
+        try:
+            self._link.start()
+        except LinkError as error:
+            self._end(error)
+            raise
 
     async def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
         """Make one call; see `AsyncClient.call`."""
@@ -302,7 +306,10 @@ class AsyncEngine:
             self._changed.notify_all()
         # Closing may wait, for a child process to end for example.
         name = f"j2a closer {self._transport.url}"
-        self._link.threads.append(start_thread(self._transport.close, name))
+        try:
+            self._link.threads.append(start_thread(self._transport.close, name))
+        except LinkError:  # better late than open for ever
+            self._transport.close()
 
     # ------------------------------------------------------------------ in threads
 

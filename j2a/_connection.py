@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Final
 
 from j2a._link import TRANSPORT_ERRORS, WAIT_S, link_error
 from j2a._server import Request, Server
-from j2a.errors import LinkClosed
+from j2a._threads import start_thread
+from j2a.errors import LinkClosed, LinkError
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -83,10 +84,11 @@ class Connection:
                 return False
             self._server.send_sif(opcode, payload)
             if self._sif_writer is None:
-                self._sif_writer = threading.Thread(
-                    target=self._write_sifs, name=f"j2a SIFs {self.transport.url}", daemon=True
-                )
-                self._sif_writer.start()
+                # Without a thread to give for it, the SIF goes out with the next reply.
+                with contextlib.suppress(LinkError):
+                    self._sif_writer = start_thread(
+                        self._write_sifs, f"j2a SIFs {self.transport.url}"
+                    )
         self._sif_waits.set()
         return True
 

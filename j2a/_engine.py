@@ -70,9 +70,13 @@ class Engine:
         self._state = threading.Lock()
         self._closing = threading.RLock()
         take_stale_input(transport, session)
-        self._dispatcher = start_thread(self._dispatch, f"j2a handlers {transport.url}")
         self._link = LinkThreads(transport, self._receive, self._judge, self._end)
-        self._link.start()
+        self._dispatcher = start_thread(self._dispatch, f"j2a handlers {transport.url}")
+        try:
+            self._link.start()
+        except LinkError as error:
+            self._end(error)
+            raise
 
     def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
         """Make one call, from any thread; see `Client.call`."""

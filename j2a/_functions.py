@@ -10,6 +10,7 @@ import functools
 import inspect
 import logging
 import struct
+import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -212,7 +213,8 @@ class FunctionTable:
         try:
             code, data = _split(function(payload))
             _check(code, data, MAX_PAYLOAD)
-        except Exception:
+        except BaseException as error:
+            _let_end(error)
             _logger.exception("function %s failed", self.names[opcode])
             return Reply(RET_FAILED, b"")
         return Reply(code if code <= RET_MAX else RET_FAILED, data)
@@ -234,10 +236,21 @@ class FunctionTable:
             code = reply.code if reply.code <= RET_MAX else RET_FAILED
             reply_offset = offset if reply.offset is None else reply.offset
             header = _HEADER.pack(code, FLAG_LAST if reply.is_last else 0, reply_offset)
-        except Exception:
+        except BaseException as error:
+            _let_end(error)
             _logger.exception("function %s failed", self.names[opcode])
             return Reply(RET_OK, _HEADER.pack(RET_FAILED, 0, offset))
         return Reply(RET_OK, header + reply.data)
+
+
+def _let_end(error: BaseException) -> None:
+    """Raise what ends a program, Ctrl-C and sys.exit(), where it can: in its main thread.
+
+    In another thread it would end the link to this host only, and the request without an answer.
+    """
+    is_end = not isinstance(error, Exception)
+    if is_end and threading.current_thread() is threading.main_thread():
+        raise error
 
 
 def _check_function(name: str, function: object) -> None:

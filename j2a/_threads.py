@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Final
 
 from j2a._link import link_error
-from j2a.errors import LinkClosed, LinkError, LocalError
+from j2a.errors import LinkClosed, LinkError, LocalError, OpenFailed
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -164,9 +164,16 @@ class LinkThreads:
 
 
 def start_thread(target: Callable[[], None], name: str) -> threading.Thread:
-    """Start a thread that does not keep the program alive."""
+    """Start a thread that does not keep the program alive.
+
+    Raises:
+        OpenFailed: the system has no thread to give.
+    """
     thread = threading.Thread(target=target, name=name, daemon=True)
-    thread.start()
+    try:
+        thread.start()
+    except RuntimeError as error:
+        raise OpenFailed(f"{name}: {error}; this process or system has too many") from None
     return thread
 
 

@@ -22,7 +22,7 @@ from j2a._many import Progress, Steps
 from j2a._peer import DEFAULT_MAX_BYTES
 from j2a._shell import Shell, check_echo
 from j2a._trace import Trace
-from j2a.errors import J2AError
+from j2a.errors import J2AError, OpenFailed
 from j2a.events import Reply
 
 if TYPE_CHECKING:
@@ -299,7 +299,10 @@ async def aconnect(
 async def _open(url: str, options: dict[str, object]) -> "Transport":
     """Open a transport in a thread, which closes it again when nobody waits for it any more."""
     executor = ThreadPoolExecutor(1, "j2a opener")
-    opening = executor.submit(open_transport, url, options)
+    try:
+        opening = executor.submit(open_transport, url, options)
+    except RuntimeError as error:
+        raise OpenFailed(f"j2a opener: {error}; this process or system has too many") from None
     executor.shutdown(wait=False)
     try:
         return await asyncio.shield(asyncio.wrap_future(opening))

@@ -50,6 +50,7 @@ class Client(Shell):
 
     Raises:
         LocalError: an argument is wrong.
+        OpenFailed: the system has no threads for it; the transport is closed then.
     """
 
     def __init__(

@@ -167,6 +167,15 @@ def test_a_testee_may_stand_behind_the_options(capsys):
     assert "/does/not/exist.toml is no testee" in capsys.readouterr().err
 
 
+def test_a_signal_while_a_command_is_loaded(monkeypatch, capsys):
+    def interrupt(_name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("j2a_conformance.cli._module", interrupt)
+    assert main(["run", "exec:cat"]) == 130
+    assert capsys.readouterr().err == "j2a-conform: interrupted\n"
+
+
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "SIGTERM"]
 )

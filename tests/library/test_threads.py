@@ -1,0 +1,104 @@
+"""Systems that have no thread to give, and functions that end the thread they run in."""
+
+import asyncio
+import threading
+
+import pytest
+
+import j2a
+
+from .support import PATIENCE_S, linked, served
+
+
+@pytest.fixture
+def scarce(monkeypatch):
+    """A function that lets the system give so many threads to the library, and no more."""
+
+    def limit(number):
+        start, started = threading.Thread.start, []
+
+        def refuse(thread):
+            if thread.name.startswith("j2a ") and not thread.name.startswith("j2a device"):
+                if len(started) == number:
+                    raise RuntimeError("can't start new thread")
+                started.append(thread)
+            start(thread)
+
+        monkeypatch.setattr(threading.Thread, "start", refuse)
+        return started
+
+    return limit
+
+
+@pytest.mark.parametrize("number", range(3))
+class TestTooManyThreads:
+    def test_for_a_client(self, scarce, number):
+        with served(j2a.Device()) as url:
+            j2a.connect(url, boot_time=PATIENCE_S).close()
+            started = scarce(number)
+            with pytest.raises(j2a.OpenFailed, match="can't start new thread") as failed:
+                j2a.connect(url)
+            assert failed.value.outcome is j2a.Outcome.NOT_SENT
+            for thread in started:
+                thread.join(PATIENCE_S)
+                assert not thread.is_alive()
+
+    def test_for_an_asyncio_client(self, scarce, number):
+        async def main():
+            with pytest.raises(j2a.OpenFailed, match="can't start new thread"):
+                await j2a.aconnect(url)
+            for thread in started:
+                await asyncio.to_thread(thread.join, PATIENCE_S)
+                assert not thread.is_alive()
+            others = asyncio.all_tasks() - {asyncio.current_task()}
+            if others:
+                await asyncio.wait(others, timeout=PATIENCE_S)
+            assert all(task.done() for task in others)
+
+        with served(j2a.Device()) as url:
+            j2a.connect(url, boot_time=PATIENCE_S).close()
+            started = scarce(number)
+            asyncio.run(main())
+
+
+def test_without_a_thread_for_it_a_sif_comes_with_the_next_reply(scarce):
+    device = j2a.Device()
+    with linked(device) as client:
+        seen = []
+        client.on_sif(None, lambda sif: seen.append(sif.opcode))
+        scarce(0)
+        assert device.send_sif(7) == 1
+        client.echo()
+        client.close()
+        assert seen == [7]
+
+
+@pytest.mark.requirement("J2A-DISP-003")
+@pytest.mark.parametrize("kind", ["function", "many"])
+@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt, asyncio.CancelledError])
+class TestFunctionsThatEndTheirThread:
+    def device(self, kind, error):
+        def end(_request):
+            raise error
+
+        device = j2a.Device()
+        getattr(device, kind)("end")(end)
+        return device
+
+    def test_have_failed(self, kind, error):
+        with linked(self.device(kind, error)) as client:
+            if kind == "many":
+                with pytest.raises(j2a.FunctionFailed):
+                    client.read_many("end")
+            else:
+                assert client.call("end") == (0xFF, b"")
+            assert client.echo(b"still there") == b"still there"
+
+    def test_end_the_program_in_its_main_thread(self, kind, error):
+        device = self.device(kind, error)
+        opcode = device.functions["end"]
+        payload = bytes((opcode, 0, 0, 0, 0, 0)) if kind == "many" else b""
+        asked = 1 if kind == "many" else opcode
+        assert threading.current_thread() is threading.main_thread()
+        with pytest.raises(error):
+            device._execute(asked, payload)
