@@ -25,6 +25,7 @@ class About(ABC):
         EXPECTATION: what a conforming device or host does.
         REQUIREMENTS: ids of the requirements that it tests.
         LEVEL: level of conformance.
+        ON_DEMAND: it takes so long that it runs only if it is named.
     """
 
     ID: str
@@ -32,6 +33,7 @@ class About(ABC):
     EXPECTATION: str
     REQUIREMENTS: tuple[str, ...]
     LEVEL: Level
+    ON_DEMAND: bool = False
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

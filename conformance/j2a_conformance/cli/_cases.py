@@ -69,6 +69,8 @@ def matching(
 ) -> list[_Case]:
     """Return the cases of these levels that match one of these patterns; None means all.
 
+    Those that run on demand have to be named by their id.
+
     Raises:
         HarnessError: nothing matches, or one of the patterns matches nothing.
         UsageError: there is no such level.
@@ -77,7 +79,12 @@ def matching(
         raise UsageError(
             f"there is no level {min(unknown)}; the levels are {', '.join(get_args(Level))}"
         )
-    found = [case for case in cases if levels is None or case.LEVEL in levels]
+    named = patterns or ()
+    found = [
+        case
+        for case in cases
+        if (levels is None or case.LEVEL in levels) and (not case.ON_DEMAND or case.ID in named)
+    ]
     if patterns is not None:
         chosen = {p: [case for case in found if _matches(case, p)] for p in patterns}
         if missed := [pattern for pattern in chosen if not chosen[pattern]]:

@@ -68,7 +68,7 @@ def main(args: argparse.Namespace) -> int:
     """
     if not args.target and (url := _cases.misplaced_url(args)):
         args.target = [url]
-    cases = _cases.matching((START, *load()), args.level, args.case)
+    cases = _cases.matching((START, *load(on_demand=True)), args.level, args.case)
     if args.list:
         _cases.show_cases(cases, host_coverage())
         return CONFORMANT

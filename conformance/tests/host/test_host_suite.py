@@ -10,6 +10,7 @@ from j2a_conformance._smoke import SMOKE
 from j2a_conformance.cases import load as load_device
 from j2a_conformance.cli import main
 from j2a_conformance.host import START, load
+from j2a_conformance.host.cases import many
 from j2a_spec import requirements
 
 HOSTS = Path(__file__).parents[2] / "hosts"
@@ -40,6 +41,19 @@ def test_our_hosts_conform(name, capsys):
     assert main(["host", "--", sys.executable, str(HOSTS / f"{name}.py")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert next(line.split() for line in lines if line.startswith("all"))[1] == str(len(CASES))
+
+
+FAR = "host.many.beyond-24-bits"
+
+
+def test_a_case_on_demand_runs_only_by_its_id(capsys, monkeypatch):
+    assert {case.ID for case in load(on_demand=True)} - {case.ID for case in load()} == {FAR}
+    assert main(["host", "--list", "--case", "host.many.*", "J2A-MANY-021"]) == 0
+    assert FAR not in capsys.readouterr().out
+    monkeypatch.setattr(many, "_FAR", 7 * 300)
+    command = ["--", sys.executable, str(HOSTS / "client.py")]
+    assert main(["host", "-v", "--case", FAR, *command]) == 0
+    assert f"ok              {FAR}" in capsys.readouterr().out
 
 
 def test_every_requirement_of_a_host_has_a_case_or_an_exception():

@@ -47,8 +47,13 @@ _MODULES = (
 
 
 @cache
-def load() -> tuple[HostCase, ...]:
-    """Return every case but the start, in the order in which they run."""
+def load(on_demand: bool = False) -> tuple[HostCase, ...]:
+    """Return every case but the start, in the order in which they run.
+
+    Args:
+        on_demand: also those that run only if they are named.
+    """
     # What is returned are instances of its subclasses, which are not abstract.
     kind: type[HostCase] = HostCase  # type: ignore[type-abstract]
-    return tuple(case for module in _MODULES for case in of_module(module, kind))
+    cases = (case for module in _MODULES for case in of_module(module, kind))
+    return tuple(case for case in cases if on_demand or not case.ON_DEMAND)

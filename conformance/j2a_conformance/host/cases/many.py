@@ -12,7 +12,9 @@ from j2a_conformance.host._host import Host
 from j2a_conformance.host._words import Request, difference, spell
 
 _MANY = 1
-_LARGE = 2**16 + 2000
+_LARGE = 2**17 + 2000
+_FAR = 2**24 + 594  # a multiple of 7, for `spelt`
+_FAR_MS = 600_000
 _SIZES = tuple(
     zip(
         (1, 6, 7, 248, 249, 250, 254, 255, 256, 257, 497, 498, 499, 504, 746, 747, 748, 1245),
@@ -108,7 +110,7 @@ def spelt(size: int) -> str:
 
 
 class Read(HostCase):
-    """Has the host read 0 to 70000 bytes, in chunks of many sizes."""
+    """Has the host read 0 to 133072 bytes, in chunks of many sizes."""
 
     ID = "host.many.read"
     EXPECTATION = "Each request asks for what follows the data received so far, up to isLast."
@@ -157,7 +159,7 @@ class ByOpcode(HostCase):
 
 
 class Write(HostCase):
-    """Has the host write 0 to 70000 bytes."""
+    """Has the host write 0 to 133070 bytes."""
 
     ID = "host.many.write"
     EXPECTATION = (
@@ -176,6 +178,25 @@ class Write(HostCase):
             host.job(f"write {STORE} {data} {10 * host.limit_ms}")
             serve_write(host, content)
             host.outcome("written")
+
+
+class Far(HostCase):
+    """Has the host read and write 16 MiB and some bytes, so that offsets need more than 24 bits."""
+
+    ID = "host.many.beyond-24-bits"
+    EXPECTATION = "No bit of an offset is lost."
+    REQUIREMENTS = ("J2A-MANY-001", "J2A-MANY-011", "J2A-MANY-013", "J2A-MANY-021")
+    LEVEL = "many"
+    ON_DEMAND = True
+
+    def _run(self, host: Host) -> None:
+        content = pattern(_FAR)
+        host.job(f"read {FETCH} {_FAR_MS}")
+        serve_read(host, content, (c.MANY_DATA,))
+        host.outcome(f"data {spell(content)}", due=content)
+        host.job(f"write {STORE} {spelt(_FAR)} {_FAR_MS}")
+        serve_write(host, content)
+        host.outcome("written")
 
 
 class ReplyFlags(HostCase):
