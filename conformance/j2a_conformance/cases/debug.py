@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from j2a_spec import constants as c
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import payload_of, spread
+from j2a_conformance._dimensions import lengths, payload_of
 from j2a_conformance._expected import first_difference
 from j2a_conformance._judge import fail, inform
 from j2a_conformance._peer import Peer
@@ -70,7 +70,7 @@ def check_text(text: bytes, written: bytes, lost: bool) -> None:
 
 
 class Nothing(Case):
-    """Takes all debug text, then calls a2jDebug with payloads of several lengths."""
+    """Takes all debug text, then calls a2jDebug with payloads of every length."""
 
     ID = "debug.nothing-pending"
     EXPECTATION = "No text and the value 0 when none is pending and none was lost."
@@ -80,15 +80,16 @@ class Nothing(Case):
 
     def _run(self, peer: Peer) -> None:
         drain(peer)
-        several = (payload_of(length, n) for n, length in enumerate(spread(peer.longest, 31)))
-        for payload in (b"", b"x", b"\xff" * peer.longest, *several):
+        for payload in (b"", b"x", b"\xff" * peer.longest):
             if take(peer, payload) != (b"", 0):
                 fail(f"text or a code for a request with {len(payload)} payload bytes")
+        opcode = peer.opcode(c.GET_DEBUG)
+        peer.ask_all(peer.request(opcode, payload_of(n, n), 0, b"") for n in lengths(peer.longest))
 
 
 class Text(Case):
-    """Has `ret` write a line for each of its codes and takes it, by requests with and without
-    payload; then has several lines written and takes them together.
+    """Has `ret` write a line for each of its codes and takes it, by requests with payloads of every
+    length; then has several lines written and takes them together.
     """
 
     ID = "debug.text"
@@ -105,7 +106,23 @@ class Text(Case):
         for n, code in enumerate((0x05, 0x12, 0x7D, 0xED, 0x00, 0xEF, 0xAB, 0x06)):
             payload = payloads[n % len(payloads)]
             peer.carried(lambda v=code, p=payload: self._taken(peer, v, p))  # type: ignore[misc]
+        some = 1 if peer.link.lossy else 32  # a group that suffered is written anew
+        for first in range(0, peer.longest + 1, some):
+            group = range(first, min(first + some, peer.longest + 1))
+            peer.carried(lambda g=group: self._by_lengths(peer, g))  # type: ignore[misc]
         peer.carried(lambda: self._in_order(peer))
+
+    @staticmethod
+    def _by_lengths(peer: Peer, group: Iterable[int]) -> None:
+        """Have a line written and taken for each length of the request."""
+        drain(peer)
+        requests = []
+        for length in group:
+            code = length % c.RET_MAX
+            requests.append(peer.request(peer.opcode("ret"), bytes((code,)), code, b""))
+            data, line = payload_of(length, length), line_of(code)
+            requests.append(peer.request(peer.opcode(c.GET_DEBUG), data, 0, line))
+        peer.ask_all(requests)
 
     @staticmethod
     def _taken(peer: Peer, code: int, payload: bytes) -> None:

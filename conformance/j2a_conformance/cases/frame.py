@@ -29,6 +29,11 @@ def patterns(length: int) -> list[bytes]:
     return [*(bytes((v,)) * length for v in PATTERNS), bytes(range(length)), noise]
 
 
+def quiet(length: int, n: int) -> bytes:
+    """Return `length` bytes that start no frame, of the kind that `n` chooses."""
+    return bytes(byte - (byte in c.MARKERS) for byte in payload_of(length, n))
+
+
 class Layout(Case):
     """Compares the bytes of some replies on the wire with those of the oracle."""
 
@@ -66,6 +71,7 @@ class Lengths(Case):
     )
     REQUIREMENTS = (
         "J2A-FRAME-001",
+        "J2A-FRAME-002",
         "J2A-FRAME-004",
         "J2A-FRAME-005",
         "J2A-STUFF-001",
@@ -112,7 +118,7 @@ class Largest(Case):
 
 class Noise(Case):
     """Sends bytes outside frames: each value but the start bytes alone and many times, all of them
-    in a row, a lonely ESC, and a frame without its start byte.
+    in a row, 1 to 255 bytes, a lonely ESC, and a frame without its start byte.
     """
 
     ID = "frame.noise"
@@ -123,6 +129,7 @@ class Noise(Case):
     def _run(self, peer: Peer) -> None:
         headless = peer.probe().wire[1:]
         streams = [bytes((b,)) for b in CLEAN]
+        streams += [quiet(length, length) for length in lengths() if length]
         streams += [CLEAN, b"\x7d" * 7, headless, headless * 3, b"\x7d\xff", b"\x7d\x11\x04\x00"]
         for stream in streams:
             request = peer.probe()
@@ -135,7 +142,7 @@ class Noise(Case):
     def _before(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
         """Yield good frames behind and before noise of many lengths."""
         for n, length in enumerate(spread(300, 23, 1)):
-            noise = bytes(byte for byte in payload_of(length, n) if byte not in c.MARKERS)
+            noise = quiet(length, n)
             request = peer.echo(payload_of(n, n + 1))
             yield noise + request.wire + noise[: n % 9], [request.expected]
 
@@ -201,6 +208,7 @@ class Interrupted(Case):
 class InterruptedAnywhere(Case):
     """Cuts long frames after each of their bytes by a good frame, in turn directly, behind ESC, and
     behind SOS or ESC and SOS and the rest of the frame; at some places in each of these ways.
+    Cuts frames of every length, with and without bytes that need stuffing.
     """
 
     ID = "frame.interrupted-anywhere"
@@ -231,14 +239,24 @@ class InterruptedAnywhere(Case):
             frame = encode(Frame(c.SOF, 0x55 + kind, opcode, data))
             at_all = set(spread(len(frame), 61))
             for cut in places(frame):
-                if kind and not (cut % 5 == kind or cut in at_all):
+                if kind in (1, 3) and not (cut % 5 == kind or cut in at_all):
                     continue
-                for way in ways if kind == 0 and cut in at_all else (ways[cut % 4],):
-                    request = peer.probe()
+                one = b"" if kind == 2 else ways[cut % 4]
+                for way in ways if kind in (0, 2) and cut in at_all else (one,):
                     # The rest behind SOS: taken for data, SOS would make the checksum wrong.
                     rest = frame[cut:] if way[-1:] == bytes((c.SOS,)) else b""
-                    stream = frame[:cut] + way + rest
-                    yield stream + request.wire, [*answers(stream + b"\x12"), request.expected]
+                    yield InterruptedAnywhere._cut(peer, frame[:cut] + way + rest)
+        for length in lengths():
+            for n, data in enumerate((b"plain" * 51, payload_of(255, length))):
+                frame = encode(Frame(c.SOF, length, opcodes[0], data[:length]))
+                cut = len(frame) - 1 - length * (3 + 8 * n) % (len(frame) - 4)
+                yield InterruptedAnywhere._cut(peer, frame[:cut])
+
+    @staticmethod
+    def _cut(peer: Peer, stream: bytes) -> tuple[bytes, list[Expected]]:
+        """Return the stream with a good frame behind it, and what is due."""
+        request = peer.probe()
+        return stream + request.wire, [*answers(stream + b"\x12"), request.expected]
 
 
 class Pieces(Case):
@@ -282,6 +300,9 @@ class Pieces(Case):
             cut += b"\x7d\xff" if n % 3 == 0 and cut[-1] != c.ESC else b""
             due = [*answers(cut + b"\x12"), good.expected]
             self._in_pieces(peer, pieces(cut + good.wire, n + 2), *due)
+            before = peer.echo(payload_of(n, n))
+            parts = [before.wire[: 1 + n % 4], before.wire[1 + n % 4 :] + cut + good.wire]
+            self._in_pieces(peer, parts, before.expected, *due)
         for noise in (b"\x00", b"\x11\xec", b"\x7d", CLEAN, CLEAN * 3):
             request = peer.probe()
             self._in_pieces(peer, [noise + request.wire[:1], request.wire[1:]], request.expected)

@@ -76,7 +76,8 @@ class ReplyCodes(Case):
 
 class Needless(Case):
     """Escapes every byte value for which that is legal, needed or not, in the payload, one by one
-    and all together, and then every byte of seq, opcode, length and checksum.
+    and all together, then every byte of seq, opcode, length and checksum; and one, two or three
+    bytes of payloads of every length.
     """
 
     ID = "stuff.needless"
@@ -106,17 +107,36 @@ class Needless(Case):
         for field in (0, 1, 2, 4):
             self._exchange(peer, opcode, b"x", peer.seq(), {field})
         self._exchange(peer, opcode, b"x", peer.seq(), {0, 1, 2, 3, 4})
+        peer.play_all(self._few(peer, opcode, values))
+
+    @classmethod
+    def _few(
+        cls, peer: Peer, opcode: int, values: list[int]
+    ) -> Iterator[tuple[bytes, list[Expected]]]:
+        """Yield echoes of every length in which few bytes are escaped, and no other needs it."""
+        for length in range(1, peer.longest + 1):
+            for count in (1, 2, 3):
+                places = {3 + (length * 7 + count * 5 + n * 83) % length for n in range(count)}
+                payload = bytearray(b"x" * length)
+                for n, place in enumerate(places):
+                    payload[place - 3] = values[(length * 3 + count * 67 + n) % len(values)]
+                wire, due = cls._escaped(opcode, bytes(payload), peer.seq(), places)
+                yield wire, [due]
+
+    @classmethod
+    def _exchange(cls, peer: Peer, opcode: int, payload: bytes, seq: int, places: set[int]) -> None:
+        peer.play(*cls._escaped(opcode, payload, seq, places))
 
     @staticmethod
-    def _exchange(peer: Peer, opcode: int, payload: bytes, seq: int, places: set[int]) -> None:
-        """Send an echo whose bytes at `places` (counted from seq) are escaped where legal."""
+    def _escaped(opcode: int, payload: bytes, seq: int, places: set[int]) -> tuple[bytes, Expected]:
+        """Return an echo whose bytes at `places` (counted from seq) are escaped where legal."""
         body = bytes((seq, opcode, len(payload))) + payload
         body += bytes((checksum(seq, opcode, payload),))
         wire = bytes((c.SOF,))
         for place, value in enumerate(body):
             forced = place in places and escapable(value)
             wire += escaped(value) if forced or value in c.STUFFED else bytes((value,))
-        peer.play(wire, Expected(seq, c.ECHO, payload))
+        return wire, Expected(seq, c.ECHO, payload)
 
 
 class EscapeFfAnywhere(Case):

@@ -9,7 +9,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum, encode, stuff
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lane_offset, payload_of, spread
+from j2a_conformance._dimensions import lane_offset, lengths, payload_of, spread
 from j2a_conformance._judge import Judged, fail, inform
 from j2a_conformance._model import Verdict
 from j2a_conformance._peer import Expected, Peer, Request, many_payload
@@ -177,7 +177,7 @@ class GivesUp(Case):
 
 class GivesUpLong(Case):
     """Sends the beginning of long requests, up to many of their bytes, and no more; after some of
-    them the rest.
+    them the rest. Does the same with a request of every length, with every seq.
     """
 
     ID = "timing.gives-up-long"
@@ -196,12 +196,22 @@ class GivesUpLong(Case):
             for k, cut in enumerate(sorted(cuts)):
                 part, rest = wire[:cut], wire[cut:] if k % 3 == 0 else b""
                 peer.attempts(lambda a=part, b=rest, r=request: self._cut(peer, a, b, r.seq))  # type: ignore[misc]
+        for length in spread(step=61) if peer.link.lossy else lengths():
+            seq, data = (length + 0x80) % 256, payload_of(length, length)
+            wire = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), data))
+            cut = len(wire) - 1 - length * 11 % (len(wire) - 4)
+            peer.attempts(lambda w=wire, n=cut, s=seq: self._stopped(peer, w[:n], w[n:], s))  # type: ignore[misc]
 
     @staticmethod
     def _cut(peer: Peer, part: bytes, rest: bytes, seq: int) -> None:
         GivesUp.cut(peer, part, seq)
         if rest:
             peer.play(rest, alone=True)
+
+    @staticmethod
+    def _stopped(peer: Peer, part: bytes, rest: bytes, seq: int) -> None:
+        peer.play(part, Expected(seq, c.ERR_TIMEOUT))
+        peer.play(rest, alone=True)
 
     @staticmethod
     def _silent(peer: Peer) -> None:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, encode
 from j2a_spec.requirements import Level
 
 from j2a_conformance._judge import fail, inform
@@ -51,20 +52,24 @@ class OneByOne(HostCase):
 
 
 class Window(HostCase):
-    """Has the host make seven calls at once to a device that announces 23 bytes, which is one less
-    than four requests have.
+    """Has the host make seven calls at once to devices that announce one byte less than two, three,
+    four up to seven requests have.
     """
 
     ID = "host.limits.window"
-    EXPECTATION = "What waits is never more than 23 bytes; each call gets its reply."
+    EXPECTATION = "What waits is never more than that; each call gets its reply."
     REQUIREMENTS = ("J2A-LIMIT-003", "J2A-SEQ-004")
     LEVEL = "core"
-    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "23")))
 
     def _run(self, host: Host) -> None:
-        together(host, *(f"{n:02x}" for n in range(1, 8)))
-        serve(host, 7, host.device.rxbuf)
-        host.outcome(" ; ".join(f"reply 1 {n:02x}" for n in range(1, 8)))
+        size = len(encode(Frame(c.SOF, 0, 6, b"\x01")))
+        for count in range(2, 8):
+            rxbuf = str(count * size - 1)
+            known = ((c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, rxbuf))
+            host.become(replace(DEMO, properties=known))
+            together(host, *(f"{n:02x}" for n in range(1, 8)))
+            serve(host, 7, host.device.rxbuf)
+            host.outcome(" ; ".join(f"reply 1 {n:02x}" for n in range(1, 8)))
 
 
 class Stuffed(HostCase):

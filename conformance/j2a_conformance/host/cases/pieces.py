@@ -49,16 +49,16 @@ class Replies(HostCase):
 
 
 class Lengths(HostCase):
-    """Sends replies of every third length in three pieces, cut anywhere."""
+    """Sends replies of every length in three pieces, cut anywhere."""
 
     ID = "host.pieces.lengths"
     EXPECTATION = "How a link cuts the stream makes no difference."
-    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-003", "J2A-STUFF-005")
+    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-003", "J2A-STUFF-005", "J2A-SUM-001")
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:
         rng = random.Random(3)
-        for length in LENGTHS[::3]:
+        for length in LENGTHS:
             request, payload = host.asked(), content(length, 4)
             wire = request.reply(2, payload)
             host.piecemeal(_cut(wire, *(rng.randrange(1, len(wire)) for _ in range(2))))
@@ -135,7 +135,7 @@ class SifLengths(HostCase):
 
     ID = "host.pieces.sif-lengths"
     EXPECTATION = "Each is handed over as it is, and each call gets its reply."
-    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-003", "J2A-STUFF-005", "J2A-SIF-003")
+    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-003", "J2A-STUFF-005", "J2A-SIF-003", "J2A-SUM-001")
     LEVEL = "sif"
 
     def _run(self, host: Host) -> None:

@@ -27,7 +27,7 @@ class Sizes(HostCase):
 
     ID = "host.received.sizes"
     EXPECTATION = "Each reply is handed over as it is."
-    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-005", "J2A-STUFF-003")
+    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-005", "J2A-STUFF-003", "J2A-SUM-001")
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:
@@ -96,8 +96,8 @@ class Codes(HostCase):
 
 
 class NeedlessEscapes(HostCase):
-    """Answers with frames of every length in which some bytes or all are escaped that can be, ESC
-    ESC among them: each byte of short ones alone, and of each value.
+    """Answers with frames of every length in which one byte, some bytes or all are escaped that can
+    be, ESC ESC among them: each byte of short ones alone, and of each value.
     """
 
     ID = "host.received.needless-escapes"
@@ -110,7 +110,12 @@ class NeedlessEscapes(HostCase):
         plans: list[tuple[bytes, set[int] | None]] = []
         for payload in (b"needless", b"\x7e\x12~\x7d"):
             plans += [(payload, {index}) for index in range(len(payload) + 4)]
-        plans += [(bytes(range(s, s + 64)), set(range(64))) for s in range(0, 256, 64)]
+        plans += [(bytes(range(s, s + 64)), set(range(3, 67))) for s in range(0, 256, 64)]
+        for length in LENGTHS:  # one byte, and no other needs it, in the payload and anywhere
+            place = length * 7 % max(length, 1)
+            data = bytearray(b"x" * length)
+            data[place : place + 1] = bytes((length,)) if length else b""
+            plans += [(bytes(data), {3 + place}), (b"x" * length, {length * 5 % (length + 4)})]
         plans += [(bytes(range(start, start + 128)), None) for start in (0, 128)]
         for length in range(0, 256, 3):
             most = rng.choice((1, 2, 7, 8, 9, length))

@@ -145,7 +145,7 @@ class Sizes(HostCase):
 
     ID = "host.sif.sizes"
     EXPECTATION = "Each is handed over as it is."
-    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-005", "J2A-SIF-003")
+    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-005", "J2A-SIF-003", "J2A-SUM-001")
     LEVEL = "sif"
 
     def _run(self, host: Host) -> None:
