@@ -212,8 +212,10 @@ class Peer:
         return frames + (self._play_batch(batch) if batch else [])
 
     def _play_batch(self, batch: list[tuple[bytes, Sequence[Expected]]]) -> list[Frame]:
+        # A long write over a slow link gives a stall of this machine more room than one frame does.
         stream = b"".join(stream for stream, _ in batch)
-        return self.play(stream, *(due for _, expected in batch for due in expected), exact=True)
+        due = [one for _, expected in batch for one in expected]
+        return self.attempts(lambda: self.play(stream, *due, exact=True))
 
     def ask_all(self, requests: Iterable[Request]) -> list[Frame]:
         """Send requests and compare their replies with the oracle, byte by byte; see `play_all`."""
