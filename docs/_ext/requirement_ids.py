@@ -142,7 +142,9 @@ class ConformanceCases(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return a definition list."""
         hosts = "hosts" in self.options
-        cases: tuple[About, ...] = (START, *load_host_cases()) if hosts else load_cases()
+        cases: tuple[About, ...] = (
+            (START, *load_host_cases(on_demand=True)) if hosts else load_cases()
+        )
         return [nodes.definition_list("", *map(_case, cases))]
 
 

@@ -31,7 +31,9 @@ def write_pages(app: Sphinx) -> None:
     folder = Path(app.srcdir) / FOLDER
     folder.mkdir(exist_ok=True)
     trace = json.loads(SNAPSHOT.read_text("utf-8"))
-    cases = {case.ID: case for case in (*SMOKE, *load_cases(), START, *load_host_cases())}
+    cases = {
+        case.ID: case for case in (*SMOKE, *load_cases(), START, *load_host_cases(on_demand=True))
+    }
     tests = {test["id"]: test for path in VECTORS.glob("*.json") for test in _tests(path)}
     pages = {
         folder / f"{name}.md": "\n".join(_page(name, entry, cases, tests))

@@ -98,10 +98,10 @@ def by_the_oracle(
 
 
 @contextmanager
-def served(device: j2a.Device, url: str | None = None) -> Iterator[str]:
-    """Serve a device in a thread; yields the URL to connect to."""
+def served(device: j2a.Device, url: str | None = None, **limits: float) -> Iterator[str]:
+    """Serve a device in a thread, within limits of hosts; yields the URL to connect to."""
     listener = j2a_transports.listen(url or f"loopback:device-{next(_names)}")
-    thread = threading.Thread(target=device.serve_forever, args=(listener,))
+    thread = threading.Thread(target=device.serve_forever, args=(listener,), kwargs=limits)
     thread.start()
     try:
         yield listener.url
