@@ -13,7 +13,6 @@ import contextlib
 import inspect
 import logging
 import math
-import os
 import threading
 import time
 import weakref
@@ -24,7 +23,7 @@ from typing import TYPE_CHECKING, Final
 from j2a._handlers import ErrorHook, Handlers, Reporter
 from j2a._link import WAIT_S
 from j2a._session import Call, Session
-from j2a._shell import MAX_SIFS_WAITING, foreign_process, take_stale_input
+from j2a._shell import MAX_SIFS_WAITING, take_stale_input
 from j2a._threads import JOIN_S, LOOK_S, PIECE, LinkThreads, join_threads, start_thread
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
@@ -70,7 +69,6 @@ class AsyncEngine:
         self._session = session
         self._handlers = weakref.ref(handlers)
         self._reporter = Reporter(on_handler_error)
-        self._process = os.getpid()
         self._loop = asyncio.get_running_loop()
         self._sifs: asyncio.Queue[Sif | None] = asyncio.Queue()
         self._takes_sifs = True
@@ -120,13 +118,8 @@ class AsyncEngine:
         return call.reply
 
     def check_process(self) -> None:
-        """Refuse to work in a child process, which has the link but not the threads.
-
-        Raises:
-            LocalError: this is one.
-        """
-        if os.getpid() != self._process:
-            raise foreign_process(self._transport.url)
+        """Refuse to work in a child process; see `LinkThreads.check_process`."""
+        self._link.check_process()
 
     def _check_loop(self) -> None:
         if asyncio.get_running_loop() is not self._loop:
@@ -137,7 +130,7 @@ class AsyncEngine:
 
     async def close(self) -> None:
         """Deliver the SIFs that have come, then end all calls and the threads."""
-        if os.getpid() != self._process:
+        if self._link.is_inherited:
             return  # the link is the parent's
         reason = LinkClosed(f"{self._transport.url} was closed by this program")
         if self._loop.is_closed():
@@ -161,7 +154,7 @@ class AsyncEngine:
 
     def abandon(self) -> bool:
         """End the link without waiting, in a destructor; tell whether it was still there."""
-        if os.getpid() != self._process or self._session.is_closed:
+        if self._link.is_inherited or self._session.is_closed:
             return False
         self._link.abandon()
         return True

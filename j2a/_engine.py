@@ -9,7 +9,6 @@ nor its handlers, so a client that nobody uses any more can end them.
 """
 
 import logging
-import os
 import queue
 import threading
 import time
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 from j2a._handlers import ErrorHook, Handlers, Reporter
 from j2a._link import WAIT_S
 from j2a._session import Call, Session
-from j2a._shell import MAX_SIFS_WAITING, foreign_process, take_stale_input
+from j2a._shell import MAX_SIFS_WAITING, take_stale_input
 from j2a._threads import JOIN_S, LinkThreads, join_threads, start_thread
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
@@ -60,7 +59,6 @@ class Engine:
         self._session = session
         self._handlers = weakref.ref(handlers)
         self._reporter = Reporter(on_handler_error)
-        self._process = os.getpid()
         self._sifs: queue.SimpleQueue[Sif | None] = queue.SimpleQueue()
         self._takes_sifs = True
         self._drops_sifs = False
@@ -100,17 +98,12 @@ class Engine:
         return call.reply
 
     def check_process(self) -> None:
-        """Refuse to work in a child process, which has the link but not the threads.
-
-        Raises:
-            LocalError: this is one.
-        """
-        if os.getpid() != self._process:
-            raise foreign_process(self._transport.url)
+        """Refuse to work in a child process; see `LinkThreads.check_process`."""
+        self._link.check_process()
 
     def close(self) -> None:
         """Deliver the SIFs that have come, then end all calls and the threads."""
-        if os.getpid() != self._process:
+        if self._link.is_inherited:
             return  # the link is the parent's
         if threading.current_thread() is self._dispatcher:
             self._drops_sifs = True
@@ -127,7 +120,7 @@ class Engine:
 
     def abandon(self) -> bool:
         """End the link without waiting, in a destructor; tell whether it was still there."""
-        if os.getpid() != self._process or self._session.is_closed:
+        if self._link.is_inherited or self._session.is_closed:
             return False
         self._link.abandon()
         return True

@@ -46,7 +46,6 @@ __all__ = [
     "MAX_SIFS_WAITING",
     "Shell",
     "check_echo",
-    "foreign_process",
     "take_stale_input",
 ]
 
@@ -266,14 +265,6 @@ def _boot_limits(total_s: float) -> Iterator[float]:
         yield limit_s
         total_s -= limit_s
         limit_s *= 2
-
-
-def foreign_process(url: str) -> LocalError:
-    """Return the error for a client that is used in a child of the process that made it."""
-    return LocalError(
-        f"{url} was connected before this process was forked and belongs to its parent; "
-        "connect again in the child"
-    )
 
 
 def check_echo(reply: Reply, payload: bytes) -> bytes:

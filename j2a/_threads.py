@@ -10,6 +10,7 @@ judged only after a look: the reading thread has taken what had arrived by then.
 import contextlib
 import logging
 import math
+import os
 import queue
 import threading
 import time
@@ -69,6 +70,7 @@ class LinkThreads:
         self._asked = self._answered = 0
         self._asked_at = math.inf
         self._is_reading = True
+        self._process = os.getpid()
         self.threads: list[threading.Thread] = []
 
     def start(self) -> None:
@@ -77,6 +79,23 @@ class LinkThreads:
             start_thread(self._read, f"j2a reader {self._transport.url}"),
             start_thread(self._write, f"j2a writer {self._transport.url}"),
         ]
+
+    @property
+    def is_inherited(self) -> bool:
+        """This process is a child of that which has the threads, and the link is not its own."""
+        return os.getpid() != self._process
+
+    def check_process(self) -> None:
+        """Refuse to work in a child process, which has the link but not the threads.
+
+        Raises:
+            LocalError: this is one.
+        """
+        if self.is_inherited:
+            raise LocalError(
+                f"{self._transport.url} was connected before this process was forked and belongs "
+                "to its parent; connect again in the child"
+            )
 
     def send(self, data: bytes) -> None:
         """Have bytes written; does not wait."""
