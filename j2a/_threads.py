@@ -2,9 +2,10 @@
 
 What flows in: bytes to send, bytes from the transport, questions whether a reply has arrived. What
 flows out: received bytes in small pieces, and the reason for which the link has ended.
-Rules: one thread reads, one writes; they know no packet. The reading thread hands over one piece
-after the other and reads no further meanwhile, so a flood waits in the transport. A time limit is
-judged only after a look: the reading thread has taken what had arrived by then.
+Rules: one thread reads, one writes what the link does not take at once; they know no packet. The
+reading thread hands over one piece after the other and reads no further meanwhile, so a flood waits
+in the transport. A time limit is judged only after a look: the reading thread has taken what had
+arrived by then.
 """
 
 import contextlib
@@ -66,6 +67,10 @@ class LinkThreads:
         self._looked = looked
         self._ended = ended
         self._outgoing: queue.SimpleQueue[bytes | LinkClosed | None] = queue.SimpleQueue()
+        # A transport may also be an object that has no more than it needs.
+        self._try_write = getattr(transport, "try_write", lambda _data: 0)
+        # Pieces that were queued, and those of them that were written.
+        self._queued = self._written = 0
         self._changed = threading.Condition()
         self._asked = self._answered = 0
         self._asked_at = math.inf
@@ -98,8 +103,15 @@ class LinkThreads:
             )
 
     def send(self, data: bytes) -> None:
-        """Have bytes written; does not wait."""
-        self._outgoing.put(data)
+        """Have bytes written; does not wait. For one thread at a time.
+
+        If nothing waits for the writing thread, what the link takes at once needs no other thread.
+        """
+        if self._written == self._queued:
+            data = data[self._try_write(data) :]
+        if data:
+            self._queued += 1
+            self._outgoing.put(data)
 
     def stop(self) -> None:
         """Let the writing thread run out; the reading one ends when the transport is closed."""
@@ -171,6 +183,7 @@ class LinkThreads:
                     self._end(data)
                     return
                 self._transport.write(data)
+                self._written += 1
         except Exception as error:
             # The other side may have answered before it went away.
             self.wait_for_look()

@@ -138,6 +138,18 @@ class Transport(_Closable):
             WriteTimeout: the peer took nothing for `write_timeout_s` seconds.
         """
 
+    def try_write(self, data: bytes) -> int:
+        """Hand to the link what it takes at once, without waiting and without raising.
+
+        Args:
+            data: the bytes, any number.
+
+        Returns:
+            How many bytes were taken; 0 as well where another thread writes, the link does not
+            work (`write` says why), or the transport cannot tell without waiting.
+        """
+        return 0
+
     @property
     @abstractmethod
     def closed(self) -> bool:

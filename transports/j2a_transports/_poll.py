@@ -189,6 +189,19 @@ class PolledTransport(Transport):
                 if rest and not sent:
                     self._await_room(len(rest), len(data))
 
+    def try_write(self, data: bytes) -> int:
+        """See `Transport.try_write`."""
+        if not self._writing.acquire(blocking=False):
+            return 0
+        try:
+            if self._closed or self._end is not None:
+                return 0
+            return self._send(memoryview(data))
+        except OSError:
+            return 0  # there is no room, or `write` meets the same error
+        finally:
+            self._writing.release()
+
     def wake_reader(self) -> bool:
         """See `Transport.wake_reader`."""
         self._reader_woken = True

@@ -216,6 +216,21 @@ class BackToBack:
         data = here.read(None) or here.read(PATIENCE_S)
         assert data == b"y"
 
+    def test_what_is_tried_never_waits_and_keeps_its_place(self, ends: Ends) -> None:
+        here, there, _ = ends
+        data = random.Random(5).randbytes(8 * MEGABYTE)
+        sent = taken = here.try_write(data[:1000])
+        if not taken:
+            pytest.skip("this transport cannot tell what the link takes at once")
+        while taken := here.try_write(data[sent : sent + 100_000]):
+            sent += taken
+            assert sent < len(data), "the peer does not read"
+        writer = Background(lambda: here.write(data[sent : sent + 1000]))
+        assert read_exactly(there, sent + 1000) == data[: sent + 1000]
+        writer.result()
+        here.close()
+        assert here.try_write(b"x") == 0
+
     def test_close_ends_a_blocked_read(self, ends: Ends) -> None:
         reader = Background(lambda: ends.here.read(None))
         time.sleep(SETTLE_S)
