@@ -266,3 +266,21 @@ def test_nothing_to_judge_is_a_failure(monkeypatch, capsys):
     monkeypatch.setattr(kill, "load", lambda target: Table(target, (), ()))
     assert kill.main([]) == 1
     assert "0 mutants, 0 killed" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("how", "claims"),
+    [
+        (targets.Variant("core", "posix", "demo"), True),
+        (targets.Variant("device"), True),
+        (targets.Variant("core", "posix", "builtins"), False),
+        (targets.Variant("core", "posix", "demo", "-DJ2A_WITH_SIF=0"), False),
+        (targets.Variant("device", options="room=64"), False),
+    ],
+)
+def test_a_name_that_a_mutant_lost_excuses_no_case(monkeypatch, tmp_path, how, claims):
+    asked = {}
+    monkeypatch.setattr(targets, "run", lambda *_args, **options: asked.update(options))
+    monkeypatch.setattr(targets, "_device", lambda *_args: ("exec:nothing", 1.0))
+    targets._Trial(targets.Job(how, None, ()), tmp_path)._suite((), targets._Heard())
+    assert ("sif" in asked["claimed"]) == claims
