@@ -8,16 +8,9 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, Incomplete, checksum, decode, encode
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import SPECIAL, lengths, payload_of, pieces, places, spread
-from j2a_conformance._judge import Judged
+from j2a_conformance._dimensions import lengths, payload_of, places, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
-from .timing import send_paused
-
-_PAUSE_S = 0.001
-_ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
-_REFUSALS = 6
-_TRIES = 40
 PATTERNS = (0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C)
 MARKED = bytes((0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C, 0x13, 0xEE, 0x7E, 0x00, 0xFF))
 CLEAN = bytes(b for b in range(256) if b not in c.MARKERS)
@@ -257,77 +250,6 @@ class InterruptedAnywhere(Case):
         """Return the stream with a good frame behind it, and what is due."""
         request = peer.probe()
         return stream + request.wire, [*answers(stream + b"\x12"), request.expected]
-
-
-class Pieces(Case):
-    """Sends good, damaged and interrupted frames, and frames with ESC 0xFF, of many lengths in two
-    to four pieces with a short pause between them, and some byte by byte; also noise and a start
-    byte in one piece, and the rest of the frame in another.
-    """
-
-    ID = "frame.pieces"
-    EXPECTATION = "The same replies as for the whole, wherever it was cut."
-    REQUIREMENTS = (
-        "J2A-FRAME-005",
-        "J2A-FRAME-006",
-        "J2A-FRAME-007",
-        "J2A-FRAME-009",
-        "J2A-STUFF-001",
-        "J2A-STUFF-003",
-        "J2A-STUFF-004",
-        "J2A-STUFF-005",
-        "J2A-SUM-001",
-        "J2A-SUM-003",
-        "J2A-ERR-002",
-        "J2A-ERR-003",
-        "J2A-ERR-004",
-        "J2A-ECHO-001",
-    )
-    LEVEL = "frame"
-
-    def _run(self, peer: Peer) -> None:
-        for n, length in enumerate(spread(step=43)):
-            seq = SPECIAL[n * 4 % len(SPECIAL)] if n % 2 else None
-            request = peer.echo(payload_of(length, n), seq)
-            self._in_pieces(peer, pieces(request.wire, n), request.expected)
-            good = peer.probe()
-            wrong = bytearray(request.wire)
-            wrong[-1] ^= 0x02 if wrong[-1] ^ 0x02 not in c.STUFFED else 0x08
-            if decode(bytes(wrong)) == [FrameError("checksum", c.SOF, request.seq)]:
-                due = [refusal(request.seq, c.ERR_CHECKSUM), good.expected]
-                self._in_pieces(peer, pieces(bytes(wrong) + good.wire, n + 1), *due)
-            cut = request.wire[: 2 + n * 37 % (len(request.wire) - 2)]
-            cut += b"\x7d\xff" if n % 3 == 0 and cut[-1] != c.ESC else b""
-            due = [*answers(cut + b"\x12"), good.expected]
-            self._in_pieces(peer, pieces(cut + good.wire, n + 2), *due)
-            before = peer.echo(payload_of(n, n))
-            parts = [before.wire[: 1 + n % 4], before.wire[1 + n % 4 :] + cut + good.wire]
-            self._in_pieces(peer, parts, before.expected, *due)
-        for noise in (b"\x00", b"\x11\xec", b"\x7d", CLEAN, CLEAN * 3):
-            request = peer.probe()
-            self._in_pieces(peer, [noise + request.wire[:1], request.wire[1:]], request.expected)
-            self._in_pieces(peer, [noise, request.wire], request.expected)
-        for length in (0, 20, 60):
-            request = peer.echo(payload_of(length, 1))
-            single = [bytes((byte,)) for byte in request.wire]
-            self._in_pieces(peer, single, request.expected)
-
-    @staticmethod
-    def _in_pieces(peer: Peer, parts: list[bytes], *due: Expected) -> None:
-        """Send the parts until the replies are right; a pause that a stall made does not count."""
-        refused = 0
-        for _ in range(_TRIES):
-            longest_s = send_paused(peer, parts, _PAUSE_S)
-            try:
-                peer.expect(*due, exact=True)
-                return
-            except Judged as judged:
-                refused += longest_s <= _ACCEPTED_S
-                if refused >= _REFUSALS or (refused and not judged.suspect):
-                    raise
-                peer.link.note(f"the longest pause was {longest_s * 1e3:.2f} ms: {judged.reason}")
-                peer.resync()
-        peer.link.note("this machine is too busy to make a pause of less than 9 ms")
 
 
 class EscapedMarker(Case):

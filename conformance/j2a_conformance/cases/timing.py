@@ -18,6 +18,7 @@ _ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
 _GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
 _REFUSALS = 6
 _TRIES = 40
+_LONG_TRIES = 12
 
 
 def send_paused(peer: Peer, pieces: list[bytes], pause_s: float) -> float:
@@ -35,13 +36,22 @@ def send_paused(peer: Peer, pieces: list[bytes], pause_s: float) -> float:
     return longest_s
 
 
-def accepts(peer: Peer, pieces: list[bytes], pause_s: float, due: Expected) -> None:
+def accepts(
+    peer: Peer,
+    pieces: list[bytes],
+    pause_s: float,
+    due: Expected,
+    *,
+    enough: int = 2,
+    tries: int = _TRIES,
+) -> None:
     """Fail when the device refuses these pauses again and again.
 
-    Two acceptances are asked for: a device that stalls may see the bytes without the pause.
+    `enough` acceptances are asked for, more than one of a single pause: a device that stalls may
+    see the bytes without it.
     """
     accepted = refused = 0
-    for _ in range(_TRIES):
+    for _ in range(tries):
         longest_s = send_paused(peer, pieces, pause_s)
         try:
             peer.expect(due)
@@ -53,7 +63,7 @@ def accepts(peer: Peer, pieces: list[bytes], pause_s: float, due: Expected) -> N
             peer.resync()
         else:
             accepted += 1
-            if accepted == 2:
+            if accepted == enough:
                 return
     inform("this machine is too busy to make a pause of less than 9 ms")
 
@@ -132,6 +142,21 @@ class Trickle(Case):
     def _run(self, peer: Peer) -> None:
         wire, due = awkward(peer)
         accepts(peer, [bytes((byte,)) for byte in wire], 0.004, due)
+
+
+class TrickleLong(Case):
+    """Sends one of the longest requests in pieces of four bytes with 4 ms between them."""
+
+    ID = "timing.trickle-long"
+    EXPECTATION = "The request is answered, however long its frame takes in all."
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-FRAME-005")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        longest = peer.echo(b"\x12" * peer.longest)
+        wire = longest.wire
+        parts = [wire[n : n + 4] for n in range(0, len(wire), 4)]
+        accepts(peer, parts, 0.004, longest.expected, enough=1, tries=_LONG_TRIES)
 
 
 class GivesUp(Case):

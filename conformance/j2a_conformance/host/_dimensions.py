@@ -9,6 +9,7 @@ import random
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum
@@ -33,6 +34,7 @@ SPECIAL = bytes(sorted({*c.STUFFED, *(b - 1 for b in c.STUFFED), *(b + 1 for b i
 _FIELDS = ("seq", "opcode", "length")
 _EVERY_MASK = (0, 1, 17, 64, 255)  # lengths at which each wrong checksum there is comes
 _ERRORS = tuple(sorted(c.ERRORS))
+_ERROR_LENGTH = 2
 _RETURNED = (*range(c.RET_MAX + 1), c.RET_FAILED)
 
 
@@ -132,6 +134,8 @@ def _fields(start: int, seq: int, number: int) -> tuple[int, int]:
 def wrong_sums(start: int, seq: int, lengths: Iterable[int] = LENGTHS) -> Iterator[Broken]:
     """Yield frames of these lengths whose checksum is wrong; of some lengths, in every way.
 
+    Those of 2 bytes look like error replies of each code, wrong in each bit.
+
     Args:
         start: SOF or SOS.
         seq: of replies; SIFs have every seq there is.
@@ -142,6 +146,10 @@ def wrong_sums(start: int, seq: int, lengths: Iterable[int] = LENGTHS) -> Iterat
         for mask in masks:
             payload, fields = content(length, mask % 4), _fields(start, seq, length + mask)
             wire, code = frame(start, *fields, payload, mask), fields[1]
+            yield Broken(f"the checksum wrong by 0x{mask:02X}", wire, code, payload)
+        for bit, code in product(range(8), _ERRORS if length == _ERROR_LENGTH else ()):
+            payload, mask = content(length, bit), 1 << bit
+            wire = frame(start, seq, code, payload, mask)
             yield Broken(f"the checksum wrong by 0x{mask:02X}", wire, code, payload)
 
 

@@ -122,19 +122,29 @@ class AnotherMajor(HostCase):
 
 
 class MajorLimits(HostCase):
-    """Has the host make four calls at once to a device of version 2.0 that announces j2a.rxbuf."""
+    """Has the host make four calls at once, and then one of 200 bytes, to a device of version 2.0
+    that announces j2a.rxbuf and a j2a.room of 40.
+    """
 
     ID = "host.version.major-limits"
-    EXPECTATION = "The property counts as absent: each request comes after the reply to another."
+    EXPECTATION = (
+        "The properties count as absent: each request comes after the reply to another, whatever "
+        "its length."
+    )
     REQUIREMENTS = ("J2A-VER-003",)
     LEVEL = "properties"
-    DEVICE = replace(DEMO, properties=((c.PROP_SPEC, "2.0"), (c.PROP_RXBUF, "1000")))
+    DEVICE = replace(
+        DEMO, properties=((c.PROP_SPEC, "2.0"), (c.PROP_RXBUF, "1000"), (c.PROP_ROOM, "40"))
+    )
 
     def _run(self, host: Host) -> None:
         host.do(f"write {STORE} {spelt(_SIZE)} {host.limit_ms}", *_REFUSED)
         together(host, "01", "02", "03", "04")
         serve(host, 4, 0)
         host.outcome("reply 1 01 ; reply 1 02 ; reply 1 03 ; reply 1 04")
+        host.job(f"call {PING} 200*61 {host.limit_ms}")
+        host.reply(host.request(host.device.opcode(PING), b"a" * 200), 1, b"taken")
+        host.replied_with(1, b"taken")
 
 
 class Capabilities(HostCase):

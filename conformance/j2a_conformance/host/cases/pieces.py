@@ -16,6 +16,7 @@ from j2a_conformance.host._words import Sifs, spell
 from .sif import anchor, handed
 
 _ODD = b"\x12a\x7d\x7e\xed"
+_BROKEN = (b"\x01\x13\x02", b"\x00ab", b"\xee\x7db", b"\x7dab", b"\x12ab", b"\xedab")
 
 
 def _cut(wire: bytes, *places: int) -> list[bytes]:
@@ -86,7 +87,7 @@ class Long(HostCase):
 
 class Broken(HostCase):
     """Sends broken replies in pieces, cut behind each of their bytes: a wrong checksum, ESC 0xFF, a
-    raw start byte, an end too early; then the right one.
+    raw start byte, an end too early, an end behind ESC; then the right one, in pieces, too.
     """
 
     ID = "host.pieces.broken"
@@ -96,7 +97,7 @@ class Broken(HostCase):
 
     def _run(self, host: Host) -> None:
         for cut in range(1, 12):
-            for broken in (b"\x01\x13\x02", b"\x00ab", b"\xee\x7db", b"\x12ab", b"\xedab"):
+            for broken in _BROKEN:
                 request = host.asked()
                 wire = request.reply(0x31, broken)
                 match broken[0]:
@@ -106,10 +107,14 @@ class Broken(HostCase):
                         wire = wire.replace(b"\x00", b"\x7d\xff", 1)
                     case 0xEE:
                         wire = wire.replace(b"\xee", b"\x7d\xed", 1)
+                    case c.ESC:
+                        wire = wire[: min(cut, len(wire) - 1)].rstrip(b"\x7d") + b"\x7d"
                     case value:
                         wire = wire.replace(bytes((c.ESC, value - 1)), bytes((value,)), 1)
                 host.piecemeal(_cut(wire, min(cut, len(wire) - 1)))
-                host.reply(request, 1, b"right")
+                right = request.reply(1, b"right")
+                host.piecemeal(_cut(right, 1 + cut % (len(right) - 1)))
+                host.replied(request, 1)
                 host.replied_with(1, b"right")
 
 

@@ -93,7 +93,9 @@ class AnyTime(HostCase):
 
 
 class EveryOpcode(HostCase):
-    """Sends 256 SIFs, one with each opcode and one with each seq, while a call waits."""
+    """Sends SIFs with each opcode, empty and with 1 and 2 bytes, and so with each seq, while a call
+    waits.
+    """
 
     ID = "host.sif.every-opcode"
     EXPECTATION = "Each is handed over; none is taken for an error reply or for the reply."
@@ -103,7 +105,7 @@ class EveryOpcode(HostCase):
     def _run(self, host: Host) -> None:
         anchor(host)
         request = host.asked()
-        sent: Sifs = [(opcode, b"\x01") for opcode in range(256)]
+        sent: Sifs = [(opcode, bytes(n)) for n in range(3) for opcode in range(256)]
         host.send(b"".join(host.sif(*one) for one in sent))
         host.reply(request, 3, b"own")
         host.replied_with(3, b"own")
@@ -197,7 +199,7 @@ class Again(HostCase):
 
 
 class First(HostCase):
-    """Opens a new link on which the first SIF has the seq 77, and on another one 0."""
+    """Opens new links, on which the first SIF has the seq 77, 0, 1, 128 and 255."""
 
     ID = "host.sif.first"
     EXPECTATION = "The host counts from the first SIF of a link on; none before it is missing."
@@ -205,7 +207,7 @@ class First(HostCase):
     LEVEL = "sif"
 
     def _run(self, host: Host) -> None:
-        for seq in (77, 0):
+        for seq in (77, 0, 1, 128, 255):
             host.hang_up()
             host.outcome()  # the host is there
             host.reset_sifs(seq)
