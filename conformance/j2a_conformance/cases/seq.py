@@ -5,7 +5,7 @@ import random
 from j2a_spec import constants as c
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import payload_of
+from j2a_conformance._dimensions import payload_of, spread
 from j2a_conformance._judge import fail
 from j2a_conformance._peer import Peer
 
@@ -27,7 +27,9 @@ class Every(Case):
 
 
 class Repeated(Case):
-    """Sends requests with one and the same seq, different ones and identical ones."""
+    """Sends requests with one and the same seq, different ones and identical ones; also long ones,
+    one behind the other.
+    """
 
     ID = "seq.repeated"
     EXPECTATION = "Each is executed and answered."
@@ -38,6 +40,11 @@ class Repeated(Case):
         for seq in (0x00, 0x41, 0xFF):
             peer.ask(*(peer.echo(bytes((n,)), seq=seq) for n in range(5)))
             peer.ask(*(peer.echo(b"same", seq=seq) for _ in range(5)))
+        peer.ask_all(
+            peer.echo(payload_of(length, n), seq=n * 13 % 256)
+            for n, length in enumerate(spread(step=31))
+            for _ in range(2)
+        )
 
 
 class RepeatedEffect(Case):
