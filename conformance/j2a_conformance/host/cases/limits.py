@@ -74,7 +74,7 @@ class Window(HostCase):
 
 class Stuffed(HostCase):
     """Has the host make large calls, whose bytes are all escaped, and small ones at once, to a
-    device that announces 300 bytes.
+    device that announces 300 bytes; also pairs that are too long by their escapes alone.
     """
 
     ID = "host.limits.stuffed"
@@ -88,6 +88,12 @@ class Stuffed(HostCase):
         serve(host, 4, host.device.rxbuf)
         wanted = (b"\x12" * 101, b"\xed" * 101, b"\x7d" * 255, b"\x01")
         host.outcome(" ; ".join(f"reply 1 {spell(payload)}" for payload in wanted))
+        for plain in (20, 31, 110, 150, 220):
+            stuffed = (host.device.rxbuf - plain - 10) // 2 + 1
+            together(host, f"{plain}*61", f"{stuffed}*12")
+            serve(host, 2, host.device.rxbuf)
+            pair = (b"a" * plain, b"\x12" * stuffed)
+            host.outcome(" ; ".join(f"reply 1 {spell(payload)}" for payload in pair))
 
 
 class OutOfOrder(HostCase):
