@@ -135,7 +135,7 @@ class AsyncEngine:
         reason = LinkClosed(f"{self._transport.url} was closed by this program")
         if self._loop.is_closed():
             self._session.close(reason)
-            self._link.abandon()
+            self._link.abandon("was closed by this program")
             await asyncio.to_thread(join_threads, self._link.threads, JOIN_S)
             return
         self._check_loop()
@@ -156,7 +156,7 @@ class AsyncEngine:
         """End the link without waiting, in a destructor; tell whether it was still there."""
         if self._link.is_inherited or self._session.is_closed:
             return False
-        self._link.abandon()
+        self._link.abandon("was dropped without close")
         return True
 
     async def _deliver_what_came(self) -> None:

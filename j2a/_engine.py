@@ -64,7 +64,8 @@ class Engine:
         self._drops_sifs = False
         # Whoever takes the second holds the first while it waits, except for the reader, which only
         # passes through: it would take the second again at once and keep all others waiting.
-        self._turn = threading.Lock()
+        # A signal handler may find its own thread holding it, which only an RLock can tell.
+        self._turn = threading.RLock()
         self._state = threading.Lock()
         self._closing = threading.RLock()
         take_stale_input(transport, session)
@@ -79,6 +80,11 @@ class Engine:
     def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
         """Make one call, from any thread; see `Client.call`."""
         self.check_process()
+        if self._is_interrupted():
+            raise LocalError(
+                f"{what}: a signal handler has interrupted a call of {self._transport.url} and "
+                "cannot make another; close the client, or set a flag"
+            )
         waiter = threading.Lock()
         waiter.acquire()
         try:
@@ -105,6 +111,9 @@ class Engine:
         """Deliver the SIFs that have come, then end all calls and the threads."""
         if self._link.is_inherited:
             return  # the link is the parent's
+        if self._is_interrupted():
+            self._link.abandon("was closed by this program")
+            return
         if threading.current_thread() is self._dispatcher:
             self._drops_sifs = True
             self._finish()
@@ -122,8 +131,13 @@ class Engine:
         """End the link without waiting, in a destructor; tell whether it was still there."""
         if self._link.is_inherited or self._session.is_closed:
             return False
-        self._link.abandon()
+        self._link.abandon("was dropped without close")
         return True
+
+    def _is_interrupted(self) -> bool:
+        """Whether this thread holds the locks: it is a signal handler amid the engine's work."""
+        is_owned: bool = self._turn._is_owned()  # type: ignore[attr-defined]
+        return is_owned
 
     def _wait(self, call: Call, waiter: threading.Lock) -> None:
         while not call.has_ended:

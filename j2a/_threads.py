@@ -117,9 +117,12 @@ class LinkThreads:
         """Let the writing thread run out; the reading one ends when the transport is closed."""
         self._outgoing.put(None)
 
-    def abandon(self) -> None:
-        """End the link without waiting. Safe in a destructor, which any thread may run anywhere."""
-        self._outgoing.put(LinkClosed(f"{self._transport.url} was dropped without close"))
+    def abandon(self, what: str) -> None:
+        """End the link without waiting; `what` happened to it.
+
+        Safe in a destructor, which any thread may run anywhere, and in a signal handler.
+        """
+        self._outgoing.put(LinkClosed(f"{self._transport.url} {what}"))
 
     def look(self) -> float:
         """Ask the reading thread to take what has arrived; it calls `looked` then.

@@ -273,6 +273,8 @@ class Client(Shell):
         logged and counted (`Counters.sifs_dropped`). Calls that still wait raise `LinkClosed`.
         After this no handler is called any more; one that is stuck is left behind.
 
+        A signal handler that has interrupted a call ends the link by this without waiting.
+
         In a process that was forked after the client was made, this does nothing.
         """
         self._engine.close()

@@ -1,6 +1,7 @@
 """The way of requests to the transport: by the caller where the link takes them at once, else by
 the writing thread, and in their order either way."""
 
+import signal
 import threading
 
 import j2a_transports
@@ -135,3 +136,62 @@ def test_over_tcp():
     with served(DemoDevice(), "tcp://127.0.0.1:0") as url, j2a.connect(url) as client:
         data = bytes(range(256)) * 40
         assert client.echo_many(data) == data
+
+
+class TestASignalAmidACall:
+    """The trace runs where the locks are held, so a signal that it raises comes at the worst."""
+
+    @pytest.fixture
+    def amid(self):
+        """A function that connects a client and has a handler called amid its next call."""
+        clients = []
+
+        def connect(url, handler):
+            def trace(direction, _item):
+                if direction == "tx" and len(clients) == 1 and (client := clients.pop()):
+                    handlers.append(lambda: handler(client))
+                    signal.raise_signal(signal.SIGINT)
+
+            def interrupt(_number, _frame):
+                handlers.pop()()
+
+            handlers = []
+            befores.append(signal.signal(signal.SIGINT, interrupt))
+            client = j2a.connect(url, trace=trace, timeout=PATIENCE_S)
+            clients.append(client)
+            return client
+
+        befores = []
+        yield connect
+        signal.signal(signal.SIGINT, befores[0])
+
+    def test_may_close_the_client(self, amid):
+        with served(DemoDevice()) as url:
+            client = amid(url, lambda client: client.close())
+            with pytest.raises(j2a.LinkClosed, match="was closed by this program"):
+                client.echo(b"x")
+            client.close()
+            assert not client.is_open
+
+    def test_may_close_the_client_and_end_the_program(self, amid):
+        def end(client):
+            client.close()
+            raise SystemExit
+
+        with served(DemoDevice()) as url:
+            client = amid(url, end)
+            with pytest.raises(SystemExit):
+                client.echo(b"x")
+            client.close()
+            assert not client.is_open
+
+    def test_cannot_call(self, amid):
+        def call(client):
+            with pytest.raises(j2a.LocalError, match="signal handler") as error:
+                client.echo(b"y")
+            refused.append(error.value.outcome)
+
+        refused = []
+        with served(DemoDevice()) as url, amid(url, call) as client:
+            assert client.echo(b"x") == b"x"
+        assert refused == [j2a.Outcome.NOT_SENT]
