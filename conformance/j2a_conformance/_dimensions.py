@@ -7,11 +7,22 @@ that no two dimensions stay in step.
 """
 
 import random
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from j2a_spec import constants as c
+from j2a_spec.oracle import checksum, stuff
 
-__all__ = ["SPECIAL", "lane_offset", "lengths", "payload_of", "pieces", "places", "spread"]
+__all__ = [
+    "SPECIAL",
+    "lane_offset",
+    "lengths",
+    "misread",
+    "payload_of",
+    "pieces",
+    "places",
+    "spread",
+]
 
 SPECIAL: Final = bytes(
     (0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C, 0x13, 0xEE, 0x7E, 0x00, 0x01, 0x7F, 0x80, 0xFE, 0xFF)
@@ -73,3 +84,39 @@ def lane_offset(n: int) -> int:
     """Return an offset; over 256 numbers `n` each of its four bytes takes each value once."""
     lanes = (n, n * 5 + 0x12, n * 11 + 0x7D, n * 23 + 0xED)
     return int.from_bytes(bytes(lane % 256 for lane in lanes), "little")
+
+
+def misread(
+    opcode: int, kinds: Sequence[tuple[bytes, int | None]]
+) -> Iterator[tuple[bytes, tuple[int, int]]]:
+    """Yield requests of every length that are whole for a device that misreads a few bytes.
+
+    Args:
+        opcode: of the requests.
+        kinds: what stands in a field or between two, and the value as which it is misread, None
+            for nothing at all.
+
+    Yields:
+        The wire bytes, and the seq and how many bytes of the frame precede what is misread.
+    """
+    for length in lengths():
+        size = length + c.HEADER + 1
+        short = length <= 4 or length in (0x12, 0x13, 0xED, 0xEE, 0xFF)
+        some = kinds if short else [kinds[(length + n) % len(kinds)] for n in range(2)]
+        for n, (sent, value) in enumerate(some):
+            for index in range(size) if short else ((length * 7 + n * 3) % size, length % 3):
+                body = bytearray((length * 3 % 256, opcode, length, *payload_of(length, length), 0))
+                if value is not None:
+                    if 0 < index < c.HEADER and body[index] != value:
+                        continue  # another opcode or length would be another request
+                    body[index] = value
+                seq, code, payload = body[0], body[1], bytes(body[c.HEADER : -1])
+                body[-1] = checksum(seq, code, payload)
+                if index == size - 1 and value is not None:
+                    if not payload:
+                        continue
+                    body[-2] ^= body[-1] ^ value
+                    body[-1] = value
+                rest = body[index + (value is not None) :]
+                wire = bytes((c.SOF,)) + stuff(bytes(body[:index])) + sent + stuff(bytes(rest))
+                yield wire, (seq, index)

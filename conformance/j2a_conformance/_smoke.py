@@ -72,6 +72,7 @@ class Answers(_Smoke):
         "the code 0x00 (the mapping) or 0xF0 (no mapping built in)."
     )
     REQUIREMENTS = (
+        "J2A-DISP-003",
         "J2A-FRAME-001",
         "J2A-FRAME-002",
         "J2A-FRAME-004",
@@ -187,7 +188,16 @@ class Mapping(_Smoke):
         "Names that each end in NUL, a2jGetMapping first, and among them a2jEcho; if a2jMany is "
         "there, it is the second, and a2jEchoMany is there, too."
     )
-    REQUIREMENTS = ("J2A-MAP-001", "J2A-DISP-009", "J2A-FRAME-001")
+    REQUIREMENTS = (
+        "J2A-FRAME-004",
+        "J2A-FRAME-002",
+        "J2A-SEQ-001",
+        "J2A-SUM-001",
+        "J2A-DISP-001",
+        "J2A-MAP-001",
+        "J2A-DISP-009",
+        "J2A-FRAME-001",
+    )
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -248,7 +258,16 @@ class Echo(_Smoke):
 
     ID = "smoke.echo"
     EXPECTATION = "Every echo comes back unchanged."
-    REQUIREMENTS = ("J2A-ECHO-001", "J2A-DISP-003")
+    REQUIREMENTS = (
+        "J2A-FRAME-004",
+        "J2A-FRAME-005",
+        "J2A-FRAME-002",
+        "J2A-SEQ-001",
+        "J2A-SUM-001",
+        "J2A-DISP-001",
+        "J2A-ECHO-001",
+        "J2A-DISP-003",
+    )
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:

@@ -72,6 +72,7 @@ class Site:
         length: an expression: the length that matters there.
         lengths: lengths that are possible there, the first and the last.
         position: an expression: where in the payload, from 0.
+        last: the last position that is possible.
         kinds: expressions by name: which frames.
         fields: expressions by name: which field; crossed with `kinds`.
         values: expressions by name: bytes whose value is compared.
@@ -89,6 +90,7 @@ class Site:
     length: str = ""
     lengths: tuple[int, int] = (0, 255)
     position: str = ""
+    last: int = 255
     kinds: Mapping[str, str] = field(default_factory=dict)
     fields: Mapping[str, str] = field(default_factory=dict)
     values: Mapping[str, str] = field(default_factory=dict)
@@ -219,7 +221,7 @@ def _of_positions(target: str, site: Site) -> Iterator[Condition]:
         )
         yield Condition("last", f"{at} == {size} - 1", "at the last byte")
     for value in ABOVE:
-        if value < site.lengths[1]:
+        if value < min(site.lengths[1], site.last):
             yield Condition(f"behind-{value}", f"{at} > {value}", f"behind byte {value}")
 
 

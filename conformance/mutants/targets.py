@@ -175,11 +175,14 @@ class _Trial:
         return (*killed, *(r.case for r in again if r.case in others and not _died(r)))
 
     def _confirmed(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Do cases up to one that fails, and fails again when it is done alone."""
+        """Do cases up to one that fails, and fails again when it is done alone, or behind them."""
         while names and (failed := self._first(names)):
             if failed[-1] not in names or self._first(failed[-1:]):
                 return failed
-            names = names[names.index(failed[-1]) + 1 :]
+            end = names.index(failed[-1]) + 1
+            if failed[-1] in self._first(names[:end]):
+                return failed
+            names = names[end:]
         return ()
 
     def _failed(self, name: str) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ class OutOfRange(Case):
 
     ID = "error.opcode-out-of-range"
     EXPECTATION = "Error 0xF0 for each."
-    REQUIREMENTS = ("J2A-ERR-001", "J2A-ERR-006", "J2A-DISP-001")
+    REQUIREMENTS = ("J2A-FRAME-005", "J2A-ERR-001", "J2A-ERR-006", "J2A-DISP-001")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -53,11 +53,16 @@ class ChecksumFirst(Case):
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
-        for opcode in (*peer.out_of_range()[:3], *peer.out_of_range()[-3:]):
+        peer.play_all(self._streams(peer))
+        peer.barrier()
+
+    @staticmethod
+    def _streams(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        for opcode in peer.out_of_range():
             for payload in (b"", b"damaged"):
                 seq = peer.seq()
                 wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x20)
-                peer.play(wire, Expected(seq, c.ERR_CHECKSUM), alone=True)
+                yield wire, [Expected(seq, c.ERR_CHECKSUM)]
 
 
 class NotEarly(Case):
@@ -84,7 +89,13 @@ class Payload(Case):
 
     ID = "error.payload"
     EXPECTATION = "SOF, like any reply, and two bytes of payload, whatever they are."
-    REQUIREMENTS = ("J2A-ERR-006", "J2A-FRAME-002", "J2A-FRAME-003", "J2A-STUFF-002")
+    REQUIREMENTS = (
+        "J2A-FRAME-010",
+        "J2A-ERR-006",
+        "J2A-FRAME-002",
+        "J2A-FRAME-003",
+        "J2A-STUFF-002",
+    )
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -115,6 +126,7 @@ class SeqOfErrors(Case):
     ID = "error.seq"
     EXPECTATION = "The seq of the broken request in each error reply."
     REQUIREMENTS = (
+        "J2A-FRAME-010",
         "J2A-ERR-002",
         "J2A-ERR-003",
         "J2A-ERR-004",
@@ -198,7 +210,10 @@ class ReservedCodes(Case):
 
     ID = "error.reserved-codes"
     EXPECTATION = "Replies with any code but 0xF1 and 0xF5 to 0xFE, which are reserved."
-    REQUIREMENTS = ("J2A-ERR-011",)
+    REQUIREMENTS = (
+        "J2A-SEQ-001",
+        "J2A-ERR-011",
+    )
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:

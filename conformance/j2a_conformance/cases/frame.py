@@ -8,7 +8,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, Incomplete, checksum, decode, encode
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lengths, payload_of, places, spread
+from j2a_conformance._dimensions import lengths, misread, payload_of, places, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
 PATTERNS = (0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C)
@@ -63,6 +63,7 @@ class Lengths(Case):
         "that are longer than the room of the device, which are answered by 0xFF."
     )
     REQUIREMENTS = (
+        "J2A-SEQ-001",
         "J2A-FRAME-001",
         "J2A-FRAME-002",
         "J2A-FRAME-004",
@@ -201,7 +202,8 @@ class Interrupted(Case):
 class InterruptedAnywhere(Case):
     """Cuts long frames after each of their bytes by a good frame, in turn directly, behind ESC, and
     behind SOS or ESC and SOS and the rest of the frame; at some places in each of these ways.
-    Cuts frames of every length, with and without bytes that need stuffing.
+    Cuts frames of every length, with and without bytes that need stuffing, also by raw start bytes
+    that make a whole frame of it for a device that takes them for a value or leaves them out.
     """
 
     ID = "frame.interrupted-anywhere"
@@ -230,7 +232,7 @@ class InterruptedAnywhere(Case):
             data = b"plain" * 51 if kind == 2 else payload_of(length, kind)
             opcode = opcodes[kind % len(opcodes)]
             frame = encode(Frame(c.SOF, 0x55 + kind, opcode, data))
-            at_all = set(spread(len(frame), 61))
+            at_all = {*range(1, 9), *spread(len(frame), 61)}
             for cut in places(frame):
                 if kind in (1, 3) and not (cut % 5 == kind or cut in at_all):
                     continue
@@ -244,6 +246,13 @@ class InterruptedAnywhere(Case):
                 frame = encode(Frame(c.SOF, length, opcodes[0], data[:length]))
                 cut = len(frame) - 1 - length * (3 + 8 * n) % (len(frame) - 4)
                 yield InterruptedAnywhere._cut(peer, frame[:cut])
+        markers = [(value, bytes((value,))) for value in sorted(c.MARKERS)]
+        kinds: list[tuple[bytes, int | None]] = []
+        for value, raw in markers:
+            kinds += [(raw, value), (raw, None), (b"\x7d" + raw, value + 1)]
+        for stream, _ in misread(opcodes[0], kinds):
+            if not any(isinstance(e, Frame) and e.start == c.SOF for e in decode(stream)):
+                yield InterruptedAnywhere._cut(peer, stream)
 
     @staticmethod
     def _cut(peer: Peer, stream: bytes) -> tuple[bytes, list[Expected]]:
@@ -309,15 +318,16 @@ class FromHost(Case):
 
     @staticmethod
     def _of_lengths(peer: Peer, opcode: int) -> Iterator[tuple[bytes, list[Expected]]]:
-        """Yield frames with SOS of many lengths, good, damaged and cut, each before a good one."""
-        for n, length in enumerate(spread(step=17)):
-            frame = bytearray(encode(Frame(c.SOS, n * 7 % 256, opcode, payload_of(length, n))))
-            if n % 3 == 1:
-                del frame[-1 - n % 2 :]
-            elif n % 3 == 2:
-                frame[-1] ^= 0x01 if frame[-1] ^ 0x01 not in c.STUFFED else 0x04
-            request = peer.probe()
-            yield bytes(frame) + request.wire, [request.expected]
+        """Yield frames with SOS of every length, good, damaged and cut, each before a good one."""
+        for length in lengths():
+            whole = encode(Frame(c.SOS, length * 7 % 256, opcode, payload_of(length, length)))
+            wrong = whole[-1] ^ (0x01 if whole[-1] ^ 0x01 not in c.STUFFED else 0x04)
+            for frame in (
+                whole,
+                (whole[: -1 - length % 2], whole[:-1] + bytes((wrong,)))[length % 2],
+            ):
+                request = peer.probe()
+                yield frame + request.wire, [request.expected]
 
 
 class Garbage(Case):

@@ -7,7 +7,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import FrameError, checksum, decode, stuff
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import SPECIAL, payload_of, pieces, spread
+from j2a_conformance._dimensions import SPECIAL, payload_of, pieces, places, spread
 from j2a_conformance._judge import Judged
 from j2a_conformance._peer import Expected, Peer, refusal
 
@@ -24,9 +24,9 @@ _BATCH = 600  # bytes: few enough pieces that a busy machine makes no long pause
 
 class Pieces(Case):
     """Sends good, damaged and interrupted frames, and frames with ESC 0xFF, of many lengths in two
-    to four pieces with a short pause between them, and some byte by byte; noise and a start
-    byte in one piece, and the rest of the frame in another; and all of these mixed in one stream,
-    in pieces of up to 40 bytes that end behind each ESC.
+    to four pieces with a short pause between them, short ones cut everywhere, and some byte by
+    byte; noise and a start byte in one piece, and the rest of the frame in another; and all of
+    these mixed in one stream, in pieces of up to 40 bytes that end behind each ESC.
     """
 
     ID = "frame.pieces"
@@ -71,6 +71,12 @@ class Pieces(Case):
             request = peer.probe()
             self._in_pieces(peer, [noise + request.wire[:1], request.wire[1:]], request.expected)
             self._in_pieces(peer, [noise, request.wire], request.expected)
+        for seq in (0x41, c.SOF, c.ESC):
+            for length in range(3):
+                request = peer.echo(b"\x12a"[:length], seq)
+                for at in places(request.wire):
+                    parts = [request.wire[:at], request.wire[at:]]
+                    self._in_pieces(peer, parts, request.expected)
         for length in (0, 20, 60):
             request = peer.echo(payload_of(length, 1))
             single = [bytes((byte,)) for byte in request.wire]

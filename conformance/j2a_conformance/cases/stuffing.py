@@ -6,7 +6,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum, encode
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import SPECIAL, payload_of, spread
+from j2a_conformance._dimensions import SPECIAL, misread, payload_of, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
 STUFFED = sorted(c.STUFFED)
@@ -106,6 +106,8 @@ class Needless(Case):
                 self._exchange(peer, opcode, data, peer.seq(), set(range(3, 3 + length)))
         for field in (0, 1, 2, 4):
             self._exchange(peer, opcode, b"x", peer.seq(), {field})
+        for field in (0, 2):  # as ESC ESC
+            self._exchange(peer, opcode, b"x" * min(c.ESC + 1, peer.longest), c.ESC + 1, {field})
         self._exchange(peer, opcode, b"x", peer.seq(), {0, 1, 2, 3, 4})
         peer.play_all(self._few(peer, opcode, values))
 
@@ -115,11 +117,12 @@ class Needless(Case):
     ) -> Iterator[tuple[bytes, list[Expected]]]:
         """Yield echoes of every length in which few bytes are escaped, and no other needs it."""
         for length in range(1, peer.longest + 1):
-            for count in (1, 2, 3):
-                places = {3 + (length * 7 + count * 5 + n * 83) % length for n in range(count)}
+            for count in (0, 1, 2, 3):  # none: ESC ESC
+                places = {3 + (length * 7 + count * 5 + n * 83) % length for n in range(count or 1)}
                 payload = bytearray(b"x" * length)
                 for n, place in enumerate(places):
-                    payload[place - 3] = values[(length * 3 + count * 67 + n) % len(values)]
+                    value = values[(length * 3 + count * 67 + n) % len(values)]
+                    payload[place - 3] = value if count else c.ESC + 1
                 wire, due = cls._escaped(opcode, bytes(payload), peer.seq(), places)
                 yield wire, [due]
 
@@ -141,7 +144,8 @@ class Needless(Case):
 
 class EscapeFfAnywhere(Case):
     """Puts ESC 0xFF behind each byte of long frames, then some of the rest of the frame, and a good
-    frame behind that.
+    frame behind that; and into frames of every length, such that one taken for 0x00, for 0xFF or
+    for nothing would make the frame whole.
     """
 
     ID = "stuff.escape-ff-anywhere"
@@ -166,6 +170,11 @@ class EscapeFfAnywhere(Case):
                 due = [refusal(0x56 + n, c.ERR_FRAMING)] if cut > 1 else []
                 rest = frame[cut : cut + cut % 6]
                 yield frame[:cut] + b"\x7d\xff" + rest + request.wire, [*due, request.expected]
+        kinds = [(b"\x7d\xff", value) for value in (0x00, 0xFF, None)]
+        for stream, (seq, before) in misread(peer.opcode(c.GET_ECHO), kinds):
+            request = peer.probe()
+            due = [refusal(seq, c.ERR_FRAMING)] if before else []
+            yield stream + request.wire, [*due, request.expected]
         for n, seq in enumerate(SPECIAL):
             frame = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), b"abc"[: n % 4]))
             known = 3 if frame[1] == c.ESC else 2

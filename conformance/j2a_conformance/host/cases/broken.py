@@ -23,8 +23,9 @@ from j2a_conformance.host._dimensions import (
     wrong_sums,
 )
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Request, Sifs, spell
+from j2a_conformance.host._words import Sifs, spell
 
+from .received import behind_an_error
 from .sif import anchor, handed
 
 _RIGHT = b"right"
@@ -47,13 +48,6 @@ def judged(host: Host, broken: list[Broken], code: int, payload: bytes) -> None:
                     f"reply: {one.what}; {judged_.reason}"
                 )
         raise
-
-
-def behind_an_error(host: Host) -> Request:
-    """Refuse a call by an error reply, and return the next one: nothing has come in between."""
-    host.job(f"repeat 2 call @6 - {10 * host.limit_ms}")  # what is sent then takes its time
-    host.reply(host.request(6, b""), c.ERR_CHECKSUM, b"\x04\x00")
-    return host.request(6, b"")
 
 
 class _Replies(HostCase):

@@ -159,18 +159,19 @@ class ByOpcode(HostCase):
 
 
 class Write(HostCase):
-    """Has the host write 0 to 133070 bytes."""
+    """Has the host write 0 to 255 bytes, and up to 133070."""
 
     ID = "host.many.write"
     EXPECTATION = (
         "The chunks follow each other; the last one alone, if only an empty one, has isLast."
     )
-    REQUIREMENTS = ("J2A-MANY-013", "J2A-MANY-001", "J2A-MANY-009", "J2A-MANY-021")
+    REQUIREMENTS = ("J2A-STUFF-001", "J2A-MANY-013", "J2A-MANY-001", "J2A-MANY-009", "J2A-MANY-021")
     LEVEL = "many"
 
     def _run(self, host: Host) -> None:
         for data, content in (
             ("-", b""),
+            *((f"{size}*{size:02x}", bytes((size,)) * size) for size in range(1, 256)),
             *((f"{size}*{byte:02x}", bytes((byte,)) * size) for size, byte in _SIZES),
             (spelt(1001), pattern(1001)),
             (spelt(_LARGE - _LARGE % 7), pattern(_LARGE - _LARGE % 7)),

@@ -54,7 +54,13 @@ class Lengths(HostCase):
 
     ID = "host.pieces.lengths"
     EXPECTATION = "How a link cuts the stream makes no difference."
-    REQUIREMENTS = ("J2A-FRAME-005", "J2A-STUFF-003", "J2A-STUFF-005", "J2A-SUM-001")
+    REQUIREMENTS = (
+        "J2A-FRAME-010",
+        "J2A-FRAME-005",
+        "J2A-STUFF-003",
+        "J2A-STUFF-005",
+        "J2A-SUM-001",
+    )
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:

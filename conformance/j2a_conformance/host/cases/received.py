@@ -9,6 +9,14 @@ from j2a_conformance._judge import inform
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._dimensions import LENGTHS, content, escaped, frame, with_sum
 from j2a_conformance.host._host import Host
+from j2a_conformance.host._words import Request
+
+
+def behind_an_error(host: Host) -> Request:
+    """Refuse a call by an error reply, and return the next one: nothing has come in between."""
+    host.job(f"repeat 2 call @6 - {10 * host.limit_ms}")  # what is sent then takes its time
+    host.reply(host.request(6, b""), c.ERR_CHECKSUM, b"\x04\x00")
+    return host.request(6, b"")
 
 
 def largest(seq: int, code: int) -> bytes:
@@ -97,7 +105,7 @@ class Codes(HostCase):
 
 class NeedlessEscapes(HostCase):
     """Answers with frames of every length in which one byte, some bytes or all are escaped that can
-    be, ESC ESC among them: each byte of short ones alone, and of each value.
+    be, ESC ESC among them: each byte of short ones alone, and of each value; some behind an error.
     """
 
     ID = "host.received.needless-escapes"
@@ -122,8 +130,9 @@ class NeedlessEscapes(HostCase):
             some = {rng.randrange(length + 4) for _ in range(most)}
             plans.append((bytes(rng.choice((0x7E, 0x7D, 0x61)) for _ in range(length)), some))
         plans += [(b"\x7e" * length, None) for length in (0, 1, 2, 0x7E, 255)]
-        for payload, at in plans:
-            request, code = host.asked(), 0x7E if len(payload) % 2 else 0x21
+        for n, (payload, at) in enumerate(plans):
+            request = host.asked() if n % 32 else behind_an_error(host)
+            code = 0x7E if len(payload) % 2 else 0x21
             host.send(escaped(c.SOF, request.seq, code, payload, at))
             host.replied(request)
             host.replied_with(code, payload)

@@ -35,7 +35,7 @@ class Sizes(HostCase):
 
     ID = "host.sent.sizes"
     EXPECTATION = "Each request is byte by byte that of the oracle, and each reply is handed over."
-    REQUIREMENTS = _SENDER
+    REQUIREMENTS = (*_SENDER, "J2A-SEQ-003")
     LEVEL = "frame"
 
     def _run(self, host: Host) -> None:

@@ -61,8 +61,8 @@ def anchor(host: Host) -> None:
 
 
 class AnyTime(HostCase):
-    """Sends SIFs while nothing waits, before a reply, behind it, and before and behind the next
-    job.
+    """Sends SIFs while nothing waits, before a reply, behind it, before and behind the next job,
+    and behind each error reply.
     """
 
     ID = "host.sif.any-time"
@@ -89,6 +89,11 @@ class AnyTime(HostCase):
         request = host.request(6, b"")
         host.reply(request, 4, b"next")
         host.replied_with(4, b"next")
+        for code in (*sorted(c.ERRORS), c.RET_FAILED):
+            request = host.asked()
+            host.reply(request, code, b"\x01\x00")
+            host.send(sif(b"behind 0x%02X" % code))
+            host.outcome(f"error {code}" if code in c.ERRORS else f"reply {code} 0100")
         handed(host, sent)
 
 
@@ -320,8 +325,10 @@ class Missing(HostCase):
     def _run(self, host: Host) -> None:
         anchor(host)
         gaps = [gap * 101 % 255 for gap in range(255)]
-        host.send(b"".join(host.sif(0x64, b"", gap) for gap in gaps))
-        handed(host, [(0x64, b"")] * len(gaps), sum(gaps))
+        sifs: Sifs = [(0x64, content(n, 7)) for n in range(len(gaps))]
+        for some in (slice(None), slice(None, None, -1)):
+            host.send(b"".join(host.sif(*s, n) for s, n in zip(sifs[some], gaps, strict=True)))
+            handed(host, sifs[some], sum(gaps))
         for gap in (1, 2, 77, 254):
             host.reset_sifs(255 - gap)
             host.send(host.sif(0x65, b"before"))
