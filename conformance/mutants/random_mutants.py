@@ -66,9 +66,14 @@ _TESTS: Final = {
     "_session": ("session", "client", "room"),
     "_many": ("many", "room"),
     "_peer": ("many", "room", "client"),
-    "aio": ("aio",),
+    "aio": ("aio", "limits"),
+    "_async_engine": ("aio", "stalls", "sending", "close"),
+    "_threads": ("threads", "client", "client_waiting", "sending", "close"),
 }
-_OTHER_TESTS: Final = ("client", "client_waiting", "aio", "many", "room", "session")
+_OTHER_TESTS: Final = (
+    *("client", "client_waiting", "aio", "many", "room", "session", "announced", "hints"),
+    *("late", "limits", "outcomes"),
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,6 +123,8 @@ class NeedlessEscapes(HostCase):
             place = length * 7 % max(length, 1)
             data = bytearray(b"x" * length)
             data[place : place + 1] = bytes((length,)) if length else b""
+            twice = bytes(data[:place]) + b"\x7e" + bytes(data[place + 1 :])
+            plans += [(twice[:length], {3 + place}), (b"x" * length, {3 + length})]
             plans += [(bytes(data), {3 + place}), (b"x" * length, {length * 5 % (length + 4)})]
         plans += [(bytes(range(start, start + 128)), None) for start in (0, 128)]
         for length in range(0, 256, 3):
@@ -130,10 +132,14 @@ class NeedlessEscapes(HostCase):
             some = {rng.randrange(length + 4) for _ in range(most)}
             plans.append((bytes(rng.choice((0x7E, 0x7D, 0x61)) for _ in range(length)), some))
         plans += [(b"\x7e" * length, None) for length in (0, 1, 2, 0x7E, 255)]
-        for n, (payload, at) in enumerate(plans):
+        for n, (planned, at) in enumerate(plans):
             request = host.asked() if n % 32 else behind_an_error(host)
-            code = 0x7E if len(payload) % 2 else 0x21
-            host.send(escaped(c.SOF, request.seq, code, payload, at))
+            code = 0x7E if len(planned) % 2 else 0x21
+            payload = planned
+            if planned and at == {3 + len(planned)}:  # the checksum as ESC ESC
+                payload = with_sum(request.seq, code, planned, c.ESC + 1)
+            is_escape = at is not None and request.seq == c.ESC + 1  # its seq as ESC ESC
+            host.send(escaped(c.SOF, request.seq, code, payload, {0} if is_escape else at))
             host.replied(request)
             host.replied_with(code, payload)
 
