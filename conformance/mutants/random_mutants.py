@@ -66,13 +66,15 @@ _TESTS: Final = {
     "_session": ("session", "client", "room"),
     "_many": ("many", "room"),
     "_peer": ("many", "room", "client"),
-    "aio": ("aio", "limits"),
-    "_async_engine": ("aio", "stalls", "sending", "close"),
+    "aio": ("arguments", "aio", "limits"),
+    "client": ("arguments", "client", "client_waiting", "limits"),
+    "_call": ("deadlines", "session", "late", "outcomes", "client"),
+    "_async_engine": ("async_engine", "aio", "late", "stalls", "sending", "close"),
     "_threads": ("threads", "client", "client_waiting", "sending", "close"),
 }
 _OTHER_TESTS: Final = (
     *("client", "client_waiting", "aio", "many", "room", "session", "announced", "hints"),
-    *("late", "limits", "outcomes"),
+    *("late", "limits", "outcomes", "arguments"),
 )
 
 

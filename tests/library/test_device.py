@@ -2,6 +2,7 @@
 
 import contextlib
 import struct
+import sys
 import threading
 import time
 
@@ -313,6 +314,11 @@ def test_the_number_of_hosts_fits_the_limit_of_files(monkeypatch):
     for files, hosts in [(16, 1), (62, 10), (1024, 64), (resource.RLIM_INFINITY, 64)]:
         monkeypatch.setattr(resource, "getrlimit", lambda _, files=files: (files, files))
         assert default_max_hosts() == hosts
+
+
+def test_the_number_of_hosts_where_the_system_does_not_limit_files(monkeypatch):
+    monkeypatch.setitem(sys.modules, "resource", None)
+    assert default_max_hosts() == 64
 
 
 def test_a_function_may_stop_the_device():

@@ -6,6 +6,7 @@ from j2a_spec.constants import ERR_FRAMING, ERRORS, SITE_LOST, SOF, SOS
 
 from j2a._functions import DebugText, FunctionTable
 from j2a._server import Server
+from j2a.events import Frame, FrameError
 
 SCENARIOS = {test["id"]: test for test in vectors.load("scenario")}
 
@@ -153,3 +154,27 @@ def test_sifs_count_from_0_and_wrap():
         (SOS, 0xED, b"\x12")
     }
     assert [frame.seq for frame in device.sent] == [*range(256), 0]
+
+
+def test_a_trace_sees_what_passes_in_its_order():
+    seen = []
+    server = Server(trace=lambda *at: seen.append(at))
+    request = Frame(SOF, 9, 4, b"abc")
+    wire, begun = oracle.encode(oracle.Frame(*request)), bytes((SOF,))
+    server.receive(wire + begun, 0.0)
+    taken = server.next_request()
+    server.send_sif(7, b"sif")
+    server.reply(taken, 0xBA, b"cba")
+    sent = server.data_to_send()
+    assert server.data_to_send() == b""
+    server.handle_loss()
+    assert server.next_request() is None
+    assert seen == [
+        ("rx", wire + begun),
+        ("rx", request),
+        ("tx", Frame(SOS, 0, 7, b"sif")),
+        ("tx", Frame(SOF, 9, 0xBA, b"cba")),
+        ("tx", sent),
+        ("rx", FrameError("lost", SOF, None)),
+    ]
+    assert sent == b"".join(oracle.encode(oracle.Frame(*item)) for _, item in seen[2:4])

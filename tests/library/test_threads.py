@@ -3,11 +3,14 @@
 import asyncio
 import threading
 
+import j2a_transports
 import pytest
 
 import j2a
+from j2a._threads import LinkThreads
 
 from .support import PATIENCE_S, linked, served
+from .wire import Background
 
 
 @pytest.fixture
@@ -71,6 +74,51 @@ def test_without_a_thread_for_it_a_sif_comes_with_the_next_reply(scarce):
         client.echo()
         client.close()
         assert seen == [7]
+
+
+class Watched(threading.Condition):
+    """A condition that says when somebody waits for it."""
+
+    def __init__(self):
+        super().__init__()
+        self.is_waited_for = threading.Event()
+
+    def wait(self, timeout=None):
+        self.is_waited_for.set()
+        return super().wait(timeout)
+
+
+def test_who_waits_for_the_reading_thread_goes_on_when_it_ends(monkeypatch):
+    class Dead(j2a_transports.Transport):
+        """A transport that is lost when somebody waits for its reader."""
+
+        closed = False
+
+        def read(self, timeout_s):
+            assert changed.is_waited_for.wait(PATIENCE_S)
+            raise j2a_transports.LinkLost("gone")
+
+        def wake_reader(self):
+            return True
+
+        def write(self, data):
+            pass
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr("j2a._threads._PATIENCE_S", 3 * PATIENCE_S)
+    changed = Watched()
+    link = LinkThreads(Dead("dead:"), lambda _: None, lambda _: None, lambda _: None)
+    link._changed = changed
+    look = Background(link.wait_for_look)
+    assert changed.is_waited_for.wait(PATIENCE_S)
+    link.start()
+    look.result()
+    link.stop()
+    for thread in link.threads:
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
 
 
 @pytest.mark.requirement("J2A-DISP-003")

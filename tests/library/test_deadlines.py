@@ -1,0 +1,39 @@
+"""The deadlines of calls: none is missed, and those of ended calls are not kept."""
+
+import math
+
+import pytest
+
+from j2a._call import Call, Deadlines
+from j2a.events import Reply
+
+
+def call(deadline):
+    return Call("a call", 4, b"", deadline, 1.0, None)
+
+
+@pytest.mark.parametrize("live", [0, 1, 5, 40])
+def test_calls_that_have_ended_are_forgotten_and_no_others(live):
+    deadlines = Deadlines()
+    waiting = [call(1000.0 + number) for number in range(live)]
+    for one in waiting:
+        deadlines.add(one, live)
+    most = 0
+    for number in range(1000):
+        ended = call(2000.0 - number)
+        deadlines.add(ended, live + 1)
+        ended.reply = Reply(0, b"")
+        most = max(most, len(deadlines._heap))
+    assert most <= 2 * (live + 1) + 65
+    assert deadlines.earliest() == (1000.0 if live else None)
+    assert deadlines.pop_late(999.0) == []
+    assert deadlines.pop_late(1000.0) == waiting[:1]
+    assert deadlines.pop_late(math.inf) == waiting[1:]
+    assert deadlines.earliest() is None
+
+
+def test_a_call_without_a_limit_has_none():
+    deadlines = Deadlines()
+    deadlines.add(call(None), 1)
+    assert deadlines.earliest() is None
+    assert deadlines.pop_late(math.inf) == []
