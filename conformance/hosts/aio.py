@@ -88,7 +88,7 @@ class Host:
                 case _:
                     return "unsupported"
         except j2a.FunctionFailed as error:
-            return f"failed {error}"[:100]
+            return f"failed {error}"[:32]
         except j2a.RemoteError as error:
             return f"error {error.code} {fate(error)}"
         except j2a.CallTimeout as error:
@@ -98,9 +98,9 @@ class Host:
         except j2a.LinkError:
             return "lost"
         except (j2a.LocalError, j2a.LegacyLimit, j2a.UnsupportedVersion) as error:
-            return f"refused {error}"[:100]
+            return f"refused {error}"[:32]
         except j2a.ProtocolError as error:
-            return f"failed {error}"[:100]
+            return f"failed {error}"[:32]
 
     async def report_sifs(self, sifs: list[j2a.Sif], count: int, wait_s: float) -> str:
         """Wait for so many SIFs, report those that came, and forget them."""

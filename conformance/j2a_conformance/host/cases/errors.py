@@ -29,7 +29,7 @@ class Payloads(HostCase):
 
     def _run(self, host: Host) -> None:
         known = [bytes((site, 0)) for site in range(c.SITE_LOST + 1)]
-        plans = [(code, payload) for code in _CODES for payload in known[:5]]
+        plans = [(code, payload) for code in _CODES for payload in known]
         plans += [(_CODES[n % 4], content(n, 2)) for n in LENGTHS]
         for code, payload in plans:
             host.reply(host.asked(), code, payload)
