@@ -1,18 +1,22 @@
 """The engine of the asyncio client: turns of the event loop, SIFs that wait, limits of waiting."""
 
 import asyncio
+import gc
 import math
 import threading
 
 import j2a_transports
 import pytest
 from j2a_spec import oracle
-from j2a_spec.constants import SOS
+from j2a_spec.constants import SOF, SOS
 
 import j2a
+from j2a._async_engine import IN_FLIGHT
+from j2a._threads import PIECE
 
 from .support import PATIENCE_S
 from .test_aio import in_event_loop, wired
+from .wire import Background, Watched
 
 
 def sifs(count):
@@ -33,10 +37,11 @@ async def stick(client):
 
 
 class Mute(j2a_transports.Transport):
-    """A transport that brings nothing, and whose reader cannot be woken."""
+    """A transport that takes all at once and brings nothing; its reader cannot be woken."""
 
     def __init__(self):
         super().__init__("mute:")
+        self.sent = b""
         self._closed = threading.Event()
 
     def read(self, timeout_s):
@@ -45,8 +50,12 @@ class Mute(j2a_transports.Transport):
             raise j2a_transports.LinkClosed("mute: is closed")
         return b""
 
+    def try_write(self, data):
+        self.sent += data
+        return len(data)
+
     def write(self, data):
-        pass
+        self.sent += data
 
     @property
     def closed(self):
@@ -63,6 +72,38 @@ async def test_a_call_ends_although_the_reader_cannot_be_asked():
         call = client.call(0, timeout=0.01)
         with pytest.raises(j2a.CallTimeout):
             await asyncio.wait_for(call, PATIENCE_S / 3)
+
+
+@pytest.mark.requirement("J2A-TIME-006")
+@in_event_loop
+async def test_a_reply_that_waits_behind_other_bytes_is_in_time_also_after_a_timeout():
+    loop, transport = asyncio.get_running_loop(), Mute()
+    async with j2a.AsyncClient(transport) as client:
+        with pytest.raises(j2a.CallTimeout):
+            await client.call(1, timeout=0.01)
+        call = asyncio.create_task(client.call(2, timeout=PATIENCE_S))
+        await asyncio.sleep(0)
+        request = oracle.decode(transport.sent)[-1]
+        client._engine._hand_over(bytes(1))
+        client._engine._hand_over(oracle.encode(oracle.Frame(SOF, request.seq, 0, b"in time")))
+        with pytest.MonkeyPatch.context() as patched:
+            clock = loop.time
+            patched.setattr(loop, "time", lambda: clock() + 1.5 * PATIENCE_S)
+            assert (await call).payload == b"in time"
+
+
+@in_event_loop
+async def test_the_reading_thread_goes_on_as_soon_as_there_is_room(monkeypatch):
+    monkeypatch.setattr("j2a._async_engine.WAIT_S", 3 * PATIENCE_S)
+    async with j2a.AsyncClient(Mute()) as client:
+        engine = client._engine
+        engine._changed = changed = Watched()
+        # One byte more than would leave room for a whole piece.
+        for size in (PIECE, IN_FLIGHT - 2 * PIECE, 1):
+            engine._hand_over(bytes(size))
+        reader = Background(engine._hand_over, bytes(PIECE))
+        assert changed.is_waited_for.wait(PATIENCE_S)
+        await asyncio.to_thread(reader.result)
 
 
 @pytest.mark.parametrize(("turn_s", "turns"), [(math.inf, 1), (0.0, 19)])
@@ -111,3 +152,32 @@ async def test_close_waits_five_seconds_for_handlers(monkeypatch):
         assert limits == [5.0]
         await wait([client._engine.dispatcher])
         assert client._engine.dispatcher.cancelled()
+
+
+@in_event_loop
+async def test_close_does_not_wait_where_no_handler_runs(monkeypatch):
+    wait, ends = asyncio.wait, []
+
+    async def record(futures, *, timeout=None):
+        ends.append(await wait(futures, timeout=timeout and PATIENCE_S / 3))
+        return ends[-1]
+
+    async with wired() as (client, _far):
+        monkeypatch.setattr(asyncio, "wait", record)
+        await client.close()
+    assert not any(pending for _, pending in ends)
+    assert {client._engine.dispatcher} in [done for done, _ in ends]
+
+
+@in_event_loop
+async def test_sifs_of_a_client_that_is_dropped_are_counted():
+    client, seen = j2a.AsyncClient(Mute()), []
+    engine, session = client._engine, client._session
+    client.on_sif(None, seen.append)
+    engine._hand_over(sifs(3))
+    with pytest.warns(ResourceWarning, match="unclosed"):
+        del client
+        gc.collect()
+    gc.collect()  # the warning has kept it
+    await asyncio.wait_for(engine.dispatcher, PATIENCE_S)
+    assert (seen, session.counters.sifs_dropped) == ([], 3)

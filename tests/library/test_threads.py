@@ -10,7 +10,7 @@ import j2a
 from j2a._threads import LinkThreads
 
 from .support import PATIENCE_S, linked, served
-from .wire import Background
+from .wire import Background, Watched
 
 
 @pytest.fixture
@@ -74,18 +74,6 @@ def test_without_a_thread_for_it_a_sif_comes_with_the_next_reply(scarce):
         client.echo()
         client.close()
         assert seen == [7]
-
-
-class Watched(threading.Condition):
-    """A condition that says when somebody waits for it."""
-
-    def __init__(self):
-        super().__init__()
-        self.is_waited_for = threading.Event()
-
-    def wait(self, timeout=None):
-        self.is_waited_for.set()
-        return super().wait(timeout)
 
 
 def test_who_waits_for_the_reading_thread_goes_on_when_it_ends(monkeypatch):

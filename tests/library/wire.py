@@ -94,3 +94,15 @@ class Background(threading.Thread):
         if self._error is not None:
             raise self._error
         return self._reply
+
+
+class Watched(threading.Condition):
+    """A condition that says when somebody waits for it."""
+
+    def __init__(self):
+        super().__init__()
+        self.is_waited_for = threading.Event()
+
+    def wait(self, timeout=None):
+        self.is_waited_for.set()
+        return super().wait(timeout)
