@@ -8,7 +8,7 @@ from j2a_spec.oracle import FrameError, checksum, decode, stuff
 
 from j2a_conformance._case import Case
 from j2a_conformance._dimensions import SPECIAL, payload_of, pieces, places, spread
-from j2a_conformance._judge import Judged
+from j2a_conformance._judge import Judged, inform
 from j2a_conformance._peer import Expected, Peer, refusal
 
 from .frame import CLEAN, answers
@@ -50,6 +50,8 @@ class Pieces(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
+        if peer.link.lossy:
+            inform("a lossy link does not show what a cut did")
         for n, length in enumerate(spread(step=43)):
             seq = SPECIAL[n * 4 % len(SPECIAL)] if n % 2 else None
             request = peer.echo(payload_of(length, n), seq)

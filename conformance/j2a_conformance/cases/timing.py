@@ -125,6 +125,8 @@ class LongFrames(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
+        if peer.link.lossy:
+            inform("a lossy link seldom carries a long frame whole")
         for n, request in enumerate(long_frames(peer)):
             wire = request.wire
             for cut in spread(len(wire) - 1, 97, 1)[n % 3 :: 5]:
