@@ -227,7 +227,7 @@ def test_without_its_rate_a_very_slow_link_names_the_option(slow):
 
 def test_a_broken_device_fails_on_a_slow_link(slow):
     class Patient(slow):
-        timeout_s = 0.06
+        timeout_s = 0.2
 
     cases = [case for case in load() if case.ID == "timing.gives-up"]
     found = run(lambda: SlowLink(Patient, 240), cases, baud=2400)
