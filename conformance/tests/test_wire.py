@@ -54,7 +54,7 @@ def test_annotations():
             ("12", "7d 7c", "04", "03", "7d 11 61 62", "07"),
             "SOF seq=0x7D opcode=0x04 length=0x03 checksum right",
         ),
-        (("12", "05", "04", "7d ff"), "SOF seq=0x05 opcode=0x04 length=0x00 BROKEN by ESC FF"),
+        (("12", "05", "04", "7d ff"), "SOF seq=0x05 opcode=0x04 BROKEN by ESC FF"),
         (("ed", "01", "02"), "SOS seq=0x01 opcode=0x02 INCOMPLETE"),
     ]
 

@@ -213,6 +213,8 @@ static void owe_reply(const receiver *request) {
 
     if (opcode >= FUNCTIONS || (has_func && p[0] >= FUNCTIONS)) {
         owe_error(request, J2A_ERR_OPCODE, J2A_SITE_OPCODE);
+    } else if (opcode == GET_PROPERTIES) {
+        owe(J2A_SOF, seq, J2A_RET_FAILED, 0, p);
     } else if (is_many(opcode) || (has_func && !is_many(p[0]))) {
         owe_error(request, J2A_ERR_OPCODE, J2A_SITE_KIND);
 #if !J2A_WITH_MAPPING

@@ -82,13 +82,14 @@ def test_long_properties(make, ask, tmp_path, length, offsets):
     folder.mkdir()
     (folder / "app.c").write_text('#include "j2a.h"\nvoid j2a_app_task(void) {\n}\n')
     (folder / "functions.def").write_text("")
-    rest = ("wxyz" * length)[: length - 542]
+    first = f"j2a.spec\0{c.SPEC_VERSION}\0".encode()  # which the build adds
+    rest = ("wxyz" * length)[: length - 542 - len(first)]
     values = [("k" * 99, "v" * 99), ("K" * 149, "V" * 149), ("l" * 40, rest)]
     lines = [f'J2A_PROPERTY("{key}", "{value}")\n' for key, value in values]
     (folder / "properties.def").write_text("".join(lines))
     result = make(APP="long", APP_DIR=str(folder), OUT=str(tmp_path))
     assert result.returncode == 0, result.stderr
-    text = b"".join(f"{key}\0{value}\0".encode() for key, value in values)
+    text = first + b"".join(f"{key}\0{value}\0".encode() for key, value in values)
     assert len(text) == length
     requests = [many(c.GET_PROPERTIES, 0, offset)[1] for offset in offsets]
     data = b"".join(encode(Frame(c.SOF, seq, 1, part)) for seq, part in enumerate(requests))

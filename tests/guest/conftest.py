@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import NoReturn
 
 import pytest
@@ -28,11 +29,21 @@ IMPORTED = (
 Guest = Callable[..., subprocess.CompletedProcess[str]]
 
 
+def tool(name: str) -> ModuleType:
+    """Import a script of tools/, once; they import each other by their plain names."""
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, ROOT / f"tools/{name}.py")
+        assert spec and spec.loader
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
+    return sys.modules[name]
+
+
 @pytest.fixture(scope="session")
 def guest(need: Callable[[str], None], missing: Callable[[str], NoReturn]) -> Guest:
     """guest(*command, timeout=240) runs a command in the guest; it has to return `code`."""
-    for tool in TOOLS:
-        need(tool)
+    for program in TOOLS:
+        need(program)
     folders = [
         folder
         for name in IMPORTED

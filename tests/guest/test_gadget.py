@@ -1,11 +1,8 @@
 """A gadget on the kernel's USB: what inside_gadget.py asks, in the guest."""
 
-import importlib.util
-import sys
-
 import pytest
 
-from .conftest import ROOT
+from .conftest import tool
 
 pytestmark = pytest.mark.guest
 INSIDE = ["python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/guest/inside_gadget.py"]
@@ -14,12 +11,8 @@ SUITE = "TestUsb"
 
 def dummy_hcd() -> str:
     """Return the file of the module that the guest has loaded, to load it anew."""
-    path = ROOT / "tools/guest_kernel.py"
-    spec = importlib.util.spec_from_file_location("guest_kernel", path)
-    assert spec and spec.loader
-    module = sys.modules.setdefault("guest_kernel", importlib.util.module_from_spec(spec))
-    spec.loader.exec_module(module)
-    return str(module.kernel(module.cache_folder()) / "dummy_hcd.ko")
+    kernel = tool("guest_kernel")
+    return str(kernel.kernel(kernel.cache_folder()) / "dummy_hcd.ko")
 
 
 @pytest.mark.parametrize("end", ["near", "far"])

@@ -1,7 +1,6 @@
 """What tools/guest.py does before and beside QEMU: the kernel's cache, the archive, the output."""
 
 import gzip
-import importlib.util
 import lzma
 import os
 import shutil
@@ -13,20 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from .conftest import ROOT, SCRIPT
+from .conftest import SCRIPT, tool
 
-
-def load(name):
-    """Import a script of tools/, which import each other by their plain names."""
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, ROOT / f"tools/{name}.py")
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
-
-
-guest_kernel = load("guest_kernel")
-guest_script = load("guest")
+guest_kernel = tool("guest_kernel")
+guest_script = tool("guest")
 GuestError = guest_kernel.GuestError
 
 

@@ -187,7 +187,7 @@ def test_a_signal_ends_the_suite_the_program_and_what_that_started(number, tmp_p
             out, err = suite.communicate(timeout=30)
         finally:
             suite.kill()
-    assert suite.returncode == 3, err
+    assert suite.returncode == 128 + number, err
     assert "Traceback" not in out + err
     check_gone(int(pid_file.read_text()))
 

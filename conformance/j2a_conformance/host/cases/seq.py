@@ -159,7 +159,7 @@ class Stalled(_Stalled):
 
 class StalledLate(_Stalled):
     """Leaves calls without an answer until no seq is free, but for the tenth, which it answers when
-    it has 200; then answers all of them, and the barrier at last.
+    it has 200; then answers all after that, and the barrier at last.
     """
 
     ID = "host.seq.stalled-late"
@@ -168,7 +168,8 @@ class StalledLate(_Stalled):
 
     def _run(self, host: Host) -> None:
         given_up, found = self.stall(host, _FREED)
-        for late in given_up[:100]:
+        # Not those before the tenth: a device answers in order, and their seqs are in use again.
+        for late in given_up[_FREED:100]:
             host.reply(late, 5, b"sifs all 0 0")  # a host that takes it for a job reports
         self.ended(host)
         for late in given_up[100:]:
