@@ -2,8 +2,9 @@
 
 What flows in: conformance/testees/*.toml and conformance/hosts/*.py. What flows out: reports of
 each in build/conformance, a matrix page over all of them, one line a testee, and exit status 0 when
-all conform. Rules: one run at a time in real time, because some cases measure time, and beside
-it one in simulated time; a testee that cannot be built here fails.
+all conform. Rules: two runs at a time, because some cases measure time: one begins with the
+emulators, which need a core each, the other with simulated time, which nothing can disturb; a
+testee that cannot be built here fails.
 """
 
 import argparse
@@ -11,7 +12,9 @@ import subprocess
 import sys
 import time
 import tomllib
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -29,12 +32,15 @@ def commands() -> dict[str, list[str]]:
     return found
 
 
-def is_simulated(arguments: list[str]) -> bool:
-    """Is this a run in simulated time, which does not mind how busy the machine is?"""
+def demand(arguments: list[str]) -> int:
+    """Return how much a run minds company: 0 is an emulator, 1 this machine, 2 simulated time."""
     testee = Path(arguments[1])
-    return testee.suffix == ".toml" and tomllib.loads(testee.read_text("utf-8")).get(
-        "url", ""
-    ).startswith("sim:")
+    if testee.suffix != ".toml":
+        return 1
+    url = str(tomllib.loads(testee.read_text("utf-8")).get("url", ""))
+    if url.startswith("sim:"):
+        return 2
+    return 0 if "qemu-system" in url or "/emulators/" in url else 1
 
 
 def run(name: str, arguments: list[str]) -> tuple[bool, str]:
@@ -67,16 +73,21 @@ def main() -> int:
     for old in OUT.iterdir():
         if chosen is every or old.stem in chosen:
             old.unlink()
-    good = True
-    with ThreadPoolExecutor(max_workers=1) as real, ThreadPoolExecutor(max_workers=1) as simulated:
-        runs = [
-            (simulated if is_simulated(arguments) else real).submit(run, name, arguments)
-            for name, arguments in chosen.items()
-        ]
-        for done in as_completed(runs):
-            passed, line = done.result()
+    left = deque(sorted(chosen.items(), key=lambda item: demand(item[1])))
+
+    def work(take: Callable[[], tuple[str, list[str]]]) -> bool:
+        good = True
+        while True:
+            try:
+                name, arguments = take()
+            except IndexError:
+                return good
+            passed, line = run(name, arguments)
             print(line, flush=True)
             good &= passed
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        good = all(list(pool.map(work, (left.popleft, left.pop))))
     reports = [str(path) for path in sorted(OUT.glob("*.json"))]
     page = [*CONFORM, "matrix", *reports, "--html", str(OUT / "index.html")]
     return 0 if subprocess.run(page, check=False).returncode == 0 and good else 1

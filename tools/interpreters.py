@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -25,6 +26,7 @@ OLDEST = (3, 11)
 EXTRAS = ("serial", "usb", "conformance", "build")
 TOOLS = ("pytest", "pytest-timeout", "pytest-xdist", "hypothesis")
 TESTS = ("tests/library", "transports/tests")
+WORKERS = "2"
 LIMIT_S = 1800
 Version = tuple[int, int, int]
 
@@ -120,27 +122,19 @@ def environment(program: Path, version: Version) -> Path:
     return python
 
 
-def run_tests(python: Path) -> int:
-    """Run the tests; return pytest's exit code."""
+def run_tests(python: Path) -> subprocess.CompletedProcess[str]:
+    """Run the tests; return what pytest said, and its exit code."""
+    options = ["-q", "-n", WORKERS, "-m", "not slow", "-p", "no:cacheprovider"]
     return subprocess.run(
-        [
-            python,
-            "-m",
-            "pytest",
-            "-q",
-            "-n",
-            "3",
-            "-m",
-            "not slow",
-            "-p",
-            "no:cacheprovider",
-            *TESTS,
-        ],
+        [python, "-m", "pytest", *options, *TESTS],
         cwd=ROOT,
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
         check=False,
         timeout=LIMIT_S,
-    ).returncode
+    )
 
 
 def main() -> int:
@@ -148,16 +142,28 @@ def main() -> int:
     found = interpreters()
     if not found:
         print("there is no other Python from 3.11 on here")
-    failed = []
+    pythons, failed = {}, []
     for version, program in found.items():
         name = ".".join(map(str, version))
-        print(f"Python {name}, {program}", flush=True)
         try:
-            if run_tests(environment(program, version)):
-                failed.append(name)
+            pythons[name] = environment(program, version)
         except subprocess.SubprocessError as error:
-            print(error, file=sys.stderr)
+            print(f"Python {name}, {program}: {error}", file=sys.stderr)
             failed.append(name)
+    # The tests wait most of the time, so all interpreters run at once.
+    with ThreadPoolExecutor(max_workers=len(pythons) or 1) as pool:
+        runs = {name: pool.submit(run_tests, python) for name, python in pythons.items()}
+        for name, run in runs.items():
+            print(f"Python {name}", flush=True)
+            try:
+                done = run.result()
+            except subprocess.SubprocessError as error:
+                print(error, file=sys.stderr)
+                failed.append(name)
+                continue
+            print(done.stdout, end="", flush=True)
+            if done.returncode:
+                failed.append(name)
     if failed:
         print(f"failed on Python {', '.join(failed)}", file=sys.stderr)
     return bool(failed)

@@ -105,6 +105,8 @@ def misread(
         some = kinds if short else [kinds[(length + n) % len(kinds)] for n in range(2)]
         for n, (sent, value) in enumerate(some):
             for index in range(size) if short else ((length * 7 + n * 3) % size, length % 3):
+                if length > 0x13 and short and index >= c.HEADER and index % len(kinds) != n:
+                    continue  # in long payloads each place once
                 body = bytearray((length * 3 % 256, opcode, length, *payload_of(length, length), 0))
                 if value is not None:
                     if 0 < index < c.HEADER and body[index] != value:

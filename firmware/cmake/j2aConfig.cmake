@@ -195,7 +195,7 @@ function(j2a_add_app target)
     endif()
     if(EXISTS "${app}/properties.def")
       # j2a.spec belongs to each device (J2A-PROP-004).
-      file(STRINGS "${app}/properties.def" spec REGEX "\"j2a\\.spec\"")
+      file(STRINGS "${app}/properties.def" spec REGEX "^[^/*]*J2A_PROPERTY[^\"]*\"j2a\\.spec\"")
       if(NOT spec)
         target_compile_definitions(${target} PRIVATE J2A_ADD_SPEC)
       endif()

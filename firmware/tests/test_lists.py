@@ -113,7 +113,10 @@ def test_the_lists_of_all_apps_are_taken():
         assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), path
 
 
-@pytest.mark.parametrize("properties", ["", NAME, SPEC + NAME, NAME + SPEC])
+@pytest.mark.parametrize(
+    "properties",
+    ["", NAME, SPEC + NAME, NAME + SPEC, f"// {SPEC}", f'/* "j2a.spec" comes by itself */\n{NAME}'],
+)
 def test_each_device_has_j2a_spec_once(app, make, ask, tmp_path, properties):
     result = make(PORT="posix", APP_DIR=app(properties=properties), OUT=tmp_path / "out")
     assert result.returncode == 0, result.stderr

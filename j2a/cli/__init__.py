@@ -95,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if is_of_a_file(error):
             drop_output()
         code = known
-        _report(error, code, as_json="--json" in words[1:])
+        _report(error, code, as_json="--json" in words)
     return finish_output(code)
 
 

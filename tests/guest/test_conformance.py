@@ -26,7 +26,7 @@ PARTS = 4
 LONGEST = "frame.lengths"
 # Pauses of nearly 9 ms between two bytes, which become longer when the emulated processor has to
 # wait for its turn. These devices are asked for them over links without such a processor.
-SHORT_PAUSES = {"timing.short-pause", "timing.trickle", "frame.pieces"}
+SHORT_PAUSES = {"timing.short-pause", "timing.trickle", "timing.trickle-long", "frame.pieces"}
 
 
 def couple(programs: Listener, relays: Listener, ready: threading.Event) -> None:
