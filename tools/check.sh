@@ -65,10 +65,10 @@ step interpreters "the tests of the library on the other Pythons from 3.11 on of
 if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
 fi
-# Under coverage a figure of speed would mislead, so the benchmarks only prove that they run.
-# Most of them wait for something, so more run at a time than there are cores; conftest.py says which
+# Side by side with others a figure of speed would mislead: the benchmarks only prove that they run.
+# Most tests wait for something, so more run at a time than there are cores; conftest.py says which
 # files come first.
-step pytest "tests" python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --cov --cov-report=term --benchmark-disable
+step pytest "tests" python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable
 
 if ((${#failed[@]})); then
     printf '\n==> FAILED steps: %s\n' "${failed[*]}"

@@ -24,7 +24,10 @@ def of(found, verdict):
 
 
 # What takes longest on such a link; `j2a-conform run --lossy` plays it too.
-LONG = ("frame.lengths", "frame.largest", "many.echo-lengths", "many.store", "scenario-006")
+LONG = (
+    *("frame.lengths", "frame.largest", "frame.interrupted-anywhere", "stuff.escape-ff-anywhere"),
+    *("many.echo-lengths", "many.store", "scenario-006"),
+)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +205,10 @@ def slow(reference):
 
 
 # Hundreds of exchanges that take no longer than those of other cases.
-SAME_AGAIN = ("frame.lengths", "frame.garbage", "seq.every-value", "error.seq", "stuff.replies")
+SAME_AGAIN = (
+    *("frame.lengths", "frame.garbage", "frame.interrupted-anywhere", "frame.sos-to-device"),
+    *("seq.every-value", "error.seq", "stuff.replies", "stuff.escape-ff-anywhere"),
+)
 
 
 @pytest.mark.parametrize("baud", [1200, 9600])

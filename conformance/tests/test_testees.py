@@ -1,4 +1,4 @@
-"""The testees of the project conform: posix firmware, AVR in simavr, Python Device."""
+"""Testees, and builds that no testee is, conform; tools/conformance.py runs all testees."""
 
 import shutil
 import subprocess
@@ -31,40 +31,17 @@ def started(need):
     return start
 
 
-@pytest.fixture
-def open_simulated(missing):
-    def connect(url):
-        try:
-            return j2a_transports.open(url)
-        except j2a_transports.OpenFailed as error:
-            missing(str(error))
-
-    return connect
-
-
-@pytest.mark.parametrize("name", ["posix", "python"])
-def test_by_the_command_line(name, tmp_path, capsys):
+def test_by_the_command_line(tmp_path, capsys):
     kinds = ("junit", "json", "html", "badge")
     reports = [word for kind in kinds for word in (f"--{kind}", str(tmp_path / kind))]
-    status = main(["run", str(FOLDER / f"{name}.toml"), *reports, "-v"])
+    status = main(["run", str(FOLDER / "posix.toml"), *reports, "-v"])
     assert status == 0, capsys.readouterr().out
     assert "all levels" in (tmp_path / "badge").read_text("utf-8")
-    if name == "posix":
-        assert _json.read(tmp_path / "json").url == "exec:{root}/firmware/build/posix/demo"
+    assert _json.read(tmp_path / "json").url == "exec:{root}/firmware/build/posix/demo"
     assert (tmp_path / "html").stat().st_size < 2_000_000
     xml = junitparser.JUnitXml.fromfile(str(tmp_path / "junit"))
     assert (xml.tests, xml.failures, xml.errors, xml.skipped) == (len(load()) + 3, 0, 0, 2)
     assert {case.name for suite in xml for case in suite if case.result} == NOT_OURS
-
-
-@pytest.mark.avr
-@pytest.mark.parametrize("name", ["avr", "avr-1m"])
-def test_avr(name, started, open_simulated):
-    with started(name) as url:
-        found = run(lambda: open_simulated(url), load(), url=url, fresh=True)
-    assert found.conformant
-    assert not found.stopped
-    assert {r.case for r in found.results if r.verdict is not Verdict.OK} == NOT_OURS
 
 
 def test_without_application_only_its_functions_are_missed(started):
@@ -112,8 +89,9 @@ def test_with_parts_built_out(options, tmp_path):
 
 
 def fast():
-    """Every case that waits for no time to pass."""
-    return [c for c in load() if c.LEVEL != "timing" and not c.ID.startswith("scenario")]
+    """Every case that may depend on what is built in, and waits for no time to pass."""
+    others = ("frame", "timing")
+    return [c for c in load() if c.LEVEL not in others and not c.ID.startswith("scenario")]
 
 
 @pytest.mark.parametrize("places", [1, 32])

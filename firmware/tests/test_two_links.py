@@ -26,7 +26,12 @@ RXBUF = 520
 PATIENCE_S = 60
 QUIET_S = 0.2
 ATTEMPTS = 50
-SLOW = {"frame.lengths", "many.echo-lengths"}  # several thousand frames
+SLOW = {  # several thousand frames
+    "frame.interrupted-anywhere",
+    "frame.lengths",
+    "many.echo-lengths",
+    "stuff.escape-ff-anywhere",
+}
 
 
 @pytest.fixture(scope="module")
