@@ -22,7 +22,10 @@ firmware_2014 = sys.modules["firmware_2014"] = importlib.util.module_from_spec(_
 _SPEC.loader.exec_module(firmware_2014)
 BUILDS, Firmware2014 = firmware_2014.BUILDS, firmware_2014.Firmware2014
 LEGACY = Rules.of("legacy-2014")
-SLOW = ("timing.", "scenario-", "frame.pieces", "frame.lengths", "seq.", "limits.window")
+SLOW = (
+    *("timing.", "scenario-", "frame.pieces", "frame.lengths", "frame.interrupted-anywhere"),
+    *("frame.sos-to-device", "stuff.escape-ff-anywhere", "seq.", "limits.window"),
+)
 """Cases that take long and that no option of a build changes."""
 
 
