@@ -4,7 +4,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint conformance mutants trace docs bench firmware venv constraints clean distclean
+.PHONY: help demo test exhaustive lint conformance mutants trace docs bench firmware venv constraints clean distclean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -22,6 +22,10 @@ demo: $(INSTALLED)  ## a host program, firmware in the AVR simulator, a conforma
 test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these steps
 	@sh tools/system.sh test
 	@bash tools/check.sh
+
+exhaustive: $(INSTALLED)  ## the tests that make test leaves out: the same on more links, seeds and defects
+	@sh tools/system.sh test
+	@J2A_REQUIRE_AVR=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m exhaustive
 
 lint: $(INSTALLED)  ## lint, layout, types and import arrows
 	@CHECK=ruff,format,mypy,mypy-tools,imports bash tools/check.sh

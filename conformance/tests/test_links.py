@@ -33,9 +33,9 @@ LONG = (
 @pytest.mark.parametrize(
     ("seed", "levels"),
     [
-        (11, {"frame"}),
+        pytest.param(11, {"frame"}, marks=pytest.mark.exhaustive),
         (12, {"core", "mapping", "properties"}),
-        (13, {"many", "debug", "sif", "timing"}),
+        pytest.param(13, {"many", "debug", "sif", "timing"}, marks=pytest.mark.exhaustive),
     ],
 )
 def test_a_lossy_link_makes_no_false_failure(seed, levels, build_firmware):
@@ -241,7 +241,7 @@ def test_a_broken_device_fails_on_a_slow_link(slow):
 
 
 @pytest.mark.avr
-@pytest.mark.parametrize("baud", [2400, 9600])
+@pytest.mark.parametrize("baud", [pytest.param(2400, marks=pytest.mark.exhaustive), 9600])
 def test_a_slow_avr_makes_no_false_failure(baud, build_firmware, missing):
     url = f"sim:{build_firmware('demo', 'avr-serial', BAUD=baud)}"
     chosen = ("frame.layout", "mapping.content", "properties.content", "sif.during-delay")

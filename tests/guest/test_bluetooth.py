@@ -27,7 +27,9 @@ def test_the_suite_of_the_transports(guest):
     assert " passed" in done.stdout
 
 
-@pytest.mark.parametrize("python", ["python", SYSTEM_PYTHON])
+@pytest.mark.parametrize(
+    "python", ["python", pytest.param(SYSTEM_PYTHON, marks=pytest.mark.exhaustive)]
+)
 def test_channels_losses_terminals_and_service_discovery(guest, python):
     libraries = [sysconfig.get_paths()["purelib"]]
     libraries += [str(ROOT / folder) for folder in (".", "spec", "transports", "conformance")]

@@ -96,7 +96,9 @@ def part(number: int) -> list[str]:
 
 
 @pytest.mark.requirement("USB-007", "USB-014", "USB-009", "USB-010")
-@pytest.mark.parametrize("number", range(PARTS))
+@pytest.mark.parametrize(
+    "number", [n if n == 1 else pytest.param(n, marks=pytest.mark.exhaustive) for n in range(PARTS)]
+)
 @pytest.mark.parametrize("link", ["bt", pytest.param("usbip", marks=pytest.mark.avr)])
 def test_the_suite(guest, need, link, number, build_firmware):
     with contextlib.ExitStack() as stack:

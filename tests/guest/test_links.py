@@ -72,6 +72,7 @@ def test_calls(guest, named, link):
     assert good(done.stdout) == ["enumeration"] * len(bus) + expected
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("link", LINKS)
 def test_a_megabyte(guest, named, link):
     assert good(guest(*CLIENT, named(link), "megabyte", timeout=240).stdout) == ["megabyte"]
