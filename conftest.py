@@ -38,7 +38,8 @@ COMPILERS = {
 LONGEST = (
     *("guest/test_links.py", "tests/test_proof.py", "tests/test_broken.py"),
     *("guest/test_conformance.py", "host/test_broken_hosts.py", "tests/test_budget.py"),
-    *("guest/test_gadget.py", "guest/test_usb.py"),
+    *("guest/test_gadget.py", "guest/test_usb.py", "tests/test_two_links.py"),
+    *("tests/test_porting.py", "tests/test_naive_port.py"),
 )
 Make = Callable[..., subprocess.CompletedProcess[str]]
 Build = Callable[..., Path]

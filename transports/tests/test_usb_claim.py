@@ -26,6 +26,9 @@ from .suite import MEGABYTE, SETTLE_S, Background
 Open = Callable[..., Transport]
 
 
+TOLD = [("blocking", False), ("blocking", True), ("asynchronous", True)]
+
+
 @pytest.fixture(params=["blocking", "asynchronous"])
 def open_fake(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Open:
     """Open a fake device in either way."""
@@ -211,6 +214,35 @@ def test_a_reset_by_another_program_is_a_lost_link(
             device.reset_by_another()
             with pytest.raises(LinkLost, match="unplugged or reset"):
                 blocked.result()
+
+
+@pytest.mark.requirement("USB-013")
+@pytest.mark.parametrize("writing", [False, True])
+@pytest.mark.parametrize(("open_fake", "noticed"), TOLD, indirect=["open_fake"])
+def test_a_reset_is_one_although_the_driver_is_bound_again(
+    open_fake: Open,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    writing: bool,
+    noticed: bool,
+) -> None:
+    """Also between two blocking transfers, of which none is given back then."""
+    monkeypatch.setattr("j2a_transports._usb.claim.is_libusb", lambda backend: True)
+    monkeypatch.setattr("j2a_transports._usb.claim.SYSFS", tmp_path)
+    driver, other = tmp_path / "1-2.3:1.0" / "driver", tmp_path / "other"
+    driver.mkdir(parents=True)
+    other.mkdir()
+    device = board()
+    with open_fake(device) as near:
+        near.write_timeout_s = None
+        call = partial(near.write, bytes(MEGABYTE)) if writing else partial(near.read, None)
+        blocked = Background(call)
+        blocked.thread.join(SETTLE_S)
+        other.replace(driver)
+        if noticed:
+            device.reset_by_another()
+        with pytest.raises(LinkLost, match="unplugged or reset"):
+            blocked.result()
 
 
 def test_what_had_arrived_before_the_end_is_read_first(open_fake: Open) -> None:

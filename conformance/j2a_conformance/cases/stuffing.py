@@ -10,6 +10,7 @@ from j2a_conformance._dimensions import SPECIAL, misread, payload_of, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
 STUFFED = sorted(c.STUFFED)
+_PAYLOAD = b"twelve bytes"  # none of which is stuffed
 
 
 def escapable(value: int) -> bool:
@@ -142,6 +143,32 @@ class Needless(Case):
         return wire, Expected(seq, c.ECHO, payload)
 
 
+class EscapeFf(Case):
+    """Puts ESC 0xFF into each place of a frame, waits for the answer before the rest of the frame
+    is sent, and then sends the rest.
+    """
+
+    ID = "stuff.escape-ff"
+    EXPECTATION = (
+        "Error 0xF4 at once if the seq was complete, else nothing; the rest is skipped in silence."
+    )
+    REQUIREMENTS = ("J2A-STUFF-004", "J2A-ERR-004", "J2A-ERR-005", "J2A-ERR-009")
+    LEVEL = "frame"
+
+    def _run(self, peer: Peer) -> None:
+        for place in range(1, len(_PAYLOAD) + 5):
+            peer.attempts(lambda place=place: self._at(peer, place))  # type: ignore[misc]
+
+    @staticmethod
+    def _at(peer: Peer, place: int) -> None:
+        request = peer.echo(_PAYLOAD, 0x20 + place)
+        frame = request.wire
+        due = [refusal(request.seq, c.ERR_FRAMING)] if place > 1 else []
+        peer.play(frame[:place] + bytes((c.ESC, 0xFF)), *due)
+        peer.link.send(frame[place:])
+        peer.barrier()
+
+
 class EscapeFfAnywhere(Case):
     """Puts ESC 0xFF behind each byte of long frames, then some of the rest of the frame, and a good
     frame behind that; and into frames of every length, such that one taken for 0x00, for 0xFF or
@@ -184,29 +211,3 @@ class EscapeFfAnywhere(Case):
                 request = peer.probe()
                 due = [refusal(seq, c.ERR_FRAMING)]
                 yield frame[:cut] + b"\x7d\xff" + request.wire, [*due, request.expected]
-
-
-class EscapeFf(Case):
-    """Puts ESC 0xFF into each place of a frame, waits for the answer before the rest of the frame
-    is sent, and then sends the rest.
-    """
-
-    ID = "stuff.escape-ff"
-    EXPECTATION = (
-        "Error 0xF4 at once if the seq was complete, else nothing; the rest is skipped in silence."
-    )
-    REQUIREMENTS = ("J2A-STUFF-004", "J2A-ERR-004", "J2A-ERR-005", "J2A-ERR-009")
-    LEVEL = "frame"
-
-    def _run(self, peer: Peer) -> None:
-        for place in range(1, 9):
-            peer.attempts(lambda place=place: self._at(peer, place))  # type: ignore[misc]
-
-    @staticmethod
-    def _at(peer: Peer, place: int) -> None:
-        request = peer.probe()
-        frame = request.wire
-        due = [refusal(request.seq, c.ERR_FRAMING)] if place > 1 else []
-        peer.play(frame[:place] + bytes((c.ESC, 0xFF)), *due)
-        peer.link.send(frame[place:])
-        peer.barrier()

@@ -12,6 +12,7 @@ import contextlib
 import errno
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Final
 
 from j2a_transports._base import OpenFailed
@@ -92,16 +93,27 @@ def _active(device: Any) -> Any:
 
 
 def claim_shown(device: Any, pair: Pair) -> Callable[[], bool]:
-    """Return what tells whether the interface is still claimed; it is where nothing shows it."""
+    """Return what tells whether the interface is still claimed; it is where nothing shows it.
+
+    A reset by another program unbinds the driver, and the next transfer binds it again, perhaps
+    before anybody has looked: the link in sysfs is another one then.
+    """
     driver = None
     if is_libusb(device.backend) and device.port_numbers:
         ports = ".".join(map(str, device.port_numbers))
         configuration = device[pair.interface.configuration].bConfigurationValue
         name = f"{device.bus}-{ports}:{configuration}.{pair.interface.bInterfaceNumber}"
         driver = SYSFS / name / "driver"
-    if driver is None or not driver.exists():
-        return lambda: True
-    return driver.exists
+    bound = _number_of(driver)
+    return lambda: bound is None or _number_of(driver) == bound
+
+
+def _number_of(path: Path | None) -> int | None:
+    """Return the inode of what is there, a link itself and not its target; None for nothing."""
+    try:
+        return path.lstat().st_ino if path else None
+    except OSError:
+        return None
 
 
 def clear_halt(device: Any, endpoint: int) -> None:

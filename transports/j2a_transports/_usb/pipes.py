@@ -160,7 +160,7 @@ class BlockingPipes(Pipes):
                 data = bytes(self._device.read(end.address, end.size, SLICE_MS))
             except Exception as error:
                 # A foreign backend may raise anything; whatever it is, it is a fault of the link.
-                self._failed(end, error)
+                self._failed(end, error if self._ours() else reset())
                 continue
             if data:
                 end.halts = 0
@@ -209,7 +209,7 @@ class BlockingPipes(Pipes):
                 count = self._device.write(end.address, bytes(piece), left_ms)
             except Exception as error:
                 # pyusb does not say what has gone before a halt; of one packet, nothing.
-                self._failed(end, error, len(piece) <= end.packet)
+                self._failed(end, error if self._ours() else reset(), len(piece) <= end.packet)
                 continue
             if count < len(piece) and not self._ours():
                 self._failed(end, reset())

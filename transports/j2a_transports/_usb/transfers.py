@@ -138,6 +138,8 @@ class AsyncPipes(Pipes):
 
     def _ask(self) -> None:
         """Submit the transfers that shall read, as long as the user reads too."""
+        if not self._reading and not self._ours():
+            self._fail(reset())  # none was under way that could have told
         while self._to_read and not (self._ended or self._halted or self._unread >= LIMIT):
             slot = self._to_read.pop()
             if self._submit(slot, self.incoming.size):
