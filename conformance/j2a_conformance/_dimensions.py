@@ -15,6 +15,7 @@ from j2a_spec.oracle import checksum, stuff
 
 __all__ = [
     "SPECIAL",
+    "damaged",
     "lane_offset",
     "lengths",
     "misread",
@@ -84,6 +85,13 @@ def lane_offset(n: int) -> int:
     """Return an offset; over 256 numbers `n` each of its four bytes takes each value once."""
     lanes = (n, n * 5 + 0x12, n * 11 + 0x7D, n * 23 + 0xED)
     return int.from_bytes(bytes(lane % 256 for lane in lanes), "little")
+
+
+def damaged(opcode: int, n: int) -> tuple[bytes, int]:
+    """Return a short request with a wrong checksum, and its seq."""
+    seq, data = 0x20 + n % 0x40, b"wrong"[: n % 6]
+    body = bytes((seq, opcode, len(data))) + data
+    return bytes((c.SOF,)) + stuff(body + bytes((checksum(seq, opcode, data) ^ 1,))), seq
 
 
 def misread(

@@ -8,7 +8,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, Incomplete, checksum, decode, encode
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lengths, misread, payload_of, places, spread
+from j2a_conformance._dimensions import damaged, lengths, misread, payload_of, places, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
 PATTERNS = (0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C)
@@ -250,9 +250,11 @@ class InterruptedAnywhere(Case):
         kinds: list[tuple[bytes, int | None]] = []
         for value, raw in markers:
             kinds += [(raw, value), (raw, None), (b"\x7d" + raw, value + 1)]
-        for stream, _ in misread(opcodes[0], kinds):
+        for n, (stream, _) in enumerate(misread(opcodes[0], kinds)):
             if not any(isinstance(e, Frame) and e.start == c.SOF for e in decode(stream)):
-                yield InterruptedAnywhere._cut(peer, stream)
+                # Before some of them no good frame, but another broken one.
+                first = damaged(opcodes[0], n)[0] if n % 3 == 0 else b""
+                yield InterruptedAnywhere._cut(peer, first + stream)
 
     @staticmethod
     def _cut(peer: Peer, stream: bytes) -> tuple[bytes, list[Expected]]:

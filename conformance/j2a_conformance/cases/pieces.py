@@ -7,7 +7,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import FrameError, checksum, decode, stuff
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import SPECIAL, payload_of, pieces, places, spread
+from j2a_conformance._dimensions import SPECIAL, misread, payload_of, pieces, places, spread
 from j2a_conformance._judge import Judged, inform
 from j2a_conformance._peer import Expected, Peer, refusal
 
@@ -84,6 +84,14 @@ class Pieces(Case):
             request = peer.echo(payload_of(length, 1))
             single = [bytes((byte,)) for byte in request.wire]
             self._in_pieces(peer, single, request.expected)
+        kinds = [(b"\x7d\xff", value) for value in (0x00, 0xFF, None)]
+        for n, (stream, (seq, before)) in enumerate(misread(peer.opcode(c.GET_ECHO), kinds)):
+            if before > c.HEADER and n % 37 == 0:
+                good = peer.probe()
+                owed = (refusal(seq, c.ERR_FRAMING), good.expected)
+                # The second piece begins behind some of the payload, or in the escape pair.
+                at = stream.rindex(b"\x7d\xff") + n % 2
+                self._in_pieces(peer, [stream[:at], stream[at:] + good.wire], *owed)
         for n, batch in enumerate(self._batches(peer)):
             stream = b"".join(part for part, _ in batch)
             due = [expected for _, some in batch for expected in some]

@@ -6,7 +6,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum, encode
 
 from j2a_conformance._case import Case
-from j2a_conformance._dimensions import SPECIAL, misread, payload_of, spread
+from j2a_conformance._dimensions import SPECIAL, damaged, misread, payload_of, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
 STUFFED = sorted(c.STUFFED)
@@ -198,10 +198,17 @@ class EscapeFfAnywhere(Case):
                 rest = frame[cut : cut + cut % 6]
                 yield frame[:cut] + b"\x7d\xff" + rest + request.wire, [*due, request.expected]
         kinds = [(b"\x7d\xff", value) for value in (0x00, 0xFF, None)]
-        for stream, (seq, before) in misread(peer.opcode(c.GET_ECHO), kinds):
+        for n, (stream, (seq, before)) in enumerate(misread(peer.opcode(c.GET_ECHO), kinds)):
             request = peer.probe()
             due = [refusal(seq, c.ERR_FRAMING)] if before else []
-            yield stream + request.wire, [*due, request.expected]
+            if n % 3 == 0:  # no good frame between two broken ones
+                first, wrong = damaged(peer.opcode(c.GET_ECHO), n)
+                yield (
+                    first + stream + request.wire,
+                    [refusal(wrong, c.ERR_CHECKSUM), *due, request.expected],
+                )
+            else:
+                yield stream + request.wire, [*due, request.expected]
         for n, seq in enumerate(SPECIAL):
             frame = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), b"abc"[: n % 4]))
             known = 3 if frame[1] == c.ESC else 2
