@@ -85,8 +85,8 @@ class Pieces(Case):
             single = [bytes((byte,)) for byte in request.wire]
             self._in_pieces(peer, single, request.expected)
         kinds = [(b"\x7d\xff", value) for value in (0x00, 0xFF, None)]
-        for n, (stream, (seq, before)) in enumerate(misread(peer.opcode(c.GET_ECHO), kinds)):
-            if before > c.HEADER and n % 37 == 0:
+        for n, (stream, (seq, ahead)) in enumerate(misread(peer.opcode(c.GET_ECHO), kinds)):
+            if ahead > c.HEADER and n % 37 == 0:
                 good = peer.probe()
                 owed = (refusal(seq, c.ERR_FRAMING), good.expected)
                 # The second piece begins behind some of the payload, or in the escape pair.
