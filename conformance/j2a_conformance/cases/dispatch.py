@@ -140,7 +140,7 @@ class ReturnValues(Case):
 
     ID = "dispatch.return-values"
     EXPECTATION = "The value is the opcode field of the reply."
-    REQUIREMENTS = ("J2A-DISP-003",)
+    REQUIREMENTS = ("J2A-DISP-003", "J2A-SEQ-001", "J2A-FRAME-002")
     LEVEL = "core"
     NEEDS = ("ret",)
 

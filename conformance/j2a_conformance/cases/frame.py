@@ -64,10 +64,12 @@ class Lengths(Case):
     )
     REQUIREMENTS = (
         "J2A-SEQ-001",
+        "J2A-DISP-001",
         "J2A-FRAME-001",
         "J2A-FRAME-002",
         "J2A-FRAME-004",
         "J2A-FRAME-005",
+        "J2A-FRAME-010",
         "J2A-STUFF-001",
         "J2A-STUFF-002",
         "J2A-STUFF-003",
@@ -320,16 +322,26 @@ class FromHost(Case):
 
     @staticmethod
     def _of_lengths(peer: Peer, opcode: int) -> Iterator[tuple[bytes, list[Expected]]]:
-        """Yield frames with SOS of every length, good, damaged and cut, each before a good one."""
+        """Yield frames with SOS of every length, good, damaged and cut, each before a good one and
+        behind what leaves the receiver in another state.
+        """
         for length in lengths():
             whole = encode(Frame(c.SOS, length * 7 % 256, opcode, payload_of(length, length)))
             wrong = whole[-1] ^ (0x01 if whole[-1] ^ 0x01 not in c.STUFFED else 0x04)
+            first, seq = damaged(opcode, length)
+            begun = encode(Frame(c.SOF, seq, opcode, b"x"))[:-1]  # whose checksum is due
+            before, due = (
+                (b"", []),
+                (bytes((c.SOF,)), []),
+                (begun, [refusal(seq, c.ERR_FRAMING)]),
+                (first, [refusal(seq, c.ERR_CHECKSUM)]),
+            )[length % 4]
             for frame in (
                 whole,
                 (whole[: -1 - length % 2], whole[:-1] + bytes((wrong,)))[length % 2],
             ):
                 request = peer.probe()
-                yield frame + request.wire, [request.expected]
+                yield before + frame + request.wire, [*due, request.expected]
 
 
 class Garbage(Case):

@@ -32,11 +32,17 @@ class Pieces(Case):
     ID = "frame.pieces"
     EXPECTATION = "The same replies as for the whole, wherever it was cut."
     REQUIREMENTS = (
+        "J2A-SEQ-001",
+        "J2A-DISP-001",
+        "J2A-FRAME-004",
         "J2A-FRAME-005",
         "J2A-FRAME-006",
         "J2A-FRAME-007",
+        "J2A-FRAME-008",
         "J2A-FRAME-009",
+        "J2A-FRAME-010",
         "J2A-STUFF-001",
+        "J2A-STUFF-002",
         "J2A-STUFF-003",
         "J2A-STUFF-004",
         "J2A-STUFF-005",
@@ -45,6 +51,8 @@ class Pieces(Case):
         "J2A-ERR-002",
         "J2A-ERR-003",
         "J2A-ERR-004",
+        "J2A-ERR-005",
+        "J2A-ERR-009",
         "J2A-ECHO-001",
     )
     LEVEL = "frame"

@@ -17,7 +17,7 @@ class Every(Case):
 
     ID = "seq.every-value"
     EXPECTATION = "Each reply carries the seq of its request."
-    REQUIREMENTS = ("J2A-SEQ-001", "J2A-SEQ-008", "J2A-STUFF-005")
+    REQUIREMENTS = ("J2A-SEQ-001", "J2A-SEQ-008", "J2A-DISP-001", "J2A-STUFF-005")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:

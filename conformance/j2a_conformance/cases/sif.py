@@ -128,6 +128,7 @@ class EveryLength(Case):
         "J2A-FRAME-001",
         "J2A-FRAME-003",
         "J2A-FRAME-004",
+        "J2A-FRAME-010",
         "J2A-STUFF-001",
         "J2A-STUFF-002",
         "J2A-SUM-001",

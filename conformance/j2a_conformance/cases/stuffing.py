@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import Frame, checksum, encode
+from j2a_spec.oracle import Frame, checksum, encode, stuff
 
 from j2a_conformance._case import Case
 from j2a_conformance._dimensions import SPECIAL, damaged, misread, payload_of, spread
@@ -24,15 +24,25 @@ def escaped(value: int) -> bytes:
 
 
 class Replies(Case):
-    """Echoes each byte value alone, and compares the reply on the wire with the oracle."""
+    """Echoes each byte value alone, and again directly behind a request with a wrong checksum;
+    compares the replies on the wire with the oracle.
+    """
 
     ID = "stuff.replies"
     EXPECTATION = "SOF, SOS and ESC come as ESC and the value minus one, every other value plain."
-    REQUIREMENTS = ("J2A-STUFF-001", "J2A-STUFF-002")
+    REQUIREMENTS = ("J2A-STUFF-001", "J2A-STUFF-002", "J2A-STUFF-005")
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
         peer.ask_all(peer.echo(bytes((value, 0x41, value))) for value in range(256))
+        peer.play_all(self._behind_errors(peer))
+
+    @staticmethod
+    def _behind_errors(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        for value in range(256):
+            request = peer.echo(bytes((value, 0x41, value)))
+            first, wrong = damaged(peer.opcode(c.GET_ECHO), value)
+            yield first + request.wire, [refusal(wrong, c.ERR_CHECKSUM), request.expected]
 
 
 class Fields(Case):
@@ -110,6 +120,11 @@ class Needless(Case):
         for field in (0, 2):  # as ESC ESC
             self._exchange(peer, opcode, b"x" * min(c.ESC + 1, peer.longest), c.ESC + 1, {field})
         self._exchange(peer, opcode, b"x", peer.seq(), {0, 1, 2, 3, 4})
+        if c.ESC + 1 in peer.out_of_range():
+            seq = peer.seq()
+            rest = stuff(bytes((0, checksum(seq, c.ESC + 1, b""))))
+            wire = bytes((c.SOF,)) + stuff(bytes((seq,))) + bytes((c.ESC, c.ESC)) + rest
+            peer.play(wire, refusal(seq, c.ERR_OPCODE))
         peer.play_all(self._few(peer, opcode, values))
 
     @classmethod
@@ -125,7 +140,11 @@ class Needless(Case):
                     value = values[(length * 3 + count * 67 + n) % len(values)]
                     payload[place - 3] = value if count else c.ESC + 1
                 wire, due = cls._escaped(opcode, bytes(payload), peer.seq(), places)
-                yield wire, [due]
+                if length % 5 == count:
+                    first, wrong = damaged(opcode, length)
+                    yield first + wire, [refusal(wrong, c.ERR_CHECKSUM), due]
+                else:
+                    yield wire, [due]
 
     @classmethod
     def _exchange(cls, peer: Peer, opcode: int, payload: bytes, seq: int, places: set[int]) -> None:

@@ -117,7 +117,9 @@ def long_frames(peer: Peer) -> list[Request]:
 
 
 class LongFrames(Case):
-    """Pauses for 8.5 ms at many places in long requests."""
+    """Pauses for 8.5 ms at many places in long requests, and twice for 5.5 ms in requests of many
+    lengths.
+    """
 
     ID = "timing.pause-in-long-frame"
     EXPECTATION = "Each request is answered as if there was no pause."
@@ -129,8 +131,16 @@ class LongFrames(Case):
             inform("a lossy link seldom carries a long frame whole")
         for n, request in enumerate(long_frames(peer)):
             wire = request.wire
-            for cut in spread(len(wire) - 1, 97, 1)[n % 3 :: 5]:
+            ends = {len(wire) - 2, len(wire) - 1}
+            for cut in sorted({*spread(len(wire) - 1, 97, 1)[n % 3 :: 5], *ends}):
                 accepts(peer, [wire[:cut], wire[cut:]], 0.0085, request.expected)
+        for length in spread(peer.longest, step=9):
+            request = peer.echo(payload_of(length, length))
+            wire = request.wire
+            first = 2 + length * 7 % (len(wire) - 3)
+            second = first + 1 + length * 3 % (len(wire) - first - 1)
+            parts = [wire[:first], wire[first:second], wire[second:]]
+            accepts(peer, parts, 0.0055, request.expected)
 
 
 class Trickle(Case):
@@ -224,7 +234,7 @@ class GivesUpLong(Case):
                 part, rest = wire[:cut], wire[cut:] if k % 3 == 0 else b""
                 peer.attempts(lambda a=part, b=rest, r=request: self._cut(peer, a, b, r.seq))  # type: ignore[misc]
         for length in spread(step=61) if peer.link.lossy else lengths():
-            seq, data = (length + 0x80) % 256, payload_of(length, length)
+            seq, data = (length + 0x85) % 256, payload_of(length, length)
             wire = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), data))
             cut = len(wire) - 1 - length * 11 % (len(wire) - 4)
             peer.attempts(lambda w=wire, n=cut, s=seq: self._stopped(peer, w[:n], w[n:], s))  # type: ignore[misc]
@@ -237,7 +247,11 @@ class GivesUpLong(Case):
 
     @staticmethod
     def _stopped(peer: Peer, part: bytes, rest: bytes, seq: int) -> None:
-        peer.play(part, Expected(seq, c.ERR_TIMEOUT))
+        if seq % 4 == 0:  # in two pieces
+            send_paused(peer, [part[: len(part) // 2], part[len(part) // 2 :]], 0.001)
+            peer.expect(Expected(seq, c.ERR_TIMEOUT))
+        else:
+            peer.play(part, Expected(seq, c.ERR_TIMEOUT))
         peer.play(rest, alone=True)
 
     @staticmethod
