@@ -282,11 +282,8 @@ class Echo(_Smoke):
             peer.longest = _agreed(peer, lambda: _room(peer))
             peer.link.note(f"the device takes payloads of up to {peer.longest} bytes")
             return
-        try:
-            data = _agreed(peer, lambda: peer.read_all(c.GET_PROPERTIES))
-        except Judged as judged:
-            peer.link.note(f"the properties cannot be read: {judged.reason}")
-            peer.resync()
+        data = self._properties(peer)
+        if data is None:
             return
         texts = [text.decode("utf-8", "replace") for text in data.split(b"\0")[:-1]]
         properties = dict(zip(texts[::2], texts[1::2], strict=False))
@@ -294,6 +291,25 @@ class Echo(_Smoke):
         room = properties.get(c.PROP_ROOM, "")
         if room.isascii() and room.isdigit() and c.MIN_ROOM <= int(room) <= c.MAX_PAYLOAD:
             peer.longest = int(room)
+
+    @staticmethod
+    def _properties(peer: Peer) -> bytes | None:
+        """Return what the device holds; None where it fails twice, for which it has a case of its
+        own. What fails only once is no matter of the properties.
+        """
+        first: Judged | None = None
+        for _ in range(2):
+            try:
+                data = _agreed(peer, lambda: peer.read_all(c.GET_PROPERTIES))
+            except Judged as judged:
+                peer.link.note(f"the properties cannot be read: {judged.reason}")
+                peer.resync()
+                first = first or judged
+                continue
+            if first is not None and not first.suspect and not peer.link.lossy:
+                raise first
+            return data
+        return None
 
 
 def _room(peer: Peer) -> int:

@@ -103,7 +103,7 @@ class AtIndex(Case):
 
     ID = "dispatch.at-index"
     EXPECTATION = "Each behaves as its name says."
-    REQUIREMENTS = ("J2A-DISP-002", "J2A-DISP-003", "J2A-MAP-001")
+    REQUIREMENTS = ("J2A-SEQ-001", "J2A-DISP-002", "J2A-DISP-003", "J2A-MAP-001")
     LEVEL = "core"
 
     def _run(self, peer: Peer) -> None:
@@ -150,17 +150,17 @@ class ReturnValues(Case):
 
 
 class ReservedValues(Case):
-    """Has a function return each value from 0xF0 to 0xFF."""
+    """Has a function return each value from 0xFF down to 0xF0."""
 
     ID = "dispatch.reserved-values"
     EXPECTATION = "0xFF in each reply, so that no function can imitate an error of the protocol."
-    REQUIREMENTS = ("J2A-DISP-004", "J2A-ERR-011")
+    REQUIREMENTS = ("J2A-SEQ-001", "J2A-FRAME-002", "J2A-DISP-004", "J2A-ERR-011")
     LEVEL = "core"
     NEEDS = ("ret",)
 
     def _run(self, peer: Peer) -> None:
         opcode = peer.opcode("ret")
-        for value in range(c.RET_MAX + 1, 256):
+        for value in range(c.RET_FAILED, c.RET_MAX, -1):
             peer.ask(peer.request(opcode, bytes((value,)), c.RET_FAILED, b""))
         peer.ask(peer.request(opcode, b"", c.RET_FAILED, b""))
 

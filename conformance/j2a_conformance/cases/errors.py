@@ -32,12 +32,12 @@ class OutOfRange(Case):
 
     def _run(self, peer: Peer) -> None:
         free = peer.out_of_range()
-        peer.ask_all(
+        frames = peer.ask_all(
             peer.request(opcode, payload, c.ERR_OPCODE)
             for opcode in free
             for payload in (b"", b"payload")
         )
-        frames = peer.ask_all(
+        frames += peer.ask_all(
             peer.request(free[length * 37 % len(free)], payload_of(length, length), c.ERR_OPCODE)
             for length in (lengths() if free else ())
         )
