@@ -150,7 +150,7 @@ class ReturnValues(Case):
 
 
 class ReservedValues(Case):
-    """Has a function return each value from 0xFF down to 0xF0."""
+    """Has a function return each value from 0xFE down to 0xF0, and 0xFF."""
 
     ID = "dispatch.reserved-values"
     EXPECTATION = "0xFF in each reply, so that no function can imitate an error of the protocol."
@@ -160,7 +160,7 @@ class ReservedValues(Case):
 
     def _run(self, peer: Peer) -> None:
         opcode = peer.opcode("ret")
-        for value in range(c.RET_FAILED, c.RET_MAX, -1):
+        for value in (*range(c.RET_FAILED - 1, c.RET_MAX, -1), c.RET_FAILED):
             peer.ask(peer.request(opcode, bytes((value,)), c.RET_FAILED, b""))
         peer.ask(peer.request(opcode, b"", c.RET_FAILED, b""))
 

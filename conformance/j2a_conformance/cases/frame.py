@@ -11,6 +11,8 @@ from j2a_conformance._case import Case
 from j2a_conformance._dimensions import damaged, lengths, misread, payload_of, places, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
+from .sums import broken
+
 PATTERNS = (0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C)
 MARKED = bytes((0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C, 0x13, 0xEE, 0x7E, 0x00, 0xFF))
 CLEAN = bytes(b for b in range(256) if b not in c.MARKERS)
@@ -114,7 +116,8 @@ class Largest(Case):
 
 class Noise(Case):
     """Sends bytes outside frames: each value but the start bytes alone and many times, all of them
-    in a row, 1 to 255 bytes, a lonely ESC, and a frame without its start byte.
+    in a row, 1 to 255 bytes, a lonely ESC, and a frame without its start byte; some of them again
+    after an error.
     """
 
     ID = "frame.noise"
@@ -131,6 +134,10 @@ class Noise(Case):
             request = peer.probe()
             peer.play(stream + request.wire, request.expected)
         peer.play_all(self._before(peer))
+        for stream in streams[::29]:
+            broken(peer, c.GET_ECHO, b"before")
+            request = peer.probe()
+            peer.play(stream + request.wire, request.expected)
         for stream in (b"\x11" * 600, bytes(random.Random(1).choices(CLEAN, k=1500))):
             peer.play(stream, alone=True)
 
@@ -170,7 +177,8 @@ class NoiseBehind(Case):
 
 class Interrupted(Case):
     """Cuts a frame with plain and stuffed bytes in every field after each of its bytes, and sends
-    a good frame directly behind the cut; also cuts it by SOS.
+    a good frame directly behind the cut; also cuts it by SOS; some of it after an error. Cuts
+    frames with each seq.
     """
 
     ID = "frame.interrupted"
@@ -195,10 +203,20 @@ class Interrupted(Case):
         ]
         for frame in whole:
             for cut in range(1, len(frame)):
-                for between in (b"", bytes((c.SOS,)), bytes((c.SOS, 0x20, 0x7D))):
+                for n, between in enumerate((b"", bytes((c.SOS,)), bytes((c.SOS, 0x20, 0x7D)))):
+                    if cut % 3 == n:
+                        broken(peer, c.GET_ECHO, b"before")
                     request = peer.probe()
                     stream = frame[:cut] + between + request.wire
                     peer.play(stream, *answers(stream[: -len(request.wire) + 1]), request.expected)
+        peer.play_all(self._of_every_seq(peer))
+
+    @staticmethod
+    def _of_every_seq(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
+        for seq in range(256):
+            wire, request = peer.echo(b"cut", seq).wire, peer.probe()
+            stream = wire[: len(wire) - 1 - seq % 3] + request.wire
+            yield stream, [refusal(seq, c.ERR_FRAMING), request.expected]
 
 
 class InterruptedAnywhere(Case):

@@ -4,7 +4,7 @@ import random
 from collections.abc import Iterator
 
 from j2a_spec import constants as c
-from j2a_spec.oracle import FrameError, checksum, decode, stuff
+from j2a_spec.oracle import Frame, FrameError, checksum, decode, encode, stuff
 
 from j2a_conformance._case import Case
 from j2a_conformance._dimensions import SPECIAL, misread, payload_of, pieces, places, spread
@@ -133,7 +133,14 @@ class Pieces(Case):
             sum_ = checksum(request.seq, opcode, payload_of(length, n))
             needless += escaped(sum_) if escapable(sum_) else stuff(bytes((sum_,)))
             whole = [(needless, [request.expected]), (wire, [request.expected])][n % 2]
-            for broken in (begun, sos + begun[1:], begun + b"\xff", sos + wire[1:-1]):
+            foreign = encode(Frame(c.SOS, request.seq, opcode, payload_of(length % 40, n)))
+            for broken in (
+                begun,
+                sos + begun[1:],
+                begun + b"\xff",
+                sos + wire[1:-1],
+                cut + foreign,
+            ):
                 good = peer.probe()  # in one exchange, for it is what interrupts the broken one
                 yield broken + good.wire, [*answers(broken + sos), good.expected]
             yield whole

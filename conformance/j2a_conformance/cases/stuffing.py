@@ -9,6 +9,8 @@ from j2a_conformance._case import Case
 from j2a_conformance._dimensions import SPECIAL, damaged, misread, payload_of, spread
 from j2a_conformance._peer import Expected, Peer, refusal
 
+from .sums import broken
+
 STUFFED = sorted(c.STUFFED)
 _PAYLOAD = b"twelve bytes"  # none of which is stuffed
 
@@ -164,7 +166,7 @@ class Needless(Case):
 
 class EscapeFf(Case):
     """Puts ESC 0xFF into each place of a frame, waits for the answer before the rest of the frame
-    is sent, and then sends the rest.
+    is sent, and then sends the rest; for every other place after an error.
     """
 
     ID = "stuff.escape-ff"
@@ -180,6 +182,8 @@ class EscapeFf(Case):
 
     @staticmethod
     def _at(peer: Peer, place: int) -> None:
+        if place % 2:
+            broken(peer, c.GET_ECHO, b"before")
         request = peer.echo(_PAYLOAD, 0x20 + place)
         frame = request.wire
         due = [refusal(request.seq, c.ERR_FRAMING)] if place > 1 else []

@@ -40,8 +40,7 @@ def accepts(
     peer: Peer,
     pieces: list[bytes],
     pause_s: float,
-    due: Expected,
-    *,
+    *due: Expected,
     enough: int = 2,
     tries: int = _TRIES,
 ) -> None:
@@ -54,7 +53,7 @@ def accepts(
     for _ in range(tries):
         longest_s = send_paused(peer, pieces, pause_s)
         try:
-            peer.expect(due)
+            peer.expect(*due)
         except Judged as judged:
             refused += longest_s <= _ACCEPTED_S
             peer.link.note(f"refused, the longest pause was {longest_s * 1e3:.2f} ms")
@@ -118,7 +117,7 @@ def long_frames(peer: Peer) -> list[Request]:
 
 class LongFrames(Case):
     """Pauses for 8.5 ms at many places in long requests, and twice for 5.5 ms in requests of many
-    lengths.
+    lengths, of which some begin in one piece with the one before.
     """
 
     ID = "timing.pause-in-long-frame"
@@ -139,6 +138,11 @@ class LongFrames(Case):
             wire = request.wire
             first = 2 + length * 7 % (len(wire) - 3)
             second = first + 1 + length * 3 % (len(wire) - first - 1)
+            good = peer.probe()
+            if length % 3 == 0 and len(good.wire + wire) <= peer.room(512):
+                due = [good.expected, request.expected]
+                accepts(peer, [good.wire + wire[:first], wire[first:]], 0.0055, *due)
+                continue
             parts = [wire[:first], wire[first:second], wire[second:]]
             accepts(peer, parts, 0.0055, request.expected)
 
@@ -214,7 +218,8 @@ class GivesUp(Case):
 
 class GivesUpLong(Case):
     """Sends the beginning of long requests, up to many of their bytes, and no more; after some of
-    them the rest. Does the same with a request of every length, with every seq.
+    them the rest. Does the same with a request of every length, with every seq, in one piece, in
+    two, and in one piece with the request before.
     """
 
     ID = "timing.gives-up-long"
@@ -247,11 +252,14 @@ class GivesUpLong(Case):
 
     @staticmethod
     def _stopped(peer: Peer, part: bytes, rest: bytes, seq: int) -> None:
-        if seq % 4 == 0:  # in two pieces
+        due, good = Expected(seq, c.ERR_TIMEOUT), peer.probe()
+        if seq % 4 == 0:
             send_paused(peer, [part[: len(part) // 2], part[len(part) // 2 :]], 0.001)
-            peer.expect(Expected(seq, c.ERR_TIMEOUT))
+            peer.expect(due)
+        elif seq % 4 == 1 and len(good.wire + part) <= peer.room(512):
+            peer.play(good.wire + part, good.expected, due)
         else:
-            peer.play(part, Expected(seq, c.ERR_TIMEOUT))
+            peer.play(part, due)
         peer.play(rest, alone=True)
 
     @staticmethod
