@@ -60,23 +60,17 @@ class Splitter:
         self.tail = b""
         found = []
         for index, piece in enumerate(pieces):
-            event = decode(piece)[0]
+            event, *behind = decode(piece)
             if isinstance(event, Incomplete):
                 if index == len(pieces) - 1:
                     self.tail = piece
                     break
                 event = FrameError("marker", event.start, event.seq)
-            size = _size(piece, event)
+            size = len(piece) - sum(e.count for e in behind if isinstance(e, Skipped))
             found.append(Arrival(piece[:size], event, now_s))
             if rest := piece[size:]:
                 found.append(Arrival(rest, Skipped(len(rest)), now_s))
         return found
-
-
-def _size(piece: bytes, event: Event) -> int:
-    """Return how many bytes of `piece` belong to its first event."""
-    skipped = sum(e.count for e in decode(piece)[1:] if isinstance(e, Skipped))
-    return len(piece) if isinstance(event, Skipped) else len(piece) - skipped
 
 
 class Link:
