@@ -166,10 +166,12 @@ def interrupted(start: int, seq: int, lengths: Iterable[int] = LENGTHS) -> Itera
     """Yield frames with a raw start byte in a field, or between two; see `wrong_sums`.
 
     Each is whole for a host that takes the start byte for a value, leaves it out, or takes it as
-    escaped where ESC stands before it.
+    escaped where ESC stands before it, or ESC and it for the start byte.
     """
-    markers = [(m, bytes((m,))) for m in sorted(c.MARKERS)]
-    kinds = [kind for m, raw in markers for kind in ((raw, m), (raw, None), (b"\x7d" + raw, m + 1))]
+    kinds: list[tuple[bytes, int | None]] = []
+    for value in sorted(c.MARKERS):
+        raw, pair = bytes((value,)), bytes((c.ESC, value))
+        kinds += [(raw, value), (raw, None), (pair, value + 1), (pair, value)]
     return _everywhere(start, seq, lengths, tuple(kinds))
 
 
@@ -179,8 +181,10 @@ def _everywhere(
     first = 0 if start == c.SOS else 1  # another seq is no reply in any case
     for length in lengths:
         rng = random.Random(len(kinds) + length)
+        payload = range(c.HEADER, length + c.HEADER)
         for index in places(length, rng, first):
-            some = kinds if length < 30 or length > 250 else rng.sample(kinds, 2)
+            is_thorough = length < 30 or length > 250 or index in payload
+            some = kinds if is_thorough else rng.sample(kinds, 2)
             fields = _fields(start, seq, length + index)
             whole = Frame(start, *fields, content(length, index % 5))
             misread = (_misread(whole, index, *kind) for kind in some)

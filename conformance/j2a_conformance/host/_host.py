@@ -351,6 +351,10 @@ class Host:
             fail(
                 f"{_MOST_TOLD} requests about the device came, and there is no end (J2A-LIMIT-008)"
             )
+        is_many = c.MANY in self.device.names and request.opcode == self.device.opcode(c.MANY)
+        if is_many and request.payload[1:2] not in (b"\x00", bytes((c.FLAG_LAST,))):
+            flags = request.payload[1:2].hex()
+            fail(f"the host reads the properties with the flags {flags} (J2A-MANY-009)")
         if self.slow_s:
             self.link.wait_until(self.link.now_s() + self.slow_s)
         self.reply(request, *self.device.answer(request.opcode, request.payload))

@@ -29,6 +29,7 @@ class Start(HostCase):
         "J2A-SUM-001",
         "J2A-SUM-002",
         "J2A-SEQ-003",
+        "J2A-MANY-009",
     )
     LEVEL = "frame"
 

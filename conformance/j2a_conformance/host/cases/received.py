@@ -30,7 +30,7 @@ def largest(seq: int, code: int) -> bytes:
 
 class Sizes(HostCase):
     """Answers with payloads of every size from 0 to 255 bytes; two of three replies have a checksum
-    that is escaped.
+    that is escaped, and some come behind an error.
     """
 
     ID = "host.received.sizes"
@@ -40,7 +40,8 @@ class Sizes(HostCase):
 
     def _run(self, host: Host) -> None:
         for size in LENGTHS:
-            request, payload = host.asked(), content(size)
+            request = behind_an_error(host) if size % 32 == 9 else host.asked()
+            payload = content(size)
             if size % 3 and size:
                 wanted = (c.SOF, c.SOS, c.ESC)[size // 3 % 3]
                 payload = with_sum(request.seq, size % 0xF0, payload, wanted)

@@ -8,6 +8,8 @@ from j2a_spec.oracle import Frame, decode
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._host import Host
 
+from .received import behind_an_error
+
 _BOOT = b"\r\nboot v1.0 (7) \xf0\x00\xff\xff\x7d ready\r\n"
 
 
@@ -22,8 +24,8 @@ def noise(rng: random.Random, size: int, markers: bool) -> bytes:
 
 
 class Noise(HostCase):
-    """Sends bytes that start no frame, each one as the last, before a reply and behind it, with the
-    reply in one piece.
+    """Sends 1 to 256 bytes that start no frame, each value as the last of them, before a reply and
+    behind it, in one piece; some after an error.
     """
 
     ID = "host.recovery.noise"
@@ -33,13 +35,14 @@ class Noise(HostCase):
 
     def _run(self, host: Host) -> None:
         rng = random.Random(6)
-        ends = [bytes((last,)) for last in range(256) if last not in c.MARKERS]
-        for number, (before, behind) in enumerate(zip(ends[::2], ends[1::2], strict=True)):
-            junk = noise(rng, number % 70 or 300, markers=False)
-            request = host.asked()
-            host.send(junk + before + request.reply(number, b"reply") + junk + behind)
+        clean = bytes(value for value in range(256) if value not in c.MARKERS)
+        for number in range(256):
+            junk = bytes(rng.choices(clean, k=number)) + clean[number * 37 % len(clean) :][:1]
+            request = host.asked() if number % 32 else behind_an_error(host)
+            code = number % (c.RET_MAX + 1)
+            host.send(junk + request.reply(code, b"reply") + junk[number // 2 :])
             host.replied(request)
-            host.replied_with(number, b"reply")
+            host.replied_with(code, b"reply")
 
 
 class NoiseAtRest(HostCase):

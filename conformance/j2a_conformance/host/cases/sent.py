@@ -10,6 +10,7 @@ from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._dimensions import LENGTHS, content
 from j2a_conformance.host._host import CONDUCTOR, Host
 
+_STUFFED = sorted(c.STUFFED)
 _SENDER = (
     "J2A-FRAME-001",
     "J2A-FRAME-002",
@@ -22,16 +23,29 @@ _SENDER = (
 )
 
 
-def echo(host: Host, data: str, payload: bytes) -> None:
-    """Have the host call `ping` with `data` as a job spells it, and answer with the same."""
-    host.job(f"call @6 {data} {host.limit_ms}")
+def echo(host: Host, data: str, payload: bytes, number: int = 0) -> None:
+    """Have the host call `ping` with `data` as a job spells it, and answer with the same.
+
+    Some calls, which `number` chooses, go out after an error reply, or after a job in two pieces.
+    """
+    call = f"call @6 {data} {host.limit_ms}"
+    if number % 8 == 3:
+        host.job(f"repeat 2 {call}")
+        host.reply(host.request(6, payload), c.ERR_CHECKSUM, b"\x04\x00")
+    elif number % 8 == 5:
+        wire = host.job_frame(call)
+        host.piecemeal([wire[: number % 11 + 1], wire[number % 11 + 1 :]])
+    else:
+        host.job(call)
     request = host.request(6, payload)
     host.reply(request, c.RET_OK, payload)
     host.replied_with(0, payload)
 
 
 class Sizes(HostCase):
-    """Has the host send payloads of every size from 0 to 255 bytes, and sends the same back."""
+    """Has the host send payloads of every size from 0 to 255 bytes, some after an error reply or
+    after a job in two pieces, and sends the same back.
+    """
 
     ID = "host.sent.sizes"
     EXPECTATION = "Each request is byte by byte that of the oracle, and each reply is handed over."
@@ -42,9 +56,10 @@ class Sizes(HostCase):
         for size in LENGTHS:
             # Jobs spell long data by repetition.
             length = next(n for n in range(min(size, 50), 0, -1) if size % n == 0) if size else 0
-            unit = content(length, size)
+            # One byte at least has to be escaped.
+            unit = (content(length, size) + bytes((_STUFFED[size % 3],)))[-length:]
             data = f"{size // length}*{unit.hex()}" if size else "-"
-            echo(host, data, unit * (size // length) if size else b"")
+            echo(host, data, unit * (size // length) if size else b"", size)
 
 
 class Values(HostCase):
