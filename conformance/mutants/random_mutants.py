@@ -45,12 +45,14 @@ _EQUIVALENT: Final = FOLDER / "random/equivalent.toml"
 _DEVICE: Final = ("_deframer", "_codec", "_server", "_functions", "device")
 _NOT_OF_HOSTS: Final = {"_server", "_functions", "device", "demo", "__main__", "__init__"}
 _ALL: Final = ("*",)
+_SANITIZERS: Final = "-fsanitize=address,undefined -fno-sanitize-recover=all"
 _OF_ROOM: Final = ("limits.*", "debug.*", "properties.*", "many.*")
 _BUILDS: Final[dict[str, dict[Variant, tuple[str, ...]]]] = {
     "core": {
         Variant("core", "posix", "demo"): _ALL,
         Variant("core", "posix", "demo", "-DJ2A_ROOM=119"): _OF_ROOM,
         Variant("core", "posix", "demo", "-DJ2A_WITH_SELFTEST=1"): ("properties.*",),
+        Variant("core", "posix", "demo", "-DJ2A_ROOM=119 -DDEMO_ABOUT", cflags=_SANITIZERS): _ALL,
     },
     "device": {Variant("device"): _ALL, Variant("device", options="room=119"): _OF_ROOM},
     "library": {Variant("host", program="client"): _ALL, Variant("host", program="aio"): _ALL},

@@ -55,6 +55,7 @@ class Variant:
     app: str = ""
     options: str = ""
     program: str = ""
+    cflags: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +285,7 @@ def prepare(hows: Iterable[Variant]) -> None:
 
 def _built(how: Variant) -> Path:
     """Return the folder of the objects of a variant."""
-    name = f"{how.port} {how.app} {how.options}".strip()
+    name = f"{how.port} {how.app} {how.options} {how.cflags}".strip()
     return ROOT / "build/mutants" / re.sub(r"[^\w=-]+", "_", name)
 
 
@@ -321,7 +322,8 @@ def _make(how: Variant, source: Path, out: Path) -> None:
     env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     settings = [f"PORT={how.port}", f"APP={how.app}", f"OPTIONS={how.options}", f"OUT={out}"]
     if how.port == "posix":
-        settings.append("CFLAGS=-O0 -w")  # is built fastest; a mutant may leave a variable unused
+        # It is built fastest so; a mutant may leave a variable unused.
+        settings.append(f"CFLAGS=-O0 -w {how.cflags}")
     done = subprocess.run(
         ["make", "-s", "-C", source, *settings],
         env=env,
