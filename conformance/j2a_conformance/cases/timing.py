@@ -141,10 +141,10 @@ class LongFrames(Case):
             good = peer.probe()
             if length % 3 == 0 and len(good.wire + wire) <= peer.room(512):
                 due = [good.expected, request.expected]
-                accepts(peer, [good.wire + wire[:first], wire[first:]], 0.0055, *due)
+                accepts(peer, [good.wire + wire[:first], wire[first:]], 0.0055, *due, enough=1)
                 continue
             parts = [wire[:first], wire[first:second], wire[second:]]
-            accepts(peer, parts, 0.0055, request.expected)
+            accepts(peer, parts, 0.0055, request.expected, enough=1)
 
 
 class Trickle(Case):
