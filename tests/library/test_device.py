@@ -306,8 +306,10 @@ def test_a_host_that_was_silent_for_long_makes_room():
 
 @pytest.mark.parametrize("limits", [{"max_hosts": 0}, {"max_hosts": "2"}, {"idle_s": -1}])
 def test_limits_that_cannot_be(limits):
-    with j2a_transports.listen("loopback:limits") as listener, pytest.raises(j2a.LocalError):
-        j2a.Device().serve_forever(listener, **limits)
+    with j2a_transports.listen("loopback:limits") as listener:
+        listener.close()  # so that this ends where the limits are taken
+        with pytest.raises(j2a.LocalError, match=next(iter(limits))):
+            j2a.Device().serve_forever(listener, **limits)
 
 
 def test_the_number_of_hosts_fits_the_limit_of_files(monkeypatch):

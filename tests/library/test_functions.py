@@ -89,12 +89,13 @@ class TestRegistration:
             device.function("a2jEcho")(lambda payload: payload)
 
     def test_the_map_may_fill_255_bytes_and_no_more(self):
-        device = j2a.Device()
         used = sum(len(name) + 1 for name in BUILTINS)
-        device.function("x" * (255 - used - 1))(lambda payload: payload)
-        with pytest.raises(j2a.RegistrationError, match="255"):
-            device.function("y")(lambda payload: payload)
-        assert len(device.functions) == len(BUILTINS) + 1
+        for filled in (255, 254):
+            device = j2a.Device()
+            device.function("x" * (filled - used - 1))(lambda payload: payload)
+            with pytest.raises(j2a.RegistrationError, match=f"{filled + 2} of 255"):
+                device.function("y")(lambda payload: payload)
+            assert len(device.functions) == len(BUILTINS) + 1
 
     def test_decorators_take_the_functions_own_name_or_another(self):
         device = j2a.Device()
@@ -230,6 +231,18 @@ class TestResults:
         assert table.execute(6, b"") == FAILED
         assert table.execute(1, many(7)) == (0, many(0xFF))
         assert [str(record.exc_info[1]) for record in caplog.records] == ["broken on purpose"] * 2
+
+    @pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])
+    def test_what_ends_a_program_ends_it(self, table, end):
+        def ends(_):
+            raise end
+
+        table.add_call("call", ends)
+        table.add_many("many", ends)
+        with pytest.raises(end):
+            table.execute(table.names.index("call"), b"")
+        with pytest.raises(end):
+            table.execute(1, many(table.names.index("many")))
 
     def test_a_request_reaches_a_many_function_as_it_is(self, table):
         seen = []
