@@ -143,6 +143,29 @@ def test_byte_timeouts_that_cannot_be(limit_s):
         j2a.Device(byte_timeout_s=limit_s)
 
 
+@pytest.mark.parametrize("limit_s", [0.009, 0.01, 0.02])
+def test_byte_timeouts_that_can_be(limit_s):
+    j2a.Device(byte_timeout_s=limit_s)
+
+
+def test_a_device_that_waits_for_hosts_lets_others_work():
+    class Listener:
+        url = "test:"
+        waits = ()
+
+        def accept(self, timeout_s):
+            self.waits += (timeout_s,)
+            if len(self.waits) == 3:
+                raise j2a_transports.LinkClosed(f"{self.url} is closed")
+
+        def close(self):
+            pass
+
+    listener = Listener()
+    j2a.Device().serve_forever(listener)
+    assert all(0.1 <= wait_s <= 10 for wait_s in listener.waits)
+
+
 def test_a_sif_without_a_host_goes_nowhere_and_says_so():
     assert DemoDevice().send_sif(1, b"x") == 0
 

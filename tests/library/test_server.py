@@ -129,6 +129,7 @@ def test_lost_bytes_end_the_open_frame():
     device = DeviceInVirtualTime()
     device.receive(bytes((SOF, 9, 1)))
     device.server.handle_loss()
+    assert device.server.next_timeout() is None
     device.work()
     assert device.sent == [oracle.Frame(SOF, 9, ERR_FRAMING, SITE_LOST.to_bytes(2, "little"))]
     device.server.handle_loss()
@@ -147,9 +148,12 @@ def test_broken_sifs_are_nobodys_business():
 
 def test_sifs_count_from_0_and_wrap():
     device = DeviceInVirtualTime()
+    assert device.server.waiting == 0
     for _ in range(257):
         device.server.send_sif(0xED, b"\x12")
+    assert device.server.waiting == 257 * 8 + 3 + 3  # three seqs and three checksums are escaped
     device.work()
+    assert device.server.waiting == 0
     assert {(frame.start, frame.opcode, frame.payload) for frame in device.sent} == {
         (SOS, 0xED, b"\x12")
     }
