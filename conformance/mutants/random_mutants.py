@@ -15,6 +15,7 @@ import hashlib
 import json
 import marshal
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -40,6 +41,7 @@ __all__ = ["main"]
 _JOBS: Final = 3
 _GOAL: Final = 0.98
 _TESTS_S: Final = 180.0
+_FAILED: Final = re.compile(r"^(tests/\S.*?) (?:FAILED|ERROR)", re.MULTILINE)
 _KILLERS: Final = ROOT / "build/mutants/killers.json"
 _EQUIVALENT: Final = FOLDER / "random/equivalent.toml"
 _DEVICE: Final = ("_deframer", "_codec", "_server", "_functions", "device")
@@ -261,29 +263,25 @@ def _own_tests(target: str, mutant: Mutant) -> str:
             "-m",
             "pytest",
             "-x",
-            "-q",
+            "-v",
             "-n0",
             "-p",
             "no:cacheprovider",
         ]
         try:
-            done = subprocess.run(
+            said = subprocess.run(
                 [*command, "--tb=no", f"--rootdir={folder}", *files],
                 cwd=folder,
                 env=os.environ | {"PYTHONPATH": name},
-                capture_output=True,
-                text=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
                 timeout=_TESTS_S,
                 check=False,
-            )
-        except subprocess.TimeoutExpired:
-            return ""
-        failed = [
-            line.partition(" - ")[0]
-            for line in done.stdout.splitlines()
-            if line.startswith(("FAILED tests", "ERROR tests"))
-        ]
-        return f"tests: {failed[0]}" if failed else ""
+            ).stdout
+        except subprocess.TimeoutExpired as error:
+            said = error.stdout or b""  # a test may have failed before one that does not end
+        failed = _FAILED.search(said.decode("utf-8", "replace"))
+        return f"tests: {failed[1]}" if failed else ""
 
 
 class _Run:
