@@ -68,6 +68,7 @@ _TESTS: Final = {
     "_functions": ("functions", "device", "server"),
     "device": ("device", "room"),
     "_session": ("session", "client", "room"),
+    "_connection": ("device", "server"),
     "_many": ("many", "room"),
     "_peer": ("many", "room", "client"),
     "aio": ("arguments", "aio", "limits"),

@@ -3,6 +3,7 @@ the writing thread, and in their order either way."""
 
 import signal
 import threading
+import time
 
 import j2a_transports
 import pytest
@@ -115,6 +116,21 @@ def test_what_the_link_takes_at_once_needs_no_other_thread(started):
         link.send(piece)
     assert transport.sent == b"".join(PIECES)
     assert transport.writers == {threading.current_thread()}
+
+
+def test_when_nothing_waits_any_more_the_link_is_tried_again(started):
+    transport = Narrow(0)
+    link = started(transport)
+    link.send(b"first")
+    transport.gate.set()
+    for _ in range(5000):
+        transport.room = 1000
+        link.send(b"next")
+        if threading.current_thread() in transport.writers:
+            break
+        time.sleep(0.001)
+    assert transport.sent.startswith(b"firstnext")
+    assert threading.current_thread() in transport.writers
 
 
 @pytest.mark.requirement("J2A-TIME-006")

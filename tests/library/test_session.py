@@ -277,7 +277,7 @@ class TestWindow:
         waiting = host.call(payload=b"waiting", timeout_s=1)
         assert host.wait(2) == [waiting]
         assert isinstance(waiting.error, j2a.CallTimeout)
-        assert "not sent" in str(waiting.error)
+        assert "was not sent, because earlier calls were not answered" in str(waiting.error)
         host.reply(0)
         assert len(host.sent) == 1
 
@@ -286,6 +286,7 @@ class TestWindow:
         first = host.call(timeout_s=1)
         second = host.call(timeout_s=5)
         assert host.wait(2) == [first, second]
+        assert "may have been executed, but no reply came" in str(first.error)
         assert not second.has_ended
         assert host.reply(1) == [second]
 
