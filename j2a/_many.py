@@ -15,7 +15,6 @@ from j2a_spec.constants import (
     ECHO_MANY,
     FLAG_LAST,
     FLAG_WRITE,
-    MANY_DATA,
     MANY_HEADER,
     RET_MAX,
     RET_OK,
@@ -179,7 +178,7 @@ def write_chunks(
     opcode: int,
     data: bytes,
     *,
-    chunk_size: int = MANY_DATA,
+    chunk_size: int,
     progress: Progress | None = None,
 ) -> Steps[int]:
     """Write all data in chunks; no data is one empty chunk (J2A-MANY-013, J2A-LIMIT-007).
@@ -211,7 +210,7 @@ def echo_chunks(
     opcode: int,
     data: bytes,
     *,
-    chunk_size: int = MANY_DATA,
+    chunk_size: int,
     progress: Progress | None = None,
 ) -> Steps[bytes]:
     """Send data through a2jEchoMany and check that each chunk comes back as it was (J2A-ECHO-002).
