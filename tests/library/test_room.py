@@ -133,6 +133,18 @@ class TestCalls:
         assert [request.opcode for request in requests[2:]] == [1, *[ECHO_OPCODE] * 3]
         assert client.room == 255
 
+    @pytest.mark.parametrize(("size", "asks"), [(26, []), (27, [1])])
+    def test_a_transfer_asks_for_it_only_when_it_matters(self, talk, size, asks):
+        client, requests = talk(DemoDevice())
+        client.do("write_many", "store", bytes(size))
+        assert [request.opcode for request in requests] == [0, *asks, 1]
+
+    def test_long_properties_are_read_once(self, talk):
+        client, requests = talk(DemoDevice({"long": "x" * 600}))
+        client.do("echo", bytes(33))
+        offsets = [r.payload[2:6] for r in requests if r.opcode == 1]
+        assert offsets == [n.to_bytes(4, "little") for n in (0, 249, 498)]
+
     @pytest.mark.parametrize("value", ["255", "300", "thirty", "-1"])
     def test_a_property_that_says_nothing_of_use(self, talk, value):
         client, _ = talk(DemoDevice({"j2a.room": value}))
