@@ -40,7 +40,8 @@ __all__ = ["main"]
 
 _JOBS: Final = 3
 _GOAL: Final = 0.98
-_TESTS_S: Final = 180.0
+_TESTS_S: Final = 300.0
+_TEST_S: Final = 100
 _FAILED: Final = re.compile(r"^(tests/\S.*?) (?:FAILED|ERROR)", re.MULTILINE)
 _KILLERS: Final = ROOT / "build/mutants/killers.json"
 _EQUIVALENT: Final = FOLDER / "random/equivalent.toml"
@@ -70,7 +71,7 @@ _TESTS: Final = {
     "_session": ("session", "stalls", "hints", "announced", "client", "room"),
     "_engine": ("client", "client_waiting", "sending", "close", "late", "threads", "outcomes"),
     "_connection": ("device", "server"),
-    "_many": ("many", "room"),
+    "_many": ("many", "room", "outcomes", "deadlines"),
     "_peer": ("many", "room", "client"),
     "aio": ("arguments", "aio", "limits"),
     "client": ("arguments", "client", "client_waiting", "limits"),
@@ -269,6 +270,7 @@ def _own_tests(target: str, mutant: Mutant) -> str:
             "-n0",
             "-p",
             "no:cacheprovider",
+            f"--timeout={_TEST_S}",
         ]
         try:
             said = subprocess.run(
