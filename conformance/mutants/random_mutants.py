@@ -81,7 +81,7 @@ _TESTS: Final = {
 }
 _OTHER_TESTS: Final = (
     *("client", "client_waiting", "aio", "many", "room", "session", "announced", "hints"),
-    *("late", "limits", "outcomes", "arguments"),
+    *("late", "limits", "outcomes", "arguments", "noise", "close"),
 )
 
 

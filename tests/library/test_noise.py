@@ -4,6 +4,8 @@ import pytest
 from j2a_spec.constants import MAX_PAYLOAD
 
 import j2a
+from j2a._session import Session
+from j2a._shell import take_stale_input
 from j2a.demo import DemoDevice
 from j2a.events import Reply
 
@@ -24,6 +26,24 @@ def test_the_echo_of_a_link_is_no_device():
     noise.call = lambda _what, opcode, payload, _limit_s: Reply(opcode, payload)
     with pytest.raises(j2a.ProtocolError, match="echo"):
         noise.connect()
+
+
+def test_a_flood_that_was_there_before_ends():
+    class Flood:
+        def __init__(self):
+            self.reads = 0
+
+        def read(self, timeout_s):
+            assert timeout_s == 0
+            self.reads += 1
+            if self.reads > 1000:
+                raise AssertionError("without end")
+            return bytes(4096)
+
+    flood, session = Flood(), Session(first_seq=0)
+    take_stale_input(flood, session)
+    assert 10 <= flood.reads <= 1000
+    assert session.counters.bytes_received == 4096 * flood.reads
 
 
 class TestDevices:
