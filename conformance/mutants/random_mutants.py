@@ -71,13 +71,13 @@ _TESTS: Final = {
     "_session": ("session", "stalls", "hints", "announced", "client", "room"),
     "_engine": ("client", "client_waiting", "sending", "close", "late", "threads", "outcomes"),
     "_connection": ("device", "server"),
-    "_many": ("many", "room", "outcomes", "deadlines"),
+    "_many": ("many", "room", "outcomes", "deadlines", "client"),
     "_peer": ("many", "room", "client"),
     "aio": ("arguments", "aio", "limits"),
     "client": ("arguments", "client", "client_waiting", "limits"),
     "_call": ("deadlines", "session", "late", "outcomes", "client"),
     "_async_engine": ("async_engine", "aio", "late", "stalls", "sending", "close"),
-    "_threads": ("threads", "client", "client_waiting", "sending", "close"),
+    "_threads": ("threads", "late", "client", "client_waiting", "sending", "close"),
 }
 _OTHER_TESTS: Final = (
     *("client", "client_waiting", "aio", "many", "room", "session", "announced", "hints"),

@@ -287,6 +287,7 @@ class TestWindow:
         second = host.call(timeout_s=5)
         assert host.wait(2) == [first, second]
         assert "may have been executed, but no reply came" in str(first.error)
+        assert host.session.counters.timeouts == 1
         assert not second.has_ended
         assert host.reply(1) == [second]
 
