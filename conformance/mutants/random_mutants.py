@@ -72,7 +72,7 @@ _TESTS: Final = {
     "_engine": ("client", "client_waiting", "sending", "close", "late", "threads", "outcomes"),
     "_connection": ("device", "server"),
     "_many": ("many", "room", "outcomes", "deadlines", "client"),
-    "_peer": ("many", "room", "client"),
+    "_peer": ("many", "room", "announced", "client"),
     "aio": ("arguments", "aio", "limits"),
     "client": ("arguments", "client", "client_waiting", "limits"),
     "_call": ("deadlines", "session", "late", "outcomes", "client"),
@@ -81,7 +81,7 @@ _TESTS: Final = {
 }
 _OTHER_TESTS: Final = (
     *("client", "client_waiting", "aio", "many", "room", "session", "announced", "hints"),
-    *("late", "limits", "outcomes", "arguments", "noise", "close"),
+    *("late", "limits", "outcomes", "arguments", "noise", "close", "stalls"),
 )
 
 

@@ -58,6 +58,14 @@ class TestCalls:
         assert client.read_debug() == "".join(f"ret 0x{code:02X}\n" for code in range(60))
         assert client.read_debug() == ""
 
+    def test_debug_text_of_which_some_was_lost(self, client):
+        for _ in range(500):
+            client.call("ret", b"\x07")
+        text = client.read_debug()
+        assert text.startswith("[...]")
+        assert text.endswith("ret 0x07\n" * 400)
+        assert client.read_debug() == ""
+
     def test_functions_and_properties(self, client):
         assert client.functions["a2jGetMapping"] == 0
         assert client.properties["name"] == "J2A demo"

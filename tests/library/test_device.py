@@ -166,6 +166,29 @@ def test_a_device_that_waits_for_hosts_lets_others_work():
     assert all(0.1 <= wait_s <= 10 for wait_s in listener.waits)
 
 
+def test_a_device_that_waits_for_requests_lets_others_work():
+    class Silent(j2a_transports.Transport):
+        waits = ()
+        closed = False
+
+        def read(self, timeout_s):
+            self.waits += (timeout_s,)
+            if len(self.waits) == 6:
+                raise j2a_transports.LinkLost(f"{self.url} is gone")
+            return b""
+
+        def write(self, data):
+            pass
+
+        def close(self):
+            pass
+
+    transport = Silent("silent:")
+    j2a.Device().serve(transport)
+    assert all(0.1 <= wait_s <= 10 for wait_s in transport.waits[::2])
+    assert set(transport.waits[1::2]) == {0}  # it may have been late itself
+
+
 def test_a_sif_without_a_host_goes_nowhere_and_says_so():
     assert DemoDevice().send_sif(1, b"x") == 0
 
