@@ -22,11 +22,11 @@ NO_VERSION = [
 ]  # fmt: skip
 
 
-def device(version: str, **more: str) -> DemoDevice:
+def device(version: str, stored: bytes = bytes(700), **more: str) -> DemoDevice:
     made = DemoDevice()
     properties = {"j2a.spec": version, **{key.replace("_", "."): more[key] for key in more}}
     made._table = j2a.Device(properties)._table
-    made.many("store")(lambda request: j2a.read_chunk(bytes(700), request))
+    made.many("store")(lambda request: j2a.read_chunk(stored, request))
     return made
 
 
@@ -65,6 +65,16 @@ def test_an_older_or_unreadable_version_is_not_trusted(version):
         drive(older._execute, know(older).read("store", DEFAULT_MAX_BYTES, None))
 
 
+@pytest.mark.requirement("J2A-MANY-014")
+def test_a_device_that_is_met_anew_is_tried_anew():
+    honours, perhaps = device("1.0", content(700)), device("1.0")
+    peer = know(honours)
+    assert drive(honours._execute, peer.read("store", DEFAULT_MAX_BYTES, None)) == content(700)
+    peer.take_map(Reply(*perhaps._execute(0, b"")))
+    with pytest.raises(j2a.LegacyLimit):
+        drive(perhaps._execute, peer.read("store", DEFAULT_MAX_BYTES, None))
+
+
 class TestAnotherMajorVersion:
     @pytest.mark.requirement("J2A-VER-003")
     @pytest.mark.parametrize("version", ["0.9", "2.0", "10.1"])
@@ -76,6 +86,7 @@ class TestAnotherMajorVersion:
             assert drive(other._execute, peer.read_properties())["j2a.spec"] == version
         requests = []
         for steps in (
+            *((lambda: peer.write("store", b"x", None), lambda: peer.echo(b"x", None)) * is_known),
             lambda: peer.read("store", DEFAULT_MAX_BYTES, None),
             lambda: peer.write("store", content(700), None),
             lambda: peer.echo(content(700), None),

@@ -42,6 +42,9 @@ class TestTooManyThreads:
             with pytest.raises(j2a.OpenFailed, match="can't start new thread") as failed:
                 j2a.connect(url)
             assert failed.value.outcome is j2a.Outcome.NOT_SENT
+            started.clear()
+            with j2a_transports.open(url) as transport, pytest.raises(j2a.OpenFailed):
+                j2a.Client(transport)
             for thread in started:
                 thread.join(PATIENCE_S)
                 assert not thread.is_alive()
