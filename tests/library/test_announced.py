@@ -9,6 +9,7 @@ from j2a_spec.constants import FLAG_WRITE
 
 import j2a
 from j2a._announced import Announced
+from j2a._functions import FunctionTable
 from j2a._peer import DEFAULT_MAX_BYTES, Peer
 from j2a.demo import DemoDevice
 from j2a.events import Reply
@@ -57,6 +58,15 @@ def test_a_later_minor_version_is_used_like_ours(version):
     assert drive(newer._execute, read) == bytes(700)
 
 
+def test_the_version_may_be_the_last_property():
+    """Whether an offset above 255 may be sent is known when the properties have come so far."""
+    made, requests = j2a.Device(), []
+    properties = {"name": "x", "text": "x" * 200, "j2a.spec": "1.1", "long": "x" * 600}
+    made._table = FunctionTable(properties, lambda _: (0, b""))
+    assert drive(made._execute, know(made).read_properties(), requests) == properties
+    assert [int.from_bytes(r[2:6], "little") for r in requests] == [0, 249, 498, 747]
+
+
 @pytest.mark.requirement("J2A-VER-001")
 @pytest.mark.parametrize("version", ["1.0", "abc"])
 def test_an_older_or_unreadable_version_is_not_trusted(version):
@@ -85,14 +95,16 @@ class TestAnotherMajorVersion:
         if is_known:
             assert drive(other._execute, peer.read_properties())["j2a.spec"] == version
         requests = []
+        short = (lambda p: p.write("store", b"x", None), lambda p: p.echo(b"x", None))
         for steps in (
-            *((lambda: peer.write("store", b"x", None), lambda: peer.echo(b"x", None)) * is_known),
-            lambda: peer.read("store", DEFAULT_MAX_BYTES, None),
-            lambda: peer.write("store", content(700), None),
-            lambda: peer.echo(content(700), None),
+            *(short if is_known else ()),
+            lambda p: p.read("store", DEFAULT_MAX_BYTES, None),
+            lambda p: p.write("store", content(700), None),
+            lambda p: p.echo(content(700), None),
         ):
+            asked = peer if is_known else know(other)
             with pytest.raises(j2a.UnsupportedVersion, match=rf"J2A {version}, .*1\.1") as raised:
-                drive(other._execute, steps(), requests)
+                drive(other._execute, steps(asked), requests)
             if is_known:
                 assert raised.value.outcome is j2a.Outcome.NOT_SENT
         offsets = [int.from_bytes(r[2:6], "little") for r in requests]

@@ -149,6 +149,14 @@ class TestSifsAtClose:
             assert seen == [0]
             assert wire.client.counters.sifs_dropped == wire.client.counters.sifs - 1
 
+    def test_the_link_is_closed_with_the_client(self, caplog):
+        with tcp_pair() as (near, _):
+            client = j2a.Client(near)
+            client.close()
+            assert near.closed
+            assert not any(thread.is_alive() for thread in client._engine._link.threads)
+        assert caplog.records == []
+
     def test_several_threads_close(self):
         with Wire() as wire:
             seen = []

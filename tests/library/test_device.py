@@ -189,6 +189,56 @@ def test_a_device_that_waits_for_requests_lets_others_work():
     assert set(transport.waits[1::2]) == {0}  # it may have been late itself
 
 
+def test_a_link_that_takes_no_sif_ends():
+    class Deaf(j2a_transports.Transport):
+        def __init__(self):
+            super().__init__("deaf:")
+            self.ended = threading.Event()
+
+        def read(self, timeout_s):
+            if self.ended.wait(timeout_s):
+                raise j2a_transports.LinkClosed(f"{self.url} is closed")
+            return b""
+
+        def write(self, data):
+            raise j2a_transports.WriteTimeout(f"{self.url} takes nothing")
+
+        @property
+        def closed(self):
+            return self.ended.is_set()
+
+        def close(self):
+            self.ended.set()
+
+    device, transport = j2a.Device(), Deaf()
+    server = threading.Thread(target=device.serve, args=(transport,), daemon=True)
+    server.start()
+    end = time.monotonic() + PATIENCE_S
+    while not device.send_sif(1) and time.monotonic() < end:
+        time.sleep(0.001)
+    assert transport.ended.wait(PATIENCE_S)
+    server.join(PATIENCE_S)
+    assert not server.is_alive()
+
+
+def test_a_host_whose_call_goes_on_ends_with_the_device():
+    device, began, goes_on = j2a.Device(), threading.Event(), threading.Event()
+
+    @device.function
+    def long(payload):
+        began.set()
+        goes_on.wait(PATIENCE_S)
+
+    with served(device, "tcp://127.0.0.1:0") as url, Host(url) as host:
+        host.send(1, device.functions["long"])
+        assert began.wait(PATIENCE_S)
+        [serving] = [t for t in threading.enumerate() if t.name.startswith("j2a device tcp")]
+        device.stop()
+        goes_on.set()
+        serving.join(PATIENCE_S)
+        assert not serving.is_alive()
+
+
 def test_a_sif_without_a_host_goes_nowhere_and_says_so():
     assert DemoDevice().send_sif(1, b"x") == 0
 

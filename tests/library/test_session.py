@@ -147,6 +147,16 @@ class TestSeq:
         host.call()
         assert host.sent[-1].seq == 0
 
+    def test_a_seq_is_free_when_a_later_call_was_answered_before_its_time_was_over(self):
+        host = Host(window=2, rxbuf=1000)
+        first, second = host.call(), host.call(timeout_s=5)
+        assert host.reply(1) == [second]
+        assert host.wait(2) == [first]
+        # Devices answer in order: no reply to the first can come any more.
+        host.reply(0)
+        assert host.session.counters.late_replies == 0
+        assert host.session.counters.stray_replies == 1
+
 
 class TestLateAndStray:
     @pytest.mark.requirement("J2A-SEQ-005")
