@@ -223,6 +223,7 @@ def test_a_link_that_takes_no_sif_ends():
 
 def test_a_host_whose_call_goes_on_ends_with_the_device():
     device, began, goes_on = j2a.Device(), threading.Event(), threading.Event()
+    before = set(threading.enumerate())
 
     @device.function
     def long(payload):
@@ -232,7 +233,8 @@ def test_a_host_whose_call_goes_on_ends_with_the_device():
     with served(device, "tcp://127.0.0.1:0") as url, Host(url) as host:
         host.send(1, device.functions["long"])
         assert began.wait(PATIENCE_S)
-        [serving] = [t for t in threading.enumerate() if t.name.startswith("j2a device tcp")]
+        new = set(threading.enumerate()) - before
+        [serving] = [thread for thread in new if thread.name.startswith("j2a device tcp")]
         device.stop()
         goes_on.set()
         serving.join(PATIENCE_S)
