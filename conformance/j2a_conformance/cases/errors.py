@@ -45,7 +45,7 @@ class OutOfRange(Case):
 
 
 class ChecksumFirst(Case):
-    """Calls opcodes out of range with a wrong checksum."""
+    """Calls every opcode, in range or not, with one bit of the checksum wrong."""
 
     ID = "error.checksum-before-opcode"
     EXPECTATION = "Error 0xF3, not 0xF0: the opcode of a damaged frame means nothing."
@@ -58,10 +58,11 @@ class ChecksumFirst(Case):
 
     @staticmethod
     def _streams(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
-        for opcode in peer.out_of_range():
-            for payload in (b"", b"damaged"):
+        for opcode in range(256):
+            for payload in (b"", b"damaged"[: 1 + opcode % 7]):
                 seq = peer.seq()
-                wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x20)
+                wrong = checksum(seq, opcode, payload) ^ (1 << opcode % 8)
+                wire = with_sum(seq, opcode, payload, wrong)
                 yield wire, [Expected(seq, c.ERR_CHECKSUM)]
 
 

@@ -273,8 +273,10 @@ class InterruptedAnywhere(Case):
         for n, (stream, _) in enumerate(misread(opcodes[0], kinds)):
             if not any(isinstance(e, Frame) and e.start == c.SOF for e in decode(stream)):
                 # Before some of them no good frame, but another broken one.
-                first = damaged(opcodes[0], n)[0] if n % 3 == 0 else b""
-                yield InterruptedAnywhere._cut(peer, first + stream)
+                if n % 3 == 0:
+                    first, wrong = damaged(opcodes[0], n)
+                    yield first, [refusal(wrong, c.ERR_CHECKSUM)]
+                yield InterruptedAnywhere._cut(peer, stream)
 
     @staticmethod
     def _cut(peer: Peer, stream: bytes) -> tuple[bytes, list[Expected]]:
@@ -352,12 +354,14 @@ class FromHost(Case):
                 (b"", []),
                 (bytes((c.SOF,)), []),
                 (begun, [refusal(seq, c.ERR_FRAMING)]),
-                (first, [refusal(seq, c.ERR_CHECKSUM)]),
+                (b"", []),
             )[length % 4]
             for frame in (
                 whole,
                 (whole[: -1 - length % 2], whole[:-1] + bytes((wrong,)))[length % 2],
             ):
+                if length % 4 == 3:
+                    yield first, [refusal(seq, c.ERR_CHECKSUM)]
                 request = peer.probe()
                 yield before + frame + request.wire, [*due, request.expected]
 

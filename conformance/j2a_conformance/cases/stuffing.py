@@ -44,7 +44,8 @@ class Replies(Case):
         for value in range(256):
             request = peer.echo(bytes((value, 0x41, value)))
             first, wrong = damaged(peer.opcode(c.GET_ECHO), value)
-            yield first + request.wire, [refusal(wrong, c.ERR_CHECKSUM), request.expected]
+            yield first, [refusal(wrong, c.ERR_CHECKSUM)]
+            yield request.wire, [request.expected]
 
 
 class Fields(Case):
@@ -144,9 +145,8 @@ class Needless(Case):
                 wire, due = cls._escaped(opcode, bytes(payload), peer.seq(), places)
                 if length % 5 == count:
                     first, wrong = damaged(opcode, length)
-                    yield first + wire, [refusal(wrong, c.ERR_CHECKSUM), due]
-                else:
-                    yield wire, [due]
+                    yield first, [refusal(wrong, c.ERR_CHECKSUM)]
+                yield wire, [due]
 
     @classmethod
     def _exchange(cls, peer: Peer, opcode: int, payload: bytes, seq: int, places: set[int]) -> None:
@@ -226,12 +226,8 @@ class EscapeFfAnywhere(Case):
             due = [refusal(seq, c.ERR_FRAMING)] if before else []
             if n % 3 == 0:  # no good frame between two broken ones
                 first, wrong = damaged(peer.opcode(c.GET_ECHO), n)
-                yield (
-                    first + stream + request.wire,
-                    [refusal(wrong, c.ERR_CHECKSUM), *due, request.expected],
-                )
-            else:
-                yield stream + request.wire, [*due, request.expected]
+                yield first, [refusal(wrong, c.ERR_CHECKSUM)]
+            yield stream + request.wire, [*due, request.expected]
         for n, seq in enumerate(SPECIAL):
             frame = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), b"abc"[: n % 4]))
             known = 3 if frame[1] == c.ESC else 2
