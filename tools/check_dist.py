@@ -19,6 +19,7 @@ PACKAGES = {
     "j2a_spec": ROOT / "spec",
     "j2a_transports": ROOT / "transports",
     "j2a_conformance": ROOT / "conformance",
+    "j2a_sim": ROOT / "firmware/sim",
 }
 COMMANDS = {"j2a", "j2a-conform"}
 

@@ -4,9 +4,9 @@ import sys
 
 import j2a_transports
 import usb.core
+from j2a_sim import AvrSim, SimBackend
 
 import j2a
-from j2a.sim import AvrSim, SimBackend
 
 backend = SimBackend(AvrSim(sys.argv[1], "atmega32u4"))
 device = usb.core.find(idVendor=0x6666, idProduct=0xCAFE, backend=backend)

@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import pytest
+from j2a_sim import AvrSim, SimLink, ToolMissing
 
 import j2a
-from j2a.sim import AvrSim, SimLink, ToolMissing
 
 ROOT = Path(__file__).parents[2]
 FLOW = ROOT / "docs/examples/flow"

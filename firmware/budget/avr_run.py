@@ -13,10 +13,9 @@ from pathlib import Path
 
 from avr_stack import function_table
 from builds import FIRMWARE, BudgetError, Build
+from j2a_sim import AvrSim, SimError, Span
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim, SimError, Span
 
 __all__ = ["cycles", "requests", "stack"]
 

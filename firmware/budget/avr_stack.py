@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from builds import BudgetError, Build
+from j2a_sim._elf import read_program
 from sizes import symbols
-
-from j2a.sim._elf import read_program
 
 __all__ = ["function_table", "stack_bound"]
 

@@ -8,10 +8,9 @@ Rules: all times are simulated ones, so each run is the same; a wrong answer is 
 import struct
 from pathlib import Path
 
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim
 
 __all__ = ["ADC", "BACKWARD", "CHIPS", "DIST_IR", "FORWARD", "QUAD", "Board", "Chip", "load"]
 

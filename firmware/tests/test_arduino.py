@@ -7,11 +7,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim
 
 pytestmark = pytest.mark.avr
 

@@ -7,10 +7,9 @@ host that reads, after a suspend too; a board that comes back after a reset or a
 from pathlib import Path
 
 import pytest
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim
 
 pytestmark = [pytest.mark.avr, pytest.mark.requirement("USB-010")]
 

@@ -8,11 +8,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from j2a_sim import AvrSim, chip_serial
 from j2a_spec import constants as c
 from j2a_spec import usb
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim, chip_serial
 
 pytestmark = pytest.mark.avr
 

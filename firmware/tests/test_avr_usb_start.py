@@ -8,11 +8,10 @@ the application can still read; a serial number that waits for the EEPROM.
 from pathlib import Path
 
 import pytest
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec import usb
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim
 
 pytestmark = pytest.mark.avr
 

@@ -17,8 +17,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-
-from j2a.sim import AvrSim
+from j2a_sim import AvrSim
 
 FIRMWARE = Path(__file__).parents[1]
 BUDGET = FIRMWARE / "budget"

@@ -9,12 +9,12 @@ from pathlib import Path
 import j2a_transports
 import pytest
 from j2a_conformance import load, run
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING
 from j2a_spec.oracle import Frame, decode, encode
 
 from j2a import PauseRefused, connect
-from j2a.sim import AvrSim
 
 ROOT = Path(__file__).parents[2]
 FIRMWARE = ROOT / "firmware"

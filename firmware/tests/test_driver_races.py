@@ -10,8 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from j2a.sim import AvrSim, pulses
+from j2a_sim import AvrSim, pulses
 
 sys.path.insert(0, str(Path(__file__).parent))
 try:

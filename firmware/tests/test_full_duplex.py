@@ -11,11 +11,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import pytest
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec.grammar import PROPERTIES
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim
 
 pytestmark = pytest.mark.avr
 

@@ -5,11 +5,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING, PROPERTIES
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim
 
 FIRMWARE = Path(__file__).parents[1]
 LISTINGS = FIRMWARE / "tests/listings"

@@ -10,8 +10,7 @@ from pathlib import Path
 import j2a_transports
 import pytest
 from j2a_conformance import Verdict, load, run
-
-from j2a.sim import ToolMissing
+from j2a_sim import ToolMissing
 
 FIRMWARE = Path(__file__).parents[1]
 FULL_ROOM = {"limits.room"}  # that one is for devices with less

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import construct
 import pytest
-
-from j2a.sim import SimError
+from j2a_sim import SimError
 
 sys.path.insert(0, str(Path(__file__).parent))
 try:

@@ -12,12 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import usb.core
 import usb.util
+from j2a_sim import AvrSim, SimBackend
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 from j2a_transports import usb_boards
 
 import j2a
-from j2a.sim import AvrSim, SimBackend
 
 pytestmark = pytest.mark.avr
 

@@ -15,10 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
-
-from j2a.sim import AvrSim
 
 __all__ = ["APP", "CHIPS", "TABLE", "WIRE", "Line", "Row", "measure", "page", "rows"]
 

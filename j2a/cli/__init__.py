@@ -12,9 +12,9 @@ import contextlib
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
+from j2a.cli import _commands
 from j2a.cli._exit import (
     EXIT_CODES,
     INTERRUPTED,
@@ -33,20 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["EXIT_CODES", "main"]
 
-_COMMANDS: Final = {
-    "list": "USB boards and serial ports of this computer",
-    "setup": "prepare this computer for USB boards: a rule for udev",
-    "info": "what a device is and can do",
-    "call": "call a function",
-    "read": "read from a function that transfers data of any size (a2jMany)",
-    "write": "write to a function that transfers data of any size (a2jMany)",
-    "props": "the properties of a device, or one of them",
-    "echo": "test a link: send bytes there and back, verify and time them",
-    "watch": "print the frames that a device sends unasked (SIFs)",
-    "debug": "print the debug text of a device",
-    "serve": "be a device: the demo, or one written in Python",
-    "sim": "run firmware for an AVR in the simulator, by its UART or USB",
-}
 _URLS: Final = """\
 a device is named by its URL:
   usb://                              the USB board, if there is one; j2a list shows all
@@ -113,21 +99,9 @@ def _report(error: Exception, code: int, *, as_json: bool) -> None:
 
 def _run(argv: list[str]) -> int:
     name = argv[0] if argv else "--help"
-    if name in _COMMANDS:
-        command: Any = import_module(f"j2a.cli._{name}")
-        what = _COMMANDS[name]
-        parser = _Parser(
-            prog=f"j2a {name}",
-            description=what[0].upper() + what[1:],
-            epilog=f"{getattr(command, 'NOTES', '')}\n\n{exit_codes_help()}".strip(),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-        )
-        command.add_arguments(parser)
-        # Options may stand between the words of a payload, which only the second way takes.
-        parse = parser.parse_args if name == "sim" else parser.parse_intermixed_args
-        code: int = command.run(parse(argv[1:]))
-        return code
+    found = None if name.startswith("-") else _commands.load(name)
+    if found is not None:
+        return _run_command(name, *found, argv[1:])
     if name in ("-h", "--help", "help"):
         for line in _help().splitlines():
             show(line)
@@ -139,13 +113,31 @@ def _run(argv: list[str]) -> int:
         return 0
     if name.startswith("-"):
         raise UsageError(f"{name!r} comes after a command, as in: j2a info URL {name}")
-    near = get_close_matches(name, _COMMANDS, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"commands are: {', '.join(_COMMANDS)}"
+    names = _commands.names()
+    near = get_close_matches(name, names, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"commands are: {', '.join(names)}"
     raise UsageError(f"there is no command {name!r}; {hint}")
 
 
+def _run_command(name: str, command: _commands.Command, summary: str, argv: list[str]) -> int:
+    parser = _Parser(
+        prog=f"j2a {name}",
+        description=summary[0].upper() + summary[1:],
+        epilog=f"{getattr(command, 'NOTES', '')}\n\n{exit_codes_help()}".strip(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    command.add_arguments(parser)
+    # Options may stand between the words of a payload, which only the second way takes; but it
+    # takes no commands of a command, which those of other packages may have.
+    own = name in _commands.BUILT_IN
+    return command.run((parser.parse_intermixed_args if own else parser.parse_args)(argv))
+
+
 def _help() -> str:
-    commands = "\n".join(f"  {name:<6} {what}" for name, what in _COMMANDS.items())
+    summaries = _commands.summaries()
+    width = max(map(len, summaries))
+    commands = "\n".join(f"  {name:<{width}} {what}" for name, what in summaries.items())
     return (
         "usage: j2a COMMAND ...      (j2a COMMAND --help says more; j2a --version)\n\n"
         "Calls functions of microcontrollers, over any byte stream.\n\n"

@@ -15,7 +15,7 @@ import j2a_transports
 import pytest
 
 import j2a
-from j2a.cli import _COMMANDS
+from j2a.cli import _commands
 from j2a.cli._output import _finite
 
 WAIT_S = 60
@@ -203,7 +203,7 @@ def test_a_host_that_is_refused_is_told_why(start, run):
 
 def test_every_command_with_json_is_tried_here():
     text = Path(__file__).read_text("utf-8")
-    for command in _COMMANDS:
+    for command in _commands.names():
         helped = shell(f"j2a {command} --help").stdout
         if re.search(r"--json\b", helped):
             assert f'"{command}"' in text, command

@@ -73,8 +73,9 @@ def test_ctrl_c_while_the_program_is_imported(program, at, ignored):
 
 
 _HELP_OF_ALL = """
-from j2a.cli import _COMMANDS, main
-for name in _COMMANDS:
+from j2a.cli import main
+from j2a.cli._commands import names
+for name in names():
     if main([name, "--help"]) != 0:
         raise SystemExit(name)
 """

@@ -4,12 +4,13 @@ import json
 import logging
 import sys
 from importlib.metadata import version
+from types import SimpleNamespace
 
 import j2a_transports
 import pytest
 
 import j2a
-from j2a.cli import _COMMANDS, EXIT_CODES, main
+from j2a.cli import EXIT_CODES, _commands, main
 from j2a.cli._exit import UsageError, exit_code
 
 NOWHERE = "tcp://127.0.0.1:1"
@@ -19,19 +20,64 @@ def test_help_names_every_command_and_exit_code(run):
     for argv in (["--help"], ["-h"], ["help"]):
         result = run(*argv)
         assert result.code == 0
-        for word in _COMMANDS:
+        for word in _commands.names():
             assert f"\n  {word} " in result.out
         for code, meaning in EXIT_CODES.items():
             assert f"{code:>5}  {meaning}" in result.out
     assert run().code == 2
 
 
-@pytest.mark.parametrize("command", _COMMANDS)
+@pytest.mark.parametrize("command", _commands.names())
 def test_help_of_each_command(run, command):
     result = run(command, "--help")
     assert result.code == 0
     assert result.out.startswith(f"usage: j2a {command} ")
     assert "exit codes:\n    0  done\n" in result.out
+
+
+class Point:
+    """An entry point of another package."""
+
+    dist = None
+    value = "somebodys.module"
+
+    def __init__(self, name, module):
+        self.name, self.module = name, module
+
+    def load(self):
+        if isinstance(self.module, Exception):
+            raise self.module
+        return self.module
+
+
+def test_commands_of_other_packages(run, monkeypatch):
+    def add_arguments(parser):
+        parser.add_argument("word")
+
+    def command(args):
+        print(f"done: {args.word}")
+        return 4
+
+    whole = SimpleNamespace(SUMMARY="what it does", add_arguments=add_arguments, run=command)
+    found = [
+        Point("zebra", whole),
+        Point("broken", ImportError("no module somebody")),
+        Point("echo", ImportError("takes the place of a command of ours")),
+    ]
+    monkeypatch.setattr(_commands, "entry_points", lambda group: found)
+    listed = run("--help").out
+    assert "  zebra  what it does\n" in listed
+    assert "  broken (does not load: ImportError: no module somebody)\n" in listed
+    assert listed.count("  echo ") == 1
+    assert run("zebra", "x").out == "done: x\n"
+    assert run("zebra", "x").code == 4
+    assert "What it does\n" in run("zebra", "--help").out
+    refused = run("broken")
+    assert refused.code == 2
+    assert "does not load: ImportError: no module somebody" in refused.err
+    assert "install the package somebodys.module again, or remove it" in refused.err
+    assert run("echo", "--help").code == 0
+    assert "did you mean zebra?" in run("zebr").err
 
 
 def test_version(run):

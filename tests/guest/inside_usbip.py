@@ -1,7 +1,7 @@
 """What a Linux kernel makes of the simulated boards: run in the guest by test_usbip.py.
 
 In: the port of a USB/IP server on the host, which exports two boards with the firmware
-tests/sim/firmware/usb_board.c. Out: a line for each thing that is so, or an error.
+firmware/sim/tests/firmware/usb_board.c. Out: a line for each thing that is so, or an error.
 """
 
 import errno

@@ -3,9 +3,9 @@
 import threading
 
 import pytest
+from j2a_sim import AvrSim, UsbipServer
 
-from j2a.sim import AvrSim, UsbipServer
-from tests.sim.conftest import Build, firmware
+from firmware.sim.tests.conftest import Build, firmware
 
 __all__ = ["firmware"]  # a fixture
 

@@ -11,7 +11,7 @@ FOLDERS = (
     "spec/tests",
     "transports/tests",
     "firmware/tests",
-    "tests/sim",
+    "firmware/sim/tests",
     "tests/guest",
     "tests/cli",
 )

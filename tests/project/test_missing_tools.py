@@ -13,7 +13,7 @@ TESTS = [
     "firmware/tests/test_server.py",
     "tests/cli/test_cli_process.py::test_ctrl_c_ends_a_call",
     "tests/end_to_end/test_end_to_end.py::test_calls",
-    "tests/sim/test_uart.py",
+    "firmware/sim/tests/test_uart.py",
 ]
 OPTIONS = ["-p", "no:cacheprovider", "-k", "not python"]
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec import usb
 from j2a_spec.oracle import Frame, Incomplete, decode, encode
-
-from j2a.sim import AvrSim
 
 # bmRequestType: direction, type and recipient (table 9-2).
 IN, OUT = 0x80, 0x00

@@ -1,0 +1,148 @@
+"""The command line of the simulator: `j2a sim avr ELF --listen URL`, `j2a sim usb ELF`.
+
+In: arguments. Out: the exit code, of the table in `j2a.cli._exit`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import Any, Final
+
+from j2a_transports import BadUrl, TransportError
+
+from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE, UsageError
+from j2a.cli._link import check_listen_url
+from j2a.cli._output import note
+from j2a_sim._errors import FirmwareStopped, SimError
+from j2a_sim._options import frequency, rate, speed
+from j2a_sim._runner import run as serve
+from j2a_sim._usbip.run import parse_address, run_usbip
+
+SUMMARY: Final = "run firmware for an AVR in the simulator, by its UART or USB"
+
+
+def _argument(convert: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Make of an option's converter one for argparse, which would name it and not what it takes."""
+
+    def checked(text: str) -> Any:
+        try:
+            return convert(text)
+        except ValueError:
+            takes = (convert.__doc__ or "another value").rstrip(".")
+            raise argparse.ArgumentTypeError(f"{text!r} is not {takes}") from None
+
+    return checked
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the sub-commands and options of `sim` to a parser."""
+    kinds = parser.add_subparsers(dest="sim_kind", required=True, metavar="KIND")
+    avr = kinds.add_parser(
+        "avr",
+        help="firmware for an AVR, exact to the cycle",
+        description="Run AVR firmware in simavr and serve its UART.",
+    )
+    avr.add_argument("elf", metavar="ELF", help="the firmware as avr-gcc linked it")
+    avr.add_argument(
+        "--listen",
+        default="tcp://127.0.0.1:0",
+        metavar="URL",
+        help="where clients connect: tcp://HOST:PORT (port 0: any), pty:, stdio: (%(default)s)",
+    )
+    _add_chip(avr, "atmega328p")
+    avr.add_argument("--uart", choices="0123", help="which UART (the first that the MCU has)")
+    avr.add_argument(
+        "--baud",
+        type=_argument(rate),
+        metavar="N",
+        help="bit rate of the host's end, to see a mismatch (the firmware's)",
+    )
+    avr.add_argument("--once", action="store_true", help="end when the first client has gone")
+    avr.add_argument("--reset", action="store_true", help="reset the MCU for each client")
+
+    usb = kinds.add_parser(
+        "usb",
+        help="firmware for an AVR with USB, for USB/IP clients such as Linux with vhci-hcd",
+        description="Run AVR firmware in simavr and export its USB device over USB/IP.",
+    )
+    usb.add_argument(
+        "elfs", metavar="ELF", nargs="+", help="the firmware of a board; several: several boards"
+    )
+    usb.add_argument(
+        "--usbip",
+        type=_argument(parse_address),
+        default="127.0.0.1:3240",
+        metavar="HOST:PORT",
+        help="where clients connect; port 0: any (%(default)s)",
+    )
+    _add_chip(usb, "atmega32u4")
+    usb.add_argument(
+        "--commands",
+        action="store_true",
+        help="take lines from standard input: unplug BUSID, plug BUSID",
+    )
+
+
+def _add_chip(parser: argparse.ArgumentParser, mcu: str) -> None:
+    """Add what each kind of simulation takes."""
+    parser.add_argument(
+        "--speed",
+        type=_argument(speed),
+        default=1.0,
+        metavar="N",
+        help="1: real time (default); 0: traffic as fast as possible; or simulated s per s",
+    )
+    parser.add_argument("--mcu", default=mcu, help="as simavr names it (%(default)s)")
+    parser.add_argument(
+        "--freq",
+        type=_argument(frequency),
+        default=16_000_000,
+        metavar="HZ",
+        help="clock of the MCU (%(default)s)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what `add_arguments` parsed.
+
+    Returns:
+        The exit code; 128 + the number of the signal that ended the run.
+    """
+    try:
+        if args.sim_kind == "avr":
+            check_listen_url(args.listen)
+        number = _simulate(args)
+    except KeyboardInterrupt:  # before the firmware ran
+        return INTERRUPTED
+    except (SimError, TransportError, OSError, UsageError) as error:
+        note(f"j2a sim: {error}")
+        if isinstance(error, FirmwareStopped):
+            return LINK
+        return USAGE if isinstance(error, SimError | BadUrl | UsageError) else LINK
+    return OK if number is None else 128 + number
+
+
+def _simulate(args: argparse.Namespace) -> int | None:
+    """Run the simulator that was chosen; returns the number of the signal that ended it."""
+    if args.sim_kind == "usb":
+        return run_usbip(
+            args.elfs,
+            args.usbip,
+            args.speed,
+            mcu=args.mcu,
+            frequency_hz=args.freq,
+            commands=sys.stdin.fileno() if args.commands else None,
+        )
+    return serve(
+        args.elf,
+        args.listen,
+        args.speed,
+        mcu=args.mcu,
+        frequency_hz=args.freq,
+        uart=args.uart,
+        host_baud=args.baud,
+        once=args.once,
+        reset=args.reset,
+    )

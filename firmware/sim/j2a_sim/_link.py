@@ -1,0 +1,142 @@
+"""A transport into the UART of simulated firmware, in this process: `sim:fw.elf`.
+
+In: bytes for the firmware. Out: what it answers. Time and waiting are those of `_timed_link`.
+A `sim:` URL with `link=usb` goes over the chip's USB instead: see `_usb.link`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+from urllib.parse import unquote
+
+from j2a_transports import BadUrl, OpenFailed, Transport, Url
+
+from j2a_sim._avr import AvrSim
+from j2a_sim._errors import SimError
+from j2a_sim._options import frequency, rate, speed
+from j2a_sim._timed_link import PATIENCE_S, TimedLink
+from j2a_sim._usb.link import UsbLink
+
+# A gap on the wire that ends what one read returns, in characters.
+GAP_CHARS: Final = 2
+MOST_BYTES: Final = 64
+
+
+class SimLink(TimedLink):
+    """The UART of a simulated AVR as a transport.
+
+    A read returns what has arrived up to a gap of two characters on the wire, at most some 64
+    bytes.
+
+    Args:
+        sim: the simulator; it is booted here (see AvrSim.boot) unless it already listens.
+        url: for messages.
+        patience_s: after so many simulated seconds without a byte in either direction, time goes
+            on no faster than real time, so that a reader that waits for nothing costs little;
+            None: never.
+        speed: 0: as fast as possible; otherwise simulated seconds per second at most, for hosts
+            that measure by the wall clock.
+
+    Attributes:
+        sim: the simulator, for cycles, spans, counters and memory.
+
+    Raises:
+        SimError: the firmware does not turn its receiver on within a second.
+    """
+
+    def _set_up(self) -> None:
+        if not self.sim.receiver_on:
+            self.sim.boot()
+
+    def _send(self, data: bytes) -> None:
+        self.sim.uart_write(data)
+
+    @property
+    def _readable(self) -> bool:
+        return self.sim.readable > 0
+
+    def _run_until_readable(self, cycles: int) -> None:
+        self.sim.run_until_output(cycles)
+
+    def _run(self, cycles: int) -> None:
+        self.sim.run(cycles)
+
+    def _collect(self) -> bytes:
+        data = bytearray(self.sim.uart_read())
+        gap = int(GAP_CHARS * self.sim.char_cycles)
+        while len(data) < MOST_BYTES:
+            self._pass(self._run_until_readable, gap)
+            more = self.sim.uart_read()
+            if not more:
+                break
+            data += more
+        return bytes(data)
+
+
+def _seconds(text: str) -> float | None:
+    """a number of seconds above 0, or none."""
+    return None if text.lower() == "none" else rate(text)
+
+
+def _text(text: str) -> str:
+    """any text."""
+    return text
+
+
+def _wire(text: str) -> str:
+    """uart or usb."""
+    if text not in {"uart", "usb"}:
+        raise ValueError
+    return text
+
+
+_OPTIONS: Final = {
+    "mcu": _text,
+    "freq": frequency,
+    "link": _wire,
+    "uart": _text,
+    "baud": rate,
+    "patience": _seconds,
+    "speed": speed,
+}
+_MCUS: Final = {"uart": "atmega328p", "usb": "atmega32u4"}
+
+
+def open_url(url: Url) -> Transport:
+    """Open `sim:path/to/firmware.elf?mcu=atmega328p&freq=16000000&uart=0`.
+
+    Args:
+        url: further options: `link` (uart or usb; uart when it is not given), `baud` (of the
+            host's end), `patience` and `speed` (see SimLink). `uart` and `baud` are for the UART.
+
+    Returns:
+        A SimLink or UsbLink with a simulator of its own.
+
+    Raises:
+        BadUrl: an option is unknown or wrong.
+        OpenFailed: the simulator cannot run this firmware, or the firmware does not come up; the
+            message says what to do.
+    """
+    path, parts = url.split_query()
+    options: dict[str, Any] = url.options(parts, _OPTIONS)
+    wire = options.get("link", "uart")
+    for name in ("uart", "baud"):
+        if wire == "usb" and name in options:
+            raise BadUrl(f"{url.text}: {name} is an option of a UART, and link=usb uses none")
+    kind = UsbLink if wire == "usb" else SimLink
+    try:
+        sim = AvrSim(
+            unquote(path),
+            options.get("mcu", _MCUS[wire]),
+            options.get("freq", 16_000_000),
+            options.get("uart"),
+            options.get("baud"),
+        )
+        return kind(
+            sim,
+            url.text,
+            patience_s=options.get("patience", PATIENCE_S),
+            speed=options.get("speed", 0.0),
+        )
+    except SimError as error:
+        raise OpenFailed(f"{url.text}: {error}") from error

@@ -1,0 +1,163 @@
+"""The serial wire: character times, buffers, overruns, interrupts, and a host at a wrong rate."""
+
+from itertools import pairwise
+
+import pytest
+from j2a_sim import SimError
+
+pytestmark = pytest.mark.avr
+
+SECOND = 16_000_000
+ALL_BYTES = bytes(range(256))
+DOR, FE, UPE, UDRE, RXC = 0x08, 0x10, 0x04, 0x20, 0x80
+
+
+def exchange(sim, data, seconds=1.0):
+    sim.uart_write(data)
+    sim.run_until(lambda: sim.readable >= len(data), int(seconds * SECOND))
+    return sim.uart_read_stamped()
+
+
+@pytest.mark.parametrize("name", ["echo", "echo_irq"])
+@pytest.mark.parametrize("baud", [115200, 1_000_000])
+def test_echo_of_every_byte_at_wire_rate(simulate, name, baud):
+    sim = simulate(name, BAUD=baud)
+    sim.boot()
+    began = sim.cycle
+    out = exchange(sim, ALL_BYTES)
+    assert bytes(byte.value for byte in out) == ALL_BYTES
+    # 115200 is 117647 in truth: the divider is 17.
+    char = {115200: 10 * 8 * 17, 1_000_000: 10 * 8 * 2}[baud]
+    assert sim.char_cycles == char
+    assert sim.baud == SECOND * 10 / char
+    assert 256 * char <= out[-1].cycle - began < 259 * char
+    # A character is never shorter than its bits; only the firmware's polling moves its start.
+    for before, after in pairwise(out):
+        assert abs(after.cycle - before.cycle - char) < 100
+    counters = sim.counters
+    assert (counters.bytes_in, counters.bytes_out) == (256, 256)
+    assert (counters.overruns, counters.queued, counters.tx_ignored) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("ucsr0c", "bits"),
+    [(0x06, 10), (0x2E, 12), (0x36, 11), (0x04, 9), (0x00, 7)],
+    ids=["8N1", "8E2", "8O1", "7N1", "5N1"],
+)
+def test_formats(simulate, ucsr0c, bits):
+    sim = simulate("echo", FORMAT=ucsr0c, BAUD=57600)
+    sim.boot()
+    assert sim.char_cycles == bits * 8 * 35
+    data = bytes(byte & (0x1F if ucsr0c == 0 else 0x7F) for byte in ALL_BYTES)
+    out = exchange(sim, data)
+    assert bytes(byte.value for byte in out) == data
+    assert sim.counters.rx_framing_errors == 0
+
+
+def test_a_slow_reader_loses_what_the_chip_loses(simulate):
+    sim = simulate("slow")
+    sim.boot()
+    sim.uart_write(b"ABCDEF")
+    assert sim.run_until_output(SECOND)
+    # Two characters are buffered; each new start bit overwrites the one in the shift register.
+    assert sim.read_memory("count", 1) == b"\3"
+    assert sim.read_memory("bytes", 3) == b"ABF"
+    status = sim.read_memory("status", 3)
+    assert [bool(value & DOR) for value in status] == [True, False, False]
+    assert all(value & RXC for value in status)
+    assert sim.counters.overruns == 3
+    assert sim.uart_read() == b"!"
+    assert exchange(sim, b"on")[-1].value == ord("n")
+
+
+def test_three_characters_wait_without_loss(simulate):
+    sim = simulate("slow")
+    sim.boot()
+    sim.uart_write(b"ABC")
+    assert sim.run_until_output(SECOND)
+    assert sim.read_memory("bytes", 3) == b"ABC"
+    assert not any(value & DOR for value in sim.read_memory("status", 3))
+    assert sim.counters.overruns == 0
+
+
+def test_the_transmitter_holds_two_characters(simulate):
+    sim = simulate("transmit")
+    assert sim.run_until_span(SECOND)
+    assert sim.uart_read() == b"ab"
+    assert sim.counters.tx_ignored == 1
+    assert sim.read_memory("after_first", 1)[0] & UDRE
+    assert not sim.read_memory("after_second", 1)[0] & UDRE
+    # TXC comes when both characters, 1360 cycles each, are out.
+    assert sim.spans()[0].start > 2 * 1360
+
+
+def test_bytes_come_at_wire_rate_and_not_before(simulate):
+    sim = simulate("echo")
+    sim.boot()
+    sim.uart_write(bytes(10))
+    sim.run(5 * 1360 - 100)
+    counters = sim.counters
+    assert counters.bytes_in == 5
+    assert counters.queued == 5
+
+
+def test_interrupt_flags_are_levels(simulate):
+    sim = simulate("echo_irq")
+    sim.boot()
+    sim.run(1000)
+    exchange(sim, b"xyz")
+    sim.run(10_000)
+    # One entry per received byte; one per sent byte and those that found nothing left.
+    assert int.from_bytes(sim.read_memory("rx_entries", 2), "little") == 3
+    assert int.from_bytes(sim.read_memory("udre_entries", 2), "little") == 6
+
+
+def test_a_handler_that_leaves_its_flag_is_entered_again(simulate):
+    sim = simulate("level")
+    sim.boot()
+    sim.uart_write(b"x")
+    sim.run(100_000)
+    assert sim.read_memory("entries", 1) == b"\4"
+    assert sim.read_memory("byte", 1) == b"x"
+
+
+def test_bytes_to_a_receiver_that_is_off_are_counted(simulate):
+    sim = simulate("echo")
+    sim.uart_write(b"too early")
+    sim.run(100_000)
+    counters = sim.counters
+    assert 0 < counters.unheard <= counters.bytes_in == 9
+
+
+@pytest.mark.parametrize("host_baud", [115200, 113_000, 121_000])
+def test_a_host_within_tolerance_is_understood(simulate, host_baud):
+    sim = simulate("echo", host_baud=host_baud)
+    sim.boot()
+    # A host that sends faster than the firmware can send back must stop before the buffer is full.
+    data = ALL_BYTES if host_baud < 117_647 else ALL_BYTES[::6]
+    out = exchange(sim, data)
+    assert bytes(byte.value for byte in out) == data
+    assert sim.counters.rx_framing_errors == sim.counters.tx_framing_errors == 0
+    # The host sets the pace when it is the slower one.
+    if host_baud < 117_647:
+        span = out[-1].cycle - out[0].cycle
+        assert abs(span - 255 * 10 * SECOND / host_baud) < 2000
+
+
+@pytest.mark.parametrize("host_baud", [9600, 57600, 104_000, 130_000, 230_400])
+def test_a_host_at_a_wrong_rate_is_not_understood(simulate, host_baud):
+    sim = simulate("slow", PAUSE=1, host_baud=host_baud)
+    sim.boot()
+    sim.run(SECOND // 10)
+    sim.uart_read()
+    sim.uart_write(ALL_BYTES)
+    sim.run(SECOND // 2)
+    assert sim.uart_read() != ALL_BYTES
+    assert sim.counters.rx_framing_errors > 0
+
+
+def test_an_odd_host_rate_is_refused(simulate):
+    with pytest.raises(SimError, match="host_baud"):
+        simulate("echo", host_baud=-1)
+    with pytest.raises(SimError, match="host_baud"):
+        simulate("echo", host_baud=16_000_000)

@@ -1,0 +1,91 @@
+"""Which module is which command of `j2a`.
+
+In: the name of a command. Out: its module.
+Rules: a module is imported when its command is used, those of other packages also for the list of
+commands. They come from the entry-point group `j2a.commands` (name = command, object = a module
+with `SUMMARY`, `add_arguments(parser)` and `run(args)`, which returns the exit code; `NOTES` is
+printed below its help). The commands of this package cannot be taken over.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
+from typing import Final, Protocol, cast
+
+from j2a.cli._exit import UsageError
+
+__all__ = ["BUILT_IN", "ENTRY_POINT_GROUP", "Command", "load", "names", "summaries"]
+
+ENTRY_POINT_GROUP: Final = "j2a.commands"
+BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "list": "USB boards and serial ports of this computer",
+        "setup": "prepare this computer for USB boards: a rule for udev",
+        "info": "what a device is and can do",
+        "call": "call a function",
+        "read": "read from a function that transfers data of any size (a2jMany)",
+        "write": "write to a function that transfers data of any size (a2jMany)",
+        "props": "the properties of a device, or one of them",
+        "echo": "test a link: send bytes there and back, verify and time them",
+        "watch": "print the frames that a device sends unasked (SIFs)",
+        "debug": "print the debug text of a device",
+        "serve": "be a device: the demo, or one written in Python",
+    }
+)
+
+
+class Command(Protocol):
+    """What the module of a command has."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the arguments of the command to a parser."""
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Run the command; returns the exit code."""
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all commands, those of other packages last."""
+    return (*BUILT_IN, *_others())
+
+
+def summaries() -> dict[str, str]:
+    """Return what each command does, in a few words."""
+    found = dict(BUILT_IN)
+    for name, point in _others().items():
+        try:
+            found[name] = point.load().SUMMARY
+        except Exception as error:  # of another package: the other commands work without it
+            found[name] = f"(does not load: {type(error).__name__}: {error})"
+    return found
+
+
+def load(name: str) -> tuple[Command, str] | None:
+    """Import the command of that name; return it and its summary, or None if there is none.
+
+    Raises:
+        UsageError: it belongs to another package and cannot be imported.
+    """
+    if name in BUILT_IN:
+        return cast(Command, import_module(f"j2a.cli._{name}")), BUILT_IN[name]
+    point = _others().get(name)
+    if point is None:
+        return None
+    try:
+        module = point.load()
+        return module, module.SUMMARY
+    except Exception as error:
+        package = point.dist.name if point.dist else point.value
+        raise UsageError(
+            f"the command {name!r} does not load: {type(error).__name__}: {error}",
+            f"install the package {package} again, or remove it",
+        ) from error
+
+
+def _others() -> dict[str, EntryPoint]:
+    found = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+    return {name: found[name] for name in sorted(found.keys() - BUILT_IN.keys())}
