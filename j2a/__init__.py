@@ -6,9 +6,6 @@ other side in Python. Importing this loads no driver.
 
 from typing import TYPE_CHECKING
 
-from j2a._functions import ManyReply, ManyRequest, read_chunk
-from j2a._handlers import Subscription
-from j2a._trace import Trace
 from j2a.client import Client, connect
 from j2a.device import Device
 from j2a.errors import (
@@ -37,6 +34,9 @@ from j2a.errors import (
     UnsupportedVersion,
 )
 from j2a.events import Counters, Frame, FrameError, Reply, Sif
+from j2a.io.functions import ManyReply, ManyRequest, read_chunk
+from j2a.io.handlers import Subscription
+from j2a.protocol.trace import Trace
 
 if TYPE_CHECKING:
     from j2a.aio import AsyncClient, aconnect

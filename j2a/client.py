@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Self, TypeVar, overload
 
 from j2a_spec.constants import GET_ECHO
 
-from j2a._arguments import check_payload, check_timeout
-from j2a._engine import Engine, Handler
-from j2a._handlers import ErrorHook, Handlers, Opcodes, Subscription
-from j2a._limits import Limits
-from j2a._link import open_transport
-from j2a._many import Progress, Steps
-from j2a._peer import DEFAULT_MAX_BYTES
-from j2a._shell import Shell, check_echo
-from j2a._trace import Trace
 from j2a.errors import J2AError
 from j2a.events import Reply
+from j2a.io.blocking import Engine, Handler
+from j2a.io.client_base import Shell, check_echo
+from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
+from j2a.io.opening import open_transport
+from j2a.protocol.arguments import check_payload, check_timeout
+from j2a.protocol.device_info import DEFAULT_MAX_BYTES
+from j2a.protocol.limits import Limits
+from j2a.protocol.trace import Trace
+from j2a.protocol.transfer import Progress, Steps
 
 if TYPE_CHECKING:
     from j2a_transports import Transport

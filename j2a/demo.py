@@ -13,9 +13,9 @@ from typing import Final
 
 from j2a_spec.constants import MAX_PAYLOAD, RET_FAILED
 
-from j2a._functions import ManyReply, ManyRequest, Result, read_chunk
-from j2a._trace import Trace
 from j2a.device import Device
+from j2a.io.functions import ManyReply, ManyRequest, Result, read_chunk
+from j2a.protocol.trace import Trace
 
 __all__ = ["SIF_PERIODIC", "STORE_BYTES", "DemoDevice"]
 

@@ -23,13 +23,13 @@ from j2a_spec.constants import (
     SPEC_VERSION,
 )
 
-from j2a._arguments import check_opcode, check_payload
-from j2a._connection import Connection
-from j2a._functions import CallFunction, DebugText, FunctionTable, ManyFunction
-from j2a._link import TRANSPORT_ERRORS, WAIT_S, link_error
-from j2a._server import Server
-from j2a._trace import Trace
 from j2a.errors import LinkClosed, LocalError
+from j2a.io.connection import Connection
+from j2a.io.functions import CallFunction, DebugText, FunctionTable, ManyFunction
+from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
+from j2a.protocol.arguments import check_opcode, check_payload
+from j2a.protocol.server import Server
+from j2a.protocol.trace import Trace
 
 if TYPE_CHECKING:
     from j2a_transports import Listener, Transport

@@ -45,8 +45,11 @@ _TEST_S: Final = 100
 _FAILED: Final = re.compile(r"^(tests/\S.*?) (?:FAILED|ERROR)", re.MULTILINE)
 _KILLERS: Final = ROOT / "build/mutants/killers.json"
 _EQUIVALENT: Final = FOLDER / "random/equivalent.toml"
-_DEVICE: Final = ("_deframer", "_codec", "_server", "_functions", "device")
-_NOT_OF_HOSTS: Final = {"_server", "_functions", "device", "demo", "__main__", "__init__"}
+_DEVICE: Final = (
+    *("protocol/deframer", "protocol/codec", "protocol/server"),
+    *("io/functions", "device"),
+)
+_NOT_OF_HOSTS: Final = {"server", "functions", "device", "demo", "__main__", "__init__"}
 _ALL: Final = ("*",)
 _SANITIZERS: Final = "-fsanitize=address,undefined -fno-sanitize-recover=all"
 _OF_ROOM: Final = ("limits.*", "debug.*", "properties.*", "many.*")
@@ -63,21 +66,21 @@ _BUILDS: Final[dict[str, dict[Variant, tuple[str, ...]]]] = {
 """The builds that judge a target, each by the cases for which it is another build."""
 
 _TESTS: Final = {
-    "_codec": ("codec", "server", "session"),
-    "_deframer": ("codec", "server", "session", "faults"),
-    "_server": ("server", "device"),
-    "_functions": ("functions", "device", "server"),
+    "codec": ("codec", "server", "session"),
+    "deframer": ("codec", "server", "session", "faults"),
+    "server": ("server", "device"),
+    "functions": ("functions", "device", "server"),
     "device": ("device", "room"),
-    "_session": ("session", "stalls", "hints", "announced", "client", "room"),
-    "_engine": ("client", "client_waiting", "sending", "close", "late", "threads", "outcomes"),
-    "_connection": ("device", "server"),
-    "_many": ("many", "room", "outcomes", "deadlines", "client"),
-    "_peer": ("many", "room", "announced", "client"),
+    "session": ("session", "stalls", "hints", "announced", "client", "room"),
+    "blocking": ("client", "client_waiting", "sending", "close", "late", "threads", "outcomes"),
+    "connection": ("device", "server"),
+    "transfer": ("many", "room", "outcomes", "deadlines", "client"),
+    "device_info": ("many", "room", "announced", "client"),
     "aio": ("arguments", "aio", "limits"),
     "client": ("arguments", "client", "client_waiting", "limits"),
-    "_call": ("deadlines", "session", "late", "outcomes", "client"),
-    "_async_engine": ("async_engine", "aio", "late", "stalls", "sending", "close"),
-    "_threads": ("threads", "late", "client", "client_waiting", "sending", "close"),
+    "calls": ("deadlines", "session", "late", "outcomes", "client"),
+    "loop": ("async_engine", "aio", "late", "stalls", "sending", "close"),
+    "threads": ("threads", "late", "client", "client_waiting", "sending", "close"),
 }
 _OTHER_TESTS: Final = (
     *("client", "client_waiting", "aio", "many", "room", "session", "announced", "hints"),
@@ -138,7 +141,9 @@ def _files(target: str) -> list[Path]:
         return [p for p in sorted((ROOT / "firmware/core").glob("*.c")) if "selftest" not in p.stem]
     if target == "device":
         return [ROOT / f"j2a/{name}.py" for name in _DEVICE]
-    return [path for path in sorted((ROOT / "j2a").glob("*.py")) if path.stem not in _NOT_OF_HOSTS]
+    folders = (ROOT / "j2a", ROOT / "j2a/protocol", ROOT / "j2a/io")
+    found = [path for folder in folders for path in sorted(folder.glob("*.py"))]
+    return [path for path in found if path.stem not in _NOT_OF_HOSTS]
 
 
 def _named(file: str, source: str, change: Change) -> Mechanical:

@@ -166,11 +166,11 @@ def test_the_changes_of_python_leave_messages_and_types_alone():
 
 
 def test_a_mechanical_mutant_keeps_its_id_when_lines_move():
-    path = ROOT / "j2a/_server.py"
+    path = ROOT / "j2a/protocol/server.py"
     source = path.read_text("utf-8")
     moved = f"# A line more.\n\n{source}"
     names = [
-        [random_mutants._named("j2a/_server.py", text, change).id for change in changes]
+        [random_mutants._named("j2a/protocol/server.py", text, change).id for change in changes]
         for text, changes in (
             (source, mechanical.of_python(source)),
             (moved, mechanical.of_python(moved)),

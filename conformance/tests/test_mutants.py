@@ -204,7 +204,7 @@ def test_a_core_that_hangs_is_an_error(judge):
 
 def test_a_host_that_sends_nothing_is_an_error(judge):
     like, _ = find("host-frame-001")
-    silent = Edit("j2a/_threads.py", "if self._written == self._queued:", "if data := b'':")
+    silent = Edit("j2a/io/threads.py", "if self._written == self._queued:", "if data := b'':")
     status, printed = judge(silent, killed_by=("host.start",), like=like)
     assert status == 1
     assert "nothing came from the host" in printed

@@ -16,12 +16,12 @@ from pathlib import Path
 import j2a_transports
 
 import j2a
-from j2a._link import WAIT_S
 from j2a.cli._exit import OK, UsageError, end_on_sigterm
 from j2a.cli._link import add_verbose_argument, check_listen_url, seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._trace import TracePrinter
 from j2a.device import IDLE_S, MAX_HOSTS
+from j2a.io.opening import WAIT_S
 
 NOTES = """\
 places to listen:

@@ -12,8 +12,8 @@ from random import Random
 
 from j2a_spec.constants import SOF
 
-from j2a._codec import encode
-from j2a._deframer import Deframer
+from j2a.protocol.codec import encode
+from j2a.protocol.deframer import Deframer
 
 from .naive import NaiveDeframer, naive_encode
 

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 
 from j2a_spec.constants import SOF, SOS
 
-from j2a._codec import encode
-from j2a._deframer import Deframer
-from j2a._many import exchange, read_chunks
-from j2a._session import Session
 from j2a.events import Reply
+from j2a.protocol.codec import encode
+from j2a.protocol.deframer import Deframer
+from j2a.protocol.session import Session
+from j2a.protocol.transfer import exchange, read_chunks
 
 from .naive import NaiveDeframer
 

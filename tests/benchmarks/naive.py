@@ -1,6 +1,6 @@
 """A decoder and an encoder that handle one byte at a time: the yardstick of the fast ones.
 
-What flows in and out: as in `j2a._deframer` and `j2a._codec`, the same events included. This is
+What flows in and out: as in `j2a.protocol.deframer` and `codec`, the same events included. This is
 what one writes first, and what a microcontroller does; nobody has tried to make it slow.
 """
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from j2a_spec import oracle
 
-from j2a._deframer import Deframer
+from j2a.protocol.deframer import Deframer
 
 from ..library.support import frames, streams  # noqa: TID252 - tests are no package
 from .contenders import FRAMES, SIZES, contenders

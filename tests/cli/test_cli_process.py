@@ -48,7 +48,7 @@ raise SystemExit(point.load()())
     ("program", "at"),
     [
         ("j2a", "j2a"),
-        ("j2a", "j2a._engine"),
+        ("j2a", "j2a.io.blocking"),
         ("j2a", "j2a.cli._output"),
         ("j2a", "j2a.cli._info"),
         ("j2a-conform", "j2a_conformance"),

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["j2a._deframer", "j2a._codec"]):
-    import j2a._deframer
+with atheris.instrument_imports(include=["j2a.protocol.deframer", "j2a.protocol.codec"]):
+    import j2a.protocol.deframer
 
 sys.path.insert(0, str(Path(__file__).parent))
 import target
@@ -23,7 +23,7 @@ import target
 
 def main() -> None:
     """Fuzz; see the module."""
-    print(f"fuzzing {j2a._deframer.__file__}", flush=True)
+    print(f"fuzzing {j2a.protocol.deframer.__file__}", flush=True)
     atheris.Setup(sys.argv, target.check_deframer)
     atheris.Fuzz()
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 from j2a_spec import oracle
 
-from j2a._deframer import Deframer
 from j2a.events import Frame, FrameError
+from j2a.protocol.deframer import Deframer
 
 CUTS = 4
 """How many bytes of an input say how long the chunks are, in turn; 0 is an empty chunk."""

@@ -61,7 +61,7 @@ def test_defect_is_found(missing, tmp_path):
     """A copy of the library that forgets, at the end of a chunk, that an escape came first."""
     copy = tmp_path / "path"
     shutil.copytree(ROOT / "j2a", copy / "j2a", ignore=shutil.ignore_patterns("__pycache__"))
-    source = copy / "j2a/_deframer.py"
+    source = copy / "j2a/protocol/deframer.py"
     text = source.read_text()
     old = "self._is_escaped = plain is not None"
     assert text.count(old) == 1

@@ -16,8 +16,8 @@ from j2a_transports import usb_boards
 from links import HOST
 
 import j2a
-from j2a._codec import encode
-from j2a._deframer import Deframer
+from j2a.protocol.codec import encode
+from j2a.protocol.deframer import Deframer
 
 PATIENCE_S = 60.0
 BUSY_MS = 12_000

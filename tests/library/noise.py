@@ -14,8 +14,8 @@ from j2a_spec import oracle
 from j2a_spec.constants import SOF
 
 import j2a
-from j2a._many import Steps
-from j2a._shell import Shell
+from j2a.io.client_base import Shell
+from j2a.protocol.transfer import Steps
 
 RATES = (100, 5760, 100_000)
 """Bytes a second."""

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 from random import Random
 
 import j2a
-from j2a._server import Server
-from j2a._session import Call, Session
+from j2a.protocol.server import Server
+from j2a.protocol.session import Call, Session
 
 from .virtual import ECHO, World
 

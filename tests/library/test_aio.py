@@ -285,7 +285,7 @@ class TestSifs:
     async def test_a_handler_that_waits_for_ever_is_cancelled_by_close(self, closes):
         ends = []
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr("j2a._async_engine.JOIN_S", 0.05)
+            patched.setattr("j2a.io.loop.JOIN_S", 0.05)
             async with linked() as client:
                 started = asyncio.Event()
 

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from j2a_spec.constants import FLAG_WRITE
 
 import j2a
-from j2a._announced import Announced
-from j2a._functions import FunctionTable
-from j2a._peer import DEFAULT_MAX_BYTES, Peer
 from j2a.demo import DemoDevice
 from j2a.events import Reply
+from j2a.io.functions import FunctionTable
+from j2a.protocol.announced import Announced
+from j2a.protocol.device_info import DEFAULT_MAX_BYTES, Peer
 
 from .support import served
 from .test_many import content, drive, know

@@ -279,8 +279,8 @@ def test_for_so_long_a_board_may_boot(monkeypatch, is_asyncio, options, limit_s)
     async def acall(*args):
         call(*args)
 
-    monkeypatch.setattr("j2a._engine.Engine.call", call)
-    monkeypatch.setattr("j2a._async_engine.AsyncEngine.call", acall)
+    monkeypatch.setattr("j2a.io.blocking.Engine.call", call)
+    monkeypatch.setattr("j2a.io.loop.AsyncEngine.call", acall)
     for module in ("client", "aio"):
         monkeypatch.setattr(f"j2a.{module}.open_transport", lambda _url, _options: near)
     with far, pytest.raises(j2a.CallTimeout, match=rf"within {limit_s:g} s"):

@@ -11,8 +11,8 @@ from j2a_spec import oracle
 from j2a_spec.constants import SOF, SOS
 
 import j2a
-from j2a._async_engine import IN_FLIGHT
-from j2a._threads import PIECE
+from j2a.io.loop import IN_FLIGHT
+from j2a.io.threads import PIECE
 
 from .support import PATIENCE_S
 from .test_aio import in_event_loop, wired
@@ -94,7 +94,7 @@ async def test_a_reply_that_waits_behind_other_bytes_is_in_time_also_after_a_tim
 
 @in_event_loop
 async def test_the_reading_thread_goes_on_as_soon_as_there_is_room(monkeypatch):
-    monkeypatch.setattr("j2a._async_engine.WAIT_S", 3 * PATIENCE_S)
+    monkeypatch.setattr("j2a.io.loop.WAIT_S", 3 * PATIENCE_S)
     async with j2a.AsyncClient(Mute()) as client:
         engine = client._engine
         engine._changed = changed = Watched()
@@ -109,7 +109,7 @@ async def test_the_reading_thread_goes_on_as_soon_as_there_is_room(monkeypatch):
 @pytest.mark.parametrize(("turn_s", "turns"), [(math.inf, 1), (0.0, 19)])
 @in_event_loop
 async def test_handlers_that_never_wait_share_a_turn_for_a_limited_time(monkeypatch, turn_s, turns):
-    monkeypatch.setattr("j2a._async_engine._TURN_S", turn_s)
+    monkeypatch.setattr("j2a.io.loop._TURN_S", turn_s)
     async with wired() as (client, _far):
         seen, number = [], 0
         client.on_sif(None, lambda _sif: seen.append(number))
@@ -126,8 +126,8 @@ async def test_handlers_that_never_wait_share_a_turn_for_a_limited_time(monkeypa
 async def test_so_many_sifs_wait_for_slow_handlers(monkeypatch, limit):
     async with wired() as (client, _far):
         await stick(client)
-        monkeypatch.setattr("j2a._async_engine.MAX_SIFS_WAITING", limit)
-        monkeypatch.setattr("j2a._async_engine.JOIN_S", 0.01)
+        monkeypatch.setattr("j2a.io.loop.MAX_SIFS_WAITING", limit)
+        monkeypatch.setattr("j2a.io.loop.JOIN_S", 0.01)
         client._engine._hand_over(sifs(10))
         while client.counters.sifs < 11:
             await asyncio.sleep(0)

@@ -274,7 +274,7 @@ class TestSifs:
             assert wire.client.counters.sifs_missed == 4
 
     def test_too_many_sifs_for_slow_handlers_are_dropped_and_counted(self, monkeypatch):
-        monkeypatch.setattr("j2a._engine.MAX_SIFS_WAITING", 3)
+        monkeypatch.setattr("j2a.io.blocking.MAX_SIFS_WAITING", 3)
         with Wire() as wire:
             seen, started, gate = [], threading.Event(), threading.Event()
 

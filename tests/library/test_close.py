@@ -120,8 +120,8 @@ class TestSifsAtClose:
             assert seen == list(range(9))
 
     def test_a_handler_that_is_stuck_is_left_and_the_others_are_counted(self, monkeypatch, caplog):
-        monkeypatch.setattr("j2a._engine.JOIN_S", 0.05)
-        monkeypatch.setattr("j2a._engine._LEAVE_S", 0.01)
+        monkeypatch.setattr("j2a.io.blocking.JOIN_S", 0.05)
+        monkeypatch.setattr("j2a.io.blocking._LEAVE_S", 0.01)
         with Wire() as wire:
             seen, gate, started = [], threading.Event(), threading.Event()
 
@@ -186,7 +186,7 @@ class TestSifsAtClose:
         asyncio.run(main())
 
     def test_with_asyncio_those_behind_a_stuck_handler_are_counted(self, monkeypatch, caplog):
-        monkeypatch.setattr("j2a._async_engine.JOIN_S", 0.05)
+        monkeypatch.setattr("j2a.io.loop.JOIN_S", 0.05)
 
         async def main():
             near, far = j2a_transports.pair()

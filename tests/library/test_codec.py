@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from j2a_spec import oracle, vectors
 from j2a_spec.constants import ESC, MAX_WIRE, SOF, SOS
 
-from j2a._codec import encode, fold, stuff, unstuff
-from j2a._deframer import Deframer
 from j2a.events import Frame, FrameError
+from j2a.protocol.codec import encode, fold, stuff, unstuff
+from j2a.protocol.deframer import Deframer
 
 from .support import TRICKY, by_the_oracle, chunked, frames, streams
 

@@ -5,8 +5,8 @@ import math
 
 import pytest
 
-from j2a._call import Call, Deadlines
 from j2a.events import Reply
+from j2a.protocol.calls import Call, Deadlines
 
 
 def call(deadline):

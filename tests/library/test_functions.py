@@ -8,8 +8,8 @@ from j2a_spec import grammar
 from j2a_spec.constants import BUILTINS
 
 import j2a
-from j2a._functions import DebugText, FunctionTable, pack_properties
 from j2a.demo import DemoDevice
+from j2a.io.functions import DebugText, FunctionTable, pack_properties
 
 PROPERTIES = {"j2a.spec": "1.1", "name": "thing", "umlaut": "größe"}
 FAILED = (0xFF, b"")

@@ -10,9 +10,9 @@ from j2a_spec import oracle
 from j2a_spec.constants import SOF, SOS
 
 import j2a
-from j2a._async_engine import IN_FLIGHT
-from j2a._session import Session
-from j2a._threads import PIECE
+from j2a.io.loop import IN_FLIGHT
+from j2a.io.threads import PIECE
+from j2a.protocol.session import Session
 
 from .support import PATIENCE_S
 
@@ -159,12 +159,12 @@ class TestLateReaders:
 
     @both
     def test_a_transport_with_a_thread_of_its_own_gets_time(self, work, monkeypatch):
-        monkeypatch.setattr("j2a._threads._UNSURE_S", 1.0)
+        monkeypatch.setattr("j2a.io.threads._UNSURE_S", 1.0)
         assert work(Suspended(can_wake=False), [7]) == [b"\7"]
 
     @both
     def test_a_reading_thread_that_does_not_answer_is_not_waited_for(self, work, monkeypatch):
-        monkeypatch.setattr("j2a._threads._PATIENCE_S", 0.01)
+        monkeypatch.setattr("j2a.io.threads._PATIENCE_S", 0.01)
         transport = Suspended()
         transport.wake_reader = lambda: True
         [error] = work(transport, [7])
@@ -239,7 +239,7 @@ class TestFloods:
         asyncio.run(asyncio.wait_for(main(), PATIENCE_S))
 
     def test_the_event_loop_has_turns_between_sifs(self, monkeypatch):
-        monkeypatch.setattr("j2a._async_engine._TURN_S", 0.0)
+        monkeypatch.setattr("j2a.io.loop._TURN_S", 0.0)
 
         async def main():
             near, far = j2a_transports.pair()
@@ -260,7 +260,7 @@ class TestFloods:
 
     @both
     def test_sifs_wait_up_to_a_limit(self, work, monkeypatch):
-        for engine in ("j2a._engine", "j2a._async_engine"):
+        for engine in ("j2a.io.blocking", "j2a.io.loop"):
             monkeypatch.setattr(f"{engine}.MAX_SIFS_WAITING", 50)
         near, far = j2a_transports.pair()
         gate = threading.Event()

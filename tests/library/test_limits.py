@@ -6,9 +6,9 @@ import pytest
 
 import j2a
 from j2a import Outcome
-from j2a._shell import Shell
 from j2a.demo import DemoDevice
 from j2a.events import Reply
+from j2a.io.client_base import Shell
 
 from .test_many import chunk
 

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import j2a
-from j2a._announced import Announced
-from j2a._many import Steps, read_chunks
-from j2a._peer import DEFAULT_MAX_BYTES, Peer
 from j2a.demo import STORE_BYTES, DemoDevice
 from j2a.events import Reply
+from j2a.protocol.announced import Announced
+from j2a.protocol.device_info import DEFAULT_MAX_BYTES, Peer
+from j2a.protocol.transfer import Steps, read_chunks
 
 from .support import OldDevice
 
@@ -158,7 +158,7 @@ class TestTheEndOfTheOffsets:
 
     @pytest.fixture(autouse=True)
     def end(self, monkeypatch):
-        monkeypatch.setattr("j2a._peer.MAX_OFFSET", 1000)
+        monkeypatch.setattr("j2a.protocol.device_info.MAX_OFFSET", 1000)
 
     @pytest.mark.requirement("J2A-MANY-018")
     @pytest.mark.parametrize("size", [1000, 1001, 5000])

@@ -4,10 +4,10 @@ import pytest
 from j2a_spec.constants import MAX_PAYLOAD
 
 import j2a
-from j2a._session import Session
-from j2a._shell import take_stale_input
 from j2a.demo import DemoDevice
 from j2a.events import Reply
+from j2a.io.client_base import take_stale_input
+from j2a.protocol.session import Session
 
 from .noise import KINDS, RATES, Noise, outcome_of
 from .support import linked

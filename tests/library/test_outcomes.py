@@ -10,9 +10,9 @@ from j2a_spec.constants import SOF
 
 import j2a
 from j2a import Outcome
-from j2a._session import Session
 from j2a.demo import DemoDevice
 from j2a.events import Reply
+from j2a.protocol.session import Session
 
 from .test_many import chunk, drive, know
 

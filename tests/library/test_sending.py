@@ -10,8 +10,8 @@ import pytest
 from j2a_spec import oracle
 
 import j2a
-from j2a._threads import LinkThreads
 from j2a.demo import DemoDevice
+from j2a.io.threads import LinkThreads
 
 from .support import PATIENCE_S, served
 from .wire import Background

@@ -4,9 +4,9 @@ import pytest
 from j2a_spec import oracle, vectors
 from j2a_spec.constants import ERR_FRAMING, ERRORS, SITE_LOST, SOF, SOS
 
-from j2a._functions import DebugText, FunctionTable
-from j2a._server import Server
 from j2a.events import Frame, FrameError
+from j2a.io.functions import DebugText, FunctionTable
+from j2a.protocol.server import Server
 
 SCENARIOS = {test["id"]: test for test in vectors.load("scenario")}
 

@@ -7,8 +7,8 @@ from j2a_spec import oracle
 from j2a_spec.constants import SOF, SOS
 
 import j2a
-from j2a._session import Call, Session
 from j2a.events import Frame, Reply, Sif
+from j2a.protocol.session import Call, Session
 
 
 class Host:

@@ -3,7 +3,7 @@
 import pytest
 
 from j2a import CallTimeout, Outcome
-from j2a._session import Session
+from j2a.protocol.session import Session
 
 from .soak import Soak
 

@@ -12,8 +12,8 @@ from j2a_spec import oracle
 from j2a_spec.constants import ECHO, SOF
 
 import j2a
-from j2a._session import Session
 from j2a.events import Reply
+from j2a.protocol.session import Session
 
 from .support import PATIENCE_S, linked
 from .test_session import Host

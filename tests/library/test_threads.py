@@ -7,7 +7,7 @@ import j2a_transports
 import pytest
 
 import j2a
-from j2a._threads import LinkThreads
+from j2a.io.threads import LinkThreads
 
 from .support import PATIENCE_S, linked, served
 from .wire import Background, Watched
@@ -98,7 +98,7 @@ def test_who_waits_for_the_reading_thread_goes_on_when_it_ends(monkeypatch):
         def close(self):
             pass
 
-    monkeypatch.setattr("j2a._threads._PATIENCE_S", 3 * PATIENCE_S)
+    monkeypatch.setattr("j2a.io.threads._PATIENCE_S", 3 * PATIENCE_S)
     changed = Watched()
     link = LinkThreads(Dead("dead:"), lambda _: None, lambda _: None, lambda _: None)
     link._changed = changed

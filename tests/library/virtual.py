@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
 
-from j2a._functions import FunctionTable
-from j2a._server import Request, Server
-from j2a._session import Call, Session
 from j2a.events import Sif
+from j2a.io.functions import FunctionTable
+from j2a.protocol.server import Request, Server
+from j2a.protocol.session import Call, Session
 
 from .support import Judge
 

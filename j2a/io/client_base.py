@@ -1,7 +1,7 @@
 """What the blocking and the asyncio client have in common; how to wait is not among it.
 
 What flows in: the options of a client. What flows out: a session and a peer, and all that takes
-several calls as generators (see `_many`), which each client drives in its own way.
+several calls as generators (see `j2a.protocol.transfer`), which each client drives in its own way.
 """
 
 import contextlib
@@ -23,12 +23,6 @@ from j2a_spec.constants import (
     RET_MAX,
 )
 
-from j2a._arguments import check_timeout
-from j2a._limits import DEVICE_LIMITS, Limits
-from j2a._many import Ask, Progress, Steps, preparing
-from j2a._peer import Peer, is_map
-from j2a._session import MAX_WINDOW, NONCE_BYTES, Session
-from j2a._trace import Trace
 from j2a.errors import (
     CallTimeout,
     LocalError,
@@ -38,6 +32,12 @@ from j2a.errors import (
     remote_error,
 )
 from j2a.events import Counters, Reply
+from j2a.protocol.arguments import check_timeout
+from j2a.protocol.device_info import Peer, is_map
+from j2a.protocol.limits import DEVICE_LIMITS, Limits
+from j2a.protocol.session import MAX_WINDOW, NONCE_BYTES, Session
+from j2a.protocol.trace import Trace
+from j2a.protocol.transfer import Ask, Progress, Steps, preparing
 
 if TYPE_CHECKING:
     from j2a_transports import Transport

@@ -18,8 +18,8 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Final
 
-from j2a._link import link_error
 from j2a.errors import LinkClosed, LinkError, LocalError, OpenFailed
+from j2a.io.opening import link_error
 
 if TYPE_CHECKING:
     from j2a_transports import Transport

@@ -1,7 +1,7 @@
 """What a host knows of its device: functions, properties, version.
 
 What flows in: replies to a2jGetMapping and a2jMany. What flows out: opcodes for names, and
-transfers as generators (see `_many`).
+transfers as generators (see `j2a.protocol.transfer`).
 Rules: no input and no output of its own; both clients drive the same object. What was learnt is
 kept until `forget`. Old devices are recognised by what they lack (J2A-PROP-005).
 """
@@ -22,9 +22,21 @@ from j2a_spec.constants import (
     SPEC_VERSION,
 )
 
-from j2a._announced import Announced
-from j2a._arguments import check_bytes, check_opcode
-from j2a._many import (
+from j2a.errors import (
+    FunctionFailed,
+    LegacyLimit,
+    LocalError,
+    OpcodeRefused,
+    Outcome,
+    PayloadTooLong,
+    ProtocolError,
+    UnknownFunction,
+    UnsupportedVersion,
+)
+from j2a.events import Reply
+from j2a.protocol.announced import Announced
+from j2a.protocol.arguments import check_bytes, check_opcode
+from j2a.protocol.transfer import (
     LEGACY_OFFSET,
     MAX_OFFSET,
     Chunk,
@@ -38,18 +50,6 @@ from j2a._many import (
     read_chunks,
     write_chunks,
 )
-from j2a.errors import (
-    FunctionFailed,
-    LegacyLimit,
-    LocalError,
-    OpcodeRefused,
-    Outcome,
-    PayloadTooLong,
-    ProtocolError,
-    UnknownFunction,
-    UnsupportedVersion,
-)
-from j2a.events import Reply
 
 __all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "Peer", "is_map"]
 

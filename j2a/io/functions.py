@@ -41,9 +41,9 @@ from j2a_spec.constants import (
     SITE_OPCODE,
 )
 
-from j2a._server import site
 from j2a.errors import RegistrationError
 from j2a.events import Reply
+from j2a.protocol.server import site
 
 __all__ = [
     "CallFunction",

@@ -26,10 +26,10 @@ from j2a_spec.constants import (
     SOS,
 )
 
-from j2a._codec import encode
-from j2a._deframer import Deframer
-from j2a._trace import Trace, Tracer
 from j2a.events import Frame, FrameError, Reason
+from j2a.protocol.codec import encode
+from j2a.protocol.deframer import Deframer
+from j2a.protocol.trace import Trace, Tracer
 
 __all__ = ["Request", "Server", "site"]
 

@@ -11,9 +11,9 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
-from j2a._arguments import check_opcode
 from j2a.errors import LocalError
 from j2a.events import Sif
+from j2a.protocol.arguments import check_opcode
 
 __all__ = ["ErrorHook", "Handlers", "Opcodes", "Reporter", "Subscription"]
 

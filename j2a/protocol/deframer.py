@@ -14,7 +14,8 @@ from typing import Final
 
 from j2a_spec.constants import ESC, HEADER, SOF, SOS
 
-from j2a._codec import (
+from j2a.events import Frame, FrameError, Reason
+from j2a.protocol.codec import (
     ESC_BYTE,
     LENGTH_FOLD,
     OPCODE_FOLD,
@@ -23,7 +24,6 @@ from j2a._codec import (
     fold,
     unstuff,
 )
-from j2a.events import Frame, FrameError, Reason
 
 __all__ = ["Deframer"]
 

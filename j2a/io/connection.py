@@ -14,10 +14,10 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from j2a._link import TRANSPORT_ERRORS, WAIT_S, link_error
-from j2a._server import Request, Server
-from j2a._threads import start_thread
 from j2a.errors import LinkClosed, LinkError
+from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
+from j2a.io.threads import start_thread
+from j2a.protocol.server import Request, Server
 
 if TYPE_CHECKING:
     from j2a_transports import Transport

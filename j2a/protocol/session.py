@@ -24,12 +24,12 @@ from j2a_spec.constants import (
     SOS,
 )
 
-from j2a._call import Call, Deadlines
-from j2a._codec import encode
-from j2a._deframer import Deframer
-from j2a._trace import Trace, Tracer
 from j2a.errors import CallTimeout, J2AError, LinkStalled, Outcome, ProtocolError, remote_error
 from j2a.events import Counters, Frame, FrameError, Reply, Sif
+from j2a.protocol.calls import Call, Deadlines
+from j2a.protocol.codec import encode
+from j2a.protocol.deframer import Deframer
+from j2a.protocol.trace import Trace, Tracer
 
 __all__ = ["MAX_WINDOW", "NONCE_BYTES", "Call", "Session"]
 

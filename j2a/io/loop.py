@@ -20,13 +20,13 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 from typing import TYPE_CHECKING, Final
 
-from j2a._handlers import ErrorHook, Handlers, Reporter
-from j2a._link import WAIT_S
-from j2a._session import Call, Session
-from j2a._shell import MAX_SIFS_WAITING, take_stale_input
-from j2a._threads import JOIN_S, LOOK_S, PIECE, LinkThreads, join_threads, start_thread
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
+from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
+from j2a.io.handlers import ErrorHook, Handlers, Reporter
+from j2a.io.opening import WAIT_S
+from j2a.io.threads import JOIN_S, LOOK_S, PIECE, LinkThreads, join_threads, start_thread
+from j2a.protocol.session import Call, Session
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
