@@ -209,7 +209,8 @@ class Interrupted(Case):
                     request = peer.probe()
                     stream = frame[:cut] + between + request.wire
                     peer.play(stream, *answers(stream[: -len(request.wire) + 1]), request.expected)
-        peer.play_all(self._of_every_seq(peer))
+        for stream, due in self._of_every_seq(peer):  # one by one: what comes behind may matter
+            peer.play(stream, *due)
 
     @staticmethod
     def _of_every_seq(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:

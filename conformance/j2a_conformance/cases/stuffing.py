@@ -137,7 +137,9 @@ class Needless(Case):
         """Yield echoes of every length in which few bytes are escaped, and no other needs it."""
         for length in range(1, peer.longest + 1):
             for count in (0, 1, 2, 3):  # none: ESC ESC
-                places = {3 + (length * 7 + count * 5 + n * 83) % length for n in range(count or 1)}
+                # Counted from the start and from the end, in turn.
+                ats = {(count * 5 + n * 83) % length for n in range(count or 1)}
+                places = {3 + (at if length % 2 else length - 1 - at) for at in ats}
                 payload = bytearray(b"x" * length)
                 for n, place in enumerate(places):
                     value = values[(length * 3 + count * 67 + n) % len(values)]
