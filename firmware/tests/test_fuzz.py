@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 FIRMWARE = Path(__file__).parents[1]
-CORPUS = FIRMWARE / "fuzz/corpus"
+CORPUS = FIRMWARE / "verify/fuzz/corpus"
 SECONDS = 10
 
 
 def fuzz(missing, *arguments):
     if shutil.which("clang") is None:
         missing("clang is missing: install the packages clang and libclang-rt-dev")
-    command = [sys.executable, FIRMWARE / "fuzz/fuzz.py", *map(str, arguments)]
+    command = [sys.executable, "-m", "firmware.verify.fuzz.fuzz", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 FIRMWARE = Path(__file__).parents[1]
-PROVE = FIRMWARE / "proof/prove.py"
+PROVE = [sys.executable, "-m", "firmware.verify.proof.prove"]
 
 
 def prove(missing, *arguments):
     if shutil.which("frama-c") is None:
         missing("frama-c is missing: install the package frama-c-base")
     return subprocess.run(
-        [sys.executable, PROVE, *map(str, arguments)], capture_output=True, text=True, check=False
+        [*PROVE, *map(str, arguments)], capture_output=True, text=True, check=False
     )
 
 

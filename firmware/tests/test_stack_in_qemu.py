@@ -18,16 +18,9 @@ import pytest
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 
+from firmware.verify.budget import avr_run, builds, runs, sizes
+
 FIRMWARE = Path(__file__).parents[1]
-BUDGET = FIRMWARE / "budget"
-sys.path.insert(0, str(BUDGET))
-try:
-    import avr_run
-    import builds
-    import runs
-    import sizes
-finally:
-    sys.path.remove(str(BUDGET))
 
 ENTRY_BYTES = 12  # of the function table: two pointers and the kind
 PATIENCE_S = 40

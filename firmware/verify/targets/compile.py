@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Final
 
 HERE: Final = Path(__file__).parent
-FIRMWARE: Final = HERE.parent
+FIRMWARE: Final = HERE.parents[1]
 TARGETS: Final = HERE / "targets.toml"
 TIME_LIMIT_S: Final = 300
 

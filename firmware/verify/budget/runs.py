@@ -9,14 +9,9 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
-import avr_run
-import avr_stack
-import builds
-import callgraph
-import counts
-import sizes
-from builds import BudgetError, Build, ToolMissing
-from snapshot import Result
+from firmware.verify.budget import avr_run, avr_stack, builds, callgraph, counts, sizes
+from firmware.verify.budget.builds import BudgetError, Build, ToolMissing
+from firmware.verify.budget.snapshot import Result
 
 __all__ = ["ToolMissing", "measure"]
 

@@ -19,6 +19,7 @@ from j2a_spec import constants as c
 from j2a_spec.vectors import load
 
 HERE = Path(__file__).parent
+CORE = HERE.parents[1] / "core"
 CORPUS = HERE / "corpus"
 EVENT = 0xA5
 REQUEST = 6
@@ -65,7 +66,7 @@ def seed(folder: Path) -> None:
 def main() -> int:
     """Fuzz; see the module."""
     parser = argparse.ArgumentParser(description="Run the C core under libFuzzer.")
-    parser.add_argument("--core", type=Path, default=HERE.parent / "core", help="the core's folder")
+    parser.add_argument("--core", type=Path, default=CORE, help="the core's folder")
     parser.add_argument("--seconds", type=int, default=60, help="how long; 0: replay the corpus")
     parser.add_argument("--seed", type=int, default=1, help="of the fuzzer (default: 1)")
     parser.add_argument("--inputs", default=".", help="folder for what breaks the core")
