@@ -10,7 +10,6 @@ import io
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -30,15 +29,10 @@ pytestmark = pytest.mark.avr
 
 ENTRIES = tomllib.loads((BUDGET / "budget.toml").read_text())["build"]
 LIMITS = [(entry["name"], *item) for entry in ENTRIES for item in entry.get("limit", {}).items()]
-TOOLS = {
-    "avr-gcc": "gcc-avr and avr-libc",
-    "arm-none-eabi-gcc": "gcc-arm-none-eabi",
-    "riscv64-unknown-elf-gcc": "gcc-riscv64-unknown-elf",
-    "qemu-system-arm": "qemu-system-arm",
-    "qemu-system-riscv32": "qemu-system-misc",
-    "valgrind": "valgrind",
-    "node": "nodejs",
-}
+TOOLS = (
+    *("avr-gcc", "arm-none-eabi-gcc", "riscv64-unknown-elf-gcc"),
+    *("qemu-system-arm", "qemu-system-riscv32", "valgrind", "node"),
+)
 FULL = "avr-serial/full"
 COMMAND = [sys.executable, "-m", "firmware.verify.budget.measure"]
 SMALL = "J2A_SELFTEST_SMALL"  # goes with J2A_WITH_SELFTEST
@@ -65,10 +59,9 @@ def measure(*arguments, **environment):
 
 
 @pytest.fixture(scope="session")
-def tools(missing):
-    for tool, package in TOOLS.items():
-        if shutil.which(tool) is None:
-            missing(f"{tool} is missing: install {package}")
+def tools(need, missing):
+    for tool in TOOLS:
+        need(tool)
     if not (FIRMWARE / "verify/emulators/rp2040/node_modules").is_dir():
         missing("rp2040js is not installed: run sh tools/npm.sh firmware/verify/emulators/rp2040")
 

@@ -21,6 +21,7 @@ from j2a_spec.oracle import Frame, encode
 
 from firmware.verify.budget import sizes
 from firmware.verify.budget.builds import FIRMWARE, BudgetError, Build, ToolMissing
+from firmware.verify.packages import advice
 
 __all__ = ["count"]
 
@@ -63,7 +64,7 @@ def _waits(build: Build) -> bool:
 
 def _tool(build: Build, name: str) -> str:
     if shutil.which(name) is None:
-        raise ToolMissing(f"{build.name}: {name} is missing; see tools/apt-packages.txt")
+        raise ToolMissing(f"{build.name}: {advice(name)}")
     return name
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from firmware.verify.budget import avr_run, avr_stack, builds, callgraph, counts, sizes
 from firmware.verify.budget.builds import BudgetError, Build, ToolMissing
 from firmware.verify.budget.snapshot import Result
+from firmware.verify.packages import advice
 
 __all__ = ["ToolMissing", "measure"]
 
@@ -28,7 +29,7 @@ def _compiler(build: Build, firmware: Path) -> str:
     else:
         raise BudgetError(f"{build.name}: there is no port {build.port}")
     if shutil.which(name) is None:
-        raise ToolMissing(f"{build.name}: {name} is missing; see tools/apt-packages.txt")
+        raise ToolMissing(f"{build.name}: {advice(name)}")
     return name
 
 

@@ -18,6 +18,8 @@ from pathlib import Path
 from j2a_spec import constants as c
 from j2a_spec.vectors import load
 
+from firmware.verify.packages import advice
+
 HERE = Path(__file__).parent
 CORE = HERE.parents[1] / "core"
 CORPUS = HERE / "corpus"
@@ -76,7 +78,7 @@ def main() -> int:
     if arguments.keep and arguments.small:
         parser.error("--keep with --small: the corpus is kept for the whole device; leave one out")
     if shutil.which("clang") is None:
-        print("clang is missing: install the packages clang and libclang-rt-dev", file=sys.stderr)
+        print(advice("clang"), file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory(prefix="j2a-fuzz-") as name:
         folder = Path(name)

@@ -19,6 +19,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from firmware.verify.packages import advice
+
 HERE = Path(__file__).parent
 CORE = HERE.parents[1] / "core"
 TIME_LIMIT_S = 600
@@ -243,9 +245,9 @@ def main() -> int:
     parser.add_argument("--only", default="", help="only analyses whose name starts with this")
     parser.add_argument("--jobs", type=int, default=2, help="how many run at a time (default: 2)")
     arguments = parser.parse_args()
-    for tool, package in (("frama-c", "frama-c-base"), ("gcc", "gcc")):
+    for tool in ("frama-c", "gcc"):
         if shutil.which(tool) is None:
-            print(f"{tool} is missing: install the package {package}", file=sys.stderr)
+            print(advice(tool), file=sys.stderr)
             return 2
     core = arguments.core.resolve()
     if not (core / "j2a_internal.h").is_file():
