@@ -13,19 +13,9 @@ from typing import NoReturn
 
 import pytest
 
+from firmware.verify.packages import advice
+
 ROOT = Path(__file__).parent
-# The programs by which tools/apt-packages.txt tells that a package is there, and some more.
-PACKAGES = {
-    probe: package
-    for line in (ROOT / "tools/apt-packages.txt").read_text("utf-8").splitlines()
-    if line and not line.startswith("#")
-    for package, _, probe in [line.split()]
-} | {
-    "cc": "gcc",
-    "avr-gcc": "gcc-avr, and avr-libc",
-    **dict.fromkeys(("qemu-i386", "qemu-mips", "qemu-s390x"), "qemu-user"),
-    **dict.fromkeys(("hcitool", "rfcomm", "sdptool"), "bluez"),
-}
 COMPILERS = {
     "avr-serial": "avr-gcc",
     "avr-usb": "avr-gcc",
@@ -69,7 +59,7 @@ def need() -> Callable[[str], None]:
 
     def check(tool: str) -> None:
         if shutil.which(tool) is None:
-            _missing(f"{tool} is missing: install the package {PACKAGES.get(tool, tool)}")
+            _missing(advice(tool))
 
     return check
 

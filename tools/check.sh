@@ -38,11 +38,11 @@ step format "layout of the Python files" ruff format --check --quiet .
 step mypy "types of the packages" mypy
 step mypy-tools "types of the tools, of the mutants and of the extensions of the documentation" bash -c \
     'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/mutants/*.py conformance/hosts/*.py &&
-    mypy firmware/budget/*.py && mypy firmware/targets/*.py firmware/ports/*/*.py'
+    mypy firmware/ports/*/*.py'
 step imports "arrows between the packages" lint-imports --no-cache --no-logo
 step firmware "the posix firmware" make -s --no-print-directory -C firmware PORT=posix APP=demo
 if command -v npm >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
-    step emulator "packages of the chip emulators" sh tools/npm.sh firmware/emulators/rp2040
+    step emulator "packages of the chip emulators" sh tools/npm.sh firmware/verify/emulators/rp2040
 else
     printf '\n==> emulator: SKIPPED, there is no npm\n'
 fi

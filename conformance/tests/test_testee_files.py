@@ -10,6 +10,8 @@ from j2a_conformance._packages import PACKAGES
 from j2a_conformance._testee import load_testee
 from j2a_conformance.cli import main
 
+from firmware.verify.packages import PACKAGES as INSTALLED
+
 URL = 'url = "exec:true"'
 LEAVES_A_CHILD = "sleep 311 & echo $! > pid; "
 
@@ -118,6 +120,12 @@ def test_every_program_that_a_testee_of_ours_needs_has_a_hint():
     needed = {name for path in folder.glob("*.toml") for name in load_testee(path).needs}
     assert needed
     assert needed <= PACKAGES.keys()
+
+
+def test_hints_name_the_packages_that_the_project_installs():
+    """The suite is installed without the list of system packages, so it has one of its own."""
+    for program, packages in PACKAGES.items():
+        assert packages.split()[0] == INSTALLED[program].split(",")[0]
 
 
 def test_a_server_that_ignores_signals_and_prints_without_end_is_ended(testee, gone):

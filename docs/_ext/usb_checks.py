@@ -3,7 +3,6 @@
 What flows in: the list in firmware/tests/usb9. What flows out: a table with a row for each check.
 """
 
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,12 +16,8 @@ FIRMWARE_TESTS = Path(__file__).resolve().parents[2] / "firmware" / "tests"
 
 def rows() -> list[tuple[str, str, str]]:
     """Return name, section of the USB 2.0 specification and sentence of each check."""
-    sys.path.insert(0, str(FIRMWARE_TESTS))
-    try:
-        found: list[tuple[str, str, str]] = import_module("usb9").rows()
-        return found
-    finally:
-        sys.path.remove(str(FIRMWARE_TESTS))
+    found: list[tuple[str, str, str]] = import_module("firmware.tests.usb9").rows()
+    return found
 
 
 class UsbChecks(SphinxDirective):

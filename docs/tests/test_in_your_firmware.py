@@ -191,7 +191,7 @@ def test_of_two_links_the_one_that_asks_gets_the_sifs(need, build_firmware):
 
 
 def test_the_costs_are_those_of_the_budget():
-    snapshot = json.loads((ROOT / "firmware/budget/snapshot.json").read_text())
+    snapshot = json.loads((ROOT / "firmware/verify/budget/snapshot.json").read_text())
     full = snapshot["avr-serial/full"]
     assert f"({full['flash']} bytes of flash, {full['ram']} of RAM)" in PAGE
     row = r"^\| `[^|]*` \|[^|]*\| ([^|]+) \| ([^|]+) \| `avr-serial/([^`]+)` \|$"

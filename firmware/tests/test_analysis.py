@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from firmware.verify.budget.sensor_load import CHIPS
+
 FIRMWARE = Path(__file__).parent.parent
 MISRA_PAGE = FIRMWARE.parent / "docs" / "misra.md"
 MINIMAL = "MAPPING MANY SIF CLOCK DEBUG"
@@ -32,8 +34,6 @@ TARGETS = {
     "riscv": ["--target=riscv32", "-march=rv32imac"],
     "template": [],  # compiles as it stands, here too
 }
-# The chips that sensors are wired to in three ways (drivers/avr/pins.h); the last one has no ADC.
-AVRS = {"atmega328p": 1, "atmega32u4": 1, "atmega32u2": 0}
 # What preprocessing asks of the chip's header, which cppcheck is not given.
 AVR_HAS = {"atmega328p": "UBRR0 UCSR0C", "atmega32u4": "UCSR1C", "atmega32u2": "UCSR1C"}
 AVR_FOLDERS = ("ports/avr-serial", "apps/sensors", "drivers", "drivers/avr")
@@ -123,7 +123,7 @@ def test_cppcheck_finds_nothing_in_a_port(need: Callable[[str], None], port: str
     assert (result.returncode, result.stdout + result.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("mcu", AVRS)
+@pytest.mark.parametrize("mcu", CHIPS)
 def test_cppcheck_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: str) -> None:
     """With cppcheck's own description of the AVR's library, in place of its headers."""
     need("cppcheck")
@@ -137,7 +137,7 @@ def test_cppcheck_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: st
         # It takes 65535 + 1 in 16 bits for "not 0", and the line asks just that.
         "--suppress=knownConditionTrueFalse:*/drivers/avr/quad.c",
         f"-D__AVR_{name}__",
-        f"-DSENSORS_ADC={AVRS[mcu]}",
+        f"-DSENSORS_ADC={int(bool(CHIPS[mcu].analog))}",
         *(f"-D{register}={register}" for register in ["TIMSK1", *AVR_HAS[mcu].split()]),
         *AVR_DEFINES,
         *includes(*AVR_FOLDERS),
@@ -204,12 +204,16 @@ def avr_machine(mcu: str) -> list[str]:
     return [*machine, *AVR_DEFINES, "-O2"]  # delay.h wants to be optimised
 
 
-@pytest.mark.parametrize("mcu", AVRS)
+@pytest.mark.parametrize("mcu", CHIPS)
 def test_clang_tidy_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: str) -> None:
     """With the headers of avr-libc, which the compiler knows where to find."""
     need("clang-tidy")
     need("avr-gcc")
-    flags = [*avr_machine(mcu), f"-DSENSORS_ADC={AVRS[mcu]}", *includes(*AVR_FOLDERS)]
+    flags = [
+        *avr_machine(mcu),
+        f"-DSENSORS_ADC={int(bool(CHIPS[mcu].analog))}",
+        *includes(*AVR_FOLDERS),
+    ]
     result = clang_tidy([*AVR_SOURCES, CLOCK], flags, f"--checks={UNCHECKED['avr']}")
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
 

@@ -5,16 +5,11 @@ each of the two handlers, against what firmware/README.md says of them.
 """
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-try:
-    from usb9 import CHECKS, Device
-finally:
-    sys.path.remove(str(Path(__file__).parent))
+from firmware.tests.usb9 import CHECKS, Device
 
 pytestmark = pytest.mark.avr
 

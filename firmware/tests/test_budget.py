@@ -1,7 +1,7 @@
 """The budgets: each limit is a test, the snapshot is what is measured, and what is wrong is found.
 
-In: firmware/budget/budget.toml and snapshot.json. Out: one test for each limit. Everything is
-measured once, in a folder of its own; the controls change the limits, the snapshot and the
+In: firmware/verify/budget/budget.toml and snapshot.json. Out: one test for each limit. Everything
+is measured once, in a folder of its own; the controls change the limits, the snapshot and the
 firmware, and each must be noticed.
 """
 
@@ -10,7 +10,6 @@ import io
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -19,35 +18,23 @@ from pathlib import Path
 import pytest
 from j2a_sim import AvrSim
 
+from firmware.verify.budget import avr_run, avr_stack, builds, callgraph, report, snapshot
+from firmware.verify.budget import measure as command
+from firmware.verify.budget.builds import BudgetError
+
 FIRMWARE = Path(__file__).parents[1]
-BUDGET = FIRMWARE / "budget"
-sys.path.insert(0, str(BUDGET))
-try:
-    import avr_run
-    import avr_stack
-    import builds
-    import callgraph
-    import measure as command
-    import report
-    import snapshot
-    from builds import BudgetError
-finally:
-    sys.path.remove(str(BUDGET))
+BUDGET = FIRMWARE / "verify/budget"
 
 pytestmark = pytest.mark.avr
 
 ENTRIES = tomllib.loads((BUDGET / "budget.toml").read_text())["build"]
 LIMITS = [(entry["name"], *item) for entry in ENTRIES for item in entry.get("limit", {}).items()]
-TOOLS = {
-    "avr-gcc": "gcc-avr and avr-libc",
-    "arm-none-eabi-gcc": "gcc-arm-none-eabi",
-    "riscv64-unknown-elf-gcc": "gcc-riscv64-unknown-elf",
-    "qemu-system-arm": "qemu-system-arm",
-    "qemu-system-riscv32": "qemu-system-misc",
-    "valgrind": "valgrind",
-    "node": "nodejs",
-}
+TOOLS = (
+    *("avr-gcc", "arm-none-eabi-gcc", "riscv64-unknown-elf-gcc"),
+    *("qemu-system-arm", "qemu-system-riscv32", "valgrind", "node"),
+)
 FULL = "avr-serial/full"
+COMMAND = [sys.executable, "-m", "firmware.verify.budget.measure"]
 SMALL = "J2A_SELFTEST_SMALL"  # goes with J2A_WITH_SELFTEST
 VARIABLES = {"LINKS", "ROOM", "RXBUF", "TXBUF"}  # of the Makefile, for options of the same names
 # Not measured: bytes that are what they say, a constant, and a buffer of ports to large machines.
@@ -63,7 +50,7 @@ def measure(*arguments, **environment):
             code = command.main([*map(str, arguments)])
         return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
     return subprocess.run(
-        [sys.executable, BUDGET / "measure.py", *map(str, arguments)],
+        [*COMMAND, *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
@@ -72,12 +59,11 @@ def measure(*arguments, **environment):
 
 
 @pytest.fixture(scope="session")
-def tools(missing):
-    for tool, package in TOOLS.items():
-        if shutil.which(tool) is None:
-            missing(f"{tool} is missing: install {package}")
-    if not (FIRMWARE / "emulators/rp2040/node_modules").is_dir():
-        missing("rp2040js is not installed: run sh tools/npm.sh firmware/emulators/rp2040")
+def tools(need, missing):
+    for tool in TOOLS:
+        need(tool)
+    if not (FIRMWARE / "verify/emulators/rp2040/node_modules").is_dir():
+        missing("rp2040js is not installed: run sh tools/npm.sh firmware/verify/emulators/rp2040")
 
 
 @pytest.fixture(scope="session")
@@ -394,7 +380,8 @@ def test_missing_tools_are_told(tmp_path):
 
 def test_without_the_library_it_says_what_to_do(tmp_path):
     result = subprocess.run(
-        [sys.executable, "-I", "-S", BUDGET / "measure.py"],
+        [COMMAND[0], "-E", "-S", *COMMAND[1:]],
+        cwd=FIRMWARE.parent,
         capture_output=True,
         text=True,
         check=False,

@@ -220,11 +220,13 @@ def test_ports_are_small(path):
     assert len(path.read_text().splitlines()) < 150
 
 
-@pytest.mark.parametrize("target", ["proof", "fuzz"])
-def test_targets_with_the_name_of_a_folder_run(make, target):
-    result = make("-n", target)
+@pytest.mark.parametrize(
+    "module", ["budget.measure", "fuzz.fuzz", "proof.prove", "targets.compile"]
+)
+def test_targets_run_the_module_that_verifies(make, module):
+    result = make("-n", module.split(".")[0])
     assert result.returncode == 0, result.stderr
-    assert f"{target}/{'prove' if target == 'proof' else target}.py" in result.stdout
+    assert f"-m firmware.verify.{module}" in result.stdout
 
 
 def test_mutant_of_a_port_and_an_app_in_other_folders(make, tmp_path):

@@ -152,11 +152,17 @@ def test_for_an_avr(cmake, need, tmp_path):
         sim.uart_write(encode(echo))
         sim.run(sim.cycles(0.01))
         assert decode(sim.uart_read()) == [Frame(c.SOF, 5, c.ECHO, b"hello")]
-    for setting, flags, message in (
-        ("", ["CMAKE_C_FLAGS=-mmcu=atmega8"], "has -mmcu=atmega8"),
-        ("SET SPEED=3", [], "SET SPEED=3: give NAME=value, NAME one of BAUD;MCU;FREQ"),
+    for port, setting, flags, message in (
+        ("avr-serial", "", ["CMAKE_C_FLAGS=-mmcu=atmega8"], "has -mmcu=atmega8"),
+        (
+            "avr-serial",
+            "SET SPEED=3",
+            [],
+            "SET SPEED=3: give NAME=value, NAME one of BAUD;MCU;FREQ",
+        ),
+        ("avr-usb", "SET MCU=atmega8", [], "MCU=atmega8: this port is for atmega8u2 atmega16u2"),
     ):
-        settings = for_chip(tmp_path, "avr-serial", "avr-gcc", setting)
+        settings = for_chip(tmp_path, port, "avr-gcc", setting)
         result = cmake(tmp_path, tmp_path / "build", *settings, *flags)
         assert result.returncode != 0
         assert message in " ".join(result.stderr.split())

@@ -6,17 +6,12 @@ is found by what the function says: before that cycle the new value, after it th
 
 import struct
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from j2a_sim import AvrSim, pulses
 
-sys.path.insert(0, str(Path(__file__).parent))
-try:
-    from sensor_load import CHIPS, Board
-finally:
-    sys.path.remove(str(Path(__file__).parent))
+from firmware.verify.budget.sensor_load import CHIPS, Board
 
 HERE = Path(__file__).parent
 DRIVERS = HERE.parent / "drivers"

@@ -12,18 +12,13 @@ import random
 import re
 import struct
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from j2a_sim import AvrSim, pulses
 from j2a_spec import constants as c
 
-sys.path.insert(0, str(Path(__file__).parent))
-try:
-    from sensor_load import ADC, BACKWARD, CHIPS, DIST_IR, FORWARD, QUAD, Board
-finally:
-    sys.path.remove(str(Path(__file__).parent))
+from firmware.verify.budget.sensor_load import ADC, BACKWARD, CHIPS, DIST_IR, FORWARD, QUAD, Board
 
 DRIVERS = Path(__file__).parent.parent / "drivers"
 PAGE = DRIVERS.parent.parent / "docs" / "drivers.md"
@@ -622,7 +617,7 @@ def test_the_sum_and_the_sizes_on_the_page():
     (_, both, *_) = printed(r"(\d+) a step, (\d+) for both .*; (\d+) and (\d+) with a callback")
     (servo,), (clock,) = printed(r"\| (\d+) at most, after"), printed(r"(\d+), each 262 ms")
     assert printed(r"come at once \| (\d+) \| (\d+):") == [both + servo + clock] * 2
-    snapshot = json.loads((DRIVERS.parent / "budget" / "snapshot.json").read_text("utf-8"))
+    snapshot = json.loads((DRIVERS.parent / "verify/budget/snapshot.json").read_text("utf-8"))
     for name, row in (("sensors", "ATmega328P"), ("sensors-32u2", "ATmega32U2, all [^|]*")):
         sizes = snapshot[f"avr-serial/{name}"]
         found = printed(rf"\| {row} \| (\d+) \| (\d+) \| (\d+) \| \d+ \|")

@@ -8,14 +8,13 @@ from pathlib import Path
 import pytest
 
 FIRMWARE = Path(__file__).parents[1]
-CORPUS = FIRMWARE / "fuzz/corpus"
+CORPUS = FIRMWARE / "verify/fuzz/corpus"
 SECONDS = 10
 
 
-def fuzz(missing, *arguments):
-    if shutil.which("clang") is None:
-        missing("clang is missing: install the packages clang and libclang-rt-dev")
-    command = [sys.executable, FIRMWARE / "fuzz/fuzz.py", *map(str, arguments)]
+def fuzz(need, *arguments):
+    need("clang")
+    command = [sys.executable, "-m", "firmware.verify.fuzz.fuzz", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -27,8 +26,8 @@ def test_corpus_is_small_and_there():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(), ("--small",)], ids=["255 bytes", "32 bytes"])
-def test_nothing_is_found(missing, size):
-    result = fuzz(missing, "--seconds", SECONDS // 2, *size)
+def test_nothing_is_found(need, size):
+    result = fuzz(need, "--seconds", SECONDS // 2, *size)
     assert result.returncode == 0, result.stderr[-4000:]
     assert "stat::number_of_executed_units" in result.stderr
 
@@ -70,14 +69,14 @@ DEFECTS = {
 
 
 @pytest.mark.parametrize("defect", DEFECTS)
-def test_defect_is_found(missing, tmp_path, defect):
+def test_defect_is_found(need, tmp_path, defect):
     name, old, new, *size = DEFECTS[defect]
     core = tmp_path / "core"
     shutil.copytree(FIRMWARE / "core", core)
     source = (core / name).read_text()
     assert source.count(old) == 1
     (core / name).write_text(source.replace(old, new))
-    result = fuzz(missing, "--core", core, "--seconds", SECONDS, "--inputs", tmp_path, *size)
+    result = fuzz(need, "--core", core, "--seconds", SECONDS, "--inputs", tmp_path, *size)
     assert result.returncode == 1, result.stderr[-2000:]
     assert "link.c:" in result.stderr or "Sanitizer" in result.stderr
     assert "Test unit written to" in result.stderr

@@ -8,21 +8,20 @@ from pathlib import Path
 import pytest
 
 FIRMWARE = Path(__file__).parents[1]
-PROVE = FIRMWARE / "proof/prove.py"
+PROVE = [sys.executable, "-m", "firmware.verify.proof.prove"]
 
 
-def prove(missing, *arguments):
-    if shutil.which("frama-c") is None:
-        missing("frama-c is missing: install the package frama-c-base")
+def prove(need, *arguments):
+    need("frama-c")
     return subprocess.run(
-        [sys.executable, PROVE, *map(str, arguments)], capture_output=True, text=True, check=False
+        [*PROVE, *map(str, arguments)], capture_output=True, text=True, check=False
     )
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)  # about 130 s of CPU
-def test_core_is_proved(missing):
-    result = prove(missing)
+def test_core_is_proved(need):
+    result = prove(need)
     assert result.returncode == 0, result.stdout + result.stderr
     assert result.stdout.count("proven  ") == 13
 
@@ -106,30 +105,30 @@ DEFECTS = {
     "defect",
     [d if d in QUICK else pytest.param(d, marks=pytest.mark.exhaustive) for d in DEFECTS],
 )
-def test_proof_of_a_broken_core_fails(missing, tmp_path, defect):
+def test_proof_of_a_broken_core_fails(need, tmp_path, defect):
     only, name, old, new, reason = DEFECTS[defect]
     core = tmp_path / "core"
     shutil.copytree(FIRMWARE / "core", core)
     source = (core / name).read_text()
     assert source.count(old) == 1
     (core / name).write_text(source.replace(old, new))
-    result = prove(missing, "--core", core, "--only", only)
+    result = prove(need, "--core", core, "--only", only)
     assert result.returncode == 1, result.stdout + result.stderr
     assert "FAILED" in result.stdout
     assert reason in result.stdout
 
 
-def test_file_of_the_core_that_no_analysis_has_fails(missing, tmp_path):
+def test_file_of_the_core_that_no_analysis_has_fails(need, tmp_path):
     core = tmp_path / "core"
     shutil.copytree(FIRMWARE / "core", core)
     (core / "j2a_new.c").write_text("extern int j2a_new;\n")
-    result = prove(missing, "--core", core, "--only", "sender gcc_x86_64")
+    result = prove(need, "--core", core, "--only", "sender gcc_x86_64")
     assert result.returncode == 1, result.stdout + result.stderr
     assert "j2a_new.c is in no analysis" in result.stdout
 
 
-def test_folder_without_a_core_is_refused(missing, tmp_path):
-    result = prove(missing, "--core", tmp_path / "nowhere")
+def test_folder_without_a_core_is_refused(need, tmp_path):
+    result = prove(need, "--core", tmp_path / "nowhere")
     assert result.returncode == 2
     assert "no j2a_internal.h there" in result.stderr
     assert "Traceback" not in result.stderr

@@ -22,7 +22,7 @@ from j2a_spec.grammar import PROPERTIES
 from j2a_spec.oracle import Frame, decode, encode
 
 FIRMWARE = Path(__file__).parents[1]
-EMULATOR = FIRMWARE / "emulators/rp2040"
+EMULATOR = FIRMWARE / "verify/emulators/rp2040"
 IMAGE_PY = FIRMWARE / "ports/rp2040/image.py"
 FLASH = 0x10000000
 NAMES = [*c.BUILTINS, "getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
@@ -36,7 +36,7 @@ PATIENCE_S = 60
 def emulator(need, missing):
     need("node")
     if not (EMULATOR / "node_modules").exists():
-        missing("rp2040js is missing: run sh tools/npm.sh firmware/emulators/rp2040")
+        missing("rp2040js is missing: run sh tools/npm.sh firmware/verify/emulators/rp2040")
 
 
 @pytest.fixture(scope="module")
@@ -310,7 +310,7 @@ def test_without_the_package(need, tmp_path):
         ["node", tmp_path / "run.mjs", "x.elf"], capture_output=True, text=True, check=False
     )
     assert result.returncode == 2
-    assert "run: sh tools/npm.sh firmware/emulators/rp2040" in result.stderr
+    assert "run: sh tools/npm.sh firmware/verify/emulators/rp2040" in result.stderr
 
 
 def test_installing_needs_a_lock(need, tmp_path):

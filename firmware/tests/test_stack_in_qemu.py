@@ -7,7 +7,6 @@ When an interrupt comes depends on this machine, so what is seen is a test and n
 
 import json
 import shlex
-import shutil
 import socket
 import sys
 import time
@@ -18,16 +17,9 @@ import pytest
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 
+from firmware.verify.budget import avr_run, builds, runs, sizes
+
 FIRMWARE = Path(__file__).parents[1]
-BUDGET = FIRMWARE / "budget"
-sys.path.insert(0, str(BUDGET))
-try:
-    import avr_run
-    import builds
-    import runs
-    import sizes
-finally:
-    sys.path.remove(str(BUDGET))
 
 ENTRY_BYTES = 12  # of the function table: two pointers and the kind
 PATIENCE_S = 40
@@ -70,14 +62,13 @@ def answered(link, seq):
 
 @pytest.mark.avr
 @pytest.mark.parametrize("port", ["cortex-m", "riscv"])
-def test_bound_holds(port, missing, tmp_path):
+def test_bound_holds(port, missing, need, tmp_path):
     (build,) = (build for build in builds.load() if build.name == f"{port}/demo")
     try:
         bound = runs.measure(build, tmp_path, FIRMWARE).figures["bound"]
     except builds.ToolMissing as error:
         missing(str(error))
-    if shutil.which(build.emulator[0]) is None:
-        missing(f"{build.emulator[0]} is missing: install qemu-system-arm and qemu-system-misc")
+    need(build.emulator[0])
     elf = tmp_path / build.name / "demo.elf"
     symbols = sizes.symbols(elf)
     start, end = (symbols[name][0] for name in FREE[port])

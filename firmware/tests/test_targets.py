@@ -1,8 +1,8 @@
 """The core compiles without a warning for many chips; other byte orders and word sizes run it.
 
-In: firmware/targets/targets.toml; the posix port, compiled by Zig for machines that QEMU runs
-programs of. Out: sizes of the core for each target, and the golden vectors on the machines of which
-the whole suite is not run (posix-big-endian and posix-32bit are testees).
+In: firmware/verify/targets/targets.toml; the posix port, compiled by Zig for machines that QEMU
+runs programs of. Out: sizes of the core for each target, and the golden vectors on the machines
+of which the whole suite is not run (posix-big-endian and posix-32bit are testees).
 """
 
 import shutil
@@ -14,14 +14,9 @@ from pathlib import Path
 import pytest
 from j2a_conformance.cli import main
 
-FIRMWARE = Path(__file__).parents[1]
-TARGETS = FIRMWARE / "targets"
-sys.path.insert(0, str(TARGETS))
-try:
-    import compile as targets
-finally:
-    sys.path.remove(str(TARGETS))
+from firmware.verify.targets import compile as targets
 
+FIRMWARE = Path(__file__).parents[1]
 ALL = targets.load()
 # Zig's name of the target, QEMU's name of the machine, folder of its C library, and its package.
 MACHINES = {

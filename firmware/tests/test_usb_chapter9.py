@@ -4,16 +4,9 @@ In: the demo of the port avr-usb. Out: each check of the list (usb9/) on each ch
 of its own, whose first instruction is the first thing that happens.
 """
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-try:
-    from usb9 import CHECKS, NAME, Device, rows
-finally:
-    sys.path.remove(str(Path(__file__).parent))
+from firmware.tests.usb9 import CHECKS, NAME, Device, rows
 
 pytestmark = pytest.mark.avr
 

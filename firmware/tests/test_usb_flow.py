@@ -5,7 +5,6 @@ frame against the one that is due, in order. All times are simulated ones.
 """
 
 import random
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,12 +12,8 @@ from j2a_spec import constants as c
 from j2a_spec import usb
 from j2a_spec.oracle import Frame, encode
 
-sys.path.insert(0, str(Path(__file__).parent))
-try:
-    from usb9 import Device
-    from usb9.device import OPCODE
-finally:
-    sys.path.remove(str(Path(__file__).parent))
+from firmware.tests.usb9 import Device
+from firmware.tests.usb9.device import OPCODE
 
 pytestmark = [pytest.mark.avr, pytest.mark.requirement("USB-010")]
 

@@ -7,7 +7,6 @@ test_usb_chapter9.py shows.
 """
 
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +14,7 @@ import construct
 import pytest
 from j2a_sim import SimError
 
-sys.path.insert(0, str(Path(__file__).parent))
-try:
-    from usb9 import CHECKS, NAME, Device
-finally:
-    sys.path.remove(str(Path(__file__).parent))
+from firmware.tests.usb9 import CHECKS, NAME, Device
 
 pytestmark = pytest.mark.avr
 

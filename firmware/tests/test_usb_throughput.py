@@ -1,16 +1,10 @@
 """What the port avr-usb carries of what endpoint and cycles allow, in simulated time."""
 
 import re
-import sys
-from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-try:
-    from usb_throughput import APP, CHIPS, TABLE, WIRE, page, rows
-finally:
-    sys.path.remove(str(Path(__file__).parent))
+from firmware.tests.usb_throughput import APP, CHIPS, TABLE, WIRE, page, rows
 
 pytestmark = pytest.mark.avr
 

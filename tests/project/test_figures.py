@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
-SNAPSHOT = json.loads((ROOT / "firmware/budget/snapshot.json").read_text("utf-8"))
+SNAPSHOT = json.loads((ROOT / "firmware/verify/budget/snapshot.json").read_text("utf-8"))
 FULL, MINIMAL = SNAPSHOT["avr-serial/full"], SNAPSHOT["avr-serial/minimal"]
 USB = SNAPSHOT["avr-usb/full-32u2"]
 SMALL = SNAPSHOT["avr-serial/minimal-room-32"]

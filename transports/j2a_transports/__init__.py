@@ -45,7 +45,8 @@ from ._url import Url
 
 if TYPE_CHECKING:
     from ._gadget.gadget import UsbGadget
-    from ._usb.find import UsbBoard, usb_boards
+    from ._usb.board import UsbBoard
+    from ._usb.find import usb_boards
     from ._usb.link import open_usb_device
     from ._usb.watch import UsbArrived, UsbLeft, UsbWatch, watch_usb
 
@@ -77,7 +78,7 @@ __all__ = [
 # Names of drivers, which are loaded when they are first used.
 _LATER = {
     "UsbArrived": "._usb.watch",
-    "UsbBoard": "._usb.find",
+    "UsbBoard": "._usb.board",
     "UsbGadget": "._gadget.gadget",
     "UsbLeft": "._usb.watch",
     "UsbWatch": "._usb.watch",

@@ -1,6 +1,6 @@
 /* A Raspberry Pi Pico (RP2040), UART0 on GPIO0 (TX) and GPIO1 (RX): bytes flow from the UART's FIFO of 32
  * into the ring by interrupt, and back by its transmit FIFO. Everything runs at the 12 MHz of the crystal, and
- * the TIMER is the clock. Run in the emulator of ../../emulators/rp2040; not yet on a board, for which the .uf2 is.
+ * the TIMER is the clock. Run in the emulator of ../../verify/emulators/rp2040; not yet on a board, for which the .uf2 is.
  * Rules: an interrupt handler and the main loop share no variable; a read of UART_DATA takes a byte out of the
  * FIFO, together with the flag that bytes were lost before it, so only board_lost() reads it. */
 #include "board.h"

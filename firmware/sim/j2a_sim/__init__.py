@@ -29,9 +29,9 @@ from j2a_sim._link import SimLink
 from j2a_sim._pins import Adc, Pins
 from j2a_sim._records import Counters, Edge, Interrupts, OutByte, Pulse, Span, pulses
 from j2a_sim._runner import Runner, run
-from j2a_sim._usb.bus import UsbBus
 from j2a_sim._usb.link import UsbLink
-from j2a_sim._usb.records import (
+from j2a_sim._usb_bus.bus import UsbBus
+from j2a_sim._usb_bus.records import (
     Completion,
     UsbCounters,
     UsbDescriptors,

@@ -19,7 +19,7 @@ from j2a_sim._core import AvrCore
 from j2a_sim._errors import SimError
 from j2a_sim._pins import Adc, Pins
 from j2a_sim._records import Counters, Interrupts, OutByte, Span
-from j2a_sim._usb.bus import UsbBus
+from j2a_sim._usb_bus.bus import UsbBus
 
 SERIAL_BYTES: Final = 10
 

@@ -22,6 +22,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from j2a_sim import _prototypes
 from j2a_sim._errors import SimError, ToolMissing
 
 COUNTERS = (
@@ -47,6 +48,7 @@ STOP_OUTPUT, STOP_SPAN, STOP_USB = 1, 2, 4
 STATES = ("limbo", "stopped", "running", "sleeping", "step", "step", "done", "crashed")
 
 _CHIP = Path(__file__).parent / "chip"
+_HEADERS = ("simavr_shim.h", "usb_host.h")  # declare what Python calls
 _PACKAGES = "on Debian and Ubuntu: apt install gcc libc6-dev libsimavr-dev"
 
 
@@ -168,89 +170,6 @@ def library() -> ctypes.CDLL:
         lib = ctypes.CDLL(str(path))
     except OSError as error:
         raise SimError(f"cannot load the simulator's shim {path}: {error}; {_PACKAGES}") from None
-    integer = ctypes.c_int
-    pointer, u8, u32, u64 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint32, ctypes.c_uint64
-    u8s, u64s = ctypes.POINTER(u8), ctypes.POINTER(u64)
-    text = ctypes.c_char_p
-    types: dict[str, tuple[object, list[object]]] = {
-        "sim_new": (
-            pointer,
-            [
-                text,
-                u32,
-                ctypes.c_char,
-                ctypes.c_double,
-                text,
-                u32,
-                u32,
-                text,
-                text,
-                ctypes.c_size_t,
-            ],
-        ),
-        "sim_free": (None, [pointer]),
-        "sim_reset": (None, [pointer]),
-        "sim_run": (ctypes.c_int, [pointer, u64, ctypes.c_int]),
-        "sim_cycle": (u64, [pointer]),
-        "sim_pc": (u32, [pointer]),
-        "sim_illegal": (ctypes.c_int, [pointer]),
-        "sim_spans_on": (ctypes.c_int, [pointer]),
-        "sim_data": (pointer, [pointer]),
-        "sim_data_size": (u32, [pointer]),
-        "sim_flash_size": (u32, [pointer]),
-        "sim_log": (text, [pointer]),
-        "sim_feed": (ctypes.c_int, [pointer, text, u32]),
-        "sim_bit_cycles": (ctypes.c_double, [pointer]),
-        "sim_char_bits": (ctypes.c_uint, [pointer]),
-        "sim_receiver_on": (ctypes.c_int, [pointer]),
-        "sim_counters": (None, [pointer, u64s]),
-        "sim_out_count": (u32, [pointer]),
-        "sim_span_count": (u32, [pointer]),
-        "sim_take_out": (None, [pointer, u32, u8s, u64s]),
-        "sim_take_spans": (None, [pointer, u8s, u64s, u64s]),
-        "sim_interrupt": (ctypes.c_int, [pointer, ctypes.c_int, u64s]),
-        "sim_clear_interrupts": (None, [pointer]),
-        "sim_pin": (ctypes.c_int, [pointer, ctypes.c_char, ctypes.c_int]),
-        "sim_pin_level": (ctypes.c_int, [pointer, ctypes.c_int]),
-        "sim_watch": (None, [pointer, ctypes.c_int]),
-        "sim_edge_count": (u32, [pointer, ctypes.c_int]),
-        "sim_take_edges": (None, [pointer, ctypes.c_int, u64s, u8s]),
-        "sim_waiting": (u32, [pointer]),
-        "sim_drive": (None, [pointer, u64, ctypes.c_int, ctypes.c_int]),
-        "sim_has_adc": (ctypes.c_int, [pointer]),
-        "sim_conversions": (u64, [pointer]),
-        "sim_set_volts": (None, [pointer, u64, ctypes.c_int, ctypes.c_double]),
-        "sim_set_references": (None, [pointer, ctypes.c_double, ctypes.c_double]),
-        "sim_usb": (pointer, [pointer]),
-        "usb_host_plug": (None, [pointer, integer]),
-        "usb_host_attached": (integer, [pointer]),
-        "usb_host_set_counting": (None, [pointer, integer]),
-        "usb_host_set_suspend_flags": (None, [pointer, integer]),
-        "usb_host_lacks": (integer, [pointer]),
-        "usb_host_state": (integer, [pointer]),
-        "usb_host_reset": (None, [pointer, u64]),
-        "usb_host_suspend": (None, [pointer]),
-        "usb_host_resume": (None, [pointer]),
-        "usb_host_frame": (u32, [pointer]),
-        "usb_host_frame_start": (ctypes.c_double, [pointer]),
-        "usb_host_frame_cycles": (ctypes.c_double, [pointer]),
-        "usb_host_set_frame_cycles": (None, [pointer, ctypes.c_double]),
-        "usb_host_address": (integer, [pointer]),
-        "usb_host_set_address": (None, [pointer, integer]),
-        "usb_host_clear_toggle": (None, [pointer, integer]),
-        "usb_host_submit": (
-            integer,
-            [pointer, integer, integer, integer, u32, text, text, u32, integer],
-        ),
-        "usb_host_cancel": (None, [pointer, integer]),
-        "usb_host_pending": (u32, [pointer]),
-        "usb_host_completed": (u32, [pointer]),
-        "usb_host_look": (None, [pointer, u64s]),
-        "usb_host_take": (integer, [pointer, u8s]),
-        "usb_host_counters": (None, [pointer, u64s]),
-    }
-    for name, (result, arguments) in types.items():
-        function = getattr(lib, name)
-        function.restype = result
-        function.argtypes = arguments
+    for name in _HEADERS:
+        _prototypes.apply(lib, (_CHIP / name).read_text("utf-8"))
     return lib

@@ -14,7 +14,8 @@ from argparse import ArgumentParser
 import j2a_transports
 import pytest
 from j2a_sim import FirmwareStopped, Runner, SimError, run
-from j2a_sim._command import add_arguments, main
+from j2a_sim._command import add_arguments
+from j2a_sim._command import run as run_command
 from j2a_transports import LinkLost, OpenFailed
 
 pytestmark = pytest.mark.avr
@@ -356,7 +357,7 @@ def test_command_options_reach_the_simulator(firmware, capsys):
         (["--baud", "9e9"], "host_baud"),
         (["--listen", "nowhere:"], "unknown scheme"),
     ]:
-        assert main(parser.parse_args(["avr", elf, *options])) == 2
+        assert run_command(parser.parse_args(["avr", elf, *options])) == 2
         assert text in capsys.readouterr().err
     for wrong, text in [
         (["--speed", "-1"], "argument --speed: '-1' is not 0 for as fast as possible, or a number"),
@@ -375,7 +376,7 @@ def test_command_fails_like_the_other_commands(firmware, capsys):
     add_arguments(parser)
     with j2a_transports.listen("tcp://127.0.0.1:0") as taken:
         place = ["--listen", taken.url]
-        assert main(parser.parse_args(["avr", str(firmware("echo")), *place])) == 3
+        assert run_command(parser.parse_args(["avr", str(firmware("echo")), *place])) == 3
     assert "another program listens there" in capsys.readouterr().err
 
 

@@ -1,7 +1,7 @@
 """The USB device controller: control transfers, address, bus events, interrupts."""
 
 import pytest
-from j2a_sim._usb.port import UsbPort
+from j2a_sim._usb_bus.port import UsbPort
 
 from firmware.sim.tests.usb_chip import (
     BULK_IN,

@@ -2,7 +2,7 @@
 
 import pytest
 from j2a_sim import AvrSim, SimError
-from j2a_sim._usb.bus import UsbError, UsbNoAnswer, UsbStall, UsbTimeout
+from j2a_sim._usb_bus.bus import UsbError, UsbNoAnswer, UsbStall, UsbTimeout
 
 from firmware.sim.tests.usb_chip import (
     BIT,

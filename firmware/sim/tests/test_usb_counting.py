@@ -3,7 +3,7 @@ each of them."""
 
 import pytest
 from j2a_sim import AvrSim, SimError
-from j2a_sim._usb.port import UsbPort
+from j2a_sim._usb_bus.port import UsbPort
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 
@@ -13,12 +13,12 @@ pytestmark = pytest.mark.avr
 
 READ = bytes([0x80, 6, 0, 1, 0, 0, 64, 0])
 A2J_ECHO = c.BUILTINS.index("a2jEcho")
-COUNTINGS = UsbPort.COUNTINGS
+MODELS = UsbPort.BYTE_COUNT_MODELS
 
 
 @pytest.mark.parametrize(
     ("counting", "of_in", "of_setup"),
-    list(zip(COUNTINGS, (1, 4, 1, 1), ([8, 7], [8, 7], [0, 0], [8, 8]), strict=True)),
+    list(zip(MODELS, (1, 4, 1, 1), ([8, 7], [8, 7], [0, 0], [8, 8]), strict=True)),
 )
 def test_the_readings(open_chip, counting, of_in, of_setup):
     chip = open_chip("atmega32u4")
@@ -46,7 +46,7 @@ def test_an_unknown_reading(open_chip):
         open_chip("atmega32u4").bus.counting = "both"
 
 
-@pytest.mark.parametrize("counting", COUNTINGS)
+@pytest.mark.parametrize("counting", MODELS)
 @pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
 def test_the_port_bears_each(build_firmware, counting, mcu):
     elf = build_firmware(port="avr-usb", MCU=mcu)

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from j2a_sim import SimError, UsbLink
 from j2a_sim._link import open_url
-from j2a_sim._usb.bus import UsbBus
 from j2a_sim._usb.descriptors import parse_configuration, parse_device
 from j2a_sim._usb.link import find_endpoints
+from j2a_sim._usb_bus.bus import UsbBus
 from j2a_transports import BadUrl, LinkClosed, LinkLost, OpenFailed, Url
 
 pytestmark = pytest.mark.avr

@@ -7,7 +7,7 @@ import j2a_transports
 import pytest
 import usb.core
 from j2a_sim import SimBackend, SimError, UsbLink
-from j2a_sim._usb.port import UsbPort
+from j2a_sim._usb_bus.port import UsbPort
 from j2a_transports import WriteTimeout
 
 pytestmark = pytest.mark.avr

@@ -87,7 +87,6 @@ static void run_all(const char *mcu, unsigned count, FILE *result)
 
 int main(int argc, char **argv)
 {
-    static const char *const relatives[] = {"atmega16u4", "at90usb82", "atmega8u2", "atmega16u2", "atmega32u2"};
     FILE *result = argc == 3 ? fopen(argv[1], "w") : NULL;
     if (!result)
         return 2;
@@ -96,8 +95,8 @@ int main(int argc, char **argv)
     for (kind_t **kind = avr_kind; *kind; kind++)
         if (strcmp((*kind)->names[0], "atmega16m1") && chip++ % 2 == odd)
             run_all((*kind)->names[0], count, result);
-    for (unsigned i = 0; i < sizeof relatives / sizeof relatives[0]; i++)
+    for (unsigned i = 0; mcu_relative(i); i++)
         if (chip++ % 2 == odd)
-            run_all(relatives[i], count, result);
+            run_all(mcu_relative(i), count, result);
     return fclose(result) != 0;
 }

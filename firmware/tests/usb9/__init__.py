@@ -6,7 +6,7 @@ has a chip of its own, without power on the bus; what the specification leaves o
 for; expected descriptors come from j2a_spec, never from the firmware.
 """
 
-from usb9 import (
+from firmware.tests.usb9 import (
     addresses,
     application,
     bus,
@@ -20,8 +20,8 @@ from usb9 import (
     stream,
     transfers,
 )
-from usb9.checks import Check
-from usb9.device import Device
+from firmware.tests.usb9.checks import Check
+from firmware.tests.usb9.device import Device
 
 __all__ = ["CHECKS", "NAME", "Check", "Device", "rows"]
 

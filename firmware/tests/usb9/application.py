@@ -5,8 +5,8 @@ from j2a_spec import constants as c
 from j2a_spec import usb
 from j2a_spec.oracle import Frame
 
-from usb9.checks import Check, listing
-from usb9.device import (
+from firmware.tests.usb9.checks import Check, listing
+from firmware.tests.usb9.device import (
     GET_CONFIGURATION,
     IN,
     OPCODE,

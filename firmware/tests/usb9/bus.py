@@ -4,10 +4,10 @@ import pytest
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame
 
-from usb9.application import BUSY_MS, begin, block
-from usb9.checks import Check, listing
-from usb9.device import GET_CONFIGURATION, GET_DESCRIPTOR, IN, OPCODE, Device, setup
-from usb9.states import is_in_default_state
+from firmware.tests.usb9.application import BUSY_MS, begin, block
+from firmware.tests.usb9.checks import Check, listing
+from firmware.tests.usb9.device import GET_CONFIGURATION, GET_DESCRIPTOR, IN, OPCODE, Device, setup
+from firmware.tests.usb9.states import is_in_default_state
 
 CHECKS: list[Check] = []
 check = listing(CHECKS)

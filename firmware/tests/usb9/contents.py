@@ -4,9 +4,9 @@ import pytest
 from j2a_spec import constants as c
 from j2a_spec import usb
 
-from usb9.checks import Check, listing
-from usb9.descriptors import ENGLISH, strings
-from usb9.device import Device
+from firmware.tests.usb9.checks import Check, listing
+from firmware.tests.usb9.descriptors import ENGLISH, strings
+from firmware.tests.usb9.device import Device
 
 CHECKS: list[Check] = []
 check = listing(CHECKS)

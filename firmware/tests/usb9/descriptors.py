@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 from j2a_spec import usb
 
-from usb9.checks import Check, listing
-from usb9.device import GET_DESCRIPTOR, IN, INTERFACE, OUT, Device, setup
+from firmware.tests.usb9.checks import Check, listing
+from firmware.tests.usb9.device import GET_DESCRIPTOR, IN, INTERFACE, OUT, Device, setup
 
 CHECKS: list[Check] = []
 check = listing(CHECKS)

@@ -2,8 +2,8 @@
 
 from j2a_spec import constants as c
 
-from usb9.checks import Check, listing
-from usb9.device import (
+from firmware.tests.usb9.checks import Check, listing
+from firmware.tests.usb9.device import (
     ENDPOINT,
     GET_INTERFACE,
     IN,

@@ -4,8 +4,8 @@ import pytest
 from j2a_spec import constants as c
 from j2a_spec import usb
 
-from usb9.checks import Check, listing
-from usb9.device import (
+from firmware.tests.usb9.checks import Check, listing
+from firmware.tests.usb9.device import (
     ADDRESS,
     GET_CONFIGURATION,
     GET_DESCRIPTOR,

@@ -7,8 +7,8 @@ from j2a_spec import constants as c
 from j2a_spec import usb
 from j2a_spec.oracle import Frame, encode
 
-from usb9.checks import Check, listing
-from usb9.device import OPCODE, Device
+from firmware.tests.usb9.checks import Check, listing
+from firmware.tests.usb9.device import OPCODE, Device
 
 CHECKS: list[Check] = []
 check = listing(CHECKS)

@@ -11,15 +11,14 @@ import struct
 from enum import IntEnum
 from typing import Final
 
+from j2a_transports._usb.board import LINK_CLASS, SYNC_CLASS
+
 VENDOR: Final = 0x6666
 PRODUCT: Final = 0xCAFE
-CLASS: Final = 0xFF
-SUBCLASS: Final = 0x12
-PROTOCOL: Final = 0xEF
+CLASS, SUBCLASS, PROTOCOL = LINK_CLASS
 IN: Final = 0x81
 OUT: Final = 0x02
-SYNC_SUBCLASS: Final = 0x34
-SYNC_PROTOCOL: Final = 0x01
+_, SYNC_SUBCLASS, SYNC_PROTOCOL = SYNC_CLASS
 SYNC_OUT: Final = 0x03
 SYNC_SIZE: Final = 10
 SYNC_NAME: Final = "SyncUSB"

@@ -12,13 +12,12 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from urllib.parse import unquote
 
 from j2a_transports._base import BadUrl, OpenFailed
 
-if TYPE_CHECKING:
-    from .find import UsbBoard
+from .board import UsbBoard
 
 _IDS: Final = re.compile(r"([0-9A-Fa-f]{4}):([0-9A-Fa-f]{4})(?:/([^/]*))?")
 _PLACE: Final = re.compile(r"([0-9]{1,3}):([0-9]{1,3})")

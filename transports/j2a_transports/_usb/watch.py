@@ -22,7 +22,8 @@ from typing import Any, Final, Self
 
 from j2a_transports._base import LinkClosed, OpenFailed
 
-from .find import UsbBoard, libusb, scan
+from .board import UsbBoard
+from .find import libusb, scan
 
 POLL_S: Final = 1.0
 # How long a board that may not be opened is held back, and how often it is looked at.

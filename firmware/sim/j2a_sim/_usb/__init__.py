@@ -1,1 +1,1 @@
-"""The USB of a simulated chip, and the ways to it: by hand, as a transport, by pyusb."""
+"""The ways to a simulated board on the USB: as a transport, by pyusb."""

@@ -38,7 +38,7 @@ from j2a_sim._usb.transfer import (
 )
 
 if TYPE_CHECKING:
-    from j2a_sim._usb.bus import Completion
+    from j2a_sim._usb_bus.bus import Completion
 
 SLICE_S: Final = 0.001
 # At speed 0, simulated time after the last sign of traffic that still passes at full speed.

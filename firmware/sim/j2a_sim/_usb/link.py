@@ -13,14 +13,15 @@ from __future__ import annotations
 from collections import deque
 from typing import Final, NamedTuple
 
+from j2a_spec import constants as c
 from j2a_spec.usb import BULK, INTERRUPT
 
 from j2a_sim._errors import SimError
 from j2a_sim._timed_link import TimedLink
 from j2a_sim._usb.descriptors import IN, PACKET_MASK, TYPE_MASK, Described, parse_configuration
 
-# Class, subclass and protocol of the interface that carries frames (thesis 5.3).
-BOARD: Final = (0xFF, 0x12, 0xEF)
+# Of the interface that carries frames.
+BOARD: Final = (c.USB_CLASS, c.USB_SUBCLASS, c.USB_PROTOCOL)
 # Two transfers, so that the next one is there when one ends, as at a host with more than one
 # request block; each of several packets.
 TRANSFERS: Final = 2

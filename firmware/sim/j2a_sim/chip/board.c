@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "grown.h"
+#include "growing_array.h"
 #include "sim_cycle_timers.h"
 
 enum { ADC_TARGETS = BOARD_PORTS * 8 };
@@ -21,7 +21,7 @@ static void on_level(struct avr_irq_t *irq, uint32_t value, void *param)
     pin->level = level;
     if (!pin->watched)
         return;
-    pin->edges = grown(pin->edges, pin->count, &pin->size, sizeof *pin->edges);
+    pin->edges = grow_array(pin->edges, pin->count, &pin->size, sizeof *pin->edges);
     pin->edges[pin->count++] = (edge_t){port->io->io.avr->cycle, level};
 }
 
@@ -168,7 +168,7 @@ void board_schedule(board_t *b, uint64_t cycle, int target, double value)
 {
     if (b->next == b->event_count)
         b->next = b->event_count = 0;
-    b->events = grown(b->events, b->event_count, &b->event_size, sizeof *b->events);
+    b->events = grow_array(b->events, b->event_count, &b->event_size, sizeof *b->events);
     uint32_t at = b->event_count++;
     for (; at > b->next && b->events[at - 1].cycle > cycle; at--)
         b->events[at] = b->events[at - 1];

@@ -21,9 +21,13 @@ static const struct {
     {"atmega32u2", "at90usb162", 0x7fff, 0x4ff, 0x3ff, {0x1e, 0x95, 0x8a}},
 };
 
+enum { RELATIVES = sizeof relatives / sizeof relatives[0] };
+
+const char *mcu_relative(unsigned number) { return number < RELATIVES ? relatives[number].name : NULL; }
+
 avr_t *mcu_make(const char *name)
 {
-    for (unsigned i = 0; i < sizeof relatives / sizeof relatives[0]; i++) {
+    for (unsigned i = 0; i < RELATIVES; i++) {
         if (strcmp(relatives[i].name, name))
             continue;
         avr_t *avr = avr_make_mcu_by_name(relatives[i].relative);
@@ -42,7 +46,7 @@ avr_t *mcu_make(const char *name)
 int mcu_is_usb162(const avr_t *avr)
 {
     const char *name = avr->mmcu;
-    for (unsigned i = 0; i < sizeof relatives / sizeof relatives[0]; i++)
+    for (unsigned i = 0; i < RELATIVES; i++)
         if (!strcmp(name, relatives[i].name))
             name = relatives[i].relative;
     return !strcmp(name, "at90usb162");

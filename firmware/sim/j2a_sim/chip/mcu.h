@@ -27,6 +27,8 @@ typedef struct {
     int count;
 } mcu_t;
 
+/* The names of the chips that simavr lacks, from 0 on; NULL after the last one. */
+const char *mcu_relative(unsigned number);
 /* As avr_make_mcu_by_name(); call mcu_mend() after avr_init(), with memory that lives as long. */
 avr_t *mcu_make(const char *name);
 void mcu_mend(mcu_t *, avr_t *);

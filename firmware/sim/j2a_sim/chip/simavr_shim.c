@@ -7,6 +7,8 @@
  *
  * Compiled on the user's machine and linked with the libsimavr found there (see _build.py).
  */
+#include "simavr_shim.h"
+
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -16,13 +18,12 @@
 #include "sim_core.h"
 #include "adc.h"
 #include "board.h"
-#include "grown.h"
+#include "growing_array.h"
 #include "interrupts.h"
 #include "mcu.h"
 #include "memory.h"
 #include "signature.h"
 #include "usart.h"
-#include "usb_host.h"
 
 enum { STOP_OUTPUT = 1, STOP_SPAN = 2, STOP_USB = 4 };       /* what sim_run may stop for */
 enum { LOG_SIZE = 8192, GPIOR0 = 0x3e, PAINT = 0xc5 };
@@ -30,7 +31,7 @@ enum { LOG_SIZE = 8192, GPIOR0 = 0x3e, PAINT = 0xc5 };
 typedef struct { uint64_t cycle; uint8_t byte, framing_error; } out_t;
 typedef struct { uint64_t start, cycles; uint8_t mark; } span_t;
 
-typedef struct {
+struct sim {
     avr_t *avr;
     usart_t usart;
     mcu_t mcu;
@@ -50,7 +51,7 @@ typedef struct {
     uint32_t illegal_pc, ram_end;
     char log[LOG_SIZE];
     uint32_t log_length;
-} sim_t;
+};
 
 /* ---- simavr's log ---- */
 
@@ -101,7 +102,7 @@ static void stop_for(sim_t *s, int reason)
 static void on_byte(void *param, uint8_t byte, int framing_error)
 {
     sim_t *s = param;
-    s->out = grown(s->out, s->out_count, &s->out_size, sizeof *s->out);
+    s->out = grow_array(s->out, s->out_count, &s->out_size, sizeof *s->out);
     s->out[s->out_count++] = (out_t){s->avr->cycle, byte, (uint8_t)framing_error};
     stop_for(s, STOP_OUTPUT);
 }
@@ -111,7 +112,7 @@ static void on_mark(avr_t *avr, avr_io_addr_t address, uint8_t value, void *para
     sim_t *s = param;
     avr->data[address] = value;
     if (s->span_mark) {
-        s->spans = grown(s->spans, s->span_count, &s->span_size, sizeof *s->spans);
+        s->spans = grow_array(s->spans, s->span_count, &s->span_size, sizeof *s->spans);
         s->spans[s->span_count++] =
             (span_t){s->span_start, avr->cycle - s->span_start, s->span_mark};
         stop_for(s, STOP_SPAN);
@@ -210,8 +211,7 @@ static sim_t *failed(sim_t *s, char *error, size_t size, const char *text)
     return NULL;
 }
 
-/* Returns NULL with a text in `error` when the MCU is unknown, too small or without that UART. */
-sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bit, uint8_t *flash,
+sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bit, const uint8_t *flash,
                uint32_t flash_size, uint32_t ram_end, const uint8_t *serial, char *error, size_t error_size)
 {
     avr_global_logger_set(log_message);
@@ -242,7 +242,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     avr->frequency = frequency_hz;
     avr->run = run_burst;
     avr->run_cycle_limit = frequency_hz / 100;
-    avr_loadcode(avr, flash, flash_size, 0);
+    avr_loadcode(avr, (uint8_t *)flash, flash_size, 0);
     memory_mirror(avr);
     avr->codeend = flash_size;
 
@@ -285,7 +285,6 @@ static avr_cycle_count_t end_of_run(avr_t *avr, avr_cycle_count_t when, void *pa
     return 0;
 }
 
-/* Runs `cycles` cycles, or less if one of the `stop_mask` events comes; returns simavr's state. */
 int sim_run(sim_t *s, uint64_t cycles, int stop_mask)
 {
     avr_t *avr = s->avr;
@@ -317,14 +316,13 @@ uint32_t sim_flash_size(const sim_t *s) { return s->avr->flashend + 1; }
 uint32_t sim_data_size(const sim_t *s) { return s->avr->ramend + 1u; }
 const char *sim_log(const sim_t *s) { return s->log; }
 
-usb_host_t *sim_usb(sim_t *s) { return s->usb ? &s->host : NULL; } /* see usb_host.h */
+usb_host_t *sim_usb(sim_t *s) { return s->usb ? &s->host : NULL; }
 
 int sim_feed(sim_t *s, const uint8_t *data, uint32_t n) { return usart_feed(&s->usart, data, n); }
 double sim_bit_cycles(const sim_t *s) { return usart_bit_cycles(&s->usart); }
 unsigned sim_char_bits(const sim_t *s) { return usart_char_bits(&s->usart); }
 int sim_receiver_on(const sim_t *s) { return usart_receiver_on(&s->usart); }
 
-/* Copies the counters in the order of _build.COUNTERS. */
 void sim_counters(const sim_t *s, uint64_t *to)
 {
     const usart_t *u = &s->usart;
@@ -336,7 +334,6 @@ void sim_counters(const sim_t *s, uint64_t *to)
 uint32_t sim_out_count(const sim_t *s) { return s->out_count; }
 uint32_t sim_span_count(const sim_t *s) { return s->span_count; }
 
-/* Takes the first `n` received bytes away. */
 void sim_take_out(sim_t *s, uint32_t n, uint8_t *bytes, uint64_t *cycles)
 {
     for (uint32_t i = 0; i < n; i++) {
@@ -348,7 +345,6 @@ void sim_take_out(sim_t *s, uint32_t n, uint8_t *bytes, uint64_t *cycles)
     memmove(s->out, s->out + n, s->out_count * sizeof *s->out);
 }
 
-/* Takes all closed spans away; the arrays hold sim_span_count() items. */
 void sim_take_spans(sim_t *s, uint8_t *marks, uint64_t *starts, uint64_t *cycles)
 {
     for (uint32_t i = 0; i < s->span_count; i++) {
@@ -359,7 +355,6 @@ void sim_take_spans(sim_t *s, uint8_t *marks, uint64_t *starts, uint64_t *cycles
     s->span_count = 0;
 }
 
-/* Copies what is known of an interrupt vector; see interrupts.h. Returns 0 for one that there is not. */
 int sim_interrupt(const sim_t *s, int vector, uint64_t *to)
 {
     const interrupt_t *i = &s->interrupts.of[vector & (VECTORS - 1)];
@@ -370,7 +365,7 @@ int sim_interrupt(const sim_t *s, int vector, uint64_t *to)
 
 void sim_clear_interrupts(sim_t *s) { interrupts_clear(&s->interrupts); }
 
-/* ---- what is wired to the pins; see board.h ---- */
+/* ---- what is wired to the pins ---- */
 
 int sim_pin(const sim_t *s, char port, int bit) { return board_pin(&s->board, port, bit); }
 int sim_pin_level(const sim_t *s, int pin) { return board_level(&s->board, pin); }

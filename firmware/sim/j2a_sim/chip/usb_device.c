@@ -1,5 +1,5 @@
 /* See usb_device.h: the general registers of the controller, and its resets. */
-#include "usb_device.h"
+#include "usb_endpoint.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -136,6 +136,34 @@ static void reset(struct avr_io_t *io)
         usb_levels(u);
     }
     u->on_reset(u->param);
+}
+
+/* RSTCPU: simavr cannot be reset in the midst of its timers, so it is done instead of the next burst. */
+static void reset_cpu(avr_t *avr)
+{
+    usb_device_t *u = avr->io[AVR_DATA_TO_IO(UEINTX)].w.param;
+    avr->run = u->run;
+    u->keep = 1;
+    avr_reset(avr);
+    u->keep = 0;
+    if (u->is_u2)
+        avr->data[MCUSR] |= 0x20; /* USBRF */
+}
+
+void usb_device_bus_reset(usb_device_t *u, int end)
+{
+    u->signalled = !end;
+    usb_traffic(u);
+    if (!end || !usb_device_pulls_up(u) || !usb_clocked(u))
+        return;
+    u->udaddr = 0;
+    usb_endpoints_bus_reset(u);
+    usb_raise(u, EORSTI);
+    if (u->udcon & (u->is_u2 ? 4 : 8)) {
+        u->run = u->avr->run;
+        u->avr->run = reset_cpu;
+        u->avr->run_cycle_count = 0;
+    }
 }
 
 static avr_int_vector_t *take_vector(usb_device_t *u, int number, int bit)

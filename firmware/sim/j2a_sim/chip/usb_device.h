@@ -87,6 +87,8 @@ typedef struct {
     uint64_t repeated;                  /* packets that came with the toggle of the one before */
 } usb_device_t;
 
+static inline int usb_endpoint_count(const usb_device_t *u) { return u->is_u2 ? 5 : USB_ENDPOINTS; }
+
 /* Takes over simavr's USB port. */
 void usb_device_attach(usb_device_t *, avr_t *, avr_usb_t *port);
 
@@ -106,25 +108,16 @@ usb_answer_t usb_device_handshake(usb_device_t *, int acknowledged);
 /* ---- usb_lines.c: clock, pull-up, interrupts, suspend ---- */
 int usb_clocked(const usb_device_t *);
 int usb_vbus_seen(const usb_device_t *);
-uint8_t usb_endpoint_interrupts(const usb_device_t *);
+uint8_t usb_endpoint_interrupts(const usb_device_t *); /* UEINT */
 /* After a change of flags or enable bits. */
 void usb_levels(usb_device_t *);
 /* After anything else that the firmware changes. */
 void usb_changed(usb_device_t *);
 void usb_raise(usb_device_t *, uint8_t event); /* a bit of UDINT */
+void usb_traffic(usb_device_t *);   /* something other than the idle state is on the lines */
 void usb_on_running(struct avr_irq_t *, uint32_t running, void *device); /* of an interrupt's handler */
 void usb_start_pll(usb_device_t *); /* if PLLE is set */
 void usb_rearm(usb_device_t *);     /* the timers, after the chip's reset dropped them */
 void usb_stop(usb_device_t *);      /* the timers */
-
-/* ---- usb_endpoint.c ---- */
-int usb_endpoint_count(const usb_device_t *);
-usb_endpoint_t *usb_selected(usb_device_t *); /* NULL: UENUM is out of range */
-int usb_endpoint_interrupt(const usb_endpoint_t *);
-/* Registers of the selected endpoint; `reg` is the data address. */
-uint8_t usb_endpoint_read(usb_device_t *, avr_io_addr_t reg);
-void usb_endpoint_write(usb_device_t *, avr_io_addr_t reg, uint8_t value);
-void usb_endpoint_hold(usb_device_t *, uint8_t uerst);
-void usb_endpoints_bus_reset(usb_device_t *);
 
 #endif

@@ -1,4 +1,4 @@
-/* See usb_device.h: the endpoints of the controller, their memory and their registers. */
+/* See usb_endpoint.h: memory and registers of the endpoints. */
 #include <stddef.h>
 
 #include "usb_endpoint.h"
@@ -6,17 +6,10 @@
 enum { UEINTX = 0xe8, UECONX = 0xeb, UECFG0X, UECFG1X, UESTA0X, UESTA1X, UEIENX, UEDATX, UEBCLX, UEBCHX };
 enum { CLEARABLE = UEINTX_NAKINI | UEINTX_NAKOUTI | UEINTX_STALLEDI };
 
-int usb_endpoint_count(const usb_device_t *u) { return u->is_u2 ? 5 : USB_ENDPOINTS; }
-
-usb_endpoint_t *usb_selected(usb_device_t *u)
+/* NULL: UENUM is out of range. */
+static usb_endpoint_t *selected(usb_device_t *u)
 {
     return u->uenum < usb_endpoint_count(u) ? &u->endpoints[u->uenum] : NULL;
-}
-
-int usb_endpoint_interrupt(const usb_endpoint_t *e)
-{
-    const uint8_t events = CLEARABLE | UEINTX_RXSTPI | UEINTX_RXOUTI | UEINTX_TXINI;
-    return (e->flags & e->ien & events) || (e->errors && (e->ien & 0x80));
 }
 
 /* ---- memory: each endpoint lies after the one below; of those above only the next one moves ---- */
@@ -194,7 +187,7 @@ static unsigned byte_count(const usb_device_t *u, const usb_endpoint_t *e)
 
 uint8_t usb_endpoint_read(usb_device_t *u, avr_io_addr_t reg)
 {
-    usb_endpoint_t *e = usb_selected(u);
+    usb_endpoint_t *e = selected(u);
     if (!e)
         return 0;
     int control = type(e) == USB_CONTROL;
@@ -228,7 +221,7 @@ uint8_t usb_endpoint_read(usb_device_t *u, avr_io_addr_t reg)
 
 void usb_endpoint_write(usb_device_t *u, avr_io_addr_t reg, uint8_t value)
 {
-    usb_endpoint_t *e = usb_selected(u);
+    usb_endpoint_t *e = selected(u);
     if (!e)
         return;
     switch (reg) {

@@ -1,8 +1,15 @@
-/* What an endpoint is, for the two halves of its model: its registers and its transactions. */
+/* The endpoints of the controller: their registers, for usb_device.c, and what both halves of their model,
+ * registers and transactions, use. */
 #ifndef J2A_SIM_USB_ENDPOINT_H
 #define J2A_SIM_USB_ENDPOINT_H
 
 #include "usb_device.h"
+
+/* Registers of the selected endpoint; `reg` is the data address. */
+uint8_t usb_endpoint_read(usb_device_t *, avr_io_addr_t reg);
+void usb_endpoint_write(usb_device_t *, avr_io_addr_t reg, uint8_t value);
+void usb_endpoint_hold(usb_device_t *, uint8_t uerst);
+void usb_endpoints_bus_reset(usb_device_t *);
 
 static inline int type(const usb_endpoint_t *e) { return e->cfg0 >> 6; }
 static inline int is_in(const usb_endpoint_t *e) { return e->cfg0 & UECFG0X_IN; }

@@ -43,7 +43,7 @@ int usb_device_pulls_up(const usb_device_t *u)
     return usb_vbus_seen(u) && (u->uhwcon & UVREGE) && !(u->udcon & LSM);
 }
 
-/* In the order of _usb.port.LACKS. */
+/* In the order of _usb_bus.port.LACKS. */
 int usb_device_lacks(const usb_device_t *u)
 {
     if ((u->pllcsr & PLLE) && !u->pll_at && !((u->pllcsr & PLOCK) && pll_is_right(u)))
@@ -55,11 +55,18 @@ int usb_device_lacks(const usb_device_t *u)
 
 /* ---- interrupts ---- */
 
+static int endpoint_interrupt(const usb_endpoint_t *e)
+{
+    const uint8_t events = UEINTX_TXINI | UEINTX_STALLEDI | UEINTX_RXOUTI | UEINTX_RXSTPI | UEINTX_NAKOUTI
+        | UEINTX_NAKINI;
+    return (e->flags & e->ien & events) || (e->errors && (e->ien & 0x80));
+}
+
 uint8_t usb_endpoint_interrupts(const usb_device_t *u)
 {
     uint8_t all = 0;
     for (int i = 0; i < usb_endpoint_count(u); i++)
-        all |= usb_endpoint_interrupt(&u->endpoints[i]) << i;
+        all |= endpoint_interrupt(&u->endpoints[i]) << i;
     return all;
 }
 
@@ -127,9 +134,9 @@ static void wait_for_idle(usb_device_t *u)
     avr_cycle_timer_register(u->avr, u->idle_at - u->avr->cycle, on_idle, u);
 }
 
-/* Something other than the idle state is on the lines. WAKEUPI comes even when the bus was not suspended:
- * firmware has to clear it before it enables its interrupt. */
-static void traffic(usb_device_t *u)
+/* WAKEUPI comes even when the bus was not suspended: firmware has to clear it before it enables its
+ * interrupt. */
+void usb_traffic(usb_device_t *u)
 {
     if (!usb_device_pulls_up(u))
         return;
@@ -209,38 +216,10 @@ void usb_device_vbus(usb_device_t *u, int on)
     usb_changed(u);
 }
 
-/* RSTCPU: simavr cannot be reset in the midst of its timers, so it is done instead of the next burst. */
-static void reset_cpu(avr_t *avr)
-{
-    usb_device_t *u = avr->io[AVR_DATA_TO_IO(UEINTX)].w.param;
-    avr->run = u->run;
-    u->keep = 1;
-    avr_reset(avr);
-    u->keep = 0;
-    if (u->is_u2)
-        avr->data[MCUSR] |= 0x20; /* USBRF */
-}
-
-void usb_device_bus_reset(usb_device_t *u, int end)
-{
-    u->signalled = !end;
-    traffic(u);
-    if (!end || !usb_device_pulls_up(u) || !usb_clocked(u))
-        return;
-    u->udaddr = 0;
-    usb_endpoints_bus_reset(u);
-    usb_raise(u, EORSTI);
-    if (u->udcon & (u->is_u2 ? 4 : 8)) {
-        u->run = u->avr->run;
-        u->avr->run = reset_cpu;
-        u->avr->run_cycle_count = 0;
-    }
-}
-
 void usb_device_resume(usb_device_t *u, int end)
 {
     u->signalled = !end;
-    traffic(u);
+    usb_traffic(u);
     if (end && usb_device_pulls_up(u) && usb_clocked(u)) {
         u->udcon &= ~RMWKUP;
         usb_raise(u, EORSMI);
@@ -249,7 +228,7 @@ void usb_device_resume(usb_device_t *u, int end)
 
 void usb_device_sof(usb_device_t *u, unsigned frame)
 {
-    traffic(u);
+    usb_traffic(u);
     if (usb_device_pulls_up(u) && usb_clocked(u)) {
         u->frame = frame;
         usb_raise(u, SOFI);

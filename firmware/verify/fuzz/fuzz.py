@@ -18,7 +18,10 @@ from pathlib import Path
 from j2a_spec import constants as c
 from j2a_spec.vectors import load
 
+from firmware.verify.packages import advice
+
 HERE = Path(__file__).parent
+CORE = HERE.parents[1] / "core"
 CORPUS = HERE / "corpus"
 EVENT = 0xA5
 REQUEST = 6
@@ -65,7 +68,7 @@ def seed(folder: Path) -> None:
 def main() -> int:
     """Fuzz; see the module."""
     parser = argparse.ArgumentParser(description="Run the C core under libFuzzer.")
-    parser.add_argument("--core", type=Path, default=HERE.parent / "core", help="the core's folder")
+    parser.add_argument("--core", type=Path, default=CORE, help="the core's folder")
     parser.add_argument("--seconds", type=int, default=60, help="how long; 0: replay the corpus")
     parser.add_argument("--seed", type=int, default=1, help="of the fuzzer (default: 1)")
     parser.add_argument("--inputs", default=".", help="folder for what breaks the core")
@@ -75,7 +78,7 @@ def main() -> int:
     if arguments.keep and arguments.small:
         parser.error("--keep with --small: the corpus is kept for the whole device; leave one out")
     if shutil.which("clang") is None:
-        print("clang is missing: install the packages clang and libclang-rt-dev", file=sys.stderr)
+        print(advice("clang"), file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory(prefix="j2a-fuzz-") as name:
         folder = Path(name)

@@ -1,4 +1,4 @@
-"""What the firmware takes: `python firmware/budget/measure.py`.
+"""What the firmware takes: `python -m firmware.verify.budget.measure`.
 
 In: budget.toml, snapshot.json, the sources. Out: a table; with --write the snapshot and table.md;
 with --check exit code 1 when a limit is broken or the snapshot differs; with --against a revision,
@@ -20,11 +20,8 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 try:
-    import builds
-    import report
-    import runs
-    import snapshot
-    from builds import BudgetError, Build
+    from firmware.verify.budget import builds, report, runs, snapshot
+    from firmware.verify.budget.builds import BudgetError, Build
 except ImportError as error:
     sys.exit(f"{error}: run `make venv` in the project's folder, and take .venv/bin/python")
 

@@ -27,7 +27,7 @@ __all__ = [
     "make",
 ]
 
-FIRMWARE = Path(__file__).resolve().parents[1]
+FIRMWARE = Path(__file__).resolve().parents[2]
 BUDGET = Path(__file__).with_name("budget.toml")
 KINDS = ("size", "stack", "bound", "callgraph", "cycles", "core", "counts")
 _KEYS = {"name", "note", "port", "port_from", "app", "make", "load", "stimuli"}

@@ -13,9 +13,10 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from builds import BudgetError, Build
 from j2a_sim._elf import read_program
-from sizes import symbols
+
+from firmware.verify.budget.builds import BudgetError, Build
+from firmware.verify.budget.sizes import symbols
 
 __all__ = ["function_table", "stack_bound"]
 

@@ -9,14 +9,10 @@ import subprocess
 from functools import cache
 from pathlib import Path
 
-import avr_run
-import avr_stack
-import builds
-import callgraph
-import counts
-import sizes
-from builds import BudgetError, Build, ToolMissing
-from snapshot import Result
+from firmware.verify.budget import avr_run, avr_stack, builds, callgraph, counts, sizes
+from firmware.verify.budget.builds import BudgetError, Build, ToolMissing
+from firmware.verify.budget.snapshot import Result
+from firmware.verify.packages import advice
 
 __all__ = ["ToolMissing", "measure"]
 
@@ -33,7 +29,7 @@ def _compiler(build: Build, firmware: Path) -> str:
     else:
         raise BudgetError(f"{build.name}: there is no port {build.port}")
     if shutil.which(name) is None:
-        raise ToolMissing(f"{build.name}: {name} is missing; see tools/apt-packages.txt")
+        raise ToolMissing(f"{build.name}: {advice(name)}")
     return name
 
 

@@ -14,7 +14,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from builds import BudgetError
+from firmware.verify.budget.builds import BudgetError
 
 __all__ = ["callgraph_bound"]
 

@@ -6,6 +6,7 @@ Rules: all times are simulated ones, so each run is the same; a wrong answer is 
 """
 
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 
 from j2a_sim import AvrSim
@@ -20,21 +21,26 @@ QUAD, DIST_IR, ADC = range(3)  # transducers
 STORM_CYCLES = 205  # between two edges: about what the interrupt takes, so nothing else gets on
 
 
+@dataclass(frozen=True, slots=True)
 class Chip:
-    """What differs between the chips: where things are wired, and numbers of vectors."""
+    """What differs between the chips.
 
-    def __init__(
-        self,
-        uart: str,
-        encoders: str,
-        servos: str,
-        lamp: str,
-        analog: tuple[int, ...],
-        vectors: tuple[int, int, int, int],
-    ) -> None:
-        self.uart, self.lamp, self.analog = uart, lamp, analog
-        self.encoders, self.servos = encoders.split(), servos.split()
-        self.quad, self.servo_a, self.servo_b, self.receive = vectors
+    Attributes:
+        uart: number of the USART that is the link.
+        encoders, servos, lamp: the pins that they are wired to.
+        analog: channels of the ADC; none where the chip has no ADC.
+        quad, servo_a, servo_b, receive: numbers of interrupt vectors.
+    """
+
+    uart: str
+    encoders: list[str]
+    servos: list[str]
+    lamp: str
+    analog: tuple[int, ...]
+    quad: int
+    servo_a: int
+    servo_b: int
+    receive: int
 
     @property
     def transducers(self) -> tuple[int, ...]:
@@ -43,9 +49,13 @@ class Chip:
 
 
 CHIPS = {
-    "atmega328p": Chip("0", "PD2 PD3 PD4 PD5", "PB1 PB2", "PB5", (0, 1, 2, 3), (5, 11, 12, 18)),
-    "atmega32u4": Chip("1", "PB0 PB1 PB2 PB3", "PB5 PB6", "PC7", (7, 6, 5, 4), (9, 17, 18, 25)),
-    "atmega32u2": Chip("1", "PB0 PB1 PB2 PB3", "PC6 PC5", "PD5", (), (9, 15, 16, 23)),
+    "atmega328p": Chip(
+        "0", ["PD2", "PD3", "PD4", "PD5"], ["PB1", "PB2"], "PB5", (0, 1, 2, 3), 5, 11, 12, 18
+    ),
+    "atmega32u4": Chip(
+        "1", ["PB0", "PB1", "PB2", "PB3"], ["PB5", "PB6"], "PC7", (7, 6, 5, 4), 9, 17, 18, 25
+    ),
+    "atmega32u2": Chip("1", ["PB0", "PB1", "PB2", "PB3"], ["PC6", "PC5"], "PD5", (), 9, 15, 16, 23),
 }
 
 

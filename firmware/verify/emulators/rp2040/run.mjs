@@ -40,7 +40,7 @@ try {
   modules = await Promise.all([import('./machine.mjs'), import('./image.mjs')]);
 } catch (error) {
   if (error.code !== 'ERR_MODULE_NOT_FOUND') throw error;
-  fail('rp2040js is not installed; run: sh tools/npm.sh firmware/emulators/rp2040');
+  fail('rp2040js is not installed; run: sh tools/npm.sh firmware/verify/emulators/rp2040');
 }
 const [{ Machine }, { flashOf }] = modules;
 

@@ -22,8 +22,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from firmware.verify.packages import advice
+
 HERE: Final = Path(__file__).parent
-FIRMWARE: Final = HERE.parent
+FIRMWARE: Final = HERE.parents[1]
 TARGETS: Final = HERE / "targets.toml"
 TIME_LIMIT_S: Final = 300
 
@@ -91,7 +93,7 @@ def compiler(name: str) -> list[str]:
     """
     if name == "sdcc":
         if (program := shutil.which("sdcc")) is None:
-            raise ToolMissingError("sdcc is missing: install the package sdcc")
+            raise ToolMissingError(advice("sdcc"))
         return [program]
     spec = importlib.util.find_spec("ziglang")
     if spec is None or spec.origin is None:

@@ -12,8 +12,8 @@ import struct
 from typing import Final
 
 from j2a_sim import _build
-from j2a_sim._usb.port import BY_HAND, PACKET, UsbPort
-from j2a_sim._usb.records import (
+from j2a_sim._usb_bus.port import BY_HAND, PACKET, UsbPort
+from j2a_sim._usb_bus.records import (
     Completion,
     UsbCounters,
     UsbDescriptors,

@@ -16,18 +16,20 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import sizes
-from builds import FIRMWARE, BudgetError, Build, ToolMissing
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
+
+from firmware.verify.budget import sizes
+from firmware.verify.budget.builds import FIRMWARE, BudgetError, Build, ToolMissing
+from firmware.verify.packages import advice
 
 __all__ = ["count"]
 
 _NAMES = ("rx_plain", "rx_escaped", "call", "tx_plain", "tx_escaped")
 _DONE = encode(Frame(c.SOS, 0, 0xC0, b""))
 _LIMIT_S = 60
-_EMULATOR = FIRMWARE / "emulators/rp2040"
-_INSTALL = "sh tools/npm.sh firmware/emulators/rp2040"
+_EMULATOR = FIRMWARE / "verify/emulators/rp2040"
+_INSTALL = "sh tools/npm.sh firmware/verify/emulators/rp2040"
 # QEMU looks up from its work before this instruction, and logs it once more when it goes on.
 _NOT_RUN = "Stopped execution of TB chain before"
 _LINE = re.compile(r"^Trace \d+: \S+ \[[0-9a-f]+/([0-9a-f]+)/")
@@ -62,7 +64,7 @@ def _waits(build: Build) -> bool:
 
 def _tool(build: Build, name: str) -> str:
     if shutil.which(name) is None:
-        raise ToolMissing(f"{build.name}: {name} is missing; see tools/apt-packages.txt")
+        raise ToolMissing(f"{build.name}: {advice(name)}")
     return name
 
 

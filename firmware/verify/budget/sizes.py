@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from builds import BudgetError
+from firmware.verify.budget.builds import BudgetError
 
 __all__ = ["core", "sizes", "symbols"]
 

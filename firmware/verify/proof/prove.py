@@ -19,7 +19,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from firmware.verify.packages import advice
+
 HERE = Path(__file__).parent
+CORE = HERE.parents[1] / "core"
 TIME_LIMIT_S = 600
 # "volatile" is for ports that push from an interrupt; with it Eva takes each read as any value.
 # Frama-C refuses what C99 6.3.2.3 allows, a cast between functions of other numbers of arguments;
@@ -238,13 +241,13 @@ def frame_condition(core: Path) -> list[str]:
 def main() -> int:
     """Run the analyses; see the module."""
     parser = argparse.ArgumentParser(description="Prove the core free of undefined behaviour.")
-    parser.add_argument("--core", type=Path, default=HERE.parent / "core", help="the core's folder")
+    parser.add_argument("--core", type=Path, default=CORE, help="the core's folder")
     parser.add_argument("--only", default="", help="only analyses whose name starts with this")
     parser.add_argument("--jobs", type=int, default=2, help="how many run at a time (default: 2)")
     arguments = parser.parse_args()
-    for tool, package in (("frama-c", "frama-c-base"), ("gcc", "gcc")):
+    for tool in ("frama-c", "gcc"):
         if shutil.which(tool) is None:
-            print(f"{tool} is missing: install the package {package}", file=sys.stderr)
+            print(advice(tool), file=sys.stderr)
             return 2
     core = arguments.core.resolve()
     if not (core / "j2a_internal.h").is_file():

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from j2a_sim import _build
+from j2a_sim._core import AvrCore
 from j2a_sim._errors import SimError
-from j2a_sim._usb.records import Completion, UsbCounters, UsbError
-
-if TYPE_CHECKING:
-    from j2a_sim._avr import AvrSim
+from j2a_sim._usb_bus.records import Completion, UsbCounters, UsbError
 
 _CONTROL, _OUT, _IN, BY_HAND = 0, 1, 2, 3
 _STATUS = ("ok", "stall", "no_answer", "cancelled", "overflow", "nak")
@@ -38,17 +36,17 @@ class UsbPort:
 
     Attributes:
         packet0: the packet size of endpoint 0, 8 until enumerate() has learned it.
-        COUNTINGS: see counting.
+        BYTE_COUNT_MODELS: see counting.
         SUSPEND_FLAGS: see suspend_flags.
     """
 
-    COUNTINGS: Final = ("bank", "banks", "setup as 0", "setup as 8")
+    BYTE_COUNT_MODELS: Final = ("bank", "banks", "setup as 0", "setup as 8")
     SUSPEND_FLAGS: Final = ("exclusive", "independent")
 
-    def __init__(self, sim: AvrSim, lib: ctypes.CDLL, lock: threading.RLock) -> None:
+    def __init__(self, sim: AvrCore, lib: ctypes.CDLL, lock: threading.RLock) -> None:
         self._sim, self._lib, self._lock = sim, lib, lock
         self.packet0 = 8
-        self._counting = self.COUNTINGS[0]
+        self._counting = self.BYTE_COUNT_MODELS[0]
         self._suspend_flags = self.SUSPEND_FLAGS[0]
         self._taken: dict[int, Completion] = {}  # of others, while a method waits for its own
 
@@ -95,11 +93,11 @@ class UsbPort:
 
     @counting.setter
     def counting(self, name: str) -> None:
-        if name not in self.COUNTINGS:
-            raise SimError(f"counting {name!r} is none of {', '.join(self.COUNTINGS)}")
+        if name not in self.BYTE_COUNT_MODELS:
+            raise SimError(f"counting {name!r} is none of {', '.join(self.BYTE_COUNT_MODELS)}")
         self._counting = name
         with self._lock:
-            self._lib.usb_host_set_counting(self._host, self.COUNTINGS.index(name))
+            self._lib.usb_host_set_counting(self._host, self.BYTE_COUNT_MODELS.index(name))
 
     @property
     def suspend_flags(self) -> str:

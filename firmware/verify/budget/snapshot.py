@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from builds import FIRMWARE, METRICS, BudgetError, Build
+from firmware.verify.budget.builds import METRICS, BudgetError, Build
 
 __all__ = [
     "SNAPSHOT",
@@ -92,9 +92,9 @@ def read(path: Path = SNAPSHOT) -> dict[str, Result]:
 
 def read_of(revision: str) -> dict[str, Result]:
     """The figures as another revision has committed them."""
-    name = f"{revision}:./{SNAPSHOT.parent.name}/{SNAPSHOT.name}"
+    name = f"{revision}:./{SNAPSHOT.name}"
     done = subprocess.run(
-        ["git", "show", name], cwd=FIRMWARE, capture_output=True, text=True, check=False
+        ["git", "show", name], cwd=SNAPSHOT.parent, capture_output=True, text=True, check=False
     )
     if done.returncode:
         lines = done.stderr.strip().splitlines() or ["git failed"]

@@ -1,11 +1,12 @@
-/* An array that grows: room for one item more. */
-#ifndef J2A_SIM_GROWN_H
-#define J2A_SIM_GROWN_H
+/* Arrays that grow. */
+#ifndef J2A_SIM_GROWING_ARRAY_H
+#define J2A_SIM_GROWING_ARRAY_H
 
 #include <stdint.h>
 #include <stdlib.h>
 
-static inline void *grown(void *items, uint32_t count, uint32_t *size, size_t item)
+/* Returns the array with room for one item more. */
+static inline void *grow_array(void *items, uint32_t count, uint32_t *size, size_t item)
 {
     if (count < *size)
         return items;

@@ -6,8 +6,8 @@ In: results, limits, changes. Out: text. Rule: the same figures give the same te
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from builds import METRICS, Build
-from snapshot import Change, Result
+from firmware.verify.budget.builds import METRICS, Build
+from firmware.verify.budget.snapshot import Change, Result
 
 __all__ = ["TABLE", "changed", "document", "tables"]
 
@@ -73,7 +73,7 @@ def document(builds: Iterable[Build], results: Mapping[str, Result]) -> str:
     """The committed table.md."""
     compilers = sorted({result.compiler for result in results.values()})
     return (
-        "<!-- Made by `python firmware/budget/measure.py --write`. Do not edit. -->\n\n"
+        "<!-- Made by `python -m firmware.verify.budget.measure --write`. Do not edit. -->\n\n"
         f"{tables(builds, results, markdown=True)}\n\n"
         "Behind a slash stands the limit. Compiled by\n\n"
         + "".join(f"- {compiler}\n" for compiler in compilers)

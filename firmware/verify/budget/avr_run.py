@@ -6,21 +6,18 @@ specification; a device that does not answer all of the load is an error, becaus
 do was not measured. Every number comes out the same in every run.
 """
 
-import importlib
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from avr_stack import function_table
-from builds import FIRMWARE, BudgetError, Build
 from j2a_sim import AvrSim, SimError, Span
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 
-__all__ = ["cycles", "requests", "stack"]
+from firmware.verify.budget import sensor_load
+from firmware.verify.budget.avr_stack import function_table
+from firmware.verify.budget.builds import BudgetError, Build
 
-sys.path.append(str(FIRMWARE / "tests"))
-sensor_load = importlib.import_module("sensor_load")
+__all__ = ["cycles", "requests", "stack"]
 
 DELAY = 101  # cycles of a span of mark 3 in which no interrupt came
 CALL = 3 + 4  # rcall and ret

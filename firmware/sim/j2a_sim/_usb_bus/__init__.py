@@ -1,0 +1,1 @@
+"""The simulated USB: one full-speed port with its transfers, and the host controller behind it."""
