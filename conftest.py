@@ -1,4 +1,4 @@
-"""What the tests of all parts share: building firmware, and what happens where a tool is missing.
+"""What the tests of all parts share: building firmware, missing tools, order, Hypothesis.
 
 J2A_REQUIRE_AVR=1, which tools/check.sh sets in CI, is all that decides whether a test whose tools
 are missing is skipped or fails.
@@ -12,6 +12,11 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# Hypothesis measures wall time, which on a busy machine says nothing about the code.
+settings.register_profile("j2a", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("j2a")
 
 ROOT = Path(__file__).parent
 # The programs by which tools/apt-packages.txt tells that a package is there, and some more.
