@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from hypothesis import HealthCheck, settings
 
-# Hypothesis measures wall time, which on a busy machine says nothing about the code.
-settings.register_profile("j2a", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("j2a")
+if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to import it
+    from hypothesis import HealthCheck, settings
+
+    # Hypothesis measures wall time, which on a busy machine says nothing about the code.
+    settings.register_profile("j2a", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("j2a")
 
 ROOT = Path(__file__).parent
 # The programs by which tools/apt-packages.txt tells that a package is there, and some more.
