@@ -68,7 +68,7 @@ fi
 # Side by side with others a figure of speed would mislead: the benchmarks only prove that they run.
 # Most tests wait for something, so more run at a time than there are cores; conftest.py says which
 # files come first.
-step pytest "tests" python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable \
+step pytest "tests" python -m pytest -n 4 --dist loadfile --no-loadscope-reorder --benchmark-disable \
     -m 'not exhaustive'
 
 if ((${#failed[@]})); then
