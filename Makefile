@@ -25,6 +25,7 @@ test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these
 
 exhaustive: $(INSTALLED)  ## the tests that make test leaves out: the same on more links, seeds and defects
 	@sh tools/system.sh test
+	@$(BIN)/python tools/interpreters.py --all
 	@J2A_REQUIRE_AVR=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m exhaustive
 
 lint: $(INSTALLED)  ## lint, layout, types and import arrows

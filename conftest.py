@@ -1,4 +1,4 @@
-"""What the tests of all parts share: building firmware, and what happens where a tool is missing.
+"""What the tests of all parts share: building firmware, missing tools, order, Hypothesis.
 
 J2A_REQUIRE_AVR=1, which tools/check.sh sets in CI, is all that decides whether a test whose tools
 are missing is skipped or fails.
@@ -15,6 +15,13 @@ import pytest
 
 from firmware.verify.packages import advice
 
+if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to import it
+    from hypothesis import HealthCheck, settings
+
+    # Hypothesis measures wall time, which on a busy machine says nothing about the code.
+    settings.register_profile("j2a", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    settings.load_profile("j2a")
+
 ROOT = Path(__file__).parent
 COMPILERS = {
     "avr-serial": "avr-gcc",
@@ -26,10 +33,11 @@ COMPILERS = {
 # What takes longest starts first, so that no worker is left with it alone at the end; what boots a
 # guest in between, so that seldom two of them share the machine.
 LONGEST = (
-    *("guest/test_links.py", "tests/test_proof.py", "tests/test_broken.py"),
-    *("guest/test_conformance.py", "host/test_broken_hosts.py", "tests/test_budget.py"),
-    *("guest/test_gadget.py", "guest/test_usb.py", "tests/test_two_links.py"),
-    *("tests/test_porting.py", "tests/test_naive_port.py"),
+    *("guest/test_links.py", "tests/test_proof.py", "guest/test_gadget.py", "tests/test_legacy.py"),
+    *("tests/test_two_links.py", "guest/test_usb.py", "tests/test_porting.py"),
+    *("faults/test_faults.py", "guest/test_bluetooth.py", "tests/test_mutants.py"),
+    *("guest/test_guest.py", "tests/test_budget.py", "host/test_host_suite.py"),
+    *("guest/test_conformance.py", "tests/test_naive_port.py", "tests/test_links.py"),
 )
 Make = Callable[..., subprocess.CompletedProcess[str]]
 Build = Callable[..., Path]

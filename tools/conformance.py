@@ -2,24 +2,25 @@
 
 What flows in: conformance/testees/*.toml and conformance/hosts/*.py. What flows out: reports of
 each in build/conformance, a matrix page over all of them, one line a testee, and exit status 0 when
-all conform. Rules: two runs at a time, because some cases measure time: one begins with the
-emulators, which need a core each, the other with simulated time, which nothing can disturb; a
-testee that cannot be built here fails.
+all conform. Rules: three runs at a time, of different kinds as long as there are some: an emulator
+needs a core, on this machine a run waits most of the time, and simulated time is disturbed by
+nothing; a testee that cannot be built here fails.
 """
 
 import argparse
+import contextlib
 import subprocess
 import sys
 import time
 import tomllib
 from collections import deque
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "conformance"
 CONFORM = [sys.executable, "-m", "j2a_conformance"]
+KINDS = ("simulated", "machine", "emulator")
 
 
 def commands() -> dict[str, list[str]]:
@@ -32,15 +33,15 @@ def commands() -> dict[str, list[str]]:
     return found
 
 
-def demand(arguments: list[str]) -> int:
-    """Return how much a run minds company: 0 is an emulator, 1 this machine, 2 simulated time."""
+def kind(arguments: list[str]) -> str:
+    """Return where the testee of a run is: in an emulator, on this machine or in simulated time."""
     testee = Path(arguments[1])
     if testee.suffix != ".toml":
-        return 1
+        return "machine"
     url = str(tomllib.loads(testee.read_text("utf-8")).get("url", ""))
     if url.startswith("sim:"):
-        return 2
-    return 0 if "qemu-system" in url or "/emulators/" in url else 1
+        return "simulated"
+    return "emulator" if "qemu-system" in url or "/emulators/" in url else "machine"
 
 
 def run(name: str, arguments: list[str]) -> tuple[bool, str]:
@@ -73,21 +74,26 @@ def main() -> int:
     for old in OUT.iterdir():
         if chosen is every or old.stem in chosen:
             old.unlink()
-    left = deque(sorted(chosen.items(), key=lambda item: demand(item[1])))
+    left: dict[str, deque[str]] = {name: deque() for name in KINDS}
+    for name, arguments in chosen.items():
+        left[kind(arguments)].append(name)
 
-    def work(take: Callable[[], tuple[str, list[str]]]) -> bool:
+    def take(first: str) -> str | None:
+        for name in (first, *KINDS):
+            with contextlib.suppress(IndexError):
+                return left[name].popleft()
+        return None
+
+    def work(first: str) -> bool:
         good = True
-        while True:
-            try:
-                name, arguments = take()
-            except IndexError:
-                return good
-            passed, line = run(name, arguments)
+        while (name := take(first)) is not None:
+            passed, line = run(name, chosen[name])
             print(line, flush=True)
             good &= passed
+        return good
 
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        good = all(list(pool.map(work, (left.popleft, left.pop))))
+    with ThreadPoolExecutor(max_workers=len(KINDS)) as pool:
+        good = all(list(pool.map(work, KINDS)))
     reports = [str(path) for path in sorted(OUT.glob("*.json"))]
     page = [*CONFORM, "matrix", *reports, "--html", str(OUT / "index.html")]
     return 0 if subprocess.run(page, check=False).returncode == 0 and good else 1

@@ -1,11 +1,13 @@
-"""Run the tests of the library on every other Python from 3.11 on that this machine has.
+"""Run the tests of the library on the oldest and the newest Python from 3.11 on of this machine.
 
 What flows in: the interpreters in PATH, in /usr/bin, and those of pyenv; constraints.txt. What
 flows out: what pytest says on each, and an exit code. Rules: of each minor version the newest one
-is taken, that of .venv is left to the other tests; each has an environment of its own in
-build/python, with the pinned packages that the tests import, renewed when these change.
+is taken, that of .venv is left to the other tests; `--all` adds those in between; each has an
+environment of its own in build/python, with the pinned packages that the tests import, renewed
+when these change.
 """
 
+import argparse
 import hashlib
 import importlib.metadata
 import os
@@ -55,16 +57,23 @@ def version_of(program: Path) -> Version | None:
     return (int(found[1]), int(found[2]), int(found[3])) if found else None
 
 
-def interpreters() -> dict[Version, Path]:
-    """Return the newest interpreter of each minor version but ours, oldest first."""
+def interpreters(between: bool) -> dict[Version, Path]:
+    """Return the newest interpreter of each minor version but ours, oldest first.
+
+    Args:
+        between: also those between the oldest and the newest minor version.
+    """
+    ours = sys.version_info[:2]
     newest: dict[tuple[int, int], tuple[Version, Path]] = {}
     for program in candidates():
         version = version_of(program)
-        if version is None or not OLDEST <= version[:2] != sys.version_info[:2]:
+        if version is None or not OLDEST <= version[:2] != ours:
             continue
         if version > newest.get(version[:2], ((0, 0, 0), program))[0]:
             newest[version[:2]] = version, program
-    return dict(sorted(newest.values()))
+    minors = sorted({*newest, ours})
+    wanted = minors if between else (minors[0], minors[-1])
+    return dict(sorted(found for minor, found in newest.items() if minor in wanted))
 
 
 def packages() -> set[str]:
@@ -139,7 +148,9 @@ def run_tests(python: Path) -> subprocess.CompletedProcess[str]:
 
 def main() -> int:
     """Run the tests on each interpreter; return the exit code."""
-    found = interpreters()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--all", action="store_true", help="also the versions in between")
+    found = interpreters(between=parser.parse_args().all)
     if not found:
         print("there is no other Python from 3.11 on here")
     pythons, failed = {}, []

@@ -20,7 +20,7 @@ FLOW = ROOT / "docs/examples/flow"
 PAGE = (ROOT / "docs/in-your-firmware.md").read_text()
 MINUS = "\N{MINUS SIGN}"
 SIF_ALARM, SIF_MEASURED = 0x40, 0x41
-LIMIT_S = 60
+LIMIT_S = 200
 OK, PASSED, FAILED = 0x00, 0x01, 0xFF
 
 

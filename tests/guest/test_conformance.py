@@ -21,8 +21,8 @@ from .relay import join
 from .test_links import FIRMWARE, served
 
 pytestmark = pytest.mark.guest
-PATIENCE_S = 240
-PARTS = 3
+PATIENCE_S = 420
+PARTS = 5
 LONGEST = "frame.lengths"
 # Pauses of nearly 9 ms between two bytes, which become longer when the emulated processor has to
 # wait for its turn. These devices are asked for them over links without such a processor.
@@ -96,10 +96,13 @@ def part(number: int) -> list[str]:
 
 
 @pytest.mark.requirement("USB-007", "USB-014", "USB-009", "USB-010")
+@pytest.mark.timeout(2 * PATIENCE_S + 60)
 @pytest.mark.parametrize(
     "number", [n if n == 1 else pytest.param(n, marks=pytest.mark.exhaustive) for n in range(PARTS)]
 )
-@pytest.mark.parametrize("link", ["bt", pytest.param("usbip", marks=pytest.mark.avr)])
+@pytest.mark.parametrize(
+    "link", ["bt", pytest.param("usbip", marks=[pytest.mark.avr, pytest.mark.exhaustive])]
+)
 def test_the_suite(guest, need, link, number, build_firmware):
     with contextlib.ExitStack() as stack:
         if link == "bt":

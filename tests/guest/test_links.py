@@ -15,6 +15,7 @@ import pytest
 pytestmark = pytest.mark.guest
 CLIENT = ("python", "tests/guest/client.py")
 FIRMWARE = {"port": "avr-usb", "app": "demo", "MCU": "atmega32u4"}
+PATIENCE_S = 840
 LINKS = [
     "gadget",
     "bt",
@@ -63,28 +64,33 @@ def good(output: str) -> list[str]:
     return [line.split()[1].rstrip(",") for line in output.splitlines() if "good: " in line]
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_calls(guest, named, link):
-    """Enumeration, strings, function map, properties, transfers, SIFs, time-outs, 2048 echoes."""
+@pytest.mark.timeout(PATIENCE_S + 60)
+@pytest.mark.requirement("USB-011", "USB-012", "USB-013")
+@pytest.mark.parametrize(
+    "link",
+    # USB as with the chip; test_gadget.py and test_usb.py look at the gadget's own side.
+    [
+        pytest.param(link, marks=pytest.mark.exhaustive) if link == "gadget" else link
+        for link in LINKS
+    ],
+)
+def test_calls_and_ends(guest, named, link):
+    """Enumeration, strings, function map, properties, transfers, SIFs, time-outs, 2048 echoes.
+
+    Then unplugged in mid call, plugged in again, reset, and that twice.
+    """
     bus = [] if link == "bt" else ["bus"]
-    done = guest(*CLIENT, named(link), *bus, "calls", timeout=240)
-    expected = ["function_map", "properties", "transfers", "sifs", "timeouts", "echoes"]
-    assert good(done.stdout) == ["enumeration"] * len(bus) + expected
+    done = guest(*CLIENT, named(link), *bus, "calls", "ends", timeout=PATIENCE_S)
+    calls = ["function_map", "properties", "transfers", "sifs", "timeouts", "echoes"]
+    twice = ["unplugged", "plugged_again"]
+    ends = [*twice, "reset", *twice, "many_connections"]
+    assert good(done.stdout) == ["enumeration"] * len(bus) + calls + ends
 
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("link", LINKS)
 def test_a_megabyte(guest, named, link):
     assert good(guest(*CLIENT, named(link), "megabyte", timeout=240).stdout) == ["megabyte"]
-
-
-@pytest.mark.requirement("USB-011", "USB-012", "USB-013")
-@pytest.mark.parametrize("link", LINKS)
-def test_ends(guest, named, link):
-    """Unplugged in mid call, plugged in again, reset, and that twice."""
-    done = guest(*CLIENT, named(link), "ends", timeout=240)
-    twice = ["unplugged", "plugged_again"]
-    assert good(done.stdout) == [*twice, "reset", *twice, "many_connections"]
 
 
 @pytest.mark.avr

@@ -67,6 +67,19 @@ class Air:
         return self.ends[-1]
 
 
+class Time:
+    """A clock that goes on while somebody sleeps, and only then."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
 @pytest.fixture
 def air(monkeypatch: pytest.MonkeyPatch) -> Iterator[Air]:
     fake = Air()
@@ -75,6 +88,7 @@ def air(monkeypatch: pytest.MonkeyPatch) -> Iterator[Air]:
     monkeypatch.setattr(sockets, "adapters", lambda: fake.adapters)
     monkeypatch.setattr(sockets, "set_security", lambda sock, level: fake.security.append(level))
     monkeypatch.setattr(link, "MOMENT_S", 0.2)
+    monkeypatch.setattr(link, "time", Time())
     yield fake
     for end in fake.ends:
         end.close()

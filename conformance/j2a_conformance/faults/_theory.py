@@ -101,6 +101,8 @@ def missed(
     starts = c.MARKERS if sif else {c.SOF}
     found = Share()
     for frame, wire in islice(cycle(pool), _MOST_FRAMES):
+        if direction.skip(len(wire)):  # with a low rate nearly all frames
+            continue
         received = damage(direction, wire)
         if received == wire:
             continue

@@ -184,7 +184,7 @@ def test_a_signal_ends_the_suite_the_program_and_what_that_started(number, tmp_p
             while not (pid_file.exists() and pid_file.read_text()):
                 time.sleep(0.02)
             suite.send_signal(number)
-            out, err = suite.communicate(timeout=30)
+            out, err = suite.communicate(timeout=200)
         finally:
             suite.kill()
     assert suite.returncode == 128 + number, err

@@ -79,7 +79,6 @@ runs = st.builds(
 
 
 @given(runs)
-@settings(deadline=None)
 def test_any_run_comes_back_and_fits_the_schema(run):
     text = render(run).decode()
     assert parse(text) == run
@@ -87,7 +86,7 @@ def test_any_run_comes_back_and_fits_the_schema(run):
 
 
 @given(runs)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_any_run_gives_sound_reports(run):
     ElementTree.fromstring(_junit.render(run))
     ElementTree.fromstring(_badge.render(run))

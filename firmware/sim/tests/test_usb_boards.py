@@ -26,7 +26,7 @@ def boards(build_firmware):
 
 def connect(backend, serial):
     device = usb.core.find(backend=backend, serial_number=serial)
-    return j2a.Client(j2a_transports.open_usb_device(device))
+    return j2a.Client(j2a_transports.open_usb_device(device), timeout=60)
 
 
 @pytest.mark.requirement("USB-002")

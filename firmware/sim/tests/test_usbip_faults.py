@@ -33,8 +33,7 @@ def test_where_it_cannot_listen(usb_board, host, says):
 
 @settings(
     max_examples=40,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(st.binary(min_size=1, max_size=200))
 def test_nonsense_instead_of_a_request(served, data):
@@ -49,8 +48,7 @@ field = st.one_of(st.integers(0, 20), st.integers(0, 0xFFFFFFFF))
 
 @settings(
     max_examples=60,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(
     st.sampled_from([1, 1, 1, 2, 3, 4, 0, 0xFFFFFFFF]),
