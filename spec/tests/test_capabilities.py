@@ -1,0 +1,57 @@
+"""The table of capabilities agrees with constants, requirements and documents."""
+
+from importlib.resources import files
+from typing import get_args
+
+import pytest
+from j2a_spec import constants as c
+from j2a_spec.capabilities import CAPABILITIES, FUNCTIONS, LEVELS, parse
+from j2a_spec.requirements import Level, load
+
+TEXT = files("j2a_spec").joinpath("capabilities.toml").read_text("utf-8")
+
+
+def test_functions_are_the_built_in_ones_of_the_constants() -> None:
+    assert tuple(function.name for function in FUNCTIONS) == c.BUILTINS
+    optional = {function.name for function in FUNCTIONS if function.capability}
+    assert optional == c.OPTIONAL_BUILTINS
+    with_many = {f.name for f in FUNCTIONS if f.capability in ("many", "properties")}
+    assert with_many == c.WITH_MANY
+
+
+def test_every_level_is_that_of_requirements() -> None:
+    assert get_args(Level) == LEVELS
+    assert {requirement.level for requirement in load().values()} == set(LEVELS)
+
+
+def test_the_requirements_of_an_area_are_of_the_level_of_its_capability() -> None:
+    areas = {area: cap.level for cap in CAPABILITIES.values() for area in cap.areas}
+    levels = {requirement.level for requirement in load().values() if requirement.area in areas}
+    assert levels == set(areas.values())
+    for requirement in load().values():
+        if requirement.area in areas:
+            assert requirement.level == areas[requirement.area], requirement.id
+
+
+def test_each_capability_has_an_option_of_its_own() -> None:
+    options = [capability.option for capability in CAPABILITIES.values()]
+    assert len(set(options)) == len(options)
+    for at, capability in enumerate(CAPABILITIES.values()):
+        assert capability.default in {0, 1, *options[:at]}, capability.id
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('id = "debug"', 'id = "many"', "there are two"),
+        ('needs = ["many"]', 'needs = ["sif"]', "properties: sif is not before it"),
+        ('id = "sif"', 'id = "sif"\ntoken = "Sif"', "'Sif' is no token"),
+        ('kind = "call"', 'kind = "one"', "there is no kind 'one'"),
+        ('capability = "debug"', 'capability = "bug"', "a2jDebug: no capability 'bug'"),
+        ('"a2jEchoMany"', '"a2jEcho"', "have the same name"),
+    ],
+)
+def test_a_table_that_breaks_its_rules_is_refused(old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    with pytest.raises(ValueError, match=message):
+        parse(TEXT.replace(old, new))
