@@ -13,7 +13,7 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Final, Literal, get_args
 
-__all__ = ["CAPABILITIES", "FUNCTIONS", "LEVELS", "Builtin", "Capability", "parse"]
+__all__ = ["CAPABILITIES", "FUNCTIONS", "LEVELS", "Builtin", "Capability", "is_part_of", "parse"]
 
 Kind = Literal["call", "many"]
 
@@ -107,3 +107,12 @@ LEVELS: Final = (
     "timing",
 )
 """The levels of conformance: what every device has is at both ends."""
+
+
+def is_part_of(function: Builtin, capability: str) -> bool:
+    """Tell whether a device without the capability (an id) lacks the function, too."""
+    own = CAPABILITIES.get(function.capability)
+    asked = [own.id] if own else []
+    for name in asked:  # grows
+        asked += CAPABILITIES[name].needs
+    return capability in asked

@@ -12,6 +12,9 @@ from j2a_spec.generate import c_files, spec_text, vector_files
 
 __all__ = ["outputs", "stale"]
 
+_TABLES = ("spec/LINKS.md", "docs/library.md")
+_SCHEMA = "conformance/j2a_conformance/reports/report.schema.json"
+
 
 def outputs(root: Path) -> dict[Path, str]:
     """Return the text of every generated file below the repository's `root`."""
@@ -21,7 +24,10 @@ def outputs(root: Path) -> dict[Path, str]:
         root / "firmware/core/j2a_const.h": c_files.constants(),
         root / "firmware/core/j2a_vectors.h": c_files.vectors(tests["frame"], tests["stream"]),
         root / "spec/SPEC.md": spec_text.fill((root / "spec/SPEC.md").read_text("utf-8")),
-        root / "spec/LINKS.md": spec_text.fill_tables((root / "spec/LINKS.md").read_text("utf-8")),
+        **{
+            root / path: spec_text.fill_tables((root / path).read_text("utf-8")) for path in _TABLES
+        },
+        root / _SCHEMA: spec_text.fill_levels((root / _SCHEMA).read_text("utf-8")),
     }
 
 
