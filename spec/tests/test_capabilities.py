@@ -1,11 +1,13 @@
 """The table of capabilities agrees with constants, requirements and documents."""
 
+from collections.abc import Callable
 from importlib.resources import files
 from typing import get_args
 
 import pytest
 from j2a_spec import constants as c
-from j2a_spec.capabilities import CAPABILITIES, LEVELS, parse
+from j2a_spec.capabilities import CAPABILITIES, FUNCTIONS, LEVELS, parse
+from j2a_spec.generate import c_files, spec_text
 from j2a_spec.requirements import Level, load
 
 TEXT = files("j2a_spec").joinpath("capabilities.toml").read_text("utf-8")
@@ -55,3 +57,13 @@ def test_a_table_that_breaks_its_rules_is_refused(old: str, new: str, message: s
     assert old in TEXT
     with pytest.raises(ValueError, match=message):
         parse(TEXT.replace(old, new))
+
+
+def test_functions_for_a2jmany_are_left_out_with_it() -> None:
+    assert {function.name for function in FUNCTIONS if function.kind == "many"} <= c.WITH_MANY
+
+
+@pytest.mark.parametrize("write", [c_files.options, c_files.builtins, spec_text.fill_levels])
+def test_a_file_without_a_place_for_the_table_is_an_error(write: Callable[[str], str]) -> None:
+    with pytest.raises(ValueError, match=r"^0 "):
+        write("/* nothing */\n")
