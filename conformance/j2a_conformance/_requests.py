@@ -9,6 +9,7 @@ that a fault in stuffing shows only where it is tested.
 from dataclasses import replace
 
 from j2a_spec import constants as c
+from j2a_spec.capabilities import FUNCTIONS
 from j2a_spec.oracle import Frame, encode
 
 from ._expected import Expected, Request, many_payload
@@ -19,7 +20,7 @@ from ._wire import Link
 __all__ = ["MANY_ONLY", "Requests"]
 
 _LOSSY_ROOM = 256
-MANY_ONLY = frozenset({c.GET_PROPERTIES, c.GET_ECHO_MANY, "store"})
+MANY_ONLY = frozenset({"store", *(f.name for f in FUNCTIONS if f.kind == "many")})
 """Functions made for a2jMany, which cannot be called directly."""
 
 

@@ -4,6 +4,7 @@ from j2a_conformance import Verdict, coverage, load
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance.reports._console import report
 from j2a_spec import requirements
+from j2a_spec.capabilities import LEVELS
 
 
 def test_the_reference_device_conforms(reference, judged):
@@ -30,6 +31,7 @@ def test_cases_name_requirements_that_exist_and_bind_devices():
     known = requirements.load()
     for case in (*SMOKE, *load()):
         assert case.REQUIREMENTS, case.ID
+        assert case.LEVEL in LEVELS, case.ID
         for name in case.REQUIREMENTS:
             assert known[name].role in ("device", "both"), (case.ID, name)
 

@@ -42,13 +42,17 @@ foreach(_j2a_name core table board posix main)
   add_library(j2a::${_j2a_name} ALIAS j2a_${_j2a_name})
 endforeach()
 
-set(_j2a_switches J2A_SELFTEST_SMALL)
-foreach(_j2a_name MAPPING MANY PROPERTIES CLOCK SIF DEBUG SELFTEST)
-  list(APPEND _j2a_switches J2A_WITH_${_j2a_name})
-endforeach()
+# Options that are on or off, and those with a number.
+file(STRINGS "${J2A_FOLDER}/core/j2a_options.h" _j2a_defined REGEX "^#ifndef J2A_")
+set(_j2a_switches)
 set(_j2a_numbers)
-foreach(_j2a_name LINKS ROOM DEBUGBUF PAUSE_MS RXBUF TXBUF)
-  list(APPEND _j2a_numbers J2A_${_j2a_name})
+foreach(_j2a_line IN LISTS _j2a_defined)
+  string(REPLACE "#ifndef " "" _j2a_name "${_j2a_line}")
+  if(_j2a_name MATCHES "^J2A_WITH_|^J2A_SELFTEST_SMALL$")
+    list(APPEND _j2a_switches ${_j2a_name})
+  elseif(NOT _j2a_name MATCHES "_H$")
+    list(APPEND _j2a_numbers ${_j2a_name})
+  endif()
 endforeach()
 
 # A misspelt option would leave the firmware as it is. Beside J2A_WITH_... the project may have names of its own.

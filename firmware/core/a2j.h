@@ -22,7 +22,7 @@ typedef j2a_many_fn *const CMD_P_MANY;
 #define STARTJT J2A_BUILTIN_NAMES const j2a_entry J2A_FLASH j2a_functions[] = {J2A_BUILTIN_ENTRIES
 #define STARTJ STARTJT /* as printed in listing 7.2 */
 #define ADDLJT ADDJT /* as printed in listing 7.3 */
-#define ADDJT(function) , J2A_ENTRY(function, A2J_KIND(function))
+#define ADDJT(function) J2A_ENTRY(function, A2J_KIND(function)),
 #define ENDJT }; const uint8_t j2a_function_count = sizeof j2a_functions / sizeof(j2a_entry);
 
 #define A2J_IS(function, type) __builtin_types_compatible_p(__typeof__(&(function)), type)
@@ -60,10 +60,7 @@ static inline uint8_t a2j_get_properties(bool *is_last, bool is_write, uint32_t 
     *offset += sizeof spec;
     return code;
 }
-#undef J2A_NAME_PROPERTIES
-#define J2A_NAME_PROPERTIES J2A_NAMED(a2j_get_properties, a2jGetProperties)
-#undef J2A_ENTRY_PROPERTIES
-#define J2A_ENTRY_PROPERTIES , J2A_ENTRY(a2j_get_properties, J2A_KIND_MANY)
+#define j2a_get_properties a2j_get_properties /* in the table that follows */
 #endif
 
 static inline void a2jInit(void) {

@@ -6,18 +6,21 @@
 
 #include "j2a_const.h"
 
-/* Function map: a2jGetMapping and the names in flash. Off: opcode 0 is answered with 0xF0. */
+/* The optional parts of the protocol. Off, the functions of a part have no opcode and those behind them move
+ * down, but opcode 0 stays reserved. */
+/* From capabilities.toml by `python -m j2a_spec.generate`. */
+/* Function map, a2jGetMapping and the names in flash. Off: opcode 0 is answered with 0xF0. */
 #ifndef J2A_WITH_MAPPING
 #define J2A_WITH_MAPPING 1
 #endif
 
-/* a2jMany and a2jEchoMany, for what is longer than a frame, and properties. Off: the opcodes after it move
- * down, and so do those behind the application's functions of kind many, which get none. */
+/* Data longer than a frame, a2jMany and a2jEchoMany. Off: the application's functions of kind many get no
+ * opcode either, and there are no properties. */
 #ifndef J2A_WITH_MANY
 #define J2A_WITH_MANY 1
 #endif
 
-/* Properties: a2jGetProperties. Off: the opcodes after it move down by one. */
+/* Properties, a2jGetProperties. Off: the device counts as one of version 1.0. */
 #ifndef J2A_WITH_PROPERTIES
 #define J2A_WITH_PROPERTIES J2A_WITH_MANY
 #endif
@@ -25,17 +28,37 @@
 #error "J2A_WITH_PROPERTIES=1 needs J2A_WITH_MANY=1, by which properties are read"
 #endif
 
-/* Self-test: j2a_selftest() runs golden vectors through parser and sender at the start, the property
- * j2a.selftest has the result. For bringing up a port; takes about 23 kB of flash, or 8 kB with
- * J2A_SELFTEST_SMALL=1, which leaves the vectors of more than 96 bytes out, and 64 bytes of RAM. */
+/* Debug text, a2jDebug and j2a_debug(); costs J2A_DEBUGBUF + 5 bytes of RAM. Off: j2a_debug() does
+ * nothing. */
+#ifndef J2A_WITH_DEBUG
+#define J2A_WITH_DEBUG 1
+#endif
+
+/* Server-initiated frames, j2a_send_sif(). Off: nothing is sent unasked. */
+#ifndef J2A_WITH_SIF
+#define J2A_WITH_SIF 1
+#endif
+
+/* Self-test by golden vectors at the start, with the property j2a.selftest; see J2A_SELFTEST_SMALL. Off:
+ * j2a_selftest() does nothing. */
 #ifndef J2A_WITH_SELFTEST
 #define J2A_WITH_SELFTEST 0
 #endif
+#if J2A_WITH_SELFTEST && !J2A_WITH_PROPERTIES
+#error "J2A_WITH_SELFTEST=1 needs J2A_WITH_PROPERTIES=1, because the result is a property"
+#endif
+
+#if ((J2A_WITH_MAPPING | J2A_WITH_MANY | J2A_WITH_PROPERTIES | J2A_WITH_DEBUG | J2A_WITH_SIF | \
+     J2A_WITH_SELFTEST) & ~1) != 0
+#error "J2A_WITH_... must be 0 or 1"
+#endif
+
+/* End of what is generated. */
+
+/* The small self-test leaves the vectors of more than 96 bytes out: it takes about 8 kB of flash instead of
+ * 23 kB, and 64 bytes of RAM as all of them do. */
 #ifndef J2A_SELFTEST_SMALL
 #define J2A_SELFTEST_SMALL 0
-#endif
-#if J2A_WITH_SELFTEST && !J2A_WITH_PROPERTIES
-#error "J2A_WITH_SELFTEST=1 needs J2A_WITH_PROPERTIES=1: the result is a property"
 #endif
 
 /* Links that the device serves at once, 1..255: J2A_ROOM, about 13 bytes and what the port holds, of RAM, each; see j2a_link in
@@ -50,17 +73,6 @@
 /* The device's clock: j2a_port_time_us(). Off: it is not declared, and a port need not have it. */
 #ifndef J2A_WITH_CLOCK
 #define J2A_WITH_CLOCK 1
-#endif
-
-/* Server-initiated frames: j2a_send_sif(). Off: it is not declared. */
-#ifndef J2A_WITH_SIF
-#define J2A_WITH_SIF 1
-#endif
-
-/* Debug text: a2jDebug and j2a_debug(). Off: the opcodes after it move down by one, j2a_debug()
- * does nothing. Costs J2A_DEBUGBUF + 5 bytes of RAM. */
-#ifndef J2A_WITH_DEBUG
-#define J2A_WITH_DEBUG 1
 #endif
 
 /* Bytes of debug text kept until the host takes them, 1..32767. */
@@ -108,9 +120,8 @@
 #error "J2A_RXBUF must be 1 or more, J2A_TXBUF 0 or more"
 #endif
 
-#if ((J2A_WITH_MAPPING | J2A_WITH_MANY | J2A_WITH_PROPERTIES | J2A_WITH_SELFTEST | J2A_SELFTEST_SMALL \
-      | J2A_WITH_CLOCK | J2A_WITH_SIF | J2A_WITH_DEBUG) & ~1) != 0
-#error "J2A_WITH_... must be 0 or 1"
+#if ((J2A_WITH_CLOCK | J2A_SELFTEST_SMALL) & ~1) != 0
+#error "J2A_WITH_CLOCK and J2A_SELFTEST_SMALL must be 0 or 1"
 #endif
 
 #endif

@@ -4,20 +4,14 @@
 #include "j2a_functions.h"
 #include "j2a_table.h"
 
-/* Nobody could call a function of kind many without a2jMany, so it gets no opcode then. */
-#if J2A_WITH_MANY
-#define J2A_IF_MANY(text) text
-#else
-#define J2A_IF_MANY(text)
-#endif
+/* J2A_IF_MANY: nobody could call a function of kind many without a2jMany, so it gets no opcode then. */
 
 #if J2A_WITH_MAPPING
 /* The map must fit into one frame: a negative array size stops the build when it does not. */
 #define J2A_CALL(name, function) + sizeof #name
 #define J2A_MANY(name, function) J2A_IF_MANY(+ sizeof #name)
 typedef char j2a_names_longer_than_a_payload[
-    sizeof "a2jGetMapping" + sizeof "a2jEcho" + (J2A_WITH_MANY ? sizeof "a2jMany" + sizeof "a2jEchoMany" : 0)
-    + (J2A_WITH_PROPERTIES ? sizeof "a2jGetProperties" : 0) + (J2A_WITH_DEBUG ? sizeof "a2jDebug" : 0)
+    J2A_BUILTIN_SIZE
 #include "functions.def"
     <= J2A_ROOM ? 1 : -1];
 #undef J2A_CALL
@@ -33,12 +27,8 @@ J2A_BUILTIN_NAMES
 
 const j2a_entry J2A_FLASH j2a_functions[] = {
     J2A_BUILTIN_ENTRIES
-#define J2A_CALL(name, function) , J2A_ENTRY(function, J2A_KIND_CALL)
-#if J2A_WITH_MANY
-#define J2A_MANY(name, function) , J2A_ENTRY(function, J2A_KIND_MANY)
-#else
-#define J2A_MANY(name, function)
-#endif
+#define J2A_CALL(name, function) J2A_CALL_ENTRY(name, function)
+#define J2A_MANY(name, function) J2A_IF_MANY(J2A_MANY_ENTRY(name, function))
 #include "functions.def"
 };
 const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0];

@@ -109,14 +109,14 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_NAME_OF_J2A_CALL(name, function) J2A_NAMED(function, name)
 #define J2A_NAME_OF_
 
-#define J2A_ENTRY_OF_J2A_CALL(name, function) , J2A_ENTRY(function, J2A_KIND_CALL)
+#define J2A_ENTRY_OF_J2A_CALL(name, function) J2A_CALL_ENTRY(name, function)
 #define J2A_ENTRY_OF_
 
 /* Nobody could call a function of kind many without a2jMany, so it gets no name and no opcode then. The
  * pointer, which compilers leave out, keeps them from warning of a static function without use. */
 #if J2A_WITH_MANY
 #define J2A_NAME_OF_J2A_MANY(name, function) J2A_NAMED(function, name)
-#define J2A_ENTRY_OF_J2A_MANY(name, function) , J2A_ENTRY(function, J2A_KIND_MANY)
+#define J2A_ENTRY_OF_J2A_MANY(name, function) J2A_MANY_ENTRY(name, function)
 #define J2A_SIZE_OF_J2A_MANY(name, function) + sizeof #name
 #else
 #ifdef __GNUC__
@@ -135,10 +135,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_SIZE_OF_
 #define J2A_CHECK_SIZE_(...) \
     extern char j2a_names_longer_than_a_payload[ \
-        sizeof "a2jGetMapping" + sizeof "a2jEcho" \
-        + (J2A_WITH_MANY ? sizeof "a2jMany" + sizeof "a2jEchoMany" : 0) \
-        + (J2A_WITH_PROPERTIES ? sizeof "a2jGetProperties" : 0) + (J2A_WITH_DEBUG ? sizeof "a2jDebug" : 0) \
-        J2A_EACH_(J2A_SIZE_OF, __VA_ARGS__) <= J2A_ROOM ? 1 : -1];
+        J2A_BUILTIN_SIZE J2A_EACH_(J2A_SIZE_OF, __VA_ARGS__) <= J2A_ROOM ? 1 : -1];
 #else
 #define J2A_CHECK_SIZE_(...)
 #endif

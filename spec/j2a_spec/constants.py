@@ -8,6 +8,8 @@ the generator prints, so a constant that is missing there is missing everywhere.
 from dataclasses import dataclass
 from typing import Final
 
+from j2a_spec.capabilities import FUNCTIONS, is_part_of
+
 SPEC_VERSION: Final = "1.1"
 """Version of this specification, the value of the property `j2a.spec`."""
 
@@ -65,16 +67,16 @@ SITE_MARKER: Final = 5
 SITE_ESCAPE: Final = 6
 SITE_LOST: Final = 7
 
-# Built-in functions in opcode order; those in brackets of the thesis are build options.
+# Built-in functions; capabilities.toml has their order and says which are optional.
 GET_MAPPING: Final = "a2jGetMapping"
 MANY: Final = "a2jMany"
 GET_PROPERTIES: Final = "a2jGetProperties"
 GET_DEBUG: Final = "a2jDebug"
 GET_ECHO: Final = "a2jEcho"
 GET_ECHO_MANY: Final = "a2jEchoMany"
-BUILTINS: Final = (GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO, GET_ECHO_MANY)
-OPTIONAL_BUILTINS: Final = frozenset({GET_MAPPING, MANY, GET_PROPERTIES, GET_DEBUG, GET_ECHO_MANY})
-WITH_MANY: Final = frozenset({MANY, GET_PROPERTIES, GET_ECHO_MANY})
+BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
+OPTIONAL_BUILTINS: Final = frozenset(f.name for f in FUNCTIONS if f.capability)
+WITH_MANY: Final = frozenset(f.name for f in FUNCTIONS if is_part_of(f, "many"))
 
 # USB: the interface for frames, and SyncUSB, the one for the time (LINKS.md, thesis 6.3).
 USB_VENDOR: Final = 0x6666

@@ -10,11 +10,16 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
+
+from j2a_spec.capabilities import LEVELS
 
 __all__ = ["Level", "Requirement", "Role", "load", "superseded"]
 
-Level = Literal["frame", "core", "mapping", "many", "properties", "debug", "sif", "timing"]
+if TYPE_CHECKING:
+    Level = str  # a checker of types cannot read the table
+else:
+    Level = Literal[LEVELS]
 Role = Literal["device", "host", "both"]
 
 _ID = re.compile(r"J2A-(?P<area>[A-Z]+)-\d{3}")

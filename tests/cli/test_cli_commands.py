@@ -27,7 +27,7 @@ def test_info(run, url):
     assert (result.code, result.err) == (0, "")
     lines = result.out.splitlines()
     assert lines[0].split(maxsplit=1) == ["name", "J2A demo"]
-    assert "    7  add" in lines
+    assert f"{DEMO.index('add'):5}  add" in lines
     assert any(line.split() == ["j2a.spec", "1.1"] for line in lines)
     assert "frames received" in lines[-1]
 
@@ -76,7 +76,8 @@ def test_a_property_that_is_not_there(run, url):
 
 
 def test_call_by_name_and_by_opcode(run, url):
-    for function in ("add", "7", "0x07"):
+    opcode = DEMO.index("add")
+    for function in ("add", str(opcode), f"0x{opcode:02X}"):
         result = run("call", url, function, "i32:40", "i32:2")
         assert (result.code, result.err) == (0, "")
         assert result.out.splitlines() == ["code     0x00", "payload  2a 00 00 00"]
@@ -185,7 +186,7 @@ def test_read_into_a_file_and_to_standard_output(demo, tmp_path, capsysbinary):
     assert main(["read", demo, "store", "-o", str(target)]) == 0
     assert target.read_bytes() == data
     capsysbinary.readouterr()
-    assert main(["read", demo, "8"]) == 0
+    assert main(["read", demo, str(DEMO.index("store"))]) == 0
     out, err = capsysbinary.readouterr()
     assert (out, err) == (data, b"")
 

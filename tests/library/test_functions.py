@@ -162,13 +162,13 @@ class TestRefusals:
     def test_properties_called_directly_fail(self, table):
         assert [table.execute(2, bytes(n)) for n in (0, 6, 255)] == [(0xFF, b"")] * 3
 
-    @pytest.mark.parametrize("opcode", [5, 6, 0xED, 0xFF])
+    @pytest.mark.parametrize("opcode", [5, len(BUILTINS), 0xED, 0xFF])
     def test_what_cannot_be_called_directly(self, table, opcode):
         code, payload = table.execute(opcode, b"")
         assert code == 0xF0
         assert len(payload) == 2
 
-    @pytest.mark.parametrize("func", [0, 1, 3, 4, 6, 0xFF])
+    @pytest.mark.parametrize("func", [0, 1, 3, 4, len(BUILTINS), 0xFF])
     def test_what_cannot_be_called_through_a2jmany(self, table, func):
         code, payload = table.execute(1, many(func))
         assert code == 0xF0
@@ -203,7 +203,7 @@ class TestResults:
     )
     def test_of_a_call_function(self, table, result, reply):
         table.add_call("f", lambda _payload: result)
-        assert table.execute(6, b"") == reply
+        assert table.execute(len(BUILTINS), b"") == reply
 
     @pytest.mark.parametrize(
         ("result", "reply"),
@@ -220,7 +220,7 @@ class TestResults:
     )
     def test_of_a_many_function(self, table, result, reply):
         table.add_many("f", lambda _request: result)
-        assert table.execute(1, many(6, offset=9)) == (0, reply)
+        assert table.execute(1, many(len(BUILTINS), offset=9)) == (0, reply)
 
     def test_exceptions_are_logged(self, table, caplog):
         def broken(_argument):
@@ -228,8 +228,8 @@ class TestResults:
 
         table.add_call("one", broken)
         table.add_many("two", broken)
-        assert table.execute(6, b"") == FAILED
-        assert table.execute(1, many(7)) == (0, many(0xFF))
+        assert table.execute(len(BUILTINS), b"") == FAILED
+        assert table.execute(1, many(len(BUILTINS) + 1)) == (0, many(0xFF))
         assert [str(record.exc_info[1]) for record in caplog.records] == ["broken on purpose"] * 2
 
     @pytest.mark.parametrize("end", [KeyboardInterrupt, SystemExit])
@@ -247,8 +247,8 @@ class TestResults:
     def test_a_request_reaches_a_many_function_as_it_is(self, table):
         seen = []
         table.add_many("f", lambda request: seen.append(request) or j2a.ManyReply())
-        table.execute(1, many(6, b"abc", offset=0xFFFFFFFF, flags=3))
-        table.execute(1, many(6))
+        table.execute(1, many(len(BUILTINS), b"abc", offset=0xFFFFFFFF, flags=3))
+        table.execute(1, many(len(BUILTINS)))
         assert seen == [
             j2a.ManyRequest(True, True, 0xFFFFFFFF, b"abc"),
             j2a.ManyRequest(False, False, 0, b""),

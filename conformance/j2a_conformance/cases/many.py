@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from itertools import product
 
 from j2a_spec import constants as c
+from j2a_spec.capabilities import FUNCTIONS
 
 from j2a_conformance._case import Case
 from j2a_conformance._dimensions import lane_offset, payload_of, spread
@@ -152,7 +153,7 @@ class InnerCode(Case):
 
 
 _CALLS = (
-    c.GET_MAPPING, c.MANY, c.GET_DEBUG, c.GET_ECHO,
+    *(function.name for function in FUNCTIONS if function.kind == "call"),
     "getTime", "add", "ret", "delay", "sif", "sifPeriod", "overruns",
 )  # fmt: skip
 

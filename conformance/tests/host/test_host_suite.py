@@ -12,6 +12,7 @@ from j2a_conformance.cli import main
 from j2a_conformance.host import START, load
 from j2a_conformance.host.cases import many
 from j2a_spec import requirements
+from j2a_spec.capabilities import LEVELS
 
 HOSTS = Path(__file__).parents[2] / "hosts"
 CASES = (START, *load())
@@ -70,6 +71,7 @@ def test_cases_name_requirements_that_bind_hosts():
     known = requirements.load()
     for case in CASES:
         assert case.REQUIREMENTS, case.ID
+        assert case.LEVEL in LEVELS, case.ID
         for name in case.REQUIREMENTS:
             assert known[name].role in ("host", "both"), (case.ID, name)
 

@@ -12,6 +12,11 @@ from j2a_spec.generate import c_files, spec_text, vector_files
 
 __all__ = ["outputs", "stale"]
 
+_TABLES = ("spec/LINKS.md", "docs/library.md")
+_OPTIONS = "firmware/core/j2a_options.h"
+_BUILTINS = "firmware/core/j2a_table.h"
+_SCHEMA = "conformance/j2a_conformance/reports/report.schema.json"
+
 
 def outputs(root: Path) -> dict[Path, str]:
     """Return the text of every generated file below the repository's `root`."""
@@ -20,8 +25,13 @@ def outputs(root: Path) -> dict[Path, str]:
         **{root / path: text for path, text in vector_files.outputs(tests).items()},
         root / "firmware/core/j2a_const.h": c_files.constants(),
         root / "firmware/core/j2a_vectors.h": c_files.vectors(tests["frame"], tests["stream"]),
+        root / _OPTIONS: c_files.options((root / _OPTIONS).read_text("utf-8")),
+        root / _BUILTINS: c_files.builtins((root / _BUILTINS).read_text("utf-8")),
         root / "spec/SPEC.md": spec_text.fill((root / "spec/SPEC.md").read_text("utf-8")),
-        root / "spec/LINKS.md": spec_text.fill_tables((root / "spec/LINKS.md").read_text("utf-8")),
+        **{
+            root / path: spec_text.fill_tables((root / path).read_text("utf-8")) for path in _TABLES
+        },
+        root / _SCHEMA: spec_text.fill_levels((root / _SCHEMA).read_text("utf-8")),
     }
 
 

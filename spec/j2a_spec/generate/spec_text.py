@@ -1,8 +1,9 @@
-"""SPEC.md and LINKS.md: puts texts of requirements and tables of constants into their places.
+"""Documents: puts texts of requirements, and tables, into their places.
 
 A normative paragraph of SPEC.md starts with the id in bold and the generator writes all that
 follows in it. Between `<!-- table: NAME -->` and `<!-- end -->` it writes the table of that name:
-the requirements, or a group of constants, whose name is that of the group with hyphens.
+the requirements, the built-in functions, the build options of the optional parts, or a group of
+constants, whose name is that of the group with hyphens.
 """
 
 import re
@@ -10,9 +11,11 @@ from collections.abc import Iterable
 from itertools import groupby
 
 from j2a_spec import constants as c
+from j2a_spec.capabilities import CAPABILITIES, FUNCTIONS, LEVELS
 from j2a_spec.requirements import Requirement, load, superseded
 
 _PARAGRAPH = re.compile(r"^\*\*(J2A-[A-Z]+-\d{3})\*\*.*?(?=\n\n|\n?\Z)", re.MULTILINE | re.DOTALL)
+_LEVELS = re.compile(r'(?<="level": \{\n      "enum": \[).*?(?=\])')
 _TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -48,6 +51,18 @@ def fill_tables(text: str) -> str:
     return _TABLE.sub(lambda match: match[1] + tables[match[2]] + match[3], text)
 
 
+def fill_levels(text: str) -> str:
+    """Return the schema of reports with the levels of conformance written anew.
+
+    Raises:
+        ValueError: it has no list of them, or several.
+    """
+    text, count = _LEVELS.subn(", ".join(f'"{level}"' for level in LEVELS), text)
+    if count != 1:
+        raise ValueError(f"{count} lists of levels in the schema of reports")
+    return text
+
+
 def _paragraph(requirement: Requirement) -> str:
     note = f" *(Not observable: {requirement.exception})*" if requirement.exception else ""
     if requirement.superseded_by:
@@ -58,7 +73,8 @@ def _paragraph(requirement: Requirement) -> str:
 def _tables() -> dict[str, str]:
     groups = groupby(c.TABLE, key=lambda row: row.group)
     constants = {name.lower().replace(" ", "-"): _constants(name, rows) for name, rows in groups}
-    return {**constants, "requirements": _requirements()}
+    rows = {"functions": _functions(), "options": _options(), "requirements": _requirements()}
+    return constants | rows
 
 
 def _constants(group: str, rows: Iterable[c.Constant]) -> str:
@@ -72,4 +88,20 @@ def _constants(group: str, rows: Iterable[c.Constant]) -> str:
 def _requirements() -> str:
     lines = ["| id | level | binds | from |", "|---|---|---|---|"]
     lines += [f"| {r.id} | {r.level} | {r.role} | {r.source} |" for r in load().values()]
+    return "\n".join(lines) + "\n"
+
+
+def _functions() -> str:
+    lines = ["| function | kind | level |", "|---|---|---|"]
+    for function in FUNCTIONS:
+        level = CAPABILITIES[function.capability].level if function.capability else "core"
+        lines.append(f"| {function.name} | {function.kind} | {level} |")
+    return "\n".join(lines) + "\n"
+
+
+def _options() -> str:
+    lines = ["| option | default | with 1 | with 0 |", "|---|---|---|---|"]
+    for part in CAPABILITIES.values():
+        default = part.default if isinstance(part.default, int) else f"as `{part.default}`"
+        lines.append(f"| `{part.option}` | {default} | {part.title} | {part.off} |")
     return "\n".join(lines) + "\n"

@@ -14,7 +14,18 @@ from j2a_conformance.host._device import BARE, DEMO, FETCH, OLD, PING, STORE
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._words import spell
 
-_FULL = (*c.BUILTINS, *(f"f{n:x}" for n in range(50)), "g0")  # a mapping of 255 bytes
+
+def _full() -> tuple[str, ...]:
+    """Return names whose mapping has 255 bytes."""
+    names = list(c.BUILTINS)
+    left = c.MAX_MAPPING - sum(len(name) + 1 for name in names)
+    while left > len(name := f"f{len(names) - len(c.BUILTINS):x}") + 2:
+        names.append(name)
+        left -= len(name) + 1
+    return (*names, "g".ljust(left - 1, "0"))
+
+
+_FULL = _full()
 
 
 def call_by_name(host: Host, name: str) -> None:
@@ -171,7 +182,7 @@ class Full(HostCase):
     DEVICE = replace(DEMO, names=_FULL)
 
     def _run(self, host: Host) -> None:
-        for name in (_FULL[6], _FULL[-1]):
+        for name in (_FULL[len(c.BUILTINS)], _FULL[-1]):
             call_by_name(host, name)
 
 
