@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from ._base import BadUrl, LinkLost, OpenFailed, Transport
 from ._poll import PolledTransport
-from ._pump import PumpedTransport, sink_of, source_of
+from ._threaded import ThreadedTransport, sink_of, source_of
 from ._url import Url, text
 
 # How long a child may take to end after its input has ended, and after it was asked to.
@@ -148,7 +148,7 @@ def open_url(url: Url) -> Transport:
     assert stdin is not None
     assert stdout is not None
     if os.name != "posix":
-        return pumped(url.text, child, options["write_timeout"])
+        return threaded(url.text, child, options["write_timeout"])
     # The descriptors change hands: from now on the transport closes them.
     read_fd, write_fd = os.dup(stdout.fileno()), os.dup(stdin.fileno())
     stdin.close()
@@ -156,13 +156,13 @@ def open_url(url: Url) -> Transport:
     return ProcessTransport(url.text, child, read_fd, write_fd, options["write_timeout"])
 
 
-def pumped(url: str, child: Child, write_timeout_s: float | None) -> Transport:
+def threaded(url: str, child: Child, write_timeout_s: float | None) -> Transport:
     """Return a transport by threads, for systems that cannot poll a pipe."""
     stdin, stdout = child.process.stdin, child.process.stdout
     assert stdin is not None
     assert stdout is not None
     in_fd, out_fd = stdin.fileno(), stdout.fileno()
-    return PumpedTransport(
+    return ThreadedTransport(
         url,
         source=source_of(out_fd),
         sink=sink_of(in_fd),

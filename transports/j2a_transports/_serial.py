@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ._base import BadUrl, LinkLost, Listener, MissingExtra, OpenFailed, Transport
 from ._poll import CHUNK, PolledTransport
-from ._pump import PumpedTransport
 from ._solo import SoloListener
+from ._threaded import ThreadedTransport
 from ._url import Converter, Url, boolean, choice, integer, number
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def open_url(url: Url) -> Transport:
     if os.name == "posix" and type(port).__module__ in POLLABLE:
         transport = SerialTransport(url.text, port, options["write_timeout"])
     else:
-        transport = _pumped(url.text, port, options["write_timeout"])
+        transport = _threaded(url.text, port, options["write_timeout"])
     try:
         _discard(transport, options.get("boot", 0.0))
     except LinkLost as error:
@@ -165,7 +165,7 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
     return port
 
 
-def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
+def _threaded(url: str, port: Any, write_timeout_s: float | None) -> Transport:
     def source() -> bytes:
         first = port.read(1)
         return first + port.read(min(port.in_waiting, CHUNK)) if first else b""
@@ -188,7 +188,7 @@ def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
                 port.cancel_write()
             port.reset_output_buffer()
 
-    return PumpedTransport(
+    return ThreadedTransport(
         url,
         source=source,
         sink=sink,

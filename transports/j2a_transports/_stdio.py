@@ -15,8 +15,8 @@ from typing import Any
 
 from ._base import BadUrl, Listener, OpenFailed, Transport
 from ._poll import READY, PolledTransport
-from ._pump import PumpedTransport, sink_of, source_of
 from ._solo import SoloListener
+from ._threaded import ThreadedTransport, sink_of, source_of
 from ._url import Url
 
 if sys.platform != "win32":
@@ -87,7 +87,7 @@ def open_url(url: Url) -> Transport:
         raise OpenFailed(f"{url.text}: standard input or output is closed") from error
     if os.name == "posix":
         return StdioTransport(url.text, streams, options["write_timeout"])
-    return _pumped(url.text, streams, options["write_timeout"])
+    return _threaded(url.text, streams, options["write_timeout"])
 
 
 def listen_url(url: Url) -> Listener:
@@ -95,8 +95,8 @@ def listen_url(url: Url) -> Listener:
     return SoloListener(url.text, lambda: open_url(url), again=False)
 
 
-def _pumped(url: str, streams: StandardStreams, write_timeout_s: float | None) -> Transport:
-    return PumpedTransport(
+def _threaded(url: str, streams: StandardStreams, write_timeout_s: float | None) -> Transport:
+    return ThreadedTransport(
         url,
         source=source_of(streams.read_fd),
         sink=sink_of(streams.write_fd),

@@ -10,9 +10,9 @@ import errno
 import os
 import socket
 
-from ._accept import SocketListener
 from ._base import LinkLost, Listener, OpenFailed, Transport
 from ._poll import CHUNK, PolledTransport
+from ._socket_listener import SocketListener
 from ._url import Url, host_port, timeout
 
 _CONNECT_TIMEOUT_S = 5.0

@@ -17,10 +17,10 @@ from dataclasses import replace
 from typing import Final, Literal
 
 from ._base import BadUrl, LinkClosed, LinkLost, Listener, Transport
-from ._damage import KINDS, Direction, FaultCounters, Piece, Rates
+from ._damage import KINDS, FaultCounters, FaultInjector, Piece, Rates
 from ._url import Converter, Url, integer, number
 
-__all__ = ["Direction", "FaultCounters", "FaultyListener", "FaultyTransport", "Rates", "wrap"]
+__all__ = ["FaultCounters", "FaultInjector", "FaultyListener", "FaultyTransport", "Rates", "wrap"]
 
 
 class FaultyTransport(Transport):
@@ -36,13 +36,13 @@ class FaultyTransport(Transport):
         url: for messages.
 
     Attributes:
-        tx: the direction of writing; `tx.counters` says what was injected.
-        rx: the direction of reading.
+        tx: injects the faults of writing; `tx.counters` says what was injected.
+        rx: injects the faults of reading.
         clock: the inner transport's own time in seconds (a simulated device), or the machine's.
         sleep: lets that time pass; None where it passes by itself.
     """
 
-    def __init__(self, inner: Transport, tx: Direction, rx: Direction, url: str) -> None:
+    def __init__(self, inner: Transport, tx: FaultInjector, rx: FaultInjector, url: str) -> None:
         super().__init__(url, inner.write_timeout_s)
         self.inner = inner
         self.tx = tx
@@ -167,7 +167,9 @@ def wrap(
 
 
 def _disturb(transport: Transport, tx: Rates, rx: Rates, seed: int, url: str) -> FaultyTransport:
-    return FaultyTransport(transport, Direction(tx, f"{seed}/tx"), Direction(rx, f"{seed}/rx"), url)
+    return FaultyTransport(
+        transport, FaultInjector(tx, f"{seed}/tx"), FaultInjector(rx, f"{seed}/rx"), url
+    )
 
 
 _RATES: Final[dict[str, Converter]] = {

@@ -17,9 +17,9 @@ import socket
 import time
 from typing import Any, Final
 
-from j2a_transports._accept import SocketListener
 from j2a_transports._base import BadUrl, LinkLost, Listener, OpenFailed, Transport
 from j2a_transports._poll import CHUNK, PolledTransport
+from j2a_transports._socket_listener import SocketListener
 from j2a_transports._url import Converter, Url, choice, text, timeout
 
 from . import sdp, sockets
