@@ -11,10 +11,11 @@ from __future__ import annotations
 import os
 import select
 import sys
-from typing import Any
+from typing import Any, Final
 
 from ._base import BadUrl, Listener, OpenFailed, Transport
 from ._poll import READY, PolledTransport
+from ._scheme import Scheme, Usage
 from ._solo import SoloListener
 from ._threaded import ThreadedTransport, sink_of, source_of
 from ._url import Url
@@ -22,6 +23,9 @@ from ._url import Url
 if sys.platform != "win32":
     import termios
     import tty
+
+_USAGE: Final = Usage("stdio:", "standard input and output of this process", ("stdio:",))
+SCHEME: Final = Scheme(name="stdio", open=_USAGE, listen=_USAGE)
 
 
 class StandardStreams:
@@ -78,7 +82,7 @@ class StdioTransport(PolledTransport):
 
 def open_url(url: Url) -> Transport:
     """Take over standard input and output."""
-    options = url.options([], {})
+    options = url.options([], _USAGE)
     if url.rest:
         raise BadUrl(f"{url.text}: write stdio: with nothing after the colon")
     try:
