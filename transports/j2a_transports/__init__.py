@@ -27,7 +27,7 @@ from ._base import (
     WriteTimeout,
 )
 from ._registry import describe, listen, open, schemes
-from ._scheme import Option, Scheme, Usage
+from ._scheme import COMMON_OPTIONS, Option, Scheme, Usage
 from ._url import Url
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from ._usb.watch import UsbArrived, UsbLeft, UsbWatch, watch_usb
 
 __all__ = [
+    "COMMON_OPTIONS",
     "BadUrl",
     "LinkClosed",
     "LinkLost",

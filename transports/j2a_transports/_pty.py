@@ -32,7 +32,7 @@ if sys.platform != "win32":
 _OPEN: Final = Usage("pty:COMMAND", "a program, on a pseudo terminal", ("pty:./firmware",), (CWD,))
 _LISTEN: Final = Usage(
     "pty:PATH",
-    "a new pseudo terminal, which others open as a serial port; PATH is a link to it, or empty",
+    "a new pseudo terminal, which others open as a serial port",
     ("pty:", "pty:/tmp/board"),
 )
 SCHEME: Final = Scheme(name="pty", open=_OPEN, listen=_LISTEN, system="POSIX", starts_device=True)

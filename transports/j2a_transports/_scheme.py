@@ -107,7 +107,7 @@ class Usage:
         form: the URL with its variable parts in capitals, such as `tcp://HOST:PORT`.
         summary: what opening or listening gives, as a phrase that ends without a full stop.
         examples: URLs that users can adapt; the first one is the most common.
-        options: the options besides those of all schemes, `COMMON`.
+        options: the options besides those of all schemes, `COMMON_OPTIONS`.
     """
 
     form: str
@@ -140,7 +140,7 @@ class Scheme:
     meant_by: Mapping[str, str] = field(default_factory=dict)
 
 
-COMMON: Final = (
+COMMON_OPTIONS: Final = (
     Option(
         "write_timeout",
         timeout,

@@ -58,13 +58,13 @@ _OPTIONS: Final = (
 )
 _OPEN: Final = Usage(
     "serial:PORT",
-    "a serial port, or another URL that pyserial opens",
+    "a serial port, or a URL of pyserial",
     ("serial:///dev/ttyACM0?baud=115200", "serial:COM3", "serial:rfc2217://host:2217"),
     _OPTIONS,
 )
 _LISTEN: Final = Usage(
     "serial:PORT",
-    "a serial port, with one peer after the other",
+    "a serial port",
     ("serial:///dev/ttyUSB0",),
     _OPTIONS,
 )

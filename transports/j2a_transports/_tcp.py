@@ -25,7 +25,7 @@ _OPEN: Final = Usage(
 )
 _LISTEN: Final = Usage(
     "tcp://HOST:PORT",
-    "any number of TCP connections; port 0 takes any free port",
+    "a TCP port; 0 takes a free one",
     ("tcp://127.0.0.1:5000", "tcp://[::1]:0"),
 )
 SCHEME: Final = Scheme(

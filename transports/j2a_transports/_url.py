@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from ._base import BadUrl
-from ._scheme import COMMON, Converter, Option, Usage
+from ._scheme import COMMON_OPTIONS, Converter, Option, Usage
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):(.*)", re.DOTALL)
 
@@ -68,10 +68,10 @@ class Url:
             BadUrl: an option is unknown, given twice, or has a wrong value.
         """
         if isinstance(known, Usage):
-            declared = {option.name: option for option in (*known.options, *COMMON)}
+            declared = {option.name: option for option in (*known.options, *COMMON_OPTIONS)}
         else:
             declared = {name: Option(name, take, "") for name, take in known.items()}
-            declared |= {option.name: option for option in COMMON}
+            declared |= {option.name: option for option in COMMON_OPTIONS}
         given: dict[str, str] = {}
         for part in parts:
             name, equals, value = part.partition("=")

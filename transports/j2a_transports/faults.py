@@ -193,7 +193,7 @@ _RATES: Final = (
 )
 _USAGE: Final = Usage(
     "faults:NAME=VALUE,...:URL",
-    "another transport with injected faults; tx_ or rx_ before an option: one direction only",
+    "another transport, with injected faults",
     ("faults:seed=1,drop=0.001:tcp://127.0.0.1:5000",),
     (Option("seed", integer(0, 2**63 - 1), "equal seeds disturb equal bytes", "0"), *_RATES),
 )

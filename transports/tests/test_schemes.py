@@ -8,8 +8,7 @@ from importlib.metadata import metadata
 
 import j2a_transports
 import pytest
-from j2a_transports import BadUrl, OpenFailed, Scheme, Url, Usage, _registry
-from j2a_transports._scheme import COMMON
+from j2a_transports import COMMON_OPTIONS, BadUrl, OpenFailed, Scheme, Url, Usage, _registry
 
 SCHEMES = j2a_transports.schemes()
 
@@ -45,7 +44,7 @@ def test_the_forms_and_examples_are_urls_of_the_scheme(name: str) -> None:
 @pytest.mark.parametrize("name", SCHEMES)
 def test_each_option_has_a_help_and_takes_its_default(name: str) -> None:
     for usage in usages(j2a_transports.describe(name)):
-        options = (*usage.options, *COMMON)
+        options = (*usage.options, *COMMON_OPTIONS)
         names = [option.name for option in options]
         assert len(set(names)) == len(names)
         for option in options:

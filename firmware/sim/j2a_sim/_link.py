@@ -93,7 +93,7 @@ def _wire(text: str) -> str:
 _MCUS: Final = {"uart": "atmega328p", "usb": "atmega32u4"}
 _OPEN: Final = Usage(
     "sim:ELF",
-    "firmware in an AVR simulator inside this process, in simulated time",
+    "firmware in an AVR simulator, in simulated time",
     ("sim:demo.elf", "sim:demo.elf?mcu=atmega32u4&link=usb"),
     (
         Option(

@@ -31,7 +31,7 @@ _SECURITY: Final = Option(
 )
 OPEN: Final = Usage(
     "bt://ADDRESS/CHANNEL",
-    "a Bluetooth device; without CHANNEL the device is asked for its serial port",
+    "a Bluetooth device, on the channel of its serial port",
     ("bt://00:11:22:33:44:55", "bt://00:11:22:33:44:55/1"),
     (
         Option(
@@ -49,7 +49,7 @@ OPEN: Final = Usage(
 )
 LISTEN: Final = Usage(
     "bt://ADAPTER/CHANNEL",
-    "a Bluetooth serial port; without ADAPTER at all of them, without CHANNEL at a free one",
+    "a Bluetooth serial port",
     ("bt:", "bt:///3", "bt://hci0/3"),
     (
         Option("service", text, f"the name to publish, {SERVICE} if it is not given"),

@@ -37,7 +37,7 @@ def _gadget_name(value: str) -> str:
 
 LISTEN: Final = Usage(
     "gadget:",
-    "this computer as a USB board, with one host after the other",
+    "this computer as a USB board",
     ("gadget:?serial=0001",),
     (
         Option("serial", _usb_string, "serial number, else that of the computer, or its name"),

@@ -46,7 +46,7 @@ LOOK_S: Final = 0.2
 
 _OPEN: Final = Usage(
     "usb://BOARD",
-    "the USB board with that serial number, or the only one; `j2a list` shows all",
+    "the USB board, if there is only one; j2a list shows all",
     ("usb://", "usb://0001", "usb://6666:cafe", "usb://001:004", "usb://1-2.3"),
     (
         Option("serial", text, "the serial number, where it looks like something else"),
