@@ -22,6 +22,7 @@ extensions = [
     "program_help",
     "requirement_ids",
     "requirement_pages",
+    "transport_tables",
     "usb_checks",
 ]
 exclude_patterns = ["_build", "_ext", "tests", "examples"]

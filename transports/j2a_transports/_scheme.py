@@ -84,7 +84,7 @@ class Option:
             what it takes.
         help: what the option means, as a phrase that ends without a full stop.
         default: the text that stands for the option where it is not given; none by default.
-        unit: of the value, such as `s` or `bit/s`.
+        unit: of the value, such as `bit/s`, where the docstring of its converter does not say it.
     """
 
     name: str
@@ -95,8 +95,9 @@ class Option:
 
     @property
     def takes(self) -> str:
-        """What the option takes: the docstring of its converter."""
-        return (self.convert.__doc__ or "another value").rstrip(".")
+        """What the option takes: the docstring of its converter, and the unit."""
+        takes = (self.convert.__doc__ or "another value").rstrip(".")
+        return f"{takes} ({self.unit})" if self.unit else takes
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +147,6 @@ COMMON_OPTIONS: Final = (
         timeout,
         "time without progress after which a write fails with `WriteTimeout`",
         f"{DEFAULT_WRITE_TIMEOUT_S:g}",
-        "s",
     ),
 )
 """The options of every scheme."""

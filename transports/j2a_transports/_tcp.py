@@ -21,7 +21,14 @@ _OPEN: Final = Usage(
     "tcp://HOST:PORT",
     "a TCP connection",
     ("tcp://127.0.0.1:5000",),
-    (Option("connect_timeout", timeout, "time until the connection must be there", "5", "s"),),
+    (
+        Option(
+            "connect_timeout",
+            timeout,
+            "time until the connection must be there; for opening only",
+            "5",
+        ),
+    ),
 )
 _LISTEN: Final = Usage(
     "tcp://HOST:PORT",

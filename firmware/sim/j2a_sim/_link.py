@@ -99,7 +99,7 @@ _OPEN: Final = Usage(
         Option(
             "mcu", _text, f"the chip; {_MCUS['uart']}, with link=usb {_MCUS['usb']}, if not given"
         ),
-        Option("freq", frequency, "clock of the chip", "16000000", "Hz"),
+        Option("freq", frequency, "clock of the chip", "16000000"),
         Option("link", _wire, "which part of the chip the bytes go through", "uart"),
         Option("uart", _text, "number of the UART, else the first that the chip has"),
         Option(
@@ -110,7 +110,6 @@ _OPEN: Final = Usage(
             _seconds,
             "simulated time without a byte after which time goes on no faster than real time",
             f"{PATIENCE_S:g}",
-            "s",
         ),
         Option("speed", speed, "the most simulated seconds per second", "0"),
     ),

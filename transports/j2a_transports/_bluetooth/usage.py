@@ -40,7 +40,6 @@ OPEN: Final = Usage(
             "time for all of the opening",
             # Two times what an adapter calls a device that does not answer (5.12 s).
             "10",
-            "s",
         ),
         Option("adapter", _adapter, "the Bluetooth controller of this machine to use"),
         Option("service", text, "name of the serial port to take, of several"),
