@@ -22,6 +22,7 @@ extensions = [
     "program_help",
     "requirement_ids",
     "requirement_pages",
+    "transport_tables",
     "usb_checks",
 ]
 exclude_patterns = ["_build", "_ext", "tests", "examples"]
@@ -49,7 +50,7 @@ nitpick_ignore_regex = [
     (r"c:identifier", r"u?int\d+_t|bool"),
     (r"py:.*", rf"({_ELSEWHERE})\..*"),
     (r"py:class", r".*\._\w+|Kernel"),  # private: type variables of decorators, files of the system
-    (r"py:class", r".*\.Piece"),  # what Direction deals in
+    (r"py:class", r".*\.Piece"),  # what FaultInjector deals in
     (r"py:class", r"Path"),  # of pathlib, as it stands in lists of arguments
     (r"py:exc", r"Judged"),  # raised inside of the suite, never out of it
 ]

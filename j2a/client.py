@@ -319,7 +319,7 @@ def connect(
     """Open a link to a device and fetch its function map.
 
     Args:
-        url: such as `serial:///dev/ttyACM0?baud=115200`, `tcp://127.0.0.1:5000`, `exec:./fw`.
+        url: such as `serial:///dev/ttyACM0?baud=115200`; see `j2a_transports.open`.
         timeout: the time limit of a call that does not bring its own, in seconds.
         boot_time: for how long to try while the board does not answer, in seconds; many boards
             reset and boot for 1 to 2 s when their port is opened.

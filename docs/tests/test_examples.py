@@ -160,12 +160,6 @@ def test_the_reference_has_every_public_name_of_the_library():
     assert listed == set(j2a.__all__)
 
 
-def test_every_transport_is_on_the_page_of_urls():
-    page = (ROOT / "docs/transports.md").read_text()
-    for scheme in j2a_transports.schemes():
-        assert f"`{scheme}:" in page, scheme
-
-
 @contextlib.contextmanager
 def listening(*command):
     """Run a j2a command that serves, and give its URL."""

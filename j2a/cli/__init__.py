@@ -12,7 +12,7 @@ import contextlib
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from j2a.cli import _commands
 from j2a.cli._exit import (
@@ -27,28 +27,25 @@ from j2a.cli._exit import (
     is_of_a_file,
 )
 from j2a.cli._output import drop_output, finish_output, note, prepare_output, show, show_json
+from j2a.cli._urls import url_list
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
 
 __all__ = ["EXIT_CODES", "main"]
 
-_URLS: Final = """\
-a device is named by its URL:
-  usb://                              the USB board, if there is one; j2a list shows all
-  serial:///dev/ttyACM0?baud=115200   a serial port
-  bt://00:11:22:33:44:55              a Bluetooth device
-  tcp://127.0.0.1:5000                a TCP connection
-  exec:./firmware                     a program, by its standard input and output
-  pty:./firmware                      a program, on a pseudo terminal"""
-
 
 class _Parser(argparse.ArgumentParser):
-    """Says how to get help when it refuses."""
+    """Says how to get help when it refuses; ends the help with the URLs of the command, if any."""
 
     def error(self, message: str) -> NoReturn:
         """Refuse the arguments."""
         raise UsageError(message, f"try: {self.prog} --help")
+
+    def format_help(self) -> str:
+        """Return the help; the default `url_help`, a function, gives the part about URLs."""
+        url_help = self.get_default("url_help")
+        return super().format_help() + (f"\n{url_help()}\n" if url_help else "")
 
     def print_help(self, file: SupportsWrite[str] | None = None) -> None:
         """Print the help; argparse itself would not tell when that fails."""
@@ -141,5 +138,5 @@ def _help() -> str:
     return (
         "usage: j2a COMMAND ...      (j2a COMMAND --help says more; j2a --version)\n\n"
         "Calls functions of microcontrollers, over any byte stream.\n\n"
-        f"commands:\n{commands}\n\n{_URLS}\n\n{exit_codes_help()}"
+        f"commands:\n{commands}\n\n{url_list()}\n\n{exit_codes_help()}"
     )

@@ -15,6 +15,7 @@ from typing import Final, TypeVar
 import j2a
 from j2a.cli._exit import UsageError
 from j2a.cli._trace import TracePrinter
+from j2a.cli._urls import listen_help, open_help
 
 if sys.platform != "win32":
     import termios
@@ -26,6 +27,7 @@ _OWN: Final = frozenset(inspect.signature(j2a.connect).parameters)
 def add_link_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the URL and the options of a link."""
     parser.add_argument("url", metavar="URL", help="the device, such as tcp://127.0.0.1:5000")
+    parser.set_defaults(url_help=open_help)
     group = parser.add_argument_group("link")
     group.add_argument(
         "--timeout",
@@ -53,9 +55,20 @@ def add_link_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="an option of the URL's scheme; the same as ?NAME=VALUE in it",
+        help="an option of the URL, see below; may be repeated",
     )
     add_verbose_argument(group)
+
+
+def add_listen_argument(parser: argparse.ArgumentParser) -> None:
+    """Add `--listen`."""
+    parser.add_argument(
+        "--listen",
+        default="tcp://127.0.0.1:0",
+        metavar="URL",
+        help="where hosts connect, see below (%(default)s: any free port)",
+    )
+    parser.set_defaults(url_help=listen_help)
 
 
 def add_verbose_argument(parser: argparse._ActionsContainer) -> None:
@@ -129,7 +142,7 @@ def check_listen_url(url: str) -> None:
     if is_typed_at:
         raise UsageError(
             f"--listen {url} is a terminal here, where Ctrl-C would be one more byte; "
-            "use tcp: or pty:, or let another program start this one by exec:"
+            "listen somewhere else, see --help, or let another program start this one by its pipes"
         )
 
 

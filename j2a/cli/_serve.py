@@ -17,34 +17,27 @@ import j2a_transports
 
 import j2a
 from j2a.cli._exit import OK, UsageError, end_on_sigterm
-from j2a.cli._link import add_verbose_argument, check_listen_url, seconds, whole_number
+from j2a.cli._link import (
+    add_listen_argument,
+    add_verbose_argument,
+    check_listen_url,
+    seconds,
+    whole_number,
+)
 from j2a.cli._output import note, show
 from j2a.cli._trace import TracePrinter
 from j2a.device import IDLE_S, MAX_HOSTS
 from j2a.io.opening import WAIT_S
 
 NOTES = """\
-places to listen:
-  tcp://127.0.0.1:5000   that TCP port; 0 takes a free one
-  pty:                   a new pseudo terminal, which others open as a serial port
-  stdio:                 standard input and output
-  serial:///dev/ttyUSB0  a serial port
-  gadget:?serial=0001    the USB device port of a Linux board, as root
-  bt:                    a Bluetooth serial port
-
 examples:
   j2a serve --listen tcp://127.0.0.1:5000
-  j2a serve --listen pty:/tmp/board --device thermometer:device"""
+  j2a serve --device thermometer:device"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument(
-        "--listen",
-        default="tcp://127.0.0.1:0",
-        metavar="URL",
-        help="where hosts connect, see below (%(default)s: any free port)",
-    )
+    add_listen_argument(parser)
     parser.add_argument(
         "--device",
         metavar="MODULE:ATTRIBUTE",

@@ -38,8 +38,8 @@ from j2a.cli._values import Decoder, payload_of, short_hex, text_of
 NOTES = """\
 examples:
   j2a watch tcp://127.0.0.1:5000 0x20 --as u32
-  j2a watch exec:./firmware --call 'sifPeriod u16:100' --count 10 --json
-  j2a watch serial:///dev/ttyACM0 --call 'sifPeriod u16:100' --then 'sifPeriod u16:0'"""
+  j2a watch tcp://127.0.0.1:5000 --call 'sifPeriod u16:100' --count 10 --json
+  j2a watch tcp://127.0.0.1:5000 --call 'sifPeriod u16:100' --then 'sifPeriod u16:0'"""
 _LOOK_S = 0.2
 _Call = tuple[str | int, bytes]
 

@@ -3,22 +3,8 @@
 `open(url)` gives a `Transport`, `listen(url)` a `Listener`, `pair()` two transports joined in
 memory. Importing this package loads no driver; a driver is loaded when its scheme is first used.
 
-=============================================  ==================================================
-URL                                            what it is
-=============================================  ==================================================
-``serial:///dev/ttyACM0?baud=115200``          a serial port (also ``serial:COM3``)
-``serial:rfc2217://host:2217``                 anything that pyserial opens
-``usb://``, ``usb://SERIAL``, ``usb://1-2.3``   a J2A board on the USB
-``gadget:`` (listen only)                      this computer as a board on the USB of another
-``bt://00:11:22:33:44:55``                     RFCOMM of Bluetooth; also a listener
-``tcp://127.0.0.1:5000``                       a TCP connection; also a listener
-``exec:./fw --flag``                           a child process, by pipes to its stdin and stdout
-``pty:./fw``                                   a child process on a pseudo terminal
-``pty:`` or ``pty:/tmp/name`` (listen only)    a pseudo terminal for others to open as serial port
-``stdio:``                                     standard input and output of this process
-``loopback:name``                              a meeting place inside this process
-``faults:seed=1,drop=0.001:tcp://host:5000``   another transport, with seeded faults
-=============================================  ==================================================
+`schemes()` names the URL schemes, and `describe(scheme)` says what one is: the forms of its URLs,
+its options, whether it can listen, and what it needs.
 
 Every scheme has the option ``write_timeout``: seconds without progress before `WriteTimeout`
 (default 5, ``none`` waits for ever).
@@ -40,7 +26,8 @@ from ._base import (
     TransportError,
     WriteTimeout,
 )
-from ._registry import listen, open, schemes
+from ._registry import describe, listen, open, schemes
+from ._scheme import COMMON_OPTIONS, Option, Scheme, Usage
 from ._url import Url
 
 if TYPE_CHECKING:
@@ -51,21 +38,26 @@ if TYPE_CHECKING:
     from ._usb.watch import UsbArrived, UsbLeft, UsbWatch, watch_usb
 
 __all__ = [
+    "COMMON_OPTIONS",
     "BadUrl",
     "LinkClosed",
     "LinkLost",
     "Listener",
     "MissingExtra",
     "OpenFailed",
+    "Option",
+    "Scheme",
     "Transport",
     "TransportError",
     "Url",
+    "Usage",
     "UsbArrived",
     "UsbBoard",
     "UsbGadget",
     "UsbLeft",
     "UsbWatch",
     "WriteTimeout",
+    "describe",
     "listen",
     "open",
     "open_usb_device",

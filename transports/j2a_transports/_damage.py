@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from random import Random
 from typing import Final
 
-__all__ = ["KINDS", "Direction", "FaultCounters", "Piece", "Rates"]
+__all__ = ["KINDS", "FaultCounters", "FaultInjector", "Piece", "Rates"]
 
 DEFAULT_DELAY_MS: Final = 15.0
 BURST_BITS: Final = (9, 16)
@@ -97,7 +97,7 @@ class Piece:
     data: bytes
 
 
-class Direction:
+class FaultInjector:
     """Injects faults into one byte stream.
 
     Args:

@@ -21,9 +21,16 @@ from ._base import (
     Transport,
     WriteTimeout,
 )
+from ._scheme import Scheme, Usage
 from ._url import Url
 
 LIMIT: Final = 65536
+
+_OPEN: Final = Usage(
+    "loopback:NAME", "the listener of that name in this process", ("loopback:board",)
+)
+_LISTEN: Final = Usage("loopback:NAME", "a name in this process", ("loopback:board",))
+SCHEME: Final = Scheme(name="loopback", open=_OPEN, listen=_LISTEN)
 
 
 class Channel:
@@ -221,7 +228,7 @@ class LoopbackListener(Listener):
 
 def open_url(url: Url) -> Transport:
     """Connect to the listener of that name in this process."""
-    options = url.options([], {})
+    options = url.options([], _OPEN)
     with _listeners_lock:
         listener = _listeners.get(_name(url))
     if listener is None:
@@ -233,7 +240,7 @@ def open_url(url: Url) -> Transport:
 
 def listen_url(url: Url) -> Listener:
     """Give this process a listener of that name."""
-    options = url.options([], {})
+    options = url.options([], _LISTEN)
     name = _name(url)
     with _listeners_lock:
         if name in _listeners:

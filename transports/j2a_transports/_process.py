@@ -21,14 +21,29 @@ from typing import Any, Final
 
 from ._base import BadUrl, LinkLost, OpenFailed, Transport
 from ._poll import PolledTransport
-from ._pump import PumpedTransport, sink_of, source_of
-from ._url import Url, text
+from ._scheme import Option, Scheme, Usage, text
+from ._threaded import ThreadedTransport, sink_of, source_of
+from ._url import Url
 
 # How long a child may take to end after its input has ended, and after it was asked to.
 EOF_GRACE_S: Final = 0.5
 TERMINATE_GRACE_S: Final = 2.0
 # How long a lost link waits for the exit code, which comes a moment after the end of the output.
 EXIT_CODE_WAIT_S: Final = 1.0
+
+CWD: Final = Option("cwd", text, "working directory of the program, else ours; as keyword only")
+_OPEN: Final = Usage(
+    "exec:COMMAND",
+    "a program, by pipes to its standard input and output",
+    ("exec:./firmware", "exec:./firmware --flag"),
+    (CWD,),
+)
+SCHEME: Final = Scheme(
+    name="exec",
+    open=_OPEN,
+    starts_device=True,
+    meant_by={r"(?s)(\.{0,2}/|[A-Za-z]:[\\/]).*": r"exec:\g<0>"},
+)
 
 
 class Child:
@@ -142,13 +157,13 @@ class ProcessTransport(PolledTransport):
 
 def open_url(url: Url) -> Transport:
     """Start the child of `exec:command args`."""
-    command, options = parse_command(url)
+    command, options = parse_command(url, _OPEN)
     child = Child(url.text, command, options.get("cwd"), subprocess.PIPE, subprocess.PIPE)
     stdin, stdout = child.process.stdin, child.process.stdout
     assert stdin is not None
     assert stdout is not None
     if os.name != "posix":
-        return pumped(url.text, child, options["write_timeout"])
+        return threaded(url.text, child, options["write_timeout"])
     # The descriptors change hands: from now on the transport closes them.
     read_fd, write_fd = os.dup(stdout.fileno()), os.dup(stdin.fileno())
     stdin.close()
@@ -156,13 +171,13 @@ def open_url(url: Url) -> Transport:
     return ProcessTransport(url.text, child, read_fd, write_fd, options["write_timeout"])
 
 
-def pumped(url: str, child: Child, write_timeout_s: float | None) -> Transport:
+def threaded(url: str, child: Child, write_timeout_s: float | None) -> Transport:
     """Return a transport by threads, for systems that cannot poll a pipe."""
     stdin, stdout = child.process.stdin, child.process.stdout
     assert stdin is not None
     assert stdout is not None
     in_fd, out_fd = stdin.fileno(), stdout.fileno()
-    return PumpedTransport(
+    return ThreadedTransport(
         url,
         source=source_of(out_fd),
         sink=sink_of(in_fd),
@@ -174,13 +189,13 @@ def pumped(url: str, child: Child, write_timeout_s: float | None) -> Transport:
     )
 
 
-def parse_command(url: Url) -> tuple[list[str], dict[str, Any]]:
+def parse_command(url: Url, usage: Usage) -> tuple[list[str], dict[str, Any]]:
     """Split the command line of an `exec:` or `pty:` URL and check the options of the call.
 
     Raises:
         BadUrl: no command, unbalanced quotes, or an unknown option.
     """
-    options = url.options([], {"cwd": text})
+    options = url.options([], usage)
     if url.rest.startswith("//") and not url.rest.startswith("///"):
         raise BadUrl(f"{url.text}: write {url.scheme}:{url.rest[2:]} without the slashes")
     try:

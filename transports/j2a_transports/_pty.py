@@ -15,10 +15,12 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Final
 
 from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport
 from ._poll import BROKEN, CHUNK, READY, PolledTransport, Readiness, Waker
-from ._process import Child, ProcessTransport, parse_command
+from ._process import CWD, Child, ProcessTransport, parse_command
+from ._scheme import Scheme, Usage
 from ._solo import wait_to_look
 from ._url import Url
 
@@ -27,7 +29,13 @@ if sys.platform != "win32":
     import termios
     import tty
 
-# A terminal that is opened by another program raises no event; it has to be looked at.
+_OPEN: Final = Usage("pty:COMMAND", "a program, on a pseudo terminal", ("pty:./firmware",), (CWD,))
+_LISTEN: Final = Usage(
+    "pty:PATH",
+    "a new pseudo terminal, which others open as a serial port",
+    ("pty:", "pty:/tmp/board"),
+)
+SCHEME: Final = Scheme(name="pty", open=_OPEN, listen=_LISTEN, system="POSIX", starts_device=True)
 
 
 def _open_raw(url: Url) -> tuple[int, int]:
@@ -44,7 +52,7 @@ def _open_raw(url: Url) -> tuple[int, int]:
 
 def open_url(url: Url) -> Transport:
     """Start the child of `pty:command args` with a pseudo terminal as its stdin and stdout."""
-    command, options = parse_command(url)
+    command, options = parse_command(url, _OPEN)
     master, slave = _open_raw(url)
     try:
         child = Child(url.text, command, options.get("cwd"), slave, slave)
@@ -154,7 +162,7 @@ class PtyListener(Listener):
 
 def listen_url(url: Url) -> Listener:
     """Make a pseudo terminal, and for `pty:/some/path` a symbolic link to it."""
-    options = url.options([], {})
+    options = url.options([], _LISTEN)
     master, slave = _open_raw(url)
     device = os.ttyname(slave)
     # Closed, so that the master notices whether somebody else has it open; raw mode stays.

@@ -1,23 +1,27 @@
 """Which driver serves which URL.
 
-In: a URL.  Out: the driver's transport or listener.
-Rules: a driver is imported when its scheme is first used, never before; the schemes of this package
-cannot be taken over; others come from the entry-point group `j2a.transports` (name = scheme,
-object = something with `open_url(url)` and, where it can listen, `listen_url(url)`; see `Url`).
+In: a URL.  Out: the driver's transport or listener, or what it declares about its scheme.
+Rules: a driver is imported when its scheme is first used, or when all schemes are to be described;
+the schemes of this package cannot be taken over; others come from the entry-point group
+`j2a.transports` (name = scheme, object = something with `open_url(url)` or `listen_url(url)`, which
+get a `Url`, and with `SCHEME`, a `Scheme`; without `SCHEME` it works, but is not described).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from types import MappingProxyType
 from typing import Any, Final
 
 from ._base import BadUrl, Listener, OpenFailed, Transport, TransportError
+from ._scheme import Scheme, Usage
 from ._url import Url
 
 ENTRY_POINT_GROUP: Final = "j2a.transports"
 
+# As entry points; the order is that of lists for people.
 _DRIVERS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "serial": "._serial",
@@ -35,31 +39,61 @@ _DRIVERS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def schemes() -> tuple[str, ...]:
-    """Return the names of all URL schemes that can be opened, third-party ones last."""
+    """Return the names of all URL schemes, third-party ones last."""
     from importlib.metadata import entry_points  # noqa: PLC0415 - slow to load
 
     others = {point.name for point in entry_points(group=ENTRY_POINT_GROUP)} - _DRIVERS.keys()
     return (*_DRIVERS, *sorted(others))
 
 
+def describe(scheme: str) -> Scheme:
+    """Return what the driver of a scheme declares about it.
+
+    Args:
+        scheme: one of `schemes()`.
+
+    Returns:
+        The declaration; one without a summary and options where the driver has none.
+
+    Raises:
+        BadUrl: there is no such scheme; the message lists all.
+        OpenFailed: the driver does not load.
+    """
+    driver = _driver(scheme, f"{scheme}:")
+    declared: Scheme | None = getattr(driver, "SCHEME", None)
+    if declared is not None:
+        return declared
+    usage = Usage(f"{scheme}:...", "(its driver does not describe it)", (f"{scheme}:...",))
+    return Scheme(
+        name=scheme,
+        open=usage if hasattr(driver, "open_url") else None,
+        listen=usage if hasattr(driver, "listen_url") else None,
+    )
+
+
 def open(url: str, **options: object) -> Transport:
     """Open the transport that a URL names.
 
     Args:
-        url: such as `serial:///dev/ttyACM0?baud=115200`, `tcp://127.0.0.1:5000`, `exec:./fw`.
+        url: such as `tcp://127.0.0.1:5000`.
         options: the scheme's options as keywords, instead of in the URL.
 
     Returns:
         The open transport.
 
     Raises:
-        BadUrl: scheme or option unknown, or a value wrong; the message says what is allowed.
+        BadUrl: scheme or option unknown, a value wrong, or the scheme can only listen; the message
+            says what is allowed.
         OpenFailed: it cannot be opened; the message says why and what to do.
         MissingExtra: a Python package is missing; the message names it.
     """
-    parsed = Url.parse(url, options)
+    parsed = _parse(url, options)
+    driver = _driver(parsed.scheme, url)
+    if not hasattr(driver, "open_url"):
+        others = _names(lambda scheme: scheme.open)
+        raise BadUrl(f"{url}: {parsed.scheme} can only listen; these can be opened: {others}")
     try:
-        transport: Transport = _driver(parsed).open_url(parsed)
+        transport: Transport = driver.open_url(parsed)
     except TransportError as error:
         # Its message says all; what the driver met before would bury it.
         raise error from None
@@ -70,8 +104,8 @@ def listen(url: str, **options: object) -> Listener:
     """Wait for peers where a URL says; port 0 in `tcp://127.0.0.1:0` takes any free port.
 
     Args:
-        url: of a scheme that can listen: `tcp`, `pty`, `stdio`, `serial`, `gadget`, `bt`,
-            `loopback`, `faults`.
+        url: of a scheme that can listen: `describe` tells it by `Scheme.listen`, and the message of
+            the error lists them.
         options: the scheme's options as keywords, instead of in the URL.
 
     Returns:
@@ -82,26 +116,50 @@ def listen(url: str, **options: object) -> Listener:
         OpenFailed: the place is taken or not allowed; the message says what to do.
         MissingExtra: a Python package is missing; the message names it.
     """
-    parsed = Url.parse(url, options)
-    driver = _driver(parsed)
+    parsed = _parse(url, options)
+    driver = _driver(parsed.scheme, url)
     if not hasattr(driver, "listen_url"):
-        raise BadUrl(f"{url}: {parsed.scheme} cannot listen, it can only be opened")
+        others = _names(lambda scheme: scheme.listen)
+        raise BadUrl(f"{url}: {parsed.scheme} cannot listen; these can: {others}")
     listener: Listener = driver.listen_url(parsed)
     return listener
 
 
-def _driver(url: Url) -> Any:
-    module = _DRIVERS.get(url.scheme)
+def _parse(text: str, options: Mapping[str, object]) -> Url:
+    """Take a URL apart; where it has no scheme that is known, say which URL was probably meant."""
+    scheme = text.partition(":")[0].lower()
+    if scheme not in _DRIVERS and scheme not in schemes():
+        for declared in _declared():
+            for pattern, meant in declared.meant_by.items():
+                if match := re.fullmatch(pattern, text):
+                    hint = f"did you mean {match.expand(meant)} ?"
+                    raise BadUrl(f"{text!r} is not a transport URL: {hint}")
+    return Url.parse(text, options)
+
+
+def _declared() -> Iterator[Scheme]:
+    """Return the declarations of all drivers that load."""
+    for name in schemes():
+        try:
+            yield describe(name)
+        except OpenFailed:
+            continue
+
+
+def _names(usage: Callable[[Scheme], Usage | None]) -> str:
+    return ", ".join(scheme.name for scheme in _declared() if usage(scheme))
+
+
+def _driver(scheme: str, url: str) -> Any:
+    module = _DRIVERS.get(scheme)
     if module is not None:
         return import_module(module, __package__)
     from importlib.metadata import entry_points  # noqa: PLC0415 - slow to load
 
-    for point in entry_points(group=ENTRY_POINT_GROUP, name=url.scheme):
+    for point in entry_points(group=ENTRY_POINT_GROUP, name=scheme):
         try:
             return point.load()
-        except (ImportError, AttributeError) as error:
-            raise OpenFailed(
-                f"{url.text}: the driver {point.value} does not load: {error}"
-            ) from error
+        except Exception as error:  # of another package: the other schemes work without it
+            raise OpenFailed(f"{url}: the driver {point.value} does not load: {error}") from error
     known = ", ".join(schemes())
-    raise BadUrl(f"{url.text}: unknown scheme {url.scheme!r}; known are: {known}")
+    raise BadUrl(f"{url}: unknown scheme {scheme!r}; known are: {known}")

@@ -19,32 +19,66 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ._base import BadUrl, LinkLost, Listener, MissingExtra, OpenFailed, Transport
 from ._poll import CHUNK, PolledTransport
-from ._pump import PumpedTransport
+from ._scheme import Option, Scheme, Usage, boolean, choice, integer, number
 from ._solo import SoloListener
-from ._url import Converter, Url, boolean, choice, integer, number
+from ._threaded import ThreadedTransport
+from ._url import Url
 
 if TYPE_CHECKING:
     import serial
 
-DEFAULT_BAUD: Final = 115200
 # How long pyserial blocks in one read where it cannot be interrupted.
 SLICE_S: Final = 0.05
 PIECE: Final = 256
 # pyserial's ports whose descriptor carries the plain bytes.
 POLLABLE: Final = ("serial.serialposix", "serial.urlhandler.protocol_socket")
 
-OPTIONS: Final[dict[str, Converter]] = {
-    "baud": integer(1, 50_000_000),
-    "bits": integer(5, 8),
-    "parity": choice({name: name for name in "NEOMS"}),
-    "stopbits": choice({"1": 1, "1.5": 1.5, "2": 2}),
-    "dtr": boolean,
-    "rts": boolean,
-    "boot": number(0, 60),
-    "xonxoff": boolean,
-    "rtscts": boolean,
-    "exclusive": boolean,
-}
+_OPTIONS: Final = (
+    Option("baud", integer(1, 50_000_000), "bit rate", "115200", "bit/s"),
+    Option("bits", integer(5, 8), "data bits of a character", "8"),
+    Option("parity", choice({name: name for name in "NEOMS"}), "parity bit", "N"),
+    Option("stopbits", choice({"1": 1, "1.5": 1.5, "2": 2}), "stop bits of a character", "1"),
+    Option("dtr", boolean, "level of the line DTR before the port is opened, else the driver's"),
+    Option("rts", boolean, "level of the line RTS before the port is opened, else the driver's"),
+    Option(
+        "boot",
+        number(0, 60),
+        "time to wait after opening; what the board says meanwhile is thrown away",
+        "0",
+        "s",
+    ),
+    Option(
+        "xonxoff",
+        boolean,
+        "software flow control; it does not carry J2A, which uses all byte values",
+        "0",
+    ),
+    Option("rtscts", boolean, "flow control by the lines RTS and CTS", "0"),
+    Option("exclusive", boolean, "lock the port against other programs", "1"),
+)
+_OPEN: Final = Usage(
+    "serial:PORT",
+    "a serial port, or a URL of pyserial",
+    ("serial:///dev/ttyACM0?baud=115200", "serial:COM3", "serial:rfc2217://host:2217"),
+    _OPTIONS,
+)
+_LISTEN: Final = Usage(
+    "serial:PORT",
+    "a serial port",
+    ("serial:///dev/ttyUSB0",),
+    _OPTIONS,
+)
+SCHEME: Final = Scheme(
+    name="serial",
+    open=_OPEN,
+    listen=_LISTEN,
+    extra="serial",
+    meant_by={
+        r"(?i)(\\\\\.\\)?COM[0-9]+": r"serial:\g<0>",
+        r"(?s)/dev/.*": r"serial://\g<0>",
+        r"(?is)(loop|socket|rfc2217|spy|alt|hwgrep|cp2110)://.*": r"serial:\g<0>",
+    },
+)
 
 _LOOK: Final = "`j2a list` or `python -m serial.tools.list_ports` shows the ports"
 _ADVICE: Final = {
@@ -83,9 +117,9 @@ def open_url(url: Url) -> Transport:
     if os.name == "posix" and type(port).__module__ in POLLABLE:
         transport = SerialTransport(url.text, port, options["write_timeout"])
     else:
-        transport = _pumped(url.text, port, options["write_timeout"])
+        transport = _threaded(url.text, port, options["write_timeout"])
     try:
-        _discard(transport, options.get("boot", 0.0))
+        _discard(transport, options["boot"])
     except LinkLost as error:
         transport.close()
         raise OpenFailed(f"{url.text}: the port went away while the board started") from error
@@ -104,7 +138,8 @@ def _parse(url: Url) -> tuple[str, dict[str, Any]]:
     name, parts = url.split_query()
     if re.match(r"[A-Za-z0-9]+://", name):
         # One of pyserial's URLs, which may have parameters of its own.
-        foreign = [part for part in parts if part.partition("=")[0] not in OPTIONS]
+        names = {option.name for option in _OPTIONS}
+        foreign = [part for part in parts if part.partition("=")[0] not in names]
         foreign = [part for part in foreign if not part.startswith("write_timeout=")]
         parts = [part for part in parts if part not in foreign]
         if foreign:
@@ -115,14 +150,14 @@ def _parse(url: Url) -> tuple[str, dict[str, Any]]:
         raise BadUrl(
             f"{url.text}: name a port, such as serial:///dev/ttyACM0 or serial:COM3; {_LOOK}"
         )
-    return name, url.options(parts, OPTIONS)
+    return name, url.options(parts, _OPEN)
 
 
 def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBase:
     try:
         import serial  # noqa: PLC0415 - an extra
     except ImportError:
-        raise MissingExtra(url.text, "pyserial", "serial") from None
+        raise MissingExtra(url.text, "pyserial", SCHEME.extra) from None
     if not hasattr(serial, "serial_for_url"):
         raise OpenFailed(
             f"{url.text}: another package named serial hides pyserial: "
@@ -132,16 +167,16 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
         port = serial.serial_for_url(
             name,
             do_not_open=True,
-            baudrate=options.get("baud", DEFAULT_BAUD),
-            bytesize=options.get("bits", 8),
-            parity=options.get("parity", "N"),
-            stopbits=options.get("stopbits", 1),
+            baudrate=options["baud"],
+            bytesize=options["bits"],
+            parity=options["parity"],
+            stopbits=options["stopbits"],
             timeout=SLICE_S,
             # pyserial's RFC 2217 client knows none.
             write_timeout=None if name.startswith("rfc2217:") else options["write_timeout"],
-            xonxoff=options.get("xonxoff", False),
-            rtscts=options.get("rtscts", False),
-            exclusive=options.get("exclusive", True) or None,
+            xonxoff=options["xonxoff"],
+            rtscts=options["rtscts"],
+            exclusive=options["exclusive"] or None,
         )
         if "dtr" in options:
             port.dtr = options["dtr"]
@@ -150,7 +185,7 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
         port.open()
     except (ValueError, KeyError) as error:
         # KeyError: pyserial 3.5 trips over its own message for an unknown loop:// parameter.
-        own = ", ".join(sorted(OPTIONS))
+        own = ", ".join(sorted(option.name for option in _OPTIONS))
         raise BadUrl(
             f"{url.text}: pyserial refuses it ({error}); our options are: {own}"
         ) from error
@@ -165,7 +200,7 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
     return port
 
 
-def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
+def _threaded(url: str, port: Any, write_timeout_s: float | None) -> Transport:
     def source() -> bytes:
         first = port.read(1)
         return first + port.read(min(port.in_waiting, CHUNK)) if first else b""
@@ -188,7 +223,7 @@ def _pumped(url: str, port: Any, write_timeout_s: float | None) -> Transport:
                 port.cancel_write()
             port.reset_output_buffer()
 
-    return PumpedTransport(
+    return ThreadedTransport(
         url,
         source=source,
         sink=sink,

@@ -11,17 +11,21 @@ from __future__ import annotations
 import os
 import select
 import sys
-from typing import Any
+from typing import Any, Final
 
 from ._base import BadUrl, Listener, OpenFailed, Transport
 from ._poll import READY, PolledTransport
-from ._pump import PumpedTransport, sink_of, source_of
+from ._scheme import Scheme, Usage
 from ._solo import SoloListener
+from ._threaded import ThreadedTransport, sink_of, source_of
 from ._url import Url
 
 if sys.platform != "win32":
     import termios
     import tty
+
+_USAGE: Final = Usage("stdio:", "standard input and output of this process", ("stdio:",))
+SCHEME: Final = Scheme(name="stdio", open=_USAGE, listen=_USAGE)
 
 
 class StandardStreams:
@@ -78,7 +82,7 @@ class StdioTransport(PolledTransport):
 
 def open_url(url: Url) -> Transport:
     """Take over standard input and output."""
-    options = url.options([], {})
+    options = url.options([], _USAGE)
     if url.rest:
         raise BadUrl(f"{url.text}: write stdio: with nothing after the colon")
     try:
@@ -87,7 +91,7 @@ def open_url(url: Url) -> Transport:
         raise OpenFailed(f"{url.text}: standard input or output is closed") from error
     if os.name == "posix":
         return StdioTransport(url.text, streams, options["write_timeout"])
-    return _pumped(url.text, streams, options["write_timeout"])
+    return _threaded(url.text, streams, options["write_timeout"])
 
 
 def listen_url(url: Url) -> Listener:
@@ -95,8 +99,8 @@ def listen_url(url: Url) -> Listener:
     return SoloListener(url.text, lambda: open_url(url), again=False)
 
 
-def _pumped(url: str, streams: StandardStreams, write_timeout_s: float | None) -> Transport:
-    return PumpedTransport(
+def _threaded(url: str, streams: StandardStreams, write_timeout_s: float | None) -> Transport:
+    return ThreadedTransport(
         url,
         source=source_of(streams.read_fd),
         sink=sink_of(streams.write_fd),

@@ -9,13 +9,38 @@ from __future__ import annotations
 import errno
 import os
 import socket
+from typing import Final
 
-from ._accept import SocketListener
 from ._base import LinkLost, Listener, OpenFailed, Transport
 from ._poll import CHUNK, PolledTransport
-from ._url import Url, host_port, timeout
+from ._scheme import Option, Scheme, Usage, timeout
+from ._socket_listener import SocketListener
+from ._url import Url, host_port
 
-_CONNECT_TIMEOUT_S = 5.0
+_OPEN: Final = Usage(
+    "tcp://HOST:PORT",
+    "a TCP connection",
+    ("tcp://127.0.0.1:5000",),
+    (
+        Option(
+            "connect_timeout",
+            timeout,
+            "time until the connection must be there; for opening only",
+            "5",
+        ),
+    ),
+)
+_LISTEN: Final = Usage(
+    "tcp://HOST:PORT",
+    "a TCP port; 0 takes a free one",
+    ("tcp://127.0.0.1:5000", "tcp://[::1]:0"),
+)
+SCHEME: Final = Scheme(
+    name="tcp",
+    open=_OPEN,
+    listen=_LISTEN,
+    meant_by={r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}": r"tcp://\g<0>"},
+)
 
 
 class TcpTransport(PolledTransport):
@@ -93,8 +118,8 @@ def open_url(url: Url) -> Transport:
     """Connect to `tcp://host:port`."""
     address, parts = url.split_query()
     host, port = host_port(url, address)
-    options = url.options(parts, {"connect_timeout": timeout})
-    wait_s = options.get("connect_timeout", _CONNECT_TIMEOUT_S)
+    options = url.options(parts, _OPEN)
+    wait_s = options["connect_timeout"]
     try:
         sock = socket.create_connection((host, port), wait_s)
         return TcpTransport(url.text, sock, options["write_timeout"], may_be_refused=True)
@@ -114,7 +139,7 @@ def listen_url(url: Url) -> Listener:
     """Listen at `tcp://host:port`; port 0 takes any free one."""
     address, parts = url.split_query()
     host, port = host_port(url, address)
-    options = url.options(parts, {})
+    options = url.options(parts, _LISTEN)
     try:
         family, kind, protocol, _, place = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE

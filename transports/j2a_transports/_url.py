@@ -7,79 +7,16 @@ Rules: an unknown option is an error that names the allowed ones; an option is g
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import unquote
 
-from ._base import DEFAULT_WRITE_TIMEOUT_S, BadUrl
-
-Converter = Callable[[str], Any]
+from ._base import BadUrl
+from ._scheme import COMMON_OPTIONS, Converter, Option, Usage
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):(.*)", re.DOTALL)
-_HOST_PORT = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}")
-# `usb:0001` is the board of that number.
-_NO_HOSTS = ("usb:", "bt:", "gadget:")
-_WINDOWS_PORT = re.compile(r"(\\\\\.\\)?COM[0-9]+", re.IGNORECASE)
-_BLUETOOTH_ADDRESS = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}(/[0-9]*)?")
-_PYSERIAL_SCHEMES = frozenset({"loop", "socket", "rfc2217", "spy", "alt", "hwgrep", "cp2110"})
-
-
-def number(low: float, high: float = math.inf) -> Converter:
-    """Make a converter for a real number in [low, high]."""
-
-    def convert(text: str) -> float:
-        value = float(text)
-        if not low <= value <= high:
-            raise ValueError
-        return value
-
-    limit = f"from {low:g} up" if high == math.inf else f"from {low:g} to {high:g}"
-    convert.__doc__ = f"a number {limit}"
-    return convert
-
-
-def integer(low: int, high: int) -> Converter:
-    """Make a converter for a whole number in [low, high]."""
-
-    def convert(text: str) -> int:
-        value = int(text)
-        if not low <= value <= high:
-            raise ValueError
-        return value
-
-    convert.__doc__ = f"a whole number from {low} to {high}"
-    return convert
-
-
-def choice(table: Mapping[str, Any]) -> Converter:
-    """Make a converter that looks the upper-case text up in `table`."""
-
-    def convert(text: str) -> Any:
-        return table[text.upper()]
-
-    convert.__doc__ = "one of " + ", ".join(table)
-    return convert
-
-
-def text(value: str) -> str:
-    """any text."""
-    return value
-
-
-boolean = choice({"0": False, "1": True, "FALSE": False, "TRUE": True, "OFF": False, "ON": True})
-
-
-def timeout(value: str) -> float | None:
-    """a number of seconds above 0, or none to wait for ever."""
-    if value.lower() == "none":
-        return None
-    seconds = float(value)
-    if not seconds > 0:
-        raise ValueError
-    return seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +40,11 @@ class Url:
         """Split off the scheme.
 
         Raises:
-            BadUrl: the text has no scheme; the message holds the URL that was probably meant.
+            BadUrl: the text has no scheme.
         """
         match = _SCHEME.fullmatch(text)
-        suggestion = _suggest(text)
-        if match is None or suggestion:
-            hint = f"did you mean {suggestion} ?" if suggestion else "write scheme:..."
-            raise BadUrl(f"{text!r} is not a transport URL: {hint}")
+        if match is None:
+            raise BadUrl(f"{text!r} is not a transport URL: write scheme:...")
         return cls(text, match[1].lower(), match[2], keywords or {})
 
     def split_query(self) -> tuple[str, list[str]]:
@@ -117,21 +52,26 @@ class Url:
         head, _, query = self.rest.partition("?")
         return head, query.split("&") if query else []
 
-    def options(self, parts: list[str], known: Mapping[str, Converter]) -> dict[str, Any]:
+    def options(self, parts: list[str], known: Usage | Mapping[str, Converter]) -> dict[str, Any]:
         """Convert and check the options of the URL and of the call.
 
         Args:
             parts: raw `name=value` texts; %-escapes in the value are decoded.
-            known: the driver's options, each with its converter, whose docstring says what it
-                takes. `write_timeout` is known to every driver.
+            known: what the driver declares, or converters by name, whose docstrings say what they
+                take. The options of every scheme are known besides.
 
         Returns:
-            The options that were given, by name, and always `write_timeout` (seconds or None).
+            The options that were given or have a default, by name; always `write_timeout` (seconds
+            or None).
 
         Raises:
             BadUrl: an option is unknown, given twice, or has a wrong value.
         """
-        known = {**known, "write_timeout": timeout}
+        if isinstance(known, Usage):
+            declared = {option.name: option for option in (*known.options, *COMMON_OPTIONS)}
+        else:
+            declared = {name: Option(name, take, "") for name, take in known.items()}
+            declared |= {option.name: option for option in COMMON_OPTIONS}
         given: dict[str, str] = {}
         for part in parts:
             name, equals, value = part.partition("=")
@@ -140,40 +80,27 @@ class Url:
             self._add(given, name, unquote(value))
         for name, keyword in self.keywords.items():
             self._add(given, name, str(keyword))
-        values: dict[str, Any] = {"write_timeout": DEFAULT_WRITE_TIMEOUT_S}
-        for name, value in given.items():
-            if name not in known:
-                allowed = ", ".join(sorted(known))
+        for name in given:
+            if name not in declared:
+                allowed = ", ".join(sorted(declared))
                 raise BadUrl(f"{self.text}: unknown option {name!r}; {self.scheme} has: {allowed}")
-            try:
-                values[name] = known[name](value)
-            except (ValueError, KeyError):
-                takes = (known[name].__doc__ or "another value").rstrip(".")
-                raise BadUrl(f"{self.text}: option {name}={value!r} takes {takes}") from None
-        return values
+        texts = {name: option.default for name, option in declared.items() if option.default}
+        return {
+            name: self._convert(declared[name], value) for name, value in (texts | given).items()
+        }
+
+    def _convert(self, option: Option, value: str) -> Any:
+        try:
+            return option.convert(value)
+        except (ValueError, KeyError):
+            raise BadUrl(
+                f"{self.text}: option {option.name}={value!r} takes {option.takes}"
+            ) from None
 
     def _add(self, given: dict[str, str], name: str, value: str) -> None:
         if name in given:
             raise BadUrl(f"{self.text}: option {name!r} is given twice")
         given[name] = value
-
-
-def _suggest(text: str) -> str | None:
-    """Return the URL that the user probably meant, or None when `text` may be a URL."""
-    if _WINDOWS_PORT.fullmatch(text):
-        return f"serial:{text}"
-    if _HOST_PORT.fullmatch(text) and not text.startswith(_NO_HOSTS):
-        return f"tcp://{text}"
-    if _BLUETOOTH_ADDRESS.fullmatch(text):
-        return f"bt://{text}"
-    if text.startswith("/dev/"):
-        return f"serial://{text}"
-    if text.startswith(("/", "./", "../")) or re.match(r"[A-Za-z]:[\\/]", text):
-        return f"exec:{text}"
-    scheme, colons, _ = text.partition("://")
-    if colons and scheme.lower() in _PYSERIAL_SCHEMES:
-        return f"serial:{text}"
-    return None
 
 
 def host_port(url: Url, address: str) -> tuple[str, int]:

@@ -17,10 +17,11 @@ from dataclasses import replace
 from typing import Final, Literal
 
 from ._base import BadUrl, LinkClosed, LinkLost, Listener, Transport
-from ._damage import KINDS, Direction, FaultCounters, Piece, Rates
-from ._url import Converter, Url, integer, number
+from ._damage import DEFAULT_DELAY_MS, KINDS, FaultCounters, FaultInjector, Piece, Rates
+from ._scheme import Option, Scheme, Usage, integer, number
+from ._url import Url
 
-__all__ = ["Direction", "FaultCounters", "FaultyListener", "FaultyTransport", "Rates", "wrap"]
+__all__ = ["FaultCounters", "FaultInjector", "FaultyListener", "FaultyTransport", "Rates", "wrap"]
 
 
 class FaultyTransport(Transport):
@@ -36,13 +37,13 @@ class FaultyTransport(Transport):
         url: for messages.
 
     Attributes:
-        tx: the direction of writing; `tx.counters` says what was injected.
-        rx: the direction of reading.
+        tx: injects the faults of writing; `tx.counters` says what was injected.
+        rx: injects the faults of reading.
         clock: the inner transport's own time in seconds (a simulated device), or the machine's.
         sleep: lets that time pass; None where it passes by itself.
     """
 
-    def __init__(self, inner: Transport, tx: Direction, rx: Direction, url: str) -> None:
+    def __init__(self, inner: Transport, tx: FaultInjector, rx: FaultInjector, url: str) -> None:
         super().__init__(url, inner.write_timeout_s)
         self.inner = inner
         self.tx = tx
@@ -167,18 +168,47 @@ def wrap(
 
 
 def _disturb(transport: Transport, tx: Rates, rx: Rates, seed: int, url: str) -> FaultyTransport:
-    return FaultyTransport(transport, Direction(tx, f"{seed}/tx"), Direction(rx, f"{seed}/rx"), url)
+    return FaultyTransport(
+        transport, FaultInjector(tx, f"{seed}/tx"), FaultInjector(rx, f"{seed}/rx"), url
+    )
 
 
-_RATES: Final[dict[str, Converter]] = {
-    **dict.fromkeys(KINDS, number(0, 1)),
-    "delay_ms": number(0, 60_000),
-}
 MAX_NESTED: Final = 8
-OPTIONS: Final[dict[str, Converter]] = {
-    "seed": integer(0, 2**63 - 1),
-    **{f"{prefix}{name}": take for prefix in ("", "tx_", "rx_") for name, take in _RATES.items()},
+_KIND_HELP: Final = {
+    "drop": "the byte is lost",
+    "flip": "one of its bits is inverted",
+    "burst": "9 to 16 bits in a row, from a bit of it on, are damaged: the first and the last are "
+    "inverted, those between by chance",
+    "dup": "it comes twice",
+    "swap": "it comes after its successor; the last byte of a write waits for the first of the "
+    "next",
+    "truncate": "it and what follows it is lost, 16 bytes on average, geometrically distributed",
+    "split": "the chunk is cut after it",
+    "delay": "it and what follows it comes `delay_ms` later; a longer one is a stall",
+    "reset": "the link ends before it: calls raise `LinkLost` from then on",
 }
+_RATES: Final = (
+    *(Option(kind, number(0, 1), _KIND_HELP[kind], "0", "per byte") for kind in KINDS),
+    Option("delay_ms", number(0, 60_000), "length of a delay", f"{DEFAULT_DELAY_MS:g}", "ms"),
+)
+_USAGE: Final = Usage(
+    "faults:NAME=VALUE,...:URL",
+    "another transport, with injected faults",
+    ("faults:seed=1,drop=0.001:tcp://127.0.0.1:5000",),
+    (Option("seed", integer(0, 2**63 - 1), "equal seeds disturb equal bytes", "0"), *_RATES),
+)
+SCHEME: Final = Scheme(name="faults", open=_USAGE, listen=_USAGE)
+_WITH_PREFIXES: Final = replace(
+    _USAGE,
+    options=(
+        *_USAGE.options,
+        *(
+            replace(option, name=f"{prefix}{option.name}", default="")
+            for prefix in ("tx_", "rx_")
+            for option in _RATES
+        ),
+    ),
+)
 
 
 def open_url(url: Url) -> Transport:
@@ -219,8 +249,9 @@ def _parse(url: Url) -> tuple[str, Rates, Rates, int, dict[str, object]]:
             "with several options does the same"
         )
     # Keywords of the call that are no fault options belong to the inner transport.
-    own = {name: value for name, value in url.keywords.items() if name in OPTIONS}
-    foreign = {name: value for name, value in url.keywords.items() if name not in OPTIONS}
+    names = {option.name for option in _WITH_PREFIXES.options}
+    own = {name: value for name, value in url.keywords.items() if name in names}
+    foreign = {name: value for name, value in url.keywords.items() if name not in names}
     parts = []
     for part in head.split(",") if head else []:
         name, _, value = part.partition("=")
@@ -228,11 +259,11 @@ def _parse(url: Url) -> tuple[str, Rates, Rates, int, dict[str, object]]:
             foreign[name] = value
         else:
             parts.append(part)
-    values = replace(url, keywords=own).options(parts, OPTIONS)
-    return inner, _rates(values, "tx_"), _rates(values, "rx_"), values.get("seed", 0), foreign
+    values = replace(url, keywords=own).options(parts, _WITH_PREFIXES)
+    return inner, _rates(values, "tx_"), _rates(values, "rx_"), values["seed"], foreign
 
 
 def _rates(values: Mapping[str, float], prefix: Literal["tx_", "rx_"]) -> Rates:
-    chosen = {name: values[name] for name in _RATES if name in values}
-    chosen |= {name: values[prefix + name] for name in _RATES if prefix + name in values}
-    return Rates(**chosen)
+    return Rates(
+        **{option.name: values.get(prefix + option.name, values[option.name]) for option in _RATES}
+    )

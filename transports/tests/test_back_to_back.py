@@ -12,7 +12,7 @@ import j2a_transports
 import pytest
 import usb.core
 from j2a_transports import Listener, Transport, faults
-from j2a_transports._process import Child, pumped
+from j2a_transports._process import Child, threaded
 
 from .fake_libusb import give_libusb
 from .fake_usb import board
@@ -79,7 +79,7 @@ class TestExecByThreads(BackToBack):
     def connect(self):
         def start(command: list[str]) -> Transport:
             child = Child("exec:relay", command, None, subprocess.PIPE, subprocess.PIPE)
-            return pumped("exec:relay", child, 5.0)
+            return threaded("exec:relay", child, 5.0)
 
         return through_relay(start)
 

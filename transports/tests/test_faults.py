@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from j2a_transports import LinkClosed, LinkLost, Transport
-from j2a_transports.faults import Direction, Rates, wrap
+from j2a_transports.faults import FaultInjector, Rates, wrap
 
 from .suite import PATIENCE_S, Background, read_exactly, read_to_end
 
@@ -26,8 +26,8 @@ def some(*kinds: str) -> st.SearchStrategy[Rates]:
     return st.builds(Rates, **dict.fromkeys(kinds, values))
 
 
-def joined(direction: Direction, chunks: list[bytes]) -> bytes:
-    return b"".join(piece.data for chunk in chunks for piece in direction.feed(chunk))
+def joined(injector: FaultInjector, chunks: list[bytes]) -> bytes:
+    return b"".join(piece.data for chunk in chunks for piece in injector.feed(chunk))
 
 
 @given(rates=some(*ALL), cuts=st.lists(st.integers(0, 300), max_size=20), seed=st.integers(0, 9))
@@ -36,7 +36,7 @@ def test_chunking_changes_neither_bytes_nor_counts(
 ) -> None:
     data = DATA[:300]
     edges = [0, *sorted(cuts), len(data)]
-    whole, cut = Direction(rates, str(seed)), Direction(rates, str(seed))
+    whole, cut = FaultInjector(rates, str(seed)), FaultInjector(rates, str(seed))
     chunks = [data[a:b] for a, b in itertools.pairwise(edges)]
     assert joined(whole, [data]) == joined(cut, chunks)
     assert whole.counters == cut.counters
@@ -70,9 +70,9 @@ def test_all_is_skipped_where_nothing_happens() -> None:
 
 @given(rates=some(*LENGTHS), data=st.binary(max_size=300))
 def test_counts_explain_the_length(rates: Rates, data: bytes) -> None:
-    direction = Direction(rates, "x")
-    out = joined(direction, [data])
-    counters = direction.counters
+    injector = FaultInjector(rates, "x")
+    out = joined(injector, [data])
+    counters = injector.counters
     assert counters.bytes == len(data)
     if rates.drop in (0.0, 1.0) or rates.dup == 0:
         doubled = 0 if rates.drop == 1 else counters.dup
@@ -80,24 +80,24 @@ def test_counts_explain_the_length(rates: Rates, data: bytes) -> None:
 
 
 def test_no_rate_is_no_change() -> None:
-    direction = Direction(Rates(), "x")
-    assert joined(direction, [DATA]) == DATA
+    injector = FaultInjector(Rates(), "x")
+    assert joined(injector, [DATA]) == DATA
 
 
 def test_flips_change_one_bit_each() -> None:
-    direction = Direction(Rates(flip=0.01), "x")
-    out = joined(direction, [DATA])
+    injector = FaultInjector(Rates(flip=0.01), "x")
+    out = joined(injector, [DATA])
     changed = [a ^ b for a, b in zip(DATA, out, strict=True) if a != b]
-    assert len(changed) == direction.counters.flip
+    assert len(changed) == injector.counters.flip
     assert all(difference.bit_count() == 1 for difference in changed)
     # Every bit has its turn.
     assert len(set(changed)) == 8
 
 
 def test_a_burst_is_nine_to_sixteen_bits_in_a_row() -> None:
-    direction = Direction(Rates(burst=0.001), "x")
+    injector = FaultInjector(Rates(burst=0.001), "x")
     data = DATA * 5
-    out = joined(direction, [data])
+    out = joined(injector, [data])
     number = int.from_bytes(data, "little") ^ int.from_bytes(out, "little")
     sizes, bursts = set(), 0
     while number:
@@ -107,13 +107,13 @@ def test_a_burst_is_nine_to_sixteen_bits_in_a_row() -> None:
         number >>= 16
         bursts += 1
     assert len(out) == len(data)
-    assert bursts == direction.counters.burst
+    assert bursts == injector.counters.burst
     assert sizes == set(range(9, 17))
 
 
 def test_a_swap_exchanges_a_byte_and_the_next() -> None:
-    direction = Direction(Rates(swap=0.01), "x")
-    out = joined(direction, [DATA])
+    injector = FaultInjector(Rates(swap=0.01), "x")
+    out = joined(injector, [DATA])
     at = swaps = 0
     while at < len(out):
         if DATA[at] == out[at]:
@@ -121,23 +121,23 @@ def test_a_swap_exchanges_a_byte_and_the_next() -> None:
             continue
         assert out[at : at + 2] == DATA[at : at + 2][::-1]
         at, swaps = at + 2, swaps + 1
-    assert 0 < swaps <= direction.counters.swap
+    assert 0 < swaps <= injector.counters.swap
 
 
 def test_a_swapped_byte_comes_with_the_one_after_it() -> None:
-    direction = Direction(Rates(swap=1), "x")
-    assert [joined(direction, [bytes([value])]) for value in b"abcd"] == [b"", b"ba", b"", b"dc"]
+    injector = FaultInjector(Rates(swap=1), "x")
+    assert [joined(injector, [bytes([value])]) for value in b"abcd"] == [b"", b"ba", b"", b"dc"]
 
 
 def test_a_truncation_takes_away_bytes_in_a_row() -> None:
     data = b"".join(number.to_bytes(2) for number in range(10_000))
-    direction = Direction(Rates(truncate=0.001), "x")
-    out = joined(direction, [data])
+    injector = FaultInjector(Rates(truncate=0.001), "x")
+    out = joined(injector, [data])
     lost = len(data) - len(out)
     # The mean is 16, the standard deviation of so many about 4.
-    assert 10 < lost / direction.counters.truncate < 25
+    assert 10 < lost / injector.counters.truncate < 25
     at = 0
-    for _ in range(direction.counters.truncate):
+    for _ in range(injector.counters.truncate):
         while at < len(out) and out[at] == data[at]:
             at += 1
         gone = data.find(out[at : at + 8], at) - at if at < len(out) else 0
@@ -148,7 +148,7 @@ def test_a_truncation_takes_away_bytes_in_a_row() -> None:
 @pytest.mark.parametrize("side", ["rx", "tx"])
 def test_a_reset_ends_the_link_after_the_bytes_before_it(side: str) -> None:
     rates = Rates(reset=0.001)
-    expected = joined(Direction(rates, f"0/{side}"), [DATA])
+    expected = joined(FaultInjector(rates, f"0/{side}"), [DATA])
     assert 0 < len(expected) < len(DATA)
     near, far = j2a_transports.pair()
     with wrap(near, **{side: rates}) as faulty, far:
@@ -225,22 +225,25 @@ def test_delays_pass_in_the_time_of_the_transport(side: str) -> None:
 
 @pytest.mark.parametrize("kind", sorted(set(ALL) - {"reset"}))
 def test_the_rate_is_what_was_asked_for(kind: str) -> None:
-    direction = Direction(Rates(**{kind: 0.02}), "x")
+    injector = FaultInjector(Rates(**{kind: 0.02}), "x")
     for at in range(0, len(DATA), 100):
-        direction.feed(DATA[at : at + 100])
+        injector.feed(DATA[at : at + 100])
     # 400 expected, standard deviation 20; the seed makes this one fixed outcome.
-    assert 300 < getattr(direction.counters, kind) < 500
+    assert 300 < getattr(injector.counters, kind) < 500
 
 
 @pytest.mark.parametrize("rate", [0.0, 1.0])
 def test_the_extreme_rates_are_exact(rate: float) -> None:
-    direction = Direction(Rates(dup=rate), "x")
+    injector = FaultInjector(Rates(dup=rate), "x")
     expected = b"".join(bytes([value]) * (1 + int(rate)) for value in DATA)
-    assert joined(direction, [DATA]) == expected
+    assert joined(injector, [DATA]) == expected
 
 
 def test_kinds_do_not_disturb_each_other() -> None:
-    plain, busy = Direction(Rates(flip=0.01), "x"), Direction(Rates(flip=0.01, split=0.3), "x")
+    plain, busy = (
+        FaultInjector(Rates(flip=0.01), "x"),
+        FaultInjector(Rates(flip=0.01, split=0.3), "x"),
+    )
     assert joined(plain, [DATA]) == joined(busy, [DATA])
 
 
@@ -253,7 +256,7 @@ def test_seeds_and_directions_differ() -> None:
             faulty.write(DATA)
             far.close()
             received = read_to_end(faulty)
-            outcomes |= {received, joined(Direction(Rates(drop=0.01), f"{seed}/tx"), [DATA])}
+            outcomes |= {received, joined(FaultInjector(Rates(drop=0.01), f"{seed}/tx"), [DATA])}
     assert len(outcomes) == 4
 
 
@@ -284,7 +287,7 @@ def test_a_listener_gives_each_peer_its_own_seed() -> None:
             assert far is not None
             with far:
                 received.append(read_to_end(far))
-    assert received == [joined(Direction(Rates(drop=0.1), f"{n}/rx"), [DATA]) for n in (3, 4)]
+    assert received == [joined(FaultInjector(Rates(drop=0.1), f"{n}/rx"), [DATA]) for n in (3, 4)]
 
 
 def test_cuts_make_chunks() -> None:

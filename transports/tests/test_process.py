@@ -235,7 +235,7 @@ def test_standard_streams_by_threads() -> None:
     """The way that Windows needs, run here too."""
     code = (
         "import j2a_transports as t, j2a_transports._stdio as s\n"
-        "peer = s._pumped('stdio:', s.StandardStreams(), 5)\n"
+        "peer = s._threaded('stdio:', s.StandardStreams(), 5)\n"
         "try:\n while True: peer.write(peer.read(None)[::-1])\n"
         "except t.LinkLost as error: peer.close(); print(error)"
     )

@@ -24,7 +24,7 @@ from j2a_transports import (
     Transport,
     WriteTimeout,
 )
-from j2a_transports._pump import PumpedTransport
+from j2a_transports._threaded import ThreadedTransport
 
 from .suite import PATIENCE_S, Background, fill, read_exactly, read_to_end
 
@@ -75,7 +75,7 @@ def test_closing_a_stuck_port_ends_its_threads(
         with pytest.raises(WriteTimeout):
             fill(port)
         port.close()
-        assert isinstance(port, PumpedTransport)
+        assert isinstance(port, ThreadedTransport)
         assert not any(thread.is_alive() for thread in port._threads)
 
 

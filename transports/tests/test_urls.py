@@ -32,7 +32,7 @@ def test_text_without_a_scheme_gets_the_url_that_was_meant(text: str, meant: str
         with pytest.raises(BadUrl) as caught:
             function(text)
         assert f"did you mean {meant} ?" in str(caught.value)
-    Url.parse(meant)
+    assert Url.parse(meant).scheme in j2a_transports.schemes()
 
 
 @pytest.mark.parametrize("text", ["", "fw", "ttyUSB0", ":x"])
@@ -143,6 +143,7 @@ def test_importing_the_package_loads_no_driver() -> None:
     assert found.stdout.split() == [
         "j2a_transports._base",
         "j2a_transports._registry",
+        "j2a_transports._scheme",
         "j2a_transports._url",
     ]
 
@@ -207,3 +208,17 @@ def test_other_distributions_add_schemes() -> None:
 def test_other_distributions_cannot_take_over_a_scheme() -> None:
     with pytest.raises(BadUrl, match="expected tcp://host:port"):
         j2a_transports.open("tcp:desk")
+
+
+@pytest.mark.usefixtures("third_party")
+def test_a_driver_that_declares_nothing_is_described_by_what_it_has() -> None:
+    lamp = j2a_transports.describe("lamp")
+    assert lamp.open is not None
+    assert lamp.open.summary == "(its driver does not describe it)"
+    assert (lamp.name, lamp.open.options, lamp.listen) == ("lamp", (), None)
+    with pytest.raises(OpenFailed, match="broken: the driver no_such_module_anywhere does not lo"):
+        j2a_transports.describe("broken")
+    with pytest.raises(BadUrl, match="did you mean tcp://desk:5000"):
+        j2a_transports.open("desk:5000")
+    with j2a_transports.open("lamp:5000", colour="red") as transport:
+        assert transport.url == "lamp 5000 RED"

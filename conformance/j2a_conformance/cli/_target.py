@@ -13,7 +13,7 @@ from typing import Final
 
 import j2a_transports
 from j2a_spec.requirements import Level
-from j2a_transports import Transport
+from j2a_transports import Transport, TransportError
 
 from j2a_conformance._deviations import Deviation
 from j2a_conformance._testee import load_testee
@@ -21,9 +21,6 @@ from j2a_conformance._testee import load_testee
 from ._exit import UsageError
 
 __all__ = ["Target", "add_arguments", "check", "check_scale", "reach"]
-
-_FRESH: Final = ("exec:", "pty:", "sim:")
-"""Opening a URL of one of these schemes starts the device."""
 
 _FAULTS: Final = re.compile(r"(?:faults:[^:]*:)*")
 _BAUDS: Final = range(50, 50_000_001)
@@ -133,4 +130,12 @@ def _target(
             keywords["baud"] = baud
         elif int(own[1]) != baud:
             raise UsageError(f"--baud {baud} and baud={own[1]} in the URL are not the same")
-    return replace(target, fresh=fresh or target.inner.startswith(_FRESH))
+    return replace(target, fresh=fresh or _starts_device(target.inner))
+
+
+def _starts_device(url: str) -> bool:
+    """Tell whether opening a URL starts the device, as the driver of its scheme declares."""
+    try:
+        return j2a_transports.describe(url.partition(":")[0].lower()).starts_device
+    except TransportError:  # opening it will say what is wrong
+        return False

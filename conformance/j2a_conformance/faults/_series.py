@@ -16,7 +16,7 @@ from typing import Final, TypeGuard
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame
 from j2a_transports import TransportError
-from j2a_transports.faults import Direction, FaultyTransport, Rates
+from j2a_transports.faults import FaultInjector, FaultyTransport, Rates
 
 from j2a_conformance._peer import Expected, Peer
 from j2a_conformance._wire import Splitter
@@ -160,7 +160,10 @@ class Series:
         tx = self._rates if "requests" in self._setup.sides else Rates()
         rx = self._rates if "replies" in self._setup.sides else Rates()
         self._proxy = FaultyTransport(
-            self._tap, Direction(tx, f"{seed}/tx"), Direction(rx, f"{seed}/rx"), transport.url
+            self._tap,
+            FaultInjector(tx, f"{seed}/tx"),
+            FaultInjector(rx, f"{seed}/rx"),
+            transport.url,
         )
         self._links += 1
         self._device, self._host = Splitter(), Splitter()

@@ -18,7 +18,7 @@ from typing import Final
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 from j2a_transports import Transport, TransportError
-from j2a_transports.faults import Direction, Rates
+from j2a_transports.faults import FaultInjector, Rates
 
 from j2a_conformance._peer import Peer, Request
 from j2a_conformance._wire import Splitter
@@ -105,7 +105,7 @@ class _Source:
         opcodes = [rules.echo] * 8 + [0, 1, 2, len(rules.claims.functions), 0xEE]
         self._pool = [self._frame(random, opcodes) for _ in range(_POOL)]
         self._random = random
-        self._direction = Direction(RATES, f"{seed}/soak")
+        self._injector = FaultInjector(RATES, f"{seed}/soak")
         self._largest = min(rules.room, _LARGEST) * 3 // 4
         self._state = state
 
@@ -123,7 +123,7 @@ class _Source:
         state, parts, size = self._state, list[bytes](), 0
         while not parts or size < self._largest:
             wire = self._pool[int(self._random.random() * _POOL)]
-            part = damage(self._direction, wire)
+            part = damage(self._injector, wire)
             state.frames += 1
             state.damaged += part != wire
             parts.append(part)
@@ -132,7 +132,7 @@ class _Source:
 
     def count(self) -> None:
         """Bring the faults by kind up to date."""
-        counters = self._direction.counters
+        counters = self._injector.counters
         for kind in ("drop", "flip", "burst", "dup", "swap", "truncate"):
             self._state.kinds[kind] = getattr(counters, kind)
 

@@ -14,7 +14,7 @@ from typing import Final
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode
-from j2a_transports.faults import Direction, Rates
+from j2a_transports.faults import FaultInjector, Rates
 
 __all__ = ["AGREEMENT", "CONFIDENCE", "Share", "damage", "damages", "missed", "wilson"]
 
@@ -74,9 +74,9 @@ def wilson(hits: int, of: int, confidence: float = CONFIDENCE) -> tuple[float, f
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def damage(direction: Direction, data: bytes) -> bytes:
+def damage(injector: FaultInjector, data: bytes) -> bytes:
     """Return what becomes of `data`, delays aside."""
-    return b"".join(piece.data for piece in direction.feed(data))
+    return b"".join(piece.data for piece in injector.feed(data))
 
 
 def damages(rates: Rates) -> bool:
@@ -96,14 +96,14 @@ def missed(
         damaged: how many damaged frames to look at; where faults are rare it may be fewer.
         sif: a frame that has become a SIF counts: a host takes it, a device does not.
     """
-    direction = Direction(replace(rates, reset=0), seed)
+    injector = FaultInjector(replace(rates, reset=0), seed)
     pool = list(islice(frames, _POOL))
     starts = c.MARKERS if sif else {c.SOF}
     found = Share()
     for frame, wire in islice(cycle(pool), _MOST_FRAMES):
-        if direction.skip(len(wire)):  # with a low rate nearly all frames
+        if injector.skip(len(wire)):  # with a low rate nearly all frames
             continue
-        received = damage(direction, wire)
+        received = damage(injector, wire)
         if received == wire:
             continue
         wrong = any(

@@ -13,7 +13,7 @@ from typing import Any, Final
 from j2a_transports import BadUrl, TransportError
 
 from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE, UsageError
-from j2a.cli._link import check_listen_url
+from j2a.cli._link import add_listen_argument, check_listen_url
 from j2a.cli._output import note
 from j2a_sim._errors import FirmwareStopped, SimError
 from j2a_sim._options import frequency, rate, speed
@@ -45,12 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         description="Run AVR firmware in simavr and serve its UART.",
     )
     avr.add_argument("elf", metavar="ELF", help="the firmware as avr-gcc linked it")
-    avr.add_argument(
-        "--listen",
-        default="tcp://127.0.0.1:0",
-        metavar="URL",
-        help="where clients connect: tcp://HOST:PORT (port 0: any), pty:, stdio: (%(default)s)",
-    )
+    add_listen_argument(avr)
     _add_chip(avr, "atmega328p")
     avr.add_argument("--uart", choices="0123", help="which UART (the first that the MCU has)")
     avr.add_argument(

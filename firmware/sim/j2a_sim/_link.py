@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, Final
 from urllib.parse import unquote
 
-from j2a_transports import BadUrl, OpenFailed, Transport, Url
+from j2a_transports import BadUrl, OpenFailed, Option, Scheme, Transport, Url, Usage
 
 from j2a_sim._avr import AvrSim
 from j2a_sim._errors import SimError
@@ -90,24 +90,37 @@ def _wire(text: str) -> str:
     return text
 
 
-_OPTIONS: Final = {
-    "mcu": _text,
-    "freq": frequency,
-    "link": _wire,
-    "uart": _text,
-    "baud": rate,
-    "patience": _seconds,
-    "speed": speed,
-}
 _MCUS: Final = {"uart": "atmega328p", "usb": "atmega32u4"}
+_OPEN: Final = Usage(
+    "sim:ELF",
+    "firmware in an AVR simulator, in simulated time",
+    ("sim:demo.elf", "sim:demo.elf?mcu=atmega32u4&link=usb"),
+    (
+        Option(
+            "mcu", _text, f"the chip; {_MCUS['uart']}, with link=usb {_MCUS['usb']}, if not given"
+        ),
+        Option("freq", frequency, "clock of the chip", "16000000"),
+        Option("link", _wire, "which part of the chip the bytes go through", "uart"),
+        Option("uart", _text, "number of the UART, else the first that the chip has"),
+        Option(
+            "baud", rate, "bit rate of the host's end of the UART, else the firmware's", "", "bit/s"
+        ),
+        Option(
+            "patience",
+            _seconds,
+            "simulated time without a byte after which time goes on no faster than real time",
+            f"{PATIENCE_S:g}",
+        ),
+        Option("speed", speed, "the most simulated seconds per second", "0"),
+    ),
+)
+SCHEME: Final = Scheme(
+    name="sim", open=_OPEN, system="simavr's library, a C compiler", starts_device=True
+)
 
 
 def open_url(url: Url) -> Transport:
     """Open `sim:path/to/firmware.elf?mcu=atmega328p&freq=16000000&uart=0`.
-
-    Args:
-        url: further options: `link` (uart or usb; uart when it is not given), `baud` (of the
-            host's end), `patience` and `speed` (see SimLink). `uart` and `baud` are for the UART.
 
     Returns:
         A SimLink or UsbLink with a simulator of its own.
@@ -118,8 +131,8 @@ def open_url(url: Url) -> Transport:
             message says what to do.
     """
     path, parts = url.split_query()
-    options: dict[str, Any] = url.options(parts, _OPTIONS)
-    wire = options.get("link", "uart")
+    options: dict[str, Any] = url.options(parts, _OPEN)
+    wire = options["link"]
     for name in ("uart", "baud"):
         if wire == "usb" and name in options:
             raise BadUrl(f"{url.text}: {name} is an option of a UART, and link=usb uses none")
@@ -128,15 +141,15 @@ def open_url(url: Url) -> Transport:
         sim = AvrSim(
             unquote(path),
             options.get("mcu", _MCUS[wire]),
-            options.get("freq", 16_000_000),
+            options["freq"],
             options.get("uart"),
             options.get("baud"),
         )
         return kind(
             sim,
             url.text,
-            patience_s=options.get("patience", PATIENCE_S),
-            speed=options.get("speed", 0.0),
+            patience_s=options["patience"],
+            speed=options["speed"],
         )
     except SimError as error:
         raise OpenFailed(f"{url.text}: {error}") from error

@@ -277,7 +277,7 @@ def run(
 
     Args:
         elf: the firmware.
-        listen_url: `tcp://127.0.0.1:0`, `pty:`, `stdio:` or another that j2a_transports listens on.
+        listen_url: such as `tcp://127.0.0.1:0`; see `j2a_transports.listen`.
         speed: simulated seconds per second; 0: as fast as possible (see the module's rules).
         mcu: as simavr names it.
         frequency_hz: the clock.

@@ -17,22 +17,19 @@ import socket
 import time
 from typing import Any, Final
 
-from j2a_transports._accept import SocketListener
 from j2a_transports._base import BadUrl, LinkLost, Listener, OpenFailed, Transport
 from j2a_transports._poll import CHUNK, PolledTransport
-from j2a_transports._url import Converter, Url, choice, text, timeout
+from j2a_transports._scheme import Scheme
+from j2a_transports._socket_listener import SocketListener
+from j2a_transports._url import Url
 
 from . import sdp, sockets
 from .record import SERVICE, publish
+from .usage import ADAPTER, ADDRESS, LISTEN, OPEN
 
-# Two times what an adapter calls a device that does not answer (5.12 s).
-_CONNECT_TIMEOUT_S: Final = 10.0
 MOMENT_S: Final = 1.0
 _FIRST_PAUSE_S: Final = 0.05
 _LONGEST_PAUSE_S: Final = 0.5
-
-_ADDRESS: Final = r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}"
-_ADAPTER: Final = rf"{_ADDRESS}|hci[0-9]{{1,3}}"
 
 
 def _numbers(*names: str) -> frozenset[int]:
@@ -52,18 +49,13 @@ _MOMENTARY: Final = _REFUSED | _numbers(
 )
 
 
-def _adapter(value: str) -> str:
-    """the address of an adapter of this machine, or its name, such as hci0."""
-    if not re.fullmatch(_ADAPTER, value):
-        raise ValueError
-    return value
-
-
-_COMMON: Final[dict[str, Converter]] = {
-    "service": text,
-    "security": choice({"LOW": 1, "MEDIUM": 2, "HIGH": 3}),
-}
-_OPEN_OPTIONS: Final = {**_COMMON, "connect_timeout": timeout, "adapter": _adapter}
+SCHEME: Final = Scheme(
+    name="bt",
+    open=OPEN,
+    listen=LISTEN,
+    system="Linux",
+    meant_by={rf"{ADDRESS}(/[0-9]*)?": r"bt://\g<0>"},
+)
 
 
 class BluetoothTransport(PolledTransport):
@@ -139,13 +131,13 @@ class BluetoothListener(SocketListener):
 def open_url(url: Url) -> Transport:
     """Connect to `bt://ADDRESS/CHANNEL`, or to the serial port that `bt://ADDRESS` offers."""
     place, parts = url.split_query()
-    match = re.fullmatch(rf"(?://)?({_ADDRESS})(?:/([0-9]{{1,2}})?)?", place)
+    match = re.fullmatch(rf"(?://)?({ADDRESS})(?:/([0-9]{{1,2}})?)?", place)
     if match is None or (match[2] and not 1 <= int(match[2]) <= 30):
         raise BadUrl(
             f"{url.text}: expected bt://ADDRESS/CHANNEL with a channel from 1 to 30, or without "
             "one, for example bt://00:1A:7D:DA:71:13/1; `bluetoothctl devices` shows addresses"
         )
-    options = url.options(parts, _OPEN_OPTIONS)
+    options = url.options(parts, OPEN)
     if match[2] and "service" in options:
         raise BadUrl(f"{url.text}: give a channel or service=NAME, not both")
     _check_support(url)
@@ -165,13 +157,13 @@ def listen_url(url: Url) -> Listener:
     an error only with the option: the URL of the listener has the channel.
     """
     place, parts = url.split_query()
-    match = re.fullmatch(rf"(?://)?({_ADAPTER})?(?:/([0-9]{{1,2}})?)?", place)
+    match = re.fullmatch(rf"(?://)?({ADAPTER})?(?:/([0-9]{{1,2}})?)?", place)
     if match is None or int(match[2] or 0) > 30:
         raise BadUrl(
             f"{url.text}: expected bt: for any adapter and channel, or bt://ADAPTER/CHANNEL with "
             "a channel from 1 to 30, for example bt://hci0/1 or bt:///1"
         )
-    options = url.options(parts, _COMMON)
+    options = url.options(parts, LISTEN)
     _check_support(url)
     address = _address_of(url, match[1]) if match[1] else sockets.ANY
     record = sock = None
@@ -209,7 +201,7 @@ class _Client:
         self._url = url
         self._address = address
         self._options = options
-        self._wait_s: float | None = options.get("connect_timeout", _CONNECT_TIMEOUT_S)
+        self._wait_s: float | None = options["connect_timeout"]
         self._deadline = time.monotonic() + (math.inf if self._wait_s is None else self._wait_s)
         self._from = _address_of(url, options["adapter"]) if "adapter" in options else None
 

@@ -15,7 +15,6 @@ import contextlib
 import errno
 import os
 import platform
-import re
 import sys
 import threading
 import time
@@ -26,18 +25,23 @@ from urllib.parse import quote
 
 from j2a_transports._base import DEFAULT_WRITE_TIMEOUT_S, BadUrl, LinkClosed, Listener, Transport
 from j2a_transports._poll import READY, Readiness, Waker
-from j2a_transports._url import Url, boolean, integer
+from j2a_transports._scheme import Scheme
+from j2a_transports._url import Url
 
 from .descriptors import EVENT_SIZE, PRODUCT, SYNC_PACKET, SYNC_SIZE, VENDOR, Event
 from .kernel import Kernel
 from .link import CHUNK, GadgetTransport
 from .setup import GadgetFiles, Identity
+from .usage import LISTEN
 
 # The endpoint is off, or was switched off and on during the call: an event says or will say why.
 _OFF: Final = frozenset({errno.ESHUTDOWN, errno.EAGAIN, errno.ENODEV, errno.ECONNRESET})
 RETRY_S: Final = 0.005
 THREAD_END_S: Final = 5.0
 _TO_HOST: Final = 0x80
+
+
+SCHEME: Final = Scheme(name="gadget", listen=LISTEN, system="Linux, root")
 
 
 class UsbGadget(Listener):
@@ -341,40 +345,14 @@ class UsbGadget(Listener):
             link.lose(error.strerror or str(error))
 
 
-def open_url(url: Url) -> Transport:
-    """Refuse: a gadget waits for hosts."""
-    raise BadUrl(f"{url.text}: gadget can only listen; the host opens usb:")
-
-
 def listen_url(url: Url) -> Listener:
     """Set up the device that `gadget:?serial=0001` describes."""
     rest, query = url.split_query()
-    options = url.options(query, _OPTIONS)
+    options = url.options(query, LISTEN)
     if rest not in ("", "//"):
         raise BadUrl(f"{url.text}: write gadget: or gadget:?name=value&name=value")
     options["write_timeout_s"] = options.pop("write_timeout")
     return UsbGadget(url.text, **options)
-
-
-def _usb_id(value: str) -> int:
-    """four hexadecimal digits."""
-    if not re.fullmatch("[0-9A-Fa-f]{4}", value):
-        raise ValueError
-    return int(value, 16)
-
-
-def _usb_string(value: str) -> str:
-    """1 to 126 characters, none of them a control character."""
-    if not 0 < len(value.encode("utf-16-le")) <= 252 or not value.isprintable():
-        raise ValueError
-    return value
-
-
-def _gadget_name(value: str) -> str:
-    """1 to 32 letters, digits, - and _."""
-    if not re.fullmatch("[A-Za-z0-9_-]{1,32}", value):
-        raise ValueError
-    return value
 
 
 def _own_serial() -> str:
@@ -384,16 +362,3 @@ def _own_serial() -> str:
         if text:
             return text
     return platform.node() or "j2a"
-
-
-_OPTIONS: Final = {
-    "name": _gadget_name,
-    "serial": _usb_string,
-    "vendor": _usb_id,
-    "product": _usb_id,
-    "manufacturer": _usb_string,
-    "product_name": _usb_string,
-    "udc": _usb_string,
-    "sync": boolean,
-    "buffer": integer(1, 1 << 20),
-}

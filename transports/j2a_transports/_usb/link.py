@@ -30,7 +30,8 @@ from j2a_transports._base import (
     WriteTimeout,
 )
 from j2a_transports._loopback import Channel
-from j2a_transports._url import Converter, Url, integer, number, text
+from j2a_transports._scheme import Option, Scheme, Usage, integer, number, text
+from j2a_transports._url import Url
 
 from .address import Address
 from .claim import claim, claim_shown, clear_halt, dispose, explained
@@ -43,12 +44,28 @@ TRANSFERS: Final = 4
 # How often a board that is not there yet is looked for.
 LOOK_S: Final = 0.2
 
-OPTIONS: Final[dict[str, Converter]] = {
-    "serial": text,
-    "interface": integer(0, 255),
-    "transfers": integer(1, 64),
-    "wait": number(0, 3600),
-}
+_OPEN: Final = Usage(
+    "usb://BOARD",
+    "the USB board, if there is only one; j2a list shows all",
+    ("usb://", "usb://0001", "usb://6666:cafe", "usb://001:004", "usb://1-2.3"),
+    (
+        Option("serial", text, "the serial number, where it looks like something else"),
+        Option(
+            "interface",
+            integer(0, 255),
+            "number of an interface of your own with one IN and one OUT endpoint, instead of the "
+            "one of J2A; the URL has to name the device",
+        ),
+        Option(
+            "transfers",
+            integer(1, 64),
+            "transfers that wait for bytes at a time; 1 makes plain blocking reads",
+            str(TRANSFERS),
+        ),
+        Option("wait", number(0, 3600), "time to wait for a board not yet plugged in", "0", "s"),
+    ),
+)
+SCHEME: Final = Scheme(name="usb", open=_OPEN, extra="usb")
 
 _NONE: Final = (
     "no J2A board is on the USB; is it plugged in, by a cable that carries data, and does its "
@@ -191,9 +208,9 @@ def _close_all() -> None:
 def open_url(url: Url) -> Transport:
     """Open the one board that the URL names."""
     place, parts = url.split_query()
-    options = url.options(parts, OPTIONS)
+    options = url.options(parts, _OPEN)
     interface: int | None = options.get("interface")
-    deadline = time.monotonic() + options.get("wait", 0.0)
+    deadline = time.monotonic() + options["wait"]
     while True:
         try:
             address = Address.parse(url.text, place, options.get("serial"))
@@ -216,7 +233,7 @@ def open_url(url: Url) -> Transport:
         board.interface,
         url=url.text,
         write_timeout_s=options["write_timeout"],
-        transfers=options.get("transfers", TRANSFERS),
+        transfers=options["transfers"],
     )
 
 

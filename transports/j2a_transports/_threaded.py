@@ -1,7 +1,7 @@
 """A transport on blocking calls, for what cannot be polled: Windows pipes and pyserial's own URLs.
 
-In: a blocking `source` and `sink`.  Out: `PumpedTransport`, a loopback end whose other end is moved
-by two threads.
+In: a blocking `source` and `sink`.  Out: `ThreadedTransport`, a loopback end whose other end two
+threads move.
 Rules: the threads are the only ones that touch source and sink; bytes written before `close()` are
 still handed to the sink when it takes them.
 """
@@ -24,7 +24,7 @@ SINK_END_S: Final = 5.0
 SOURCE_END_S: Final = 1.0
 
 
-class PumpedTransport(LoopbackTransport):
+class ThreadedTransport(LoopbackTransport):
     """A transport between a blocking source and a blocking sink.
 
     Args:
@@ -35,7 +35,7 @@ class PumpedTransport(LoopbackTransport):
             with whether the sink is stuck.
         finish: called by the writing thread when nothing more will be written.
         release: frees what source and sink use; called once, after both threads have ended.
-        reason: says why the link is lost, from the exception that ended the pump.
+        reason: says why the link is lost, from the exception that ended a thread.
         write_timeout_s: see `Transport`.
     """
 
