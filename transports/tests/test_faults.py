@@ -47,7 +47,7 @@ def test_bytes_that_no_fault_touches_may_be_skipped(
     rates: Rates, cuts: list[int], seed: int
 ) -> None:
     edges = [0, *itertools.accumulate(cuts)]
-    fed, skipping = Direction(rates, str(seed)), Direction(rates, str(seed))
+    fed, skipping = FaultInjector(rates, str(seed)), FaultInjector(rates, str(seed))
     for chunk in (DATA[a:b] for a, b in itertools.pairwise(edges)):
         out = joined(fed, [chunk])
         assert out == (chunk if skipping.skip(len(chunk)) else joined(skipping, [chunk]))
@@ -56,14 +56,14 @@ def test_bytes_that_no_fault_touches_may_be_skipped(
 
 
 def test_nothing_is_skipped_after_the_end() -> None:
-    direction = Direction(Rates(reset=0.001), "x")
+    direction = FaultInjector(Rates(reset=0.001), "x")
     while not direction.ended:
         direction.feed(b"x")
     assert not direction.skip(1)
 
 
 def test_all_is_skipped_where_nothing_happens() -> None:
-    direction = Direction(Rates(flip=1e-12), "x")
+    direction = FaultInjector(Rates(flip=1e-12), "x")
     assert direction.skip(10**6)
     assert direction.counters.bytes == 10**6
 
