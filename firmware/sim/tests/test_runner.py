@@ -14,7 +14,8 @@ from argparse import ArgumentParser
 import j2a_transports
 import pytest
 from j2a_sim import FirmwareStopped, Runner, SimError, run
-from j2a_sim._command import add_arguments, main
+from j2a_sim._command import add_arguments
+from j2a_sim._command import run as main
 from j2a_transports import LinkLost, OpenFailed
 
 pytestmark = pytest.mark.avr
