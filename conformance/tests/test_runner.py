@@ -91,6 +91,29 @@ def test_a_stall_is_tried_again(reference, judged):
     assert (layout.case, layout.verdict, layout.attempts) == ("frame.layout", Verdict.OK, 2)
 
 
+@pytest.mark.parametrize("nth", [3, 8, 21, 60, 100, 200])
+@pytest.mark.parametrize("case", ["debug.text", "debug.boundaries", "debug.more-and-lost"])
+def test_a_stall_among_calls_about_debug_text_is_tried_again(case, nth, reference, judged):
+    """Text that was written before the stall is no second text of the next attempt."""
+
+    class StallsOnce(reference):
+        debug_size = 600
+        calls = 0
+
+        def request(self, seq, opcode, payload):
+            type(self).calls += self.names[opcode] in {"ret", c.GET_DEBUG}
+            if self.calls != nth:
+                super().request(seq, opcode, payload)
+            else:
+                type(self).calls += 1
+                self.error(seq, c.ERR_TIMEOUT)
+
+    found = judged(StallsOnce, [case])
+    assert StallsOnce.calls > nth
+    assert [r.reason for r in found.results if r.verdict is not Verdict.OK] == []
+    assert [r.attempts for r in found.results] == [1] * len(found.results)
+
+
 class SlowLink:
     """Takes 0.7 ms for a byte, so that the largest exchange takes longer than the first timeout."""
 

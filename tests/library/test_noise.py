@@ -1,5 +1,7 @@
 """What is no device is not taken for one, and what is a device is."""
 
+from random import Random
+
 import pytest
 from j2a_spec.constants import MAX_PAYLOAD
 
@@ -9,7 +11,7 @@ from j2a.events import Reply
 from j2a.io.client_base import take_stale_input
 from j2a.protocol.session import Session
 
-from .noise import KINDS, RATES, Noise, outcome_of
+from .noise import A_DEVICE, KINDS, RATES, Noise, outcome_of
 from .support import linked
 from .test_limits import Host
 
@@ -18,11 +20,12 @@ from .test_limits import Host
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("seed", range(12))
 def test_noise_is_no_device(kind, rate, seed):
-    assert outcome_of(seed, kind, rate) in ("CallTimeout", "ProtocolError")
+    # By chance noise holds a refusal with the seq of a call: then the call's error is that.
+    assert outcome_of(seed, kind, rate) != A_DEVICE
 
 
 def test_the_echo_of_a_link_is_no_device():
-    noise = Noise(None, None, 0)
+    noise = Noise(Random(0), None, 0)
     noise.call = lambda _what, opcode, payload, _limit_s: Reply(opcode, payload)
     with pytest.raises(j2a.ProtocolError, match="echo"):
         noise.connect()

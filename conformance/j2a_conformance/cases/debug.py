@@ -54,7 +54,11 @@ def drain(peer: Peer, at_most: int = _AT_MOST) -> tuple[bytes, bool]:
 
 
 def write(peer: Peer, codes: Iterable[int]) -> bytes:
-    """Have the application write a line for each code; return the text."""
+    """Have the application write a line for each code; return the text.
+
+    To be called within `Peer.attempts`, behind a drain: a batch that a stall spoiled and that went
+    out again on its own would write its lines twice.
+    """
     codes = tuple(codes)
     peer.ask_all(peer.request(peer.opcode("ret"), bytes((n,)), n, b"") for n in codes)
     return b"".join(map(line_of, codes))
@@ -105,12 +109,12 @@ class Text(Case):
         payloads = (b"", b"x", bytes(peer.longest), b"\x00", b"\xff" * 9)
         for n, code in enumerate((0x05, 0x12, 0x7D, 0xED, 0x00, 0xEF, 0xAB, 0x06)):
             payload = payloads[n % len(payloads)]
-            peer.carried(lambda v=code, p=payload: self._taken(peer, v, p))  # type: ignore[misc]
+            peer.attempts(lambda v=code, p=payload: self._taken(peer, v, p))  # type: ignore[misc]
         some = 1 if peer.link.lossy else 32  # a group that suffered is written anew
         for first in range(0, peer.longest + 1, some):
             group = range(first, min(first + some, peer.longest + 1))
-            peer.carried(lambda g=group: self._by_lengths(peer, g))  # type: ignore[misc]
-        peer.carried(lambda: self._in_order(peer))
+            peer.attempts(lambda g=group: self._by_lengths(peer, g))  # type: ignore[misc]
+        peer.attempts(lambda: self._in_order(peer))
 
     @staticmethod
     def _by_lengths(peer: Peer, group: Iterable[int]) -> None:
@@ -159,25 +163,36 @@ class Boundaries(Case):
     def _run(self, peer: Peer) -> None:
         if peer.link.lossy:
             inform("the link was declared lossy: too many exchanges in a row")
+        piece = peer.attempts(lambda: self._piece(peer))
+        held = self._overflow(peer)
+        targets = (*_TARGETS, *([held] if held else []))
+        reached = [
+            target
+            for target in targets
+            if peer.attempts(lambda n=target: self._pending(peer, n, piece, held))  # type: ignore[misc]
+        ]
+        peer.link.note(f"pending were {', '.join(map(str, reached))} bytes")
+
+    @staticmethod
+    def _piece(peer: Peer) -> int:
+        """Return how much text one call takes, or 0 where that was not seen."""
         drain(peer)
         write(peer, [0x05] * (c.MAX_PAYLOAD // LINE + 2))
         part, code = take(peer)
-        piece = len(part) if code & c.DEBUG_MORE else 0  # what a call takes, where that was seen
-        drain(peer)
-        held = self._overflow(peer)
-        targets = (*_TARGETS, *([held] if held else []))
-        reached = [target for target in targets if self._pending(peer, target, piece, held)]
-        peer.link.note(f"pending were {', '.join(map(str, reached))} bytes")
+        return len(part) if code & c.DEBUG_MORE else 0
 
     @staticmethod
     def _overflow(peer: Peer) -> int:
         """Have more written than the device keeps; return how much that is, or 0 if unknown."""
-        for shift in range(3, _SHIFTS):
-            write(peer, [0x05] * (1 << shift))
+
+        def held(lines: int) -> int:
+            drain(peer)
+            write(peer, [0x05] * lines)
             text, lost = drain(peer)
-            if lost:
-                return len(text)
-        return 0
+            return len(text) if lost else 0
+
+        sizes = (peer.attempts(lambda n=1 << shift: held(n)) for shift in range(3, _SHIFTS))  # type: ignore[misc]
+        return next(filter(None, sizes), 0)
 
     @staticmethod
     def _pending(peer: Peer, target: int, piece: int, held: int) -> bool:
@@ -190,6 +205,7 @@ class Boundaries(Case):
             for start in starts
             for calls in range(1, start // piece + 1)
         )
+        drain(peer)
         fitting = (
             plan for plan in plans if 0 < plan[2] <= target and (target - plan[2]) % LINE == 0
         )
@@ -233,7 +249,7 @@ class Overflow(Case):
 
     def _run(self, peer: Peer) -> None:
         for shift in range(_LOSSY_SHIFTS if peer.link.lossy else _SHIFTS):
-            if (held := peer.carried(lambda n=1 << shift: self._held(peer, n))) is not None:  # type: ignore[misc]
+            if (held := peer.attempts(lambda n=1 << shift: self._held(peer, n))) is not None:  # type: ignore[misc]
                 if not peer.link.lossy:
                     self._around(peer, held)
                 return  # larger amounts show nothing new
@@ -242,7 +258,7 @@ class Overflow(Case):
     def _around(self, peer: Peer, held: int) -> None:
         """Fill what the device keeps all but, exactly, and a little over; and again at once."""
         for lines in (held // LINE - 1, held // LINE, held // LINE + 1, held // LINE + 9, 1):
-            self._held(peer, lines)
+            peer.attempts(lambda n=lines: self._held(peer, n))  # type: ignore[misc]
 
     @staticmethod
     def _held(peer: Peer, lines: int) -> int | None:
