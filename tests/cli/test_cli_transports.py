@@ -91,7 +91,9 @@ def found(tmp_path_factory):
     package = folder / "lamp-1.dist-info"
     package.mkdir()
     (package / "METADATA").write_text("Metadata-Version: 2.1\nName: lamp\nVersion: 1\n")
-    (package / "entry_points.txt").write_text("[j2a.transports]\nlamp = lamp_transport\n")
+    (package / "entry_points.txt").write_text(
+        "[j2a.transports]\nlamp = lamp_transport\ndark = no_such_module\n"
+    )
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         env=os.environ | {"PYTHONPATH": str(folder), "COLUMNS": "100"},
@@ -125,3 +127,11 @@ def test_it_is_in_every_help(found):
     assert opening in found["info"]
     assert "\n  lamp        colour\n" in found["info"]
     assert "\n  lamp:room                           the room of a lamp\n" in found["serve"]
+
+
+def test_a_transport_that_does_not_load_is_named_and_the_others_work(found):
+    assert (
+        "\n  dark:                               (dark: the driver no_such_module" in found["help"]
+    )
+    assert "dark" in found["schemes"]
+    assert "dark" not in found["cannot"]
