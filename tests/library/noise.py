@@ -14,9 +14,9 @@ from j2a_spec import oracle
 from j2a_spec.constants import SOF
 
 import j2a
-from j2a.io.client_base import Shell
+from j2a.io.client_base import ClientBase
 from j2a.protocol.session import NONCE_BYTES, Session
-from j2a.protocol.transfer import Steps
+from j2a.protocol.transfer import Transfer
 
 RATES = (100, 5760, 100_000)
 """Bytes a second."""
@@ -49,7 +49,7 @@ def random_frames(random: Random, size: int) -> bytes:
 KINDS = (random_bytes, few_bits, random_frames)
 
 
-class Noise(Shell):
+class Noise(ClientBase):
     """A client at whose link there is nothing but noise."""
 
     def __init__(self, random: Random, kind, rate: int) -> None:
@@ -64,17 +64,17 @@ class Noise(Shell):
     def connect(self) -> None:
         self.do(self._connect(BOOT_S))
 
-    def do(self, steps: Steps) -> None:
+    def do(self, transfer: Transfer) -> None:
         limits = self._device_limits(self.now, BOOT_S)
         try:
-            ask = next(steps)
+            request = next(transfer)
             while True:
                 try:
-                    reply = self.call(*self._arguments(ask, limits, self.now))
+                    reply = self.call(*self._arguments(request, limits, self.now))
                 except j2a.J2AError as error:
-                    ask = steps.throw(error)
+                    request = transfer.throw(error)
                 else:
-                    ask = steps.send(reply)
+                    request = transfer.send(reply)
         except StopIteration:
             pass
 

@@ -12,7 +12,7 @@ from j2a.demo import DemoDevice
 from j2a.events import Reply
 from j2a.io.functions import FunctionTable
 from j2a.protocol.announced import Announced
-from j2a.protocol.device_info import DEFAULT_MAX_BYTES, Peer
+from j2a.protocol.device_info import DEFAULT_MAX_BYTES, DeviceInfo
 
 from .support import served
 from .test_many import content, drive, know
@@ -192,4 +192,4 @@ def test_a_new_map_forgets_the_announcement():
     peer.announced = Announced({"j2a.spec": "2.0"})
     peer.take_map(Reply(0, b"a2jGetMapping\0"))
     assert peer.announced.is_supported
-    assert Peer().announced.version == (1, 0)
+    assert DeviceInfo().announced.version == (1, 0)

@@ -231,7 +231,7 @@ class TestLimits:
     def test_of_what_the_device_tells(self, connected, name, timeout):
         client = connected(timeout=timeout)
         client.do("refresh")
-        client.client._peer.functions = None
+        client.client._device.functions = None
         client.limits.clear()
         client.do(name)
         assert client.limits == [timeout] * len(client.limits)
@@ -241,7 +241,7 @@ class TestLimits:
     def test_of_a_device_that_is_silent(self, connected, name):
         client = connected(timeout=0.5)
         client.is_silent = True
-        client.client._peer.functions = None
+        client.client._device.functions = None
         with pytest.raises(j2a.CallTimeout):
             client.do(name)
         assert client.limits == [0.5]

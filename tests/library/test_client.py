@@ -85,7 +85,7 @@ class TestCalls:
         device._table.execute = lambda opcode, _payload: (code, b"text")
         with served(device) as url, j2a_transports.open(url) as transport:
             client = j2a.Client(transport, timeout=PATIENCE_S)
-            client._peer.take_map(j2a.Reply(0, b"a2jGetMapping\0a2jMany\0a2jDebug\0"))
+            client._device.take_map(j2a.Reply(0, b"a2jGetMapping\0a2jMany\0a2jDebug\0"))
             with pytest.raises(kind, match="a2jDebug"):
                 client.read_debug()
             client.close()

@@ -195,7 +195,7 @@ class BadWorld:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_client_over_a_bad_link(seed):
     with BadWorld(seed) as world, j2a.Client(world.near, timeout=0.2, trace=world.trace) as client:
-        client._peer.room = MAX_PAYLOAD  # known, so that each call sends one frame
+        client._device.room = MAX_PAYLOAD  # known, so that each call sends one frame
         for payload in world.payloads(seed):
             try:
                 world.check(payload, client.call(4, payload))

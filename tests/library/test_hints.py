@@ -12,7 +12,7 @@ from .test_session import Host
 from .virtual import World
 
 DAMAGE = [0xF2, 0xF3, 0xF4]
-KINDS = {0xF2: j2a.PauseRefused, 0xF3: j2a.ChecksumRefused, 0xF4: j2a.FramingRefused}
+KINDS = {0xF2: j2a.ByteTimeoutRefused, 0xF3: j2a.ChecksumRefused, 0xF4: j2a.FramingRefused}
 
 pytestmark = pytest.mark.requirement("J2A-ERR-010")
 

@@ -8,14 +8,14 @@ import j2a
 from j2a import Outcome
 from j2a.demo import DemoDevice
 from j2a.events import Reply
-from j2a.io.client_base import Shell
+from j2a.io.client_base import ClientBase
 
 from .test_many import chunk
 
 ADD = bytes(8)
 
 
-class Host(Shell):
+class Host(ClientBase):
     """A client whose device needs `cost_s` of virtual time for each request."""
 
     def __init__(self, device: j2a.Device, cost_s: float, timeout: float = 1.0) -> None:
@@ -28,22 +28,22 @@ class Host(Shell):
     def answer(self, opcode: int, payload: bytes) -> Reply:
         return Reply(*self.device._execute(opcode, payload))
 
-    def do(self, steps, limits):
-        """Drive steps as the clients do."""
+    def do(self, transfer, limits):
+        """Drive transfer as the clients do."""
         try:
-            ask = next(steps)
+            request = next(transfer)
             while True:
                 try:
-                    what, opcode, payload, limit_s = self._arguments(ask, limits, self.now)
+                    what, opcode, payload, limit_s = self._arguments(request, limits, self.now)
                     assert limit_s > 0
                     self.asked.append(opcode)
                     self.now += min(self.cost_s, limit_s)
                     if self.cost_s > limit_s:
                         raise j2a.CallTimeout(what, outcome=Outcome.MAYBE_EXECUTED)
                 except j2a.J2AError as error:
-                    ask = steps.throw(error)
+                    request = transfer.throw(error)
                 else:
-                    ask = steps.send(self.answer(opcode, payload))
+                    request = transfer.send(self.answer(opcode, payload))
         except StopIteration as end:
             return end.value
 
@@ -112,7 +112,7 @@ def test_a_transfer_has_a_limit_for_each_chunk_and_one_for_all(way, total_s):
     host = Host(DemoDevice(), 0.09)
     host.device._content += bytes(range(256)) * 8
     data = bytes(2048)
-    steps = {
+    transfer = {
         "read": lambda: host._read_many("store", 4096, None),
         "write": lambda: host._write_many("store", data, None),
         "echo": lambda: host._echo_many(data, None),
@@ -120,11 +120,11 @@ def test_a_transfer_has_a_limit_for_each_chunk_and_one_for_all(way, total_s):
     start = host.now
     limits = host._limits(0.1, total_s, start)
     if total_s in (2.0, None):
-        host.do(steps, limits)
+        host.do(transfer, limits)
         assert len(host.asked) >= 9
     else:
         with pytest.raises(j2a.CallTimeout) as caught:
-            host.do(steps, limits)
+            host.do(transfer, limits)
         assert caught.value.outcome is (
             Outcome.NOT_SENT if len(host.asked) < 3 else Outcome.MAYBE_EXECUTED
         )

@@ -12,8 +12,8 @@ import j2a
 from j2a.demo import STORE_BYTES, DemoDevice
 from j2a.events import Reply
 from j2a.protocol.announced import Announced
-from j2a.protocol.device_info import DEFAULT_MAX_BYTES, Peer
-from j2a.protocol.transfer import Steps, read_chunks
+from j2a.protocol.device_info import DEFAULT_MAX_BYTES, DeviceInfo
+from j2a.protocol.transfer import Transfer, read_chunks
 
 from .support import OldDevice
 
@@ -26,7 +26,7 @@ def content(size: int) -> bytes:
     return bytes((index * 7 + index // 256) & 0xFF for index in range(size))
 
 
-def drive(execute: Execute, steps: Steps, requests: list[bytes] | None = None) -> object:
+def drive(execute: Execute, steps: Transfer, requests: list[bytes] | None = None) -> object:
     """Run a transfer against the function table of a device."""
     try:
         ask = next(steps)
@@ -39,8 +39,8 @@ def drive(execute: Execute, steps: Steps, requests: list[bytes] | None = None) -
         return end.value
 
 
-def know(device: j2a.Device) -> Peer:
-    peer = Peer()
+def know(device: j2a.Device) -> DeviceInfo:
+    peer = DeviceInfo()
     code, payload = device._execute(0, b"")
     peer.take_map(None if code == 0xF0 else Reply(code, payload))
     return peer
@@ -267,13 +267,13 @@ def test_what_the_replies_to_a_write_carry_is_ignored(demo, peer, is_last, data)
 def test_a_guard_is_asked_once_and_copies_nothing():
     seen = []
 
-    def guard(content, _first):
+    def offset_check(content, _first):
         seen.append(content)
         return
         yield
 
     replies = [chunk(bytes(249), offset=249 * n, is_last=n == 9) for n in range(10)]
-    steps = read_chunks("f", 6, max_bytes=4096, guard=guard)
+    steps = read_chunks("f", 6, max_bytes=4096, offset_check=offset_check)
     assert drive(answers(*replies), steps) == bytes(2490)
     assert [type(content) for content in seen] == [bytearray]
 
@@ -396,7 +396,7 @@ class TestPeer:
         ],
     )
     def test_without_a_usable_map_calls_by_opcode_work(self, reply, reason):
-        peer = Peer()
+        peer = DeviceInfo()
         peer.take_map(reply)
         assert peer.functions == {}
         assert peer.resolve(7) == ("opcode 7", 7)
@@ -405,7 +405,7 @@ class TestPeer:
             peer.resolve("add")
 
     def test_empty_names_do_not_shift_the_others(self):
-        peer = Peer()
+        peer = DeviceInfo()
         peer.take_map(Reply(0, b"a2jGetMapping\0\0c\0c\0"))
         assert peer.functions == {"a2jGetMapping": 0, "c": 2}
 

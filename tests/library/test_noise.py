@@ -79,7 +79,7 @@ class TestDevices:
     )
     def test_one_without_a_usable_map_says_so_twice(self, answer):
         host = self.connect(answer)
-        assert host._peer.functions == {}
+        assert host._device.functions == {}
         assert host.device.asked == 2
 
     def test_a_map_is_asked_for_once(self):

@@ -65,7 +65,7 @@ def test_a_call_is_sent_and_answered():
     ("code", "kind"),
     [
         (0xF0, j2a.OpcodeRefused),
-        (0xF2, j2a.PauseRefused),
+        (0xF2, j2a.ByteTimeoutRefused),
         (0xF3, j2a.ChecksumRefused),
         (0xF4, j2a.FramingRefused),
     ],
