@@ -39,18 +39,19 @@ def decoding(stream: bytes, chunk: int, deframer: type = Deframer) -> Work:
 def reading(size: int) -> Work:
     """Return work that reads so many bytes by a2jMany; the unit is a byte."""
 
-    def guard(_content: bytearray, _first: object) -> Iterator[object]:
+    def probe(_content: bytearray, _first: object) -> Iterator[object]:
         yield from exchange("probe", 6, 0, 256, b"")
 
     def run() -> int:
-        steps = read_chunks("f", 6, max_bytes=size, guard=guard)
-        ask = next(steps)
+        transfer = read_chunks("f", 6, max_bytes=size, offset_check=probe)
+        request = next(transfer)
         try:
             while True:
-                offset = int.from_bytes(ask.payload[2:6], "little")
+                offset = int.from_bytes(request.payload[2:6], "little")
                 is_last = offset + 249 >= size
                 data = bytes(min(249, size - offset))
-                ask = steps.send(Reply(0, bytes((0, is_last)) + ask.payload[2:6] + data))
+                head = bytes((0, is_last)) + request.payload[2:6]
+                request = transfer.send(Reply(0, head + data))
         except StopIteration as end:
             assert len(end.value) == size
         return size
@@ -94,6 +95,10 @@ def main() -> int:
     rows = {
         "255 B frames, chunks of 64 B to 4096 B": (decoding(long, 64), decoding(long, 4096)),
         "the same, all escaped": (decoding(escaped, 64), decoding(escaped, 4096)),
+        "all escaped in 64 B, j2a to naive": (
+            decoding(escaped, 64),
+            decoding(escaped, 64, NaiveDeframer),
+        ),
         "read_many, 4 MiB to 256 KiB": (reading(4 << 20), reading(256 << 10)),
         "calls waiting, 8000 to 500": (queueing(8000), queueing(500)),
     }
