@@ -75,7 +75,7 @@ class AsyncLink:
 
     def check_process(self) -> None:
         """Refuse to work in a child process; see `threads.refuse_process`."""
-        if self.is_inherited:
+        if os.getpid() != self._process:
             refuse_process(self._transport.url)
 
 
@@ -140,7 +140,7 @@ class WatchedLink(AsyncLink):
             self._step()
 
     def _step(self) -> None:
-        now = time.monotonic()
+        now = time.monotonic() if self._is_asked else -math.inf
         try:
             data = self._unread or self._transport.read(0)
         except Exception as error:

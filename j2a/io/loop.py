@@ -11,17 +11,16 @@ import contextlib
 import inspect
 import logging
 import math
-import time
 import weakref
 from collections.abc import Awaitable, Callable, Iterable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
 from j2a.io.handlers import ErrorHook, Handlers, Reporter
 from j2a.io.links import ThreadedLink, WatchedLink
-from j2a.io.threads import JOIN_S, LOOK_S, join_threads, start_thread
+from j2a.io.threads import JOIN_S, LOOK_S, clock_of, join_threads, start_thread
 from j2a.protocol.session import Call, Session
 
 if TYPE_CHECKING:
@@ -60,11 +59,14 @@ class AsyncEngine:
         self._handlers = weakref.ref(handlers)
         self._reporter = Reporter(on_handler_error)
         self._loop = asyncio.get_running_loop()
-        self.now = transport.clock if transport.is_simulated else self._loop.time
+        self.now = clock_of(transport)
+        self._is_simulated = transport.is_simulated
         self._sifs: asyncio.Queue[Sif | None] = asyncio.Queue()
         self._takes_sifs = True
         self._drops_sifs = False
+        # The next time at which time limits are judged; nothing may be late then.
         self._timer: asyncio.TimerHandle | None = None
+        self._timer_due = math.inf
         # While the time limits are judged: when that ends without an answer of the reading thread,
         # and when it ends although bytes come without end.
         self._look_limit: asyncio.TimerHandle | None = None
@@ -93,8 +95,9 @@ class AsyncEngine:
     async def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
         """Make one call; see `AsyncClient.call`."""
         self.check_process()
-        self._check_loop()
-        done: asyncio.Future[None] = self._loop.create_future()
+        if asyncio.get_running_loop() is not self._loop:
+            self._refuse_loop()
+        done: asyncio.Future[None] = asyncio.Future(loop=self._loop)
         try:
             call = self._session.start_call(
                 what, opcode, payload, now=self.now(), timeout_s=limit_s, waiter=done
@@ -104,7 +107,9 @@ class AsyncEngine:
             await asyncio.sleep(0)
             raise
         finally:
-            self._flush()  # where the link is stalled, a barrier
+            self._send()  # where the link is stalled, a barrier
+        if call.deadline is not None:
+            self._judge_at(call.deadline)
         try:
             await done
         except asyncio.CancelledError:
@@ -115,12 +120,11 @@ class AsyncEngine:
         assert call.reply is not None
         return call.reply
 
-    def _check_loop(self) -> None:
-        if asyncio.get_running_loop() is not self._loop:
-            raise LocalError(
-                f"{self._transport.url} was connected in another event loop; "
-                "use the client there, or connect again"
-            )
+    def _refuse_loop(self) -> NoReturn:
+        raise LocalError(
+            f"{self._transport.url} was connected in another event loop; "
+            "use the client there, or connect again"
+        )
 
     async def close(self) -> None:
         """Deliver the SIFs that have come, then end all calls and the threads."""
@@ -132,7 +136,8 @@ class AsyncEngine:
             self._link.abandon("was closed by this program")
             await asyncio.to_thread(join_threads, self._link.threads, JOIN_S)
             return
-        self._check_loop()
+        if asyncio.get_running_loop() is not self._loop:
+            self._refuse_loop()
         is_handler = asyncio.current_task() is self.dispatcher
         try:
             if not is_handler:
@@ -156,7 +161,7 @@ class AsyncEngine:
     async def _deliver_what_came(self) -> None:
         if not self._session.is_closed:
             looked: asyncio.Future[None] = self._loop.create_future()
-            self._looks.append((time.monotonic(), looked))
+            self._looks.append((self.now(), looked))
             await asyncio.wait([looked], timeout=self._link.look())
             self._finish_sifs()
         await asyncio.wait([self.dispatcher], timeout=JOIN_S)
@@ -173,30 +178,34 @@ class AsyncEngine:
                     self._session.count("sifs_dropped")
             elif event.has_ended and not event.waiter.done():
                 event.waiter.set_result(None)
-        self._flush()
+        self._send()
 
-    def _flush(self) -> None:
+    def _send(self) -> None:
         data = self._session.data_to_send()
         if data:
             self._link.send(data)
-        due = self._session.next_timeout()
-        if due is None or self._look_limit is not None:
+
+    def _judge_at(self, due: float) -> None:
+        """Have the time limits judged at that time, or before; they are not met too early."""
+        if self._timer_due <= due or self._look_limit is not None:
             return
-        if isinstance(self._link, ThreadedLink) and self._transport.is_simulated:
+        self._timer_due = due
+        if self._is_simulated:
+            assert isinstance(self._link, ThreadedLink)
             self._link.judge_at(due)
             return
         if self._timer is not None:
-            if self._timer.when() <= due:
-                return  # it finds out by itself that it is early
             self._timer.cancel()
-        self._timer = self._loop.call_at(due, self._on_timer)
+        self._timer = self._loop.call_later(due - self.now(), self._on_timer)
 
     def _on_timer(self) -> None:
         """Judge the time limits, but first take what has arrived."""
-        self._timer = None
-        due, now = self._session.next_timeout(), self._loop.time()
-        if due is None or due > now:
-            self._flush()
+        self._timer, self._timer_due = None, math.inf
+        due, now = self._session.next_timeout(), self.now()
+        if due is None:
+            return
+        if due > now:
+            self._judge_at(due)
             return
         self._flood_limit = now + LOOK_S
         self._look_limit = self._loop.call_later(self._link.look(), self._judge, math.inf)
@@ -207,11 +216,17 @@ class AsyncEngine:
             self._look_limit.cancel()
             self._look_limit = None
         self._flood_limit = math.inf
+        if self._is_simulated:
+            self._timer_due = math.inf
         self._settle(self._session.handle_timeout(min(now, self.now())))
+        due = self._session.next_timeout()
+        if due is not None:
+            self._judge_at(due)
 
     def _receive(self, piece: bytes) -> None:
-        self._settle(self._session.receive(piece, self.now()))
-        if self._loop.time() >= self._flood_limit:
+        now = self.now()
+        self._settle(self._session.receive(piece, now))
+        if now >= self._flood_limit:
             self._judge(math.inf)
 
     def _looked(self, looked_at: float) -> None:
