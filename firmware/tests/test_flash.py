@@ -1,6 +1,6 @@
 """`make flash` builds an app and has avrdude write it, or says what is missing.
 
-The avrdude here is a script that writes its arguments and the image into files; everything else is real.
+The avrdude here is a script that copies its arguments and the image; everything else is real.
 """
 
 import os
@@ -27,8 +27,8 @@ def programs(tmp_path, need):
         need(tool)
     folder = tmp_path / "bin"
     folder.mkdir()
-    for directory in ("/usr/bin", "/bin", os.path.dirname(shutil.which("avr-gcc"))):
-        for path in Path(directory).iterdir():
+    for directory in (Path("/usr/bin"), Path("/bin"), Path(shutil.which("avr-gcc")).parent):
+        for path in directory.iterdir():
             if path.name != "avrdude" and not (folder / path.name).exists():
                 (folder / path.name).symlink_to(path)
     (folder / "avrdude").write_text(FAKE)
@@ -104,8 +104,8 @@ def test_a_failure_of_avrdude_is_one_of_make(flash, port, monkeypatch):
         ({}, "PORT is missing: give the port of the firmware, such as: make flash PORT=avr-serial"),
         ({"PORT": "avr-serial"}, "DEVICE is missing: give the serial port of the board"),
         ({"PORT": "/dev/ttyACM0"}, "PORT is the port of the firmware, DEVICE the serial port"),
-        ({"PORT": "avr-serial", "DEVICE": "/dev/none"}, "DEVICE=/dev/none: there is no such port"),
-        ({"PORT": "avr", "DEVICE": "usb"}, "PORT=avr: no port.mk in ports/avr; there is avr-serial"),
+        ({"PORT": "avr-serial", "DEVICE": "/dev/none"}, "/dev/none: there is no such port"),
+        ({"PORT": "avr", "DEVICE": "usb"}, "no port.mk in ports/avr; there is avr-serial"),
         ({"PORT": "posix", "DEVICE": "usb"}, "cannot write this port, only avr-serial avr-usb"),
         ({"PORT": "avr-serial", "DEVICE": "usb", "MCU": "atmega88"}, "give a programmer, such as"),
     ],
