@@ -71,9 +71,7 @@ def test_the_demo_onto_an_uno(flash, programs, port, tmp_path):
         *("-P", str(port), "-U", f"flash:w:{image}:i"),
     ]
     # The image is that of the ELF, as Intel HEX: records that add up to 0, the last one its end.
-    records = [
-        bytes.fromhex(line[1:]) for line in (programs / "avrdude.image").read_text().split()
-    ]
+    records = [bytes.fromhex(line[1:]) for line in (programs / "avrdude.image").read_text().split()]
     assert all(sum(record) % 256 == 0 for record in records)
     assert records[-1] == bytes.fromhex("00000001ff")
     flashed = b"".join(record[4:-1] for record in records if record[3] == 0)
