@@ -77,8 +77,12 @@ class AsyncClient(Shell):
             CallTimeout when no reply came in time; LinkError when the link is lost or stalled.
         """
         data = check_payload(payload)
+        limit_s = self._limit_s(timeout)
+        known = self._known(function, data)
+        if known is not None:
+            return await self._engine.call(*known, data, limit_s)
         return await self._drive(
-            self._call(function, data), self._call_limits(timeout, self._now())
+            self._call(function, data), self._call_limits(limit_s, self._now())
         )
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
@@ -243,9 +247,8 @@ class AsyncClient(Shell):
 
     # ------------------------------------------------------------------ machinery
 
-    @staticmethod
-    def _now() -> float:
-        return asyncio.get_running_loop().time()
+    def _now(self) -> float:
+        return self._engine.now()
 
     async def _drive(self, steps: Steps[_Result], limits: Limits) -> _Result:
         try:

@@ -5,7 +5,6 @@ whole, SIFs to their handlers.
 Rules: arguments are checked before anything is sent; waiting and bytes are the engine's business.
 """
 
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self, TypeVar, overload
@@ -63,6 +62,7 @@ class Client(Shell):
         on_handler_error: ErrorHook | None = None,
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
+        self._transport = transport
         self._handlers: Handlers[Handler] = Handlers()
         self._engine = Engine(transport, self._session, self._handlers, on_handler_error)
 
@@ -94,7 +94,11 @@ class Client(Shell):
             LinkError: the link is lost, closed or stalled.
         """
         data = check_payload(payload)
-        return self._drive(self._call(function, data), self._call_limits(timeout, self._now()))
+        limit_s = self._limit_s(timeout)
+        known = self._known(function, data)
+        if known is not None:
+            return self._engine.call(*known, data, limit_s)
+        return self._drive(self._call(function, data), self._call_limits(limit_s, self._now()))
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
@@ -287,9 +291,8 @@ class Client(Shell):
 
     # ------------------------------------------------------------------ machinery
 
-    @staticmethod
-    def _now() -> float:
-        return time.monotonic()
+    def _now(self) -> float:
+        return self._transport.clock()
 
     def _drive(self, steps: Steps[_Result], limits: Limits) -> _Result:
         try:

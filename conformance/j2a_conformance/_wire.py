@@ -109,10 +109,9 @@ class Link:
     # Time
 
     def _adopt(self, transport: Transport) -> None:
-        """Take the transport, and its time where it has one of its own (a simulated device)."""
+        """Take the transport, and its time."""
         self.transport = transport
-        self._clock: Callable[[], float] = getattr(transport, "clock", time.monotonic)
-        self._sleep: Callable[[float], None] | None = getattr(transport, "sleep", None)
+        self._clock = transport.clock
 
     def now_s(self) -> float:
         """Return the time in seconds; of a simulated device it is the simulated time."""
@@ -121,8 +120,8 @@ class Link:
     def wait_until(self, moment_s: float) -> None:
         """Return at `moment_s` of `now_s`, more exactly than a sleep alone does."""
         rest_s = moment_s - self.now_s()
-        if self._sleep is not None:
-            self._sleep(max(rest_s, 0.0))
+        if self.transport.is_simulated:
+            self.transport.sleep(max(rest_s, 0.0))
             return
         if rest_s > _SPIN_S:
             time.sleep(rest_s - _SPIN_S)

@@ -3,25 +3,28 @@
 What flows in: calls from any thread, bytes from the transport. What flows out: replies to the
 callers, SIFs to their handlers.
 Rules: one thread reads, one writes, one runs the SIF handlers in order, so a handler may itself
-call. Each caller watches its own time limit and waits for nothing else: a device that does not read
-holds up the writer only (J2A-TIME-006). The threads keep the engine alive, but neither the client
-nor its handlers, so a client that nobody uses any more can end them.
+call. A caller that waits reads for itself for a moment, see `threads`. Each caller watches its own
+time limit and waits for nothing else: a device that does not read holds up the writer only
+(J2A-TIME-006). Time is that of the transport. The threads keep the engine alive, but neither the
+client nor its handlers, so a client that nobody uses any more can end them.
 """
 
 import logging
+import math
 import queue
 import threading
-import time
 import weakref
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Final
+
+from j2a_transports import TransportError
 
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
 from j2a.io.handlers import ErrorHook, Handlers, Reporter
 from j2a.io.opening import WAIT_S
-from j2a.io.threads import JOIN_S, LinkThreads, join_threads, start_thread
+from j2a.io.threads import JOIN_S, LEAD_S, LinkThreads, clock_of, join_threads, start_thread
 from j2a.protocol.session import Call, Session
 
 if TYPE_CHECKING:
@@ -56,6 +59,8 @@ class Engine:
         on_handler_error: ErrorHook | None,
     ) -> None:
         self._transport = transport
+        self._clock = clock_of(transport)
+        self._is_simulated = transport.is_simulated
         self._session = session
         self._handlers = weakref.ref(handlers)
         self._reporter = Reporter(on_handler_error)
@@ -70,6 +75,7 @@ class Engine:
         self._closing = threading.RLock()
         take_stale_input(transport, session)
         self._link = LinkThreads(transport, self._receive, self._judge, self._end)
+        self.check_process = self._link.check_process
         self._dispatcher = start_thread(self._dispatch, f"j2a handlers {transport.url}")
         try:
             self._link.start()
@@ -80,7 +86,7 @@ class Engine:
     def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
         """Make one call, from any thread; see `Client.call`."""
         self.check_process()
-        if self._is_interrupted():
+        if self._turn._is_owned():  # type: ignore[attr-defined]
             raise LocalError(
                 f"{what}: a signal handler has interrupted a call of {self._transport.url} and "
                 "cannot make another; close the client, or set a flag"
@@ -90,9 +96,9 @@ class Engine:
         try:
             with self._turn, self._state:
                 call = self._session.start_call(
-                    what, opcode, payload, now=time.monotonic(), timeout_s=limit_s, waiter=waiter
+                    what, opcode, payload, now=self._clock(), timeout_s=limit_s, waiter=waiter
                 )
-                self._settle([])
+                self._send()
             self._wait(call, waiter)
         except BaseException:
             with self._turn, self._state:
@@ -102,10 +108,6 @@ class Engine:
             raise call.error
         assert call.reply is not None
         return call.reply
-
-    def check_process(self) -> None:
-        """Refuse to work in a child process; see `LinkThreads.check_process`."""
-        self._link.check_process()
 
     def close(self) -> None:
         """Deliver the SIFs that have come, then end all calls and the threads."""
@@ -140,14 +142,49 @@ class Engine:
         return is_owned
 
     def _wait(self, call: Call, waiter: threading.Lock) -> None:
+        # Where several wait, one of them would wake others all the time. In a signal handler the
+        # thread that leads is the one that was interrupted, so nobody else can.
+        if self._session.waiting == 1:
+            if self._link.start_leading():
+                self._lead(call, self._clock() + LEAD_S)
+        elif self._link.is_leading and self._link.start_leading():
+            self._lead(call, math.inf)
         while not call.has_ended:
             left_s = WAIT_S
-            if call.deadline is not None:
-                left_s = call.deadline - time.monotonic()
+            if self._is_simulated:
+                pass  # who reads sees that the time is over
+            elif call.deadline is not None:
+                left_s = call.deadline - self._clock()
             if left_s > 0:
                 waiter.acquire(timeout=min(left_s, WAIT_S))
             elif not waiter.acquire(timeout=self._link.look()):
-                self._judge(time.monotonic())
+                self._judge(self._clock())
+
+    def _lead(self, call: Call, end: float) -> None:
+        """Read for a call that waits, in its own thread, until it has ended or until `end`."""
+        if call.deadline is not None and call.deadline < end:
+            end = call.deadline
+        clock, wait, step = self._clock, self._link.wait, self._link.step
+        try:
+            while not call.has_ended:
+                left_s = end - clock()
+                if left_s <= 0:
+                    break
+                if wait(left_s if left_s < WAIT_S else WAIT_S):
+                    # Not before now: a signal handler that interrupts the wait may call as well.
+                    with self._turn:
+                        try:
+                            step()
+                        except TransportError:
+                            break  # the reading thread meets it again
+                        except BaseException:  # of a signal handler
+                            with self._state:
+                                self._settle(self._session.recover())
+                            raise
+        except TransportError:
+            pass  # as above
+        finally:
+            self._link.stop_leading(is_awaited=self._session.waiting > 0)
 
     def _judge(self, now: float) -> None:
         """End the calls whose time was over at `now`; what had arrived by then was taken."""
@@ -164,15 +201,20 @@ class Engine:
                 self._queue_sif(event)
             elif event.has_ended and event.waiter.locked():
                 event.waiter.release()
+        self._send()
+
+    def _send(self) -> None:
         data = self._session.data_to_send()
         if data:
             self._link.send(data)
+        if self._is_simulated:
+            self._link.due = self._session.next_timeout() or math.inf
 
     def _receive(self, piece: bytes) -> None:
         with self._turn:
             pass
         with self._state:
-            self._settle(self._session.receive(piece, time.monotonic()))
+            self._settle(self._session.receive(piece, self._clock()))
 
     # ------------------------------------------------------------------ SIFs
 

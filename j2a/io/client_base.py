@@ -174,6 +174,13 @@ class Shell:
         yield from self._peer.learn_room()
         return self._peer.room
 
+    def _known(self, function: str | int, payload: bytes) -> tuple[str, int] | None:
+        """Return what to call, and its opcode, if nothing has to be asked before; else None."""
+        peer = self._peer
+        if (peer.functions is None and isinstance(function, str)) or len(payload) > peer.room:
+            return None
+        return peer.resolve(function)
+
     def _call(self, function: str | int, payload: bytes) -> Steps[Reply]:
         """Find out the opcode and the room for the payload, then make the call."""
         if isinstance(function, str) or len(payload) > self._peer.room:

@@ -1,11 +1,9 @@
-"""The asyncio client's engine: a session in an event loop, a transport in two threads.
+"""The asyncio client's engine: a session in an event loop.
 
 What flows in: calls from the event loop, bytes from the transport. What flows out: replies to the
 callers, SIFs to their handlers, which may be coroutines.
-Rules: the session lives in the event loop and nowhere else. The reading thread hands over bytes in
-pieces and waits while `IN_FLIGHT` of them are not taken, so a flood stays in the transport; the
-loop takes one piece a turn. The threads keep the engine alive, but neither the client nor its
-handlers.
+Rules: the session lives in the event loop and nowhere else; `links` brings the bytes there. The
+link keeps the engine alive, but neither the client nor its handlers.
 """
 
 import asyncio
@@ -13,10 +11,8 @@ import contextlib
 import inspect
 import logging
 import math
-import threading
 import time
 import weakref
-from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 from typing import TYPE_CHECKING, Final
 
@@ -24,8 +20,8 @@ from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
 from j2a.io.handlers import ErrorHook, Handlers, Reporter
-from j2a.io.opening import WAIT_S
-from j2a.io.threads import JOIN_S, LOOK_S, PIECE, LinkThreads, join_threads, start_thread
+from j2a.io.links import ThreadedLink, WatchedLink
+from j2a.io.threads import JOIN_S, LOOK_S, join_threads, start_thread
 from j2a.protocol.session import Call, Session
 
 if TYPE_CHECKING:
@@ -36,14 +32,8 @@ __all__ = ["AsyncEngine", "AsyncHandler"]
 AsyncHandler = Callable[[Sif], Awaitable[object] | object]
 """Called in the event loop with each SIF that it is registered for; may be a coroutine function."""
 
-IN_FLIGHT: Final = 4 * PIECE
-"""So many bytes may be on their way from the reading thread to the event loop."""
-
 _TURN_S: Final = 0.005
 """For so long SIF handlers that never wait may keep the event loop for themselves."""
-
-_Item = bytes | float | LinkError | LocalError
-"""Received bytes, a time until which everything was received, or why the link has ended."""
 
 _logger = logging.getLogger("j2a")
 
@@ -70,6 +60,7 @@ class AsyncEngine:
         self._handlers = weakref.ref(handlers)
         self._reporter = Reporter(on_handler_error)
         self._loop = asyncio.get_running_loop()
+        self.now = transport.clock if transport.is_simulated else self._loop.time
         self._sifs: asyncio.Queue[Sif | None] = asyncio.Queue()
         self._takes_sifs = True
         self._drops_sifs = False
@@ -78,19 +69,26 @@ class AsyncEngine:
         # and when it ends although bytes come without end.
         self._look_limit: asyncio.TimerHandle | None = None
         self._flood_limit = math.inf
-        # Between the threads and the event loop.
-        self._changed = threading.Condition()
-        self._items: deque[_Item] = deque()
-        self._in_flight = 0
         self._looks: list[tuple[float, asyncio.Future[None]]] = []
         take_stale_input(transport, session)
         self.dispatcher = self._loop.create_task(self._dispatch())
-        self._link = LinkThreads(transport, self._hand_over, self._hand_over, self._hand_over)
         try:
-            self._link.start()
+            self._link = self._start_link()
+            self.check_process = self._link.check_process
         except LinkError as error:
             self._end(error)
             raise
+
+    def _start_link(self) -> WatchedLink | ThreadedLink:
+        arguments = (self._transport, self._loop, self._receive, self._looked, self._end)
+        if self._transport.fileno() >= 0:
+            watched = WatchedLink(*arguments)
+            with contextlib.suppress(NotImplementedError):  # this kind of loop cannot watch
+                watched.start()
+                return watched
+        threaded = self._link = ThreadedLink(*arguments)
+        threaded.start()
+        return threaded
 
     async def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
         """Make one call; see `AsyncClient.call`."""
@@ -99,7 +97,7 @@ class AsyncEngine:
         done: asyncio.Future[None] = self._loop.create_future()
         try:
             call = self._session.start_call(
-                what, opcode, payload, now=self._loop.time(), timeout_s=limit_s, waiter=done
+                what, opcode, payload, now=self.now(), timeout_s=limit_s, waiter=done
             )
         except J2AError:
             # Who tries again and again must not keep the event loop for itself.
@@ -116,10 +114,6 @@ class AsyncEngine:
             raise call.error
         assert call.reply is not None
         return call.reply
-
-    def check_process(self) -> None:
-        """Refuse to work in a child process; see `LinkThreads.check_process`."""
-        self._link.check_process()
 
     def _check_loop(self) -> None:
         if asyncio.get_running_loop() is not self._loop:
@@ -188,6 +182,9 @@ class AsyncEngine:
         due = self._session.next_timeout()
         if due is None or self._look_limit is not None:
             return
+        if isinstance(self._link, ThreadedLink) and self._transport.is_simulated:
+            self._link.judge_at(due)
+            return
         if self._timer is not None:
             if self._timer.when() <= due:
                 return  # it finds out by itself that it is early
@@ -210,31 +207,19 @@ class AsyncEngine:
             self._look_limit.cancel()
             self._look_limit = None
         self._flood_limit = math.inf
-        self._settle(self._session.handle_timeout(min(now, self._loop.time())))
+        self._settle(self._session.handle_timeout(min(now, self.now())))
 
-    def _take(self) -> None:
-        """Take what the threads have handed over, one item a turn of the event loop."""
-        with self._changed:
-            item = self._items.popleft()
-            if isinstance(item, bytes):
-                if self._in_flight + PIECE > IN_FLIGHT:
-                    self._changed.notify_all()
-                self._in_flight -= len(item)
-            if self._items:
-                self._loop.call_soon(self._take)
-        if isinstance(item, bytes):
-            now = self._loop.time()
-            self._settle(self._session.receive(item, now))
-            if now >= self._flood_limit:
-                self._judge(math.inf)
-        elif isinstance(item, float):
-            self._judge(item)
-            for asked_at, looked in self._looks:
-                if asked_at <= item and not looked.done():
-                    looked.set_result(None)
-            self._looks = [look for look in self._looks if not look[1].done()]
-        else:
-            self._end(item)
+    def _receive(self, piece: bytes) -> None:
+        self._settle(self._session.receive(piece, self.now()))
+        if self._loop.time() >= self._flood_limit:
+            self._judge(math.inf)
+
+    def _looked(self, looked_at: float) -> None:
+        self._judge(looked_at)
+        for asked_at, looked in self._looks:
+            if asked_at <= looked_at and not looked.done():
+                looked.set_result(None)
+        self._looks = [look for look in self._looks if not look[1].done()]
 
     async def _dispatch(self) -> None:
         turn_ends = 0.0
@@ -295,36 +280,9 @@ class AsyncEngine:
                 timer.cancel()
         self._finish_sifs()
         self._link.stop()
-        with self._changed:
-            self._changed.notify_all()
         # Closing may wait, for a child process to end for example.
         name = f"j2a closer {self._transport.url}"
         try:
             self._link.threads.append(start_thread(self._transport.close, name))
         except LinkError:  # better late than open for ever
             self._transport.close()
-
-    # ------------------------------------------------------------------ in threads
-
-    def _hand_over(self, item: _Item) -> None:
-        """Give the event loop something to take; with bytes wait for room.
-
-        Raises:
-            LinkClosed: this side has closed the link or the event loop.
-        """
-        with self._changed:
-            if isinstance(item, bytes):
-                while self._in_flight + len(item) > IN_FLIGHT and not self._has_ended:
-                    self._changed.wait(WAIT_S)
-                if self._has_ended:
-                    raise LinkClosed(f"{self._transport.url} is closed")
-                self._in_flight += len(item)
-            self._items.append(item)
-            if len(self._items) == 1:
-                # A loop that has been closed needs to know nothing.
-                with contextlib.suppress(RuntimeError):
-                    self._loop.call_soon_threadsafe(self._take)
-
-    @property
-    def _has_ended(self) -> bool:
-        return self._loop.is_closed() or self._session.is_closed

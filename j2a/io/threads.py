@@ -2,10 +2,13 @@
 
 What flows in: bytes to send, bytes from the transport, questions whether a reply has arrived. What
 flows out: received bytes in small pieces, and the reason for which the link has ended.
-Rules: one thread reads, one writes what the link does not take at once; they know no packet. The
-reading thread hands over one piece after the other and reads no further meanwhile, so a flood waits
-in the transport. A time limit is judged only after a look: the reading thread has taken what had
-arrived by then.
+Rules: one thread reads, one writes what the link does not take at once; they know no packet. Pieces
+are handed over one after the other and nothing is read meanwhile, so a flood waits in the
+transport. A time limit is judged only after a look: what had arrived by then was taken.
+
+Waking a thread costs more than a call. So where the transport has a descriptor, a caller that waits
+reads for itself for a moment (it leads), and the reading thread lets callers do so as long as they
+call one after the other.
 """
 
 import contextlib
@@ -16,7 +19,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from j2a.errors import LinkClosed, LinkError, LocalError, OpenFailed
 from j2a.io.opening import link_error
@@ -24,13 +27,33 @@ from j2a.io.opening import link_error
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["JOIN_S", "LOOK_S", "PIECE", "LinkThreads", "join_threads", "start_thread"]
+__all__ = [
+    "JOIN_S",
+    "LEAD_S",
+    "LOOK_S",
+    "PIECE",
+    "LinkThreads",
+    "Writer",
+    "clock_of",
+    "join_threads",
+    "refuse_process",
+    "start_thread",
+]
 
 PIECE: Final = 4096
 """Bytes handed over at once; the worst ones take about 10 ms to parse."""
 
 LOOK_S: Final = 0.02
 """Where bytes never end, a look is over after so many seconds."""
+
+LEAD_S: Final = 0.005
+"""For so long a caller reads for itself before it leaves that to the reading thread."""
+
+_LINGER_S: Final = 0.005
+"""So long after a caller has read, the reading thread begins; a SIF may wait for that."""
+
+_SLICE_S: Final = 0.01
+"""Where time is simulated, time limits are judged after a read of so many simulated seconds."""
 
 _UNSURE_S: Final = 0.04
 """How long bytes may take through the thread of a transport that has one of its own."""
@@ -44,15 +67,77 @@ JOIN_S: Final = 5.0
 _logger = logging.getLogger("j2a")
 
 
+class Writer:
+    """Writes what the link does not take at once, in a thread.
+
+    Args:
+        transport: where to.
+        failed: called by the thread when writing has failed, or with what `abandon` was given.
+    """
+
+    def __init__(self, transport: "Transport", failed: Callable[[Exception], None]) -> None:
+        self._transport = transport
+        self._failed = failed
+        self._outgoing: queue.SimpleQueue[bytes | LinkClosed | None] = queue.SimpleQueue()
+        # Pieces that were queued, and those of them that were written.
+        self._queued = self._written = 0
+        self.thread: threading.Thread | None = None
+
+    def start(self) -> threading.Thread:
+        """Start the thread, and return it.
+
+        Raises:
+            OpenFailed: the system has no thread to give.
+        """
+        self.thread = start_thread(self._write, f"j2a writer {self._transport.url}")
+        return self.thread
+
+    def send(self, data: bytes) -> bool:
+        """Have bytes written; does not wait. For one thread at a time.
+
+        If nothing waits for the thread, what the link takes at once needs no other thread.
+
+        Returns: whether something was left for the thread.
+        """
+        if self._written == self._queued:
+            data = data[self._transport.try_write(data) :]
+        if data:
+            self._queued += 1
+            self._outgoing.put(data)
+        return bool(data)
+
+    def stop(self) -> None:
+        """Let the thread run out."""
+        self._outgoing.put(None)
+
+    def abandon(self, reason: LinkClosed) -> None:
+        """End the link without waiting; safe in a destructor and in a signal handler."""
+        self._outgoing.put(reason)
+
+    def _write(self) -> None:
+        try:
+            while (data := self._outgoing.get()) is not None:
+                if isinstance(data, LinkClosed):
+                    self._failed(data)
+                    return
+                self._transport.write(data)
+                self._written += 1
+        except Exception as error:
+            self._failed(error)
+
+
 class LinkThreads:
     """Reads and writes a transport in two threads.
 
     Args:
         transport: is closed when a thread fails.
-        receive: called by the reading thread with 1 to `PIECE` bytes; may wait.
-        looked: called by the reading thread with a time (time.monotonic) once everything that had
-            arrived by then was given to `receive`.
+        receive: called by the thread that reads with 1 to `PIECE` bytes; may wait.
+        looked: called by the thread that reads with a time (`Transport.clock`) once everything that
+            had arrived by then was given to `receive`.
         ended: called by a thread that ends, with the reason; perhaps by both.
+
+    Attributes:
+        due: where time is simulated: when `looked` is to be called without being asked.
     """
 
     def __init__(
@@ -66,15 +151,24 @@ class LinkThreads:
         self._receive = receive
         self._looked = looked
         self._ended = ended
-        self._outgoing: queue.SimpleQueue[bytes | LinkClosed | None] = queue.SimpleQueue()
-        # A transport may also be an object that has no more than it needs.
-        self._try_write = getattr(transport, "try_write", lambda _data: 0)
-        # Pieces that were queued, and those of them that were written.
-        self._queued = self._written = 0
+        self._clock = clock_of(transport)
+        self._is_simulated = transport.is_simulated
+        self._can_lead = transport.fileno() >= 0
+        self.due = math.inf
+        self._writer = Writer(transport, self._write_failed)
+        self.send = self._writer.send
         self._changed = threading.Condition()
         self._asked = self._answered = 0
         self._asked_at = math.inf
         self._is_reading = True
+        # Who reads holds it; re-entrant, as a signal handler may call while its thread waits.
+        self._reading = threading.RLock()
+        self._led_at = -math.inf
+        # A bell for the reading thread: free when it was rung. Cheaper than an Event, and it is
+        # waited for every few milliseconds while callers read.
+        self._bell = threading.Lock()
+        self._bell.acquire()
+        self._unread = b""
         self._process = os.getpid()
         self.threads: list[threading.Thread] = []
 
@@ -82,7 +176,7 @@ class LinkThreads:
         """Start both threads."""
         self.threads += [
             start_thread(self._read, f"j2a reader {self._transport.url}"),
-            start_thread(self._write, f"j2a writer {self._transport.url}"),
+            self._writer.start(),
         ]
 
     @property
@@ -91,38 +185,22 @@ class LinkThreads:
         return os.getpid() != self._process
 
     def check_process(self) -> None:
-        """Refuse to work in a child process, which has the link but not the threads.
-
-        Raises:
-            LocalError: this is one.
-        """
-        if self.is_inherited:
-            raise LocalError(
-                f"{self._transport.url} was connected before this process was forked and belongs "
-                "to its parent; connect again in the child"
-            )
-
-    def send(self, data: bytes) -> None:
-        """Have bytes written; does not wait. For one thread at a time.
-
-        If nothing waits for the writing thread, what the link takes at once needs no other thread.
-        """
-        if self._written == self._queued:
-            data = data[self._try_write(data) :]
-        if data:
-            self._queued += 1
-            self._outgoing.put(data)
+        """Refuse to work in a child process; see `refuse_process`."""
+        if os.getpid() != self._process:
+            refuse_process(self._transport.url)
 
     def stop(self) -> None:
         """Let the writing thread run out; the reading one ends when the transport is closed."""
-        self._outgoing.put(None)
+        self._writer.stop()
+        self._led_at = -math.inf
+        self._ring()
 
     def abandon(self, what: str) -> None:
         """End the link without waiting; `what` happened to it.
 
         Safe in a destructor, which any thread may run anywhere, and in a signal handler.
         """
-        self._outgoing.put(LinkClosed(f"{self._transport.url} {what}"))
+        self._writer.abandon(LinkClosed(f"{self._transport.url} {what}"))
 
     def look(self) -> float:
         """Ask the reading thread to take what has arrived; it calls `looked` then.
@@ -131,12 +209,11 @@ class LinkThreads:
             of their own between the link and `read`, which cannot be asked: without an answer, what
             had arrived has come through by then.
         """
-        if not hasattr(self._transport, "wake_reader"):
-            return _UNSURE_S
         with self._changed:
             if self._asked == self._answered:
-                self._asked_at = time.monotonic()
+                self._asked_at = self._clock()
             self._asked += 1
+        self._ring()
         if self._transport.wake_reader():
             return _PATIENCE_S
         return _UNSURE_S
@@ -150,27 +227,89 @@ class LinkThreads:
                 lambda: self._answered >= asked or not self._is_reading, timeout=limit_s
             )
 
+    # ------------------------------------------------------------------ in a caller
+
+    def start_leading(self) -> bool:
+        """Become the one who reads, if the transport allows it and nobody else does."""
+        if not self._can_lead:
+            return False
+        if self._reading.acquire(False):
+            return True
+        self._led_at = time.monotonic()  # the next caller may
+        return False
+
+    @property
+    def is_leading(self) -> bool:
+        """The thread that asks is the one that reads."""
+        return self._reading._is_owned()  # type: ignore[attr-defined, no-any-return]
+
+    def wait(self, limit_s: float) -> bool:
+        """Wait for something that `step` can take; only who leads does this."""
+        if self._unread or self._asked != self._answered:
+            return True
+        return self._transport.wait(limit_s) or self._asked != self._answered
+
+    def stop_leading(self, *, is_awaited: bool) -> None:
+        """Leave reading to others; at once to the reading thread, where somebody waits."""
+        self._led_at = time.monotonic()
+        self._reading.release()
+        if is_awaited:
+            self._ring()
+
+    def step(self, limit_s: float | None = 0) -> None:
+        """Read once and hand over what came, at most one piece; for who reads.
+
+        Args:
+            limit_s: how long to wait for something, in seconds; None is for ever.
+        """
+        asked = self._asked
+        is_asked = asked != self._answered
+        now = self._clock() if is_asked else -math.inf
+        data = self._unread or self._transport.read(0 if is_asked else limit_s)
+        if data:
+            self._unread = data[PIECE:]
+            self._receive(data[:PIECE])
+        elif is_asked:
+            self._answer(asked, now)
+        if data and self._asked != self._answered:
+            now = self._clock()
+            if now >= self._asked_at + LOOK_S:
+                self._answer(self._asked, now)
+        if self._is_simulated and not self._unread and (now := self._clock()) >= self.due:
+            self.due = math.inf
+            self._looked(now)
+
     # ------------------------------------------------------------------ in the threads
 
     def _read(self) -> None:
+        limit_s = _SLICE_S if self._is_simulated else None
         try:
             while True:
-                asked, now = self._asked, time.monotonic()
-                is_asked = asked != self._answered
-                data = self._transport.read(0 if is_asked else None)
-                if is_asked and not data:
-                    self._answer(asked, now)
-                for start in range(0, len(data), PIECE):
-                    self._receive(data[start : start + PIECE])
-                    now = time.monotonic()
-                    if now >= self._asked_at + LOOK_S:
-                        self._answer(self._asked, now)
+                self._take_over()
+                try:
+                    self.step(limit_s)
+                finally:
+                    self._reading.release()
         except Exception as error:
             self._end(link_error(error))
         finally:
             with self._changed:
                 self._is_reading = False
                 self._changed.notify_all()
+
+    def _take_over(self) -> None:
+        """Become the one who reads as soon as callers do not do it themselves."""
+        is_due = self._bell.acquire(blocking=False)
+        while True:
+            left_s = self._led_at + _LINGER_S - time.monotonic()
+            if (is_due or left_s <= 0) and self._reading.acquire(blocking=False):
+                return
+            is_due = self._bell.acquire(timeout=max(left_s, _LINGER_S))
+
+    def _ring(self) -> None:
+        """Have the reading thread take over; safe anywhere."""
+        with contextlib.suppress(RuntimeError):  # it was rung
+            self._bell.release()
 
     def _answer(self, asked: int, now: float) -> None:
         self._looked(now)
@@ -179,23 +318,38 @@ class LinkThreads:
             self._asked_at = math.inf if asked == self._asked else now
             self._changed.notify_all()
 
-    def _write(self) -> None:
-        try:
-            while (data := self._outgoing.get()) is not None:
-                if isinstance(data, LinkClosed):
-                    self._end(data)
-                    return
-                self._transport.write(data)
-                self._written += 1
-        except Exception as error:
-            # The other side may have answered before it went away.
-            self.wait_for_look()
-            self._end(link_error(error))
+    def _write_failed(self, error: Exception) -> None:
+        if isinstance(error, LinkClosed):
+            self._end(error)
+            return
+        # The other side may have answered before it went away.
+        self.wait_for_look()
+        self._end(link_error(error))
 
     def _end(self, reason: LinkError | LocalError) -> None:
         self._ended(reason)
         with contextlib.suppress(Exception):  # it has failed already
             self._transport.close()
+
+
+def clock_of(transport: "Transport") -> Callable[[], float]:
+    """Return the clock of a transport; directly that of the machine, where it is that one."""
+    return transport.clock if transport.is_simulated else time.monotonic
+
+
+def refuse_process(url: str) -> NoReturn:
+    """Refuse to work in a child process, which has the link but not the threads.
+
+    Args:
+        url: of the link, for the message.
+
+    Raises:
+        LocalError: always.
+    """
+    raise LocalError(
+        f"{url} was connected before this process was forked and belongs to its parent; "
+        "connect again in the child"
+    )
 
 
 def start_thread(target: Callable[[], None], name: str) -> threading.Thread:

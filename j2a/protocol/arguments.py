@@ -24,7 +24,7 @@ def check_bytes(data: object) -> bytes:
 
 def check_payload(payload: object) -> bytes:
     """Return a payload, 0 to 255 bytes."""
-    data = check_bytes(payload)
+    data = payload if type(payload) is bytes else check_bytes(payload)
     if len(data) > MAX_PAYLOAD:
         raise PayloadTooLong(
             f"a payload is {MAX_PAYLOAD} bytes at most, not {len(data)}; "

@@ -29,6 +29,7 @@ class Call:
         waiter: belongs to the shell, which is told through it.
         reply: set when the device answered.
         error: set when the call failed.
+        has_ended: a reply or an error is there.
         number: of the attempt, counted over the link; -1 until it is sent.
         seq: of the attempt.
         size: bytes on the wire.
@@ -43,15 +44,11 @@ class Call:
     waiter: Any
     reply: Reply | None = None
     error: J2AError | None = None
+    has_ended: bool = False
     number: int = -1
     seq: int = -1
     size: int = 0
     hint: J2AError | None = None
-
-    @property
-    def has_ended(self) -> bool:
-        """A reply or an error is there."""
-        return self.reply is not None or self.error is not None
 
     @property
     def was_sent(self) -> bool:

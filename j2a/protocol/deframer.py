@@ -64,12 +64,13 @@ class Deframer:
             events.append(event)
         if len(pieces) == 1:
             return events
-        if (event := self.abandon("marker")) is not None:
+        if self._start is not None and (event := self.abandon("marker")) is not None:
             events.append(event)
         last = pieces.pop()
-        del pieces[0]
-        for piece in pieces:
-            events.append(_CUT_OFF.get(piece) or _whole_frame(piece) or self._cut_off(piece))
+        if len(pieces) > 1:
+            del pieces[0]
+            for piece in pieces:
+                events.append(_CUT_OFF.get(piece) or _whole_frame(piece) or self._cut_off(piece))
         if (event := _whole_frame(last) or self._begin(last)) is not None:
             events.append(event)
         return events
@@ -175,7 +176,7 @@ def _whole_frame(piece: bytes) -> Frame | FrameError | None:
     if piece.startswith(SOS_BYTE):
         start = SOS
         piece = piece[1:]
-    body = unstuff(piece)
+    body = unstuff(piece) if ESC_BYTE in piece else piece
     if body is None or len(body) < _OVERHEAD or len(body) != body[_LENGTH_AT] + _OVERHEAD:
         return None
     return _judge(start, body)

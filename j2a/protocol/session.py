@@ -40,6 +40,7 @@ _DAMAGE: Final = frozenset((ERR_TIMEOUT, ERR_CHECKSUM, ERR_FRAMING))
 # A barrier may be replaced after this time (J2A-SEQ-007), but a slow link still answers it.
 _BARRIER_S: Final = 1.0
 _MAX_NONCES: Final = 256
+_new_reply = tuple.__new__  # half the price of Reply(...)
 _OK: Final = frozenset((*range(RET_MAX + 1), RET_FAILED))
 
 
@@ -93,6 +94,7 @@ class Session:
         self._barrier_time = 0.0
         self._nonces: dict[bytes, int] = {}
         self._out: list[bytes] = []
+        self._events: list[Call | Sif] = []
         self._closed: J2AError | None = None
         self._next_sif: int | None = None
         self._is_lost = False
@@ -149,6 +151,9 @@ class Session:
             return []
         self._closed = reason
         self._out.clear()
+        return self._end_all(reason)
+
+    def _end_all(self, reason: J2AError) -> list[Call]:
         ended = [*self._sent.values(), *self._queue]
         for call in ended:
             text = f"{reason}; {call.what} {call.fate}"
@@ -159,6 +164,11 @@ class Session:
     def is_closed(self) -> bool:
         """`close` was called."""
         return self._closed is not None
+
+    @property
+    def waiting(self) -> int:
+        """How many calls have not ended."""
+        return len(self._waiters)
 
     def next_timeout(self) -> float | None:
         """Return when `handle_timeout` is due, or None when nothing waits."""
@@ -190,10 +200,12 @@ class Session:
 
     def data_to_send(self) -> bytes:
         """Return the bytes to write next, b"" if there are none; they count as sent."""
+        if not self._out:
+            return b""
         data = b"".join(self._out)
         self._out.clear()
-        if data:
-            self._counts["bytes_sent"] += len(data)
+        self._counts["bytes_sent"] += len(data)
+        if self._tracer.is_on:
             self._tracer.note("tx", data)
         return data
 
@@ -230,9 +242,11 @@ class Session:
 
     def _free_seq(self) -> int | None:
         """Return the next seq that no reply can be under way for (J2A-SEQ-003, J2A-SEQ-006)."""
+        seq = self._next_seq
+        if seq not in self._sent and seq not in self._owed:
+            return seq
         if len(self._sent) + len(self._owed) >= _SEQS:
             return None
-        seq = self._next_seq
         while seq in self._sent or seq in self._owed:
             seq = (seq + 1) % _SEQS
         return seq
@@ -240,10 +254,11 @@ class Session:
     def _end(
         self, call: Call, *, reply: Reply | None = None, error: J2AError | None = None
     ) -> None:
-        call.reply, call.error = reply, error
+        call.reply, call.error, call.has_ended = reply, error, True
         self._waiters.pop(id(call.waiter), None)
-        self._hinted.pop(call, None)
-        if call.was_sent:
+        if self._hinted:
+            self._hinted.pop(call, None)
+        if call.number >= 0:
             del self._sent[call.seq]
             self._sent_bytes -= call.size
         else:
@@ -251,9 +266,9 @@ class Session:
 
     def _give_up(self, call: Call, error: J2AError) -> None:
         """End a call whose reply may still come."""
-        self._end(call, error=error)
         if call.number > self._proven:
             self._owed[call.seq] = call.number
+        self._end(call, error=error)
 
     # ------------------------------------------------------------------ barriers
 
@@ -312,9 +327,10 @@ class Session:
         if now is not None:
             self._now = now
         self._counts["bytes_received"] += len(data)
-        self._tracer.note("rx", data)
-        events: list[Call | Sif] = []
+        events = self._events
         is_traced = self._tracer.is_on
+        if is_traced:
+            self._tracer.note("rx", data)
         for event in self._deframer.feed(data):
             if is_traced:
                 self._tracer.note("rx", event)
@@ -331,8 +347,34 @@ class Session:
                 events.append(self._take_sif(event))
             else:
                 events += self._take_reply(event)
-        events += self._fill_window()
+        if self._queue:
+            events += self._fill_window()
+        self._events = []
         return events
+
+    def recover(self) -> list[Call | Sif]:
+        """Put the state in order after a signal handler has raised amid any method, Ctrl-C perhaps.
+
+        Bytes may be lost, so the open frame is given up.
+
+        Returns: what the method would have returned, as far as it came, and calls sent instead.
+        """
+        if self._deframer.abandon("marker") is not None:
+            self._is_lost = True
+            self._counts["framing_errors"] += 1
+        events, self._events = self._events, []
+        seen = {id(event) for event in events}
+        known = dict.fromkeys((*self._sent.values(), *self._waiters.values(), *self._queue))
+        events += [call for call in known if call.has_ended and id(call) not in seen]
+        live = [call for call in known if not call.has_ended]
+        self._sent = {call.seq: call for call in live if call.was_sent}
+        self._sent_bytes = sum(call.size for call in self._sent.values())
+        self._queue = OrderedDict.fromkeys(call for call in live if not call.was_sent)
+        self._waiters = {id(call.waiter): call for call in live}
+        self._hinted = {call: None for call in self._hinted if not call.has_ended}
+        if self._closed is not None:
+            return events + self._end_all(self._closed)
+        return events + self._fill_window()
 
     def _take_sif(self, frame: Frame) -> Sif:
         missed = 0 if self._next_sif is None else (frame.seq - self._next_sif) % _SEQS
@@ -357,7 +399,7 @@ class Session:
         if code in _DAMAGE:
             return self._take_hint(call, code, payload)
         if code in _OK:
-            self._end(call, reply=Reply(code, payload))
+            self._end(call, reply=_new_reply(Reply, (code, payload)))
         elif code == ERR_OPCODE:
             self._counts["error_replies"] += 1
             self._end(call, error=remote_error(call.what, code, payload))
@@ -365,7 +407,11 @@ class Session:
             text = f"{call.what}: the device answered with the reserved code 0x{code:02X}"
             self._give_up(call, ProtocolError(f"{text}; see which version of J2A it speaks"))
             return [call]
-        return [*self._exclude(call.number), call]
+        if self._owed or self._hinted:
+            return [*self._exclude(call.number), call]
+        # `_exclude`, with nothing to exclude.
+        self._proven = max(self._proven, call.number)
+        return [call]
 
     def _take_hint(self, call: Call, code: int, payload: bytes) -> list[Call]:
         """Take an error reply whose seq no checksum has proved (J2A-ERR-010).
@@ -397,6 +443,8 @@ class Session:
             if self._barrier_seq not in self._owed:
                 self._barrier_seq = None
                 self._nonces.clear()
+        if not self._hinted:
+            return []
         ended = [call for call in self._hinted if call.number < number]
         for call in ended:
             self._end(call, error=call.hint)

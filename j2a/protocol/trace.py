@@ -24,17 +24,17 @@ _logger = logging.getLogger("j2a")
 
 
 class Tracer:
-    """Calls a trace function, if there is one."""
+    """Calls a trace function, if there is one.
 
-    __slots__ = ("_trace",)
+    Attributes:
+        is_on: there is a trace function.
+    """
+
+    __slots__ = ("_trace", "is_on")
 
     def __init__(self, trace: Trace | None) -> None:
         self._trace = trace
-
-    @property
-    def is_on(self) -> bool:
-        """There is a trace function."""
-        return self._trace is not None
+        self.is_on = trace is not None
 
     def note(self, direction: Direction, item: Frame | FrameError | bytes) -> None:
         """Hand over one item."""
@@ -45,3 +45,4 @@ class Tracer:
         except Exception:
             _logger.exception("the trace function raised and is switched off")
             self._trace = None
+            self.is_on = False

@@ -11,7 +11,7 @@ from j2a_spec import oracle
 from j2a_spec.constants import SOF, SOS
 
 import j2a
-from j2a.io.loop import IN_FLIGHT
+from j2a.io.links import IN_FLIGHT
 from j2a.io.threads import PIECE
 
 from .support import PATIENCE_S
@@ -32,7 +32,7 @@ async def stick(client):
         await asyncio.Event().wait()
 
     client.on_sif(None, stuck)
-    client._engine._hand_over(sifs(1))
+    client._engine._link.hand_over(sifs(1))
     await started.wait()
 
 
@@ -84,8 +84,8 @@ async def test_a_reply_that_waits_behind_other_bytes_is_in_time_also_after_a_tim
         call = asyncio.create_task(client.call(2, timeout=PATIENCE_S))
         await asyncio.sleep(0)
         request = oracle.decode(transport.sent)[-1]
-        client._engine._hand_over(bytes(1))
-        client._engine._hand_over(oracle.encode(oracle.Frame(SOF, request.seq, 0, b"in time")))
+        client._engine._link.hand_over(bytes(1))
+        client._engine._link.hand_over(oracle.encode(oracle.Frame(SOF, request.seq, 0, b"in time")))
         with pytest.MonkeyPatch.context() as patched:
             clock = loop.time
             patched.setattr(loop, "time", lambda: clock() + 1.5 * PATIENCE_S)
@@ -94,14 +94,14 @@ async def test_a_reply_that_waits_behind_other_bytes_is_in_time_also_after_a_tim
 
 @in_event_loop
 async def test_the_reading_thread_goes_on_as_soon_as_there_is_room(monkeypatch):
-    monkeypatch.setattr("j2a.io.loop.WAIT_S", 3 * PATIENCE_S)
+    monkeypatch.setattr("j2a.io.links.WAIT_S", 3 * PATIENCE_S)
     async with j2a.AsyncClient(Mute()) as client:
         engine = client._engine
-        engine._changed = changed = Watched()
+        engine._link._changed = changed = Watched()
         # One byte more than would leave room for a whole piece.
         for size in (PIECE, IN_FLIGHT - 2 * PIECE, 1):
-            engine._hand_over(bytes(size))
-        reader = Background(engine._hand_over, bytes(PIECE))
+            engine._link.hand_over(bytes(size))
+        reader = Background(engine._link.hand_over, bytes(PIECE))
         assert changed.is_waited_for.wait(PATIENCE_S)
         await asyncio.to_thread(reader.result)
 
@@ -113,7 +113,7 @@ async def test_handlers_that_never_wait_share_a_turn_for_a_limited_time(monkeypa
     async with wired() as (client, _far):
         seen, number = [], 0
         client.on_sif(None, lambda _sif: seen.append(number))
-        client._engine._hand_over(sifs(20))
+        client._engine._link.hand_over(sifs(20))
         while len(seen) < 20:
             await asyncio.sleep(0)
             number += 1
@@ -128,7 +128,7 @@ async def test_so_many_sifs_wait_for_slow_handlers(monkeypatch, limit):
         await stick(client)
         monkeypatch.setattr("j2a.io.loop.MAX_SIFS_WAITING", limit)
         monkeypatch.setattr("j2a.io.loop.JOIN_S", 0.01)
-        client._engine._hand_over(sifs(10))
+        client._engine._link.hand_over(sifs(10))
         while client.counters.sifs < 11:
             await asyncio.sleep(0)
         assert client.counters.sifs_dropped == 10 - limit
@@ -174,7 +174,7 @@ async def test_sifs_of_a_client_that_is_dropped_are_counted():
     client, seen = j2a.AsyncClient(Mute()), []
     engine, session = client._engine, client._session
     client.on_sif(None, seen.append)
-    engine._hand_over(sifs(3))
+    engine._link.hand_over(sifs(3))
     with pytest.warns(ResourceWarning, match="unclosed"):
         del client
         gc.collect()

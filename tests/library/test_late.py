@@ -10,7 +10,7 @@ from j2a_spec import oracle
 from j2a_spec.constants import SOF, SOS
 
 import j2a
-from j2a.io.loop import IN_FLIGHT
+from j2a.io.links import IN_FLIGHT
 from j2a.io.threads import PIECE
 from j2a.protocol.session import Session
 
@@ -187,13 +187,13 @@ class TestFloods:
             transport = Flood(b"garbage")
             async with j2a.AsyncClient(transport) as client:
                 engine = client._engine
-                with engine._changed:  # the loop has no turn meanwhile
-                    engine._changed.wait_for(
-                        lambda: engine._in_flight + PIECE > IN_FLIGHT, PATIENCE_S
+                with engine._link._changed:  # the loop has no turn meanwhile
+                    engine._link._changed.wait_for(
+                        lambda: engine._link._in_flight + PIECE > IN_FLIGHT, PATIENCE_S
                     )
                 for _ in range(200):
-                    assert engine._in_flight <= IN_FLIGHT
-                    assert len(engine._items) <= IN_FLIGHT // PIECE
+                    assert engine._link._in_flight <= IN_FLIGHT
+                    assert len(engine._link._items) <= IN_FLIGHT // PIECE
                     taken = client.counters.bytes_received
                     assert transport.bytes_read <= taken + IN_FLIGHT + 65536
                     await asyncio.sleep(0)

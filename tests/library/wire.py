@@ -44,16 +44,17 @@ class Wire:
         self.far.write(b"".join(map(oracle.encode, frames)))
 
 
-class BrokenDriver:
+class BrokenDriver(j2a_transports.Transport):
     """A transport that raises what no transport may raise, when told to.
 
     Args:
         fails: "read" or "write".
     """
 
-    url = "broken:"
+    closed = False
 
     def __init__(self, fails: str) -> None:
+        super().__init__("broken:")
         self._fails = fails
         self._told = threading.Event()
 

@@ -9,6 +9,7 @@ else.
 from __future__ import annotations
 
 import re
+import time
 from abc import ABC, abstractmethod
 from typing import Final, Self
 
@@ -91,7 +92,10 @@ class Transport(_Closable):
     Attributes:
         url: what was opened, for messages.
         write_timeout_s: seconds without any progress after which `write` gives up; None is never.
+        is_simulated: the time of `clock` is simulated, and passes only in `read` and `sleep`.
     """
+
+    is_simulated: bool = False
 
     def __init__(self, url: str, write_timeout_s: float | None = DEFAULT_WRITE_TIMEOUT_S) -> None:
         super().__init__(url)
@@ -149,6 +153,35 @@ class Transport(_Closable):
             work (`write` says why), or the transport cannot tell without waiting.
         """
         return 0
+
+    def fileno(self) -> int:
+        """Return a descriptor that is readable when `read(0)` returns bytes or raises, or -1.
+
+        It is for waiting only: with `select`, an event loop, or `wait`. Where it is -1, a thread of
+        the transport stands between the link and `read`.
+        """
+        return -1
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until `read(0)` returns bytes or raises; for transports with a descriptor.
+
+        Unlike `read` it takes nothing, so an exception of a signal handler loses nothing.
+
+        Args:
+            timeout_s: how long to wait, in seconds.
+
+        Returns:
+            Whether it does. False as well after `wake_reader`, and when the time ran out.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no descriptor to wait for")
+
+    def clock(self) -> float:
+        """Return the time on which time limits of this link run, in seconds: time.monotonic."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Let so many seconds of that time pass."""
+        time.sleep(seconds)
 
     @property
     @abstractmethod

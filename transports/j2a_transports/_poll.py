@@ -63,10 +63,14 @@ class Readiness:
         self._fd = fd
         self._wakers: list[Waker] = []
         self._write = write
+        self._is_polling = False
         self._poll = None
+        self._just_ready: list[tuple[int, int]] | None = None
         if hasattr(select, "poll"):
             self._poll = select.poll()
-            self._poll.register(fd, select.POLLOUT if write else select.POLLIN)
+            mask = select.POLLOUT if write else select.POLLIN
+            self._poll.register(fd, mask)
+            self._just_ready = [(fd, mask)]
         self.add(waker)
 
     def add(self, waker: Waker) -> None:
@@ -77,10 +81,18 @@ class Readiness:
 
     def wait(self, timeout_s: float | None) -> int:
         """Return a set of READY, BROKEN (the peer hung up) and WOKEN; 0 when the time ran out."""
-        if self._poll is None:
+        if self._poll is None or self._is_polling:  # the latter: in a signal handler amid a wait
             return self._select(timeout_s)
+        self._is_polling = True
+        try:
+            limit_ms = None if timeout_s is None else timeout_s * 1000 if timeout_s > 0 else 0
+            found = self._poll.poll(limit_ms)
+        finally:
+            self._is_polling = False
+        if found == self._just_ready:
+            return READY
         result = 0
-        for fd, mask in self._poll.poll(None if timeout_s is None else max(timeout_s, 0) * 1000):
+        for fd, mask in found:
             if fd != self._fd:
                 result |= WOKEN
                 continue
@@ -118,7 +130,13 @@ class PolledTransport(Transport):
         read_fd: descriptor to read from, not blocking.
         write_fd: descriptor to write to, not blocking; may be the same.
         write_timeout_s: see `Transport`.
+
+    Attributes:
+        says_empty: receiving fails where nothing has come, so that b"" is the end and nothing else;
+            a terminal may be set up otherwise. Then `read(0)` need not ask before it receives.
     """
+
+    says_empty = False
 
     def __init__(
         self, url: str, read_fd: int, write_fd: int, write_timeout_s: float | None
@@ -129,7 +147,7 @@ class PolledTransport(Transport):
         self._waker = Waker()
         self._readable = Readiness(read_fd, self._waker, write=False)
         self._writable = Readiness(write_fd, self._waker, write=True)
-        # Made by the first read without a time limit, as only such a read has to be woken.
+        # Made by the first read without a time limit or `wait`, as only these have to be woken.
         self._reader_waker: Waker | None = None
         self._reader_woken = False
         # Re-entrant, so that a signal handler may close what its own thread is reading.
@@ -142,24 +160,22 @@ class PolledTransport(Transport):
 
     def read(self, timeout_s: float | None) -> bytes:
         """See `Transport.read`."""
-        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        deadline = None if not timeout_s else time.monotonic() + timeout_s
         with self._reading:
             while True:
-                self._check()
-                if timeout_s is None and self._reader_waker is None:
-                    self._reader_waker = Waker()
-                    self._readable.add(self._reader_waker)
-                state = self._readable.wait(0 if self._reader_woken else timeout_s)
-                if self._closed:
-                    raise LinkClosed(f"{self.url} was closed during a read")
-                self._reader_woken = False
-                if state & WOKEN and self._reader_waker is not None:
-                    self._reader_waker.reset()
-                if not state & (READY | BROKEN):
-                    return b""
+                if self._closed or self._end is not None:
+                    self._check()
+                if timeout_s != 0 or not self.says_empty:
+                    state = self._await_input(timeout_s)
+                    if self._closed:
+                        raise LinkClosed(f"{self.url} was closed during a read")
+                    if not state & (READY | BROKEN):
+                        return b""
                 try:
                     data = self._receive()
                 except (BlockingIOError, InterruptedError):
+                    if timeout_s == 0:
+                        return b""
                     # Ready and yet nothing there: wait for what is left of the time.
                     if deadline is not None:
                         timeout_s = max(0.0, deadline - time.monotonic())
@@ -172,6 +188,35 @@ class PolledTransport(Transport):
                     self._end = str(self._lost(None))
                     continue
                 return data
+
+    def fileno(self) -> int:
+        """See `Transport.fileno`."""
+        return self._read_fd
+
+    def wait(self, timeout_s: float) -> bool:
+        """See `Transport.wait`."""
+        with self._reading:
+            if self._closed or self._end is not None:
+                return True
+            if self._reader_waker is None:
+                self._add_reader_waker()
+            return bool(self._await_input(timeout_s) & (READY | BROKEN)) or self._closed
+
+    def _await_input(self, timeout_s: float | None) -> int:
+        """Wait until there is something to read, or until woken; return what `Readiness` says."""
+        # A read with a time limit need not be woken, so a device saves the descriptors.
+        if timeout_s is None and self._reader_waker is None:
+            self._add_reader_waker()
+        state = self._readable.wait(0 if self._reader_woken else timeout_s)
+        if not self._closed:
+            self._reader_woken = False
+            if state & WOKEN and self._reader_waker is not None:
+                self._reader_waker.reset()
+        return state
+
+    def _add_reader_waker(self) -> None:
+        self._reader_waker = Waker()
+        self._readable.add(self._reader_waker)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """See `Transport.write`."""
@@ -196,7 +241,7 @@ class PolledTransport(Transport):
         try:
             if self._closed or self._end is not None:
                 return 0
-            return self._send(memoryview(data))
+            return self._send(data)
         except OSError:
             return 0  # there is no room, or `write` meets the same error
         finally:
@@ -248,7 +293,7 @@ class PolledTransport(Transport):
         """Return what is there, b"" at the end; BlockingIOError when there is nothing."""
         return os.read(self._read_fd, CHUNK)
 
-    def _send(self, data: memoryview) -> int:
+    def _send(self, data: bytes | memoryview) -> int:
         """Return how many bytes were taken; BlockingIOError when none can be."""
         return os.write(self._write_fd, data)
 

@@ -70,7 +70,7 @@ class StdioTransport(PolledTransport):
         self._streams = streams
         super().__init__(url, streams.read_fd, streams.write_fd, write_timeout_s)
 
-    def _send(self, data: memoryview) -> int:
+    def _send(self, data: bytes | memoryview) -> int:
         # A pipe that is ready for writing has room for PIPE_BUF bytes.
         if not self._writable.wait(0) & READY:
             raise BlockingIOError

@@ -56,6 +56,8 @@ class TcpTransport(PolledTransport):
         OSError: the connection has ended already, or there are too many open files.
     """
 
+    says_empty = True
+
     def __init__(
         self,
         url: str,
@@ -90,7 +92,7 @@ class TcpTransport(PolledTransport):
             )
         return super()._lost(error)
 
-    def _send(self, data: memoryview) -> int:
+    def _send(self, data: bytes | memoryview) -> int:
         return self._sock.send(data)
 
     def _release(self) -> None:

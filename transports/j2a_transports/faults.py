@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final, Literal
 
@@ -39,8 +38,7 @@ class FaultyTransport(Transport):
     Attributes:
         tx: injects the faults of writing; `tx.counters` says what was injected.
         rx: injects the faults of reading.
-        clock: the inner transport's own time in seconds (a simulated device), or the machine's.
-        sleep: lets that time pass; None where it passes by itself.
+        is_simulated, clock, sleep: those of the inner transport.
     """
 
     def __init__(self, inner: Transport, tx: FaultInjector, rx: FaultInjector, url: str) -> None:
@@ -48,8 +46,9 @@ class FaultyTransport(Transport):
         self.inner = inner
         self.tx = tx
         self.rx = rx
-        self.clock: Callable[[], float] = getattr(inner, "clock", time.monotonic)
-        self.sleep: Callable[[float], None] | None = getattr(inner, "sleep", None)
+        self.is_simulated = inner.is_simulated
+        self.clock = inner.clock  # type: ignore[method-assign]
+        self.sleep = inner.sleep  # type: ignore[method-assign]
         self._arrived: deque[Piece] = deque()
         self._due_at = 0.0
         self._writing = threading.RLock()
@@ -101,8 +100,9 @@ class FaultyTransport(Transport):
                 self._check()
 
     def _wait(self, seconds: float) -> None:
-        if self.sleep is not None and seconds > 0:
-            self.sleep(seconds)
+        if self.is_simulated:
+            if seconds > 0:
+                self.sleep(seconds)
         elif self._closed.wait(max(0.0, seconds)):
             raise LinkClosed(f"{self.url} is closed")
 

@@ -9,6 +9,7 @@ speed.
 from __future__ import annotations
 
 import random
+import select
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -76,6 +77,11 @@ def read_to_end(transport: Transport) -> bytes:
         while chunk := transport.read(PATIENCE_S):
             data += chunk
     return bytes(data)
+
+
+def is_readable(transport: Transport, timeout_s: float) -> bool:
+    """Ask the system, as an event loop does."""
+    return bool(select.select([transport], [], [], timeout_s)[0])
 
 
 def fill(transport: Transport) -> None:
@@ -215,6 +221,48 @@ class BackToBack:
         here.wake_reader()
         data = here.read(None) or here.read(PATIENCE_S)
         assert data == b"y"
+
+    def test_a_descriptor_is_readable_when_a_read_need_not_wait(self, ends: Ends) -> None:
+        here, there, there_is = ends
+        if here.fileno() < 0:
+            with pytest.raises(NotImplementedError, match="no descriptor"):
+                here.wait(0)
+            return
+        assert not here.wait(0)
+        assert not is_readable(here, 0)
+        waiter = Background(lambda: here.wait(PATIENCE_S))
+        time.sleep(SETTLE_S)
+        there.write(b"ab")
+        assert waiter.result()
+        assert here.wait(0), "it takes nothing"
+        assert is_readable(here, PATIENCE_S)
+        assert read_exactly(here, 2) == b"ab"
+        assert not here.wait(0)
+        self.hang_up(there_is, there)
+        assert here.wait(PATIENCE_S)
+        assert is_readable(here, PATIENCE_S)
+        with pytest.raises(LinkLost):
+            here.read(0)
+        assert here.wait(PATIENCE_S)
+
+    def test_close_and_a_woken_reader_end_a_wait(self, ends: Ends) -> None:
+        here = ends.here
+        if here.fileno() < 0:
+            return
+        for end, is_over in ((here.wake_reader, False), (here.close, True)):
+            waiter = Background(lambda: here.wait(PATIENCE_S))
+            time.sleep(SETTLE_S)
+            end()
+            assert waiter.result() is is_over
+        assert here.wait(PATIENCE_S)
+
+    def test_time_is_that_of_the_machine(self, ends: Ends) -> None:
+        here = ends.here
+        assert not here.is_simulated
+        before = time.monotonic()
+        assert before <= here.clock() <= time.monotonic()
+        here.sleep(SETTLE_S)
+        assert here.clock() >= before + SETTLE_S
 
     def test_what_is_tried_never_waits_and_keeps_its_place(self, ends: Ends) -> None:
         here, there, _ = ends

@@ -182,6 +182,8 @@ def test_a_reset_wakes_a_reader() -> None:
 class OwnTime(Transport):
     """Keeps what is written, gives what it was told to give; its time passes in `sleep` alone."""
 
+    is_simulated = True
+
     def __init__(self) -> None:
         super().__init__("memory:")
         self.written = b""

@@ -4,8 +4,6 @@ What flows in and out: the bytes of a transport, unchanged. Rules: each write is
 time, because the pauses between writes decide what is due.
 """
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from j2a_spec import constants as c
@@ -30,16 +28,16 @@ class Tap(Transport):
         inner: the link to the device.
 
     Attributes:
-        clock: its time in seconds, or the machine's.
-        sleep: lets that time pass, or None where it passes by itself.
+        is_simulated, clock, sleep: those of the link.
         received: what was read since `clear`.
     """
 
     def __init__(self, inner: Transport) -> None:
         super().__init__(inner.url, inner.write_timeout_s)
         self.inner = inner
-        self.clock: Callable[[], float] = getattr(inner, "clock", time.monotonic)
-        self.sleep: Callable[[float], None] | None = getattr(inner, "sleep", None)
+        self.is_simulated = inner.is_simulated
+        self.clock = inner.clock  # type: ignore[method-assign]
+        self.sleep = inner.sleep  # type: ignore[method-assign]
         self.received = bytearray()
         self._seen = 0
         self._writes: list[_Write] = []

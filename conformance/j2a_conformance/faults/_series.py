@@ -181,7 +181,7 @@ class Series:
         began_s = time.monotonic()
         self._open()
         # The time of a simulated device begins anew.
-        return self._tap.clock() if self._tap.sleep else time.monotonic() - began_s
+        return self._tap.clock() if self._tap.is_simulated else time.monotonic() - began_s
 
     def _injected(self) -> int:
         """Return how many faults were injected since the last call."""

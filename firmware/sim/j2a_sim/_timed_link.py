@@ -46,6 +46,8 @@ class TimedLink(Transport):
         SimError: the speed is negative.
     """
 
+    is_simulated = True
+
     def __init__(
         self,
         sim: AvrSim,

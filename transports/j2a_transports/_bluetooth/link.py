@@ -84,7 +84,7 @@ class BluetoothTransport(PolledTransport):
         except BlockingIOError:
             return b""
 
-    def _send(self, data: memoryview) -> int:
+    def _send(self, data: bytes | memoryview) -> int:
         return self._sock.send(data)
 
     def _lost(self, error: OSError | None) -> LinkLost:

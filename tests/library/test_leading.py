@@ -1,0 +1,234 @@
+"""A caller that waits reads for itself, where the transport has a descriptor."""
+
+import contextlib
+import signal
+import threading
+import time
+
+import pytest
+from j2a_spec import oracle
+from j2a_spec.constants import SOF, SOS
+from j2a_transports._tcp import TcpTransport
+
+import j2a
+
+from .sockets import tcp_pair
+from .support import PATIENCE_S
+from .wire import Background
+
+
+class Noted(TcpTransport):
+    """Notes which threads have read something; raises once what it is told to, after reading."""
+
+    def __init__(self, *args):
+        super().__init__(*args)
+        self.readers = set()
+        self.raises = None
+
+    def read(self, timeout_s):
+        data = super().read(timeout_s)
+        if data:
+            self.readers.add(threading.current_thread())
+            is_caller = threading.current_thread() is threading.main_thread()
+            if self.raises is not None and is_caller:
+                error, self.raises = self.raises, None
+                raise error
+        return data
+
+
+@contextlib.contextmanager
+def linked(**options):
+    """A client and the far end of its link."""
+    near, far = tcp_pair(Noted)
+    with far, j2a.Client(near, timeout=PATIENCE_S, **options) as client:
+        yield client, near, far
+
+
+def answer(far, *before, code=0, data=b"ok"):
+    """Answer the request that comes, with frames before the reply."""
+    stream = b""
+    while not (frames := oracle.decode(stream)):
+        stream += far.read(PATIENCE_S)
+    reply = oracle.Frame(SOF, frames[-1].seq, code, data)
+    far.write(b"".join(map(oracle.encode, (*before, reply))))
+
+
+def calls(client, far, count):
+    """Make calls one after the other; the device is a thread of this process."""
+    device = Background(lambda: [answer(far) for _ in range(count)])
+    for _ in range(count):
+        assert client.call(1).payload == b"ok"
+    device.result()
+
+
+def test_the_caller_reads_for_itself():
+    with linked() as (client, near, far):
+        calls(client, far, 50)
+        assert threading.current_thread() in near.readers
+
+
+def test_sifs_come_between_calls_and_without_any():
+    with linked() as (client, _near, far):
+        seen, came = [], threading.Event()
+
+        @client.on_sif()
+        def handler(sif):
+            seen.append(sif.seq)
+            if len(seen) == 20:
+                came.set()
+
+        for n in range(10):
+            device = Background(answer, far, oracle.Frame(SOS, n, 7, b""))
+            client.call(1)
+            device.result()
+        for n in range(10, 20):
+            far.write(oracle.encode(oracle.Frame(SOS, n, 7, b"")))
+        assert came.wait(PATIENCE_S)
+        assert seen == list(range(20))
+
+
+def test_a_call_that_takes_long_is_left_to_the_reading_thread(monkeypatch):
+    monkeypatch.setattr("j2a.io.blocking.LEAD_S", 0.0)
+    with linked() as (client, near, far):
+        calls(client, far, 5)
+        assert threading.current_thread() not in near.readers
+
+
+def test_many_callers_get_their_own_replies():
+    with linked() as (client, _near, far):
+
+        def device():
+            stream = b""
+            for _ in range(400):
+                while len(frames := oracle.decode(stream)) == 0:
+                    stream += far.read(PATIENCE_S)
+                stream = b"".join(map(oracle.encode, frames[1:]))
+                far.write(oracle.encode(oracle.Frame(SOF, frames[0].seq, 0, frames[0].payload)))
+
+        def caller(number):
+            for n in range(50):
+                payload = bytes((number, n))
+                assert client.call(1, payload).payload == payload
+
+        served = Background(device)
+        for one in [Background(caller, number) for number in range(8)]:
+            one.result()
+        served.result()
+
+
+def test_the_time_limit_of_a_caller_that_reads():
+    with linked() as (client, _near, far):
+        start = time.monotonic()
+        for limit_s in (0.001, 0.004, 0.006, 0.05):
+            with pytest.raises(j2a.CallTimeout):
+                client.call(1, timeout=limit_s)
+        assert time.monotonic() - start >= 0.061
+        far.read(PATIENCE_S)
+        calls(client, far, 3)
+
+
+def test_the_link_is_lost_while_the_caller_reads():
+    with linked() as (client, _near, far):
+        call = Background(client.call, 1)
+        far.read(PATIENCE_S)
+        far.close()
+        with pytest.raises(j2a.LinkLost):
+            call.result()
+        with pytest.raises(j2a.LinkLost):
+            client.call(1)
+
+
+def test_another_thread_closes_while_the_caller_reads():
+    with linked() as (client, _near, far):
+        call = Background(client.call, 1)
+        far.read(PATIENCE_S)
+        client.close()
+        with pytest.raises(j2a.LinkClosed):
+            call.result()
+
+
+@pytest.fixture
+def on_alarm():
+    """on_alarm(function) has the signal SIGALRM call it."""
+    before = signal.getsignal(signal.SIGALRM)
+    yield lambda function: signal.signal(signal.SIGALRM, lambda *_: function())
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("leads", [True, False])
+def test_a_signal_handler_calls_while_its_thread_waits(on_alarm, monkeypatch, leads):
+    monkeypatch.setattr("j2a.io.blocking.LEAD_S", PATIENCE_S if leads else 0.0)
+    with linked() as (client, _near, far):
+        calls(client, far, 3)
+        seen = []
+
+        def device():
+            stream = b""
+            while not (frames := oracle.decode(stream)):
+                stream += far.read(PATIENCE_S)
+            with client._engine._turn:  # a call that is being sent cannot be interrupted by one
+                pass
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+            while client._session.waiting < 2:
+                time.sleep(0.001)
+            # The window is one: the second request is sent when the first has its reply.
+            far.write(oracle.encode(oracle.Frame(SOF, frames[0].seq, 0, b"outer")))
+            answer(far, data=b"inner")
+
+        on_alarm(lambda: seen.append(client.call(2).payload))
+        served = Background(device)
+        assert client.call(1).payload == b"outer"
+        served.result()
+        assert seen == [b"inner"]
+
+
+class StopError(Exception):
+    """What a signal handler raises."""
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, StopError])
+def test_an_exception_of_a_signal_handler_leaves_the_link_usable(on_alarm, error):
+    def stop():
+        raise error
+
+    def device():
+        far.read(PATIENCE_S)
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+
+    with linked() as (client, _near, far):
+        on_alarm(stop)
+        served = Background(device)
+        with pytest.raises(error):
+            client.call(1)
+        served.result()
+        calls(client, far, 3)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, StopError])
+def test_bytes_in_hand_when_a_signal_handler_raises(error, monkeypatch):
+    monkeypatch.setattr("j2a.io.blocking.LEAD_S", PATIENCE_S)
+    with linked() as (client, near, far):
+        near.raises = error()
+        for _ in range(1000):  # until it is the caller that reads
+            served = Background(answer, far)
+            try:
+                client.call(1)
+            except error:
+                served.result()
+                break
+            served.result()
+        assert near.raises is None
+        calls(client, far, 3)
+        assert client._session.waiting == 0
+
+
+def test_a_state_left_in_the_middle_is_put_in_order():
+    with linked() as (client, _near, far):
+        session = client._session
+        call = session.start_call("x", 1, b"", now=0.0, timeout_s=9.0, waiter=threading.Lock())
+        # As if the reply had been taken and nothing else had come of it.
+        call.reply, call.has_ended = j2a.Reply(0, b""), True
+        assert session.recover() == [call]
+        assert session.waiting == 0
+        session.data_to_send()
+        calls(client, far, 3)
