@@ -47,7 +47,7 @@ docs: $(INSTALLED)  ## the documentation, into docs/_build/html
 	@echo "docs/_build/html/index.html"
 
 bench: $(INSTALLED)  ## speed of encode and decode, as ratios to a naive codec and to pymavlink
-	@$(BIN)/python -m tests.benchmarks.ratios
+	@$(BIN)/python -m j2a.tests.benchmarks.ratios
 
 firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo

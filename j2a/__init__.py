@@ -10,6 +10,7 @@ from j2a.client import Client, connect
 from j2a.device import Device
 from j2a.errors import (
     BadUrl,
+    ByteTimeoutRefused,
     CallTimeout,
     ChecksumRefused,
     DamageReported,
@@ -25,7 +26,6 @@ from j2a.errors import (
     OpcodeRefused,
     OpenFailed,
     Outcome,
-    PauseRefused,
     PayloadTooLong,
     ProtocolError,
     RegistrationError,
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AsyncClient",
     "BadUrl",
+    "ByteTimeoutRefused",
     "CallTimeout",
     "ChecksumRefused",
     "Client",
@@ -68,7 +69,6 @@ __all__ = [
     "OpcodeRefused",
     "OpenFailed",
     "Outcome",
-    "PauseRefused",
     "PayloadTooLong",
     "ProtocolError",
     "RegistrationError",

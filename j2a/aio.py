@@ -15,7 +15,7 @@ from j2a_spec.constants import GET_ECHO
 
 from j2a.errors import J2AError, OpenFailed
 from j2a.events import Reply
-from j2a.io.client_base import Shell, check_echo
+from j2a.io.client_base import ClientBase, check_echo
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.loop import AsyncEngine, AsyncHandler
 from j2a.io.opening import open_transport
@@ -23,7 +23,7 @@ from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits
 from j2a.protocol.trace import Trace
-from j2a.protocol.transfer import Progress, Steps
+from j2a.protocol.transfer import Progress, Transfer
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -34,7 +34,7 @@ _HandlerF = TypeVar("_HandlerF", bound=AsyncHandler)
 _Result = TypeVar("_Result")
 
 
-class AsyncClient(Shell):
+class AsyncClient(ClientBase):
     """The host's end of a link for asyncio; use `await j2a.aconnect(url)` to get one.
 
     All methods belong to the event loop in which the client was made. A client is an asynchronous
@@ -176,7 +176,7 @@ class AsyncClient(Shell):
         Raises: as `call`, when the map is still to be fetched.
         """
         await self._drive(self._load_map(), self._device_limits(self._now()))
-        return dict(self._peer.functions or {})
+        return dict(self._device.functions or {})
 
     async def properties(self) -> dict[str, str]:
         """Return the properties, read when first asked for; {} if there are none (J2A-PROP-005).
@@ -250,16 +250,16 @@ class AsyncClient(Shell):
     def _now(self) -> float:
         return self._engine.now()
 
-    async def _drive(self, steps: Steps[_Result], limits: Limits) -> _Result:
+    async def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         try:
-            ask = next(steps)
+            request = next(transfer)
             while True:
                 try:
-                    reply = await self._engine.call(*self._arguments(ask, limits, self._now()))
+                    reply = await self._engine.call(*self._arguments(request, limits, self._now()))
                 except J2AError as error:
-                    ask = steps.throw(error)
+                    request = transfer.throw(error)
                 else:
-                    ask = steps.send(reply)
+                    request = transfer.send(reply)
         except StopIteration as end:
             result: _Result = end.value
             return result

@@ -14,14 +14,14 @@ from j2a_spec.constants import GET_ECHO
 from j2a.errors import J2AError
 from j2a.events import Reply
 from j2a.io.blocking import Engine, Handler
-from j2a.io.client_base import Shell, check_echo
+from j2a.io.client_base import ClientBase, check_echo
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.opening import open_transport
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits
 from j2a.protocol.trace import Trace
-from j2a.protocol.transfer import Progress, Steps
+from j2a.protocol.transfer import Progress, Transfer
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -32,7 +32,7 @@ _HandlerF = TypeVar("_HandlerF", bound=Handler)
 _Result = TypeVar("_Result")
 
 
-class Client(Shell):
+class Client(ClientBase):
     """The host's end of a link; use `j2a.connect` to get one.
 
     All methods may be called from any thread, and from inside SIF handlers. A client is a context
@@ -200,7 +200,7 @@ class Client(Shell):
         Raises: as `call`, when the map is still to be fetched.
         """
         self._drive(self._load_map(), self._device_limits(self._now()))
-        return dict(self._peer.functions or {})
+        return dict(self._device.functions or {})
 
     @property
     def properties(self) -> dict[str, str]:
@@ -294,16 +294,16 @@ class Client(Shell):
     def _now(self) -> float:
         return self._transport.clock()
 
-    def _drive(self, steps: Steps[_Result], limits: Limits) -> _Result:
+    def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         try:
-            ask = next(steps)
+            request = next(transfer)
             while True:
                 try:
-                    reply = self._engine.call(*self._arguments(ask, limits, self._now()))
+                    reply = self._engine.call(*self._arguments(request, limits, self._now()))
                 except J2AError as error:
-                    ask = steps.throw(error)
+                    request = transfer.throw(error)
                 else:
-                    ask = steps.send(reply)
+                    request = transfer.send(reply)
         except StopIteration as end:
             result: _Result = end.value
             return result

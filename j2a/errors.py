@@ -16,6 +16,7 @@ from j2a_spec.printable import printable
 
 __all__ = [
     "BadUrl",
+    "ByteTimeoutRefused",
     "CallTimeout",
     "ChecksumRefused",
     "DamageReported",
@@ -31,7 +32,6 @@ __all__ = [
     "OpcodeRefused",
     "OpenFailed",
     "Outcome",
-    "PauseRefused",
     "PayloadTooLong",
     "ProtocolError",
     "RegistrationError",
@@ -188,7 +188,7 @@ class DamageReported(RemoteError):
     outcome = Outcome.MAYBE_EXECUTED
 
 
-class PauseRefused(DamageReported):
+class ByteTimeoutRefused(DamageReported):
     """F2: the rest of the request did not reach the device in time."""
 
 
@@ -214,7 +214,7 @@ _ERRORS: Final[dict[int, tuple[type[RemoteError], str]]] = {
         "compare with the device's functions",
     ),
     ERR_TIMEOUT: (
-        PauseRefused,
+        ByteTimeoutRefused,
         f"the device waited too long for the rest of a request; {_DOUBT}",
     ),
     ERR_CHECKSUM: (

@@ -59,7 +59,7 @@ step docs "documentation, warnings are errors" \
 step dist "wheel and sdist hold the packages" python tools/check_dist.py
 step demo "what make demo shows" bash -c \
     'python tools/demo.py >build/demo.log 2>&1 || { cat build/demo.log; exit 1; }; tail -4 build/demo.log'
-step speed "encode and decode in Python, for information" python -m tests.benchmarks.ratios
+step speed "encode and decode in Python, for information" python -m j2a.tests.benchmarks.ratios
 step interpreters "the tests of the library on the oldest and the newest Python of this machine" \
     python tools/interpreters.py
 if ((${#failed[@]})); then

@@ -36,7 +36,7 @@ def sources() -> set[str]:
             text=True,
         )
         found |= {file for file in listing.stdout.split("\0") if file and (folder / file).is_file()}
-    return found
+    return {file for file in found if not file.startswith("j2a/tests/")}
 
 
 def build(folder: Path) -> tuple[Path, Path]:

@@ -1,11 +1,12 @@
 """Traces each requirement: clause, vectors, cases, tests, mutants, source lines, last results.
 
 What flows in: the specification, the cases, the tables and the kill matrix of conformance/mutants,
-the marks in tests/library, and the JSON reports of a run over all testees (tools/conformance.py).
-What flows out: conformance/traceability.json, from which the documentation makes a page for each
-requirement; with --check nothing is written, and a difference is an error. Rules: what is committed
-holds no line numbers and no times, so that it changes only when a link in the chain does. A testee
-that it does not have yet is named and is no error: who adds a port adds no more than a testee.
+the marks in j2a/tests/library, and the JSON reports of a run over all testees
+(tools/conformance.py). What flows out: conformance/traceability.json, from which the documentation
+makes a page for each requirement; with --check nothing is written, and a difference is an error.
+Rules: what is committed holds no line numbers and no times, so that it changes only when a link in
+the chain does. A testee that it does not have yet is named and is no error: who adds a port adds no
+more than a testee.
 """
 
 import argparse
@@ -31,7 +32,7 @@ SNAPSHOT = ROOT / "conformance" / "traceability.json"
 RESULTS = ROOT / "build" / "conformance"
 MUTANTS = ROOT / "conformance" / "mutants"
 VECTORS = ROOT / "spec" / "j2a_spec" / "vectors"
-LIBRARY = ROOT / "tests" / "library"
+LIBRARY = ROOT / "j2a" / "tests" / "library"
 C_FUNCTION = re.compile(r"^[a-z].*?(\w+)\([^;]*\{$", re.MULTILINE | re.DOTALL)
 
 # The worst of the cases of a requirement is its result.

@@ -42,7 +42,7 @@ _JOBS: Final = 3
 _GOAL: Final = 0.98
 _TESTS_S: Final = 300.0
 _TEST_S: Final = 100
-_FAILED: Final = re.compile(r"^(tests/\S.*?) (?:FAILED|ERROR)", re.MULTILINE)
+_FAILED: Final = re.compile(r"^(j2a/tests/\S.*?) (?:FAILED|ERROR)", re.MULTILINE)
 _KILLERS: Final = ROOT / "build/mutants/killers.json"
 _EQUIVALENT: Final = FOLDER / "random/equivalent.toml"
 _DEVICE: Final = (
@@ -263,7 +263,8 @@ def _own_tests(target: str, mutant: Mutant) -> str:
         for entry in ROOT.iterdir():
             if entry.name != "j2a" and not entry.name.startswith("."):
                 (folder / entry.name).symlink_to(entry)
-        files = [f"tests/library/test_{test}.py" for test in names]
+        (folder / "j2a/tests").symlink_to(ROOT / "j2a/tests")
+        files = [f"j2a/tests/library/test_{test}.py" for test in names]
         files = [file for file in files if (ROOT / file).is_file()]
         command = [
             sys.executable,

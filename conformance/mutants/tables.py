@@ -161,7 +161,8 @@ def copy(target: str, mutant: Mutant | None, folder: Path) -> None:
         source, copied = ROOT / name, folder / name
         copied.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():
-            shutil.copytree(source, copied)  # with the times, and what was compiled already
+            # With the times, and what was compiled already.
+            shutil.copytree(source, copied, ignore=shutil.ignore_patterns("tests"))
         else:
             shutil.copy2(source, copied)
     for edit in mutant.edits if mutant else ():

@@ -133,7 +133,7 @@ def test_simulated_usb(build_firmware):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="gadgets exist on Linux only")
 def test_linux_board(tmp_path, monkeypatch):
-    """With a device port in memory; tests/guest have gadgets at the kernel's."""
+    """With a device port in memory; transports/tests/guest have gadgets at the kernel's."""
     kernel = installed(tmp_path, monkeypatch)
     # A name of its own, because the lock that goes by it is the real one.
     gadget = functools.partial(j2a_transports.UsbGadget, name=f"docs-{os.getpid()}")

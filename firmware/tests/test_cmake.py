@@ -14,7 +14,7 @@ from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING
 from j2a_spec.oracle import Frame, decode, encode
 
-from j2a import PauseRefused, connect
+from j2a import ByteTimeoutRefused, connect
 
 ROOT = Path(__file__).parents[2]
 FIRMWARE = ROOT / "firmware"
@@ -177,7 +177,7 @@ def check_echo(elf):
         for attempt in range(5):
             try:
                 device.echo(bytes(range(200)))
-            except PauseRefused:
+            except ByteTimeoutRefused:
                 assert attempt < 4
             else:
                 break

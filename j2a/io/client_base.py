@@ -33,18 +33,18 @@ from j2a.errors import (
 )
 from j2a.events import Counters, Reply
 from j2a.protocol.arguments import check_timeout
-from j2a.protocol.device_info import Peer, is_map
+from j2a.protocol.device_info import DeviceInfo, is_map
 from j2a.protocol.limits import DEVICE_LIMITS, Limits
 from j2a.protocol.session import MAX_WINDOW, NONCE_BYTES, Session
 from j2a.protocol.trace import Trace
-from j2a.protocol.transfer import Ask, Progress, Steps, preparing
+from j2a.protocol.transfer import CallRequest, Progress, Transfer, preparing
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
 __all__ = [
     "MAX_SIFS_WAITING",
-    "Shell",
+    "ClientBase",
     "check_echo",
     "take_stale_input",
 ]
@@ -60,7 +60,7 @@ _FIRST_LIMIT_S: Final = 0.25
 _STALE_BYTES: Final = 2**18
 
 
-class Shell:
+class ClientBase:
     """State and options that both clients have; each adds its own way of waiting."""
 
     def __init__(self, url: str, timeout: float, window: int, trace: Trace | None) -> None:
@@ -69,7 +69,7 @@ class Shell:
         self._url = url
         self._timeout = check_timeout(timeout)
         self._window = window
-        self._peer = Peer()
+        self._device = DeviceInfo()
         # A random start keeps the replies to an earlier program from answering this one.
         self._session = Session(
             first_seq=random.randrange(256),
@@ -105,7 +105,7 @@ class Shell:
 
     # ------------------------------------------------------------------ several calls
 
-    def _connect(self, boot_time: float) -> Steps[None]:
+    def _connect(self, boot_time: float) -> Transfer[None]:
         try:
             yield from self._refresh(boot_time)
         except CallTimeout:
@@ -114,7 +114,7 @@ class Shell:
                 "runs J2A and that speed and parity are the same at both ends"
             ) from None
 
-    def _refresh(self, boot_time: float | None) -> Steps[None]:
+    def _refresh(self, boot_time: float | None) -> Transfer[None]:
         limits = [self._timeout]
         if boot_time is not None:
             limits = list(_boot_limits(check_timeout(boot_time)))
@@ -126,12 +126,12 @@ class Shell:
                     raise
                 continue
             break
-        self._session.echo_opcode = (self._peer.functions or {}).get(GET_ECHO)
+        self._session.echo_opcode = (self._device.functions or {}).get(GET_ECHO)
         if self._window > 1:
-            yield from self._peer.read_properties()
-            self._session.rxbuf = self._peer.rxbuf
+            yield from self._device.read_properties()
+            self._session.rxbuf = self._device.rxbuf
 
-    def _take_map(self, limit_s: float) -> Steps[None]:
+    def _take_map(self, limit_s: float) -> Transfer[None]:
         """Fetch the function map, which proves that a device answers.
 
         One that has no map to show proves it by saying so twice in a row without a reply that was
@@ -142,7 +142,7 @@ class Shell:
             strays = self.counters.stray_replies
             reply = yield from _ask_map(limit_s)
             if is_map(reply) or (answers == [reply] and self.counters.stray_replies == strays):
-                self._peer.take_map(reply)
+                self._device.take_map(reply)
                 return
             answers = [reply] if self.counters.stray_replies == strays else []
         raise ProtocolError(
@@ -150,16 +150,16 @@ class Shell:
             "is no device; see that speed and parity are the same at both ends"
         )
 
-    def _load_map(self) -> Steps[None]:
-        if self._peer.functions is None:
+    def _load_map(self) -> Transfer[None]:
+        if self._device.functions is None:
             yield from self._refresh(None)
 
-    def _read_debug(self) -> Steps[str]:
+    def _read_debug(self) -> Transfer[str]:
         yield from self._load_map()
-        what, opcode = self._peer.resolve(GET_DEBUG)
+        what, opcode = self._device.resolve(GET_DEBUG)
         text = b""
         for _ in range(MAX_DEBUG_READS):
-            code, part = yield Ask(what, b"", opcode)
+            code, part = yield CallRequest(what, b"", opcode)
             if code > RET_MAX:
                 raise remote_error(what, code, part)
             if code & ~(DEBUG_MORE | DEBUG_LOST):
@@ -169,55 +169,62 @@ class Shell:
                 break
         return text.decode("utf-8", "replace")
 
-    def _read_room(self) -> Steps[int]:
+    def _read_room(self) -> Transfer[int]:
         yield from self._load_map()
-        yield from self._peer.learn_room()
-        return self._peer.room
+        yield from self._device.learn_room()
+        return self._device.room
 
     def _known(self, function: str | int, payload: bytes) -> tuple[str, int] | None:
         """Return what to call, and its opcode, if nothing has to be asked before; else None."""
-        peer = self._peer
-        if (peer.functions is None and isinstance(function, str)) or len(payload) > peer.room:
+        device = self._device
+        if (device.functions is None and isinstance(function, str)) or len(payload) > device.room:
             return None
-        return peer.resolve(function)
+        return device.resolve(function)
 
-    def _call(self, function: str | int, payload: bytes) -> Steps[Reply]:
+    def _call(self, function: str | int, payload: bytes) -> Transfer[Reply]:
         """Find out the opcode and the room for the payload, then make the call."""
-        if isinstance(function, str) or len(payload) > self._peer.room:
+        if isinstance(function, str) or len(payload) > self._device.room:
             yield from preparing(str(function), self._load_map())
-        what, opcode = self._peer.resolve(function)
-        if len(payload) > self._peer.room:
-            yield from preparing(what, self._peer.check_room(what, payload))
-        return (yield Ask(what, payload, opcode))
+        what, opcode = self._device.resolve(function)
+        if len(payload) > self._device.room:
+            yield from preparing(what, self._device.check_room(what, payload))
+        return (yield CallRequest(what, payload, opcode))
 
-    def _read_capabilities(self) -> Steps[frozenset[str]]:
+    def _read_capabilities(self) -> Transfer[frozenset[str]]:
         yield from self._read_properties()
-        return self._peer.announced.capabilities
+        return self._device.announced.capabilities
 
-    def _read_properties(self) -> Steps[dict[str, str]]:
+    def _read_properties(self) -> Transfer[dict[str, str]]:
         yield from self._load_map()
-        return dict((yield from self._peer.read_properties()))
+        return dict((yield from self._device.read_properties()))
 
     def _read_many(
         self, function: str | int, max_bytes: int, progress: Progress | None
-    ) -> Steps[bytes]:
+    ) -> Transfer[bytes]:
         yield from preparing(str(function), self._load_map())
-        return (yield from self._peer.read(function, max_bytes, progress))
+        return (yield from self._device.read(function, max_bytes, progress))
 
     def _write_many(
         self, function: str | int, data: bytes, progress: Progress | None
-    ) -> Steps[int]:
+    ) -> Transfer[int]:
         yield from preparing(str(function), self._load_map())
-        return (yield from self._peer.write(function, data, progress))
+        return (yield from self._device.write(function, data, progress))
 
-    def _echo_many(self, data: bytes, progress: Progress | None) -> Steps[bytes]:
+    def _echo_many(self, data: bytes, progress: Progress | None) -> Transfer[bytes]:
         yield from preparing(GET_ECHO_MANY, self._load_map())
-        return (yield from self._peer.echo(data, progress))
+        return (yield from self._device.echo(data, progress))
 
-    def _arguments(self, ask: Ask, limits: Limits, now: float) -> tuple[str, int, bytes, float]:
-        """Return the arguments of the call that a step wants."""
-        opcode = self._peer.many_opcode if ask.opcode is None else ask.opcode
-        return ask.what, opcode, ask.payload, limits.of_step(ask.what, ask.limit_s, now)
+    def _arguments(
+        self, request: CallRequest, limits: Limits, now: float
+    ) -> tuple[str, int, bytes, float]:
+        """Return the arguments of the call that a transfer asks for."""
+        opcode = self._device.many_opcode if request.opcode is None else request.opcode
+        return (
+            request.what,
+            opcode,
+            request.payload,
+            limits.of_step(request.what, request.limit_s, now),
+        )
 
     def _limits(self, timeout: object, total_timeout: object, now: float) -> Limits:
         """Return the time limits of a transfer."""
@@ -240,10 +247,10 @@ class Shell:
         return self._timeout if timeout is None else check_timeout(timeout)
 
 
-def _ask_map(limit_s: float) -> Steps[Reply | None]:
+def _ask_map(limit_s: float) -> Transfer[Reply | None]:
     """Ask for the function map; None when the device refuses that."""
     try:
-        return (yield Ask(GET_MAPPING, b"", 0, limit_s))
+        return (yield CallRequest(GET_MAPPING, b"", 0, limit_s))
     except OpcodeRefused:
         return None
 

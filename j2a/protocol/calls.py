@@ -26,7 +26,7 @@ class Call:
         payload: 0..255 bytes.
         deadline: when it ends without a reply, in the clock of `now`; None is never.
         timeout_s: the time limit that led to `deadline`, for the message.
-        waiter: belongs to the shell, which is told through it.
+        waiter: belongs to the client, which is told through it.
         reply: set when the device answered.
         error: set when the call failed.
         has_ended: a reply or an error is there.

@@ -40,9 +40,9 @@ from j2a.protocol.transfer import (
     LEGACY_OFFSET,
     MAX_OFFSET,
     Chunk,
-    Guard,
+    OffsetCheck,
     Progress,
-    Steps,
+    Transfer,
     echo_chunks,
     exchange,
     preparing,
@@ -51,7 +51,7 @@ from j2a.protocol.transfer import (
     write_chunks,
 )
 
-__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "Peer", "is_map"]
+__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "DeviceInfo", "is_map"]
 
 DEFAULT_MAX_BYTES: Final = 64 * 2**20
 MAX_PROPERTIES: Final = 16 * 1024
@@ -61,7 +61,7 @@ MANY_OPCODE: Final = 1
 """Of a2jMany, in every function table that has it (J2A-DISP-009)."""
 
 
-class Peer:
+class DeviceInfo:
     """The cache of what the device told about itself.
 
     Attributes:
@@ -138,7 +138,7 @@ class Peer:
 
     # ------------------------------------------------------------------ properties
 
-    def read_properties(self) -> Steps[dict[str, str]]:
+    def read_properties(self) -> Transfer[dict[str, str]]:
         """Read the properties unless they are known; a device without the function has none."""
         if self.properties is None:
             opcode = self._properties_opcode
@@ -149,7 +149,7 @@ class Peer:
                     opcode,
                     max_bytes=MAX_PROPERTIES,
                     advice="this library takes no longer properties (J2A-LIMIT-008)",
-                    guard=partial(self._guard_properties, opcode),
+                    offset_check=partial(self._guard_properties, opcode),
                 )
             self.properties = unpack_properties(content)
             self.announced = Announced(self.properties)
@@ -183,7 +183,7 @@ class Peer:
                 outcome=outcome,
             )
 
-    def learn_room(self) -> Steps[None]:
+    def learn_room(self) -> Transfer[None]:
         """Find out how long a payload may be (J2A-LIMIT-006), by the properties.
 
         A device whose properties cannot be read does not say, so that it is taken to be 255 bytes.
@@ -197,7 +197,7 @@ class Peer:
             self.announced = Announced({})
         self.room = self.announced.room
 
-    def check_room(self, what: str, payload: bytes) -> Steps[None]:
+    def check_room(self, what: str, payload: bytes) -> Transfer[None]:
         """Refuse a payload that the device has no room for (J2A-LIMIT-007).
 
         Raises:
@@ -214,38 +214,42 @@ class Peer:
 
     # ------------------------------------------------------------------ transfers
 
-    def read(self, function: object, max_bytes: object, progress: Progress | None) -> Steps[bytes]:
+    def read(
+        self, function: object, max_bytes: object, progress: Progress | None
+    ) -> Transfer[bytes]:
         """Read all that a function has; see `read_chunks`."""
         what, opcode = self.resolve(function)
-        guard: Guard
+        offset_check: OffsetCheck
         if opcode == self._properties_opcode:  # of a device of any version (J2A-VER-003)
-            guard = partial(self._guard_properties, opcode)
+            offset_check = partial(self._guard_properties, opcode)
         else:
             self.check_version()
-            guard = partial(self._guard_read, what, opcode)
+            offset_check = partial(self._guard_read, what, opcode)
         if not isinstance(max_bytes, int) or max_bytes < 0:
             raise LocalError(f"max_bytes is a number of bytes from 0 on, not {max_bytes!r}")
         return read_chunks(
             what,
             opcode,
             max_bytes=min(max_bytes, MAX_OFFSET),  # offsets do not wrap (J2A-MANY-018)
-            guard=guard,
+            offset_check=offset_check,
             progress=progress,
         )
 
-    def write(self, function: object, data: object, progress: Progress | None) -> Steps[int]:
+    def write(self, function: object, data: object, progress: Progress | None) -> Transfer[int]:
         """Write data to a function; see `write_chunks`."""
         self.check_version()
         what, opcode = self.resolve(function)
         return self._write(what, opcode, _check_transfer(data), progress)
 
-    def echo(self, data: object, progress: Progress | None) -> Steps[bytes]:
+    def echo(self, data: object, progress: Progress | None) -> Transfer[bytes]:
         """Send data through a2jEchoMany; see `echo_chunks`. Old devices do this right."""
         self.check_version()
         what, opcode = self.resolve(GET_ECHO_MANY)
         return self._echo(what, opcode, _check_transfer(data), progress)
 
-    def _echo(self, what: str, opcode: int, data: bytes, progress: Progress | None) -> Steps[bytes]:
+    def _echo(
+        self, what: str, opcode: int, data: bytes, progress: Progress | None
+    ) -> Transfer[bytes]:
         chunk_size = yield from preparing(what, self._chunk_size(data))
         return (
             yield from echo_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
@@ -266,7 +270,7 @@ class Peer:
             )
         return opcode
 
-    def _chunk_size(self, data: bytes) -> Steps[int]:
+    def _chunk_size(self, data: bytes) -> Transfer[int]:
         """Return how much data a chunk of a write may have, 26..249 bytes (J2A-LIMIT-007)."""
         if len(data) + MANY_HEADER > self.room:
             yield from self.learn_room()
@@ -275,13 +279,15 @@ class Peer:
 
     # ------------------------------------------------------------------ old devices
 
-    def _write(self, what: str, opcode: int, data: bytes, progress: Progress | None) -> Steps[int]:
+    def _write(
+        self, what: str, opcode: int, data: bytes, progress: Progress | None
+    ) -> Transfer[int]:
         chunk_size = yield from preparing(what, self._prepare_write(what, opcode, data))
         return (
             yield from write_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
         )
 
-    def _prepare_write(self, what: str, opcode: int, data: bytes) -> Steps[int]:
+    def _prepare_write(self, what: str, opcode: int, data: bytes) -> Transfer[int]:
         chunk_size = yield from self._chunk_size(data)
         last_offset = (max(len(data), 1) - 1) // chunk_size * chunk_size
         if last_offset > LEGACY_OFFSET and not (yield from self._is_trusted(opcode)):
@@ -291,20 +297,20 @@ class Peer:
 
     def _guard_read(
         self, what: str, opcode: int, content: bytes | bytearray, first: Chunk
-    ) -> Steps[None]:
+    ) -> Transfer[None]:
         if not (yield from self._is_trusted(opcode)):
             yield from self._probe(what, opcode, content, first)
 
     def _guard_properties(
         self, opcode: int, content: bytes | bytearray, first: Chunk
-    ) -> Steps[None]:
+    ) -> Transfer[None]:
         # Whether the device is an old one is in these properties; it may have been read by now.
         parts = [part.decode("utf-8", "replace") for part in content.split(b"\0")[:-1]]
         known = Announced(dict(zip(parts[::2], parts[1::2], strict=False)))
         if not known.has_long_offsets and opcode not in self._probed:
             yield from self._probe(GET_PROPERTIES, opcode, content, first)
 
-    def _is_trusted(self, opcode: int) -> Steps[bool]:
+    def _is_trusted(self, opcode: int) -> Transfer[bool]:
         if opcode in self._probed:
             return True
         yield from self.read_properties()
@@ -313,7 +319,7 @@ class Peer:
 
     def _probe(
         self, what: str, opcode: int, content: bytes | bytearray, first: Chunk
-    ) -> Steps[None]:
+    ) -> Transfer[None]:
         yield from probe_offsets(what, opcode, content, first)
         self._probed.add(opcode)
 

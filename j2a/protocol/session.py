@@ -113,7 +113,7 @@ class Session:
             payload: 0..255 bytes.
             now: the time, in seconds.
             timeout_s: when the call ends if no reply has come, from now on; may be infinite.
-            waiter: kept in the call for the shell.
+            waiter: kept in the call for the client.
 
         Raises:
             LinkStalled: it is this call's turn, and no seq is free (J2A-SEQ-006).
@@ -453,7 +453,7 @@ class Session:
     # ------------------------------------------------------------------ counters
 
     def count(self, name: Literal["sifs_dropped", "handler_errors"]) -> None:
-        """Count what happened in the shell."""
+        """Count what happened in the client."""
         self._counts[name] += 1
 
     @property

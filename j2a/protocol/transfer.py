@@ -33,11 +33,11 @@ from j2a.errors import (
 from j2a.events import Reply
 
 __all__ = [
-    "Ask",
+    "CallRequest",
     "Chunk",
-    "Guard",
+    "OffsetCheck",
     "Progress",
-    "Steps",
+    "Transfer",
     "echo_chunks",
     "read_chunks",
     "write_chunks",
@@ -60,7 +60,7 @@ class Chunk(NamedTuple):
     data: bytes
 
 
-class Ask(NamedTuple):
+class CallRequest(NamedTuple):
     """A call to make; an opcode of None is a2jMany, a limit of None that of the driver."""
 
     what: str
@@ -70,29 +70,29 @@ class Ask(NamedTuple):
 
 
 _Result = TypeVar("_Result")
-Steps = Generator[Ask, Reply, _Result]
+Transfer = Generator[CallRequest, Reply, _Result]
 """Work under way: yields calls to make, is sent replies or thrown errors, returns its result."""
 
-Guard = Callable[[bytearray, Chunk], Steps[None]]
+OffsetCheck = Callable[[bytearray, Chunk], Transfer[None]]
 """Asked before the first offset above 255 is used; gets what has been read and the first chunk, and
 raises `LegacyLimit` when the device cannot be trusted with it."""
 
 
-def preparing(what: str, steps: Steps[_Result]) -> Steps[_Result]:
+def preparing(what: str, transfer: Transfer[_Result]) -> Transfer[_Result]:
     """Do what has to be done before a request; if that fails, the request was not sent."""
     try:
-        return (yield from steps)
+        return (yield from transfer)
     except LocalError:
         raise
     except J2AError as error:
         raise error.copy(f"{what} was not sent: {error}", Outcome.NOT_SENT) from None
 
 
-def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> Steps[Chunk]:
+def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> Transfer[Chunk]:
     """Send one chunk and return the reply, checked as far as every transfer needs it."""
     where = f"{what} at offset {offset}"
     try:
-        reply = yield Ask(where, _HEADER.pack(opcode, flags, offset) + data)
+        reply = yield CallRequest(where, _HEADER.pack(opcode, flags, offset) + data)
     except OpcodeRefused as error:
         hint = "a function that is not made for transfers is called by `call`"
         raise error.copy(f"{error}; {hint}", error.outcome) from None
@@ -127,17 +127,17 @@ def read_chunks(
     opcode: int,
     *,
     max_bytes: int,
-    guard: Guard,
+    offset_check: OffsetCheck,
     progress: Progress | None = None,
     advice: str = "pass a larger max_bytes if that is right",
-) -> Steps[bytes]:
+) -> Transfer[bytes]:
     """Read until the device says that a chunk is the last (J2A-MANY-011).
 
     Args:
         what: how messages name the transfer.
         opcode: of the function that is read, 0..255.
         max_bytes: the most to accept, so that a device without an end cannot fill the memory.
-        guard: see `Guard`.
+        offset_check: see `OffsetCheck`.
         progress: see `Progress`.
         advice: what the message says about more data than that.
 
@@ -154,7 +154,7 @@ def read_chunks(
         offset = len(content)
         if offset > LEGACY_OFFSET and first is not None and not is_trusted:
             try:
-                yield from guard(content, first)
+                yield from offset_check(content, first)
             except J2AError as error:
                 raise _begun(error, offset) from None
             is_trusted = True
@@ -180,7 +180,7 @@ def write_chunks(
     *,
     chunk_size: int,
     progress: Progress | None = None,
-) -> Steps[int]:
+) -> Transfer[int]:
     """Write all data in chunks; no data is one empty chunk (J2A-MANY-013, J2A-LIMIT-007).
 
     Args:
@@ -212,7 +212,7 @@ def echo_chunks(
     *,
     chunk_size: int,
     progress: Progress | None = None,
-) -> Steps[bytes]:
+) -> Transfer[bytes]:
     """Send data through a2jEchoMany and check that each chunk comes back as it was (J2A-ECHO-002).
 
     Args and raises: as `write_chunks`. Returns: what came back.
@@ -228,7 +228,9 @@ def echo_chunks(
     return bytes(content)
 
 
-def probe_offsets(what: str, opcode: int, content: bytes | bytearray, first: Chunk) -> Steps[None]:
+def probe_offsets(
+    what: str, opcode: int, content: bytes | bytearray, first: Chunk
+) -> Transfer[None]:
     """Find out whether a device of version 1.0 honours offsets above 255 (J2A-MANY-014).
 
     Old devices look at the lowest byte of the offset only, so offset 256 gives what offset 0 gave.

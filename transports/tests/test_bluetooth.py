@@ -1,7 +1,6 @@
 """bt:// without Bluetooth: its URLs, what it says when something is missing, what it tries again.
 
-Sockets of the process stand for those of the kernel; tests/guest/inside_bluetooth.py has the real
-ones.
+Sockets of the process stand for those of the kernel; guest/inside_bluetooth.py has the real ones.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """The binding of libusb's asynchronous functions on the real library, as far as that goes without
-a device; transfers on real devices are in tests/guest."""
+a device; transfers on real devices are in transports/tests/guest."""
 
 from __future__ import annotations
 

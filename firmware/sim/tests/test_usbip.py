@@ -16,7 +16,7 @@ import pytest
 from j2a_sim import FirmwareStopped, SimError, run_usbip
 
 from firmware.sim.tests.usbip_client import RET_SUBMIT, RET_UNLINK, ZERO_PACKET, Client, Served
-from tests.guest.attach import Refused
+from transports.tests.guest.attach import Refused  # noqa: TID251 - not installed
 
 pytestmark = pytest.mark.avr
 

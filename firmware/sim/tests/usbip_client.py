@@ -7,7 +7,7 @@ import time
 
 from j2a_sim import FirmwareStopped, UsbipServer
 
-from tests.guest.attach import Refused, _receive, import_board
+from transports.tests.guest.attach import Refused, _receive, import_board  # noqa: TID251 - not installed
 
 WAIT_S = 60
 BUSY = 2

@@ -1,0 +1,101 @@
+"""What is no device is not taken for one, and what is a device is."""
+
+from random import Random
+
+import pytest
+from j2a_spec.constants import MAX_PAYLOAD
+
+import j2a
+from j2a.demo import DemoDevice
+from j2a.events import Reply
+from j2a.io.client_base import take_stale_input
+from j2a.protocol.session import Session
+
+from .noise import A_DEVICE, KINDS, RATES, Noise, outcome_of
+from .support import linked
+from .test_limits import Host
+
+
+@pytest.mark.parametrize("rate", RATES[:2])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(12))
+def test_noise_is_no_device(kind, rate, seed):
+    # By chance noise holds a refusal with the seq of a call: then the call's error is that.
+    assert outcome_of(seed, kind, rate) != A_DEVICE
+
+
+def test_the_echo_of_a_link_is_no_device():
+    noise = Noise(Random(0), None, 0)
+    noise.call = lambda _what, opcode, payload, _limit_s: Reply(opcode, payload)
+    with pytest.raises(j2a.ProtocolError, match="echo"):
+        noise.connect()
+
+
+def test_a_flood_that_was_there_before_ends():
+    class Flood:
+        def __init__(self):
+            self.reads = 0
+
+        def read(self, timeout_s):
+            assert timeout_s == 0
+            self.reads += 1
+            if self.reads > 1000:
+                raise AssertionError("without end")
+            return bytes(4096)
+
+    flood, session = Flood(), Session(first_seq=0)
+    take_stale_input(flood, session)
+    assert 10 <= flood.reads <= 1000
+    assert session.counters.bytes_received == 4096 * flood.reads
+
+
+class TestDevices:
+    class Answering(DemoDevice):
+        """Answers a2jGetMapping in its own way."""
+
+        def __init__(self, *answers):
+            super().__init__()
+            self.answers = answers
+            self.asked = 0
+
+        def _execute(self, opcode, payload):
+            if opcode:
+                return super()._execute(opcode, payload)
+            self.asked += 1
+            return self.answers[min(self.asked, len(self.answers)) - 1]
+
+    def connect(self, *answers):
+        host = Host(self.Answering(*answers), 0.001)
+        host.do(host._refresh(None), host._device_limits(host.now))
+        return host
+
+    @pytest.mark.parametrize(
+        "answer",
+        [
+            (0xFF, b"a2jG"),  # of 2014, its map too long for one frame
+            (0xFF, b""),
+            (0xFF, b"a2jGetMapping\0" + bytes(MAX_PAYLOAD - 14)),
+        ],
+    )
+    def test_one_without_a_usable_map_says_so_twice(self, answer):
+        host = self.connect(answer)
+        assert host._device.functions == {}
+        assert host.device.asked == 2
+
+    def test_a_map_is_asked_for_once(self):
+        host = self.connect((0, b"a2jGetMapping\0a2jMany\0"))
+        assert host.device.asked == 1
+
+    def test_answers_that_change_are_no_proof(self):
+        with pytest.raises(j2a.ProtocolError, match="no device"):
+            self.connect(*((0xFF, bytes((n,))) for n in range(4)))
+
+    def test_a_device_without_a_map_is_connected_to(self):
+        class NoMap(DemoDevice):
+            def _execute(self, opcode, payload):
+                return (0xF0, b"\1\0") if opcode == 0 else super()._execute(opcode, payload)
+
+        with linked(NoMap()) as client:
+            assert client.functions == {}
+            assert client.counters.frames_sent == 2
+            assert client.call(4, b"x").payload == b"x"

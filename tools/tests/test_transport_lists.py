@@ -1,0 +1,80 @@
+"""Nothing but the drivers themselves lists the URL schemes: lists come from what they declare."""
+
+import ast
+import re
+from pathlib import Path
+
+import j2a_transports
+import pytest
+from j2a_transports import _registry
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = Path(j2a_transports.__file__).parent
+# A name with a colon is a URL; `faults:...:tcp://...` is one, too.
+URL = re.compile(rf"(?<![\w:.])({'|'.join(_registry._DRIVERS)}):(?=[/\w.\"'`?]|\s|$)")
+NAMES = {name + end for name in _registry._DRIVERS for end in ("", ":", "://")}
+
+
+def drivers():
+    """Return the modules of drivers, and the folders of those that have several."""
+    for module in _registry._DRIVERS.values():
+        first, *others = module.lstrip(".").split(".")
+        yield PACKAGE / (first if others else f"{first}.py")
+
+
+def sources():
+    """Return the modules that use transports and are none."""
+    own = set(drivers())
+    for folder in (
+        PACKAGE,
+        ROOT / "j2a",
+        ROOT / "conformance/j2a_conformance",
+        ROOT / "firmware/sim/j2a_sim",
+    ):
+        for path in sorted(folder.rglob("*.py")):
+            if not own & {path, *path.parents} and "tests" not in path.parts:
+                yield path
+
+
+def lists(text):
+    """Return the line and the schemes of each string or collection that names several of ours."""
+    for node in ast.walk(ast.parse(text)):
+        found = set()
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found = set(URL.findall(node.value))
+        elif isinstance(node, ast.Tuple | ast.List | ast.Set | ast.Dict):
+            elements = node.keys if isinstance(node, ast.Dict) else node.elts
+            values = {one.value for one in elements if isinstance(one, ast.Constant)}
+            found = {value.partition(":")[0] for value in values if value in NAMES}
+        if len(found) > 1:
+            yield node.lineno, sorted(found)
+
+
+def test_no_module_lists_the_schemes_by_hand():
+    found = [
+        (str(path.relative_to(ROOT)), schemes)
+        for path in sources()
+        for _, schemes in lists(path.read_text())
+    ]
+    # The one table: which module has which scheme.
+    table = str((PACKAGE / "_registry.py").relative_to(ROOT))
+    assert found == [(table, sorted(_registry._DRIVERS))]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '_FRESH = ("exec:", "pty:")',
+        'DRIVERS = {"usb": 1, "tcp": 2}',
+        'HELP = "where: tcp://HOST:PORT, pty:, stdio: or another"',
+        'def f():\n    """Open `tcp://127.0.0.1:5000` or `exec:./fw`."""',
+        'HELP = f"""\n  usb://   a board\n  exec:./fw  a program\n{1}"""',
+    ],
+)
+def test_lists_by_hand_are_found(text):
+    assert len(list(lists(text))) == 1
+
+
+def test_an_example_is_no_list():
+    text = '"""As `tcp://127.0.0.1:5000`."""\nKINDS = ["serial", "name"]\nX = "usb: a, and exec"'
+    assert list(lists(text)) == []
