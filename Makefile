@@ -4,7 +4,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test exhaustive lint conformance mutants trace docs bench firmware venv constraints clean distclean
+.PHONY: help demo test exhaustive lint conformance mutants trace docs bench firmware flash venv constraints clean distclean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -53,6 +53,9 @@ firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo
 	@$(FIRMWARE) PORT=posix APP=demo
 	@$(FIRMWARE) PORT=avr-serial APP=demo
+
+flash:  ## an app onto an AVR by avrdude: PORT=avr-serial DEVICE=/dev/ttyACM0, APP=demo
+	@$(FIRMWARE) flash
 
 venv: $(INSTALLED)  ## the virtual environment .venv; PYTHON= names the interpreter for it
 	@echo "$(VENV) is ready"

@@ -18,6 +18,7 @@ extensions = [
     "c_api",
     "docstrings",
     "kill_matrix",
+    "narrow_tables",
     "packet_figure",
     "program_help",
     "requirement_ids",

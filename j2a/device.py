@@ -51,7 +51,7 @@ OTHER_FILES: Final = 32
 class Device:
     """The server side of J2A.
 
-    It answers each good request by one reply, in order (J2A-DISP-001, J2A-DISP-002).
+    It answers each valid request by one reply, in order (J2A-DISP-001, J2A-DISP-002).
 
     Example::
 
@@ -68,14 +68,14 @@ class Device:
         properties: keys and values that a host can read. `j2a.spec` and `j2a.rxbuf` are added
             unless they are given, and `j2a.room` where the room is less than 255. Optional parts
             are announced as `{"j2a.caps": "token token"}` (J2A-CAP-001).
-        room: the longest payload of a request that it takes, 32..255 bytes; longer ones are
-            answered by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). To try what hosts do with less.
+        room: the longest payload of a request that it accepts, 32..255 bytes; it answers longer
+            ones by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). Use it to test hosts with a small device.
         byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
             (J2A-TIME-001, J2A-TIME-002).
-        trace: called with everything that passes; see `j2a.Trace`.
+        trace: called with everything that is sent and received; see `j2a.Trace`.
 
     Attributes:
-        trace: the trace of links that begin from now on; None is none.
+        trace: the trace of links that begin from now on; None traces nothing.
 
     Raises:
         LocalError: `room` or `byte_timeout_s` is out of range.

@@ -141,24 +141,24 @@ class ProtocolError(J2AError):
 
 
 class LegacyLimit(J2AError):
-    """A device of version 1.0 cannot be trusted with a transfer of this size (J2A-MANY-014)."""
+    """A device of version 1.0 may not support a transfer of this size (J2A-MANY-014)."""
 
     outcome = Outcome.ANSWERED
 
 
 class UnsupportedVersion(J2AError):
-    """The device speaks another major version, so no transfer is begun (J2A-VER-003)."""
+    """The device has another major version, so the transfer was refused (J2A-VER-003)."""
 
     outcome = Outcome.ANSWERED
 
 
 class RemoteError(J2AError):
-    """The device refused the request or failed to do it.
+    """The device refused the request, or its function failed.
 
     Attributes:
         code: the error code, 0xF0, 0xF2, 0xF3, 0xF4 or a return value of a function.
-        payload: what came with it; of an error reply two bytes that only the device's maker
-            can read, of a function whatever it sent.
+        payload: the data of the reply. An error reply has two bytes whose meaning only the
+            maker of the device knows; a function sends data of its own.
     """
 
     outcome = Outcome.ANSWERED
@@ -235,7 +235,7 @@ def remote_error(what: str, code: int, payload: bytes) -> RemoteError:
     Args:
         what: the call, for the message.
         code: an error code, or a return value that reports failure.
-        payload: what came with the code.
+        payload: the data of the reply.
     """
     kind, meaning = _ERRORS.get(code, _FAILED)
     details = f", details {payload.hex(' ')}" if payload and code != RET_FAILED else ""

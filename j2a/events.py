@@ -13,7 +13,7 @@ from j2a_spec.constants import RET_MAX
 __all__ = ["Counters", "Frame", "FrameError", "Reason", "Reply", "Sif"]
 
 Reason = Literal["checksum", "marker", "escape", "timeout", "lost"]
-"""Why a frame was given up: wrong checksum; cut off by the marker of the next one; ESC 0xFF;
+"""Why a frame was abandoned: wrong checksum; interrupted by the marker of the next one; ESC 0xFF;
 the byte timeout; bytes known to be lost."""
 
 
@@ -29,7 +29,7 @@ class Frame(NamedTuple):
 
 
 class FrameError(NamedTuple):
-    """A frame that was given up; `seq` is None when the frame broke before it was known."""
+    """An abandoned frame; `seq` is None if the frame ended before its seq was known."""
 
     reason: Reason
     start: int
@@ -75,9 +75,9 @@ class Counters:
 
     Attributes:
         frames_sent: requests put on the wire.
-        frames_received: good frames, replies and SIFs.
+        frames_received: valid frames, replies and SIFs.
         bytes_sent: wire bytes, stuffing included.
-        bytes_received: wire bytes, rubbish included.
+        bytes_received: wire bytes, including those outside of frames.
         bytes_skipped: received bytes that belonged to no frame.
         checksum_errors: frames given up because of their checksum.
         framing_errors: frames cut off by a marker or broken by a bad escape.

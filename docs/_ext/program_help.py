@@ -1,12 +1,15 @@
 """Sphinx directive `program-help`: what a command prints for `--help`, asked at build time.
 
 What flows in: a module that runs with `python -m` and the arguments before `--help`. What flows
-out: a literal block that starts with the command. Rules: the page cannot differ from the program.
+out: the text, each line with its term and its meaning marked, so that j2a.css can put one below the
+other on a narrow screen. Rules: the page cannot differ from the program.
 
     .. program-help:: j2a call
 """
 
+import html
 import os
+import re
 import subprocess
 import sys
 from typing import Any
@@ -17,6 +20,11 @@ from sphinx.util.docutils import SphinxDirective
 
 MODULES = {"j2a": "j2a", "j2a-conform": "j2a_conformance"}
 COLUMNS = 88
+LINE = re.compile(r"( *)(\S.*?)(?:( {2,})(\S.*))?")
+CONTINUED = 6
+"""Blanks at its start by which a line goes on with what the one before it says."""
+SHORT = 6
+"""Characters of a term beside which its meaning has room on any screen."""
 
 
 def help_text(program: str, *arguments: str) -> str:
@@ -34,6 +42,32 @@ def help_text(program: str, *arguments: str) -> str:
     ).stdout.rstrip()
 
 
+def marked_up(text: str) -> str:
+    """Return a help text as HTML with the same characters, its lines and their parts marked."""
+    items: list[tuple[str, str, str]] = []
+    for line in text.split("\n"):
+        match = LINE.fullmatch(line)
+        indent, term, gap, meaning = match.groups(default="") if match else ("", "", "", "")
+        if len(indent) >= CONTINUED and not meaning and items:
+            start, before, said = items.pop()
+            items.append((start, before, f"{said}{_gap(chr(10) + indent)}{html.escape(term)}"))
+        else:
+            items.append((_gap(indent), term, f"{_gap(gap)}{html.escape(meaning)}"))
+    return "".join(
+        f'<span class="line">{start}{html.escape(term)}{_meaning(term, said)}{_gap(chr(10))}</span>'
+        for start, term, said in items
+    )
+
+
+def _meaning(term: str, said: str) -> str:
+    is_beside = len(term) <= SHORT or term.startswith("usage:")
+    return said if is_beside or not said else f'<span class="meaning">{said}</span>'
+
+
+def _gap(blanks: str) -> str:
+    return f'<span class="gap">{blanks}</span>' if blanks else ""
+
+
 class ProgramHelp(SphinxDirective):
     """The directive."""
 
@@ -47,7 +81,8 @@ class ProgramHelp(SphinxDirective):
             text = help_text(program, *arguments)
         except subprocess.CalledProcessError as error:
             raise self.error(f"{' '.join(self.arguments)}: {error.stderr}") from error
-        return [nodes.literal_block(text, text, language="text")]
+        page = f'<div class="highlight"><pre class="program-help">{marked_up(text)}</pre></div>'
+        return [nodes.raw("", page, format="html")]
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
     python docs/tests/repeat.py [--times 30] [URL ...]
 
-The programs are the first ones of README.md and docs/index.md and the examples that take the URL of
+The programs are the last ones of README.md and docs/index.md and the examples that take the URL of
 a device with the demo functions. Without a URL they talk to the Python device over TCP, and to the
 demo firmware for this machine and in a simulated AVR where these can be built. The command fails
 when two runs of a program differ, or one of them does not end well.
@@ -38,11 +38,9 @@ OTHERS = {
 }
 
 
-def shown(page: str) -> str:
-    """Return the first Python program of a page."""
-    found = re.search(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
-    assert found is not None, page
-    return found[1]
+def shown(page: str, number: int = -1) -> str:
+    """Return a Python program of a page, by default the last: it is for the demo functions."""
+    return re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)[number]
 
 
 def programs(url: str) -> dict[str, list[str]]:

@@ -13,6 +13,8 @@ import time
 
 import j2a_transports
 import pytest
+from j2a_spec.constants import BUILTINS, SOF, SOS
+from j2a_spec.oracle import Frame, decode
 
 import j2a
 from docs.tests.repeat import EXAMPLES, LIMIT_S, ROOT, SHOWN_URL, shown
@@ -20,10 +22,9 @@ from j2a.demo import DemoDevice
 from transports.tests.fake_gadget import Host, installed  # noqa: TID251 - not installed
 
 
-@pytest.fixture
-def url():
-    """A device with the demo functions."""
-    device = DemoDevice()
+@contextlib.contextmanager
+def served(device):
+    """Serve a device, and give its URL."""
     with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
         thread = threading.Thread(target=device.serve_forever, args=(listener,))
         thread.start()
@@ -31,6 +32,13 @@ def url():
         device.stop()
         thread.join(LIMIT_S)
         assert not thread.is_alive()
+
+
+@pytest.fixture
+def url():
+    """A device with the demo functions."""
+    with served(DemoDevice()) as found:
+        yield found
 
 
 def run(*arguments):
@@ -47,11 +55,37 @@ def run(*arguments):
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
-def test_the_first_program_of_a_page_runs(page, url):
+def test_the_program_of_a_page_runs(page, url):
     program = shown(page)
     assert SHOWN_URL in program
     printed = run("-c", program.replace(SHOWN_URL, url))
     assert printed.startswith("J2A demo ['a2jGetMapping', ")
+
+
+def test_the_first_program_of_the_readme_runs():
+    """With the sketch beside it in a simulated Uno: firmware/tests/test_arduino.py."""
+    device, levels = j2a.Device({"name": "My Uno"}), []
+    device.function("led")(levels.append)
+    program = shown("README.md", 0)
+    with served(device) as found:
+        printed = run("-c", program.replace(SHOWN_URL, found))
+    assert SHOWN_URL in program
+    assert printed.startswith("My Uno ['a2jGetMapping', ") and printed.endswith("'led']\n")
+    assert levels == [b"\x01"]
+
+
+def test_the_frames_of_the_picture_are_valid():
+    picture = (ROOT / "docs/_static/j2a.svg").read_text()
+    drawn = [
+        bytes.fromhex("".join(re.findall(r"<text[^>]*>(.*?)</text>", row)))
+        for row in re.findall(r'<g class="frame.*?</g>', picture, re.DOTALL)
+    ]
+    led = len(BUILTINS)  # the first function of a sketch
+    assert [decode(frame) for frame in drawn] == [
+        [Frame(SOF, 1, led, b"\x01")],
+        [Frame(SOF, 1, 0, b"")],
+        [Frame(SOS, 0, 0x20, (511).to_bytes(2, "little"))],
+    ]
 
 
 def test_the_readme_shows_what_the_board_sends_unasked(url):

@@ -2,8 +2,10 @@
 
 import itertools
 import re
+import shlex
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -221,6 +223,51 @@ def test_properties_and_many(built):
     assert board.many(FIRST, b"", 0) == bytes(6) + data[:249]
     rest = bytes((0, c.FLAG_LAST)) + (249).to_bytes(4, "little")
     assert board.many(FIRST, b"", 249) == rest + data[249:]
+
+
+def j2a(*words):
+    """Run the Python of these tests with arguments; returns what it printed."""
+    result = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_sketch_and_program_of_the_readme(variant, tmp_path):
+    readme = (ROOT / "README.md").read_text()
+    sketch, program = (
+        re.search(rf"^```{language}\n(.*?)^```", readme, re.M | re.S)[1]
+        for language in ("cpp", "python")
+    )
+    (tmp_path / "My").mkdir()
+    (tmp_path / "My/My.ino").write_text(sketch)
+    image = variant("uno", tmp_path / "My")
+    printed = j2a("-c", program.replace("serial:///dev/ttyACM0?baud=115200", f"sim:{image}"))
+    assert printed.startswith("My Uno ['a2jGetMapping', ") and printed.endswith("'led']\n")
+    board = Board(image)
+    for level in (1, 0):
+        assert board.call(0, bytes((level,))) == (0, b"")
+        assert board.sim.pins.level("PB5") == level
+
+
+def test_commands_of_the_readme(built):
+    readme = (ROOT / "README.md").read_text()
+    lines = re.findall(r"^ +j2a (\w+) serial:///dev/ttyACM0 *(.*)$", readme, re.M)
+    commands = {name: shlex.split(rest, comments=True) for name, rest in lines}
+    assert list(commands) == ["info", "call", "watch"]
+    url = f"sim:{built[0] / 'uno/Sensor.elf'}"
+    printed = {
+        name: j2a("-m", "j2a", name, url, *words, *(["--count", "2"] if name == "watch" else []))
+        for name, words in commands.items()
+    }
+    assert "Sensor" in printed["info"] and "analog" in printed["info"]
+    assert printed["call"] == "0\n"  # the input is at 0 V
+    pattern = r"opcode  32  seq   (\d)  (\d+) 0$"
+    (first, second) = re.findall(pattern, printed["watch"], re.M)
+    assert (first[0], second[0]) == ("0", "1")
+    assert int(second[1]) - int(first[1]) == 500
+    assert len(re.findall(r"opcode  32  seq   \d  \d+ \d+$", readme, re.M)) == 2
 
 
 def test_two_links_on_a_mega(variant):

@@ -38,7 +38,7 @@ class FaultyTransport(Transport):
     Attributes:
         tx: injects the faults of writing; `tx.counters` says what was injected.
         rx: injects the faults of reading.
-        is_simulated, clock, sleep: those of the inner transport.
+        clock: that of the inner transport, as are `sleep` and `is_simulated`.
     """
 
     def __init__(self, inner: Transport, tx: FaultInjector, rx: FaultInjector, url: str) -> None:

@@ -12,3 +12,4 @@ SIZE := avr-size
 PORT_SOURCES := ports/common/avr_clock.c
 PORT_RXBUF := 16
 SMALL := 1
+FLASHER := avrdude

@@ -29,3 +29,4 @@ PORT_SOURCES := ports/common/avr_clock.c
 PORT_RXBUF := 1024
 RXBUF ?= $(PORT_RXBUF)
 SMALL := 1
+FLASHER := avrdude

@@ -1,0 +1,26 @@
+"""The help texts on the page of the command line are those of the programs, marked up."""
+
+import html
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "_ext"))
+
+import program_help
+
+
+@pytest.mark.parametrize("words", [("j2a",), ("j2a", "watch"), ("j2a-conform", "run")])
+def test_no_character_is_lost(words):
+    text = program_help.help_text(*words)
+    marked = program_help.marked_up(text)
+    assert html.unescape(re.sub("<[^>]*>", "", marked)) == f"{text}\n"
+
+
+def test_a_meaning_is_marked_with_the_lines_that_go_on():
+    marked = program_help.marked_up("options:\n  --count N   end after\n              that many")
+    gaps = '<span class="gap">   </span>{}<span class="gap">\n              </span>{}</span>'
+    assert '--count N<span class="meaning">' + gaps.format("end after", "that many") in marked
+    assert marked.count('<span class="line">') == 2
