@@ -252,14 +252,17 @@ class AsyncClient(ClientBase):
 
     async def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         try:
-            request = next(transfer)
+            requests = next(transfer)
             while True:
                 try:
-                    reply = await self._engine.call(*self._arguments(request, limits, self._now()))
+                    now = self._now()
+                    replies = await self._engine.call_all(
+                        [self._arguments(request, limits, now) for request in requests]
+                    )
                 except J2AError as error:
-                    request = transfer.throw(error)
+                    requests = transfer.throw(error)
                 else:
-                    request = transfer.send(reply)
+                    requests = transfer.send(replies)
         except StopIteration as end:
             result: _Result = end.value
             return result

@@ -296,14 +296,17 @@ class Client(ClientBase):
 
     def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         try:
-            request = next(transfer)
+            requests = next(transfer)
             while True:
                 try:
-                    reply = self._engine.call(*self._arguments(request, limits, self._now()))
+                    now = self._now()
+                    replies = self._engine.call_all(
+                        [self._arguments(request, limits, now) for request in requests]
+                    )
                 except J2AError as error:
-                    request = transfer.throw(error)
+                    requests = transfer.throw(error)
                 else:
-                    request = transfer.send(reply)
+                    requests = transfer.send(replies)
         except StopIteration as end:
             result: _Result = end.value
             return result

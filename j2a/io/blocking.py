@@ -14,8 +14,8 @@ import math
 import queue
 import threading
 import weakref
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from j2a_transports import TransportError
 
@@ -87,10 +87,7 @@ class Engine:
         """Make one call, from any thread; see `Client.call`."""
         self.check_process()
         if self._turn._is_owned():  # type: ignore[attr-defined]
-            raise LocalError(
-                f"{what}: a signal handler has interrupted a call of {self._transport.url} and "
-                "cannot make another; close the client, or set a flag"
-            )
+            self._refuse_nested(what)
         waiter = threading.Lock()
         waiter.acquire()
         try:
@@ -108,6 +105,47 @@ class Engine:
             raise call.error
         assert call.reply is not None
         return call.reply
+
+    def call_all(self, requests: Sequence[tuple[str, int, bytes, float]]) -> list[Reply]:
+        """Make calls at once, each with the arguments of `call`; return their replies in order.
+
+        Raises: the first error, in this order, once all of them have ended.
+        """
+        if len(requests) == 1:
+            return [self.call(*requests[0])]
+        self.check_process()
+        if self._is_interrupted():
+            self._refuse_nested(requests[0][0])
+        waiters = [threading.Lock() for _ in requests]
+        calls = []
+        try:
+            with self._turn, self._state:
+                now = self._clock()
+                for (what, opcode, payload, limit_s), waiter in zip(requests, waiters, strict=True):
+                    waiter.acquire()
+                    calls.append(
+                        self._session.start_call(
+                            what, opcode, payload, now=now, timeout_s=limit_s, waiter=waiter
+                        )
+                    )
+                self._send()
+            for call, waiter in zip(calls, waiters, strict=True):
+                self._wait(call, waiter)
+        except BaseException:
+            with self._turn, self._state:
+                for waiter in waiters:
+                    self._settle(self._session.cancel(waiter))
+            raise
+        for call in calls:
+            if call.error is not None:
+                raise call.error
+        return [call.reply for call in calls if call.reply is not None]
+
+    def _refuse_nested(self, what: str) -> NoReturn:
+        raise LocalError(
+            f"{what}: a signal handler has interrupted a call of {self._transport.url} and "
+            "cannot make another; close the client, or set a flag"
+        )
 
     def close(self) -> None:
         """Deliver the SIFs that have come, then end all calls and the threads."""

@@ -159,7 +159,7 @@ class ClientBase:
         what, opcode = self._device.resolve(GET_DEBUG)
         text = b""
         for _ in range(MAX_DEBUG_READS):
-            code, part = yield CallRequest(what, b"", opcode)
+            [(code, part)] = yield (CallRequest(what, b"", opcode),)
             if code > RET_MAX:
                 raise remote_error(what, code, part)
             if code & ~(DEBUG_MORE | DEBUG_LOST):
@@ -188,7 +188,8 @@ class ClientBase:
         what, opcode = self._device.resolve(function)
         if len(payload) > self._device.room:
             yield from preparing(what, self._device.check_room(what, payload))
-        return (yield CallRequest(what, payload, opcode))
+        [reply] = yield (CallRequest(what, payload, opcode),)
+        return reply
 
     def _read_capabilities(self) -> Transfer[frozenset[str]]:
         yield from self._read_properties()
@@ -212,7 +213,7 @@ class ClientBase:
 
     def _echo_many(self, data: bytes, progress: Progress | None) -> Transfer[bytes]:
         yield from preparing(GET_ECHO_MANY, self._load_map())
-        return (yield from self._device.echo(data, progress))
+        return (yield from self._device.echo(data, progress, self._window))
 
     def _arguments(
         self, request: CallRequest, limits: Limits, now: float
@@ -250,7 +251,8 @@ class ClientBase:
 def _ask_map(limit_s: float) -> Transfer[Reply | None]:
     """Ask for the function map; None when the device refuses that."""
     try:
-        return (yield CallRequest(GET_MAPPING, b"", 0, limit_s))
+        [reply] = yield (CallRequest(GET_MAPPING, b"", 0, limit_s),)
+        return reply
     except OpcodeRefused:
         return None
 

@@ -12,7 +12,7 @@ import inspect
 import logging
 import math
 import weakref
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
@@ -119,6 +119,23 @@ class AsyncEngine:
             raise call.error
         assert call.reply is not None
         return call.reply
+
+    async def call_all(self, requests: Sequence[tuple[str, int, bytes, float]]) -> list[Reply]:
+        """Make calls at once, each with the arguments of `call`; return their replies in order.
+
+        Raises: the first error, in this order, once all of them have ended.
+        """
+        if len(requests) == 1:
+            return [await self.call(*requests[0])]
+        found = await asyncio.gather(
+            *(self.call(*request) for request in requests), return_exceptions=True
+        )
+        replies = []
+        for result in found:
+            if isinstance(result, BaseException):
+                raise result
+            replies.append(result)
+        return replies
 
     def _refuse_loop(self) -> NoReturn:
         raise LocalError(

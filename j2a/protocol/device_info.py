@@ -241,18 +241,20 @@ class DeviceInfo:
         what, opcode = self.resolve(function)
         return self._write(what, opcode, _check_transfer(data), progress)
 
-    def echo(self, data: object, progress: Progress | None) -> Transfer[bytes]:
+    def echo(self, data: object, progress: Progress | None, window: int = 1) -> Transfer[bytes]:
         """Send data through a2jEchoMany; see `echo_chunks`. Old devices do this right."""
         self.check_version()
         what, opcode = self.resolve(GET_ECHO_MANY)
-        return self._echo(what, opcode, _check_transfer(data), progress)
+        return self._echo(what, opcode, _check_transfer(data), window, progress)
 
     def _echo(
-        self, what: str, opcode: int, data: bytes, progress: Progress | None
+        self, what: str, opcode: int, data: bytes, window: int, progress: Progress | None
     ) -> Transfer[bytes]:
         chunk_size = yield from preparing(what, self._chunk_size(data))
         return (
-            yield from echo_chunks(what, opcode, data, chunk_size=chunk_size, progress=progress)
+            yield from echo_chunks(
+                what, opcode, data, chunk_size=chunk_size, window=window, progress=progress
+            )
         )
 
     @property

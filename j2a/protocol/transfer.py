@@ -1,14 +1,15 @@
 """Transfers of any size in chunks (a2jMany), without the link.
 
-What flows in: data to send, replies. What flows out: calls of a2jMany to make, one at a time, and
-the result.
-Rules: each transfer is a generator that yields a call to make, is sent the reply or thrown the
-error, and returns its result; whoever drives it owns the waiting. Chunks follow each other without
-gap or overlap; anything else that a device answers is an error, never a silent loss.
+What flows in: data to send, replies. What flows out: calls of a2jMany to make, and the result.
+Rules: each transfer is a generator that yields calls to make at once, is sent their replies or
+thrown the first error, and returns its result; whoever drives it owns the waiting. Chunks follow
+each other without gap or overlap; anything else that a device answers is an error, never a silent
+loss.
 """
 
 import struct
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
+from itertools import islice
 from typing import Final, NamedTuple, TypeVar
 
 from j2a_spec.constants import (
@@ -70,8 +71,9 @@ class CallRequest(NamedTuple):
 
 
 _Result = TypeVar("_Result")
-Transfer = Generator[CallRequest, Reply, _Result]
-"""Work under way: yields calls to make, is sent replies or thrown errors, returns its result."""
+Transfer = Generator[tuple[CallRequest, ...], list[Reply], _Result]
+"""Work under way: yields calls that may be on the wire together, is sent their replies in the same
+order, or thrown the first error once all have ended; returns its result."""
 
 OffsetCheck = Callable[[bytearray, Chunk], Transfer[None]]
 """Asked before the first offset above 255 is used; gets what has been read and the first chunk, and
@@ -90,14 +92,37 @@ def preparing(what: str, transfer: Transfer[_Result]) -> Transfer[_Result]:
 
 def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> Transfer[Chunk]:
     """Send one chunk and return the reply, checked as far as every transfer needs it."""
-    where = f"{what} at offset {offset}"
+    [chunk] = yield from exchange_all(what, opcode, [(flags, offset, data)])
+    return chunk
+
+
+def exchange_all(
+    what: str, opcode: int, chunks: Sequence[tuple[int, int, bytes]]
+) -> Transfer[list[Chunk]]:
+    """Send chunks at once, each flags, offset and data; return their replies as `exchange` does."""
+    requests = tuple(
+        CallRequest(_place(what, offset), _HEADER.pack(opcode, flags, offset) + data)
+        for flags, offset, data in chunks
+    )
     try:
-        reply = yield CallRequest(where, _HEADER.pack(opcode, flags, offset) + data)
+        replies = yield requests
     except OpcodeRefused as error:
         hint = "a function that is not made for transfers is called by `call`"
         raise error.copy(f"{error}; {hint}", error.outcome) from None
     except J2AError as error:
-        raise _begun(error, offset) from None
+        raise _begun(error, len(chunks) > 1 or chunks[0][1] > 0) from None
+    return [
+        _checked(what, offset, reply) for (_, offset, _), reply in zip(chunks, replies, strict=True)
+    ]
+
+
+def _place(what: str, offset: int) -> str:
+    return f"{what} at offset {offset}"
+
+
+def _checked(what: str, offset: int, reply: Reply) -> Chunk:
+    """Return the chunk that a reply to one at this offset brings."""
+    where = _place(what, offset)
     if reply.code != RET_OK:
         raise remote_error(f"{where} (a2jMany itself)", reply.code, reply.payload)
     if len(reply.payload) < MANY_HEADER:
@@ -115,9 +140,9 @@ def exchange(what: str, opcode: int, flags: int, offset: int, data: bytes) -> Tr
     return Chunk(code, bool(reply_flags & FLAG_LAST), offset, reply.payload[MANY_HEADER:])
 
 
-def _begun(error: J2AError, offset: int) -> J2AError:
-    """Return the error of a transfer that has come to this offset in bytes."""
-    if not offset or error.outcome is not Outcome.NOT_SENT:
+def _begun(error: J2AError, has_begun: bool) -> J2AError:
+    """Return the error of a transfer of which other chunks may have been executed, or none."""
+    if not has_begun or error.outcome is not Outcome.NOT_SENT:
         return error
     return error.copy(f"{error}; what came before was executed", Outcome.MAYBE_EXECUTED)
 
@@ -156,7 +181,7 @@ def read_chunks(
             try:
                 yield from offset_check(content, first)
             except J2AError as error:
-                raise _begun(error, offset) from None
+                raise _begun(error, offset > 0) from None
             is_trusted = True
         chunk = yield from exchange(what, opcode, 0, offset, b"")
         first = first or chunk
@@ -211,20 +236,25 @@ def echo_chunks(
     data: bytes,
     *,
     chunk_size: int,
+    window: int = 1,
     progress: Progress | None = None,
 ) -> Transfer[bytes]:
     """Send data through a2jEchoMany and check that each chunk comes back as it was (J2A-ECHO-002).
 
-    Args and raises: as `write_chunks`. Returns: what came back.
+    Args and raises: as `write_chunks`; `window` is how many chunks may be on their way, which a
+    function without state allows. Returns: what came back.
     """
     content = bytearray()
-    for offset, part, flags in _split(data, chunk_size):
-        chunk = yield from exchange(what, opcode, flags | FLAG_WRITE, offset, part)
-        if chunk != (ECHO_MANY, bool(flags & FLAG_LAST), offset, part):
-            raise ProtocolError(f"{what}: the chunk at offset {offset} came back changed")
-        content += chunk.data
-        if progress is not None:
-            progress(len(content), len(data))
+    parts = _split(data, chunk_size)
+    while group := list(islice(parts, window)):
+        sent = [(flags | FLAG_WRITE, offset, part) for offset, part, flags in group]
+        chunks = yield from exchange_all(what, opcode, sent)
+        for (offset, part, flags), chunk in zip(group, chunks, strict=True):
+            if chunk != (ECHO_MANY, bool(flags & FLAG_LAST), offset, part):
+                raise ProtocolError(f"{what}: the chunk at offset {offset} came back changed")
+            content += chunk.data
+            if progress is not None:
+                progress(len(content), len(data))
     return bytes(content)
 
 

@@ -44,14 +44,14 @@ def reading(size: int) -> Work:
 
     def run() -> int:
         transfer = read_chunks("f", 6, max_bytes=size, offset_check=probe)
-        request = next(transfer)
+        [request] = next(transfer)
         try:
             while True:
                 offset = int.from_bytes(request.payload[2:6], "little")
                 is_last = offset + 249 >= size
                 data = bytes(min(249, size - offset))
                 head = bytes((0, is_last)) + request.payload[2:6]
-                request = transfer.send(Reply(0, head + data))
+                [request] = transfer.send([Reply(0, head + data)])
         except StopIteration as end:
             assert len(end.value) == size
         return size

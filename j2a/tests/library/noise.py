@@ -67,14 +67,14 @@ class Noise(ClientBase):
     def do(self, transfer: Transfer) -> None:
         limits = self._device_limits(self.now, BOOT_S)
         try:
-            request = next(transfer)
+            [request] = next(transfer)
             while True:
                 try:
                     reply = self.call(*self._arguments(request, limits, self.now))
                 except j2a.J2AError as error:
-                    request = transfer.throw(error)
+                    [request] = transfer.throw(error)
                 else:
-                    request = transfer.send(reply)
+                    [request] = transfer.send([reply])
         except StopIteration:
             pass
 

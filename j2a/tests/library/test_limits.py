@@ -31,7 +31,7 @@ class Host(ClientBase):
     def do(self, transfer, limits):
         """Drive transfer as the clients do."""
         try:
-            request = next(transfer)
+            [request] = next(transfer)
             while True:
                 try:
                     what, opcode, payload, limit_s = self._arguments(request, limits, self.now)
@@ -41,9 +41,9 @@ class Host(ClientBase):
                     if self.cost_s > limit_s:
                         raise j2a.CallTimeout(what, outcome=Outcome.MAYBE_EXECUTED)
                 except j2a.J2AError as error:
-                    request = transfer.throw(error)
+                    [request] = transfer.throw(error)
                 else:
-                    request = transfer.send(self.answer(opcode, payload))
+                    [request] = transfer.send([self.answer(opcode, payload)])
         except StopIteration as end:
             return end.value
 

@@ -1,5 +1,6 @@
 """Transfers in chunks, without a link: what is sent, what is refused, devices of version 1.0."""
 
+import asyncio
 import random
 import struct
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from j2a.protocol.announced import Announced
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES, DeviceInfo
 from j2a.protocol.transfer import Transfer, read_chunks
 
-from .support import OldDevice
+from .support import OldDevice, linked, served
 
 SIZES = [0, 1, 248, 249, 250, 498, 499, 600]
 Execute = Callable[[int, bytes], tuple[int, bytes]]
@@ -29,12 +30,12 @@ def content(size: int) -> bytes:
 def drive(execute: Execute, steps: Transfer, requests: list[bytes] | None = None) -> object:
     """Run a transfer against the function table of a device."""
     try:
-        ask = next(steps)
+        asked = next(steps)
         while True:
             if requests is not None:
-                requests.append(ask.payload)
-            assert ask.opcode is None, "not a2jMany"
-            ask = steps.send(Reply(*execute(1, ask.payload)))
+                requests.extend(request.payload for request in asked)
+            assert all(request.opcode is None for request in asked), "not a2jMany"
+            asked = steps.send([Reply(*execute(1, request.payload)) for request in asked])
     except StopIteration as end:
         return end.value
 
@@ -441,3 +442,69 @@ class TestPeer:
             peer.write("store", data, None)
         with pytest.raises(j2a.LocalError):
             peer.echo(data, None)
+
+
+class TestWindow:
+    """Chunks of an echo that are on their way together, where the device has room for them."""
+
+    DATA = content(5000)
+
+    def run(self, device, window, data=DATA):
+        requests: list[int] = []
+
+        def execute(opcode, payload):
+            requests.append(len(payload))
+            return device._execute(opcode, payload)
+
+        groups = []
+        transfer = know(device).echo(data, None, window)
+        try:
+            asked = next(transfer)
+            while True:
+                if asked[0].what.startswith("a2jEchoMany"):  # and not the properties before
+                    groups.append(len(asked))
+                asked = transfer.send([Reply(*execute(1, request.payload)) for request in asked])
+        except StopIteration as end:
+            assert end.value == data
+        return groups
+
+    @pytest.mark.parametrize("window", [1, 2, 3, 8, 64])
+    @pytest.mark.parametrize("size", [0, 1, 249, 250, 5000])
+    def test_no_more_than_the_window_are_asked_for_at_once(self, demo, window, size):
+        groups = self.run(demo, window, content(size))
+        chunks = max(1, -(-size // 249))
+        assert groups == [window] * (chunks // window) + [chunks % window] * (chunks % window > 0)
+
+    @pytest.mark.parametrize("asyncio_too", [False, True])
+    @pytest.mark.parametrize("window", [1, 2, 8])
+    def test_both_clients(self, window, asyncio_too):
+        async def main():
+            with served(DemoDevice()) as url:
+                async with await j2a.aconnect(url, window=window) as client:
+                    return await client.echo_many(self.DATA)
+
+        if asyncio_too:
+            assert asyncio.run(main()) == self.DATA
+            return
+        with linked(DemoDevice(), window=window) as client:
+            assert client.echo_many(self.DATA) == self.DATA
+
+    def test_the_first_error_ends_it_once_all_have_ended(self):
+        func = know(DemoDevice()).functions["a2jEchoMany"]
+
+        class Refuses(DemoDevice):
+            echoes = 0
+
+            def _execute(self, opcode, payload):
+                if opcode == 1 and payload[0] == func:
+                    self.echoes += 1
+                    if self.echoes in (3, 5):
+                        return 0xF0, b"\x01\x00"
+                return super()._execute(opcode, payload)
+
+        device = Refuses()
+        with linked(device, window=8) as client:
+            with pytest.raises(j2a.OpcodeRefused, match="at offset 498"):
+                client.echo_many(self.DATA)
+            assert device.echoes == 8
+            assert client.echo(b"and on") == b"and on"

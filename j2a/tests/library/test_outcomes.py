@@ -129,7 +129,7 @@ class TestTransfers:
         """Answer so many chunks, then fail with the error; return what comes out."""
         next(steps)
         for index in range(answered):
-            steps.send(Reply(*chunk(offset=249 * index)))
+            steps.send([Reply(*chunk(offset=249 * index))])
         with pytest.raises(j2a.J2AError) as caught:
             steps.throw(error)
         assert type(caught.value) is type(error)
@@ -169,6 +169,6 @@ class TestTransfers:
         read = peer.read("store", 1000, None)
         next(read)
         with pytest.raises(j2a.FunctionFailed) as caught:
-            read.send(Reply(*chunk(b"why", code=code)))
+            read.send([Reply(*chunk(b"why", code=code))])
         assert caught.value.outcome is Outcome.ANSWERED
         assert (caught.value.code, caught.value.payload) == (code, b"why")
