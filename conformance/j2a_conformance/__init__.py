@@ -9,7 +9,7 @@ from ._case import Case
 from ._coverage import coverage
 from ._deviations import Deviation, Rules
 from ._model import Claims, Evidence, HarnessError, Outcome, Result, Run, Verdict
-from ._runner import run
+from ._run import run
 from .cases import load
 
 __all__ = [

@@ -13,7 +13,7 @@ from j2a_spec.requirements import Level
 
 from ._peer import Peer
 
-__all__ = ["About", "Case", "of_module"]
+__all__ = ["About", "Case", "collect_cases"]
 
 
 class About(ABC):
@@ -68,7 +68,7 @@ class Case(About):
 _About = TypeVar("_About", bound=About)
 
 
-def of_module(module: ModuleType, kind: type[_About]) -> tuple[_About, ...]:
+def collect_cases(module: ModuleType, kind: type[_About]) -> tuple[_About, ...]:
     """Return one instance of each case class of a kind that `module` defines, in its order."""
     return tuple(
         found()

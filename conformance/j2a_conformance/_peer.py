@@ -23,8 +23,9 @@ from ._expected import (
     refusal,
 )
 from ._judge import Judged, fail
-from ._model import Claims, Verdict
+from ._model import Claims
 from ._requests import MANY_ONLY, Requests
+from ._retry import Retry
 from ._wire import Arrival, Link
 
 __all__ = [
@@ -40,7 +41,8 @@ __all__ = [
 
 _QUIET_S = 0.025  # longer than the longest byte timeout (J2A-TIME-002)
 _ATTEMPTS = 6
-_UNHURRIED = 25  # of the attempts on a lossy link, each so-many-th waits for a slow answer
+_RESYNCS = 3
+_PATIENT = 25  # of the attempts on a lossy link, each so-many-th waits for a slow answer
 _BATCH = 2048  # bytes of requests in one write, where j2a.rxbuf is not less
 _IN_FLIGHT = 100  # exchanges; far fewer than there are seqs
 _Result = TypeVar("_Result")
@@ -62,7 +64,10 @@ class Peer(Requests):
         super().__init__(link, claims)
         self.strict = False
         self._barriers = 0
-        self._trying = False
+        lossy = link.lossy
+        self._exchanges = Retry(lossy or _ATTEMPTS, every=bool(lossy))
+        self._echoes = Retry(lossy or 1)
+        self._resyncs = Retry(lossy or _RESYNCS, every=True)
 
     # Exchanges
 
@@ -223,23 +228,28 @@ class Peer(Requests):
         A device answers in order (J2A-DISP-001), so a barrier proves silence without waiting. On a
         lossy link, one that suffered itself is tried again.
         """
-        for left in reversed(range(self.link.lossy or 1)):
-            request = self.probe()
-            self.link.send(request.wire)
-            arrival = self.next_frame(self.link.reply_timeout_s)
-            if not left or not _damaged(request, arrival):
-                break
-            self.link.repeated += 1
+        self._echoes.run(lambda _: self._barrier(), self._count)
+
+    def _barrier(self) -> None:
+        request = self.probe()
+        self.link.send(request.wire)
+        arrival = self.next_frame(self.link.reply_timeout_s)
+        suffered = bool(self.link.lossy) and _damaged(request, arrival)
         if arrival is None:
             self.link.record("expected", request.expected.wire, str(request.expected))
-            fail("a good request was not answered")
+            fail("a good request was not answered", suspect=suffered)
         event = arrival.event
         if not isinstance(event, Frame) or not request.expected.matches(event):
             culprit = self._culprit(arrival)
             text = f"nothing, and then {request.expected}"
             self.link.record("expected", request.expected.wire, text)
             stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
-            fail(f"{describe(event)} came where silence was due{culprit}", suspect=stalled)
+            suspect = suffered if self.link.lossy else stalled
+            fail(f"{describe(event)} came where silence was due{culprit}", suspect=suspect)
+
+    def _count(self, _: Judged) -> bool:
+        self.link.repeated += bool(self.link.lossy)
+        return True
 
     def _culprit(self, arrival: Arrival) -> str:
         """Return what an unwanted frame answers, in words, and put both into the evidence."""
@@ -267,17 +277,23 @@ class Peer(Requests):
 
     def resync(self) -> bool:
         """Bring device and link to rest after a failure; tell whether the device answers again."""
-        for _ in range(self.link.lossy or 3):
-            if not self.link.lossy:  # there the probe alone brings rest, and sooner
-                self.settle()
-            # Before the echo is found, opcode 0 is all that is known to answer.
-            request = self.probe() if self.has(c.GET_ECHO) else self.request(0)
-            self.link.send(request.wire)
-            for arrival in self.link.arrivals(self.link.reply_timeout_s):
-                event = arrival.event
-                if isinstance(event, Frame) and request.expected.matches(event):
-                    return True
-        return False
+        try:
+            self._resyncs.run(lambda _: self._resync())
+        except Judged:
+            return False
+        return True
+
+    def _resync(self) -> None:
+        if not self.link.lossy:  # there the probe alone brings rest, and sooner
+            self.settle()
+        # Before the echo is found, opcode 0 is all that is known to answer.
+        request = self.probe() if self.has(c.GET_ECHO) else self.request(0)
+        self.link.send(request.wire)
+        for arrival in self.link.arrivals(self.link.reply_timeout_s):
+            event = arrival.event
+            if isinstance(event, Frame) and request.expected.matches(event):
+                return
+        fail("the device does not answer")
 
     def carried(self, body: Callable[[], _Result]) -> _Result:
         """Run an exchange; on a lossy link until it is carried unharmed."""
@@ -289,30 +305,18 @@ class Peer(Requests):
         Only failures that `body` marks as suspect are tried again; on a lossy link each one. Of
         attempts within attempts the outer ones are made: `body` may change the device's state.
         """
-        if self._trying:
-            return body()
-        self._trying = True
-        try:
-            return self._attempts(body)
-        finally:
-            self._trying = False
 
-    def _attempts(self, body: Callable[[], _Result]) -> _Result:
-        link, attempt = self.link, 0
-        most = link.lossy or _ATTEMPTS
-        while True:
-            attempt += 1
-            link.hurried = bool(link.lossy and attempt % _UNHURRIED)
-            try:
-                return body()
-            except Judged as judged:
-                if judged.verdict is not Verdict.FAILED or not (judged.suspect or link.lossy):
-                    raise
-                judged.final = bool(link.lossy) and attempt == most
-                if attempt == most or not self.resync():
-                    raise
-                link.note(f"another attempt: {judged.reason}")
-                link.repeated += bool(link.lossy)
+        def attempt(number: int) -> _Result:
+            self.link.expect_loss = bool(self.link.lossy and number % _PATIENT)
+            return body()
+
+        return self._exchanges.run(attempt, self._rest)
+
+    def _rest(self, judged: Judged) -> bool:
+        if not self.resync():
+            return False
+        self.link.note(f"another attempt: {judged.reason}")
+        return self._count(judged)
 
 
 def _damaged(request: Request, arrival: Arrival | None) -> bool:

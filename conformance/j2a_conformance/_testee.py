@@ -28,7 +28,7 @@ from ._model import HarnessError
 from ._packages import PACKAGES
 from ._process import Process
 
-__all__ = ["Testee", "load_testee"]
+__all__ = ["TesteeFile", "load_testee"]
 
 _COMMANDS: Final = ("build", "serve", "needs")
 _LEVELS: Final = get_args(Level)
@@ -39,7 +39,7 @@ _SLICE_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Testee:
+class TesteeFile:
     """A device that can be started.
 
     Attributes:
@@ -135,7 +135,7 @@ def _not_installed(name: str) -> str:
     return f"the program {name} is not installed{where}"
 
 
-def load_testee(path: Path) -> Testee:
+def load_testee(path: Path) -> TesteeFile:
     """Read a testee file.
 
     Raises:
@@ -155,7 +155,7 @@ def load_testee(path: Path) -> Testee:
         )
     deviations = parse(entry.pop("deviation", []), str(path))
     words: dict[str, Any] = {key: tuple(entry.pop(key, ())) for key in (*_COMMANDS, "claims")}
-    return Testee(root=folders[2], deviations=deviations, **words, **entry)
+    return TesteeFile(root=folders[2], deviations=deviations, **words, **entry)
 
 
 def _mistake(entry: dict[str, object]) -> str:

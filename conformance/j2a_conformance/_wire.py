@@ -25,7 +25,7 @@ _EVIDENCE_KEPT: Final = 40
 _SENT_KEPT: Final = 256  # writes; enough to find the request of any seq again
 _SPIN_S: Final = 0.0015
 _REPLY_S: Final = 2.0
-_HURRIED_S: Final = 0.05  # more than a device takes to give up a frame (J2A-TIME-002)
+_LOSS_S: Final = 0.05  # more than a device takes to give up a frame (J2A-TIME-002)
 _BITS: Final = 10  # of a byte on a serial line; with parity and a second stop bit 12
 
 
@@ -85,7 +85,7 @@ class Link:
     Attributes:
         sifs: every SIF since the link was opened, in order.
         byte_s: time that a byte on the wire takes, as far as it is known.
-        hurried: do not wait long for an answer: it is lost rather than late.
+        expect_loss: do not wait long for an answer: it is lost rather than late.
         repeated: exchanges that were repeated since `begin`, because the link is lossy.
     """
 
@@ -95,7 +95,7 @@ class Link:
         self.scale = scale
         self.lossy = lossy
         self.byte_s = _BITS / baud if baud else 0.0
-        self.hurried = bool(lossy)
+        self.expect_loss = bool(lossy)
         self.repeated = 0
         self.sifs: list[Arrival] = []
         self._splitter = Splitter()
@@ -138,7 +138,7 @@ class Link:
 
         The largest request and the largest reply must fit, twice: the rate is not known exactly.
         """
-        least_s = (_HURRIED_S if self.hurried else _REPLY_S) * self.scale
+        least_s = (_LOSS_S if self.expect_loss else _REPLY_S) * self.scale
         return max(least_s, 2 * 2 * c.MAX_WIRE * self.byte_s)
 
     # Evidence
@@ -149,7 +149,7 @@ class Link:
         self._sent.clear()
         self._entries = 0
         self.repeated = 0
-        self.hurried = bool(self.lossy)
+        self.expect_loss = bool(self.lossy)
         self._began_s = self.now_s()
 
     def record(self, kind: Kind, data: bytes = b"", text: str = "") -> None:

@@ -6,7 +6,7 @@ a test proves it.
 
 from functools import cache
 
-from j2a_conformance._case import Case, of_module
+from j2a_conformance._case import Case, collect_cases
 
 from . import (
     announced,
@@ -55,5 +55,5 @@ def load() -> tuple[Case, ...]:
     """Return every case but the smoke step, in the order in which they run."""
     # What is returned are instances of its subclasses, which are not abstract.
     kind: type[Case] = Case  # type: ignore[type-abstract]
-    found = [case for module in _MODULES for case in of_module(module, kind)]
+    found = [case for module in _MODULES for case in collect_cases(module, kind)]
     return (*found, *scenario.load())

@@ -15,7 +15,7 @@ from j2a_conformance import _deviations
 from j2a_conformance._case import Case
 from j2a_conformance._coverage import coverage
 from j2a_conformance._model import Result, Run
-from j2a_conformance._runner import run
+from j2a_conformance._run import run
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance.cases import load
 from j2a_conformance.reports import _console

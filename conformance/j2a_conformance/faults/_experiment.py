@@ -16,7 +16,7 @@ from j2a_transports.faults import Rates
 from j2a_conformance._judge import Judged
 from j2a_conformance._model import Claims, HarnessError, Result, Verdict
 from j2a_conformance._peer import Peer
-from j2a_conformance._runner import run as judge
+from j2a_conformance._run import run as judge
 from j2a_conformance._smoke import SMOKE
 from j2a_conformance._wire import Link
 
