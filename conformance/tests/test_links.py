@@ -121,6 +121,8 @@ def test_a_broken_device_fails_on_a_lossy_link(mixin, case, reference):
 class SlowLink(Transport):
     """A device behind a line of `rate` bytes a second, in a time of its own."""
 
+    is_simulated = True
+
     def __init__(self, make, rate):
         super().__init__("slow:", None)
         self.now_s = 0.0
