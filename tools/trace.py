@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from j2a_conformance import Verdict
-from j2a_conformance._smoke import SMOKE
-from j2a_conformance.cases import load as load_cases
+from j2a_conformance.device._smoke import SMOKE
+from j2a_conformance.device.cases import load as load_cases
 from j2a_conformance.host import START
 from j2a_conformance.host.cases import load as load_host_cases
 from j2a_spec import requirements

@@ -13,18 +13,18 @@ from typing import Generic, TypeVar
 
 from j2a_transports import TransportError
 
-from ._case import About
+from ._case import BaseCase
 from ._judge import Judged, give_up
 from ._model import STOPPED_BY_USER, Result, Run, Verdict
 from ._retry import Retry
-from ._wire import Link
+from .wire._link import Link
 
 __all__ = ["ATTEMPTS", "Testee", "judge"]
 
 ATTEMPTS = 3
 """How often a case is run at most."""
 
-_AnyCase = TypeVar("_AnyCase", bound=About)
+_AnyCase = TypeVar("_AnyCase", bound=BaseCase)
 
 
 class Testee(ABC, Generic[_AnyCase]):

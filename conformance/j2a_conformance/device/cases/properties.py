@@ -4,10 +4,10 @@ import construct as cs
 from j2a_spec import constants as c
 from j2a_spec.grammar import PROPERTIES
 
-from j2a_conformance._case import Case
 from j2a_conformance._judge import fail, inform, skip
-from j2a_conformance._peer import Peer
-from j2a_conformance._selftest import read
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Peer
+from j2a_conformance.device._selftest import read
 
 
 class Content(Case):

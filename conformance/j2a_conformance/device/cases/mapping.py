@@ -4,10 +4,10 @@ import construct as cs
 from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import payload_of, spread
 from j2a_conformance._judge import fail, lack
-from j2a_conformance._peer import Peer
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Peer
+from j2a_conformance.wire._dimensions import payload_of, spread
 
 
 def mapping(peer: Peer, payload: bytes = b"") -> bytes:

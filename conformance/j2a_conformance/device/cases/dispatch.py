@@ -5,10 +5,10 @@ import struct
 from j2a_spec import constants as c
 from j2a_spec.oracle import checksum
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import payload_of
 from j2a_conformance._judge import fail, skip
-from j2a_conformance._peer import Expected, Peer, Request, refusal
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, Request, refusal
+from j2a_conformance.wire._dimensions import payload_of
 
 from .sums import with_sum
 

@@ -12,10 +12,10 @@ from j2a_spec import constants as c
 from j2a_spec.capabilities import FUNCTIONS
 from j2a_spec.oracle import Frame, encode
 
-from ._expected import Expected, Request, many_payload
-from ._judge import lack
-from ._model import Claims
-from ._wire import Link
+from j2a_conformance._judge import lack
+from j2a_conformance._model import Claims
+from j2a_conformance.wire._expected import Expected, Request, many_payload
+from j2a_conformance.wire._link import Link
 
 __all__ = ["MANY_ONLY", "Requests"]
 

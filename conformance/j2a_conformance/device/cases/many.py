@@ -6,10 +6,10 @@ from itertools import product
 from j2a_spec import constants as c
 from j2a_spec.capabilities import FUNCTIONS
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lane_offset, payload_of, spread
 from j2a_conformance._judge import fail, inform, skip
-from j2a_conformance._peer import Expected, ManyReply, Peer, Request, many_payload
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, ManyReply, Peer, Request, many_payload
+from j2a_conformance.wire._dimensions import lane_offset, payload_of, spread
 
 OFFSETS = (
     0, 1, 0x12, 0x7D, 0xED, 255, 256, 257, 498, 0x127D, 0xED00, 0xFFFF, 0x10000, 0x12EDED,

@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lengths, payload_of, spread
 from j2a_conformance._judge import fail
-from j2a_conformance._peer import Expected, Peer, Request, many_payload
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, Request, many_payload
+from j2a_conformance.wire._dimensions import lengths, payload_of, spread
 
 from .sums import with_sum
 

@@ -14,11 +14,12 @@ from typing import TypeVar
 from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, Skipped, decode
 
+from j2a_conformance._judge import Judged, fail
+from j2a_conformance._model import HarnessError
+from j2a_conformance.wire._link import Arrival
+
 from ._case import Case
-from ._judge import Judged, fail
-from ._model import HarnessError
 from ._peer import Peer, Request, describe
-from ._wire import Arrival
 
 __all__ = ["SMOKE"]
 

@@ -11,15 +11,16 @@ from dataclasses import replace
 from j2a_spec.requirements import Level
 from j2a_transports import Transport, TransportError
 
+from j2a_conformance._judge import Judged, give_up
+from j2a_conformance._model import Claims, HarnessError, Result, Run, Verdict
+from j2a_conformance._retry import Retry
+from j2a_conformance._runner import ATTEMPTS, Testee, judge
+from j2a_conformance.wire._link import Link
+
 from ._case import Case
 from ._deviations import Rules
-from ._judge import Judged, give_up
-from ._model import Claims, HarnessError, Result, Run, Verdict
 from ._peer import Peer
-from ._retry import Retry
-from ._runner import ATTEMPTS, Testee, judge
 from ._smoke import SMOKE
-from ._wire import Link
 from .cases import load
 
 __all__ = ["run"]

@@ -8,11 +8,11 @@ and only when it is refused again and again: a stall between here and the device
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum, encode, stuff
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lane_offset, lengths, payload_of, spread
 from j2a_conformance._judge import Judged, fail, inform
 from j2a_conformance._model import Verdict
-from j2a_conformance._peer import Expected, Peer, Request, many_payload
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, Request, many_payload
+from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of, spread
 
 _ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
 _GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3

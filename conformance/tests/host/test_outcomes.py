@@ -1,7 +1,7 @@
 """Messages of the suite for hosts name what differs."""
 
 import pytest
-from j2a_conformance.host._words import Outcome, difference, explain, explain_sifs, spell
+from j2a_conformance.host._outcomes import Outcome, difference, explain, explain_sifs, spell
 
 LONG = bytes(range(200))
 SIFS = [(n, bytes((n,)) * (n % 7)) for n in range(200)]

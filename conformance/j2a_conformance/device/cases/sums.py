@@ -7,10 +7,10 @@ from operator import xor
 from j2a_spec import constants as c
 from j2a_spec.oracle import checksum, stuff
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lane_offset, lengths, payload_of
 from j2a_conformance._judge import fail
-from j2a_conformance._peer import Expected, Peer, many_payload, refusal
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, many_payload, refusal
+from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of
 
 
 def with_sum(seq: int, opcode: int, payload: bytes, value: int) -> bytes:

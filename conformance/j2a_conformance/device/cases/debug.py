@@ -4,11 +4,11 @@ from collections.abc import Iterable
 
 from j2a_spec import constants as c
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lengths, payload_of
-from j2a_conformance._expected import first_difference
 from j2a_conformance._judge import fail, inform
-from j2a_conformance._peer import Peer
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Peer
+from j2a_conformance.wire._dimensions import lengths, payload_of
+from j2a_conformance.wire._expected import first_difference
 
 _AT_MOST = 100_000
 _SHIFTS = 10

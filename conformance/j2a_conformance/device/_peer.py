@@ -11,7 +11,10 @@ from typing import TypeVar
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, Skipped, checksum, encode
 
-from ._expected import (
+from j2a_conformance._judge import Judged, fail
+from j2a_conformance._model import Claims
+from j2a_conformance._retry import Retry
+from j2a_conformance.wire._expected import (
     DAMAGE,
     Expected,
     ManyReply,
@@ -22,11 +25,9 @@ from ._expected import (
     many_payload,
     refusal,
 )
-from ._judge import Judged, fail
-from ._model import Claims
+from j2a_conformance.wire._link import Arrival, Link
+
 from ._requests import MANY_ONLY, Requests
-from ._retry import Retry
-from ._wire import Arrival, Link
 
 __all__ = [
     "MANY_ONLY",

@@ -10,12 +10,12 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode
 from j2a_transports import TransportError
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import lengths, payload_of
-from j2a_conformance._expected import first_difference
 from j2a_conformance._judge import Judged, fail, inform
-from j2a_conformance._peer import Expected, Peer, describe, refusal
-from j2a_conformance._wire import Arrival
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, describe, refusal
+from j2a_conformance.wire._dimensions import lengths, payload_of
+from j2a_conformance.wire._expected import first_difference
+from j2a_conformance.wire._link import Arrival
 
 from .frame import patterns
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, checksum, encode, stuff
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import SPECIAL, damaged, misread, payload_of, spread
-from j2a_conformance._peer import Expected, Peer, refusal
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, refusal
+from j2a_conformance.wire._dimensions import SPECIAL, damaged, misread, payload_of, spread
 
 from .sums import broken
 

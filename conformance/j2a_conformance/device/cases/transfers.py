@@ -2,9 +2,9 @@
 
 from j2a_spec import constants as c
 
-from j2a_conformance._case import Case
 from j2a_conformance._judge import fail, inform
-from j2a_conformance._peer import Peer
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Peer
 
 from .many import echo_many
 

@@ -16,7 +16,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Event, Frame, FrameError, Incomplete, Skipped, decode
 from j2a_transports import Transport, TransportError
 
-from ._model import Evidence, Kind
+from j2a_conformance._model import Evidence, Kind
 
 __all__ = ["Arrival", "Link", "Splitter"]
 

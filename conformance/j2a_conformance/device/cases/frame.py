@@ -7,9 +7,9 @@ from itertools import product
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, Incomplete, checksum, decode, encode
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import damaged, lengths, misread, payload_of, places, spread
-from j2a_conformance._peer import Expected, Peer, refusal
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, refusal
+from j2a_conformance.wire._dimensions import damaged, lengths, misread, payload_of, places, spread
 
 from .sums import broken
 

@@ -15,7 +15,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from ._model import Evidence, HarnessError, Result, Verdict
+from j2a_conformance._model import Evidence, HarnessError, Result, Verdict
+
 from ._smoke import SMOKE
 from .cases import load
 

@@ -23,10 +23,11 @@ from typing import Any, Final, get_args
 import j2a_transports
 from j2a_spec.requirements import Level
 
+from j2a_conformance._model import HarnessError
+from j2a_conformance._process import Process
+
 from ._deviations import Deviation, parse
-from ._model import HarnessError
 from ._packages import PACKAGES
-from ._process import Process
 
 __all__ = ["TesteeFile", "load_testee"]
 

@@ -12,9 +12,9 @@ from j2a_spec import constants as c
 from j2a_spec import requirements, vectors
 from j2a_spec.oracle import Frame, encode
 
-from j2a_conformance._case import Case
 from j2a_conformance._judge import Judged, skip
-from j2a_conformance._peer import Expected, Peer
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer
 
 _LONGEST_ACCEPTED_MS = c.BYTE_TIMEOUT_MIN_MS
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, checksum, decode, encode, stuff
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import SPECIAL, misread, payload_of, pieces, places, spread
 from j2a_conformance._judge import Judged, inform
-from j2a_conformance._peer import Expected, Peer, refusal
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, refusal
+from j2a_conformance.wire._dimensions import SPECIAL, misread, payload_of, pieces, places, spread
 
 from .frame import CLEAN, answers
 from .stuffing import escapable, escaped

@@ -6,7 +6,8 @@ a test proves it.
 
 from functools import cache
 
-from j2a_conformance._case import Case, collect_cases
+from j2a_conformance._case import collect_cases
+from j2a_conformance.device._case import Case
 
 from . import (
     announced,

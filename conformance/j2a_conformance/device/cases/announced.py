@@ -4,9 +4,9 @@ import re
 
 from j2a_spec import constants as c
 
-from j2a_conformance._case import Case
 from j2a_conformance._judge import fail, skip
-from j2a_conformance._peer import Peer
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Peer
 
 _TOKEN = re.compile(r"[a-z][a-z0-9.-]{0,31}")
 

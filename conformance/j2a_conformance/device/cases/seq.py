@@ -4,10 +4,10 @@ import random
 
 from j2a_spec import constants as c
 
-from j2a_conformance._case import Case
-from j2a_conformance._dimensions import payload_of, spread
 from j2a_conformance._judge import fail
-from j2a_conformance._peer import Peer
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Peer
+from j2a_conformance.wire._dimensions import payload_of, spread
 
 from .sif import compare
 
