@@ -15,7 +15,6 @@ import hashlib
 import json
 import re
 import sys
-import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,13 +28,18 @@ from j2a_conformance.host.cases import load as load_host_cases
 from j2a_spec import requirements
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "conformance" / "mutants"))
+
+from anchors import function_at  # noqa: E402  found through the line above, as those below
+from tables import TARGETS, Edit, Mutant, place_of  # noqa: E402
+from tables import load as load_table  # noqa: E402
+
 TRACE = ROOT / "build" / "traceability.json"
 SUMMARY = ROOT / "conformance" / "trace.json"
 RESULTS = ROOT / "build" / "conformance"
 MUTANTS = ROOT / "conformance" / "mutants"
 VECTORS = ROOT / "spec" / "j2a_spec" / "vectors"
 LIBRARY = ROOT / "j2a" / "tests" / "library"
-C_FUNCTION = re.compile(r"^[a-z].*?(\w+)\([^;]*\{$", re.MULTILINE | re.DOTALL)
 
 # The worst of the cases of a requirement is its result.
 WORST_FIRST = (
@@ -78,47 +82,29 @@ def library_tests() -> Iterator[tuple[str, str]]:
                         yield name, f"{path.relative_to(ROOT)}::{getattr(node, 'name', '')}"
 
 
-def mutants() -> Iterator[dict[str, Any]]:
-    """Yield the entries of all tables of mutants."""
-    for path in sorted(MUTANTS.glob("*.toml")):
-        yield from tomllib.loads(path.read_text("utf-8")).get("mutant", ())
+def mutants() -> list[Mutant]:
+    """Return the mutants of all tables."""
+    return [mutant for target in sorted(TARGETS) for mutant in load_table(target).mutants]
 
 
-def edits(mutant: dict[str, Any]) -> list[dict[str, str]]:
-    """Return what a mutant changes: its own one edit, or several."""
-    return [*([mutant] if "find" in mutant else []), *mutant.get("edits", ())]
-
-
-def source(edit: dict[str, str]) -> dict[str, Any]:
+def source(mutant: Mutant, edit: Edit) -> dict[str, Any]:
     """Return the place of an edit: file, function, the first line that it changes, and which it is.
 
     `occurrence` is the number of lines of the same text before this one.
     """
-    path = ROOT / edit["file"]
-    text = path.read_text("utf-8")
-    pairs = zip(edit["find"], edit["replace"], strict=False)
-    kept = next((n for n, (old, new) in enumerate(pairs) if old != new), len(edit["replace"]))
+    text = (ROOT / edit.file).read_text("utf-8")
+    place = place_of(text, edit, mutant.id)
+    old, new = text[place.start : place.end], place.text(edit.find, edit.replace)
+    pairs = zip(old, new, strict=False)
+    kept = next((n for n, (before, after) in enumerate(pairs) if before != after), len(new))
     # What is only added stands behind the last line that stays.
-    at = text.index(edit["find"]) + min(kept, len(edit["find"].rstrip()) - 1)
+    at = place.start + min(kept, len(old.rstrip()) - 1)
     number = text.count("\n", 0, at) + 1
     lines = [line.strip() for line in text.splitlines()]
     line = lines[number - 1]
-    if path.suffix == ".py":
-        function = _python_name(ast.parse(text), number)
-    else:
-        names = [m[1] for m in C_FUNCTION.finditer(text) if m.start() <= at]
-        function = names[-1] if names else ""
+    function, _, _ = function_at(text, at, edit.file.endswith(".py"))
     occurrence = lines[: number - 1].count(line)
-    return {"file": edit["file"], "function": function, "line": line, "occurrence": occurrence}
-
-
-def _python_name(node: ast.AST, number: int, prefix: str = "") -> str:
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            inside = child.lineno <= number <= (child.end_lineno or 0)
-            if inside:
-                return _python_name(child, number, f"{prefix}{child.name}.")
-    return prefix.rstrip(".")
+    return {"file": edit.file, "function": function, "line": line, "occurrence": occurrence}
 
 
 def results(folder: Path) -> dict[str, dict[str, str]]:
@@ -136,7 +122,7 @@ def collect(folder: Path) -> dict[str, Any]:
     ran = results(folder)
     matrix = json.loads((MUTANTS / "matrix.json").read_text("utf-8"))
     killed_by = {row["id"]: row["killed_by"] for row in matrix["mutants"]}
-    if new := {mutant["id"] for mutant in mutants()} - set(killed_by):
+    if new := {mutant.id for mutant in mutants()} - set(killed_by):
         sys.exit(f"matrix.json lacks {', '.join(sorted(new))}: run kill.py --write first")
     of_vectors, of_library, of_mutants = list(vectors()), list(library_tests()), list(mutants())
     trace = {}
@@ -157,13 +143,13 @@ def collect(folder: Path) -> dict[str, Any]:
             "tests": [test for name, test in of_library if name == r.id],
             "mutants": [
                 {
-                    "id": mutant["id"],
-                    "what": mutant["what"],
-                    "killed_by": killed_by[mutant["id"]],
-                    "sources": [source(edit) for edit in edits(mutant)],
+                    "id": mutant.id,
+                    "what": mutant.what,
+                    "killed_by": killed_by[mutant.id],
+                    "sources": [source(mutant, edit) for edit in mutant.edits],
                 }
                 for mutant in of_mutants
-                if mutant["requirement"] == r.id
+                if mutant.requirement == r.id
             ],
             "results": {
                 testee: _worst([v for case, v in verdicts.items() if case in ids])
