@@ -112,10 +112,13 @@ def test_a_difference_is_told_in_words():
 class OwnTime:
     """What a tap needs of a transport, with time that is set."""
 
-    url, write_timeout_s, now_s = "own:", None, 0.0
+    url, write_timeout_s, is_simulated, now_s = "own:", None, True, 0.0
 
     def clock(self):
         return self.now_s
+
+    def sleep(self, seconds):
+        self.now_s += seconds
 
     def write(self, data):
         self.now_s += 0.001
