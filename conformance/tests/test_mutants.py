@@ -128,7 +128,7 @@ def test_what_cannot_be_copied_is_said(arguments, capsys):
 
 def test_an_edit_that_does_not_fit_is_an_error(tmp_path):
     stale = replace(EXAMPLE, edits=(Edit("firmware/core/j2a_rx.c", "no such text", "x"),))
-    with pytest.raises(TableError, match="core-stuff-004: .* is gone"):
+    with pytest.raises(TableError, match=r"core-stuff-004: .* is gone"):
         copy("core", stale, tmp_path)
 
 
