@@ -112,13 +112,13 @@ def test_a_difference_is_told_in_words():
 class OwnTime:
     """What a tap needs of a transport, with time that is set."""
 
-    url, write_timeout_s, is_simulated, now_s = "own:", None, True, 0.0
-
-    def clock(self):
-        return self.now_s
+    url, write_timeout_s, now_s, is_simulated = "own:", None, 0.0, True
 
     def sleep(self, seconds):
         self.now_s += seconds
+
+    def clock(self):
+        return self.now_s
 
     def write(self, data):
         self.now_s += 0.001
