@@ -39,7 +39,7 @@ mutants: $(INSTALLED)  ## each mutant against the cases of the rule that it brea
 	@sh tools/system.sh demo
 	@$(BIN)/python conformance/mutants/kill.py
 
-trace: conformance  ## renew conformance/traceability.json, after make conformance
+trace: conformance  ## renew conformance/trace.json, after make conformance
 	@$(BIN)/python tools/trace.py
 
 docs: $(INSTALLED)  ## the documentation, into docs/_build/html

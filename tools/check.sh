@@ -52,7 +52,7 @@ step mutants "each mutant is killed by a case of the rule that it breaks" \
 step generated-mutants "a sample of the generated mutants is killed: dimensions, and mechanical changes" bash -c \
     'python conformance/mutants/kill.py --dimensions --sample 12 &&
     python conformance/mutants/random_mutants.py --target core --count 12'
-step trace "each requirement, from clause to last result, as the snapshot says" \
+step trace "each requirement, from clause to last result, as the summary says" \
     python tools/trace.py --check
 step docs "documentation, warnings are errors" \
     python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html

@@ -2,38 +2,44 @@
 
 What flows in: the specification, the cases, the tables and the kill matrix of conformance/mutants,
 the marks in j2a/tests/library, and the JSON reports of a run over all testees
-(tools/conformance.py). What flows out: conformance/traceability.json, from which the documentation
-makes a page for each requirement; with --check nothing is written, and a difference is an error.
-Rules: what is committed holds no line numbers and no times, so that it changes only when a link in
-the chain does. A testee that it does not have yet is named and is no error: who adds a port adds no
-more than a testee.
+(tools/conformance.py). What flows out: build/traceability.json, from which the documentation makes
+a page for each requirement, and conformance/trace.json, its hashes and totals; with --check the
+latter is not written, and a difference is an error. Rules: there are no line numbers and no times
+in either, so that they change only when a link in the chain does. A testee that is not known yet is
+named and is no error: a new port adds no more than a testee.
 """
 
 import argparse
 import ast
-import difflib
+import hashlib
 import json
 import re
 import sys
-import tomllib
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from j2a_conformance import Verdict
-from j2a_conformance._smoke import SMOKE
-from j2a_conformance.cases import load as load_cases
+from j2a_conformance.device._smoke import SMOKE
+from j2a_conformance.device.cases import load as load_cases
 from j2a_conformance.host import START
 from j2a_conformance.host.cases import load as load_host_cases
 from j2a_spec import requirements
 
 ROOT = Path(__file__).resolve().parent.parent
-SNAPSHOT = ROOT / "conformance" / "traceability.json"
+sys.path.insert(0, str(ROOT / "conformance" / "mutants"))
+
+from anchors import function_at  # noqa: E402  found through the line above, as those below
+from tables import TARGETS, Edit, Mutant, place_of  # noqa: E402
+from tables import load as load_table  # noqa: E402
+
+TRACE = ROOT / "build" / "traceability.json"
+SUMMARY = ROOT / "conformance" / "trace.json"
 RESULTS = ROOT / "build" / "conformance"
 MUTANTS = ROOT / "conformance" / "mutants"
 VECTORS = ROOT / "spec" / "j2a_spec" / "vectors"
 LIBRARY = ROOT / "j2a" / "tests" / "library"
-C_FUNCTION = re.compile(r"^[a-z].*?(\w+)\([^;]*\{$", re.MULTILINE | re.DOTALL)
 
 # The worst of the cases of a requirement is its result.
 WORST_FIRST = (
@@ -76,47 +82,29 @@ def library_tests() -> Iterator[tuple[str, str]]:
                         yield name, f"{path.relative_to(ROOT)}::{getattr(node, 'name', '')}"
 
 
-def mutants() -> Iterator[dict[str, Any]]:
-    """Yield the entries of all tables of mutants."""
-    for path in sorted(MUTANTS.glob("*.toml")):
-        yield from tomllib.loads(path.read_text("utf-8")).get("mutant", ())
+def mutants() -> list[Mutant]:
+    """Return the mutants of all tables."""
+    return [mutant for target in sorted(TARGETS) for mutant in load_table(target).mutants]
 
 
-def edits(mutant: dict[str, Any]) -> list[dict[str, str]]:
-    """Return what a mutant changes: its own one edit, or several."""
-    return [*([mutant] if "find" in mutant else []), *mutant.get("edits", ())]
-
-
-def source(edit: dict[str, str]) -> dict[str, Any]:
+def source(mutant: Mutant, edit: Edit) -> dict[str, Any]:
     """Return the place of an edit: file, function, the first line that it changes, and which it is.
 
     `occurrence` is the number of lines of the same text before this one.
     """
-    path = ROOT / edit["file"]
-    text = path.read_text("utf-8")
-    pairs = zip(edit["find"], edit["replace"], strict=False)
-    kept = next((n for n, (old, new) in enumerate(pairs) if old != new), len(edit["replace"]))
+    text = (ROOT / edit.file).read_text("utf-8")
+    place = place_of(text, edit, mutant.id)
+    old, new = text[place.start : place.end], place.text(edit.find, edit.replace)
+    pairs = zip(old, new, strict=False)
+    kept = next((n for n, (before, after) in enumerate(pairs) if before != after), len(new))
     # What is only added stands behind the last line that stays.
-    at = text.index(edit["find"]) + min(kept, len(edit["find"].rstrip()) - 1)
+    at = place.start + min(kept, len(old.rstrip()) - 1)
     number = text.count("\n", 0, at) + 1
     lines = [line.strip() for line in text.splitlines()]
     line = lines[number - 1]
-    if path.suffix == ".py":
-        function = _python_name(ast.parse(text), number)
-    else:
-        names = [m[1] for m in C_FUNCTION.finditer(text) if m.start() <= at]
-        function = names[-1] if names else ""
+    function, _, _ = function_at(text, at, edit.file.endswith(".py"))
     occurrence = lines[: number - 1].count(line)
-    return {"file": edit["file"], "function": function, "line": line, "occurrence": occurrence}
-
-
-def _python_name(node: ast.AST, number: int, prefix: str = "") -> str:
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            inside = child.lineno <= number <= (child.end_lineno or 0)
-            if inside:
-                return _python_name(child, number, f"{prefix}{child.name}.")
-    return prefix.rstrip(".")
+    return {"file": edit.file, "function": function, "line": line, "occurrence": occurrence}
 
 
 def results(folder: Path) -> dict[str, dict[str, str]]:
@@ -134,7 +122,7 @@ def collect(folder: Path) -> dict[str, Any]:
     ran = results(folder)
     matrix = json.loads((MUTANTS / "matrix.json").read_text("utf-8"))
     killed_by = {row["id"]: row["killed_by"] for row in matrix["mutants"]}
-    if new := {mutant["id"] for mutant in mutants()} - set(killed_by):
+    if new := {mutant.id for mutant in mutants()} - set(killed_by):
         sys.exit(f"matrix.json lacks {', '.join(sorted(new))}: run kill.py --write first")
     of_vectors, of_library, of_mutants = list(vectors()), list(library_tests()), list(mutants())
     trace = {}
@@ -155,13 +143,13 @@ def collect(folder: Path) -> dict[str, Any]:
             "tests": [test for name, test in of_library if name == r.id],
             "mutants": [
                 {
-                    "id": mutant["id"],
-                    "what": mutant["what"],
-                    "killed_by": killed_by[mutant["id"]],
-                    "sources": [source(edit) for edit in edits(mutant)],
+                    "id": mutant.id,
+                    "what": mutant.what,
+                    "killed_by": killed_by[mutant.id],
+                    "sources": [source(mutant, edit) for edit in mutant.edits],
                 }
                 for mutant in of_mutants
-                if mutant["requirement"] == r.id
+                if mutant.requirement == r.id
             ],
             "results": {
                 testee: _worst([v for case, v in verdicts.items() if case in ids])
@@ -175,42 +163,89 @@ def _worst(verdicts: list[str]) -> str:
     return next((v.value for v in WORST_FIRST if v.value in verdicts), "")
 
 
-def _text(trace: dict[str, Any]) -> str:
-    return json.dumps(trace, indent=1, ensure_ascii=False) + "\n"
+def write(folder: Path) -> dict[str, Any]:
+    """Write the whole trace into `TRACE` and return it, with the reports in `folder`."""
+    trace = collect(folder)
+    TRACE.parent.mkdir(exist_ok=True)
+    TRACE.write_text(_text(trace), "utf-8")
+    return trace
 
 
-def leave_out_new_testees(trace: dict[str, Any], committed: dict[str, Any]) -> set[str]:
-    """Take the testees out of a trace that the committed one has nowhere; return their names."""
-    known = {testee for entry in committed.values() for testee in entry["results"]}
+def summary(trace: dict[str, Any]) -> dict[str, Any]:
+    """Return what is committed of a trace: totals, testees, and a hash of it and of each area."""
+    areas: defaultdict[str, dict[str, Any]] = defaultdict(dict)
+    for name, entry in trace.items():
+        areas[name.split("-")[1]][name] = entry
+    kinds = ("vectors", "cases", "host_cases", "tests", "mutants")
+    links = {kind: sum(len(entry[kind]) for entry in trace.values()) for kind in kinds}
+    return {
+        "sha256": _hash(trace),
+        "totals": {"requirements": len(trace), **links},
+        "testees": sorted({name for entry in trace.values() for name in entry["results"]}),
+        "areas": {area: _hash(entries)[:16] for area, entries in areas.items()},
+    }
+
+
+def differences(committed: dict[str, Any], fresh: dict[str, Any]) -> list[str]:
+    """Return in words how two summaries differ."""
+    found = []
+    for part in ("totals", "areas"):
+        before, now = committed[part], fresh[part]
+        found += [
+            f"{part}: {name}: {before.get(name)} -> {now.get(name)}"
+            for name in {**before, **now}
+            if before.get(name) != now.get(name)
+        ]
+    if lost := set(committed["testees"]) - set(fresh["testees"]):
+        found.append(f"testees: no report of {', '.join(sorted(lost))}")
+    if not found and committed != fresh:
+        found.append("the hash is not that of the parts")
+    return found
+
+
+def leave_out_new_testees(trace: dict[str, Any], known: set[str]) -> set[str]:
+    """Take the testees out of a trace that are not known; return their names."""
     new = {testee for entry in trace.values() for testee in entry["results"]} - known
     for entry in trace.values():
         entry["results"] = {name: of for name, of in entry["results"].items() if name in known}
     return new
 
 
+def _text(data: dict[str, Any]) -> str:
+    return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
+
+
+def _hash(data: dict[str, Any]) -> str:
+    return hashlib.sha256(_text(data).encode()).hexdigest()
+
+
 def main() -> int:
-    """Write the snapshot, or compare it; return the exit code."""
+    """Write trace and summary, or compare the summary; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing, fail on a difference")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--check", action="store_true", help="fail where the summary differs")
+    how.add_argument(
+        "--build", action="store_true", help="write the trace alone, with the reports that exist"
+    )
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the reports")
     args = parser.parse_args()
-    if not any(args.results.glob("*.json")):
+    if not args.build and not any(args.results.glob("*.json")):
         parser.error(f"no reports in {args.results}: run `make conformance` first")
-    trace = collect(args.results)
+    trace = write(args.results)
+    if args.build:
+        return 0
     if not args.check:
-        SNAPSHOT.write_text(_text(trace), "utf-8")
+        SUMMARY.write_text(_text(summary(trace)), "utf-8")
         return 0
-    committed = SNAPSHOT.read_text("utf-8")
-    if new := leave_out_new_testees(trace, json.loads(committed)):
-        print(f"not in {SNAPSHOT.name} yet: {', '.join(sorted(new))}; `make trace` takes them in")
-    fresh = _text(trace)
-    if fresh == committed:
-        print(f"{len(json.loads(fresh))} requirements are traced as {SNAPSHOT.name} says")
-        return 0
-    lines = (committed.splitlines(), fresh.splitlines())
-    print("\n".join(difflib.unified_diff(*lines, "committed", "now", lineterm="")))
-    print("traceability.json is not what the sources say; look at the difference, then: make trace")
-    return 1
+    committed = json.loads(SUMMARY.read_text("utf-8"))
+    if new := leave_out_new_testees(trace, set(committed["testees"])):
+        print(f"not in {SUMMARY.name} yet: {', '.join(sorted(new))}; `make trace` takes them in")
+    if found := differences(committed, summary(trace)):
+        print("\n".join(found))
+        print(f"{SUMMARY.name} is not what the sources say; look at {TRACE}, then: make trace")
+        return 1
+    print(f"{len(trace)} requirements are traced as {SUMMARY.name} says")
+    return 0
 
 
 if __name__ == "__main__":

@@ -5,12 +5,9 @@ On the command line it is `j2a-conform`. Nothing here imports the library `j2a`:
 sent and expected come from the oracle of `j2a_spec`.
 """
 
-from ._case import Case
 from ._coverage import coverage
-from ._deviations import Deviation, Rules
 from ._model import Claims, Evidence, HarnessError, Outcome, Result, Run, Verdict
-from ._runner import run
-from .cases import load
+from .device import Case, Deviation, Rules, load, run
 
 __all__ = [
     "Case",

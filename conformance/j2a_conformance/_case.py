@@ -1,23 +1,20 @@
-"""What a case is.
+"""What reports say of a case, whether it judges a device or a host.
 
-What flows in: a `Peer`, the device as a case talks to it. What flows out: nothing when the case
-passes, else `Judged`. Rules: a case leaves the device idle; it names every requirement that it
+What flows out: `BaseCase`, and the cases of a module. Rules: a case names every requirement that it
 tests; its description and expectation are facts, readable without the code.
 """
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from types import ModuleType
 from typing import TypeVar
 
 from j2a_spec.requirements import Level
 
-from ._peer import Peer
-
-__all__ = ["About", "Case", "of_module"]
+__all__ = ["BaseCase", "collect_cases"]
 
 
-class About(ABC):
-    """What a report says of a case, whether it judges a device or a host.
+class BaseCase(ABC):
+    """A case for devices or for hosts.
 
     Attributes:
         ID: stable name, `area.what`.
@@ -40,35 +37,10 @@ class About(ABC):
         cls.DESCRIPTION = " ".join((cls.__doc__ or "").split())
 
 
-class Case(About):
-    """One thing that a device does right or wrong.
-
-    Attributes:
-        NEEDS: names of functions without which the case is not run.
-    """
-
-    NEEDS: tuple[str, ...] = ()
-
-    def run(self, peer: Peer) -> None:
-        """Judge the device behind `peer`.
-
-        Raises:
-            Judged: the verdict is not OK.
-            TransportError: the link failed.
-        """
-        for name in self.NEEDS:
-            peer.opcode(name)
-        self._run(peer)
-
-    @abstractmethod
-    def _run(self, peer: Peer) -> None:
-        """Do what the case is about; see `run`."""
+_AnyCase = TypeVar("_AnyCase", bound=BaseCase)
 
 
-_About = TypeVar("_About", bound=About)
-
-
-def of_module(module: ModuleType, kind: type[_About]) -> tuple[_About, ...]:
+def collect_cases(module: ModuleType, kind: type[_AnyCase]) -> tuple[_AnyCase, ...]:
     """Return one instance of each case class of a kind that `module` defines, in its order."""
     return tuple(
         found()

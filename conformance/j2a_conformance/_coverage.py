@@ -10,9 +10,8 @@ from collections.abc import Iterable
 from j2a_spec import requirements
 from j2a_spec.requirements import Requirement
 
-from ._case import About
-from ._smoke import SMOKE
-from .cases import load
+from ._case import BaseCase
+from .device import SMOKE, load
 from .host import START
 from .host import load as load_host
 
@@ -40,7 +39,7 @@ def _all() -> Iterable[tuple[str, Requirement]]:
     return requirements.load().items()
 
 
-def _coverage(cases: Iterable[About]) -> dict[str, str]:
+def _coverage(cases: Iterable[BaseCase]) -> dict[str, str]:
     found: dict[str, list[str]] = {}
     for case in cases:
         for name in case.REQUIREMENTS:

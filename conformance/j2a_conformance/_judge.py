@@ -4,7 +4,7 @@ from typing import NoReturn
 
 from ._model import Verdict
 
-__all__ = ["Judged", "fail", "inform", "lack", "skip"]
+__all__ = ["Judged", "fail", "give_up", "inform", "lack", "skip"]
 
 
 class Judged(Exception):  # noqa: N818 - a judgement, not always an error
@@ -16,7 +16,7 @@ class Judged(Exception):  # noqa: N818 - a judgement, not always an error
         suspect: a stall of this machine could be the cause, so the case deserves another attempt.
 
     Attributes:
-        final: all attempts that there are were made.
+        final: another attempt does not help: all were made, or the cause stays.
         missing: the device lacks a function, without which a level is not reached.
     """
 
@@ -32,6 +32,13 @@ class Judged(Exception):  # noqa: N818 - a judgement, not always an error
 def fail(reason: str, suspect: bool = False) -> NoReturn:
     """The device is wrong; `suspect` when a stall of this machine could look the same."""
     raise Judged(Verdict.FAILED, reason, suspect)
+
+
+def give_up(reason: str) -> NoReturn:
+    """The testee is wrong, and would be in another attempt."""
+    judged = Judged(Verdict.FAILED, reason)
+    judged.final = True
+    raise judged
 
 
 def skip(reason: str) -> NoReturn:

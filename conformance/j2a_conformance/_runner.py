@@ -1,216 +1,178 @@
-"""Runs cases against a device and makes a `Run` of it.
+"""Runs cases against a testee and makes a `Run` of it, whether it is a device or a host.
 
-What flows in: a way to open the link, and cases. What flows out: a `Run`. Rules: a failed case
-never spoils the next one: device and link are brought to rest, and where the device is gone the
-link is opened anew; a failure that a stall of this machine or a lossy link may have caused is tried
-again; which failures are allowed or known is the business of `Rules`.
+What flows in: a `Testee`, and cases. What flows out: a `Run`. Rules: a failed case never spoils the
+next one: the testee is brought to rest between them; a failure that a stall of this machine or a
+lossy link may have caused is tried again.
 """
 
 import time
-from collections.abc import Callable, Collection, Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from datetime import datetime
+from typing import Generic, TypeVar
 
-from j2a_spec.requirements import Level
-from j2a_transports import Transport, TransportError
+from j2a_transports import TransportError
 
-from ._case import Case
-from ._deviations import Rules
-from ._judge import Judged
-from ._model import STOPPED_BY_USER, Claims, HarnessError, Result, Run, Verdict
-from ._peer import Peer
-from ._smoke import SMOKE
-from ._wire import Link
-from .cases import load
+from ._case import BaseCase
+from ._judge import Judged, give_up
+from ._model import STOPPED_BY_USER, Result, Run, Verdict
+from ._retry import Retry
+from .wire._link import Link
 
-__all__ = ["run"]
+__all__ = ["ATTEMPTS", "Testee", "judge"]
 
-_ATTEMPTS = 3
-_LOSSY_ATTEMPTS = 10
-_STRICT = Rules()
+ATTEMPTS = 3
+"""How often a case is run at most."""
+
+_AnyCase = TypeVar("_AnyCase", bound=BaseCase)
 
 
-def run(
-    opener: Callable[[], Transport],
-    cases: Iterable[Case],
+class Testee(ABC, Generic[_AnyCase]):
+    """A device or a host while cases run.
+
+    Attributes:
+        link: the link to it.
+        start: the cases that come first in each run; if one fails, nothing else can be judged.
+        retry: how often a case is tried.
+    """
+
+    link: Link
+    start: tuple[_AnyCase, ...]
+    retry: Retry
+
+    @abstractmethod
+    def run(self, case: _AnyCase) -> None:
+        """Run a case once.
+
+        Raises:
+            Judged: the verdict is not OK.
+            HarnessError: nothing can be said about the testee.
+            TransportError: the link ended.
+        """
+
+    @abstractmethod
+    def recover(self, after: str) -> str:
+        """Bring it to rest after a case that failed; return why the run ends there, or ""."""
+
+    @abstractmethod
+    def leave(self, failed: str) -> str:
+        """Take leave after the last case, which may have failed; return what went wrong, or ""."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the link."""
+
+    @abstractmethod
+    def complete(self, run: Run) -> Run:
+        """Return the run with what only this side knows."""
+
+    def excuse(self, result: Result) -> Result:
+        """Return the result with its final verdict: some failures may be allowed."""
+        return result
+
+
+def judge(
+    opener: Callable[[], Testee[_AnyCase]],
+    cases: Iterable[_AnyCase],
+    every: Iterable[_AnyCase],
     *,
-    url: str = "",
-    title: str = "",
-    rules: Rules = _STRICT,
-    timeout_scale: float = 1.0,
-    baud: int = 0,
-    lossy: int = 0,
-    fresh: bool = False,
-    builtins_only: bool = False,
-    claimed: Collection[Level] = (),
-    stop_on_failure: bool = False,
-    on_result: Callable[[Result], None] = lambda _: None,
+    url: str,
+    stop_on_failure: bool,
+    on_result: Callable[[Result], None],
 ) -> Run:
-    """Judge the device that `opener` connects to.
+    """Judge the testee that `opener` returns.
 
     Args:
-        opener: opens the link; called again when the link ends in mid run.
-        cases: the cases to run after the smoke step; those of the smoke step itself run once.
-        url: the link's name for the reports.
-        title: what the device is, for the reports.
-        rules: which failures are allowed, and which are known.
-        timeout_scale: factor for every wait, above 1 for slow links.
-        baud: rate of the link in bits a second, from which the first waits are computed; 0 where it
-            is not known. Later waits fit the rate that was measured, too.
-        lossy: the link loses or damages bytes, so an exchange fails only when it does so in this
-            many attempts, and a case in 10; 0: the link is good.
-        fresh: opening the link resets the device, so its first SIF has the seq 0.
-        builtins_only: do not use functions of the application, whatever their names.
-        claimed: the levels that the device is said to reach. A function that one of their cases
-            needs and the device lacks is a failure then, and not unimplemented.
+        opener: opens the link.
+        cases: the cases to run after those of the start; these run once.
+        every: all cases that there are for such a testee.
+        url: its name for the reports.
         stop_on_failure: leave out what comes after the first failed case.
         on_result: called with each result as it comes.
 
     Returns:
-        The run; also when it was interrupted or the device was lost.
+        The run; also when it was interrupted or the testee was lost.
 
     Raises:
         HarnessError: the link cannot be opened, or nothing answers.
     """
     began, began_s = datetime.now().astimezone(), time.monotonic()
-    try:
-        transport = opener()
-    except (TransportError, OSError) as error:
-        raise HarnessError(f"cannot open {url or 'the link'}: {error}") from error
+    testee = opener()
     cases = tuple(cases)
-    asked = tuple(case.ID for case in cases)
-    session = _Session(
-        opener, Link(transport, timeout_scale, baud, lossy), fresh, builtins_only, claimed
-    )
     results: list[Result] = []
-    stopped = ""
+    failed = stopped = ""
     try:
-        for case in (*SMOKE, *(case for case in cases if case not in SMOKE)):
-            found = session.judge(case)
-            result = rules.judge(found)
+        for case in (*testee.start, *(case for case in cases if case not in testee.start)):
+            if failed and (stopped := testee.recover(failed)):
+                break
+            found = _judge(testee, case)
+            result = testee.excuse(found)
             results.append(result)
             on_result(result)
-            if found.verdict is Verdict.FAILED:
-                if case in SMOKE:
-                    stopped = f"{case.ID} failed, so nothing else can be judged"
-                elif stop_on_failure and result.verdict is Verdict.FAILED:
-                    stopped = f"stopped at the first failed case, {case.ID}"
-                elif not session.recover():
-                    stopped = f"the device did not answer any more after {case.ID}"
+            failed = case.ID if found.verdict is Verdict.FAILED else ""
+            if failed and case in testee.start:
+                stopped = f"{case.ID} failed, so nothing else can be judged"
+            elif stop_on_failure and result.verdict is Verdict.FAILED:
+                stopped = f"stopped at the first failed case, {case.ID}"
             if stopped:
                 break
+        else:
+            stopped = testee.leave(failed)
     except KeyboardInterrupt:
         stopped = STOPPED_BY_USER
     finally:
-        session.close()
+        testee.close()
     ran = {result.case for result in results}
-    return Run(
+    run = Run(
         url=url,
         started=began.isoformat(timespec="seconds"),
         duration_s=time.monotonic() - began_s,
-        claims=session.peer.claims if session.known else None,
+        claims=None,
         results=tuple(results),
         stopped=stopped,
-        title=title,
-        profile=rules.profile,
-        stale=rules.stale(results, asked),
-        asked=asked,
-        lossy=lossy,
-        not_run={case.ID: case.LEVEL for case in (*SMOKE, *load()) if case.ID not in ran},
+        asked=tuple(case.ID for case in cases),
+        not_run={case.ID: case.LEVEL for case in (*testee.start, *every) if case.ID not in ran},
     )
+    return testee.complete(run)
 
 
-class _Session:
-    """The link and the peer while cases run."""
+def _judge(testee: Testee[_AnyCase], case: _AnyCase) -> Result:
+    """Run one case, more than once where that is due, and return its result."""
+    link, attempts = testee.link, 0
 
-    def __init__(
-        self,
-        opener: Callable[[], Transport],
-        link: Link,
-        fresh: bool,
-        builtins_only: bool,
-        claimed: Collection[Level],
-    ) -> None:
-        self.opener = opener
-        self.link = link
-        self.peer = Peer(link, Claims(mapped=False, functions=(), fresh=fresh))
-        self.builtins_only = builtins_only
-        self.claimed = claimed
-        self.known = False
-
-    def close(self) -> None:
-        self.link.transport.close()
-
-    def judge(self, case: Case) -> Result:
-        """Run one case and return its result."""
-        smoke = case in SMOKE
-        began_s = time.monotonic()
-        self.link.begin()
-        verdict, reason, attempts = self._attempts(case, barrier=not smoke or case is SMOKE[-1])
-        evidence, left_out = self.link.evidence()
-        result = Result(
-            case=case.ID,
-            description=case.DESCRIPTION,
-            expectation=case.EXPECTATION,
-            requirements=case.REQUIREMENTS,
-            level=case.LEVEL,
-            verdict=verdict,
-            reason=reason,
-            evidence=evidence,
-            left_out=left_out,
-            attempts=attempts,
-            repeated=self.link.repeated,
-            duration_s=time.monotonic() - began_s,
-        )
-        if case is SMOKE[-1] and verdict is Verdict.OK:
-            self.known = self.peer.strict = True
-            if self.builtins_only:
-                self.peer.hide_application()
-        return result
-
-    def _attempts(self, case: Case, barrier: bool) -> tuple[Verdict, str, int]:
-        most = _LOSSY_ATTEMPTS if self.link.lossy else _ATTEMPTS
-        for attempt in range(1, most + 1):
-            verdict, reason, again = self._once(case, barrier)
-            if not again or attempt == most or not self.recover():
-                break
-            self.link.note(f"another attempt: {reason}")
-        return verdict, reason, attempt
-
-    def _once(self, case: Case, barrier: bool) -> tuple[Verdict, str, bool]:
-        """Run the case; return verdict and reason, and whether it deserves another attempt."""
+    def attempt(number: int) -> None:
+        nonlocal attempts
+        attempts = number
         try:
-            case.run(self.peer)
-            if barrier:
-                self.peer.barrier()
-        except Judged as judged:
-            if judged.verdict is Verdict.FAILED:
-                return judged.verdict, judged.reason, self._again(judged)
-            if judged.missing and case.LEVEL in self.claimed:
-                reason = f"{judged.reason}, and is said to reach the level {case.LEVEL}"
-                return Verdict.FAILED, reason, False
-            try:
-                if self.known:
-                    self.peer.barrier()
-            except Judged as late:
-                return late.verdict, late.reason, self._again(late)
-            return judged.verdict, judged.reason, False
+            testee.run(case)
         except TransportError as error:
-            if case is SMOKE[0]:
-                raise HarnessError(f"the link failed before anything answered: {error}") from error
-            return Verdict.FAILED, f"the link ended: {error}", False
-        return Verdict.OK, "", False
+            give_up(f"the link ended: {error}")
 
-    def _again(self, judged: Judged) -> bool:
-        return not judged.final and (judged.suspect or bool(self.link.lossy))
+    def rest(judged: Judged) -> bool:
+        if testee.recover(case.ID):
+            return False
+        link.note(f"another attempt: {judged.reason}")
+        return True
 
-    def recover(self) -> bool:
-        """Bring the device to rest; reopen the link where that is the only way."""
-        for reopened in (False, True):
-            try:
-                if reopened:
-                    self.link.replace(self.opener())
-                if self.peer.resync():
-                    return True
-            except (TransportError, OSError) as error:
-                self.link.note(f"recovering: {error}")
-        return False
+    began_s = time.monotonic()
+    link.begin()
+    verdict, reason = Verdict.OK, ""
+    try:
+        testee.retry.run(attempt, rest)
+    except Judged as judged:
+        verdict, reason = judged.verdict, judged.reason
+    evidence, left_out = link.evidence()
+    return Result(
+        case=case.ID,
+        description=case.DESCRIPTION,
+        expectation=case.EXPECTATION,
+        requirements=case.REQUIREMENTS,
+        level=case.LEVEL,
+        verdict=verdict,
+        reason=reason,
+        evidence=evidence,
+        left_out=left_out,
+        attempts=attempts,
+        repeated=link.repeated,
+        duration_s=time.monotonic() - began_s,
+    )

@@ -16,7 +16,7 @@ from random import Random
 from typing import Any, Final
 
 import tables
-from tables import FOLDER, Edit, Mutant, TableError
+from tables import FOLDER, Edit, Mutant, TableError, edits_of
 
 __all__ = ["Condition", "Excluded", "Site", "find", "generate", "read", "sample"]
 
@@ -136,7 +136,7 @@ def read(target: str) -> tuple[list[Site], _State, list[Excluded]]:
     try:
         entries = tomllib.loads(path.read_text("utf-8"))
         state = entries.pop("state")
-        edits = tuple(Edit(**edit) for edit in state.pop("edits"))
+        edits = edits_of(state)
         sites = [_site(target, entry) for entry in entries.pop("site")]
         excluded = [Excluded(**entry) for entry in entries.pop("excluded", [])]
     except (OSError, KeyError, TypeError, ValueError) as error:
@@ -148,13 +148,11 @@ def read(target: str) -> tuple[list[Site], _State, list[Excluded]]:
 
 
 def _site(target: str, entry: dict[str, Any]) -> Site:
-    edits = entry.pop("edits", [])
-    if "find" in entry:
-        edits = [{key: entry.pop(key) for key in ("file", "find", "replace")}, *edits]
+    edits = edits_of(entry)
     for name in ("lengths", "counts"):
         if name in entry:
             entry[name] = tuple(entry[name])
-    site = Site(edits=tuple(Edit(**edit) for edit in edits), **entry)
+    site = Site(edits=edits, **entry)
     if not (match := _ID.fullmatch(site.id)) or match[1] != target:
         raise ValueError(f"{site.id}: an id is like {target}-stuff-004 or {target}-stuff-004-b")
     if not any(_GUARD in edit.replace for edit in site.edits):

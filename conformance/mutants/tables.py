@@ -2,18 +2,23 @@
 
 What flows in: `core.toml`, `device.toml` and `host.toml`, and the sources. What flows out: `Table`
 objects, and copies of the sources with the edits of one mutant. Rules: a mutant breaks one rule and
-is an edit kept here, so that the sources show nothing of it; what an edit looks for occurs exactly
-once. Nothing but Python is needed, because the Makefile of the firmware calls this.
+is an edit kept here, so that the sources show nothing of it; `FILES` alone says where a file is,
+`anchors.py` finds exactly one place in it. Nothing but Python is needed, because the Makefile
+of the firmware calls this.
 """
 
 import re
 import shutil
 import tomllib
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+from anchors import AnchorError, Place, locate, names_of
+
 __all__ = [
+    "FILES",
     "ROOT",
     "TARGETS",
     "Edit",
@@ -21,9 +26,13 @@ __all__ = [
     "Mutant",
     "Table",
     "TableError",
+    "changed",
     "copy",
+    "edit_of",
+    "edits_of",
     "find",
     "load",
+    "place_of",
 ]
 
 ROOT: Final = Path(__file__).resolve().parents[2]
@@ -35,6 +44,37 @@ TARGETS: Final = {
     "host": ("j2a",),
 }
 """What can be mutated, each with the files and folders that its edited copy is made of."""
+
+FILES: Final = {
+    "demo/properties.def": "firmware/apps/demo/properties.def",
+    "j2a_builtins.c": "firmware/core/j2a_builtins.c",
+    "j2a_const.h": "firmware/core/j2a_const.h",
+    "j2a_debug.c": "firmware/core/j2a_debug.c",
+    "j2a_rx.c": "firmware/core/j2a_rx.c",
+    "j2a_selftest.c": "firmware/core/j2a_selftest.c",
+    "j2a_server.c": "firmware/core/j2a_server.c",
+    "j2a_table.h": "firmware/core/j2a_table.h",
+    "j2a_tx.c": "firmware/core/j2a_tx.c",
+    "avr-serial/port.c": "firmware/ports/avr-serial/port.c",
+    "posix/port.c": "firmware/ports/posix/port.c",
+    "demo.py": "j2a/demo.py",
+    "device.py": "j2a/device.py",
+    "blocking.py": "j2a/io/blocking.py",
+    "connection.py": "j2a/io/connection.py",
+    "functions.py": "j2a/io/functions.py",
+    "links.py": "j2a/io/links.py",
+    "loop.py": "j2a/io/loop.py",
+    "threads.py": "j2a/io/threads.py",
+    "announced.py": "j2a/protocol/announced.py",
+    "codec.py": "j2a/protocol/codec.py",
+    "deframer.py": "j2a/protocol/deframer.py",
+    "device_info.py": "j2a/protocol/device_info.py",
+    "limits.py": "j2a/protocol/limits.py",
+    "server.py": "j2a/protocol/server.py",
+    "session.py": "j2a/protocol/session.py",
+    "transfer.py": "j2a/protocol/transfer.py",
+}
+"""The files that tables name, and where they are; a table may also name a path."""
 
 _ID: Final = re.compile(r"(?P<target>[a-z]+)-(?P<rule>[a-z]+-\d{3})(-[a-z])?")
 
@@ -49,7 +89,7 @@ class Edit:
 
     Attributes:
         file: path in the repository.
-        find: text that occurs exactly once there.
+        find: text that stands for exactly one place there, see `anchors`.
         replace: what stands there instead.
     """
 
@@ -122,11 +162,21 @@ def load(target: str) -> Table:
     return Table(target, mutants, exempt)
 
 
-def _mutant(target: str, entry: dict[str, Any]) -> Mutant:
-    edits = entry.pop("edits", [])
+def edit_of(entry: dict[str, str]) -> Edit:
+    """Return the edit of an entry of a table."""
+    return Edit(FILES.get(entry["file"], entry["file"]), entry["find"], entry["replace"])
+
+
+def edits_of(entry: dict[str, Any]) -> tuple[Edit, ...]:
+    """Take the edits out of an entry: its own one, and those of its list."""
+    edits = [edit_of(edit) for edit in entry.pop("edits", [])]
     if "find" in entry:
-        edits = [{key: entry.pop(key) for key in ("file", "find", "replace")}, *edits]
-    mutant = Mutant(edits=tuple(Edit(**edit) for edit in edits), **entry)
+        edits.insert(0, edit_of({key: entry.pop(key) for key in ("file", "find", "replace")}))
+    return tuple(edits)
+
+
+def _mutant(target: str, entry: dict[str, Any]) -> Mutant:
+    mutant = Mutant(edits=edits_of(entry), **entry)
     match = _ID.fullmatch(mutant.id)
     if match is None or match["target"] != target:
         raise ValueError(f"{mutant.id}: an id is like {target}-stuff-004 or {target}-stuff-004-b")
@@ -166,16 +216,48 @@ def copy(target: str, mutant: Mutant | None, folder: Path) -> None:
         else:
             shutil.copy2(source, copied)
     for edit in mutant.edits if mutant else ():
-        _apply(mutant.id if mutant else "", edit, folder)
+        path = folder / edit.file
+        if not path.is_file():
+            raise TableError(f"{_name(mutant)}: {edit.file} is no file of this target")
+        path.write_text(changed(path.read_text("utf-8"), edit, _name(mutant)), "utf-8")
 
 
-def _apply(name: str, edit: Edit, folder: Path) -> None:
-    path = folder / edit.file
-    if not path.is_file():
-        raise TableError(f"{name}: {edit.file} is no file of this target")
-    text = path.read_text("utf-8")
-    if (count := text.count(edit.find)) != 1:
-        raise TableError(f"{name}: {edit.find!r} occurs {count} times in {edit.file}, not once")
+def changed(text: str, edit: Edit, name: str) -> str:
+    """Return a source file with an edit of the mutant `name`.
+
+    Raises:
+        TableError: there is no one place for the edit.
+    """
     if edit.replace == edit.find:
         raise TableError(f"{name}: an edit changes nothing")
-    path.write_text(text.replace(edit.find, edit.replace), "utf-8")
+    place = place_of(text, edit, name)
+    return text[: place.start] + place.text(edit.find, edit.replace) + text[place.end :]
+
+
+def place_of(text: str, edit: Edit, name: str) -> Place:
+    """Return the place of an edit of the mutant `name` in its source file.
+
+    Raises:
+        TableError: there is no such place, or more than one.
+    """
+    known = _known_names(edit.file) if edit.find not in text else ()
+    try:
+        return locate(text, edit.find, is_python=edit.file.endswith(".py"), known=known)
+    except AnchorError as error:
+        raise TableError(f"{name}: {edit.file}: {error}") from error
+
+
+@cache
+def _known_names(file: str) -> frozenset[str]:
+    """Return the names that the edits of a file look for."""
+    found: set[str] = set()
+    for target in TARGETS:
+        for mutant in load(target).mutants:
+            for edit in mutant.edits:
+                if edit.file == file:
+                    found |= names_of(edit.find, is_python=file.endswith(".py"))
+    return frozenset(found)
+
+
+def _name(mutant: Mutant | None) -> str:
+    return mutant.id if mutant else ""

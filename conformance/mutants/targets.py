@@ -23,7 +23,7 @@ from typing import Final, TypeVar, get_args
 
 import j2a_transports
 from j2a_conformance import Case, HarnessError, Result, Run, Verdict, host, load, run
-from j2a_conformance._smoke import SMOKE
+from j2a_conformance.device._smoke import SMOKE
 from j2a_spec.requirements import Level
 from j2a_transports import Transport
 from matrix import killers

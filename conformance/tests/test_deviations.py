@@ -2,8 +2,8 @@
 
 import pytest
 from j2a_conformance import HarnessError, Verdict
-from j2a_conformance._deviations import Rules, parse, profile, profiles, read
-from j2a_conformance._testee import load_testee
+from j2a_conformance.device._deviations import Rules, parse, profile, profiles, read
+from j2a_conformance.device._testee import load_testee
 from j2a_conformance.reports._console import report
 from j2a_spec import constants as c
 

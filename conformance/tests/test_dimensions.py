@@ -1,7 +1,7 @@
 """What cases vary: deterministic, within bounds, and nothing left out."""
 
 import pytest
-from j2a_conformance._dimensions import SPECIAL, lane_offset, payload_of, pieces, spread
+from j2a_conformance.wire._dimensions import SPECIAL, lane_offset, payload_of, pieces, spread
 from j2a_spec import constants as c
 
 

@@ -1,7 +1,7 @@
 """The suite passes a conforming device, and says what it tests."""
 
 from j2a_conformance import Verdict, coverage, load
-from j2a_conformance._smoke import SMOKE
+from j2a_conformance.device._smoke import SMOKE
 from j2a_conformance.reports._console import report
 from j2a_spec import requirements
 from j2a_spec.capabilities import LEVELS

@@ -6,10 +6,10 @@ from contextlib import suppress
 
 import pytest
 from j2a_conformance import HarnessError, Verdict, load, run
-from j2a_conformance._case import Case
 from j2a_conformance._judge import fail
-from j2a_conformance._peer import Peer
-from j2a_conformance.cases import sif
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Peer
+from j2a_conformance.device.cases import sif
 from j2a_conformance.reports._console import report
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, encode

@@ -5,9 +5,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from j2a_conformance import _selftest
-from j2a_conformance._selftest import read
 from j2a_conformance.cli import main
+from j2a_conformance.device import _selftest
+from j2a_conformance.device._selftest import read
 from j2a_spec import selftest
 
 ROOT = Path(__file__).parents[2]

@@ -5,10 +5,11 @@ import time
 from pathlib import Path
 
 import pytest
-from j2a_conformance import HarnessError, _testee
-from j2a_conformance._packages import PACKAGES
-from j2a_conformance._testee import load_testee
+from j2a_conformance import HarnessError
 from j2a_conformance.cli import main
+from j2a_conformance.device import _testee
+from j2a_conformance.device._packages import PACKAGES
+from j2a_conformance.device._testee import load_testee
 
 from firmware.verify.packages import PACKAGES as INSTALLED
 

@@ -8,8 +8,8 @@ import j2a_transports
 import junitparser
 import pytest
 from j2a_conformance import Verdict, load, run
-from j2a_conformance._testee import load_testee
 from j2a_conformance.cli import main
+from j2a_conformance.device._testee import load_testee
 from j2a_conformance.reports import _json
 
 FOLDER = Path(__file__).parents[1] / "testees"

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 from hypothesis import given
 from hypothesis import strategies as st
-from j2a_conformance._wire import Splitter
 from j2a_conformance.reports._annotate import annotate
+from j2a_conformance.wire._link import Splitter
 from j2a_spec.oracle import Frame, Incomplete, Skipped, decode, encode
 
 FRAMES = st.builds(

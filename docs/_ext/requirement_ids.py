@@ -15,7 +15,7 @@ from docutils import nodes
 from docutils.parsers.rst import directives
 from j2a_conformance import coverage
 from j2a_conformance import load as load_cases
-from j2a_conformance._case import About
+from j2a_conformance._case import BaseCase
 from j2a_conformance._coverage import host_coverage
 from j2a_conformance.host import START
 from j2a_conformance.host import load as load_host_cases
@@ -142,13 +142,13 @@ class ConformanceCases(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return a definition list."""
         hosts = "hosts" in self.options
-        cases: tuple[About, ...] = (
+        cases: tuple[BaseCase, ...] = (
             (START, *load_host_cases(on_demand=True)) if hosts else load_cases()
         )
         return [nodes.definition_list("", *map(_case, cases))]
 
 
-def _case(case: About) -> nodes.definition_list_item:
+def _case(case: BaseCase) -> nodes.definition_list_item:
     term = nodes.term("", "", nodes.literal("", case.ID), nodes.Text(f" ({case.LEVEL})"))
     proves = nodes.paragraph("", "", nodes.Text("Proves "), *linked(", ".join(case.REQUIREMENTS)))
     texts = (case.DESCRIPTION, f"Expected: {case.EXPECTATION}")

@@ -1,26 +1,27 @@
 """Sphinx extension: a page for each requirement, from its clause to its last results.
 
-What flows in: conformance/traceability.json (see tools/trace.py), the golden vectors and the cases.
+What flows in: the trace of tools/trace.py, which is made anew, the golden vectors and the cases.
 What flows out: Markdown files in docs/spec/requirement, made anew before each build. Rules: the
-pages say nothing that the snapshot does not, but for the numbers of source lines, which are looked
-up.
+pages say nothing that the trace does not, but for the numbers of source lines, which are looked up;
+the last results are those of the reports in build/conformance, if there are any.
 """
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from j2a_conformance import Case
-from j2a_conformance._smoke import SMOKE
-from j2a_conformance.cases import load as load_cases
+from j2a_conformance.device._smoke import SMOKE
+from j2a_conformance.device.cases import load as load_cases
 from j2a_conformance.host import START
 from j2a_conformance.host.cases import load as load_host_cases
 from sphinx.application import Sphinx
-from sphinx.errors import ExtensionError
 
 ROOT = Path(__file__).resolve().parents[2]
-SNAPSHOT = ROOT / "conformance" / "traceability.json"
+TRACE = ROOT / "build" / "traceability.json"
 VECTORS = ROOT / "spec" / "j2a_spec" / "vectors"
 FOLDER = "spec/requirement"
 SHOWN = 24  # bytes of a vector
@@ -30,7 +31,8 @@ def write_pages(app: Sphinx) -> None:
     """Write the pages; those that did not change keep their time and are not read again."""
     folder = Path(app.srcdir) / FOLDER
     folder.mkdir(exist_ok=True)
-    trace = json.loads(SNAPSHOT.read_text("utf-8"))
+    subprocess.run([sys.executable, ROOT / "tools/trace.py", "--build"], check=True)
+    trace = json.loads(TRACE.read_text("utf-8"))
     cases = {
         case.ID: case for case in (*SMOKE, *load_cases(), START, *load_host_cases(on_demand=True))
     }
@@ -112,13 +114,8 @@ def _line_number(source: dict[str, Any]) -> int:
     """Return where the line stands now: the same text may stand in several functions."""
     lines = (ROOT / source["file"]).read_text("utf-8").splitlines()
     same = [n for n, line in enumerate(lines, 1) if line.strip() == source["line"]]
-    before: int = source["occurrence"]
-    if before >= len(same):
-        raise ExtensionError(
-            f"conformance/traceability.json knows a line that {source['file']} no longer has: "
-            f"{source['line']!r}; run make trace"
-        )
-    return same[before]
+    found: int = same[source["occurrence"]]
+    return found
 
 
 def _text(text: str) -> str:

@@ -122,12 +122,11 @@ def test_a_new_testee_is_no_difference_of_the_trace():
     spec = importlib.util.spec_from_file_location("trace_tool", ROOT / "tools/trace.py")
     tool = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(tool)
-    committed = {"J2A-A-001": {"results": {"posix": "ok"}}, "J2A-A-002": {"results": {}}}
     trace = {
         "J2A-A-001": {"results": {"posix": "failed", "myport": "ok"}},
         "J2A-A-002": {"results": {"myport": "failed"}},
     }
-    assert tool.leave_out_new_testees(trace, committed) == {"myport"}
+    assert tool.leave_out_new_testees(trace, {"posix"}) == {"myport"}
     assert trace == {"J2A-A-001": {"results": {"posix": "failed"}}, "J2A-A-002": {"results": {}}}
 
 

@@ -12,7 +12,7 @@ from typing import TypeVar, get_args
 
 from j2a_spec.requirements import Level
 
-from j2a_conformance._case import About
+from j2a_conformance._case import BaseCase
 from j2a_conformance._model import HarnessError
 
 from ._exit import UsageError
@@ -20,7 +20,7 @@ from ._output import show
 
 __all__ = ["add_arguments", "matching", "misplaced_url", "show_cases"]
 
-_Case = TypeVar("_Case", bound=About)
+_Case = TypeVar("_Case", bound=BaseCase)
 
 
 def add_arguments(command: argparse.ArgumentParser, example: str) -> None:
@@ -96,11 +96,11 @@ def matching(
     return found
 
 
-def _matches(case: About, pattern: str) -> bool:
+def _matches(case: BaseCase, pattern: str) -> bool:
     return any(fnmatchcase(name, pattern) for name in (case.ID, *case.REQUIREMENTS))
 
 
-def show_cases(cases: Iterable[About], coverage: dict[str, str]) -> None:
+def show_cases(cases: Iterable[BaseCase], coverage: dict[str, str]) -> None:
     """Print the cases, and what covers each requirement."""
     for case in cases:
         show(f"{case.ID}  ({case.LEVEL})\n  {case.DESCRIPTION}\n  {' '.join(case.REQUIREMENTS)}")

@@ -15,8 +15,8 @@ import j2a_transports
 from j2a_spec.requirements import Level
 from j2a_transports import Transport, TransportError
 
-from j2a_conformance._deviations import Deviation
-from j2a_conformance._testee import load_testee
+from j2a_conformance.device._deviations import Deviation
+from j2a_conformance.device._testee import load_testee
 
 from ._exit import UsageError
 

@@ -11,13 +11,13 @@ from typing import get_args
 import j2a_transports
 from j2a_spec.requirements import Level
 
-from j2a_conformance import _deviations
-from j2a_conformance._case import Case
 from j2a_conformance._coverage import coverage
 from j2a_conformance._model import Result, Run
-from j2a_conformance._runner import run
-from j2a_conformance._smoke import SMOKE
-from j2a_conformance.cases import load
+from j2a_conformance.device import _deviations
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._run import run
+from j2a_conformance.device._smoke import SMOKE
+from j2a_conformance.device.cases import load
 from j2a_conformance.reports import _console
 
 from . import _cases, _reports, _target

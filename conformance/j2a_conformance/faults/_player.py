@@ -12,8 +12,8 @@ from j2a_spec.oracle import Event, Frame
 from j2a_transports import Transport, TransportError
 
 from j2a_conformance._model import HarnessError
-from j2a_conformance._peer import Peer
-from j2a_conformance._wire import Link
+from j2a_conformance.device._peer import Peer
+from j2a_conformance.wire._link import Link
 
 from ._rules import Rules, Stream, difference
 

@@ -11,7 +11,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import ERROR_CODES, Event, Frame, FrameError, Incomplete, Skipped, decode
 
 from j2a_conformance._model import Claims
-from j2a_conformance._peer import Expected, describe, refusal
+from j2a_conformance.wire._expected import Expected, describe, refusal
 
 __all__ = ["Rules", "Stream", "difference"]
 

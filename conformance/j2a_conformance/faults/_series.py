@@ -18,8 +18,8 @@ from j2a_spec.oracle import Event, Frame
 from j2a_transports import TransportError
 from j2a_transports.faults import FaultInjector, FaultyTransport, Rates
 
-from j2a_conformance._peer import Expected, Peer
-from j2a_conformance._wire import Splitter
+from j2a_conformance.device._peer import Expected, Peer
+from j2a_conformance.wire._link import Splitter
 
 from ._player import Player
 from ._proxy import Tap

@@ -20,8 +20,8 @@ from j2a_spec.oracle import Frame, encode
 from j2a_transports import Transport, TransportError
 from j2a_transports.faults import FaultInjector, Rates
 
-from j2a_conformance._peer import Peer, Request
-from j2a_conformance._wire import Splitter
+from j2a_conformance.device._peer import Peer, Request
+from j2a_conformance.wire._link import Splitter
 
 from ._player import PAUSE_S, Player
 from ._row import too_many_strays

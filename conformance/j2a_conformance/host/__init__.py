@@ -7,7 +7,7 @@ device. On the command line it is `j2a-conform host`. Nothing here imports the l
 from ._case import HostCase
 from ._device import Device
 from ._program import Listening, Program, Runner
-from ._runner import run
+from ._run import run
 from ._start import START
 from .cases import load
 

@@ -7,7 +7,7 @@ waits for a job, so that the next job proves that the host has recovered.
 
 from abc import abstractmethod
 
-from j2a_conformance._case import About
+from j2a_conformance._case import BaseCase
 
 from ._device import DEMO, Device
 from ._host import Host
@@ -15,7 +15,7 @@ from ._host import Host
 __all__ = ["HostCase"]
 
 
-class HostCase(About):
+class HostCase(BaseCase):
     """One thing that a host does right or wrong.
 
     Attributes:

@@ -17,14 +17,14 @@ from j2a_spec.oracle import Frame, Incomplete, decode, encode
 from j2a_transports import LinkLost
 
 from j2a_conformance._judge import Judged, fail, skip
-from j2a_conformance._peer import describe
-from j2a_conformance._wire import Arrival, Link
+from j2a_conformance.wire._expected import describe
+from j2a_conformance.wire._link import Arrival, Link
 
 from ._device import PING, Device
 from ._dimensions import frame as wire_of
+from ._outcomes import Outcome, Request, difference, explain, spell
 from ._program import Listening
 from ._seqs import Seqs
-from ._words import Outcome, Request, difference, explain, spell
 
 __all__ = ["CONDUCTOR", "Host"]
 

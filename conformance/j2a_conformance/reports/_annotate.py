@@ -11,7 +11,7 @@ from typing import Final
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, Incomplete
 
-from j2a_conformance._wire import Splitter
+from j2a_conformance.wire._link import Splitter
 
 __all__ = ["Annotated", "Field", "annotate"]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from j2a_conformance._model import Claims, Result, Run, Verdict
-from j2a_conformance._smoke import SMOKE
+from j2a_conformance.device._smoke import SMOKE
 from j2a_conformance.host import START
 
 from ._summary import judgement, levels, name

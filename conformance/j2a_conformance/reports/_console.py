@@ -11,8 +11,8 @@ from j2a_spec import requirements
 from j2a_spec.printable import printable
 from j2a_spec.requirements import Level
 
-from j2a_conformance._deviations import STRICT
 from j2a_conformance._model import Evidence, Outcome, Result, Run, Verdict
+from j2a_conformance.device._deviations import STRICT
 
 from ._annotate import annotate
 from ._summary import judgement

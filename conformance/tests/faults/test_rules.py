@@ -6,7 +6,7 @@ from random import Random
 import jsonschema
 import pytest
 from j2a_conformance._model import Claims, HarnessError
-from j2a_conformance._peer import Expected
+from j2a_conformance.device._peer import Expected
 from j2a_conformance.faults import _vectors
 from j2a_conformance.faults._proxy import Tap
 from j2a_conformance.faults._rules import Rules, difference

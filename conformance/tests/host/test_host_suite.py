@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from j2a_conformance import Verdict
 from j2a_conformance._coverage import host_coverage
-from j2a_conformance._smoke import SMOKE
-from j2a_conformance.cases import load as load_device
 from j2a_conformance.cli import main
+from j2a_conformance.device._smoke import SMOKE
+from j2a_conformance.device.cases import load as load_device
 from j2a_conformance.host import START, load
 from j2a_conformance.host.cases import many
 from j2a_spec import requirements

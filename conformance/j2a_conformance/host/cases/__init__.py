@@ -6,7 +6,7 @@ test proves it.
 
 from functools import cache
 
-from j2a_conformance._case import of_module
+from j2a_conformance._case import collect_cases
 from j2a_conformance.host._case import HostCase
 
 from . import (
@@ -55,5 +55,5 @@ def load(on_demand: bool = False) -> tuple[HostCase, ...]:
     """
     # What is returned are instances of its subclasses, which are not abstract.
     kind: type[HostCase] = HostCase  # type: ignore[type-abstract]
-    cases = (case for module in _MODULES for case in of_module(module, kind))
+    cases = (case for module in _MODULES for case in collect_cases(module, kind))
     return tuple(case for case in cases if on_demand or not case.ON_DEMAND)

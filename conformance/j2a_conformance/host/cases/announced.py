@@ -9,7 +9,7 @@ from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, Device
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import spell
+from j2a_conformance.host._outcomes import spell
 
 from .limits import serve, together
 from .many import chunk_of, spelt

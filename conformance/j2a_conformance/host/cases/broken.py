@@ -23,7 +23,7 @@ from j2a_conformance.host._dimensions import (
     wrong_sums,
 )
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Sifs, spell
+from j2a_conformance.host._outcomes import Sifs, spell
 
 from .received import behind_an_error
 from .sif import anchor, handed

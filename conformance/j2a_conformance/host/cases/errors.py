@@ -11,7 +11,7 @@ from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, PING
 from j2a_conformance.host._dimensions import LENGTHS, content, frame
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Outcome, spell
+from j2a_conformance.host._outcomes import Outcome, spell
 
 _CODES = tuple(sorted(c.ERRORS))
 _QUIET_MS = 500.0  # where a stall must not look like a host that makes one call at a time

@@ -10,7 +10,7 @@ from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, pattern, properties_content
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Request, spell
+from j2a_conformance.host._outcomes import Request, spell
 
 from .many import next_chunk, reply
 

@@ -9,7 +9,7 @@ from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import FETCH, STORE, chunk_reply, pattern
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Request, difference, spell
+from j2a_conformance.host._outcomes import Request, difference, spell
 
 _MANY = 1
 _LARGE = 2**17 + 2000

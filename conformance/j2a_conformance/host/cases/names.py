@@ -12,7 +12,7 @@ from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import BARE, DEMO, FETCH, OLD, PING, STORE
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import spell
+from j2a_conformance.host._outcomes import spell
 
 
 def _full() -> tuple[str, ...]:

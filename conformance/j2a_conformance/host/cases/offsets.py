@@ -9,7 +9,7 @@ from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, OLD, STORE, pattern
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Request, spell
+from j2a_conformance.host._outcomes import Request, spell
 
 from .many import chunk_of, serve_write, spelt
 

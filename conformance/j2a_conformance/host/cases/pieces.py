@@ -11,7 +11,7 @@ from j2a_spec import constants as c
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._dimensions import LENGTHS, SPECIAL, content, escaped, frame
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Sifs, spell
+from j2a_conformance.host._outcomes import Sifs, spell
 
 from .sif import anchor, handed
 

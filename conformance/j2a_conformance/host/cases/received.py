@@ -9,7 +9,7 @@ from j2a_conformance._judge import inform
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._dimensions import LENGTHS, content, escaped, frame, with_sum
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Request
+from j2a_conformance.host._outcomes import Request
 
 
 def behind_an_error(host: Host) -> Request:

@@ -8,7 +8,7 @@ from j2a_conformance._judge import fail
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._dimensions import content, frame
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Request
+from j2a_conformance.host._outcomes import Request
 
 _SEQS = 256
 _EARLY = 200

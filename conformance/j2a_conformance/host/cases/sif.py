@@ -17,7 +17,7 @@ from j2a_conformance.host._dimensions import (
     with_sum,
 )
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Sifs, explain_sifs, spell
+from j2a_conformance.host._outcomes import Sifs, explain_sifs, spell
 
 from .received import largest
 

@@ -9,7 +9,7 @@ from j2a_conformance._judge import fail, inform
 from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._device import DEMO, FETCH, PING, STORE
 from j2a_conformance.host._host import Host
-from j2a_conformance.host._words import Outcome, spell
+from j2a_conformance.host._outcomes import Outcome, spell
 
 from .many import chunk_of, next_chunk, reply, spelt
 

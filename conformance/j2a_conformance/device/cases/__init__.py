@@ -1,0 +1,60 @@
+"""Every case, one module per area of the specification.
+
+What flows out: `load()`. Rules: a requirement that binds a device and can be observed has a case;
+a test proves it.
+"""
+
+from functools import cache
+
+from j2a_conformance._case import collect_cases
+from j2a_conformance.device._case import Case
+
+from . import (
+    announced,
+    debug,
+    dispatch,
+    errors,
+    frame,
+    limits,
+    many,
+    mapping,
+    pieces,
+    properties,
+    scenario,
+    seq,
+    sif,
+    stuffing,
+    sums,
+    timing,
+    transfers,
+)
+
+__all__ = ["load"]
+
+_MODULES = (
+    frame,
+    stuffing,
+    sums,
+    pieces,
+    seq,
+    dispatch,
+    errors,
+    mapping,
+    many,
+    transfers,
+    properties,
+    announced,
+    debug,
+    sif,
+    timing,
+    limits,
+)
+
+
+@cache
+def load() -> tuple[Case, ...]:
+    """Return every case but the smoke step, in the order in which they run."""
+    # What is returned are instances of its subclasses, which are not abstract.
+    kind: type[Case] = Case  # type: ignore[type-abstract]
+    found = [case for module in _MODULES for case in collect_cases(module, kind)]
+    return (*found, *scenario.load())

@@ -1,0 +1,179 @@
+"""The properties (J2A-PROP)."""
+
+import construct as cs
+from j2a_spec import constants as c
+from j2a_spec.grammar import PROPERTIES
+
+from j2a_conformance._judge import fail, inform, skip
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Peer
+from j2a_conformance.device._selftest import read
+
+
+class Content(Case):
+    """Reads all properties, then again from every offset."""
+
+    ID = "properties.content"
+    EXPECTATION = (
+        "Key, NUL, value, NUL for each; every read from an offset returns the same bytes from "
+        "there on, with isLast in the last chunk."
+    )
+    REQUIREMENTS = ("J2A-PROP-001", "J2A-MANY-002", "J2A-MANY-008")
+    LEVEL = "properties"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        whole = peer.read_all(c.GET_PROPERTIES)
+        if not whole.endswith(b"\0") or whole.count(b"\0") % 2:
+            fail("the properties are not pairs of texts that each end in NUL")
+        for offset in range(len(whole)):
+            reply = peer.ask_many(peer.many(c.GET_PROPERTIES, offset % 2, offset))
+            if not reply.data or whole[offset : offset + len(reply.data)] != reply.data:
+                fail(f"a read at offset {offset} returns other bytes than the first read")
+            if (reply.code, reply.offset) != (c.RET_OK, offset):
+                fail(f"{reply} in a read at offset {offset}")
+            if (offset + len(reply.data) == len(whole)) != bool(reply.flags & c.FLAG_LAST):
+                not_ = "" if reply.flags & c.FLAG_LAST else "not "
+                fail(f"isLast is {not_}set in the chunk at {offset}, the end is {len(whole)}")
+
+
+class Pairs(Case):
+    """Takes the properties apart."""
+
+    ID = "properties.pairs"
+    EXPECTATION = "No key and no value is empty, and no key appears twice."
+    REQUIREMENTS = ("J2A-PROP-002",)
+    LEVEL = "properties"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        whole = peer.read_all(c.GET_PROPERTIES)
+        try:
+            keys = [pair.key for pair in PROPERTIES.parse(whole)]
+        except (cs.ConstructError, UnicodeDecodeError) as error:
+            fail(f"the properties cannot be taken apart: {error}")
+        if twice := {key for key in keys if keys.count(key) > 1}:
+            fail(f"keys appear twice: {', '.join(sorted(twice))}")
+
+
+class Written(Case):
+    """Writes to a2jGetProperties, with data and without."""
+
+    ID = "properties.written"
+    EXPECTATION = "0xFF inside the reply of a2jMany, and the properties as before."
+    REQUIREMENTS = ("J2A-PROP-003", "J2A-MANY-004")
+    LEVEL = "properties"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        before = peer.read_all(c.GET_PROPERTIES)
+        whole = bytes(peer.longest_chunk)
+        for offset, data in ((0, b""), (0, b"name\0evil\0"), (3, whole), (2**31, b"x")):
+            for flags in (c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST):
+                reply = peer.ask_many(peer.many(c.GET_PROPERTIES, flags, offset, data))
+                if reply.code != c.RET_FAILED:
+                    fail(f"code 0x{reply.code:02X} for a write to the properties")
+        if peer.read_all(c.GET_PROPERTIES) != before:
+            fail("a write has changed the properties")
+
+
+class Version(Case):
+    """Looks for the property j2a.spec."""
+
+    ID = "properties.version"
+    EXPECTATION = f"It is there, with the value {c.SPEC_VERSION}."
+    REQUIREMENTS = ("J2A-PROP-004",)
+    LEVEL = "properties"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        value = peer.claims.properties.get(c.PROP_SPEC)
+        if value != c.SPEC_VERSION:
+            fail(f"{c.PROP_SPEC} is {value!r}" if value else f"there is no property {c.PROP_SPEC}")
+
+
+class BehindEnd(Case):
+    """Reads the properties at their end and at many offsets behind it."""
+
+    ID = "properties.behind-end"
+    EXPECTATION = "An empty chunk with isLast, at the offset that was asked for."
+    REQUIREMENTS = ("J2A-PROP-006", "J2A-MANY-007", "J2A-MANY-008", "J2A-MANY-019")
+    LEVEL = "properties"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        size = len(peer.read_all(c.GET_PROPERTIES))
+        bytes_up = [size + (1 << shift) for shift in range(31)]
+        for offset in (size, *bytes_up, 0xFFFFFFFF - 255, 0xFFFFFFFE, 0xFFFFFFFF):
+            reply = peer.ask_many(peer.many(c.GET_PROPERTIES, offset=offset))
+            if reply.data or not reply.flags & c.FLAG_LAST or reply.offset != offset:
+                fail(f"{reply} in a read at offset {offset}, the end is {size}")
+            if reply.code > c.RET_MAX:
+                fail(f"code 0x{reply.code:02X} in a read behind the end")
+
+
+class SelfTest(Case):
+    """Looks at the property j2a.selftest."""
+
+    ID = "properties.selftest"
+    EXPECTATION = (
+        "`ok`, how many golden vectors were run of how many, and the digest that belongs to them."
+    )
+    REQUIREMENTS = ("J2A-PROP-007",)
+    LEVEL = "properties"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        value = peer.claims.properties.get(c.PROP_SELFTEST)
+        if value is None:
+            skip(f"the device has no property {c.PROP_SELFTEST}")
+        result = read(value)
+        if result is None:
+            fail(f"{c.PROP_SELFTEST} is {value!r}")
+        if result.fault:
+            fail(result.fault)
+        if not result.is_ours:
+            inform(f"its {result.ran} vectors are those of another version than this suite's")
+        if not result.is_complete:
+            inform(f"it ran {result.ran} of {result.known} golden vectors, all but the largest")
+
+
+class RxBuf(Case):
+    """Looks at the property j2a.rxbuf."""
+
+    ID = "properties.rxbuf"
+    EXPECTATION = "A decimal number of at least 1, without sign or leading zero."
+    REQUIREMENTS = ("J2A-LIMIT-004",)
+    LEVEL = "core"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        value = peer.claims.properties.get(c.PROP_RXBUF)
+        if value is None:
+            skip(f"the device has no property {c.PROP_RXBUF}")
+        if not (value.isascii() and value.isdigit()) or value.startswith("0"):
+            fail(f"{c.PROP_RXBUF} is {value!r}")
+
+
+class Room(Case):
+    """Looks at the property j2a.room, and sends an echo of 255 bytes where there is none."""
+
+    ID = "properties.room"
+    EXPECTATION = (
+        "A decimal number from 32 to 254, without sign or leading zero; without the property, the "
+        "echo."
+    )
+    REQUIREMENTS = ("J2A-LIMIT-006",)
+    LEVEL = "core"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        value = peer.claims.properties.get(c.PROP_ROOM)
+        if value is None:
+            frame = peer.ask(peer.request(peer.opcode(c.GET_ECHO), bytes(c.MAX_PAYLOAD)))
+            if frame.opcode == c.RET_FAILED:
+                fail(f"the device has no room for 255 bytes, and no property {c.PROP_ROOM}")
+            return
+        is_number = value.isascii() and value.isdigit() and not value.startswith("0")
+        if not is_number or not c.MIN_ROOM <= int(value) < c.MAX_PAYLOAD:
+            fail(f"{c.PROP_ROOM} is {value!r}")

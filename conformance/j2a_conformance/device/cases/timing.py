@@ -1,0 +1,372 @@
+"""Pauses inside frames and between them (J2A-TIME).
+
+Every pause is measured where it is made, from before the bytes in front of it are written to after
+the bytes behind it are written. A refused pause only counts when this measure was within the limit,
+and only when it is refused again and again: a stall between here and the device cannot be seen.
+"""
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, checksum, encode, stuff
+
+from j2a_conformance._judge import Judged, fail, inform
+from j2a_conformance._model import Verdict
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._peer import Expected, Peer, Request, many_payload
+from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of, spread
+
+_ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
+_GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
+_REFUSALS = 6
+_TRIES = 40
+_LONG_TRIES = 12
+
+
+def send_paused(peer: Peer, pieces: list[bytes], pause_s: float) -> float:
+    """Send the pieces with pauses between them; return the longest pause in seconds, measured."""
+    longest_s = 0.0
+    before_s = peer.link.now_s()
+    peer.link.send(pieces[0])
+    for piece in pieces[1:]:
+        # From the start of the last write, so that no pause is longer than was asked for.
+        peer.link.wait_until(before_s + pause_s)
+        again_s = peer.link.now_s()
+        peer.link.send(piece)
+        longest_s = max(longest_s, peer.link.now_s() - before_s)
+        before_s = again_s
+    return longest_s
+
+
+def accepts(
+    peer: Peer,
+    pieces: list[bytes],
+    pause_s: float,
+    *due: Expected,
+    enough: int = 2,
+    tries: int = _TRIES,
+) -> None:
+    """Fail when the device refuses these pauses again and again.
+
+    `enough` acceptances are asked for, more than one of a single pause: a device that stalls may
+    see the bytes without it.
+    """
+    accepted = refused = 0
+    for _ in range(tries):
+        longest_s = send_paused(peer, pieces, pause_s)
+        try:
+            peer.expect(*due)
+        except Judged as judged:
+            refused += longest_s <= _ACCEPTED_S
+            peer.link.note(f"refused, the longest pause was {longest_s * 1e3:.2f} ms")
+            if refused >= _REFUSALS:
+                fail(f"{judged.reason}, in {refused} attempts, with pauses of {pause_s * 1e3} ms")
+            peer.resync()
+        else:
+            accepted += 1
+            if accepted == enough:
+                return
+    inform("this machine is too busy to make a pause of less than 9 ms")
+
+
+def awkward(peer: Peer) -> tuple[bytes, Expected]:
+    """Return an echo that has escapes in seq and payload, and its due reply."""
+    payload = bytes((0x12, 0x41, 0x7D))
+    wire = encode(Frame(c.SOF, 0xED, peer.opcode(c.GET_ECHO), payload))
+    return wire, Expected(0xED, c.ECHO, payload)
+
+
+def escaped(peer: Peer) -> tuple[bytes, Expected]:
+    """Return an echo in which each field is escaped, needed or not, and its due reply."""
+    seq, opcode, payload = 0x41, peer.opcode(c.GET_ECHO), b"x"
+    body = (seq, opcode, len(payload), *payload, checksum(seq, opcode, payload))
+    wire = b"".join(bytes((c.ESC, value - 1)) for value in body)
+    assert not {value - 1 for value in body} & {c.SOF, c.SOS, -1, 0xFF}
+    return bytes((c.SOF,)) + wire, Expected(seq, c.ECHO, payload)
+
+
+def seq_known(wire: bytes, cut: int) -> bool:
+    """Tell whether the first `cut` bytes of a frame hold its seq."""
+    return cut >= (3 if wire[1] == c.ESC else 2)
+
+
+class ShortPause(Case):
+    """Pauses for 4 ms and for 8.5 ms after each byte of a frame, also inside escapes."""
+
+    ID = "timing.short-pause"
+    EXPECTATION = "The request is answered as if there was no pause."
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-STUFF-003")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        frames = [(0.004, *awkward(peer)), (0.0085, *awkward(peer)), (0.0085, *escaped(peer))]
+        for pause_s, wire, due in frames:
+            for cut in range(1, len(wire)):
+                accepts(peer, [wire[:cut], wire[cut:]], pause_s, due)
+
+
+def long_frames(peer: Peer) -> list[Request]:
+    """Return long requests of several functions, and one that is refused, with their replies."""
+    found = [peer.echo(payload_of(length, n)) for n, length in enumerate((255, 100, 40))]
+    if peer.has(c.MANY):
+        data = payload_of(peer.longest_chunk, 2)
+        answer = many_payload(c.ECHO_MANY, 0, lane_offset(5), data)
+        many = peer.many(c.GET_ECHO_MANY, c.FLAG_WRITE, lane_offset(5), data)
+        found.append(Request(many.wire, Expected(many.seq, c.RET_OK, answer)))
+    free = peer.out_of_range()[-1:]
+    return found + [peer.request(o, payload_of(70, 1), c.ERR_OPCODE) for o in free]
+
+
+class LongFrames(Case):
+    """Pauses for 8.5 ms at many places in long requests, and twice for 5.5 ms in requests of many
+    lengths, of which some begin in one piece with the one before.
+    """
+
+    ID = "timing.pause-in-long-frame"
+    EXPECTATION = "Each request is answered as if there was no pause."
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-FRAME-005")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        if peer.link.lossy:
+            inform("a lossy link seldom carries a long frame whole")
+        for n, request in enumerate(long_frames(peer)):
+            wire = request.wire
+            ends = {len(wire) - 2, len(wire) - 1}
+            for cut in sorted({*spread(len(wire) - 1, 97, 1)[n % 3 :: 5], *ends}):
+                accepts(peer, [wire[:cut], wire[cut:]], 0.0085, request.expected)
+        for length in spread(peer.longest, step=9):
+            request = peer.echo(payload_of(length, length))
+            wire = request.wire
+            # Never before the length has come, which a device may judge by.
+            first = min(6, len(wire) - 2) + length * 7 % max(len(wire) - 7, 1)
+            second = first + 1 + length * 3 % (len(wire) - first - 1)
+            good = peer.probe()
+            if length % 3 == 0 and len(good.wire + wire) <= peer.room(512):
+                due = [good.expected, request.expected]
+                accepts(peer, [good.wire + wire[:first], wire[first:]], 0.0055, *due, enough=1)
+                continue
+            parts = [wire[:first], wire[first:second], wire[second:]]
+            accepts(peer, parts, 0.0055, request.expected, enough=1)
+
+
+class Trickle(Case):
+    """Sends a frame byte by byte with 4 ms between them, longer than 20 ms in all."""
+
+    ID = "timing.trickle"
+    EXPECTATION = "The request is answered: only the pause between two bytes counts."
+    REQUIREMENTS = ("J2A-TIME-001",)
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        wire, due = awkward(peer)
+        accepts(peer, [bytes((byte,)) for byte in wire], 0.004, due)
+
+
+class TrickleLong(Case):
+    """Sends one of the longest requests in pieces of four bytes with 4 ms between them."""
+
+    ID = "timing.trickle-long"
+    EXPECTATION = "The request is answered, however long its frame takes in all."
+    REQUIREMENTS = ("J2A-TIME-001", "J2A-FRAME-005")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        longest = peer.echo(b"\x12" * peer.longest)
+        wire = longest.wire
+        parts = [wire[n : n + 4] for n in range(0, len(wire), 4)]
+        accepts(peer, parts, 0.004, longest.expected, enough=1, tries=_LONG_TRIES)
+
+
+class GivesUp(Case):
+    """Sends the beginning of a frame, up to each of its bytes, and no more."""
+
+    ID = "timing.gives-up"
+    EXPECTATION = "Error 0xF2 with the seq of the frame, not before 9 ms and within 20 ms."
+    REQUIREMENTS = ("J2A-TIME-002", "J2A-TIME-001", "J2A-ERR-005", "J2A-ERR-009")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        plain = peer.echo(b"abc")
+        for wire, seq in ((plain.wire, plain.seq), (awkward(peer)[0], 0xED)):
+            for cut in range(1, len(wire)):
+                if seq_known(wire, cut):
+                    peer.attempts(lambda w=wire, n=cut, s=seq: self.cut(peer, w[:n], s))  # type: ignore[misc]
+        for cut in (2, 3, 4, 6, 7):  # with an escape that does not end, in every field
+            part = plain.wire[:cut] + bytes((c.ESC,))
+            peer.attempts(lambda p=part: self.cut(peer, p, plain.seq))  # type: ignore[misc]
+        peer.barrier()
+
+    @staticmethod
+    def cut(peer: Peer, part: bytes, seq: int) -> None:
+        """Send a part of a frame, and judge the answer and when it comes."""
+        # Counted from the end of the last byte, which may still be on its way.
+        allowed_s = _GIVEN_UP_S + peer.claims.rtt_s + 0.002 + len(part) * peer.link.byte_s
+        before_s = peer.link.now_s()
+        peer.link.send(part)
+        sent_s = peer.link.now_s()
+        arrival = peer.next_frame(peer.link.reply_timeout_s)
+        due = Expected(seq, c.ERR_TIMEOUT)
+        if arrival is None or not isinstance(arrival.event, Frame):
+            peer.link.record("expected", due.wire, str(due))
+            fail("a frame that stopped was not answered")
+        if not due.matches(arrival.event):
+            peer.link.record("expected", due.wire, str(due))
+            fail(f"error 0xF2 was due, code 0x{arrival.event.opcode:02X} came")
+        if arrival.at_s - before_s < _ACCEPTED_S:
+            fail(f"given up after {(arrival.at_s - before_s) * 1e3:.1f} ms")
+        if arrival.at_s - sent_s > allowed_s:
+            fail(f"given up after {(arrival.at_s - sent_s) * 1e3:.1f} ms", suspect=True)
+
+
+class GivesUpLong(Case):
+    """Sends the beginning of long requests, up to many of their bytes, and no more; after some of
+    them the rest. Does the same with a request of every length, with every seq, in one piece, in
+    two, and in one piece with the request before.
+    """
+
+    ID = "timing.gives-up-long"
+    EXPECTATION = (
+        "Error 0xF2 with the seq of the frame, not before 9 ms and within 20 ms; what comes of the "
+        "frame after that is skipped."
+    )
+    REQUIREMENTS = ("J2A-TIME-002", "J2A-TIME-003", "J2A-ERR-005", "J2A-ERR-009")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        self._silent(peer)
+        for n, request in enumerate(long_frames(peer)):
+            wire = request.wire
+            cuts = {*spread(len(wire) - 1, 53, 2)[n % 4 :: 4], len(wire) - 1}
+            for k, cut in enumerate(sorted(cuts)):
+                part, rest = wire[:cut], wire[cut:] if k % 3 == 0 else b""
+                peer.attempts(lambda a=part, b=rest, r=request: self._cut(peer, a, b, r.seq))  # type: ignore[misc]
+        for length in spread(step=61) if peer.link.lossy else lengths():
+            seq, data = (length + 0x85) % 256, payload_of(length, length)
+            wire = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), data))
+            cut = len(wire) - 1 - length * 11 % (len(wire) - 4)
+            peer.attempts(lambda w=wire, n=cut, s=seq: self._stopped(peer, w[:n], w[n:], s))  # type: ignore[misc]
+
+    @staticmethod
+    def _cut(peer: Peer, part: bytes, rest: bytes, seq: int) -> None:
+        GivesUp.cut(peer, part, seq)
+        if rest:
+            peer.play(rest, alone=True)
+
+    @staticmethod
+    def _stopped(peer: Peer, part: bytes, rest: bytes, seq: int) -> None:
+        due, good = Expected(seq, c.ERR_TIMEOUT), peer.probe()
+        if seq % 4 == 0:
+            send_paused(peer, [part[: len(part) // 2], part[len(part) // 2 :]], 0.001)
+            peer.expect(due)
+        elif seq % 4 == 1 and len(good.wire + part) <= peer.room(512):
+            peer.play(good.wire + part, good.expected, due)
+        else:
+            peer.play(part, due)
+        peer.play(rest, alone=True)
+
+    @staticmethod
+    def _silent(peer: Peer) -> None:
+        """Frames that start with SOS are given up, too, and nothing says so."""
+        for length in (0, 30, 90, 200):
+            frame = encode(Frame(c.SOS, 0x57, peer.opcode(c.GET_ECHO), payload_of(length, 2)))
+            peer.link.send(frame[:-1])
+            peer.silence(0.03 * max(peer.link.scale, 1.0), "for a frame that starts with SOS")
+            peer.play(frame[-1:], alone=True)
+
+
+class SeqUnknown(Case):
+    """Sends the beginning of a frame up to its seq, waits 30 ms and sends the rest."""
+
+    ID = "timing.seq-unknown"
+    EXPECTATION = "No answer: the seq of the frame is not known, and the rest is skipped."
+    REQUIREMENTS = ("J2A-ERR-005", "J2A-TIME-002", "J2A-TIME-003")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        plain = peer.echo(b"abc").wire
+        stuffed = awkward(peer)[0]
+        for first, rest in ((plain[:1], plain[1:]), (stuffed[:1], b""), (stuffed[:2], stuffed[2:])):
+            peer.attempts(lambda a=first, b=rest: self._late(peer, a, b))  # type: ignore[misc]
+
+    @staticmethod
+    def _late(peer: Peer, first: bytes, rest: bytes) -> None:
+        peer.link.send(first)
+        # Counted from the end of the last byte, which may still be on its way.
+        sending_s = len(first) * peer.link.byte_s
+        peer.silence(
+            0.03 * max(peer.link.scale, 1.0) + sending_s, "for a frame whose seq had not come"
+        )
+        if rest:
+            peer.link.send(rest)
+        try:
+            peer.barrier()
+        except Judged as judged:
+            # A device that was stalled for 30 ms takes both parts for one frame, rightly.
+            raise Judged(Verdict.FAILED, judged.reason, suspect=True) from judged
+
+
+class RestSkipped(Case):
+    """Has the device give up a frame, and then sends the rest of it."""
+
+    ID = "timing.rest-skipped"
+    EXPECTATION = "Error 0xF2 once; the rest is skipped, and the next frame is answered."
+    REQUIREMENTS = ("J2A-TIME-003", "J2A-TIME-002", "J2A-FRAME-006", "J2A-ERR-009")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        wire, due = awkward(peer)
+        for cut in range(3, len(wire)):
+            peer.attempts(lambda n=cut: self._cut(peer, wire[:n], wire[n:], due.seq))  # type: ignore[misc]
+
+    @staticmethod
+    def _cut(peer: Peer, first: bytes, rest: bytes, seq: int) -> None:
+        peer.play(first, Expected(seq, c.ERR_TIMEOUT))
+        peer.play(rest, alone=True)
+
+
+class LongLength(Case):
+    """Sends a frame whose length field is larger than the payload that follows."""
+
+    ID = "timing.long-length"
+    EXPECTATION = "Error 0xF2: the rest never comes."
+    REQUIREMENTS = ("J2A-TIME-002", "J2A-FRAME-004")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        opcode = peer.opcode(c.GET_ECHO)
+        for length, extra in ((10, 1), (10, 2), (10, 100), (0, 1), (0, 255), (64, 3), (200, 55)):
+            seq, data = peer.seq(), payload_of(length, 2)
+            body = bytes((seq, opcode, length + extra, *data, checksum(seq, opcode, data)))
+            due = Expected(seq, c.ERR_TIMEOUT)
+            peer.play(bytes((c.SOF,)) + stuff(body), due, exact=True)
+
+
+class BetweenFrames(Case):
+    """Pauses for up to 1.1 s after a good frame, after an error reply, after bytes that start no
+    frame, and after SOS.
+    """
+
+    ID = "timing.between-frames"
+    EXPECTATION = "Nothing comes in the pause, and the next frame is answered."
+    REQUIREMENTS = ("J2A-TIME-007", "J2A-FRAME-008")
+    LEVEL = "timing"
+
+    def _run(self, peer: Peer) -> None:
+        for pause_ms in (1, 5, 9, 11, 15, 25, 50, 200):
+            peer.ask(peer.probe())
+            self._quiet(peer, pause_ms)
+        wire, due = awkward(peer)
+        peer.play(wire[:5] + b"\x7d\xff", Expected(due.seq, c.ERR_FRAMING))
+        self._quiet(peer, 50)
+        for noise in (b"\x00\x7d", b"\xed", b"\xed\x01\x02\x03"):
+            self._quiet(peer, 50, noise)
+        if not peer.link.lossy:
+            self._quiet(peer, 1100)
+
+    @staticmethod
+    def _quiet(peer: Peer, pause_ms: int, noise: bytes = b"") -> None:
+        def body() -> None:
+            peer.link.send(noise)
+            peer.silence(pause_ms / 1e3, f"in a pause of {pause_ms} ms between two frames")
+            peer.barrier()
+
+        peer.attempts(body)
