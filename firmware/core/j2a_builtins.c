@@ -4,6 +4,8 @@
 
 #include "j2a_internal.h"
 
+J2A_BUILTIN_TABLE(J2A_WEAK)
+
 uint32_t j2a_get_u32(const uint8_t *bytes) {
     uint32_t value = 0;
     uint8_t i = 4;
@@ -24,7 +26,7 @@ uint8_t j2a_get_mapping(uint8_t *const length, uint8_t **const payload) {
     uint8_t n = 0;
     uint8_t i;
     for (i = 0; i < count; i++) {
-        const char *name = j2a_flash_pointer(&j2a_functions[i].name);
+        const char *name = j2a_flash_pointer(&j2a_entry_of(i)->name);
         uint8_t c;
         do {
             if (n == J2A_ROOM) { /* never a truncated map */

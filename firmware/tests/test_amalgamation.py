@@ -308,7 +308,7 @@ def size(tool, image):
 # Without link-time optimisation (Cortex-M) the compiler sees more at once in one file.
 @pytest.mark.avr
 @pytest.mark.parametrize(
-    ("port", "prefix", "smaller"), [("avr-serial", "avr-", 8), ("cortex-m", "arm-none-eabi-", 100)]
+    ("port", "prefix", "smaller"), [("avr-serial", "avr-", 8), ("cortex-m", "arm-none-eabi-", 110)]
 )
 def test_other_chips_and_their_size(need, make, tmp_path, port, prefix, smaller):
     need(f"{prefix}gcc")
