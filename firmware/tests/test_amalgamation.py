@@ -97,8 +97,8 @@ def test_same_bytes_each_time_and_nothing_left_out(two_files, tmp_path):
     assert written == {path.name: path.read_bytes() for path in two_files.iterdir()}
     assert set(written) == {"j2a.h", "j2a.c", "port.c", "j2a_port_config.h", "port.mk"}
     everything = (two_files / "j2a.h").read_text() + (two_files / "j2a.c").read_text()
-    for path in sorted((FIRMWARE / "core").glob("*.[ch]")):
-        count = everything.count(f"/* ---- core/{path.name} -")
+    for path in sorted((FIRMWARE / "core").rglob("*.[ch]")):
+        count = everything.count(f"/* ---- {path.relative_to(FIRMWARE)} -")
         assert count == (path.name != "a2j.h"), path.name
     assert (ROOT / "LICENSE").read_text().splitlines()[2] in everything
     assert str(ROOT) not in everything
