@@ -8,7 +8,7 @@ the generator prints, so a constant that is missing there is missing everywhere.
 from dataclasses import dataclass
 from typing import Final
 
-from j2a_spec.capabilities import FUNCTIONS, is_part_of
+from j2a_spec.capabilities import CAPABILITIES, FUNCTIONS, is_part_of
 
 SPEC_VERSION: Final = "1.1"
 """Version of this specification, the value of the property `j2a.spec`."""
@@ -75,6 +75,10 @@ GET_DEBUG: Final = "a2jDebug"
 GET_ECHO: Final = "a2jEcho"
 GET_ECHO_MANY: Final = "a2jEchoMany"
 BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
+COMMON_BUILTINS: Final = tuple(
+    f.name for f in FUNCTIONS if not (f.capability and CAPABILITIES[f.capability].token)
+)
+"""Those of a device that announces nothing in j2a.caps."""
 OPTIONAL_BUILTINS: Final = frozenset(f.name for f in FUNCTIONS if f.capability)
 WITH_MANY: Final = frozenset(f.name for f in FUNCTIONS if is_part_of(f, "many"))
 

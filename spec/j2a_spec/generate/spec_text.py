@@ -8,7 +8,7 @@ constants, whose name is that of the group with hyphens.
 
 import re
 from collections.abc import Iterable
-from itertools import groupby
+from itertools import groupby, pairwise
 
 from j2a_spec import constants as c
 from j2a_spec.capabilities import CAPABILITIES, FUNCTIONS, LEVELS
@@ -22,11 +22,22 @@ _TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 def fill(text: str) -> str:
     """Return SPEC.md with every normative paragraph and table written anew.
 
+    A requirement without a paragraph gets one behind that of the requirement before it.
+
     Raises:
-        ValueError: a requirement has no paragraph, several, or a paragraph no requirement, or they
+        ValueError: a requirement has several paragraphs, or a paragraph no requirement, or they
             stand in another order than in requirements.toml.
     """
     requirements = load() | superseded()
+    for before, name in pairwise(requirements):
+        if f"\n**{name}**" not in text:
+            text = re.sub(
+                rf"(^\*\*{before}\*\*.*?)(?=\n\n|\n?\Z)",
+                rf"\g<1>\n\n**{name}**",
+                text,
+                count=1,
+                flags=re.MULTILINE | re.DOTALL,
+            )
     ids = [match[1] for match in _PARAGRAPH.finditer(text)]
     if ids != list(requirements):
         missing = [name for name in requirements if name not in ids]
