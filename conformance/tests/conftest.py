@@ -20,7 +20,7 @@ MANY = (c.GET_PROPERTIES, c.GET_ECHO_MANY, "store")
 class ReferenceDevice:
     """Serves one end of a loopback pair in a thread until the other end is closed."""
 
-    names = (*c.COMMON_BUILTINS, "getTime", "add", "store", "ret", "delay", "sif", "sifPeriod")
+    names = (*c.BUILTINS, "getTime", "add", "store", "ret", "delay", "sif", "sifPeriod")
     properties = (("name", "reference"), (c.PROP_SPEC, c.SPEC_VERSION), (c.PROP_RXBUF, "1024"))
     timeout_s = 0.0115
     debug_size = 100

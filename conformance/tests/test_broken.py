@@ -394,7 +394,7 @@ class AnotherOrder:
 class TwoNamesAreExchanged:
     """What the mapping calls `delay` is another function, which takes no time."""
 
-    names = (*c.COMMON_BUILTINS, "delay", "overruns")
+    names = (*c.BUILTINS, "delay", "overruns")
 
     def execute(self, name, payload):
         if name in ("delay", "overruns"):
@@ -1039,12 +1039,12 @@ class HardlyAnyRoom:
 
 @breaks("J2A-DISP-009")
 class EchoManyWithoutMany:
-    names = tuple(name for name in c.COMMON_BUILTINS if name not in (c.MANY, c.GET_PROPERTIES))
+    names = tuple(name for name in c.BUILTINS if name not in (c.MANY, c.GET_PROPERTIES))
 
 
 @breaks("J2A-DISP-009")
 class PropertiesWithoutMany:
-    names = tuple(name for name in c.COMMON_BUILTINS if name not in (c.MANY, c.GET_ECHO_MANY))
+    names = tuple(name for name in c.BUILTINS if name not in (c.MANY, c.GET_ECHO_MANY))
 
 
 @breaks("J2A-PROP-008")

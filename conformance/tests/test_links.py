@@ -193,7 +193,7 @@ class SlowLink(Transport):
 @pytest.fixture
 def slow(reference):
     class Slow(reference):
-        names = c.COMMON_BUILTINS
+        names = c.BUILTINS
 
         def serve(self):
             """Whatever comes is handed over in the time of the link."""
@@ -223,7 +223,7 @@ def test_a_slow_link_makes_no_false_failure(baud, slow):
 
 def test_without_its_rate_a_very_slow_link_names_the_option(slow):
     class Long(slow):
-        names = (*c.COMMON_BUILTINS, *(f"a_function_with_a_very_long_name_{n}" for n in range(5)))
+        names = (*c.BUILTINS, *(f"a_function_with_a_very_long_name_{n}" for n in range(5)))
 
     with pytest.raises(HarnessError, match=r"later than .* --baud"):
         run(lambda: SlowLink(Long, 120), [])

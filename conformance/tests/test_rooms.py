@@ -9,8 +9,8 @@ from j2a_spec import constants as c
 
 from j2a.demo import DemoDevice
 
-NO_MANY = tuple(name for name in c.COMMON_BUILTINS if name not in c.WITH_MANY)
-NO_PROPERTIES = tuple(name for name in c.COMMON_BUILTINS if name != c.GET_PROPERTIES)
+NO_MANY = tuple(name for name in c.BUILTINS if name not in c.WITH_MANY)
+NO_PROPERTIES = tuple(name for name in c.BUILTINS if name != c.GET_PROPERTIES)
 OWN = ("getTime", "add", "ret", "delay", "sif", "sifPeriod")
 CHOSEN = (
     "dispatch.at-index",
@@ -59,7 +59,7 @@ def verdicts(found):
 
 
 @pytest.mark.parametrize("length", [c.MIN_ROOM, 100, 254])
-@pytest.mark.parametrize("names", [(*c.COMMON_BUILTINS, *OWN, "store"), (*NO_PROPERTIES, *OWN)])
+@pytest.mark.parametrize("names", [(*c.BUILTINS, *OWN, "store"), (*NO_PROPERTIES, *OWN)])
 def test_a_device_with_little_room_conforms(length, names, reference, judged):
     found = judged(small(reference, length, names), chosen())
     assert found.conformant, [(r.case, r.reason) for r in found.with_verdict(Verdict.FAILED)]
@@ -91,7 +91,7 @@ def test_without_a_mapping_a2jmany_is_found(debug, properties, reference, judged
     left_out = ({c.GET_DEBUG} if not debug else set()) | (
         {c.GET_PROPERTIES} if not properties else set()
     )
-    names = tuple(n for n in c.COMMON_BUILTINS if n not in left_out)
+    names = tuple(n for n in c.BUILTINS if n not in left_out)
     found = judged(without_mapping(small(reference, 255, names)), ["many.short-header"])
     assert found.claims.functions == names
     assert found.conformant
@@ -100,7 +100,7 @@ def test_without_a_mapping_a2jmany_is_found(debug, properties, reference, judged
 def test_a_device_that_finds_no_header_too_short_is_found_out(reference, judged):
     """Without a mapping, what a2jMany answers is also how it is recognised."""
 
-    class Wrong(without_mapping(small(reference, 255, c.COMMON_BUILTINS))):
+    class Wrong(without_mapping(small(reference, 255, c.BUILTINS))):
         def short_header(self, payload):
             return 0, b""
 

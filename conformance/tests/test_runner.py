@@ -117,7 +117,7 @@ def test_a_stall_among_calls_about_debug_text_is_tried_again(case, nth, referenc
 class SlowLink:
     """Takes 0.7 ms for a byte, so that the largest exchange takes longer than the first timeout."""
 
-    names = c.COMMON_BUILTINS
+    names = c.BUILTINS
 
     def received(self, data):
         time.sleep(len(data) * 7e-4)

@@ -74,11 +74,11 @@ GET_PROPERTIES: Final = "a2jGetProperties"
 GET_DEBUG: Final = "a2jDebug"
 GET_ECHO: Final = "a2jEcho"
 GET_ECHO_MANY: Final = "a2jEchoMany"
-BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
-COMMON_BUILTINS: Final = tuple(
+# Built-in functions, in opcode order: all, and those of a device that announces nothing in j2a.caps.
+KNOWN_BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
+BUILTINS: Final = tuple(
     f.name for f in FUNCTIONS if not (f.capability and CAPABILITIES[f.capability].token)
 )
-"""Those of a device that announces nothing in j2a.caps."""
 OPTIONAL_BUILTINS: Final = frozenset(f.name for f in FUNCTIONS if f.capability)
 WITH_MANY: Final = frozenset(f.name for f in FUNCTIONS if is_part_of(f, "many"))
 

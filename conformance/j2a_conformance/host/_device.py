@@ -60,7 +60,7 @@ class Device:
         offset_mask: the bits of an offset that it honours; 0xFF is a device of 2014.
     """
 
-    names: tuple[str, ...] = (*c.COMMON_BUILTINS, PING, FETCH, STORE)
+    names: tuple[str, ...] = (*c.BUILTINS, PING, FETCH, STORE)
     mapping: tuple[int, bytes] | None = None
     properties: tuple[tuple[str, str], ...] | None = (
         ("name", "conductor"),

@@ -16,10 +16,8 @@ from j2a_spec import constants as c
 from j2a_spec import vectors
 from j2a_spec.oracle import Frame, FrameError, Skipped, decode, encode
 
-ECHO = c.COMMON_BUILTINS.index(c.GET_ECHO)
-RULES = Rules(
-    Claims(mapped=True, functions=(*c.COMMON_BUILTINS, "own"), properties={"j2a.rxbuf": "16"})
-)
+ECHO = c.BUILTINS.index(c.GET_ECHO)
+RULES = Rules(Claims(mapped=True, functions=(*c.BUILTINS, "own"), properties={"j2a.rxbuf": "16"}))
 
 
 def request(opcode: int, payload: bytes = b"", seq: int = 7) -> bytes:
@@ -35,7 +33,7 @@ def request(opcode: int, payload: bytes = b"", seq: int = 7) -> bytes:
         ((request(0),), [Expected(7, c.RET_OK)]),
         ((request(1, b"short"),), [Expected(7, c.RET_FAILED)]),
         ((request(1, b"longer"),), [Expected(7)]),
-        ((request(c.COMMON_BUILTINS.index(c.GET_ECHO_MANY)),), [Expected(7, c.ERR_OPCODE)]),
+        ((request(c.BUILTINS.index(c.GET_ECHO_MANY)),), [Expected(7, c.ERR_OPCODE)]),
         ((request(6),), [Expected(7)]),
         ((request(7),), [Expected(7, c.ERR_OPCODE)]),
         ((b"\x12\x07\x04\x00\x00",), [Expected(7, c.ERR_CHECKSUM)]),
@@ -52,7 +50,7 @@ def test_what_is_due(stream, due):
 
 
 def test_what_is_due_without_a_mapping():
-    rules = Rules(Claims(mapped=False, functions=c.COMMON_BUILTINS))
+    rules = Rules(Claims(mapped=False, functions=c.BUILTINS))
     assert rules.due((request(0),)) == [Expected(7, c.ERR_OPCODE)]
     assert rules.due((request(99),)) == [Expected(7)]
 
@@ -64,7 +62,7 @@ def test_what_is_due_to_long_payloads_where_there_is_little_room():
     assert rules.due((request(0, fits),)) == [Expected(7, c.RET_OK)]
     for opcode in (0, 1, ECHO):
         assert rules.due((request(opcode, long),)) == refused
-    assert rules.due((request(c.COMMON_BUILTINS.index(c.GET_ECHO_MANY), long),)) == [
+    assert rules.due((request(c.BUILTINS.index(c.GET_ECHO_MANY), long),)) == [
         Expected(7, c.ERR_OPCODE)
     ]
     assert rules.due((request(6, long),)) == [Expected(7)]
@@ -92,7 +90,7 @@ def test_more_than_the_device_has_room_for_is_not_judged():
     ],
 )
 def test_streams_are_taken_apart_between_frames(segment, pieces):
-    rules = Rules(Claims(mapped=True, functions=c.COMMON_BUILTINS))
+    rules = Rules(Claims(mapped=True, functions=c.BUILTINS))
     assert rules.apart((b"\x12\x07", segment)) == (b"\x12\x07", *pieces)
     assert rules.due(pieces) == rules.due((segment,))
     assert Rules(rules.claims, held=4096).apart((segment,)) == (segment,)

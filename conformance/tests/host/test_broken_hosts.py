@@ -329,7 +329,7 @@ class SendsBarriersAllTheTime:
 @breaks("J2A-DISP-007")
 class KnowsTheBuiltinsByHeart:
     def opcode(self, word):
-        return c.COMMON_BUILTINS.index(word) if word in c.COMMON_BUILTINS else super().opcode(word)
+        return c.BUILTINS.index(word) if word in c.BUILTINS else super().opcode(word)
 
 
 @breaks("J2A-DISP-007")

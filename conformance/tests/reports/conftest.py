@@ -129,7 +129,7 @@ class LosesTheFrameThatInterrupts:
     """Breaks J2A-FRAME-007 and J2A-ECHO-001, and says of itself what a page must not believe."""
 
     properties = (("name", "<script>alert('me')</script>\x01"), ("&amp;", '"><img src=x>'))
-    names = tuple(c.COMMON_BUILTINS)
+    names = tuple(c.BUILTINS)
 
     def byte(self, byte):
         if byte == c.SOF and self.start is not None:

@@ -17,9 +17,9 @@ from j2a_conformance.host._words import spell
 
 def _full() -> tuple[str, ...]:
     """Return names whose mapping has 255 bytes."""
-    names = list(c.COMMON_BUILTINS)
+    names = list(c.BUILTINS)
     left = c.MAX_MAPPING - sum(len(name) + 1 for name in names)
-    while left > len(name := f"f{len(names) - len(c.COMMON_BUILTINS):x}") + 2:
+    while left > len(name := f"f{len(names) - len(c.BUILTINS):x}") + 2:
         names.append(name)
         left -= len(name) + 1
     return (*names, "g".ljust(left - 1, "0"))
@@ -83,7 +83,7 @@ class MovedAgain(HostCase):
         call_by_name(host, PING)
         host.job(f"call {PING} 6e {host.limit_ms}")
         host.request(host.device.opcode(PING), b"n")
-        host.device = replace(DEMO, names=(*c.COMMON_BUILTINS, STORE, FETCH, "new", PING))
+        host.device = replace(DEMO, names=(*c.BUILTINS, STORE, FETCH, "new", PING))
         host.hang_up()
         host.outcome("lost", "timeout", wait_ms=host.limit_ms)
         call_by_name(host, PING)
@@ -166,7 +166,7 @@ class Double(HostCase):
     EXPECTATION = "The other names are found as ever."
     REQUIREMENTS = ("J2A-DISP-007",)
     LEVEL = "mapping"
-    DEVICE = replace(DEMO, names=(*c.COMMON_BUILTINS, "twin", "twin", PING))
+    DEVICE = replace(DEMO, names=(*c.BUILTINS, "twin", "twin", PING))
 
     def _run(self, host: Host) -> None:
         call_by_name(host, PING)
@@ -182,7 +182,7 @@ class Full(HostCase):
     DEVICE = replace(DEMO, names=_FULL)
 
     def _run(self, host: Host) -> None:
-        for name in (_FULL[len(c.COMMON_BUILTINS)], _FULL[-1]):
+        for name in (_FULL[len(c.BUILTINS)], _FULL[-1]):
             call_by_name(host, name)
 
 
