@@ -74,7 +74,7 @@ GET_PROPERTIES: Final = "a2jGetProperties"
 GET_DEBUG: Final = "a2jDebug"
 GET_ECHO: Final = "a2jEcho"
 GET_ECHO_MANY: Final = "a2jEchoMany"
-# Built-in functions, in opcode order: all, and those of a device that announces nothing in j2a.caps.
+# Built-in functions in opcode order: all, and those of a device that announces nothing (j2a.caps).
 KNOWN_BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
 BUILTINS: Final = tuple(
     f.name for f in FUNCTIONS if not (f.capability and CAPABILITIES[f.capability].token)
