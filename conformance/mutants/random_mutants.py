@@ -138,7 +138,9 @@ def generate(target: str) -> list[Mechanical]:
 def _files(target: str) -> list[Path]:
     if target == "core":
         # The self-test is a test itself: what it lets pass shows only on a core that is broken.
-        return [p for p in sorted((ROOT / "firmware/core").glob("*.c")) if "selftest" not in p.stem]
+        return [
+            p for p in sorted((ROOT / "firmware/core").rglob("*.c")) if "selftest" not in p.stem
+        ]
     if target == "device":
         return [ROOT / f"j2a/{name}.py" for name in _DEVICE]
     folders = (ROOT / "j2a", ROOT / "j2a/protocol", ROOT / "j2a/io")

@@ -24,6 +24,7 @@ from typing import Final, TypeVar, get_args
 import j2a_transports
 from j2a_conformance import Case, HarnessError, Result, Run, Verdict, host, load, run
 from j2a_conformance.device._smoke import SMOKE
+from j2a_spec.capabilities import ANNOUNCED
 from j2a_spec.requirements import Level
 from j2a_transports import Transport
 from matrix import killers
@@ -351,7 +352,9 @@ def _device(how: Variant, folder: Path) -> tuple[str, float]:
 
 def _claimed(how: Variant) -> Collection[Level]:
     """Return the levels that the device reaches: a name lost from its map must not excuse it."""
-    return get_args(Level) if how.app in ("", "demo") and not how.options else ()
+    if how.app not in ("", "demo") or how.options:
+        return ()
+    return [level for level in get_args(Level) if level not in ANNOUNCED]
 
 
 def _host(how: Variant, chosen: list[host.HostCase], folder: Path, quick: bool) -> Run:

@@ -176,7 +176,7 @@ def test_a_mutant_that_breaks_nothing_survives(judge):
 
 
 def test_a_mutant_that_breaks_another_rule_survives(judge):
-    file = "firmware/core/j2a_debug.c"
+    file = "firmware/core/ext/j2a_debug.c"
     status, printed = judge(Edit(file, "code |= J2A_DEBUG_MORE;", "code |= 0;"))
     assert (status, printed) == (1, "core-stuff-004: survives\n1 mutants, 0 killed\n")
 

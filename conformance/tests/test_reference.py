@@ -4,14 +4,15 @@ from j2a_conformance import Verdict, coverage, load
 from j2a_conformance.device._smoke import SMOKE
 from j2a_conformance.reports._console import report
 from j2a_spec import requirements
-from j2a_spec.capabilities import LEVELS
+from j2a_spec.capabilities import ANNOUNCED, LEVELS
 
 
 def test_the_reference_device_conforms(reference, judged):
     run = judged(reference)
     assert run.conformant
     assert not run.stopped
-    assert {r.case: r.reason for r in run.results if r.verdict is not Verdict.OK} == {
+    results = [r for r in run.results if r.level not in ANNOUNCED]
+    assert {r.case: r.reason for r in results if r.verdict is not Verdict.OK} == {
         "limits.cut-frame": "nothing was lost: device or link held the request",
         "limits.overrun": "nothing was lost: device or link held all requests back",
         "limits.room": "the device has room for every payload",

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from j2a_sim import AvrSim, SimLink, ToolMissing
+from j2a_spec.capabilities import CAPABILITIES
 
 import j2a
 
@@ -205,5 +206,8 @@ def test_the_costs_are_those_of_the_budget():
 
 def test_each_option_is_on_the_page():
     text = (ROOT / "firmware/core/j2a_options.h").read_text()
-    for name in re.findall(r"#ifndef (J2A_(?!OPTIONS_H)\w+)", text):
+    announced = {part.option for part in CAPABILITIES.values() if part.token}
+    for name in announced:  # in the table that is generated
+        assert f"| `{name}` |" in (ROOT / "docs/library.md").read_text(), name
+    for name in {*re.findall(r"#ifndef (J2A_(?!OPTIONS_H)\w+)", text)} - announced:
         assert f"`{name}" in PAGE or f" {name}=" in PAGE, name

@@ -13,7 +13,7 @@ get_filename_component(_j2a_folder "${CMAKE_CURRENT_LIST_DIR}/.." ABSOLUTE)
 set(J2A_FOLDER "${_j2a_folder}" CACHE INTERNAL "Folder of core, ports and apps of J2A")
 include("${CMAKE_CURRENT_LIST_DIR}/j2aPort.cmake")
 
-file(GLOB _j2a_core_sources "${J2A_FOLDER}/core/*.c")
+file(GLOB _j2a_core_sources "${J2A_FOLDER}/core/*.c" "${J2A_FOLDER}/core/ext/*.c")
 list(REMOVE_ITEM _j2a_core_sources "${J2A_FOLDER}/core/j2a_table.c")
 
 add_library(j2a_core INTERFACE)

@@ -19,11 +19,11 @@ typedef j2a_many_fn *const CMD_P_MANY;
 
 /* Jump table: FUNCMAP(function, name on the wire) for each function, then the table. */
 #define FUNCMAP J2A_NAMED
-#define STARTJT J2A_BUILTIN_NAMES const j2a_entry J2A_FLASH j2a_functions[] = {J2A_BUILTIN_ENTRIES
+#define STARTJT J2A_BUILTIN_TABLE() J2A_TABLE_BEGIN
 #define STARTJ STARTJT /* as printed in listing 7.2 */
 #define ADDLJT ADDJT /* as printed in listing 7.3 */
-#define ADDJT(function) J2A_ENTRY(function, A2J_KIND(function)),
-#define ENDJT }; const uint8_t j2a_function_count = sizeof j2a_functions / sizeof(j2a_entry);
+#define ADDJT(function) J2A_ENTRY(function, A2J_KIND(function))
+#define ENDJT J2A_TABLE_END
 
 #define A2J_IS(function, type) __builtin_types_compatible_p(__typeof__(&(function)), type)
 /* The array has a negative size when the function is neither a CMD_P nor a CMD_P_MANY. */
@@ -60,7 +60,7 @@ static inline uint8_t a2j_get_properties(bool *is_last, bool is_write, uint32_t 
     *offset += sizeof spec;
     return code;
 }
-#define j2a_get_properties a2j_get_properties /* in the table that follows */
+#define j2a_get_properties a2j_get_properties /* in STARTJT's table of built-ins, which replaces the core's */
 #endif
 
 static inline void a2jInit(void) {

@@ -58,6 +58,9 @@ void j2a_tx_byte(uint8_t byte);
 #define j2a_tx_byte j2a_port_tx
 #endif
 
+/* Returns the entry in flash of an opcode below j2a_function_count. */
+const j2a_entry *j2a_entry_of(uint8_t opcode);
+
 /* Looks an opcode up. Returns 0 and the function when it is of this kind, else the site for the error
  * payload. */
 uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function);

@@ -6,6 +6,13 @@
 
 #include <stdint.h>
 
+/* Of a definition that another one may replace, as that of a2j.h does. */
+#ifdef __GNUC__
+#define J2A_WEAK __attribute__((weak))
+#else
+#define J2A_WEAK
+#endif
+
 #ifdef __AVR__
 #define J2A_KEEP_POINTER(pointer) __asm__("" : "+b"(pointer))
 #define J2A_NOINLINE __attribute__((noinline))

@@ -31,11 +31,20 @@ uint8_t j2a_error(uint8_t code, uint8_t site, uint8_t *length, uint8_t *payload)
     return code;
 }
 
+static J2A_NOINLINE const j2a_entry *of_two_tables(uint8_t opcode) {
+    return opcode < J2A_BUILTIN_COUNT ? &j2a_builtins[opcode] : &j2a_functions[opcode - J2A_BUILTIN_COUNT];
+}
+
+/* Link-time optimisation knows the count: without functions of the application an index is all of this. */
+const j2a_entry *j2a_entry_of(uint8_t opcode) {
+    return j2a_function_count == J2A_BUILTIN_COUNT ? &j2a_builtins[opcode] : of_two_tables(opcode);
+}
+
 uint8_t j2a_find(uint8_t opcode, uint8_t kind, j2a_function *function) {
     const j2a_entry *entry;
     if (opcode >= j2a_function_count)
         return J2A_SITE_OPCODE;
-    entry = &j2a_functions[opcode];
+    entry = j2a_entry_of(opcode);
 #if J2A_WITH_MANY
     if (j2a_flash_u8(&entry->kind) != kind)
         return J2A_SITE_KIND;

@@ -18,20 +18,17 @@ typedef char j2a_names_longer_than_a_payload[
 #undef J2A_MANY
 #endif
 
-J2A_BUILTIN_NAMES
 #define J2A_CALL(name, function) J2A_NAME(function, #name, j2a_name_##name)
 #define J2A_MANY(name, function) J2A_IF_MANY(J2A_NAME(function, #name, j2a_name_##name))
 #include "functions.def"
 #undef J2A_CALL
 #undef J2A_MANY
 
-const j2a_entry J2A_FLASH j2a_functions[] = {
-    J2A_BUILTIN_ENTRIES
+J2A_TABLE_BEGIN
 #define J2A_CALL(name, function) J2A_CALL_ENTRY(name, function)
 #define J2A_MANY(name, function) J2A_IF_MANY(J2A_MANY_ENTRY(name, function))
 #include "functions.def"
-};
-const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0];
+J2A_TABLE_END
 
 #if J2A_WITH_PROPERTIES
 /* An empty key would end the list. */

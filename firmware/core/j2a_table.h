@@ -1,6 +1,7 @@
-/* The function table in flash: one entry for each opcode, built-ins first. It is built from
- * functions.def by j2a_table.c, or by the macros of a2j.h. The order of the built-ins is the
- * protocol's; an option that is off moves the later ones down, except that opcode 0 stays reserved. */
+/* The function tables in flash, with one entry for each opcode: first that of the built-in functions, which
+ * is the core's, then the application's. The latter is made of functions.def by j2a_table.c, of a list by
+ * j2a_lists.h, or by the macros of a2j.h. The order of the built-ins is the protocol's; an option that is off
+ * moves the later ones down, except that opcode 0 stays reserved. */
 #ifndef J2A_TABLE_H
 #define J2A_TABLE_H
 
@@ -28,8 +29,9 @@ typedef struct {
 #endif
 } j2a_entry;
 
-extern const j2a_entry j2a_functions[];
-extern const uint8_t j2a_function_count; /* not in flash, so that link-time optimisation folds it */
+extern const j2a_entry j2a_builtins[];   /* J2A_BUILTIN_COUNT of them */
+extern const j2a_entry j2a_functions[];  /* the application's */
+extern const uint8_t j2a_function_count; /* of both; not in flash, so that link-time optimisation folds it */
 
 /* key NUL value NUL ..., and one more NUL (an empty key) at the end */
 extern const unsigned char j2a_properties[];
@@ -81,7 +83,10 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
 #define J2A_DECLARED_MANY(name, function) J2A_DECLARE_MANY(function);
 J2A_BUILTINS(J2A_DECLARED_CALL, J2A_DECLARED_MANY)
 
-/* Bytes of the names in the map. */
+#define J2A_ONE(name, function) + 1
+enum { J2A_BUILTIN_COUNT = !J2A_WITH_MAPPING J2A_BUILTINS(J2A_ONE, J2A_ONE) };
+
+/* Bytes of their names in the map. */
 #define J2A_SIZE(name, function) + sizeof #name
 #define J2A_BUILTIN_SIZE (0 J2A_BUILTINS(J2A_SIZE, J2A_SIZE))
 
@@ -97,22 +102,37 @@ J2A_BUILTINS(J2A_DECLARED_CALL, J2A_DECLARED_MANY)
 #define J2A_NAME(function, text, enumerator) \
     enum { enumerator }; \
     extern char j2a_name_is_empty[sizeof text > 1 ? 1 : -1]; \
-    static const char J2A_FLASH function##_map[] = text;
-#define J2A_ENTRY(function, kind) {(j2a_function)(function), function##_map J2A_OF_KIND(kind)}
+    J2A_MAP_NAME(function, text)
+#define J2A_MAP_NAME(function, text) static const char J2A_FLASH function##_map[] = text;
+#define J2A_ENTRY(function, kind) {(j2a_function)(function), function##_map J2A_OF_KIND(kind)},
+#define J2A_NO_ENTRY {0, 0 J2A_OF_KIND(J2A_KIND_CALL)}
 #define J2A_RESERVED
+#define J2A_TAKEN(name, function) enum { j2a_name_##name };
+J2A_BUILTINS(J2A_TAKEN, J2A_TAKEN)
 #else
 #define J2A_NAME(function, text, enumerator)
-#define J2A_ENTRY(function, kind) {(j2a_function)(function) J2A_OF_KIND(kind)}
-#define J2A_RESERVED {0 J2A_OF_KIND(J2A_KIND_CALL)},
+#define J2A_MAP_NAME(function, text)
+#define J2A_ENTRY(function, kind) {(j2a_function)(function) J2A_OF_KIND(kind)},
+#define J2A_NO_ENTRY {0 J2A_OF_KIND(J2A_KIND_CALL)}
+#define J2A_RESERVED J2A_NO_ENTRY,
 #endif
 #define J2A_NAMED(function, name) J2A_NAME(function, #name, j2a_name_##name)
+#define J2A_CALL_ENTRY(name, function) J2A_ENTRY(function, J2A_KIND_CALL)
+#define J2A_MANY_ENTRY(name, function) J2A_ENTRY(function, J2A_KIND_MANY)
 
-/* What the application's table begins with. Each entry ends in a comma, also the last one of the table. */
-#define J2A_BUILTIN_NAME(name, function) J2A_NAMED(function, name)
-#define J2A_BUILTIN_NAMES J2A_BUILTINS(J2A_BUILTIN_NAME, J2A_BUILTIN_NAME)
-#define J2A_CALL_ENTRY(name, function) J2A_ENTRY(function, J2A_KIND_CALL),
-#define J2A_MANY_ENTRY(name, function) J2A_ENTRY(function, J2A_KIND_MANY),
-#define J2A_BUILTIN_ENTRIES J2A_RESERVED J2A_BUILTINS(J2A_CALL_ENTRY, J2A_MANY_ENTRY)
+/* The core's table. qualifier: J2A_WEAK, or nothing for one that replaces it. */
+#define J2A_BUILTIN_NAME(name, function) J2A_MAP_NAME(function, #name)
+#define J2A_BUILTIN_TABLE(qualifier) \
+    J2A_BUILTINS(J2A_BUILTIN_NAME, J2A_BUILTIN_NAME) \
+    const j2a_entry qualifier J2A_FLASH j2a_builtins[] = { \
+        J2A_RESERVED J2A_BUILTINS(J2A_CALL_ENTRY, J2A_MANY_ENTRY) \
+    };
+
+/* What stands before and behind the entries of the application's table. It ends with one that is no function,
+ * because C has no empty arrays. */
+#define J2A_TABLE_BEGIN const j2a_entry J2A_FLASH j2a_functions[] = {
+#define J2A_TABLE_END J2A_NO_ENTRY}; \
+    const uint8_t j2a_function_count = J2A_BUILTIN_COUNT + sizeof j2a_functions / sizeof j2a_functions[0] - 1;
 
 #ifdef __cplusplus
 }

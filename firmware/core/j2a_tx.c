@@ -23,9 +23,3 @@ void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const 
     }
     put(checksum);
 }
-
-#if J2A_WITH_SIF
-void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
-    j2a_send(J2A_SOS, j2a_served()->sif_seq++, opcode, length, payload);
-}
-#endif

@@ -142,11 +142,9 @@ char j2a_needs_a_many(j2a_many_fn *function);
 
 #define J2A_FUNCTIONS(...) \
     J2A_EACH_(J2A_KIND_OF, __VA_ARGS__) \
-    J2A_BUILTIN_NAMES \
     J2A_EACH_(J2A_NAME_OF, __VA_ARGS__) \
     J2A_CHECK_SIZE_(__VA_ARGS__) \
-    const j2a_entry J2A_FLASH j2a_functions[] = {J2A_BUILTIN_ENTRIES J2A_EACH_(J2A_ENTRY_OF, __VA_ARGS__)}; \
-    const uint8_t j2a_function_count = sizeof j2a_functions / sizeof j2a_functions[0]; \
+    J2A_TABLE_BEGIN J2A_EACH_(J2A_ENTRY_OF, __VA_ARGS__) J2A_TABLE_END \
     extern const uint8_t j2a_function_count /* takes the semicolon of the user */
 
 #define J2A_VALUE_OF_J2A_PROPERTY(key, value) key "\0" value "\0"

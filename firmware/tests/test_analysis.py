@@ -24,7 +24,7 @@ OPTIONS = {
 }
 MAIN_PORT = "ports/cortex-m"  # with interrupts; its j2a_port_config.h is read with the core
 DEFINES = ["-DJ2A_RXBUF=64", "-DDEMO_STORE_BYTES=1024", "-DBAUD=115200u"]
-CORE = sorted(FIRMWARE.glob("core/*.c"))
+CORE = sorted(FIRMWARE.glob("core/**/*.c"))
 CLOCK = FIRMWARE / "ports/common/avr_clock.c"  # of the AVR's ports
 COMMON = sorted({*FIRMWARE.glob("ports/common/*.c")} - {CLOCK})
 # How Clang is told the machine of each port that shares ports/common.

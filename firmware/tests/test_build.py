@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from j2a_spec import constants as c
+from j2a_spec.capabilities import CAPABILITIES
 from j2a_spec.grammar import MAPPING
 from j2a_spec.oracle import Frame, encode
 
@@ -249,3 +250,10 @@ def test_mutants_of_python_are_refused(make, tmp_path):
     assert result.returncode != 0
     assert "device-stuff-004: not a mutant of the C core" in result.stderr
     assert len(result.stderr.splitlines()) == 1
+
+
+def test_each_optional_part_is_a_file_of_its_own():
+    there = {path.stem: path.read_text() for path in FIRMWARE.glob("core/ext/*.c")}
+    assert set(there) == {f"j2a_{part.id}" for part in CAPABILITIES.values()}
+    for part in CAPABILITIES.values():
+        assert f"\n#if {part.option}\n" in there[f"j2a_{part.id}"]

@@ -82,7 +82,7 @@ def test_clang_compiles_the_core_and_the_port(
     need("clang")
     folder = FIRMWARE / "ports" / port
     shared = re.findall(r"ports/common/\w+\.c", (folder / "port.mk").read_text("utf-8"))
-    sources = [*FIRMWARE.glob("core/*.c"), *folder.glob("*.c"), *(FIRMWARE / c for c in shared)]
+    sources = [*FIRMWARE.glob("core/**/*.c"), *folder.glob("*.c"), *(FIRMWARE / c for c in shared)]
     where = [f"-I{FIRMWARE / name}" for name in ("core", "ports/common", "apps/demo")]
     given = ["-DJ2A_RXBUF=64", "-DJ2A_TXBUF=0", "-DBAUD=115200u", "-DDEMO_STORE_BYTES=256"]
     flags = [*CLANG[port].split(), *CORE_C.split(), *BOARD.split(), *where, f"-I{folder}", *given]

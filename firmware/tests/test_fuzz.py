@@ -39,7 +39,7 @@ DEFECTS = {
         "abandon(byte == J2A_SOF ? (uint8_t)(SEQ | (state & ESCAPED)) : IDLE,",
     ),
     "a payload longer than the room is sent": (
-        "j2a_builtins.c",
+        "ext/j2a_many.c",
         "if (n > J2A_ROOM_MANY) {",
         "if (n > J2A_ROOM_MANY + 1u) {",
     ),
@@ -49,7 +49,7 @@ DEFECTS = {
         "    j2a_served()->state &= (uint8_t)~ESCAPED;",
     ),
     "a full debug ring loses text silently": (
-        "j2a_debug.c",
+        "ext/j2a_debug.c",
         "            lost = true;\n",
         "",
     ),

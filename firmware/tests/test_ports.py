@@ -75,7 +75,7 @@ def test_nothing_else_knows_the_port(port: Path) -> None:
     """Adding a port touches its own folder and one testee file, so nothing shared may name it."""
     shared = [
         ROOT / "firmware/Makefile",
-        *ROOT.glob("firmware/core/*"),
+        *(path for path in ROOT.glob("firmware/core/**/*") if path.is_file()),
         *ROOT.glob("firmware/apps/main.c"),
     ]
     shared += [path for path in ROOT.glob("firmware/ports/common/*") if path.suffix in {".c", ".h"}]

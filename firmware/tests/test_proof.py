@@ -37,14 +37,14 @@ DEFECTS = {
     ),
     "a2jMany believes the length that a function leaves": (
         "program gcc_x86_64 -DJ2A_WITH_MAPPING=0",
-        "j2a_builtins.c",
+        "ext/j2a_many.c",
         "if (n > J2A_ROOM_MANY) {",
         "if (n == J2A_ROOM_MANY + 1u) {",
         "eva:alarm",
     ),
     "a debug ring without an end": (
         "program gcc_x86_16 -DJ2A_WITH_PROPERTIES=0",
-        "j2a_debug.c",
+        "ext/j2a_debug.c",
         "ring[(first + used) % J2A_DEBUGBUF] = *text;",
         "ring[first + used] = *text;",
         "eva:alarm",
@@ -65,7 +65,7 @@ DEFECTS = {
     ),
     "the self-test sets the parser's count": (
         "sender gcc_x86_64",
-        "j2a_selftest.c",
+        "ext/j2a_selftest.c",
         "    due = wire;\n",
         "    due = wire;\n    rx->count = 0;\n",
         "read-only",

@@ -23,7 +23,7 @@ def test_golden_vectors_in_c(tmp_path, cc, sign):
     if shutil.which(cc) is None:
         pytest.skip(f"{cc} is not installed")
     program = tmp_path / "vectors"
-    parts = sorted((FIRMWARE / "core").glob("*.c"))
+    parts = sorted((FIRMWARE / "core").rglob("*.c"))
     command = [cc, sign, *STRICT.split(), *SANITIZE.split(), "-DJ2A_WITH_SELFTEST=1", "-Icore"]
     command += ["-Iports/posix", "-Iapps/builtins"]
     result = subprocess.run(

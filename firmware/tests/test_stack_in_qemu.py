@@ -76,7 +76,8 @@ def test_bound_holds(port, missing, need, tmp_path):
     words = [sys.executable, FIRMWARE / "ports/common/qemu.py", *build.emulator, "-kernel", elf]
     words += ["-qmp", f"unix:{control},server=on,wait=off"]
     with j2a_transports.open("exec:" + shlex.join(map(str, words))) as link:
-        functions = symbols["j2a_functions"][1] // ENTRY_BYTES
+        tables = (symbols[name][1] // ENTRY_BYTES for name in ("j2a_builtins", "j2a_functions"))
+        functions = sum(tables) - 1  # the last one is no function
         for number, (opcode, payload) in enumerate(
             avr_run.requests(functions, has_many=True, room=c.MAX_PAYLOAD)
         ):

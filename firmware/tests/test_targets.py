@@ -91,7 +91,7 @@ def test_sizes_are_those_of_binutils(need, tmp_path):
     need("size")
     result = tmp_path / "core.o"
     source = tmp_path / "core.c"
-    source.write_text("".join(f'#include "{f.name}"\n' for f in FIRMWARE.glob("core/*.c")))
+    source.write_text("".join(f'#include "{f}"\n' for f in FIRMWARE.glob("core/**/*.c")))
     where = [f"-I{FIRMWARE / name}" for name in ("core", "apps/demo", "ports/template")]
     options = ["-std=c99", "-Os", "-DJ2A_WITH_SELFTEST=1", *where]
     subprocess.run(["cc", *options, "-c", "-o", result, source], check=True)

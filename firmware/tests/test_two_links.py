@@ -270,7 +270,7 @@ def test_one_link_costs_nothing(need, make, tmp_path):
         elf, image = tmp_path / "out/builtins.elf", tmp_path / "image"
         subprocess.run(["avr-objcopy", "-O", "binary", elf, image], check=True)
         images.append(image.read_bytes())
-        edited.append([p.name for p in (folder / "core").glob("j2a_*.[ch]") if without_links(p)])
+        edited.append([p.name for p in (folder / "core").rglob("j2a_*.[ch]") if without_links(p)])
         shutil.rmtree(tmp_path / "out")
     assert {"j2a_server.c", "j2a_rx.c"} <= {*edited[0]}
     assert edited[1] == []

@@ -13,7 +13,16 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Final, Literal, get_args
 
-__all__ = ["CAPABILITIES", "FUNCTIONS", "LEVELS", "Builtin", "Capability", "is_part_of", "parse"]
+__all__ = [
+    "ANNOUNCED",
+    "CAPABILITIES",
+    "FUNCTIONS",
+    "LEVELS",
+    "Builtin",
+    "Capability",
+    "is_part_of",
+    "parse",
+]
 
 Kind = Literal["call", "many"]
 
@@ -107,6 +116,9 @@ LEVELS: Final = (
     "timing",
 )
 """The levels of conformance: what every device has is at both ends."""
+
+ANNOUNCED: Final = frozenset(cap.level for cap in CAPABILITIES.values() if cap.token and cap.areas)
+"""The levels of parts that only devices have which announce them in j2a.caps."""
 
 
 def is_part_of(function: Builtin, capability: str) -> bool:

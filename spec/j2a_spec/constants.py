@@ -8,7 +8,7 @@ the generator prints, so a constant that is missing there is missing everywhere.
 from dataclasses import dataclass
 from typing import Final
 
-from j2a_spec.capabilities import FUNCTIONS, is_part_of
+from j2a_spec.capabilities import CAPABILITIES, FUNCTIONS, is_part_of
 
 SPEC_VERSION: Final = "1.1"
 """Version of this specification, the value of the property `j2a.spec`."""
@@ -74,7 +74,11 @@ GET_PROPERTIES: Final = "a2jGetProperties"
 GET_DEBUG: Final = "a2jDebug"
 GET_ECHO: Final = "a2jEcho"
 GET_ECHO_MANY: Final = "a2jEchoMany"
-BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
+# Built-in functions in opcode order: all, and those of a device that announces nothing (j2a.caps).
+KNOWN_BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
+BUILTINS: Final = tuple(
+    f.name for f in FUNCTIONS if not (f.capability and CAPABILITIES[f.capability].token)
+)
 OPTIONAL_BUILTINS: Final = frozenset(f.name for f in FUNCTIONS if f.capability)
 WITH_MANY: Final = frozenset(f.name for f in FUNCTIONS if is_part_of(f, "many"))
 

@@ -55,7 +55,7 @@ class Requests:
 
     def hide_application(self) -> None:
         """Forget the names of the application's functions; their opcodes stay taken."""
-        names = tuple(n if n in c.BUILTINS else "" for n in self.claims.functions)
+        names = tuple(n if n in c.KNOWN_BUILTINS else "" for n in self.claims.functions)
         self.claims = replace(self.claims, functions=names)
 
     def out_of_range(self) -> range:

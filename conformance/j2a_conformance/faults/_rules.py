@@ -92,7 +92,9 @@ class Rules:
         if name == c.GET_ECHO_MANY or (name == c.GET_MAPPING and not self.claims.mapped):
             return refusal(seq, c.ERR_OPCODE)
         if len(frame.payload) > self.longest:
-            return Expected(seq) if name not in c.BUILTINS else Expected(seq, c.RET_FAILED, b"")
+            return (
+                Expected(seq) if name not in c.KNOWN_BUILTINS else Expected(seq, c.RET_FAILED, b"")
+            )
         if name == c.GET_ECHO:
             return Expected(seq, c.ECHO, frame.payload)
         if name == c.GET_MAPPING:

@@ -8,6 +8,8 @@ length, so it fits whatever font the viewer has.
 from typing import Final
 from xml.sax.saxutils import escape
 
+from j2a_spec.capabilities import ANNOUNCED
+
 from j2a_conformance._model import Outcome, Run
 
 from ._summary import Standing, levels
@@ -69,7 +71,9 @@ def _message(run: Run) -> tuple[str, str]:
     names = [entry.level for entry in entries if entry.standing is Standing.REACHED]
     if not names:
         return "no level reached", _GREY
-    said = "all levels" if len(names) == len(entries) else ", ".join(names)
+    # A part that a device announces only where it has it.
+    due = {entry.level for entry in entries} - ANNOUNCED
+    said = "all levels" if due <= {*names} else ", ".join(names)
     return f"{said}, lossy link" if run.lossy else said, _GREEN
 
 

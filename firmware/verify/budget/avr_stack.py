@@ -43,14 +43,19 @@ def function_table(elf: Path, build: Build) -> list[tuple[int, int]]:
     """(address, kind) of each function of J2A, address 0 for one that is not there.
 
     An entry is as in core/j2a_table.h: a pointer, one to the name, the kind; each only if need be.
+    The last one of the application's table is no function; without others there is no such table.
     """
-    at, size = symbols(elf).get("j2a_functions", (0, 0))
+    found = symbols(elf)
     has_map, has_many = (build.option(f"J2A_WITH_{name}", 1) for name in ("MAPPING", "MANY"))
     step = 2 + 2 * has_map + has_many
-    if not size or size % step:
-        raise BudgetError(f"{elf}: its function table is not one of entries of {step} bytes")
     flash = read_program(elf).flash
-    entries = [flash[start : start + step] for start in range(at, at + size, step)]
+    entries = []
+    for name, unused in (("j2a_builtins", 0), ("j2a_functions", 1)):
+        at, size = found.get(name, (0, unused * step))
+        if not size or size % step:
+            raise BudgetError(f"{elf}: {name} is not a table of entries of {step} bytes")
+        end = at + size - unused * step
+        entries += [flash[start : start + step] for start in range(at, end, step)]
     return [
         (2 * int.from_bytes(entry[:2], "little"), entry[-1] if has_many else _KIND_CALL)
         for entry in entries

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from j2a_spec.capabilities import CAPABILITIES
+
 __all__ = [
     "BUDGET",
     "FIRMWARE",
@@ -156,7 +158,7 @@ def _build(entry: dict[str, Any], ports: dict[str, Any]) -> Build:
 
 
 def load(path: Path = BUDGET) -> list[Build]:
-    """Read the builds.
+    """Read the builds, and add one for each part that a device announces: full, and this part.
 
     Raises:
         BudgetError: an entry is wrong, or a name comes twice.
@@ -165,7 +167,10 @@ def load(path: Path = BUDGET) -> list[Build]:
         table = tomllib.loads(path.read_text())
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise BudgetError(f"{path.name}: {error}") from None
-    builds = [_build(entry, table.get("port", {})) for entry in table.get("build", [])]
+    entries = table.get("build", [])
+    if path == BUDGET:
+        entries = [*entries, *_of_parts()]
+    builds = [_build(entry, table.get("port", {})) for entry in entries]
     names = [build.name for build in builds]
     for name in names:
         if names.count(name) > 1:
@@ -173,6 +178,21 @@ def load(path: Path = BUDGET) -> list[Build]:
     if not builds:
         raise BudgetError(f"{path.name} has no [[build]]")
     return builds
+
+
+def _of_parts() -> list[dict[str, Any]]:
+    return [
+        {
+            "name": f"avr-serial/{part.id}",
+            "note": f"full with {part.title}",
+            "port": "avr-serial",
+            "app": "builtins",
+            "options": [f"{part.option}=1"],
+            "measure": ["size", "bound"],
+        }
+        for part in CAPABILITIES.values()
+        if part.token
+    ]
 
 
 def loaded(build: Build) -> Build:

@@ -40,7 +40,7 @@ SMALL = ["-DJ2A_ROOM=32", "-DJ2A_WITH_MAPPING=0"]
 def build(core: Path, folder: Path, options: list[str]) -> Path:
     """Build the target over the core in this folder with these options; returns the program."""
     program = folder / "link"
-    sources = [*sorted(HERE.glob("*.c")), *sorted(core.glob("*.c"))]
+    sources = [*sorted(HERE.glob("*.c")), *sorted(core.rglob("*.c"))]
     command = ["clang", *FLAGS.split(), *options, f"-I{core}", f"-I{HERE}", *map(str, sources)]
     subprocess.run([*command, "-o", str(program)], check=True)
     return program

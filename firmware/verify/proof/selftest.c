@@ -4,6 +4,7 @@
 #define j2a_send right_send
 #define j2a_send_sif right_send_sif
 #include "j2a_tx.c"
+#include "ext/j2a_sif.c"
 #undef j2a_send
 #undef j2a_send_sif
 #include "any.h"

@@ -115,8 +115,8 @@ def compile_core(target: Target, core: Path = FIRMWARE / "core") -> Sizes:
 
 def _compile(target: Target, core: Path, app: str, folder: Path) -> Path:
     source = folder / f"{app}.c"
-    files = sorted(core.glob("*.c"))
-    source.write_text("".join(f'#include "{file.name}"\n' for file in files), "utf-8")
+    files = sorted(path.relative_to(core) for path in core.rglob("*.c"))
+    source.write_text("".join(f'#include "{file.as_posix()}"\n' for file in files), "utf-8")
     result = source.with_suffix(".rel" if target.compiler == "sdcc" else ".o")
     where = (core, FIRMWARE / "apps" / app, FIRMWARE / "ports/template")
     command = [

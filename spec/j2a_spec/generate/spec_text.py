@@ -8,10 +8,10 @@ constants, whose name is that of the group with hyphens.
 
 import re
 from collections.abc import Iterable
-from itertools import groupby
+from itertools import groupby, pairwise
 
 from j2a_spec import constants as c
-from j2a_spec.capabilities import CAPABILITIES, FUNCTIONS, LEVELS
+from j2a_spec.capabilities import ANNOUNCED, CAPABILITIES, FUNCTIONS, LEVELS
 from j2a_spec.requirements import Requirement, load, superseded
 
 _PARAGRAPH = re.compile(r"^\*\*(J2A-[A-Z]+-\d{3})\*\*.*?(?=\n\n|\n?\Z)", re.MULTILINE | re.DOTALL)
@@ -22,11 +22,23 @@ _TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 def fill(text: str) -> str:
     """Return SPEC.md with every normative paragraph and table written anew.
 
+    A requirement of a part that devices announce gets its paragraph behind the one before it, where
+    there is none.
+
     Raises:
         ValueError: a requirement has no paragraph, several, or a paragraph no requirement, or they
             stand in another order than in requirements.toml.
     """
     requirements = load() | superseded()
+    for before, name in pairwise(requirements):
+        if requirements[name].level in ANNOUNCED and f"\n**{name}**" not in text:
+            text = re.sub(
+                rf"(^\*\*{before}\*\*.*?)(?=\n\n|\n?\Z)",
+                rf"\g<1>\n\n**{name}**",
+                text,
+                count=1,
+                flags=re.MULTILINE | re.DOTALL,
+            )
     ids = [match[1] for match in _PARAGRAPH.finditer(text)]
     if ids != list(requirements):
         missing = [name for name in requirements if name not in ids]

@@ -219,7 +219,7 @@ class ReservedCodes(Case):
 
     def _run(self, peer: Peer) -> None:
         refused = (c.MANY, c.GET_PROPERTIES)  # where they are called like this
-        names = [name for name in c.BUILTINS if peer.has(name) and name not in refused]
+        names = [name for name in c.KNOWN_BUILTINS if peer.has(name) and name not in refused]
         for n, length in enumerate(spread(peer.longest, 31)):
             data = payload_of(length, n)
             for name in names[n % 3 :: 3]:
