@@ -30,7 +30,7 @@ SLOW = (
 """Cases that take long and that no option of a build changes."""
 
 
-def judge(build, chosen=lambda case: True, device=Firmware2014, resets=True, scale=0.2):
+def judge(build, chosen=lambda case: True, device=Firmware2014, resets=True, scale=0.6):
     """Judge a build in this process by the profile; opening the link resets it unless told."""
     links = []
 
