@@ -75,8 +75,11 @@ class FakeLibusb:
             self.device.changed.notify_all()
 
     def cancel(self, pointer: Any) -> None:
+        key = ctypes.addressof(pointer.contents)
         with self.device.changed:
-            self.cancelled.add(ctypes.addressof(pointer.contents))
+            # One that has ended is not found, although its callback may still be to come.
+            if any(ctypes.addressof(other.contents) == key for _, other in self.flying):
+                self.cancelled.add(key)
             self.device.changed.notify_all()
 
     def clear_halt(self, handle: Any, address: int) -> None:

@@ -279,7 +279,9 @@ def test_a_user_who_does_not_read_stops_the_board_and_loses_nothing(apis: Apis) 
         writer.thread.join(SETTLE_S)
         assert writer.thread.is_alive()
         pipes = link.near._pipes  # type: ignore[attr-defined]
-        assert LIMIT <= pipes._unread <= LIMIT + 4 * 4096
+        with pipes._changed:
+            assert pipes._changed.wait_for(lambda: pipes._unread >= LIMIT, PATIENCE_S)
+            assert pipes._unread <= LIMIT + 4 * 4096
         assert read_exactly(link.near, len(data)) == data
         writer.result()
 

@@ -64,6 +64,16 @@ def write(peer: Peer, codes: Iterable[int]) -> bytes:
     return b"".join(map(line_of, codes))
 
 
+def fill(peer: Peer, codes: Iterable[int]) -> tuple[bytes, bytes, bool]:
+    """Have the application write lines where no text is pending, and take all there is.
+
+    Returns: what was written, what came, and whether some was lost.
+    """
+    drain(peer)
+    written = write(peer, codes)
+    return written, *drain(peer)
+
+
 def check_text(text: bytes, written: bytes, lost: bool) -> None:
     """Fail unless `text` is what was written, or less of it where text was lost."""
     if lost != (text != written):
@@ -139,9 +149,7 @@ class Text(Case):
 
     @staticmethod
     def _in_order(peer: Peer) -> None:
-        drain(peer)
-        lines = write(peer, [0x05, 0x06])
-        text, lost = drain(peer)
+        lines, text, lost = fill(peer, [0x05, 0x06])
         check_text(text, lines, lost)
 
 
@@ -184,15 +192,11 @@ class Boundaries(Case):
     @staticmethod
     def _overflow(peer: Peer) -> int:
         """Have more written than the device keeps; return how much that is, or 0 if unknown."""
-
-        def held(lines: int) -> int:
-            drain(peer)
-            write(peer, [0x05] * lines)
-            text, lost = drain(peer)
-            return len(text) if lost else 0
-
-        sizes = (peer.attempts(lambda n=1 << shift: held(n)) for shift in range(3, _SHIFTS))  # type: ignore[misc]
-        return next(filter(None, sizes), 0)
+        for shift in range(3, _SHIFTS):
+            _, text, lost = peer.attempts(lambda n=1 << shift: fill(peer, [0x05] * n))  # type: ignore[misc]
+            if lost:
+                return len(text)
+        return 0
 
     @staticmethod
     def _pending(peer: Peer, target: int, piece: int, held: int) -> bool:
@@ -205,13 +209,13 @@ class Boundaries(Case):
             for start in starts
             for calls in range(1, start // piece + 1)
         )
-        drain(peer)
         fitting = (
             plan for plan in plans if 0 < plan[2] <= target and (target - plan[2]) % LINE == 0
         )
         start, calls, left = next(fitting, (0, 0, 0))
         if not calls and target % LINE:
             return False
+        drain(peer)
         is_whole = start % LINE == 0
         written = write(peer, (n % 240 for n in range(start // LINE + (0 if is_whole else 9))))
         for n in range(calls):
@@ -263,9 +267,7 @@ class Overflow(Case):
     @staticmethod
     def _held(peer: Peer, lines: int) -> int | None:
         """Have the lines written and take them; return how much came where some was lost."""
-        drain(peer)
-        written = write(peer, (n % 240 for n in range(lines)))
-        text, lost = drain(peer)
+        written, text, lost = fill(peer, (n % 240 for n in range(lines)))
         check_text(text, written, lost)
         return len(text) if lost else None
 
