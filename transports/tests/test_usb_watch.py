@@ -15,7 +15,7 @@ import pytest
 from j2a_transports import LinkClosed, OpenFailed, UsbArrived, UsbLeft, UsbWatch
 from j2a_transports._usb import watch as module
 
-from .fake_usb import board
+from .fake_usb import board, usb_error
 from .fake_usb_backend import FakeBackend
 from .suite import PATIENCE_S, SETTLE_S, Background
 
@@ -125,6 +125,37 @@ def test_udev_gets_a_moment_to_give_the_permission(
     event = watch.next(PATIENCE_S)
     assert event is not None
     assert "udev" in str(event.board.problem)
+
+
+def test_the_system_gets_a_moment_to_read_the_serial_number(
+    bus: FakeBackend, watch: UsbWatch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "SETTLING_S", 0.01)
+    watch.next(0)
+    bus.devices.append(board(address=5, serial="B2"))
+    bus.devices[1].refuses["ctrl_transfer"] = usb_error(errno.EIO)
+    assert watch.next(0.03) is None
+    bus.devices[1].refuses.clear()
+    event = watch.next(PATIENCE_S)
+    assert event is not None
+    assert (type(event), event.board.url) == (UsbArrived, "usb://B2")
+    # One that leaves may lose its number first.
+    bus.devices[1].refuses["ctrl_transfer"] = usb_error(errno.EIO)
+    assert watch.next(0.03) is None
+    bus.devices[1].unplug()
+    assert watch.next(PATIENCE_S) == UsbLeft(event.board)
+    # One whose number cannot be read comes in the end, and again when it can.
+    monkeypatch.setattr(module, "SETTLE_S", 0.03)
+    bus.devices[1] = board(address=6, serial="C3", ports=(2, 4))
+    bus.devices[1].refuses["ctrl_transfer"] = usb_error(errno.EIO)
+    unknown = watch.next(PATIENCE_S)
+    assert isinstance(unknown, UsbArrived)
+    assert unknown.board.url == "usb://1-2.4"
+    bus.devices[1].refuses.clear()
+    assert watch.next(PATIENCE_S) == UsbLeft(unknown.board)
+    known = watch.next(PATIENCE_S)
+    assert isinstance(known, UsbArrived)
+    assert known.board.url == "usb://C3"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="uevents are Linux's")

@@ -2,8 +2,8 @@
 
 In: a pyusb backend, or none for libusb.  Out: `UsbArrived` and `UsbLeft`, one after the other.
 Rules: the boards are looked for again and again, which works everywhere; Linux says at once when
-something has changed. A board that may not be opened is held back for a moment, in which udev
-gives the permission.
+something has changed. A board that may not be opened, or whose serial number is not there yet, is
+held back for a moment, in which udev gives the permission and the kernel its strings.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .board import UsbBoard
 from .find import libusb, scan
 
 POLL_S: Final = 1.0
-# How long a board that may not be opened is held back, and how often it is looked at.
+# How long a board that is not ready is held back, and how often it is looked at.
 SETTLE_S: Final = 2.0
 SETTLING_S: Final = 0.1
 # The kernel's messages, and those of udev after its rules.
@@ -45,8 +45,8 @@ class UsbArrived:
 class UsbLeft:
     """A board is gone; `board` is what was said when it arrived.
 
-    It also comes, followed at once by `UsbArrived`, when `UsbBoard.problem` is another one: the
-    board may be opened now, or no longer.
+    It also comes, followed at once by `UsbArrived`, when `UsbBoard.problem` is another one
+    (the board may be opened now, or no longer) or its serial number has become known.
     """
 
     board: UsbBoard
@@ -149,24 +149,27 @@ class UsbWatch:
         """Compare what is there with what was there."""
         now = time.monotonic()
         try:
-            found = [each.board for each in scan(self._backend)]
+            found = scan(self._backend)
         except OpenFailed:
             if self._first:
                 raise
             # A moment in which devices come and go; the next look will tell.
             return
-        there = {_key(board): board for board in found}
+        there = {_key(each.board): each for each in found}
         for key in self._boards.keys() - there.keys():
             self._events.append(UsbLeft(self._boards.pop(key)))
         held = {}
-        for key, board in there.items():
+        for key, each in there.items():
+            board = each.board
             known = self._boards.get(key)
             if known is not None:
-                if known.problem == board.problem:
+                # A serial number that is gone tells that the board is about to go.
+                if known.problem == board.problem and board.serial in (None, known.serial):
                     continue
                 self._events.append(UsbLeft(known))
             since = self._held_since.get(key, now)
-            if board.problem and known is None and not self._first and now - since < SETTLE_S:
+            ready = not board.problem and (board.serial or not each.device.iSerialNumber)
+            if not ready and known is None and not self._first and now - since < SETTLE_S:
                 held[key] = since
                 continue
             self._boards[key] = board
