@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# check.sh: everything that has to hold, step by step; `make test` runs it. The tests come last, so
-# pytest's closing line ends a good run. A step that fails does not keep the others from running,
-# but it fails the whole. CHECK=name,name runs only these steps.
+# check.sh: everything that has to hold, step by step; `make test` runs it. A step that fails does
+# not keep the others from running, but it fails the whole. CHECK=name,name runs only these steps.
+# Most tests wait for something, and most emulators do not, so pytest runs beside the long steps; it
+# is shown last, so that its closing line ends a good run.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 PATH="$PWD/.venv/bin:$PATH"
@@ -16,20 +17,39 @@ fi
 mkdir -p build
 failed=()
 
+chosen() { [[ -z "${CHECK:-}" || ",$CHECK," == *",$1,"* ]]; }
+
 step() {
-    local name=$1 title=$2 start=$SECONDS status=0
+    local name=$1 title=$2 status=0
     shift 2
-    if [[ -n "${CHECK:-}" && ",$CHECK," != *",$name,"* ]]; then
-        return
-    fi
+    chosen "$name" || return
     printf '\n==> %s: %s\n' "$name" "$title"
-    "$@" </dev/null || status=$?
+    TIMEFORMAT="==> $name: %0R s, and %0U + %0S s of the processors"
+    time "$@" </dev/null || status=$?
     if ((status)); then
         failed+=("$name")
-        printf '==> %s FAILED with status %d after %d s\n' "$name" "$status" $((SECONDS - start))
-    elif [[ $name != pytest ]]; then
-        printf '==> %s: ok, %d s\n' "$name" $((SECONDS - start))
+        printf '==> %s FAILED with status %d\n' "$name" "$status"
     fi
+}
+
+# The tests, in the background, and in a process group of their own: the shell lets no other process
+# in the background have Ctrl-C, nor the programs that it starts.
+tests=
+begin_tests() {
+    set -m
+    # The benchmarks only prove that they run. conftest.py says which files come first.
+    python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable \
+        -m 'not exhaustive' </dev/null >build/pytest.log 2>&1 &
+    tests=$!
+    set +m
+    trap '[[ -z "$tests" ]] || kill -INT -- "-$tests"' EXIT
+}
+
+show_tests() {
+    printf '\n==> pytest: tests\n'
+    tail -n +1 -f --pid="$tests" build/pytest.log
+    wait "$tests" || failed+=(pytest)
+    tests=
 }
 
 step generate "generated files are up to date" python -m j2a_spec.generate --check
@@ -40,12 +60,14 @@ step mypy-tools "types of the tools, of the mutants and of the extensions of the
     'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/mutants/*.py conformance/hosts/*.py &&
     mypy firmware/ports/*/*.py'
 step imports "arrows between the packages" lint-imports --no-cache --no-logo
-step firmware "the posix firmware" make -s --no-print-directory -C firmware PORT=posix APP=demo
 if command -v npm >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
     step emulator "packages of the chip emulators" sh tools/npm.sh firmware/verify/emulators/rp2040
 else
     printf '\n==> emulator: SKIPPED, there is no npm\n'
 fi
+# The tests need some of the programs, too, and two must not build the same at once.
+step programs "the programs that the suite runs against" python tools/conformance.py --build
+chosen pytest && begin_tests
 step conformance "the suite against every testee and every host of ours" python tools/conformance.py
 step mutants "each mutant is killed by a case of the rule that it breaks" \
     python conformance/mutants/kill.py
@@ -65,11 +87,7 @@ step interpreters "the tests of the library on the oldest and the newest Python 
 if ((${#failed[@]})); then
     printf '\n==> failed so far: %s\n' "${failed[*]}"
 fi
-# Side by side with others a figure of speed would mislead: the benchmarks only prove that they run.
-# Most tests wait for something, so more run at a time than there are cores; conftest.py says which
-# files come first.
-step pytest "tests" python -m pytest -n 4 --dist loadfile --no-loadscope-reorder --benchmark-disable \
-    -m 'not exhaustive'
+[[ -z "$tests" ]] || show_tests
 
 if ((${#failed[@]})); then
     printf '\n==> FAILED steps: %s\n' "${failed[*]}"

@@ -17,6 +17,8 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from j2a_conformance.device._testee import load_testee
+
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "conformance"
 CONFORM = [sys.executable, "-m", "j2a_conformance"]
@@ -65,11 +67,18 @@ def main() -> int:
     """Run what was asked for; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these testees")
+    parser.add_argument("--build", action="store_true", help="build the testees, and run nothing")
     args = parser.parse_args()
     every = commands()
     if unknown := set(args.names) - set(every):
         parser.error(f"no testee {', '.join(sorted(unknown))}; there are {', '.join(every)}")
     chosen = {name: every[name] for name in args.names} or every
+    if args.build:
+        for _, *files in chosen.values():
+            if files[0].endswith(".toml"):
+                with load_testee(Path(files[0])).started():
+                    pass
+        return 0
     OUT.mkdir(parents=True, exist_ok=True)
     for old in OUT.iterdir():
         if chosen is every or old.stem in chosen:
