@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import j2a_transports
 import pytest
-from j2a_conformance.cases import load
+from j2a_conformance.device import load
 from j2a_transports import LinkClosed, Listener
 
 from .conftest import ROOT, SCRIPT
