@@ -46,8 +46,10 @@ docs: $(INSTALLED)  ## the documentation, into docs/_build/html
 	@$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-bench: $(INSTALLED)  ## speed of encode and decode, as ratios to a naive codec and to pymavlink
+bench: $(INSTALLED)  ## speed as ratios: frames, calls, and costs that must not grow
 	@$(BIN)/python -m j2a.tests.benchmarks.ratios
+	@$(BIN)/python -m j2a.tests.benchmarks.calls
+	@$(BIN)/python -m j2a.tests.benchmarks.growth
 
 firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo
