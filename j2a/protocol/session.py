@@ -135,7 +135,7 @@ class Session:
     def cancel(self, waiter: Any) -> list[Call]:
         """Forget the call of a waiter; its reply, should it come, is dropped.
 
-        The waiter names the call because whoever is interrupted in `start_call` has nothing else.
+        The waiter names the call because a caller interrupted in `start_call` has nothing else.
 
         Returns: calls sent instead, or failed because the link is stalled.
         """
@@ -171,7 +171,7 @@ class Session:
         return len(self._waiters)
 
     def next_timeout(self) -> float | None:
-        """Return when `handle_timeout` is due, or None when nothing waits."""
+        """Return when to call `handle_timeout`, or None when nothing waits."""
         return self._deadlines.earliest()
 
     def handle_timeout(self, now: float) -> list[Call]:
@@ -215,7 +215,7 @@ class Session:
         while self._queue and len(self._sent) < self._window:
             call = next(iter(self._queue))
             if call.deadline is not None and call.deadline <= self._now:
-                break  # it is too late to send it: handle_timeout is due
+                break  # it is too late to send it; handle_timeout ends the call
             seq = self._free_seq()
             if seq is None:
                 self._send_barrier()

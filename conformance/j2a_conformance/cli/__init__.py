@@ -51,7 +51,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, _Parser | None]:
     """Return the parser, with the arguments of the one command that is asked for, and its own."""
     parser = _Parser(
         prog="j2a-conform",
-        description="Judges devices and hosts by the specification of J2A.",
+        description="Tests devices and hosts against the specification of J2A.",
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     chosen = None
