@@ -97,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         note("j2a-conform: interrupted")
         return 128 + _ended_by[0] if _ended_by else INTERRUPTED
-    except BrokenPipeError:  # nobody reads the output any more
+    except BrokenPipeError:  # the reader of the output has closed it
         drop_output()
     except OSError as error:  # of standard output: a full disk, or it is closed
         drop_output()

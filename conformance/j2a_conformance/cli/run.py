@@ -140,7 +140,7 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
             found, code = repeat(args.repeat, lambda: _judge(target, rules, args, cases))
     try:
         show(_console.report(found), flush=True)
-    finally:  # also where nobody reads the output
+    finally:  # also if the reader of the output has closed it
         reports.write(found)
     return code
 
