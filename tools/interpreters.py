@@ -2,9 +2,9 @@
 
 What flows in: the interpreters in PATH, in /usr/bin, and those of pyenv; constraints.txt. What
 flows out: what pytest says on each, and an exit code. Rules: of each minor version the newest one
-is taken, that of .venv is left to the other tests; `--all` adds those in between; each has an
-environment of its own in build/python, with the pinned packages that the tests import, renewed
-when these change.
+is taken, that of .venv is left to the other tests; `--all` adds those in between, and the tests of
+the transports; each has an environment of its own in build/python, with the pinned packages that
+the tests import, renewed when these change.
 """
 
 import argparse
@@ -27,7 +27,8 @@ ROOT = Path(__file__).resolve().parent.parent
 OLDEST = (3, 11)
 EXTRAS = ("serial", "usb", "conformance", "build")
 TOOLS = ("pytest", "pytest-timeout", "pytest-xdist", "hypothesis")
-TESTS = ("j2a/tests/library", "transports/tests")
+TESTS = ("j2a/tests/library",)
+MORE_TESTS = ("transports/tests", "--ignore=transports/tests/guest")
 WORKERS = "2"
 LIMIT_S = 1800
 Version = tuple[int, int, int]
@@ -131,11 +132,11 @@ def environment(program: Path, version: Version) -> Path:
     return python
 
 
-def run_tests(python: Path) -> subprocess.CompletedProcess[str]:
+def run_tests(python: Path, tests: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
     """Run the tests; return what pytest said, and its exit code."""
-    options = ["-q", "-n", WORKERS, "-m", "not slow", "-p", "no:cacheprovider"]
+    options = ["-q", "-n", WORKERS, "-m", "not slow and not exhaustive", "-p", "no:cacheprovider"]
     return subprocess.run(
-        [python, "-m", "pytest", *options, *TESTS, "--ignore=transports/tests/guest"],
+        [python, "-m", "pytest", *options, *tests],
         cwd=ROOT,
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
         stdout=subprocess.PIPE,
@@ -149,8 +150,10 @@ def run_tests(python: Path) -> subprocess.CompletedProcess[str]:
 def main() -> int:
     """Run the tests on each interpreter; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--all", action="store_true", help="also the versions in between")
-    found = interpreters(between=parser.parse_args().all)
+    parser.add_argument("--all", action="store_true", help="all versions, more tests")
+    is_all = parser.parse_args().all
+    tests = (*TESTS, *MORE_TESTS) if is_all else TESTS
+    found = interpreters(between=is_all)
     if not found:
         print("there is no other Python from 3.11 on here")
     pythons, failed = {}, []
@@ -163,7 +166,7 @@ def main() -> int:
             failed.append(name)
     # The tests wait most of the time, so all interpreters run at once.
     with ThreadPoolExecutor(max_workers=len(pythons) or 1) as pool:
-        runs = {name: pool.submit(run_tests, python) for name, python in pythons.items()}
+        runs = {name: pool.submit(run_tests, python, tests) for name, python in pythons.items()}
         for name, run in runs.items():
             print(f"Python {name}", flush=True)
             try:

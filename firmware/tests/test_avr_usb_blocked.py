@@ -51,6 +51,15 @@ def interrupts_are_on(sim):
     return bool(sim.read_memory(0x5F, 1)[0] & 0x80)
 
 
+def interrupts_come_on(sim):
+    """Whether they are on within 1000 cycles: an interrupt that runs has them off."""
+    for _ in range(1000):
+        if interrupts_are_on(sim):
+            return True
+        sim.run(1)
+    return False
+
+
 def works(sim):
     """An echo comes back, and nothing else."""
     sim.usb.write(c.USB_OUT, encode(Frame(c.SOF, 9, ECHO, b"here again")))
@@ -71,7 +80,7 @@ def test_a_host_that_does_not_read_blocks_it(sim):
 @pytest.mark.requirement("USB-011")
 def test_a_reset_ends_it(sim):
     sim.usb.enumerate(address=2)
-    assert interrupts_are_on(sim)
+    assert interrupts_come_on(sim)
     works(sim)
 
 
@@ -104,7 +113,7 @@ def test_a_reset_ends_a_suspend(sim):
     sim.run(sim.cycles(0.010))
     assert not interrupts_are_on(sim)
     sim.usb.enumerate(address=2)
-    assert interrupts_are_on(sim)
+    assert interrupts_come_on(sim)
     works(sim)
 
 

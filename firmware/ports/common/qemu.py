@@ -7,6 +7,8 @@ prints when it is told to.
 Rules: the input is a pipe, a socket or a terminal; no byte passes through here; when QEMU ends by
 itself, its exit code is ours. Time in QEMU is that of this machine, and a device that is not run
 for 10 ms takes that for a pause inside a frame: QEMU is given precedence where that is allowed.
+Its threads, of which one has the bytes and one the processor, share one core of this machine: they
+wake each other for each byte, and between two cores that takes longer than all their work.
 """
 
 import array
@@ -62,6 +64,13 @@ def take_precedence() -> None:
             Path("/proc/self/autogroup").write_text(str(PRECEDENCE))
 
 
+def stay_on_one_core() -> None:
+    """Run on one of the cores that are allowed; other instances probably take others."""
+    if hasattr(os, "sched_setaffinity"):
+        allowed = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {allowed[os.getpid() % len(allowed)]})
+
+
 def main() -> int:
     """Run the command line; return the exit code."""
     if len(sys.argv) < 2:
@@ -72,6 +81,7 @@ def main() -> int:
     for number in ENDING:
         signal.signal(number, lambda given, _: told_to_end.append(given))
     take_precedence()
+    stay_on_one_core()
     try:
         qemu = subprocess.Popen(sys.argv[1:])
     except OSError as error:

@@ -13,14 +13,14 @@ from contextlib import contextmanager
 
 import j2a_transports
 import pytest
-from j2a_conformance.cases import load
+from j2a_conformance.device import load
 from j2a_transports import LinkClosed, Listener
 
 from .conftest import ROOT, SCRIPT
 from .relay import join
 from .test_links import FIRMWARE, served
 
-pytestmark = pytest.mark.guest
+pytestmark = [pytest.mark.guest, pytest.mark.exhaustive]
 PATIENCE_S = 420
 PARTS = 5
 LONGEST = "frame.lengths"
@@ -97,12 +97,8 @@ def part(number: int) -> list[str]:
 
 @pytest.mark.requirement("USB-007", "USB-014", "USB-009", "USB-010")
 @pytest.mark.timeout(2 * PATIENCE_S + 60)
-@pytest.mark.parametrize(
-    "number", [n if n == 1 else pytest.param(n, marks=pytest.mark.exhaustive) for n in range(PARTS)]
-)
-@pytest.mark.parametrize(
-    "link", ["bt", pytest.param("usbip", marks=[pytest.mark.avr, pytest.mark.exhaustive])]
-)
+@pytest.mark.parametrize("number", range(PARTS))
+@pytest.mark.parametrize("link", ["bt", pytest.param("usbip", marks=pytest.mark.avr)])
 def test_the_suite(guest, need, link, number, build_firmware):
     with contextlib.ExitStack() as stack:
         if link == "bt":

@@ -4,7 +4,8 @@ import pytest
 
 from .conftest import tool
 
-pytestmark = pytest.mark.guest
+# test_usb.py uses the gadget, too, as the far end.
+pytestmark = [pytest.mark.guest, pytest.mark.exhaustive]
 SCRIPT = "transports/tests/guest/inside_gadget.py"
 INSIDE = ["python", "-m", "pytest", "-q", "-p", "no:cacheprovider", SCRIPT]
 PATIENCE_S = 840

@@ -71,12 +71,14 @@ def test_what_it_can_load_is_there(guest):
     assert "generic" in guest("sh", "-c", script).stdout
 
 
+@pytest.mark.exhaustive
 def test_a_job_that_does_not_end_is_ended(guest):
     done = guest("sh", "-c", "echo begun; sleep 1000", timeout=15, code=124)
     assert done.stdout == "begun\n"
     assert "guest: no end after 15 s: killed" in done.stderr
 
 
+@pytest.mark.exhaustive
 def test_a_kernel_that_dies_is_told(guest):
     done = guest("sh", "-c", "echo c >/proc/sysrq-trigger", code=125)
     assert "QEMU has ended early" in done.stderr
@@ -97,6 +99,7 @@ def test_a_qemu_that_is_killed_is_no_time_out(guest):
         assert started.returncode == 125
 
 
+@pytest.mark.exhaustive
 def test_a_repository_below_tmp_is_there(guest, tmp_path):
     (tmp_path / "tools").mkdir()
     for path in SCRIPT.parent.glob("guest*"):

@@ -128,6 +128,7 @@ class SeqOfErrors(Case):
     EXPECTATION = "The seq of the broken request in each error reply."
     REQUIREMENTS = (
         "J2A-FRAME-010",
+        "J2A-STUFF-002",
         "J2A-ERR-002",
         "J2A-ERR-003",
         "J2A-ERR-004",
