@@ -303,7 +303,7 @@ async def aconnect(
 
 
 async def _open(url: str, options: dict[str, object]) -> "Transport":
-    """Open a transport in a thread, which closes it again when nobody waits for it any more."""
+    """Open a transport in a thread, which closes it again if the caller stopped waiting."""
     executor = ThreadPoolExecutor(1, "j2a opener")
     try:
         opening = executor.submit(open_transport, url, options)

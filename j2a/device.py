@@ -316,7 +316,7 @@ class Device:
 
 
 def default_max_hosts() -> int:
-    """Return how many hosts a device serves at once, if nobody says how many."""
+    """Return the default number of hosts that a device serves at once."""
     try:
         import resource  # noqa: PLC0415 - not on every system
     except ImportError:

@@ -96,7 +96,7 @@ def add_progress_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-progress",
         action="store_true",
-        help="draw no progress bar; without a terminal there is none anyway",
+        help="draw no progress bar (the default without a terminal)",
     )
 
 

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="after S seconds of silence a host makes room for another, if there is none left "
         "(%(default)g)",
     )
-    parser.add_argument("--once", action="store_true", help="end when the first host has gone")
+    parser.add_argument("--once", action="store_true", help="end when the first host disconnects")
     add_verbose_argument(parser)
 
 

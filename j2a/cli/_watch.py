@@ -60,12 +60,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="'FUNCTION PAYLOAD'",
         help="call this at the end, also after Ctrl-C, to stop the device sending",
     )
-    parser.add_argument("--count", type=whole_number(1), metavar="N", help="end after so many SIFs")
+    parser.add_argument("--count", type=whole_number(1), metavar="N", help="end after N SIFs")
     parser.add_argument(
         "--duration",
         type=finite_seconds,
         metavar="S",
-        help="end after so many seconds; with --count, fail if they were not enough",
+        help="end after S seconds; with --count, fail if fewer SIFs came",
     )
     parser.add_argument(
         "--as", dest="types", type=Decoder, metavar="TYPES", help="decode payloads, as j2a call"
@@ -78,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         default=[],
         type=whole_number(0, 255),
-        help="watch these only, 0..255",
+        help="watch only these opcodes, 0..255",
     )
 
 

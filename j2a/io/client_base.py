@@ -1,4 +1,4 @@
-"""What the blocking and the asyncio client have in common; how to wait is not among it.
+"""The common base of the blocking and the asyncio client, without the waiting.
 
 What flows in: the options of a client. What flows out: a session and a peer, and all that takes
 several calls as generators (see `j2a.protocol.transfer`), which each client drives in its own way.
@@ -80,7 +80,7 @@ class ClientBase:
 
     @property
     def url(self) -> str:
-        """What was connected to."""
+        """The URL of the device."""
         return self._url
 
     @property

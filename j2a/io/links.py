@@ -38,7 +38,7 @@ _Item = bytes | float | LinkError | LocalError
 
 
 class AsyncLink:
-    """What both kinds have in common.
+    """The common base of both kinds of link.
 
     Args:
         transport: an open byte stream.

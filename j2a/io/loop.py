@@ -103,7 +103,7 @@ class AsyncEngine:
                 what, opcode, payload, now=self.now(), timeout_s=limit_s, waiter=done
             )
         except J2AError:
-            # Who tries again and again must not keep the event loop for itself.
+            # Repeated attempts must not block the event loop.
             await asyncio.sleep(0)
             raise
         finally:

@@ -161,7 +161,7 @@ class LinkThreads:
         self._asked = self._answered = 0
         self._asked_at = math.inf
         self._is_reading = True
-        # Who reads holds it; re-entrant, as a signal handler may call while its thread waits.
+        # Held by the reading thread; re-entrant, as a signal handler may call while it waits.
         self._reading = threading.RLock()
         self._led_at = -math.inf
         # A bell for the reading thread: free when it was rung. Cheaper than an Event, and it is
@@ -230,7 +230,7 @@ class LinkThreads:
     # ------------------------------------------------------------------ in a caller
 
     def start_leading(self) -> bool:
-        """Become the one who reads, if the transport allows it and nobody else does."""
+        """Become the reading thread, if the transport allows it and no other thread reads."""
         if not self._can_lead:
             return False
         if self._reading.acquire(False):

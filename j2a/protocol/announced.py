@@ -1,4 +1,4 @@
-"""What a device announces by its properties: version, capabilities, limits.
+"""The announcements of a device in its properties: version, capabilities, limits.
 
 What flows in: properties as texts. What flows out: numbers and tokens. Rules: nothing raises; a
 value that does not have the form of the specification counts as absent.
@@ -27,7 +27,7 @@ _MAJOR: Final = 1
 
 
 class Announced:
-    """What the `j2a.` properties say.
+    """The contents of the `j2a.` properties.
 
     Attributes:
         version: major and minor; (1, 0) when the device does not say (J2A-PROP-005, J2A-VER-001).

@@ -84,7 +84,7 @@ class Server:
         self._deadline = now + self._byte_timeout_s if self._deframer.in_frame else None
 
     def next_timeout(self) -> float | None:
-        """Return when `handle_timeout` is due; None while no frame is open."""
+        """Return when to call `handle_timeout`; None while no frame is open."""
         return self._deadline
 
     def handle_timeout(self, now: float) -> None:

@@ -136,7 +136,7 @@ class Session:
     def cancel(self, waiter: Any) -> list[Call]:
         """Forget the call of a waiter; its reply, should it come, is dropped.
 
-        The waiter names the call because whoever is interrupted in `start_call` has nothing else.
+        The waiter names the call because a caller interrupted in `start_call` has nothing else.
 
         Returns: calls sent instead, or failed because the link is stalled.
         """
@@ -172,7 +172,7 @@ class Session:
         return len(self._waiters)
 
     def next_timeout(self) -> float | None:
-        """Return when `handle_timeout` is due, or None when nothing waits."""
+        """Return when to call `handle_timeout`, or None when nothing waits."""
         return self._deadlines.earliest()
 
     def handle_timeout(self, now: float) -> list[Call]:
@@ -226,7 +226,7 @@ class Session:
         return changed
 
     def _is_late(self, call: Call) -> bool:
-        """Whether it is too late to send a call: `handle_timeout` is due."""
+        """Whether it is too late to send a call; `handle_timeout` ends it."""
         return call.deadline is not None and call.deadline <= self._now
 
     def _send_call(self, call: Call) -> bool:

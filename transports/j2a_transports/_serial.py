@@ -43,7 +43,7 @@ _OPTIONS: Final = (
     Option(
         "boot",
         number(0, 60),
-        "time to wait after opening; what the board says meanwhile is thrown away",
+        "time to wait after opening; bytes received meanwhile are discarded",
         "0",
         "s",
     ),

@@ -82,7 +82,7 @@ def main(args: argparse.Namespace) -> int:
         found = _judge(place, args, cases)
     try:
         show(_console.report(found), flush=True)
-    finally:  # also where nobody reads the output
+    finally:  # also if the reader of the output has closed it
         reports.write(found)
     return status(found)
 

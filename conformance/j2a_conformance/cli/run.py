@@ -51,13 +51,13 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "--profile",
         choices=_deviations.profiles(),
         default=_deviations.STRICT,
-        help="what the device is judged by: this version (strict), or as an older device",
+        help="rules to judge the device by: this version (strict), or those of an older device",
     )
     command.add_argument(
         "--deviations",
         type=Path,
         metavar="FILE",
-        help="a list of what the device is known to do wrong, in TOML",
+        help="a list of the known deviations of the device, in TOML",
     )
     _target.add_arguments(command)
     _add_claims(command)
@@ -140,7 +140,7 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
             found, code = repeat(args.repeat, lambda: _judge(target, rules, args, cases))
     try:
         show(_console.report(found), flush=True)
-    finally:  # also where nobody reads the output
+    finally:  # also if the reader of the output has closed it
         reports.write(found)
     return code
 

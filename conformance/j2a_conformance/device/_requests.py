@@ -81,7 +81,7 @@ class Requests:
         return self.longest - c.MANY_HEADER
 
     def is_too_long(self, opcode: int, payload: bytes) -> bool:
-        """Tell whether a request is due 0xFF because of its length: its opcode comes first."""
+        """Tell whether 0xFF must answer a request because of its length: its opcode comes first."""
         names = self.claims.functions
         is_callable = opcode < len(names) and names[opcode] not in MANY_ONLY
         if opcode == 0:

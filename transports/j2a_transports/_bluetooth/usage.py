@@ -1,4 +1,4 @@
-"""What `bt:` URLs are, and their options.
+"""`bt:` URLs and their options.
 
 In: nothing.  Out: `OPEN` and `LISTEN`, and the forms of addresses that URLs and options share.
 """

@@ -1,4 +1,4 @@
-"""What `gadget:` URLs are, and their options.
+"""`gadget:` URLs and their options.
 
 In: nothing.  Out: `LISTEN`.
 """

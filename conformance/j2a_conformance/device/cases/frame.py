@@ -281,7 +281,7 @@ class InterruptedAnywhere(Case):
 
     @staticmethod
     def _cut(peer: Peer, stream: bytes) -> tuple[bytes, list[Expected]]:
-        """Return the stream with a good frame behind it, and what is due."""
+        """Return the stream followed by a valid frame, and the expected replies."""
         request = peer.probe()
         return stream + request.wire, [*answers(stream + b"\x12"), request.expected]
 

@@ -20,7 +20,7 @@ def with_sum(seq: int, opcode: int, payload: bytes, value: int) -> bytes:
 
 
 def broken(peer: Peer, name: str, payload: bytes, flip: int = 1) -> None:
-    """Call a function with a wrong checksum, for which error 0xF3 is due."""
+    """Call a function with a wrong checksum, and expect error 0xF3."""
     seq, opcode = peer.seq(), peer.opcode(name)
     wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ flip)
     peer.play(wire, refusal(seq, c.ERR_CHECKSUM))
@@ -125,7 +125,7 @@ class FlippedBits(Case):
 
 
 def damaged(peer: Peer, name: str, data: bytes, n: int) -> tuple[bytes, list[Expected]]:
-    """Return a request with one wrong bit, and the error that it is due.
+    """Return a request with one wrong bit, and the expected error.
 
     Which bit it is depends on `n`: of the checksum, of the first, last or another byte of the
     payload, of the opcode, or of the seq. (A wrong length moves the end of the frame.)

@@ -20,7 +20,7 @@ _DAMAGE = (c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING)
 
 
 def stray(seq: int, payload: bytes = b"stray", start: int = c.SOF) -> bytes:
-    """Return a frame with the code 0x11 that answers nobody."""
+    """Return a frame with the code 0x11 that answers no request."""
     return encode(Frame(start, seq % 256, 0x11, payload))
 
 
