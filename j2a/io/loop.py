@@ -83,7 +83,7 @@ class AsyncEngine:
 
     def _start_link(self) -> WatchedLink | ThreadedLink:
         arguments = (self._transport, self._loop, self._receive, self._looked, self._end)
-        if self._transport.fileno() >= 0:
+        if self._transport.fileno() >= 0 and not self._is_simulated:
             watched = WatchedLink(*arguments)
             with contextlib.suppress(NotImplementedError):  # this kind of loop cannot watch
                 watched.start()

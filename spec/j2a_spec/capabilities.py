@@ -9,7 +9,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
+from pathlib import Path
 from types import MappingProxyType
 from typing import Final, Literal, get_args
 
@@ -107,7 +107,7 @@ def parse(text: str) -> tuple[Mapping[str, Capability], tuple[Builtin, ...]]:
     return MappingProxyType(capabilities), functions
 
 
-CAPABILITIES, FUNCTIONS = parse(files("j2a_spec").joinpath("capabilities.toml").read_text("utf-8"))
+CAPABILITIES, FUNCTIONS = parse(Path(__file__).with_name("capabilities.toml").read_text("utf-8"))
 
 LEVELS: Final = (
     "frame",
