@@ -106,8 +106,10 @@ def machine(folder: Path, kernel: Path, *, cpus: int, memory: int, kvm: bool) ->
         "virtserialport,chardev=job,name=job",
     )
     return [
-        # However this program ends, the kernel ends QEMU with it.
-        *(tool("setpriv"), "--pdeathsig=KILL", tool(QEMU), "-nodefaults", "-no-reboot"),
+        # However this program ends, the kernel ends QEMU with it; also if it has ended already.
+        *(tool("setpriv"), "--pdeathsig=KILL"),
+        *("/bin/sh", "-c", '[ "$PPID" = "$0" ] && exec "$@"', str(os.getpid())),
+        *(tool(QEMU), "-nodefaults", "-no-reboot"),
         *(word for name, value in options.items() for word in (f"-{name}", value)),
         *(word for device in devices for word in ("-device", device)),
     ]

@@ -119,10 +119,25 @@ def test_a_repository_below_tmp_is_there(guest, tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_ends_qemu_too(guest, number):
+    killed_with_its_qemu(number, os.environ)
+
+
+def test_a_kill_before_qemu_has_begun_ends_it_too(guest, tmp_path):
+    """Before `setpriv` has asked the kernel for that."""
+    slow = tmp_path / "setpriv"
+    slow.write_text(f'#!/bin/sh\nsleep 1\nexec {shutil.which("setpriv")} "$@"\n')
+    slow.chmod(0o755)
+    killed_with_its_qemu(
+        signal.SIGKILL, {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    )
+
+
+def killed_with_its_qemu(number, environment):
     started = subprocess.Popen(
         [sys.executable, SCRIPT, "--", "sleep", "1000"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        env=environment,
     )
     try:
         deadline = time.monotonic() + 60
