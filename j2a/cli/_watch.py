@@ -8,6 +8,7 @@ nothing. What `--then` names is called however the watching ends, unless the lin
 from __future__ import annotations
 
 import argparse
+import math
 import queue
 import shlex
 import time
@@ -103,21 +104,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _watch(client: j2a.Client, first: Sequence[_Call], args: argparse.Namespace) -> None:
-    arrived: queue.SimpleQueue[tuple[float, j2a.Sif]] = queue.SimpleQueue()
-    client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), sif)))
+    arrived: queue.SimpleQueue[tuple[float, float, j2a.Sif]] = queue.SimpleQueue()
+    client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), client.now(), sif)))
     _call_each(client, first)
-    end = None if args.duration is None else time.monotonic() + args.duration
+    end = math.inf if args.duration is None else client.now() + args.duration
     seen = 0
     while args.count is None or seen < args.count:
-        left_s = _LOOK_S if end is None else min(_LOOK_S, end - time.monotonic())
+        left_s = min(_LOOK_S, end - client.now())
         try:
-            at_s, sif = arrived.get(timeout=max(left_s, 0.0))
+            at_s, came_at, sif = arrived.get(timeout=max(left_s, 0.0))
         except queue.Empty:
             if left_s <= 0:
                 break
             if not client.is_open:
                 client.call(0)  # raises what ended the link
             continue
+        if came_at > end:  # simulated time may run faster than that of this machine
+            break
         seen += 1
         _print(at_s, sif, args)
     if args.count is not None and seen < args.count:

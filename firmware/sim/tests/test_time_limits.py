@@ -6,6 +6,7 @@ import pytest
 from j2a_sim import AvrSim, SimLink
 
 import j2a
+from j2a.cli import main
 
 pytestmark = [pytest.mark.avr, pytest.mark.requirement("J2A-TIME-006")]
 
@@ -43,3 +44,9 @@ def test_the_asyncio_client_does_the_same(link):
             assert (await client.call("delay", THREE_SECONDS, timeout=9.0)).ok
 
     asyncio.run(main())
+
+
+def test_j2a_watch_counts_simulated_seconds(build_firmware, capsys):
+    url = f"sim:{build_firmware('demo', 'avr-serial')}"
+    assert main(["watch", url, "--call", "sifPeriod u16:100", "--duration", "2"]) == 0
+    assert 18 <= len(capsys.readouterr().out.splitlines()) <= 21

@@ -62,7 +62,7 @@ class Virtual:
         self._near, self._far = j2a_transports.pair()
         self._connect(options)
         self.client._engine.call = self._call
-        self.client._now = lambda: self.now
+        self.client.now = lambda: self.now
 
     def _connect(self, options):
         self.client = j2a.Client(self._near, **options)

@@ -127,9 +127,7 @@ def test_a_kill_before_qemu_has_begun_ends_it_too(guest, tmp_path):
     slow = tmp_path / "setpriv"
     slow.write_text(f'#!/bin/sh\nsleep 1\nexec {shutil.which("setpriv")} "$@"\n')
     slow.chmod(0o755)
-    killed_with_its_qemu(
-        signal.SIGKILL, {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
-    )
+    killed_with_its_qemu(signal.SIGKILL, {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"})
 
 
 def killed_with_its_qemu(number, environment):
