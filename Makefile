@@ -23,10 +23,9 @@ test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these
 	@sh tools/system.sh test
 	@bash tools/check.sh
 
-exhaustive: $(INSTALLED)  ## the tests that make test leaves out: the same on more links, seeds and defects
+exhaustive: $(INSTALLED)  ## what make test leaves out: soaks, every mutant, fuzzing, every guest; hours; CHECK= as there
 	@sh tools/system.sh test
-	@$(BIN)/python tools/interpreters.py --all
-	@J2A_REQUIRE_AVR=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m exhaustive
+	@bash tools/exhaustive.sh
 
 lint: $(INSTALLED)  ## lint, layout, types and import arrows
 	@CHECK=ruff,format,mypy,mypy-tools,imports bash tools/check.sh

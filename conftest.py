@@ -30,8 +30,8 @@ COMPILERS = {
     "rp2040": "arm-none-eabi-gcc",
     "riscv": "riscv64-unknown-elf-gcc",
 }
-# What takes longest starts first, so that no worker is left with it alone at the end; what boots a
-# guest in between, so that seldom two of them share the machine.
+# What takes longest is `slow`, and starts first, so that no worker is alone with it at the end;
+# what boots a guest stands in between, so that seldom two of them share the machine.
 LONGEST = (
     *("guest/test_links.py", "tests/test_proof.py", "guest/test_gadget.py", "tests/test_legacy.py"),
     *("tests/test_two_links.py", "guest/test_usb.py", "tests/test_porting.py"),
@@ -43,10 +43,18 @@ Make = Callable[..., subprocess.CompletedProcess[str]]
 Build = Callable[..., Path]
 
 
+def _file(item: pytest.Item) -> str:
+    return "/".join(item.path.parts[-2:])
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Sort the tests of the longest files to the front; all others keep their order."""
+    """Mark the tests of the longest files, and sort them to the front; all others stay in order."""
     rank = {name: number for number, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: rank.get("/".join(item.path.parts[-2:]), len(rank)))
+    items.sort(key=lambda item: rank.get(_file(item), len(rank)))
+    for item in items:
+        if _file(item) in rank:
+            item.add_marker("slow")
 
 
 def _missing(what: str) -> NoReturn:

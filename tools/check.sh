@@ -1,36 +1,12 @@
 #!/usr/bin/env bash
-# check.sh: everything that has to hold, step by step; `make test` runs it. A step that fails does
-# not keep the others from running, but it fails the whole. CHECK=name,name runs only these steps.
+# check.sh: everything that has to hold, step by step; `make test` runs it, and steps.sh says how.
 # Most tests wait for something, and most emulators do not, so pytest runs beside the long steps; it
 # is shown last, so that its closing line ends a good run.
-set -uo pipefail
-cd "$(dirname "$0")/.."
-PATH="$PWD/.venv/bin:$PATH"
-export PATH
-# What the user gave to make is not meant for the builds that happen in here.
-unset MAKEFLAGS MAKEOVERRIDES MFLAGS MAKELEVEL PYTHON
+. "$(dirname "$0")/steps.sh"
 if [ "${CI:-}" = true ]; then
     # Tests that need a compiler, a simulator or an emulator fail without it instead of being skipped.
     export J2A_REQUIRE_AVR=1
 fi
-
-mkdir -p build
-failed=()
-
-chosen() { [[ -z "${CHECK:-}" || ",$CHECK," == *",$1,"* ]]; }
-
-step() {
-    local name=$1 title=$2 status=0
-    shift 2
-    chosen "$name" || return
-    printf '\n==> %s: %s\n' "$name" "$title"
-    TIMEFORMAT="==> $name: %0R s, and %0U + %0S s of the processors"
-    time "$@" </dev/null || status=$?
-    if ((status)); then
-        failed+=("$name")
-        printf '==> %s FAILED with status %d\n' "$name" "$status"
-    fi
-}
 
 # The tests, in the background, and in a process group of their own: the shell lets no other process
 # in the background have Ctrl-C, nor the programs that it starts.
@@ -89,7 +65,4 @@ if ((${#failed[@]})); then
 fi
 [[ -z "$tests" ]] || show_tests
 
-if ((${#failed[@]})); then
-    printf '\n==> FAILED steps: %s\n' "${failed[*]}"
-    exit 1
-fi
+end_steps
