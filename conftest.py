@@ -18,8 +18,14 @@ from firmware.verify.packages import advice
 if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to import it
     from hypothesis import HealthCheck, settings
 
-    # Hypothesis measures wall time, which on a busy machine says nothing about the code.
-    settings.register_profile("j2a", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    # Every run tries the same. Wall time on a busy machine says nothing about the code. A fixture
+    # that the examples of one test share is one that they may share.
+    settings.register_profile(
+        "j2a",
+        derandomize=True,
+        deadline=None,
+        suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    )
     settings.load_profile("j2a")
 
 ROOT = Path(__file__).parent
