@@ -39,7 +39,7 @@ mutants: $(INSTALLED)  ## each mutant against the cases of the rule that it brea
 	@$(BIN)/python conformance/mutants/kill.py
 
 trace: conformance  ## renew conformance/trace.json, after make conformance
-	@$(BIN)/python tools/trace.py
+	@$(BIN)/python -m tools.trace
 
 docs: $(INSTALLED)  ## the documentation, into docs/_build/html
 	@$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html

@@ -32,9 +32,8 @@ step generate "generated files are up to date" python -m j2a_spec.generate --che
 step ruff "lint" ruff check --quiet .
 step format "layout of the Python files" ruff format --check --quiet .
 step mypy "types of the packages" mypy
-step mypy-tools "types of the tools, of the mutants and of the extensions of the documentation" bash -c \
-    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/mutants/*.py conformance/hosts/*.py &&
-    mypy firmware/ports/*/*.py'
+step mypy-tools "types of the tools, of the hosts and of the extensions of the documentation" bash -c \
+    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/hosts/*.py firmware/ports/*/*.py'
 step imports "arrows between the packages" lint-imports --no-cache --no-logo
 if command -v npm >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
     step emulator "packages of the chip emulators" sh tools/npm.sh firmware/verify/emulators/rp2040
@@ -51,7 +50,7 @@ step generated-mutants "a sample of the generated mutants is killed: dimensions,
     'python conformance/mutants/kill.py --dimensions --sample 12 &&
     python conformance/mutants/random_mutants.py --target core --count 12'
 step trace "each requirement, from clause to last result, as the summary says" \
-    python tools/trace.py --check
+    python -m tools.trace --check
 step docs "documentation, warnings are errors" \
     python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 step dist "wheel and sdist hold the packages" python tools/check_dist.py

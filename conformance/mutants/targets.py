@@ -27,8 +27,9 @@ from j2a_conformance.device._smoke import SMOKE
 from j2a_spec.capabilities import ANNOUNCED
 from j2a_spec.requirements import Level
 from j2a_transports import Transport
-from matrix import killers
-from tables import ROOT, Mutant, TableError, copy
+
+from conformance.mutants.matrix import killers
+from conformance.mutants.tables import ROOT, Mutant, TableError, copy
 
 __all__ = ["Job", "Outcome", "Variant", "cases", "judge", "prepare", "variant", "written"]
 

@@ -4,7 +4,6 @@ the run that judges mutants is not fooled by one that survives, that is not buil
 The run over all of them is a step of its own, tools/check.sh.
 """
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,14 +11,8 @@ from types import SimpleNamespace
 import pytest
 from j2a_conformance.cli import main as conform
 
-FOLDER = Path(__file__).parents[1] / "mutants"
-sys.path.insert(0, str(FOLDER))
-
-import edit  # noqa: E402  found through the line above, as those below
-import kill  # noqa: E402
-import matrix  # noqa: E402
-import targets  # noqa: E402
-from tables import (  # noqa: E402
+from conformance.mutants import edit, kill, matrix, targets
+from conformance.mutants.tables import (
     ROOT,
     TARGETS,
     Edit,
@@ -32,6 +25,7 @@ from tables import (  # noqa: E402
     place_of,
 )
 
+FOLDER = Path(__file__).parents[1] / "mutants"
 TABLES = {target: load(target) for target in TARGETS}
 EXAMPLE, _ = find("core-stuff-004")
 QUICK, _ = find("core-disp-004")  # of a rule with one case
