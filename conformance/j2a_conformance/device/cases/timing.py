@@ -11,29 +11,13 @@ from j2a_spec.oracle import Frame, checksum, encode, stuff
 from j2a_conformance._judge import Judged, fail, inform
 from j2a_conformance._model import Verdict
 from j2a_conformance.device._case import Case
+from j2a_conformance.device._paused import REFUSALS, TRIES, passes_in_pieces, send_paused
 from j2a_conformance.device._peer import Expected, Peer, Request, many_payload
 from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of, spread
 
 _ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
 _GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
-_REFUSALS = 6
-_TRIES = 40
 _LONG_TRIES = 12
-
-
-def send_paused(peer: Peer, pieces: list[bytes], pause_s: float) -> float:
-    """Send the pieces with pauses between them; return the longest pause in seconds, measured."""
-    longest_s = 0.0
-    before_s = peer.link.now_s()
-    peer.link.send(pieces[0])
-    for piece in pieces[1:]:
-        # From the start of the last write, so that no pause is longer than was asked for.
-        peer.link.wait_until(before_s + pause_s)
-        again_s = peer.link.now_s()
-        peer.link.send(piece)
-        longest_s = max(longest_s, peer.link.now_s() - before_s)
-        before_s = again_s
-    return longest_s
 
 
 def accepts(
@@ -42,29 +26,21 @@ def accepts(
     pause_s: float,
     *due: Expected,
     enough: int = 2,
-    tries: int = _TRIES,
+    tries: int = TRIES,
 ) -> None:
     """Fail when the device refuses these pauses again and again.
 
     `enough` acceptances are asked for, more than one of a single pause: a device that stalls may
     see the bytes without it.
     """
-    accepted = refused = 0
-    for _ in range(tries):
-        longest_s = send_paused(peer, pieces, pause_s)
-        try:
-            peer.expect(*due)
-        except Judged as judged:
-            refused += longest_s <= _ACCEPTED_S
-            peer.link.note(f"refused, the longest pause was {longest_s * 1e3:.2f} ms")
-            if refused >= _REFUSALS:
-                fail(f"{judged.reason}, in {refused} attempts, with pauses of {pause_s * 1e3} ms")
-            peer.resync()
-        else:
-            accepted += 1
-            if accepted == enough:
-                return
-    inform("this machine is too busy to make a pause of less than 9 ms")
+    try:
+        passed = passes_in_pieces(peer, pieces, pause_s, *due, enough=enough, tries=tries)
+    except Judged as judged:
+        if judged.final:
+            raise
+        fail(f"{judged.reason}, in {REFUSALS} attempts, with pauses of {pause_s * 1e3} ms")
+    if not passed:
+        inform("this machine is too busy to make a pause of less than 9 ms")
 
 
 def awkward(peer: Peer) -> tuple[bytes, Expected]:
