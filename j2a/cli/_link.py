@@ -12,6 +12,8 @@ import sys
 from collections.abc import Callable
 from typing import Final, TypeVar
 
+import j2a_transports
+
 import j2a
 from j2a.cli._exit import UsageError
 from j2a.cli._trace import TracePrinter
@@ -133,7 +135,11 @@ def check_listen_url(url: str) -> None:
         UsageError: it is standard input, and that is a terminal for people; a program sets its own
             to raw mode.
     """
-    if not url.lower().endswith("stdio:") or sys.platform == "win32":
+    try:
+        _, scheme = j2a_transports.innermost(url)
+    except j2a_transports.TransportError:  # listening will say what is wrong
+        return
+    if not scheme.takes_stdio or sys.platform == "win32":
         return
     try:
         is_typed_at = bool(termios.tcgetattr(0)[3] & termios.ICANON)

@@ -25,7 +25,6 @@ from ._reports import check_writable
 
 __all__ = ["add_arguments", "kinds_of", "main"]
 
-_PIPE: Final = 4096  # bytes that a pipe holds at least
 _SIDES: Final[dict[str, tuple[Side, ...]]] = {
     "both": ("requests", "replies"),
     "requests": ("requests",),
@@ -118,7 +117,7 @@ def main(args: argparse.Namespace) -> int:
     kinds = kinds_of(args.kind, args.rate)
     with _target.reach(args.url, args.baud or 0) as target:
         code = _judge(target, args, kinds)
-    if code == FAILED and target.url != target.inner:
+    if code == FAILED and target.url != target.link[0]:
         raise HarnessError(
             "what is wrong may be the doing of faults: in the URL, which are no part of the "
             "experiment; leave them out, --kind and --rate make faults"
@@ -152,7 +151,7 @@ def _judge(target: _target.Target, args: argparse.Namespace, kinds: Sequence[Kin
         player = player_for(
             target.opener,
             starts=target.fresh,
-            held=_PIPE if target.inner.startswith("exec:") else 0,
+            held=target.link[1].held_bytes,
             scale=args.timeout_scale,
             baud=args.baud or 0,
         )

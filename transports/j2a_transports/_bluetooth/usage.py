@@ -8,7 +8,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from j2a_transports._scheme import Option, Usage, choice, text, timeout
+from j2a_transports._scheme import Option, Usage
+from j2a_transports.options import choice, text, timeout
 
 from .record import SERVICE
 
