@@ -53,7 +53,7 @@ step trace "each requirement, from clause to last result, as the summary says" \
     python -m tools.trace --check
 step docs "documentation, warnings are errors" \
     python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
-step dist "wheel and sdist hold the packages" python tools/check_dist.py
+step dist "wheel and sdist hold the packages, the same in a second build" python tools/check_dist.py
 step demo "what make demo shows" bash -c \
     'python tools/demo.py >build/demo.log 2>&1 || { cat build/demo.log; exit 1; }; tail -4 build/demo.log'
 step speed "encode and decode in Python, for information" python -m j2a.tests.benchmarks.ratios
