@@ -6,10 +6,9 @@ What flows in: a URL or a testee file, and which cases. What flows out: reports,
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import get_args
 
 import j2a_transports
-from j2a_spec.requirements import Level
+from j2a_spec.capabilities import LEVELS
 
 from j2a_conformance._coverage import coverage
 from j2a_conformance._model import Result, Run
@@ -90,7 +89,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
 
 
 def _add_claims(command: argparse.ArgumentParser) -> None:
-    levels = get_args(Level)
+    levels = LEVELS
     command.add_argument(
         "--claims",
         nargs="+",

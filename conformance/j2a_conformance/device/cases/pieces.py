@@ -90,7 +90,7 @@ class Pieces(Case):
             single = [bytes((byte,)) for byte in request.wire]
             self._in_pieces(peer, single, request.expected)
         kinds = [(b"\x7d\xff", value) for value in (0x00, 0xFF, None)]
-        for n, (stream, (seq, ahead)) in enumerate(misread(peer.opcode(c.GET_ECHO), kinds)):
+        for n, (stream, (seq, ahead)) in enumerate(misread(peer.echo_opcode, kinds)):
             if ahead > c.HEADER and n % 37 == 0:
                 good = peer.probe()
                 owed = (refusal(seq, c.ERR_FRAMING), good.expected)
@@ -117,7 +117,7 @@ class Pieces(Case):
     @staticmethod
     def _mixed(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
         """Yield frames that each leave another state behind, and good ones behind them."""
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for n, length in enumerate(spread(peer.longest, 37)[::4]):
             request = peer.echo(payload_of(length, n), n * 29 % 256)
             wire, sos = request.wire, bytes((c.SOS,))

@@ -78,7 +78,7 @@ class WrongFormula(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for payload in (b"\x12", b"\x7d\x7d\x7d", b"abc", b"\xed" * 5):
             for name, formula in _WRONG.items():
                 seq = peer.seq()
@@ -115,7 +115,7 @@ class FlippedBits(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for place in (0, 1, 3, 4, 5):  # all but the length, which would move the end of the frame
             for bit in range(8):
                 seq = peer.seq()
@@ -228,7 +228,7 @@ class ShortLength(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         payload = b"0123456789"
         for length in range(len(payload)):
             seq = peer.seq()

@@ -46,13 +46,13 @@ def accepts(
 def awkward(peer: Peer) -> tuple[bytes, Expected]:
     """Return an echo that has escapes in seq and payload, and its due reply."""
     payload = bytes((0x12, 0x41, 0x7D))
-    wire = encode(Frame(c.SOF, 0xED, peer.opcode(c.GET_ECHO), payload))
+    wire = encode(Frame(c.SOF, 0xED, peer.echo_opcode, payload))
     return wire, Expected(0xED, c.ECHO, payload)
 
 
 def escaped(peer: Peer) -> tuple[bytes, Expected]:
     """Return an echo in which each field is escaped, needed or not, and its due reply."""
-    seq, opcode, payload = 0x41, peer.opcode(c.GET_ECHO), b"x"
+    seq, opcode, payload = 0x41, peer.echo_opcode, b"x"
     body = (seq, opcode, len(payload), *payload, checksum(seq, opcode, payload))
     wire = b"".join(bytes((c.ESC, value - 1)) for value in body)
     assert not {value - 1 for value in body} & {c.SOF, c.SOS, -1, 0xFF}
@@ -217,7 +217,7 @@ class GivesUpLong(Case):
                 peer.attempts(lambda a=part, b=rest, r=request: self._cut(peer, a, b, r.seq))  # type: ignore[misc]
         for length in spread(step=61) if peer.link.lossy else lengths():
             seq, data = (length + 0x85) % 256, payload_of(length, length)
-            wire = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), data))
+            wire = encode(Frame(c.SOF, seq, peer.echo_opcode, data))
             cut = len(wire) - 1 - length * 11 % (len(wire) - 4)
             peer.attempts(lambda w=wire, n=cut, s=seq: self._stopped(peer, w[:n], w[n:], s))  # type: ignore[misc]
 
@@ -243,7 +243,7 @@ class GivesUpLong(Case):
     def _silent(peer: Peer) -> None:
         """Frames that start with SOS are given up, too, and nothing says so."""
         for length in (0, 30, 90, 200):
-            frame = encode(Frame(c.SOS, 0x57, peer.opcode(c.GET_ECHO), payload_of(length, 2)))
+            frame = encode(Frame(c.SOS, 0x57, peer.echo_opcode, payload_of(length, 2)))
             peer.link.send(frame[:-1])
             peer.silence(0.03 * max(peer.link.scale, 1.0), "for a frame that starts with SOS")
             peer.play(frame[-1:], alone=True)
@@ -308,7 +308,7 @@ class LongLength(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for length, extra in ((10, 1), (10, 2), (10, 100), (0, 1), (0, 255), (64, 3), (200, 55)):
             seq, data = peer.seq(), payload_of(length, 2)
             body = bytes((seq, opcode, length + extra, *data, checksum(seq, opcode, data)))
