@@ -20,6 +20,7 @@ from conformance.mutants.tables import (
     TableError,
     changed,
     copy,
+    edit_of,
     find,
     load,
     place_of,
@@ -119,6 +120,12 @@ def test_only_a_folder_that_was_made_for_it_is_made_anew(tmp_path, capsys):
 def test_what_cannot_be_copied_is_said(arguments, capsys):
     assert edit.main(arguments) == 1
     assert "edit.py" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "files"), [("nothing.py", "0"), ("port.c", "[2-9]")])
+def test_a_name_that_is_not_one_file_is_refused(name, files):
+    with pytest.raises(TableError, match=f"^{name} is {files} files of the targets, not one$"):
+        edit_of({"file": name, "find": "a", "replace": "b"})
 
 
 def test_an_edit_that_does_not_fit_is_an_error(tmp_path):
