@@ -100,8 +100,11 @@ class ClientBase:
     def __del__(self, warn: Callable[..., None] = warnings.warn) -> None:
         # Without an engine the constructor has failed.
         engine = getattr(self, "_engine", None)
-        if engine is not None and engine.abandon():
-            warn(f"unclosed {self!r}", ResourceWarning, source=self)
+        if engine is None:
+            return
+        text = f"unclosed {self!r}"  # while it is open: the link ends in a thread of its own
+        if engine.abandon():
+            warn(text, ResourceWarning, source=self)
 
     # ------------------------------------------------------------------ several calls
 
