@@ -132,6 +132,16 @@ class SeqOfItsOwn:
         super().reply(self.own, code, payload)
 
 
+@breaks("J2A-SEQ-008", "J2A-DISP-001")
+class DropsRepeatedSeq:
+    before = None
+
+    def request(self, seq, opcode, payload):
+        if seq != self.before:
+            super().request(seq, opcode, payload)
+        self.before = seq
+
+
 @breaks("J2A-DISP-001", "J2A-LIMIT-001")
 class RepliesInReverse:
     def __init__(self, link):

@@ -94,6 +94,12 @@ class EndsOnNoise:
         self.link.close()
 
 
+@breaks("J2A-FRAME-007", "J2A-STUFF-003")
+class EscapeSwallowsStart:
+    def is_marker(self, byte):
+        return super().is_marker(byte) and not self.escaped
+
+
 @breaks("J2A-FRAME-009")
 class NeedsAPauseAfterNoise:
     noisy_s = 0.0
@@ -341,6 +347,12 @@ class ErrorsOfSifs:
             self.reply(seq, opcode, payload)
 
 
+@breaks("J2A-SIF-008", "J2A-SUM-003")
+class TakesDamagedSifs:
+    def sum_is_right(self, start, body):
+        return start == c.SOS or super().sum_is_right(start, body)
+
+
 @breaks("J2A-SIF-009")
 class CountsJumps:
     def gap(self, seq):
@@ -386,6 +398,12 @@ class TakesEveryNumber:
 class TakesNumbersWithASign:
     def number(self, text):
         return int(text.strip()) if text.strip().removeprefix("+").isdigit() else None
+
+
+@breaks("J2A-TIME-006")
+class WaitsForEver:
+    def new_call(self, opcode, payload, limit_s):
+        return super().new_call(opcode, payload, 60.0)
 
 
 @breaks("J2A-TIME-006")
