@@ -1,6 +1,7 @@
 """Over a transport whose time is simulated, every time limit is simulated time."""
 
 import asyncio
+import math
 import os
 import threading
 import time
@@ -13,6 +14,7 @@ from j2a_spec.constants import SOF
 import j2a
 
 from .support import PATIENCE_S
+from .wire import Background
 
 
 class SlowDevice(j2a_transports.Transport):
@@ -75,6 +77,16 @@ def test_a_call_ends_after_its_limit_in_simulated_time(takes_s, limit_s):
 def test_a_reply_within_the_limit_in_simulated_time(takes_s, limit_s):
     with j2a.Client(SlowDevice(takes_s)) as client:
         assert client.call(1, timeout=limit_s).payload == b"done"
+
+
+def test_calls_on_the_wire_together_keep_their_own_simulated_limits():
+    with j2a.Client(SlowDevice(math.inf), window=2) as client:
+        client._session.rxbuf = 4096
+        made = [("first", 1, b"", 1.0), ("second", 1, b"", 2.0)]
+        both = Background(client._engine.call_all, made)
+        with pytest.raises(j2a.CallTimeout, match="first"):  # once the second has ended, too
+            both.result()
+        assert client._session.waiting == 0
 
 
 def test_the_asyncio_client_keeps_simulated_limits_too():
