@@ -6,7 +6,9 @@ are missing is skipped or fails.
 
 import os
 import shutil
+import signal
 import subprocess
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -27,6 +29,13 @@ if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to
         suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
     )
     settings.load_profile("j2a")
+
+# A shell without job control starts its background with Ctrl-C ignored, and programs inherit that.
+if (
+    threading.current_thread() is threading.main_thread()
+    and signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+):
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).parent
 COMPILERS = {
@@ -61,6 +70,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if _file(item) in rank:
             item.add_marker("slow")
+        if item.get_closest_marker("guest"):  # an emulated processor waits for a busy machine
+            item.add_marker(pytest.mark.timeout(1200))
 
 
 def _missing(what: str) -> NoReturn:
