@@ -23,10 +23,9 @@ test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these
 	@sh tools/system.sh test
 	@bash tools/check.sh
 
-exhaustive: $(INSTALLED)  ## the tests that make test leaves out: the same on more links, seeds and defects
+exhaustive: $(INSTALLED)  ## what make test leaves out: soaks, every mutant, fuzzing, every guest; hours; CHECK= as there
 	@sh tools/system.sh test
-	@$(BIN)/python tools/interpreters.py --all
-	@J2A_REQUIRE_AVR=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m exhaustive
+	@bash tools/exhaustive.sh
 
 lint: $(INSTALLED)  ## lint, layout, types and import arrows
 	@CHECK=ruff,format,mypy,mypy-tools,imports bash tools/check.sh
@@ -40,14 +39,16 @@ mutants: $(INSTALLED)  ## each mutant against the cases of the rule that it brea
 	@$(BIN)/python conformance/mutants/kill.py
 
 trace: conformance  ## renew conformance/trace.json, after make conformance
-	@$(BIN)/python tools/trace.py
+	@$(BIN)/python -m tools.trace
 
 docs: $(INSTALLED)  ## the documentation, into docs/_build/html
 	@$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-bench: $(INSTALLED)  ## speed of encode and decode, as ratios to a naive codec and to pymavlink
+bench: $(INSTALLED)  ## speed as ratios: frames, calls, and costs that must not grow
 	@$(BIN)/python -m j2a.tests.benchmarks.ratios
+	@$(BIN)/python -m j2a.tests.benchmarks.calls
+	@$(BIN)/python -m j2a.tests.benchmarks.growth
 
 firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo

@@ -6,7 +6,9 @@ are missing is skipped or fails.
 
 import os
 import shutil
+import signal
 import subprocess
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -18,9 +20,22 @@ from firmware.verify.packages import advice
 if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to import it
     from hypothesis import HealthCheck, settings
 
-    # Hypothesis measures wall time, which on a busy machine says nothing about the code.
-    settings.register_profile("j2a", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    # Every run tries the same. Wall time on a busy machine says nothing about the code. A fixture
+    # that the examples of one test share is one that they may share.
+    settings.register_profile(
+        "j2a",
+        derandomize=True,
+        deadline=None,
+        suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    )
     settings.load_profile("j2a")
+
+# A shell without job control starts its background with Ctrl-C ignored, and programs inherit that.
+if (
+    threading.current_thread() is threading.main_thread()
+    and signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+):
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).parent
 COMPILERS = {
@@ -30,8 +45,8 @@ COMPILERS = {
     "rp2040": "arm-none-eabi-gcc",
     "riscv": "riscv64-unknown-elf-gcc",
 }
-# What takes longest starts first, so that no worker is left with it alone at the end; what boots a
-# guest in between, so that seldom two of them share the machine.
+# What takes longest is `slow`, and starts first, so that no worker is alone with it at the end;
+# what boots a guest stands in between, so that seldom two of them share the machine.
 LONGEST = (
     *("guest/test_links.py", "tests/test_proof.py", "guest/test_gadget.py", "tests/test_legacy.py"),
     *("tests/test_two_links.py", "guest/test_usb.py", "tests/test_porting.py"),
@@ -43,10 +58,20 @@ Make = Callable[..., subprocess.CompletedProcess[str]]
 Build = Callable[..., Path]
 
 
+def _file(item: pytest.Item) -> str:
+    return "/".join(item.path.parts[-2:])
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Sort the tests of the longest files to the front; all others keep their order."""
+    """Mark the tests of the longest files, and sort them to the front; all others stay in order."""
     rank = {name: number for number, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: rank.get("/".join(item.path.parts[-2:]), len(rank)))
+    items.sort(key=lambda item: rank.get(_file(item), len(rank)))
+    for item in items:
+        if _file(item) in rank:
+            item.add_marker("slow")
+        if item.get_closest_marker("guest"):  # an emulated processor waits for a busy machine
+            item.add_marker(pytest.mark.timeout(1200))
 
 
 def _missing(what: str) -> NoReturn:

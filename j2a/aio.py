@@ -81,9 +81,7 @@ class AsyncClient(ClientBase):
         known = self._known(function, data)
         if known is not None:
             return await self._engine.call(*known, data, limit_s)
-        return await self._drive(
-            self._call(function, data), self._call_limits(limit_s, self._now())
-        )
+        return await self._drive(self._call(function, data), self._call_limits(limit_s, self.now()))
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
@@ -97,7 +95,7 @@ class AsyncClient(ClientBase):
 
         Raises: as `call`; FunctionFailed or ProtocolError when the device returns no flags.
         """
-        return await self._drive(self._read_debug(), self._call_limits(timeout, self._now()))
+        return await self._drive(self._read_debug(), self._call_limits(timeout, self.now()))
 
     # ------------------------------------------------------------------ transfers
 
@@ -124,7 +122,7 @@ class AsyncClient(ClientBase):
         Raises: as `call`; FunctionFailed; ProtocolError when the chunks do not fit together;
             LegacyLimit when a device of version 1.0 cannot do it.
         """
-        limits = self._limits(timeout, total_timeout, self._now())
+        limits = self._limits(timeout, total_timeout, self.now())
         return await self._drive(self._read_many(function, max_bytes, progress), limits)
 
     async def write_many(
@@ -150,7 +148,7 @@ class AsyncClient(ClientBase):
 
         Raises: as `read_many`.
         """
-        limits = self._limits(timeout, total_timeout, self._now())
+        limits = self._limits(timeout, total_timeout, self.now())
         return await self._drive(self._write_many(function, data, progress), limits)
 
     async def echo_many(
@@ -165,7 +163,7 @@ class AsyncClient(ClientBase):
 
         Args and raises: as `write_many`; ProtocolError when it is not the same.
         """
-        limits = self._limits(timeout, total_timeout, self._now())
+        limits = self._limits(timeout, total_timeout, self.now())
         return await self._drive(self._echo_many(data, progress), limits)
 
     # ------------------------------------------------------------------ what the device has
@@ -175,7 +173,7 @@ class AsyncClient(ClientBase):
 
         Raises: as `call`, when the map is still to be fetched.
         """
-        await self._drive(self._load_map(), self._device_limits(self._now()))
+        await self._drive(self._load_map(), self._device_limits(self.now()))
         return dict(self._device.functions or {})
 
     async def properties(self) -> dict[str, str]:
@@ -183,21 +181,21 @@ class AsyncClient(ClientBase):
 
         Raises: as `read_many`.
         """
-        return await self._drive(self._read_properties(), self._device_limits(self._now()))
+        return await self._drive(self._read_properties(), self._device_limits(self.now()))
 
     async def capabilities(self) -> frozenset[str]:
         """Return the optional parts that the device announces (J2A-CAP-001); empty if none.
 
         Raises: as `read_many`.
         """
-        return await self._drive(self._read_capabilities(), self._device_limits(self._now()))
+        return await self._drive(self._read_capabilities(), self._device_limits(self.now()))
 
     async def room(self) -> int:
         """Return the longest payload that a call may have, 32..255 bytes (J2A-LIMIT-006).
 
         Raises: CallTimeout and LinkError, as `call`.
         """
-        return await self._drive(self._read_room(), self._device_limits(self._now()))
+        return await self._drive(self._read_room(), self._device_limits(self.now()))
 
     async def refresh(self, boot_time: float | None = None) -> None:
         """Fetch the function map anew and forget the properties (J2A-MAP-001).
@@ -208,7 +206,14 @@ class AsyncClient(ClientBase):
 
         Raises: as `call`; ProtocolError when what answers is no device.
         """
-        await self._drive(self._refresh(boot_time), self._device_limits(self._now(), boot_time))
+        await self._drive(self._refresh(boot_time), self._device_limits(self.now(), boot_time))
+
+    def now(self) -> float:
+        """Return the time on which the limits of this link run, in seconds.
+
+        That is the machine's monotonic clock, or the simulated time of a simulated board.
+        """
+        return self._engine.now()
 
     # ------------------------------------------------------------------ SIFs
 
@@ -247,15 +252,12 @@ class AsyncClient(ClientBase):
 
     # ------------------------------------------------------------------ machinery
 
-    def _now(self) -> float:
-        return self._engine.now()
-
     async def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         try:
             requests = next(transfer)
             while True:
                 try:
-                    now = self._now()
+                    now = self.now()
                     replies = await self._engine.call_all(
                         [self._arguments(request, limits, now) for request in requests]
                     )
@@ -296,14 +298,14 @@ async def aconnect(
         )
         await stack.enter_async_context(client)
         await client._drive(
-            client._connect(boot_time), client._device_limits(client._now(), boot_time)
+            client._connect(boot_time), client._device_limits(client.now(), boot_time)
         )
         stack.pop_all()
     return client
 
 
 async def _open(url: str, options: dict[str, object]) -> "Transport":
-    """Open a transport in a thread, which closes it again when nobody waits for it any more."""
+    """Open a transport in a thread, which closes it again if the caller stopped waiting."""
     executor = ThreadPoolExecutor(1, "j2a opener")
     try:
         opening = executor.submit(open_transport, url, options)

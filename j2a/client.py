@@ -98,7 +98,7 @@ class Client(ClientBase):
         known = self._known(function, data)
         if known is not None:
             return self._engine.call(*known, data, limit_s)
-        return self._drive(self._call(function, data), self._call_limits(limit_s, self._now()))
+        return self._drive(self._call(function, data), self._call_limits(limit_s, self.now()))
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
@@ -114,7 +114,7 @@ class Client(ClientBase):
 
         Raises: as `call`; FunctionFailed or ProtocolError when the device returns no flags.
         """
-        return self._drive(self._read_debug(), self._call_limits(timeout, self._now()))
+        return self._drive(self._read_debug(), self._call_limits(timeout, self.now()))
 
     # ------------------------------------------------------------------ transfers
 
@@ -143,7 +143,7 @@ class Client(ClientBase):
         Raises: as `call`; FunctionFailed; ProtocolError when the chunks do not fit together;
             LegacyLimit when a device of version 1.0 cannot do it.
         """
-        limits = self._limits(timeout, total_timeout, self._now())
+        limits = self._limits(timeout, total_timeout, self.now())
         return self._drive(self._read_many(function, max_bytes, progress), limits)
 
     def write_many(
@@ -171,7 +171,7 @@ class Client(ClientBase):
 
         Raises: as `read_many`.
         """
-        limits = self._limits(timeout, total_timeout, self._now())
+        limits = self._limits(timeout, total_timeout, self.now())
         return self._drive(self._write_many(function, data, progress), limits)
 
     def echo_many(
@@ -188,7 +188,7 @@ class Client(ClientBase):
 
         Args and raises: as `write_many`; ProtocolError when it is not the same.
         """
-        limits = self._limits(timeout, total_timeout, self._now())
+        limits = self._limits(timeout, total_timeout, self.now())
         return self._drive(self._echo_many(data, progress), limits)
 
     # ------------------------------------------------------------------ what the device has
@@ -199,7 +199,7 @@ class Client(ClientBase):
 
         Raises: as `call`, when the map is still to be fetched.
         """
-        self._drive(self._load_map(), self._device_limits(self._now()))
+        self._drive(self._load_map(), self._device_limits(self.now()))
         return dict(self._device.functions or {})
 
     @property
@@ -212,7 +212,7 @@ class Client(ClientBase):
 
         Raises: as `read_many`.
         """
-        return self._drive(self._read_properties(), self._device_limits(self._now()))
+        return self._drive(self._read_properties(), self._device_limits(self.now()))
 
     @property
     def capabilities(self) -> frozenset[str]:
@@ -222,7 +222,7 @@ class Client(ClientBase):
 
         Raises: as `read_many`.
         """
-        return self._drive(self._read_capabilities(), self._device_limits(self._now()))
+        return self._drive(self._read_capabilities(), self._device_limits(self.now()))
 
     @property
     def room(self) -> int:
@@ -230,7 +230,7 @@ class Client(ClientBase):
 
         It is 255 where the device does not say. Raises: CallTimeout and LinkError, as `call`.
         """
-        return self._drive(self._read_room(), self._device_limits(self._now()))
+        return self._drive(self._read_room(), self._device_limits(self.now()))
 
     def refresh(self, boot_time: float | None = None) -> None:
         """Fetch the function map anew and forget the properties (J2A-MAP-001).
@@ -241,7 +241,14 @@ class Client(ClientBase):
 
         Raises: as `call`; ProtocolError when what answers is no device.
         """
-        self._drive(self._refresh(boot_time), self._device_limits(self._now(), boot_time))
+        self._drive(self._refresh(boot_time), self._device_limits(self.now(), boot_time))
+
+    def now(self) -> float:
+        """Return the time on which the limits of this link run, in seconds.
+
+        That is the machine's monotonic clock, or the simulated time of a simulated board.
+        """
+        return self._transport.clock()
 
     # ------------------------------------------------------------------ SIFs
 
@@ -291,15 +298,12 @@ class Client(ClientBase):
 
     # ------------------------------------------------------------------ machinery
 
-    def _now(self) -> float:
-        return self._transport.clock()
-
     def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         try:
             requests = next(transfer)
             while True:
                 try:
-                    now = self._now()
+                    now = self.now()
                     replies = self._engine.call_all(
                         [self._arguments(request, limits, now) for request in requests]
                     )
@@ -352,6 +356,6 @@ def connect(
             on_handler_error=on_handler_error,
         )
         stack.enter_context(client)
-        client._drive(client._connect(boot_time), client._device_limits(client._now(), boot_time))
+        client._drive(client._connect(boot_time), client._device_limits(client.now(), boot_time))
         stack.pop_all()
     return client

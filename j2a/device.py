@@ -9,7 +9,6 @@ functions.
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Final, Self, TypeVar, overload
 
@@ -316,7 +315,7 @@ class Device:
 
 
 def default_max_hosts() -> int:
-    """Return how many hosts a device serves at once, if nobody says how many."""
+    """Return the default number of hosts that a device serves at once."""
     try:
         import resource  # noqa: PLC0415 - not on every system
     except ImportError:
@@ -332,8 +331,8 @@ def _dispensable(connections: Iterable[Connection], idle_s: float) -> Connection
     silent = [connection for connection in connections if not connection.has_asked]
     if silent:
         return silent[0]
-    oldest = min(connections, key=lambda connection: connection.last_heard)
-    return oldest if time.monotonic() - oldest.last_heard >= idle_s else None
+    quietest = max(connections, key=lambda connection: connection.silent_s)
+    return quietest if quietest.silent_s >= idle_s else None
 
 
 def _decorator(register: Callable[[str, _F], None], name: _F | str | None) -> object:

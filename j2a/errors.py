@@ -1,4 +1,4 @@
-"""What can go wrong, as types.
+"""The errors of the library.
 
 What flows out: exceptions whose message says what happened and what to do about it.
 Rules: `LocalError` is the caller's mistake and is raised at once, before anything is sent.

@@ -1,4 +1,4 @@
-"""What the library hands to its user.
+"""The values that the library passes to its user.
 
 What flows out: values only, immutable, made by the deframer, the session and the clients. Frames
 are named tuples because one is made for every frame on the wire and a frozen dataclass costs three
@@ -37,7 +37,7 @@ class FrameError(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """What a function returned.
+    """The result of a function.
 
     `code` is its return value: by convention 0 is success, 0xFF means that the function failed, and
     the rest is the function's own. `payload` is 0 to 255 bytes.

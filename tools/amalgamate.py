@@ -213,7 +213,7 @@ def main() -> int:
     """Write what was asked for; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--out", type=Path, default=DEFAULT_OUT, help="the folder for the files")
-    parser.add_argument("--name", default="j2a", help="of the two files (default: j2a)")
+    parser.add_argument("--name", default="j2a", help="name of the two files (default: j2a)")
     parser.add_argument("--port", help="also the files of this port of firmware/ports")
     args = parser.parse_args()
     if not re.fullmatch(r"[A-Za-z_]\w*", args.name):

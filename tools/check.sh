@@ -1,36 +1,12 @@
 #!/usr/bin/env bash
-# check.sh: everything that has to hold, step by step; `make test` runs it. A step that fails does
-# not keep the others from running, but it fails the whole. CHECK=name,name runs only these steps.
+# check.sh: everything that has to hold, step by step; `make test` runs it, and steps.sh says how.
 # Most tests wait for something, and most emulators do not, so pytest runs beside the long steps; it
 # is shown last, so that its closing line ends a good run.
-set -uo pipefail
-cd "$(dirname "$0")/.."
-PATH="$PWD/.venv/bin:$PATH"
-export PATH
-# What the user gave to make is not meant for the builds that happen in here.
-unset MAKEFLAGS MAKEOVERRIDES MFLAGS MAKELEVEL PYTHON
+. "$(dirname "$0")/steps.sh"
 if [ "${CI:-}" = true ]; then
     # Tests that need a compiler, a simulator or an emulator fail without it instead of being skipped.
     export J2A_REQUIRE_AVR=1
 fi
-
-mkdir -p build
-failed=()
-
-chosen() { [[ -z "${CHECK:-}" || ",$CHECK," == *",$1,"* ]]; }
-
-step() {
-    local name=$1 title=$2 status=0
-    shift 2
-    chosen "$name" || return
-    printf '\n==> %s: %s\n' "$name" "$title"
-    TIMEFORMAT="==> $name: %0R s, and %0U + %0S s of the processors"
-    time "$@" </dev/null || status=$?
-    if ((status)); then
-        failed+=("$name")
-        printf '==> %s FAILED with status %d\n' "$name" "$status"
-    fi
-}
 
 # The tests, in the background, and in a process group of their own: the shell lets no other process
 # in the background have Ctrl-C, nor the programs that it starts.
@@ -56,9 +32,8 @@ step generate "generated files are up to date" python -m j2a_spec.generate --che
 step ruff "lint" ruff check --quiet .
 step format "layout of the Python files" ruff format --check --quiet .
 step mypy "types of the packages" mypy
-step mypy-tools "types of the tools, of the mutants and of the extensions of the documentation" bash -c \
-    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/mutants/*.py conformance/hosts/*.py &&
-    mypy firmware/ports/*/*.py'
+step mypy-tools "types of the tools, of the hosts and of the extensions of the documentation" bash -c \
+    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/hosts/*.py firmware/ports/*/*.py'
 step imports "arrows between the packages" lint-imports --no-cache --no-logo
 if command -v npm >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
     step emulator "packages of the chip emulators" sh tools/npm.sh firmware/verify/emulators/rp2040
@@ -75,10 +50,10 @@ step generated-mutants "a sample of the generated mutants is killed: dimensions,
     'python conformance/mutants/kill.py --dimensions --sample 12 &&
     python conformance/mutants/random_mutants.py --target core --count 12'
 step trace "each requirement, from clause to last result, as the summary says" \
-    python tools/trace.py --check
+    python -m tools.trace --check
 step docs "documentation, warnings are errors" \
     python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
-step dist "wheel and sdist hold the packages" python tools/check_dist.py
+step dist "wheel and sdist hold the packages, the same in a second build" python tools/check_dist.py
 step demo "what make demo shows" bash -c \
     'python tools/demo.py >build/demo.log 2>&1 || { cat build/demo.log; exit 1; }; tail -4 build/demo.log'
 step speed "encode and decode in Python, for information" python -m j2a.tests.benchmarks.ratios
@@ -89,7 +64,4 @@ if ((${#failed[@]})); then
 fi
 [[ -z "$tests" ]] || show_tests
 
-if ((${#failed[@]})); then
-    printf '\n==> FAILED steps: %s\n' "${failed[*]}"
-    exit 1
-fi
+end_steps

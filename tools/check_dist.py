@@ -2,9 +2,11 @@
 
 What flows in: the repository, and hatchling from the environment. What flows out: exit status 0, or
 a list of what is missing. Rules: everything that the packages need at run time is in both archives,
-nothing beside the packages is in the wheel, and both console commands are declared.
+nothing beside the packages is in the wheel, both console commands are declared, and a second build,
+at another time and place, gives the same bytes.
 """
 
+import os
 import subprocess
 import sys
 import tarfile
@@ -39,11 +41,12 @@ def sources() -> set[str]:
     return {file for file in found if not file.startswith("j2a/tests/")}
 
 
-def build(folder: Path) -> tuple[Path, Path]:
+def build(folder: Path, **environment: str) -> tuple[Path, Path]:
     """Build both archives into an empty folder and return (wheel, sdist)."""
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-t", "sdist", "-d", folder],
         cwd=ROOT,
+        env=os.environ | environment,
         check=True,
         capture_output=True,
     )
@@ -73,8 +76,12 @@ def faults(wheel: Path, sdist: Path) -> list[str]:
 def main() -> int:
     """Run the check; return the exit status."""
     with tempfile.TemporaryDirectory() as folder:
-        wheel, sdist = build(Path(folder))
+        wheel, sdist = build(Path(folder, "first"))
         lines = faults(wheel, sdist)
+        again = build(Path(folder, "second"), TZ="Asia/Kathmandu", PYTHONHASHSEED="7")
+        for one, other in zip((wheel, sdist), again, strict=True):
+            if one.read_bytes() != other.read_bytes():
+                lines.append(f"{one.name} is not the same in a second build")
         print(f"{wheel.name} {wheel.stat().st_size} B, {sdist.name} {sdist.stat().st_size} B")
     for line in lines:
         print(line, file=sys.stderr)

@@ -17,6 +17,7 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import j2a_transports
 from j2a_conformance.device._testee import load_testee
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -41,7 +42,7 @@ def kind(arguments: list[str]) -> str:
     if testee.suffix != ".toml":
         return "machine"
     url = str(tomllib.loads(testee.read_text("utf-8")).get("url", ""))
-    if url.startswith("sim:"):
+    if url and j2a_transports.innermost(url)[1].is_simulated:
         return "simulated"
     return "emulator" if "qemu-system" in url or "/emulators/" in url else "machine"
 

@@ -246,7 +246,7 @@ def main() -> int:
     parser.add_argument("--memory", type=count, default=768, metavar="MIB", help="memory (768)")
     parser.add_argument("--kvm", action="store_true", help="let the host's processor run the guest")
     parser.add_argument("--verbose", action="store_true", help="show the kernel's messages, too")
-    parser.add_argument("command", nargs="+", metavar="COMMAND", help="what to run")
+    parser.add_argument("command", nargs="+", metavar="COMMAND", help="the command to run")
     args = parser.parse_args()
 
     def ended(*_: object) -> NoReturn:

@@ -27,13 +27,11 @@ from j2a_conformance.host import START
 from j2a_conformance.host.cases import load as load_host_cases
 from j2a_spec import requirements
 
+from conformance.mutants.anchors import function_at
+from conformance.mutants.tables import TARGETS, Edit, Mutant, place_of
+from conformance.mutants.tables import load as load_table
+
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "conformance" / "mutants"))
-
-from anchors import function_at  # noqa: E402  found through the line above, as those below
-from tables import TARGETS, Edit, Mutant, place_of  # noqa: E402
-from tables import load as load_table  # noqa: E402
-
 TRACE = ROOT / "build" / "traceability.json"
 SUMMARY = ROOT / "conformance" / "trace.json"
 RESULTS = ROOT / "build" / "conformance"

@@ -1,11 +1,13 @@
 """What reports say of a case, whether it judges a device or a host.
 
-What flows out: `BaseCase`, and the cases of a module. Rules: a case names every requirement that it
-tests; its description and expectation are facts, readable without the code.
+What flows out: `BaseCase`, and the cases of a package. Rules: a case names every requirement that
+it tests; its description and expectation are facts, readable without the code.
 """
 
+import pkgutil
 from abc import ABC
-from types import ModuleType
+from collections.abc import Sequence
+from importlib import import_module
 from typing import TypeVar
 
 from j2a_spec.requirements import Level
@@ -40,10 +42,20 @@ class BaseCase(ABC):
 _AnyCase = TypeVar("_AnyCase", bound=BaseCase)
 
 
-def collect_cases(module: ModuleType, kind: type[_AnyCase]) -> tuple[_AnyCase, ...]:
-    """Return one instance of each case class of a kind that `module` defines, in its order."""
+def collect_cases(package: str, first: Sequence[str], kind: type[_AnyCase]) -> tuple[_AnyCase, ...]:
+    """Return one instance of each case class of a kind in the modules of `package`.
+
+    Args:
+        package: name of the package with a module for each area of the specification.
+        first: names of the modules that come first, in this order; the others follow by name.
+        kind: the base class of the cases.
+    """
+    names = [found.name for found in pkgutil.iter_modules(import_module(package).__path__)]
+    order = (*first, *sorted(set(names).difference(first)))
+    modules = (import_module(f"{package}.{name}") for name in order)
     return tuple(
         found()
+        for module in modules
         for found in vars(module).values()
         if isinstance(found, type)
         and issubclass(found, kind)

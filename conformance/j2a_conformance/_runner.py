@@ -137,7 +137,7 @@ def judge(
 
 
 def _judge(testee: Testee[_AnyCase], case: _AnyCase) -> Result:
-    """Run one case, more than once where that is due, and return its result."""
+    """Run one case, repeated if it needs that, and return its result."""
     link, attempts = testee.link, 0
 
     def attempt(number: int) -> None:

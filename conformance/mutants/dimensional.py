@@ -15,8 +15,8 @@ from fnmatch import fnmatchcase
 from random import Random
 from typing import Any, Final
 
-import tables
-from tables import FOLDER, Edit, Mutant, TableError, edits_of
+from conformance.mutants import tables
+from conformance.mutants.tables import FOLDER, Edit, Mutant, TableError, edits_of
 
 __all__ = ["Condition", "Excluded", "Site", "find", "generate", "read", "sample"]
 

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
-import dimensional
-from tables import TableError, copy, find
+from conformance.mutants import dimensional
+from conformance.mutants.tables import TableError, copy, find
 
 _MARK: Final = ".j2a-mutant"
 

@@ -18,11 +18,10 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 
-import dimensional
-import matrix
-from matrix import Row
-from tables import TARGETS, Mutant, Table, TableError, load
-from targets import Job, Outcome, Variant, cases, judge, prepare, variant
+from conformance.mutants import dimensional, matrix
+from conformance.mutants.matrix import Row
+from conformance.mutants.tables import TARGETS, Mutant, Table, TableError, load
+from conformance.mutants.targets import Job, Outcome, Variant, cases, judge, prepare, variant
 
 __all__ = ["main"]
 

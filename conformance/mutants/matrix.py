@@ -13,7 +13,8 @@ from typing import Final
 
 from j2a_spec import requirements
 from j2a_spec.capabilities import ANNOUNCED
-from tables import FOLDER, Mutant, Table
+
+from conformance.mutants.tables import FOLDER, Mutant, Table
 
 __all__ = [
     "MATRIX",

@@ -32,9 +32,9 @@ from tempfile import TemporaryDirectory
 from types import CodeType
 from typing import Final
 
-from mechanical import Change, of_c, of_python
-from tables import FOLDER, ROOT, Edit, Mutant, TableError, copy
-from targets import Job, Outcome, Variant, cases, judge, prepare, written
+from conformance.mutants.mechanical import Change, of_c, of_python
+from conformance.mutants.tables import FOLDER, ROOT, Edit, Mutant, TableError, copy
+from conformance.mutants.targets import Job, Outcome, Variant, cases, judge, prepare, written
 
 __all__ = ["main"]
 

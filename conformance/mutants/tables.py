@@ -2,9 +2,9 @@
 
 What flows in: `core.toml`, `device.toml` and `host.toml`, and the sources. What flows out: `Table`
 objects, and copies of the sources with the edits of one mutant. Rules: a mutant breaks one rule and
-is an edit kept here, so that the sources show nothing of it; `FILES` alone says where a file is,
-`anchors.py` finds exactly one place in it. Nothing but Python is needed, because the Makefile
-of the firmware calls this.
+is an edit kept here, so that the sources show nothing of it; a table names a file by the end of its
+path, as far as only one file of the targets has it; `anchors.py` finds exactly one place in it.
+Nothing but Python is needed, because the Makefile of the firmware calls this.
 """
 
 import re
@@ -15,10 +15,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from anchors import AnchorError, Place, locate, names_of
+from conformance.mutants.anchors import AnchorError, Place, locate, names_of
 
 __all__ = [
-    "FILES",
     "ROOT",
     "TARGETS",
     "Edit",
@@ -44,37 +43,6 @@ TARGETS: Final = {
     "host": ("j2a",),
 }
 """What can be mutated, each with the files and folders that its edited copy is made of."""
-
-FILES: Final = {
-    "demo/properties.def": "firmware/apps/demo/properties.def",
-    "j2a_builtins.c": "firmware/core/j2a_builtins.c",
-    "j2a_const.h": "firmware/core/j2a_const.h",
-    "j2a_debug.c": "firmware/core/j2a_debug.c",
-    "j2a_rx.c": "firmware/core/j2a_rx.c",
-    "j2a_selftest.c": "firmware/core/j2a_selftest.c",
-    "j2a_server.c": "firmware/core/j2a_server.c",
-    "j2a_table.h": "firmware/core/j2a_table.h",
-    "j2a_tx.c": "firmware/core/j2a_tx.c",
-    "avr-serial/port.c": "firmware/ports/avr-serial/port.c",
-    "posix/port.c": "firmware/ports/posix/port.c",
-    "demo.py": "j2a/demo.py",
-    "device.py": "j2a/device.py",
-    "blocking.py": "j2a/io/blocking.py",
-    "connection.py": "j2a/io/connection.py",
-    "functions.py": "j2a/io/functions.py",
-    "links.py": "j2a/io/links.py",
-    "loop.py": "j2a/io/loop.py",
-    "threads.py": "j2a/io/threads.py",
-    "announced.py": "j2a/protocol/announced.py",
-    "codec.py": "j2a/protocol/codec.py",
-    "deframer.py": "j2a/protocol/deframer.py",
-    "device_info.py": "j2a/protocol/device_info.py",
-    "limits.py": "j2a/protocol/limits.py",
-    "server.py": "j2a/protocol/server.py",
-    "session.py": "j2a/protocol/session.py",
-    "transfer.py": "j2a/protocol/transfer.py",
-}
-"""The files that tables name, and where they are; a table may also name a path."""
 
 _ID: Final = re.compile(r"(?P<target>[a-z]+)-(?P<rule>[a-z]+-\d{3})(-[a-z])?")
 
@@ -164,7 +132,20 @@ def load(target: str) -> Table:
 
 def edit_of(entry: dict[str, str]) -> Edit:
     """Return the edit of an entry of a table."""
-    return Edit(FILES.get(entry["file"], entry["file"]), entry["find"], entry["replace"])
+    return Edit(_path(entry["file"]), entry["find"], entry["replace"])
+
+
+@cache
+def _path(name: str) -> str:
+    """Return the path in the repository of the file that a table calls `name`."""
+    if (ROOT / name).is_file():
+        return name
+    folders = {ROOT / folder for sources in TARGETS.values() for folder in sources}
+    found = [path.relative_to(ROOT) for folder in folders for path in folder.glob(f"**/{name}")]
+    found = [path for path in found if "tests" not in path.parts]
+    if len(found) != 1:
+        raise TableError(f"{name} is {len(found)} files of the targets, not one")
+    return found[0].as_posix()
 
 
 def edits_of(entry: dict[str, Any]) -> tuple[Edit, ...]:

@@ -19,16 +19,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, TypeVar, get_args
+from typing import Final, TypeVar
 
 import j2a_transports
 from j2a_conformance import Case, HarnessError, Result, Run, Verdict, host, load, run
 from j2a_conformance.device._smoke import SMOKE
-from j2a_spec.capabilities import ANNOUNCED
+from j2a_spec.capabilities import ANNOUNCED, LEVELS
 from j2a_spec.requirements import Level
 from j2a_transports import Transport
-from matrix import killers
-from tables import ROOT, Mutant, TableError, copy
+
+from conformance.mutants.matrix import killers
+from conformance.mutants.tables import ROOT, Mutant, TableError, copy
 
 __all__ = ["Job", "Outcome", "Variant", "cases", "judge", "prepare", "variant", "written"]
 
@@ -354,7 +355,7 @@ def _claimed(how: Variant) -> Collection[Level]:
     """Return the levels that the device reaches: a name lost from its map must not excuse it."""
     if how.app not in ("", "demo") or how.options:
         return ()
-    return [level for level in get_args(Level) if level not in ANNOUNCED]
+    return [level for level in LEVELS if level not in ANNOUNCED]
 
 
 def _host(how: Variant, chosen: list[host.HostCase], folder: Path, quick: bool) -> Run:

@@ -1,14 +1,9 @@
 """The place of an edit is found again where layout or names have changed, and only there."""
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "mutants"))
-
-from anchors import AnchorError, function_at, locate
-from tables import ROOT, Edit, TableError, changed, find, load
+from conformance.mutants.anchors import AnchorError, function_at, locate
+from conformance.mutants.tables import ROOT, Edit, TableError, changed, find, load
 
 C = """
 static void first(uint8_t length) {

@@ -4,7 +4,6 @@ The runs over them are commands, `kill.py --dimensions` and `random_mutants.py`.
 """
 
 import re
-import sys
 from collections import Counter
 from pathlib import Path
 from textwrap import dedent
@@ -12,18 +11,10 @@ from textwrap import dedent
 import pytest
 from j2a_spec import requirements
 
+from conformance.mutants import dimensional, edit, kill, matrix, mechanical, random_mutants, targets
+from conformance.mutants.tables import ROOT, TARGETS, TableError, changed
+
 FOLDER = Path(__file__).parents[1] / "mutants"
-sys.path.insert(0, str(FOLDER))
-
-import dimensional  # noqa: E402  found through the line above, as those below
-import edit  # noqa: E402
-import kill  # noqa: E402
-import matrix  # noqa: E402
-import mechanical  # noqa: E402
-import random_mutants  # noqa: E402
-import targets  # noqa: E402
-from tables import ROOT, TARGETS, TableError, changed  # noqa: E402
-
 GENERATED = {target: dimensional.generate(target) for target in TARGETS}
 KINDS = ("operator", "constant", "negation", "statement", "return", "arguments")
 ROLES = {"core": "device", "device": "device", "host": "host"}

@@ -4,7 +4,6 @@ the run that judges mutants is not fooled by one that survives, that is not buil
 The run over all of them is a step of its own, tools/check.sh.
 """
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,14 +11,8 @@ from types import SimpleNamespace
 import pytest
 from j2a_conformance.cli import main as conform
 
-FOLDER = Path(__file__).parents[1] / "mutants"
-sys.path.insert(0, str(FOLDER))
-
-import edit  # noqa: E402  found through the line above, as those below
-import kill  # noqa: E402
-import matrix  # noqa: E402
-import targets  # noqa: E402
-from tables import (  # noqa: E402
+from conformance.mutants import edit, kill, matrix, targets
+from conformance.mutants.tables import (
     ROOT,
     TARGETS,
     Edit,
@@ -27,13 +20,16 @@ from tables import (  # noqa: E402
     TableError,
     changed,
     copy,
+    edit_of,
     find,
     load,
     place_of,
 )
 
+FOLDER = Path(__file__).parents[1] / "mutants"
 TABLES = {target: load(target) for target in TARGETS}
 EXAMPLE, _ = find("core-stuff-004")
+QUICK, _ = find("core-disp-004")  # of a rule with one case
 
 
 def test_the_tables_are_those_of_the_folder():
@@ -126,6 +122,12 @@ def test_what_cannot_be_copied_is_said(arguments, capsys):
     assert "edit.py" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("name", "files"), [("nothing.py", "0"), ("port.c", "[2-9]")])
+def test_a_name_that_is_not_one_file_is_refused(name, files):
+    with pytest.raises(TableError, match=f"^{name} is {files} files of the targets, not one$"):
+        edit_of({"file": name, "find": "a", "replace": "b"})
+
+
 def test_an_edit_that_does_not_fit_is_an_error(tmp_path):
     stale = replace(EXAMPLE, edits=(Edit("firmware/core/j2a_rx.c", "no such text", "x"),))
     with pytest.raises(TableError, match=r"core-stuff-004: .* is gone"):
@@ -171,14 +173,14 @@ def test_a_mutant_that_is_noticed_is_killed(judge):
 
 
 def test_a_mutant_that_breaks_nothing_survives(judge):
-    status, printed = judge(Edit(RX, "/* The push parser.", "/* A parser."))
-    assert (status, printed) == (1, "core-stuff-004: survives\n1 mutants, 0 killed\n")
+    status, printed = judge(Edit(RX, "/* The push parser.", "/* A parser."), like=QUICK)
+    assert (status, printed) == (1, "core-disp-004: survives\n1 mutants, 0 killed\n")
 
 
 def test_a_mutant_that_breaks_another_rule_survives(judge):
     file = "firmware/core/ext/j2a_debug.c"
-    status, printed = judge(Edit(file, "code |= J2A_DEBUG_MORE;", "code |= 0;"))
-    assert (status, printed) == (1, "core-stuff-004: survives\n1 mutants, 0 killed\n")
+    status, printed = judge(Edit(file, "code |= J2A_DEBUG_MORE;", "code |= 0;"), like=QUICK)
+    assert (status, printed) == (1, "core-disp-004: survives\n1 mutants, 0 killed\n")
 
 
 def test_a_mutant_that_is_not_built_is_an_error(judge):
@@ -203,10 +205,9 @@ def test_a_mutant_that_answers_nothing_is_an_error(judge):
 
 
 def test_a_core_that_hangs_is_an_error(judge):
-    like, _ = find("core-disp-004")
     start = "    j2a_tx_byte(start);"
     hang = "    static uint8_t sent;\n    if (++sent > 13)\n        for (;;)\n            ;\n"
-    status, printed = judge(Edit("firmware/core/j2a_tx.c", start, hang + start), like=like)
+    status, printed = judge(Edit("firmware/core/j2a_tx.c", start, hang + start), like=QUICK)
     assert status == 1
     assert "nothing answers after dispatch.reserved-values" in printed
     assert "0 killed" in printed

@@ -31,7 +31,7 @@ def write_pages(app: Sphinx) -> None:
     """Write the pages; those that did not change keep their time and are not read again."""
     folder = Path(app.srcdir) / FOLDER
     folder.mkdir(exist_ok=True)
-    subprocess.run([sys.executable, ROOT / "tools/trace.py", "--build"], check=True)
+    subprocess.run([sys.executable, "-m", "tools.trace", "--build"], cwd=ROOT, check=True)
     trace = json.loads(TRACE.read_text("utf-8"))
     cases = {
         case.ID: case for case in (*SMOKE, *load_cases(), START, *load_host_cases(on_demand=True))

@@ -5,10 +5,12 @@
 The programs are the last ones of README.md and docs/index.md and the examples that take the URL of
 a device with the demo functions. Without a URL they talk to the Python device over TCP, and to the
 demo firmware for this machine and in a simulated AVR where these can be built. The command fails
-when two runs of a program differ, or one of them does not end well.
+when two runs of a program differ, or one of them does not end well; with J2A_REQUIRE_AVR=1 also
+when firmware cannot be built.
 """
 
 import argparse
+import os
 import re
 import subprocess
 import sys
@@ -106,6 +108,7 @@ def main() -> int:
         make = ["make", "-s", "-C", str(ROOT / "firmware"), *settings]
         if subprocess.run(make, capture_output=True, check=False).returncode:
             print(f"{url}: skipped, it cannot be built here")
+            differing += os.environ.get("J2A_REQUIRE_AVR") == "1"
         else:
             differing += differences(url, options.times)
     return int(differing > 0)

@@ -47,9 +47,11 @@ def board(program):
 def test_the_interrupt_counts_and_the_function_tells(board):
     assert board.properties["name"] == "flow meter"
     assert board.properties["serial"] == "0042"
-    before = total(board)
-    time.sleep(0.1)
-    assert before + 50 < total(board) < before + 60_000
+    before, began_s = total(board), time.monotonic()
+    while (counted := total(board) - before) <= 50:
+        assert time.monotonic() - began_s < LIMIT_S
+        time.sleep(0.01)
+    assert counted < 600_000 * (time.monotonic() - began_s)
 
 
 def test_an_alarm_comes_once_from_the_main_loop(board):
@@ -60,8 +62,12 @@ def test_an_alarm_comes_once_from_the_main_loop(board):
         came.set()
 
     board.on_sif(SIF_ALARM, on_alarm)
-    at = total(board) + 200
-    assert board.call("setAlarm", u32(at)).code == OK
+    for ahead in (200, 2_000, 20_000):  # a busy machine may be late for the first
+        at = total(board) + ahead
+        if board.call("setAlarm", u32(at)).code == OK:
+            break
+    else:
+        pytest.fail("no alarm was set")
     assert came.wait(LIMIT_S)
     assert seen[0] >= at
     assert board.read_debug() == "alarm\n"

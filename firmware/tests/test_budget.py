@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -293,6 +294,15 @@ def test_broken_limits_are_found(one, tmp_path, name):
     assert titles
     for title in titles:
         assert re.search(rf"{name}: {title} is [\d.]+, [\d.]+ more than the 1 that", result.stderr)
+
+
+@pytest.mark.parametrize(("value", "is_broken"), [(9.5, False), (10, False), (10.5, True)])
+def test_a_fraction_above_a_limit_breaks_it(value, is_broken):
+    build = next(one for one in builds.load() if one.limit)
+    metric = next(iter(build.limit))
+    limited = replace(build, limit={metric: 10})
+    results = {build.name: snapshot.Result("gcc", {metric: value})}
+    assert bool(list(snapshot.broken([limited], results))) == is_broken
 
 
 def changed_snapshot(folder, name, **values):

@@ -557,6 +557,9 @@ def test_the_full_build_fits_the_1_kb_of_an_atmega32u2(build):
     board.sim.close()
 
 
+STEPS = r"(\d+) a step, (\d+) for both .*; (\d+) and (\d+) if the callback is called through"
+
+
 def printed(pattern):
     """The numbers in the one place of the page that looks like this."""
     (found,) = re.findall(pattern, " ".join(PAGE.read_text("utf-8").split()))
@@ -570,12 +573,11 @@ def test_interrupts_are_short(build, options):
 
     By a pointer, as in the thesis, the encoders' interrupt takes a third longer.
     """
-    numbers = printed(
-        r"(\d+) a step, (\d+) for both .*; (\d+) and (\d+) with a callback by pointer"
-    )
+    numbers = printed(STEPS)
     one, both = numbers[2:] if options else numbers[:2]
     (servo,) = printed(r"\| (\d+) at most, after each edge")
-    ((clock,), (at_500, _)) = printed(r"(\d+), each 262 ms"), printed(r"late \| (\d+) \| (\d+) \|")
+    (clock,) = printed(r"(\d+), every 262 ms")
+    (at_500, _) = printed(r"permitted delay \| (\d+) \| (\d+) \|")
     board = Board(build("sensors", "avr-serial", BAUD="500000", OPTIONS=options))
     chip, sim = board.chip, board.sim
     board.run_to(board.turn(0, 500, sim.cycle + 1000, 900))
@@ -600,7 +602,7 @@ def test_interrupts_are_short(build, options):
 def test_interrupts_that_let_others_in(board):
     """Their own cycles, while no others come: the servos' do each 10 ms, the host is quiet."""
     for vector, pattern in (
-        (TIMER, r"(\d+) with nothing to do"),
+        (TIMER, r"(\d+) when idle"),
         (CONVERSION, r"\| ADC \| (\d+);"),
     ):
         longest = set()
@@ -614,9 +616,9 @@ def test_interrupts_that_let_others_in(board):
 
 def test_the_sum_and_the_sizes_on_the_page():
     """What the receiver waits for is the sum of the handlers; sizes are those of the budget."""
-    (_, both, *_) = printed(r"(\d+) a step, (\d+) for both .*; (\d+) and (\d+) with a callback")
-    (servo,), (clock,) = printed(r"\| (\d+) at most, after"), printed(r"(\d+), each 262 ms")
-    assert printed(r"come at once \| (\d+) \| (\d+):") == [both + servo + clock] * 2
+    (_, both, *_) = printed(STEPS)
+    (servo,), (clock,) = printed(r"\| (\d+) at most, after"), printed(r"(\d+), every 262 ms")
+    assert printed(r"interrupt at once \| (\d+) \| (\d+):") == [both + servo + clock] * 2
     snapshot = json.loads((DRIVERS.parent / "verify/budget/snapshot.json").read_text("utf-8"))
     for name, row in (("sensors", "ATmega328P"), ("sensors-32u2", "ATmega32U2, all [^|]*")):
         sizes = snapshot[f"avr-serial/{name}"]

@@ -99,6 +99,27 @@ def test_long_properties(make, ask, tmp_path, length, offsets):
     ]
 
 
+def test_many_returns_what_functions_may(make, ask, tmp_path):
+    """As calls do: 0x00 to 0xEF, and 0xFF for all others (J2A-DISP-004)."""
+    folder = tmp_path / "codes.app"
+    folder.mkdir()
+    (folder / "app.c").write_text(
+        '#include "j2a_functions.h"\nJ2A_DECLARE_MANY(code) {\n'
+        "    (void)is_last, (void)is_write, (void)offset;\n"
+        "    *length = 0;\n    return (*data)[0];\n}\nvoid j2a_app_task(void) {\n}\n"
+    )
+    (folder / "functions.def").write_text("J2A_MANY(code, code)\n")
+    (folder / "properties.def").write_text("")
+    result = make(APP="codes", APP_DIR=str(folder), OUT=str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    opcode = len(c.BUILTINS)
+    request = bytes((opcode, c.FLAG_WRITE, 0, 0, 0, 0))
+    data = [encode(Frame(c.SOF, code, 1, request + bytes((code,)))) for code in range(256)]
+    assert ask(tmp_path / "codes", b"".join(data)) == [
+        many_reply(code, code if code <= c.RET_MAX else c.RET_FAILED, 0, 0) for code in range(256)
+    ]
+
+
 @pytest.mark.parametrize("value", [0x12, 0xED, 0x7D, 0x11, 0xEC, 0x7C])
 def test_echo_of_every_length(call, value):
     payloads = [bytes((value,)) * length for length in range(256)]

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output.add_argument(
         "--raw",
         action="store_true",
-        help="print the payload's bytes alone; on a terminal in hex",
+        help="print only the bytes of the payload; on a terminal in hex",
     )
     add_link_arguments(parser)
     parser.add_argument("function", metavar="FUNCTION", help="its name, or its opcode 0..255")

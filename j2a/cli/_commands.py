@@ -39,7 +39,7 @@ BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
 
 
 class Command(Protocol):
-    """What the module of a command has."""
+    """The interface of a command module."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the arguments of the command to a parser."""

@@ -16,7 +16,7 @@ from j2a.cli._output import show_text
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("-f", "--follow", action="store_true", help="go on printing until Ctrl-C")
+    parser.add_argument("-f", "--follow", action="store_true", help="keep printing until Ctrl-C")
     parser.add_argument(
         "--every",
         type=finite_seconds,

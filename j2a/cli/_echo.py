@@ -44,14 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--count",
         type=whole_number(1),
         metavar="N",
-        help="how many echoes (100); with --all-lengths how many rounds (1)",
+        help="number of echoes (100); with --all-lengths number of rounds (1)",
     )
     size = parser.add_mutually_exclusive_group()
     size.add_argument(
         "--size",
         type=whole_number(0, MAX_PAYLOAD),
         metavar="N",
-        help="payload bytes of each, 0..255 (64, or what the device has room for)",
+        help="payload bytes of each echo, 0..255 (64, or the room of the device if smaller)",
     )
     size.add_argument(
         "--all-lengths",
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclasses.dataclass(slots=True)
 class Result:
-    """What the test found; times in seconds, sizes in payload bytes one way."""
+    """The result of the test; times in seconds, sizes in payload bytes one way."""
 
     what: str
     wanted: int

@@ -12,6 +12,8 @@ import sys
 from collections.abc import Callable
 from typing import Final, TypeVar
 
+import j2a_transports
+
 import j2a
 from j2a.cli._exit import UsageError
 from j2a.cli._trace import TracePrinter
@@ -96,7 +98,7 @@ def add_progress_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-progress",
         action="store_true",
-        help="draw no progress bar; without a terminal there is none anyway",
+        help="draw no progress bar (the default without a terminal)",
     )
 
 
@@ -126,6 +128,14 @@ def connect(args: argparse.Namespace) -> j2a.Client:
     )
 
 
+def takes_stdio(url: str) -> bool:
+    """Tell whether a link is that of standard input and output."""
+    try:
+        return j2a_transports.innermost(url)[1].takes_stdio
+    except j2a_transports.TransportError:  # to use it will say what is wrong
+        return False
+
+
 def check_listen_url(url: str) -> None:
     """Refuse to speak J2A to somebody at a keyboard, who could not leave: Ctrl-C is a byte there.
 
@@ -133,7 +143,7 @@ def check_listen_url(url: str) -> None:
         UsageError: it is standard input, and that is a terminal for people; a program sets its own
             to raw mode.
     """
-    if not url.lower().endswith("stdio:") or sys.platform == "win32":
+    if not takes_stdio(url) or sys.platform == "win32":
         return
     try:
         is_typed_at = bool(termios.tcgetattr(0)[3] & termios.ICANON)

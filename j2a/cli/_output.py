@@ -1,4 +1,4 @@
-"""What the commands print.
+"""The output of the commands.
 
 In: lines of text, values for JSON. Out: the same on standard output and standard error.
 Rules: whatever is printed is escaped first (`j2a_spec.printable`), because names, properties, text

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
     add_json_argument(parser, "an object of keys and values, or the value,")
     add_link_arguments(parser)
-    parser.add_argument("key", metavar="KEY", nargs="?", help="print the value of this one only")
+    parser.add_argument("key", metavar="KEY", nargs="?", help="print only the value of this key")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         metavar="FILE",
         default="-",
-        help="where to; without it or with - to standard output, on a terminal in hex",
+        help="output file (default or -: standard output, on a terminal in hex)",
     )
     parser.add_argument(
         "--max-bytes",

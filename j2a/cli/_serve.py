@@ -22,6 +22,7 @@ from j2a.cli._link import (
     add_verbose_argument,
     check_listen_url,
     seconds,
+    takes_stdio,
     whole_number,
 )
 from j2a.cli._output import note, show
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="after S seconds of silence a host makes room for another, if there is none left "
         "(%(default)g)",
     )
-    parser.add_argument("--once", action="store_true", help="end when the first host has gone")
+    parser.add_argument("--once", action="store_true", help="end when the first host disconnects")
     add_verbose_argument(parser)
 
 
@@ -72,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     end_on_sigterm()  # leaves the listener, which removes what it made
     with j2a_transports.listen(args.listen) as listener, device:
         # Where standard output is the link, the text must not get between the bytes.
-        tell = note if listener.url.startswith("stdio:") else show
+        tell = note if takes_stdio(listener.url) else show
         tell(f"listening on {listener.url}")
         sys.stdout.flush()
         if not args.once:

@@ -8,6 +8,7 @@ nothing. What `--then` names is called however the watching ends, unless the lin
 from __future__ import annotations
 
 import argparse
+import math
 import queue
 import shlex
 import time
@@ -60,12 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="'FUNCTION PAYLOAD'",
         help="call this at the end, also after Ctrl-C, to stop the device sending",
     )
-    parser.add_argument("--count", type=whole_number(1), metavar="N", help="end after so many SIFs")
+    parser.add_argument("--count", type=whole_number(1), metavar="N", help="end after N SIFs")
     parser.add_argument(
         "--duration",
         type=finite_seconds,
         metavar="S",
-        help="end after so many seconds; with --count, fail if they were not enough",
+        help="end after S seconds; with --count, fail if fewer SIFs came",
     )
     parser.add_argument(
         "--as", dest="types", type=Decoder, metavar="TYPES", help="decode payloads, as j2a call"
@@ -78,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         default=[],
         type=whole_number(0, 255),
-        help="watch these only, 0..255",
+        help="watch only these opcodes, 0..255",
     )
 
 
@@ -103,21 +104,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _watch(client: j2a.Client, first: Sequence[_Call], args: argparse.Namespace) -> None:
-    arrived: queue.SimpleQueue[tuple[float, j2a.Sif]] = queue.SimpleQueue()
-    client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), sif)))
+    arrived: queue.SimpleQueue[tuple[float, float, j2a.Sif]] = queue.SimpleQueue()
+    client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), client.now(), sif)))
     _call_each(client, first)
-    end = None if args.duration is None else time.monotonic() + args.duration
+    end = math.inf if args.duration is None else client.now() + args.duration
     seen = 0
     while args.count is None or seen < args.count:
-        left_s = _LOOK_S if end is None else min(_LOOK_S, end - time.monotonic())
+        left_s = min(_LOOK_S, end - client.now())
         try:
-            at_s, sif = arrived.get(timeout=max(left_s, 0.0))
+            at_s, came_at, sif = arrived.get(timeout=max(left_s, 0.0))
         except queue.Empty:
             if left_s <= 0:
                 break
             if not client.is_open:
                 client.call(0)  # raises what ended the link
             continue
+        if came_at > end:  # simulated time may run faster than that of this machine
+            break
         seen += 1
         _print(at_s, sif, args)
     if args.count is not None and seen < args.count:

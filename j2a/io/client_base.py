@@ -1,4 +1,4 @@
-"""What the blocking and the asyncio client have in common; how to wait is not among it.
+"""The common base of the blocking and the asyncio client, without the waiting.
 
 What flows in: the options of a client. What flows out: a session and a peer, and all that takes
 several calls as generators (see `j2a.protocol.transfer`), which each client drives in its own way.
@@ -80,7 +80,7 @@ class ClientBase:
 
     @property
     def url(self) -> str:
-        """What was connected to."""
+        """The URL of the device."""
         return self._url
 
     @property
@@ -100,8 +100,11 @@ class ClientBase:
     def __del__(self, warn: Callable[..., None] = warnings.warn) -> None:
         # Without an engine the constructor has failed.
         engine = getattr(self, "_engine", None)
-        if engine is not None and engine.abandon():
-            warn(f"unclosed {self!r}", ResourceWarning, source=self)
+        if engine is None:
+            return
+        text = f"unclosed {self!r}"  # while it is open: the link ends in a thread of its own
+        if engine.abandon():
+            warn(text, ResourceWarning, source=self)
 
     # ------------------------------------------------------------------ several calls
 

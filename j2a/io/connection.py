@@ -10,13 +10,12 @@ SIFs are lost for this host, which sees the gap in their numbers.
 import contextlib
 import logging
 import threading
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from j2a.errors import LinkClosed, LinkError
 from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
-from j2a.io.threads import start_thread
+from j2a.io.threads import clock_of, start_thread
 from j2a.protocol.server import Request, Server
 
 if TYPE_CHECKING:
@@ -40,13 +39,14 @@ class Connection:
     Attributes:
         transport: that byte stream.
         has_asked: the host has sent a good request.
-        last_heard: when bytes of the host came last, on the monotonic clock in seconds.
+        last_heard: when bytes of the host came last, by the transport's clock in seconds.
     """
 
     def __init__(self, server: Server, transport: "Transport") -> None:
         self.transport = transport
         self.has_asked = False
-        self.last_heard = time.monotonic()
+        self._now = clock_of(transport)
+        self.last_heard = self._now()
         self._server = server
         # Taken in this order. Bytes are fetched and written under the first, so they keep their
         # order; a write that waits for the host holds up nothing but other writes to it.
@@ -92,6 +92,11 @@ class Connection:
         self._sif_waits.set()
         return True
 
+    @property
+    def silent_s(self) -> float:
+        """For how long nothing has come from the host, in seconds."""
+        return self._now() - self.last_heard
+
     def close(self) -> None:
         """Write what waits, as far as the host takes it at once, and end the link."""
         self.transport.write_timeout_s = LAST_WRITE_S
@@ -120,12 +125,12 @@ class Connection:
             deadline = self._server.next_timeout()
         wait_s = WAIT_S
         if deadline is not None:
-            wait_s = min(max(0.0, deadline - time.monotonic()), WAIT_S)
+            wait_s = min(max(0.0, deadline - self._now()), WAIT_S)
         data = self.transport.read(wait_s)
         if not data:
             # This thread may have been late itself: what has come by now came in time.
             data = self.transport.read(0)
-        now = time.monotonic()
+        now = self._now()
         with self._state:
             if data:
                 self.last_heard = now

@@ -56,7 +56,7 @@ __all__ = [
 ]
 
 Result = bytes | int | tuple[int, bytes] | None
-"""What a call function returns: a payload (code 0), a code (empty payload), both, or nothing."""
+"""The result of a call function: a payload (code 0), a code (empty payload), both, or nothing."""
 
 _HEADER: Final = struct.Struct("<BBL")
 _logger = logging.getLogger("j2a")

@@ -1,4 +1,4 @@
-"""Who wants which SIF.
+"""The registered SIF handlers.
 
 What flows in: handlers with the opcodes they are for. What flows out: the handlers of a SIF, in the
 order of their registration.
@@ -52,7 +52,7 @@ class Handlers(Generic[_Handler]):
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        # Replaced, never changed: whoever walks through it keeps what it has.
+        # Replaced, never changed, so a running iteration keeps its own copy.
         self._subscriptions: tuple[Subscription[_Handler], ...] = ()
 
     def add(self, opcodes: Opcodes, handler: _Handler) -> Subscription[_Handler]:

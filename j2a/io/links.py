@@ -13,14 +13,13 @@ import contextlib
 import math
 import os
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.io.opening import WAIT_S, link_error
-from j2a.io.threads import PIECE, LinkThreads, Writer, refuse_process
+from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of, refuse_process
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -38,7 +37,7 @@ _Item = bytes | float | LinkError | LocalError
 
 
 class AsyncLink:
-    """What both kinds have in common.
+    """The common base of both kinds of link.
 
     Args:
         transport: an open byte stream.
@@ -89,6 +88,7 @@ class WatchedLink(AsyncLink):
             NotImplementedError: this kind of event loop cannot.
         """
         self._fd = self._transport.fileno()
+        self._now = clock_of(self._transport)
         self._unread = b""
         self._looks_until = -math.inf
         self._is_scheduled = False
@@ -140,7 +140,7 @@ class WatchedLink(AsyncLink):
             self._step()
 
     def _step(self) -> None:
-        now = time.monotonic() if self._is_asked else -math.inf
+        now = self._now() if self._is_asked else -math.inf
         try:
             data = self._unread or self._transport.read(0)
         except Exception as error:

@@ -83,7 +83,7 @@ class AsyncEngine:
 
     def _start_link(self) -> WatchedLink | ThreadedLink:
         arguments = (self._transport, self._loop, self._receive, self._looked, self._end)
-        if self._transport.fileno() >= 0:
+        if self._transport.fileno() >= 0 and not self._is_simulated:
             watched = WatchedLink(*arguments)
             with contextlib.suppress(NotImplementedError):  # this kind of loop cannot watch
                 watched.start()
@@ -103,7 +103,7 @@ class AsyncEngine:
                 what, opcode, payload, now=self.now(), timeout_s=limit_s, waiter=done
             )
         except J2AError:
-            # Who tries again and again must not keep the event loop for itself.
+            # Repeated attempts must not block the event loop.
             await asyncio.sleep(0)
             raise
         finally:

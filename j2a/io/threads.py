@@ -19,13 +19,12 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import Final, NoReturn
+
+from j2a_transports import Transport
 
 from j2a.errors import LinkClosed, LinkError, LocalError, OpenFailed
 from j2a.io.opening import link_error
-
-if TYPE_CHECKING:
-    from j2a_transports import Transport
 
 __all__ = [
     "JOIN_S",
@@ -75,7 +74,7 @@ class Writer:
         failed: called by the thread when writing has failed, or with what `abandon` was given.
     """
 
-    def __init__(self, transport: "Transport", failed: Callable[[Exception], None]) -> None:
+    def __init__(self, transport: Transport, failed: Callable[[Exception], None]) -> None:
         self._transport = transport
         self._failed = failed
         self._outgoing: queue.SimpleQueue[bytes | LinkClosed | None] = queue.SimpleQueue()
@@ -142,7 +141,7 @@ class LinkThreads:
 
     def __init__(
         self,
-        transport: "Transport",
+        transport: Transport,
         receive: Callable[[bytes], None],
         looked: Callable[[float], None],
         ended: Callable[[LinkError | LocalError], None],
@@ -153,7 +152,7 @@ class LinkThreads:
         self._ended = ended
         self._clock = clock_of(transport)
         self._is_simulated = transport.is_simulated
-        self._can_lead = transport.fileno() >= 0
+        self._can_lead = transport.fileno() >= 0 and not self._is_simulated
         self.due = math.inf
         self._writer = Writer(transport, self._write_failed)
         self.send = self._writer.send
@@ -161,7 +160,7 @@ class LinkThreads:
         self._asked = self._answered = 0
         self._asked_at = math.inf
         self._is_reading = True
-        # Who reads holds it; re-entrant, as a signal handler may call while its thread waits.
+        # Held by the reading thread; re-entrant, as a signal handler may call while it waits.
         self._reading = threading.RLock()
         self._led_at = -math.inf
         # A bell for the reading thread: free when it was rung. Cheaper than an Event, and it is
@@ -230,7 +229,7 @@ class LinkThreads:
     # ------------------------------------------------------------------ in a caller
 
     def start_leading(self) -> bool:
-        """Become the one who reads, if the transport allows it and nobody else does."""
+        """Become the reading thread, if the transport allows it and no other thread reads."""
         if not self._can_lead:
             return False
         if self._reading.acquire(False):
@@ -332,9 +331,10 @@ class LinkThreads:
             self._transport.close()
 
 
-def clock_of(transport: "Transport") -> Callable[[], float]:
+def clock_of(transport: Transport) -> Callable[[], float]:
     """Return the clock of a transport; directly that of the machine, where it is that one."""
-    return transport.clock if transport.is_simulated else time.monotonic
+    is_machine = type(transport).clock is Transport.clock
+    return time.monotonic if is_machine else transport.clock
 
 
 def refuse_process(url: str) -> NoReturn:

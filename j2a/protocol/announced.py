@@ -1,4 +1,4 @@
-"""What a device announces by its properties: version, capabilities, limits.
+"""The announcements of a device in its properties: version, capabilities, limits.
 
 What flows in: properties as texts. What flows out: numbers and tokens. Rules: nothing raises; a
 value that does not have the form of the specification counts as absent.
@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping
 from typing import Final
 
+from j2a_spec.capabilities import TOKEN
 from j2a_spec.constants import (
     MAX_PAYLOAD,
     MIN_ROOM,
@@ -21,13 +22,12 @@ __all__ = ["Announced"]
 
 _VERSION: Final = re.compile(r"(0|[1-9][0-9]{0,4})\.(0|[1-9][0-9]{0,4})")
 _NUMBER: Final = re.compile(r"[1-9][0-9]{0,9}")
-_TOKEN: Final = re.compile(r"[a-z][a-z0-9.-]{0,31}")
 _OLDEST: Final = (1, 0)
 _MAJOR: Final = 1
 
 
 class Announced:
-    """What the `j2a.` properties say.
+    """The contents of the `j2a.` properties.
 
     Attributes:
         version: major and minor; (1, 0) when the device does not say (J2A-PROP-005, J2A-VER-001).
@@ -46,7 +46,7 @@ class Announced:
         if not self.is_supported:
             properties = {}
         tokens = properties.get(PROP_CAPS, "").split(" ")
-        self.capabilities = frozenset(token for token in tokens if _TOKEN.fullmatch(token))
+        self.capabilities = frozenset(token for token in tokens if TOKEN.fullmatch(token))
         self.rxbuf = _number(properties.get(PROP_RXBUF, "")) or 0
         room = _number(properties.get(PROP_ROOM, ""))
         self.room = room if room is not None and MIN_ROOM <= room < MAX_PAYLOAD else MAX_PAYLOAD

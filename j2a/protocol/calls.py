@@ -1,7 +1,7 @@
 """Calls on their way, and when their time is over.
 
 What flows in: calls. What flows out: the earliest deadline, and the calls that have missed theirs.
-Rules: no clock; whoever asks brings the time.
+Rules: no clock; the caller passes the time.
 """
 
 import heapq
@@ -26,7 +26,7 @@ class Call:
         payload: 0..255 bytes.
         deadline: when it ends without a reply, in the clock of `now`; None is never.
         timeout_s: the time limit that led to `deadline`, for the message.
-        waiter: belongs to the client, which is told through it.
+        waiter: an object of the client, through which the session notifies it.
         reply: set when the device answered.
         error: set when the call failed.
         has_ended: a reply or an error is there.

@@ -85,8 +85,8 @@ class Deframer:
 
     def _cut_off(self, piece: bytes) -> Frame | FrameError:
         """Take a piece that is not exactly one frame and that the marker of the next one ends."""
-        if ESC_BYTE not in piece:
-            start, body = (SOS, piece[1:]) if piece.startswith(SOS_BYTE) else (SOF, piece)
+        if ESC not in piece:
+            start, body = (SOS, piece[1:]) if piece[:1] == SOS_BYTE else (SOF, piece)
             size = body[_LENGTH_AT] + _OVERHEAD if len(body) >= _OVERHEAD else _OVERHEAD
             if len(body) < size:
                 return _new_frame(FrameError, ("marker", start, body[0] if body else None))
@@ -98,7 +98,7 @@ class Deframer:
 
     def _begin(self, piece: bytes) -> Frame | FrameError | None:
         """Begin a frame with a piece that may go on in the next chunk."""
-        is_sif = piece.startswith(SOS_BYTE)
+        is_sif = piece[:1] == SOS_BYTE
         self._start = SOS if is_sif else SOF
         self._body.clear()
         self._is_escaped = False
@@ -109,7 +109,7 @@ class Deframer:
         if self._start is None:
             self.skipped += len(raw)
             return None
-        if self._is_escaped or ESC_BYTE in raw:
+        if self._is_escaped or ESC in raw:
             return self._go_on_escaped(ESC_BYTE + raw if self._is_escaped else raw)
         body = self._body
         body += raw
@@ -167,16 +167,17 @@ class Deframer:
         start = self._start
         assert start is not None
         self._start = None
-        return _judge(start, bytes(self._body[:size]))
+        del self._body[size:]
+        return _judge(start, bytes(self._body))
 
 
 def _whole_frame(piece: bytes) -> Frame | FrameError | None:
     """Return the event of a piece that is exactly one frame with plain escapes, else None."""
     start = SOF
-    if piece.startswith(SOS_BYTE):
+    if piece[:1] == SOS_BYTE:
         start = SOS
         piece = piece[1:]
-    body = unstuff(piece) if ESC_BYTE in piece else piece
+    body = unstuff(piece) if ESC in piece else piece
     if body is None or len(body) < _OVERHEAD or len(body) != body[_LENGTH_AT] + _OVERHEAD:
         return None
     return _judge(start, body)

@@ -1,4 +1,4 @@
-"""What a host knows of its device: functions, properties, version.
+"""A host's knowledge of its device: functions, properties, version.
 
 What flows in: replies to a2jGetMapping and a2jMany. What flows out: opcodes for names, and
 transfers as generators (see `j2a.protocol.transfer`).
@@ -89,7 +89,7 @@ class DeviceInfo:
         A map that cannot be used leaves the device callable by opcode (J2A-MAP-005).
 
         Raises:
-            ProtocolError: it is none, so whoever answers is no device.
+            ProtocolError: it is not a function map, so the peer is not a device.
         """
         self.functions = self.properties = None
         self.announced = Announced({})

@@ -1,7 +1,7 @@
 """Time limits of work that takes several calls (J2A-TIME-008).
 
 What flows in: the limits, the time. What flows out: how long the next call may take.
-Rules: no clock; whoever asks brings the time.
+Rules: no clock; the caller passes the time.
 """
 
 from typing import Final

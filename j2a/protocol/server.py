@@ -10,7 +10,7 @@ a pause: it says that bytes are there; only `handle_timeout` says that none came
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 from j2a_spec.constants import (
     BYTE_TIMEOUT_MS,
@@ -19,7 +19,6 @@ from j2a_spec.constants import (
     ERR_TIMEOUT,
     SITE_CHECKSUM,
     SITE_ESCAPE,
-    SITE_LOST,
     SITE_MARKER,
     SITE_TIMEOUT,
     SOF,
@@ -38,7 +37,6 @@ _REFUSALS: Final[dict[Reason, tuple[int, int]]] = {
     "marker": (ERR_FRAMING, SITE_MARKER),
     "escape": (ERR_FRAMING, SITE_ESCAPE),
     "timeout": (ERR_TIMEOUT, SITE_TIMEOUT),
-    "lost": (ERR_FRAMING, SITE_LOST),
 }
 
 
@@ -84,7 +82,7 @@ class Server:
         self._deadline = now + self._byte_timeout_s if self._deframer.in_frame else None
 
     def next_timeout(self) -> float | None:
-        """Return when `handle_timeout` is due; None while no frame is open."""
+        """Return when to call `handle_timeout`; None while no frame is open."""
         return self._deadline
 
     def handle_timeout(self, now: float) -> None:
@@ -94,12 +92,9 @@ class Server:
         """
         if self._deadline is not None and now >= self._deadline:
             self._deadline = None
-            self._abandon("timeout")
-
-    def handle_loss(self) -> None:
-        """Give up the open frame because received bytes were lost (J2A-LIMIT-002)."""
-        self._deadline = None
-        self._abandon("lost")
+            event = self._deframer.abandon("timeout")
+            if event is not None:
+                self._take(event)
 
     def next_request(self) -> Request | None:
         """Return the next request to execute; reply to it before asking for another."""
@@ -140,11 +135,6 @@ class Server:
         if data:
             self._tracer.note("tx", data)
         return data
-
-    def _abandon(self, reason: Literal["timeout", "lost"]) -> None:
-        event = self._deframer.abandon(reason)
-        if event is not None:
-            self._take(event)
 
     def _take(self, event: Frame | FrameError) -> None:
         self._tracer.note("rx", event)

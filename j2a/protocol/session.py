@@ -124,18 +124,19 @@ class Session:
         self._now = now
         deadline = now + timeout_s if timeout_s != float("inf") else None
         call = Call(what, opcode, payload, deadline, timeout_s, waiter)
-        self._queue[call] = None
         self._waiters[id(waiter)] = call
         self._deadlines.add(call, len(self._waiters))
-        self._fill_window()
-        if call.error is not None:
-            raise call.error
+        if self._queue or not self._send_call(call):
+            self._queue[call] = None
+            self._fill_window()
+            if call.error is not None:
+                raise call.error
         return call
 
     def cancel(self, waiter: Any) -> list[Call]:
         """Forget the call of a waiter; its reply, should it come, is dropped.
 
-        The waiter names the call because whoever is interrupted in `start_call` has nothing else.
+        The waiter names the call because a caller interrupted in `start_call` has nothing else.
 
         Returns: calls sent instead, or failed because the link is stalled.
         """
@@ -171,7 +172,7 @@ class Session:
         return len(self._waiters)
 
     def next_timeout(self) -> float | None:
-        """Return when `handle_timeout` is due, or None when nothing waits."""
+        """Return when to call `handle_timeout`, or None when nothing waits."""
         return self._deadlines.earliest()
 
     def handle_timeout(self, now: float) -> list[Call]:
@@ -214,24 +215,36 @@ class Session:
         changed = []
         while self._queue and len(self._sent) < self._window:
             call = next(iter(self._queue))
-            if call.deadline is not None and call.deadline <= self._now:
-                break  # it is too late to send it: handle_timeout is due
-            seq = self._free_seq()
-            if seq is None:
+            if self._send_call(call):
+                del self._queue[call]
+            elif self._free_seq() is None and not self._is_late(call):
                 self._send_barrier()
                 self._end(call, error=self._stalled(call))
             else:
-                wire = encode(SOF, seq, call.opcode, call.payload)
-                if self._sent and self._sent_bytes + len(wire) > self.rxbuf:
-                    break
-                del self._queue[call]
-                call.seq, call.number, call.size = seq, self._next_number, len(wire)
-                self._next_seq = (seq + 1) % _SEQS
-                self._sent[seq] = call
-                self._sent_bytes += len(wire)
-                self._send(wire, seq, call.opcode, call.payload)
+                break
             changed.append(call)
         return changed
+
+    def _is_late(self, call: Call) -> bool:
+        """Whether it is too late to send a call; `handle_timeout` ends it."""
+        return call.deadline is not None and call.deadline <= self._now
+
+    def _send_call(self, call: Call) -> bool:
+        """Send a call if time, window, seqs and the device's buffer allow it; say whether."""
+        if len(self._sent) >= self._window or self._is_late(call):
+            return False
+        seq = self._free_seq()
+        if seq is None:
+            return False
+        wire = encode(SOF, seq, call.opcode, call.payload)
+        if self._sent and self._sent_bytes + len(wire) > self.rxbuf:
+            return False
+        call.seq, call.number, call.size = seq, self._next_number, len(wire)
+        self._next_seq = (seq + 1) % _SEQS
+        self._sent[seq] = call
+        self._sent_bytes += len(wire)
+        self._send(wire, seq, call.opcode, call.payload)
+        return True
 
     def _send(self, wire: bytes, seq: int, opcode: int, payload: bytes) -> None:
         self._next_number += 1

@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 Progress = Callable[[int, int | None], None]
-"""Called after each chunk with the bytes done and the bytes in all, None where nobody knows."""
+"""Called after each chunk with the bytes done and the bytes in all, None if unknown."""
 
 MAX_OFFSET: Final = 2**32 - 1
 LEGACY_OFFSET: Final = 255
@@ -272,7 +272,7 @@ def probe_offsets(
         first: the chunk at offset 0.
 
     Raises:
-        LegacyLimit: it does not, or nobody can tell.
+        LegacyLimit: it does not, or this cannot be determined.
     """
     probe = yield from exchange(f"{what} (probe)", opcode, 0, LEGACY_OFFSET + 1, b"")
     common = min(len(first.data), len(probe.data))

@@ -9,7 +9,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
+from pathlib import Path
 from types import MappingProxyType
 from typing import Final, Literal, get_args
 
@@ -18,6 +18,7 @@ __all__ = [
     "CAPABILITIES",
     "FUNCTIONS",
     "LEVELS",
+    "TOKEN",
     "Builtin",
     "Capability",
     "is_part_of",
@@ -26,7 +27,8 @@ __all__ = [
 
 Kind = Literal["call", "many"]
 
-_TOKEN: Final = re.compile(r"[a-z][a-z0-9.-]{0,31}")
+TOKEN: Final = re.compile(r"[a-z][a-z0-9.-]{0,31}")
+"""What a token of j2a.caps is (J2A-CAP-001)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ def parse(text: str) -> tuple[Mapping[str, Capability], tuple[Builtin, ...]]:
             raise ValueError(f"capability {capability.id}: there are two")
         if missing := set(capability.needs) - set(capabilities):
             raise ValueError(f"capability {capability.id}: {min(missing)} is not before it")
-        if capability.token and not _TOKEN.fullmatch(capability.token):
+        if capability.token and not TOKEN.fullmatch(capability.token):
             raise ValueError(f"capability {capability.id}: {capability.token!r} is no token")
         capabilities[capability.id] = capability
     functions = tuple(Builtin(**row) for row in tables["function"])
@@ -107,7 +109,7 @@ def parse(text: str) -> tuple[Mapping[str, Capability], tuple[Builtin, ...]]:
     return MappingProxyType(capabilities), functions
 
 
-CAPABILITIES, FUNCTIONS = parse(files("j2a_spec").joinpath("capabilities.toml").read_text("utf-8"))
+CAPABILITIES, FUNCTIONS = parse(Path(__file__).with_name("capabilities.toml").read_text("utf-8"))
 
 LEVELS: Final = (
     "frame",

@@ -79,7 +79,6 @@ KNOWN_BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
 BUILTINS: Final = tuple(
     f.name for f in FUNCTIONS if not (f.capability and CAPABILITIES[f.capability].token)
 )
-OPTIONAL_BUILTINS: Final = frozenset(f.name for f in FUNCTIONS if f.capability)
 WITH_MANY: Final = frozenset(f.name for f in FUNCTIONS if is_part_of(f, "many"))
 
 # USB: the interface for frames, and SyncUSB, the one for the time (LINKS.md, thesis 6.3).

@@ -22,8 +22,8 @@ else:
     Level = Literal[LEVELS]
 Role = Literal["device", "host", "both"]
 
+_KEY_WORD = re.compile(r"\b(MUST|SHOULD|MAY)\b")
 _ID = re.compile(r"J2A-(?P<area>[A-Z]+)-\d{3}")
-_STRENGTH = re.compile(r"\b(MUST NOT|MUST|SHOULD|MAY)\b")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +55,6 @@ class Requirement:
         assert match is not None
         return match["area"]
 
-    @property
-    def strength(self) -> str:
-        """The strongest key word of the text: MUST, SHOULD or MAY."""
-        words = {word.split()[0] for word in _STRENGTH.findall(self.text)}
-        return next(word for word in ("MUST", "SHOULD", "MAY") if word in words)
-
 
 def load() -> dict[str, Requirement]:
     """Return every requirement in force by its id, in the order of SPEC.md.
@@ -86,7 +80,7 @@ def _read() -> dict[str, Requirement]:
             raise ValueError(f"requirement id {requirement.id!r} is malformed or used twice")
         if requirement.level not in get_args(Level) or requirement.role not in get_args(Role):
             raise ValueError(f"{requirement.id}: unknown level or role")
-        if not _STRENGTH.search(requirement.text):
+        if not _KEY_WORD.search(requirement.text):
             raise ValueError(f"{requirement.id}: no MUST, SHOULD or MAY in its text")
         found[requirement.id] = requirement
     for requirement in found.values():

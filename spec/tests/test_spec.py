@@ -85,6 +85,19 @@ def test_generated_files_are_current() -> None:
     assert stale(ROOT) == {}
 
 
+def test_a_file_that_is_missing_or_changed_is_stale(tmp_path: Path) -> None:
+    texts = {tmp_path / path.relative_to(ROOT): text for path, text in outputs(ROOT).items()}
+    for path, text in texts.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, "utf-8")
+    assert stale(tmp_path) == {}
+    missing = tmp_path / "firmware/core/j2a_const.h"
+    missing.unlink()
+    changed = tmp_path / "spec/j2a_spec/vectors/frame.json"
+    changed.write_text(texts[changed] + "\n", "utf-8")
+    assert stale(tmp_path) == {path: texts[path] for path in (missing, changed)}
+
+
 def test_generation_is_deterministic() -> None:
     assert outputs(ROOT) == outputs(ROOT)
 

@@ -11,7 +11,7 @@ PATHS = sorted(
     {
         path
         for path in re.findall(r"`([\w./-]+/[\w./-]*)`", PAGE)
-        if not path.startswith("/") and "NAME" not in path
+        if not path.startswith(("/", "build/")) and "NAME" not in path
     }
 )
 

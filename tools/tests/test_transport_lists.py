@@ -50,6 +50,16 @@ def lists(text):
             yield node.lineno, sorted(found)
 
 
+def comparisons(text):
+    """Return the line of each question whether a URL begins or ends with a scheme of ours."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            values = [one.value for one in node.args if isinstance(one, ast.Constant)]
+            is_asked = node.func.attr in ("startswith", "endswith")
+            if is_asked and any(str(value).rstrip(":/") + ":" in NAMES for value in values):
+                yield node.lineno
+
+
 def test_no_module_lists_the_schemes_by_hand():
     found = [
         (str(path.relative_to(ROOT)), schemes)
@@ -59,6 +69,20 @@ def test_no_module_lists_the_schemes_by_hand():
     # The one table: which module has which scheme.
     table = str((PACKAGE / "_registry.py").relative_to(ROOT))
     assert found == [(table, sorted(_registry._DRIVERS))]
+
+
+def test_no_module_asks_for_a_scheme_by_name():
+    found = [
+        str(path.relative_to(ROOT)) for path in sources() if any(comparisons(path.read_text()))
+    ]
+    assert found == []
+
+
+def test_questions_for_a_scheme_are_found():
+    assert (
+        len(list(comparisons('a.startswith("exec:"), b.endswith("stdio:"), c.startswith("x")')))
+        == 2
+    )
 
 
 @pytest.mark.parametrize(

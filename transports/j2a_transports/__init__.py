@@ -4,7 +4,8 @@
 memory. Importing this package loads no driver; a driver is loaded when its scheme is first used.
 
 `schemes()` names the URL schemes, and `describe(scheme)` says what one is: the forms of its URLs,
-its options, whether it can listen, and what it needs.
+its options, whether it can listen, and what it needs. `j2a_transports.options` has converters of
+option values for the declarations of other distributions.
 
 Every scheme has the option ``write_timeout``: seconds without progress before `WriteTimeout`
 (default 5, ``none`` waits for ever).
@@ -26,7 +27,7 @@ from ._base import (
     TransportError,
     WriteTimeout,
 )
-from ._registry import describe, listen, open, schemes
+from ._registry import describe, innermost, listen, open, schemes
 from ._scheme import COMMON_OPTIONS, Option, Scheme, Usage
 from ._url import Url
 
@@ -58,6 +59,7 @@ __all__ = [
     "UsbWatch",
     "WriteTimeout",
     "describe",
+    "innermost",
     "listen",
     "open",
     "open_usb_device",

@@ -1,4 +1,4 @@
-"""What a transport is, and how one fails.
+"""The interface and the errors of a transport.
 
 In: nothing.  Out: the abstract classes `Transport` and `Listener`, and the errors of every driver.
 Rules: a transport is a pair of byte streams and knows no packet; every wait can be ended by
@@ -65,7 +65,7 @@ class MissingExtra(OpenFailed):
 
 
 class _Closable(ABC):
-    """What has a URL and is closed when its `with` block is left."""
+    """A resource with a URL, closed at the end of its `with` block."""
 
     def __init__(self, url: str) -> None:
         self.url = url
@@ -103,7 +103,7 @@ class Transport(_Closable):
 
     @abstractmethod
     def read(self, timeout_s: float | None) -> bytes:
-        """Return the bytes that have arrived, waiting for the first one if there is none.
+        """Return the bytes that have arrived, waiting for the first one if none has arrived.
 
         Chunks say nothing about how the peer wrote them.
 
@@ -212,7 +212,7 @@ class Listener(_Closable):
 
         Raises:
             LinkClosed: the listener is closed, also when that happens during the wait.
-            TransportError: nobody can be accepted any more; the message says why.
+            TransportError: it cannot accept further peers; the message says why.
         """
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""What faults do to one byte stream: no clock, no input or output.
+"""The effect of faults on one byte stream: no clock, no input or output.
 
 In: bytes in chunks.  Out: pieces to deliver, each after its delay.
 Rules: which byte suffers, and how, depends on the seed and on the number of bytes before it, and on
@@ -54,7 +54,7 @@ class Rates:
 
 @dataclass(slots=True)
 class FaultCounters:
-    """What one direction has seen and suffered, each a count.
+    """Counts of the bytes and faults of one direction.
 
     Attributes:
         bytes: bytes that went in.

@@ -42,7 +42,7 @@ class Waker:
         try:
             self._sender.send(b"\0")
         except OSError:
-            # Full or closed: whoever waited is awake already.
+            # Full or closed: the waiting thread is already awake.
             return
 
     def reset(self) -> None:
@@ -303,6 +303,6 @@ class PolledTransport(Transport):
         return LinkLost(f"{self.url} is lost: {reason}")
 
     def _release(self) -> None:
-        """Free the descriptors; called once, when nobody uses them."""
+        """Free the descriptors; called once, when they are no longer in use."""
         for fd in {self._read_fd, self._write_fd}:
             os.close(fd)

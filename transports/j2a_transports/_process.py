@@ -21,9 +21,10 @@ from typing import Any, Final
 
 from ._base import BadUrl, LinkLost, OpenFailed, Transport
 from ._poll import PolledTransport
-from ._scheme import Option, Scheme, Usage, text
+from ._scheme import Option, Scheme, Usage
 from ._threaded import ThreadedTransport, sink_of, source_of
 from ._url import Url
+from .options import text
 
 # How long a child may take to end after its input has ended, and after it was asked to.
 EOF_GRACE_S: Final = 0.5
@@ -42,6 +43,7 @@ SCHEME: Final = Scheme(
     name="exec",
     open=_OPEN,
     starts_device=True,
+    held_bytes=4096,  # of a pipe
     meant_by={r"(?s)(\.{0,2}/|[A-Za-z]:[\\/]).*": r"exec:\g<0>"},
 )
 

@@ -71,6 +71,25 @@ def describe(scheme: str) -> Scheme:
     )
 
 
+def innermost(url: str) -> tuple[str, Scheme]:
+    """Return the URL of the link itself, without those that wrap it, and what is declared about it.
+
+    Args:
+        url: such as `faults:drop=0.001:tcp://127.0.0.1:5000`, of which this is the part from `tcp`.
+
+    Raises:
+        BadUrl: there is no such scheme.
+        OpenFailed: a driver does not load.
+    """
+    scheme, _, rest = url.partition(":")
+    declared = describe(scheme.lower())
+    while declared.wraps:
+        url = rest.partition(":")[2]
+        scheme, _, rest = url.partition(":")
+        declared = describe(scheme.lower())
+    return url, declared
+
+
 def open(url: str, **options: object) -> Transport:
     """Open the transport that a URL names.
 

@@ -1,7 +1,6 @@
 """What a driver declares about its URL scheme.
 
-In: nothing.  Out: `Scheme`, the value of `SCHEME` in the module of each driver, and the converters
-of option values.
+In: nothing.  Out: `Scheme`, the value of `SCHEME` in the module of each driver.
 Rules: URLs, options, error messages, `--help` and the tables of the documentation are made from
 these declarations; nothing else lists the schemes or their options. A driver imports what it needs
 beyond the standard library when it opens something, so a declaration can always be read.
@@ -9,69 +8,12 @@ beyond the standard library when it opens something, so a declaration can always
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from ._base import DEFAULT_WRITE_TIMEOUT_S
-
-Converter = Callable[[str], Any]
-
-
-def number(low: float, high: float = math.inf) -> Converter:
-    """Make a converter for a real number in [low, high]."""
-
-    def convert(text: str) -> float:
-        value = float(text)
-        if not low <= value <= high:
-            raise ValueError
-        return value
-
-    limit = f"from {low:g} up" if high == math.inf else f"from {low:g} to {high:g}"
-    convert.__doc__ = f"a number {limit}"
-    return convert
-
-
-def integer(low: int, high: int) -> Converter:
-    """Make a converter for a whole number in [low, high]."""
-
-    def convert(text: str) -> int:
-        value = int(text)
-        if not low <= value <= high:
-            raise ValueError
-        return value
-
-    convert.__doc__ = f"a whole number from {low} to {high}"
-    return convert
-
-
-def choice(table: Mapping[str, Any]) -> Converter:
-    """Make a converter that looks the upper-case text up in `table`."""
-
-    def convert(text: str) -> Any:
-        return table[text.upper()]
-
-    convert.__doc__ = "one of " + ", ".join(table)
-    return convert
-
-
-def text(value: str) -> str:
-    """any text."""
-    return value
-
-
-boolean = choice({"0": False, "1": True, "FALSE": False, "TRUE": True, "OFF": False, "ON": True})
-
-
-def timeout(value: str) -> float | None:
-    """a number of seconds above 0, or none to wait for ever."""
-    if value.lower() == "none":
-        return None
-    seconds = float(value)
-    if not seconds > 0:
-        raise ValueError
-    return seconds
+from .options import Converter, timeout
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +22,7 @@ class Option:
 
     Args:
         name: as it stands in the URL and as keyword of `open` and `listen`.
-        convert: makes the value of its text, or raises ValueError or KeyError; its docstring says
-            what it takes.
+        convert: makes the value of its text, such as those of `j2a_transports.options`.
         help: what the option means, as a phrase that ends without a full stop.
         default: the text that stands for the option where it is not given; none by default.
         unit: of the value, such as `bit/s`, where the docstring of its converter does not say it.
@@ -128,6 +69,11 @@ class Scheme:
         extra: the extra of the distribution `j2a` that brings the packages it needs, if any.
         system: what it needs of the system, as a phrase, if anything.
         starts_device: whether opening starts the device, so that its state is always the first.
+        is_simulated: whether the time of its links is simulated.
+        wraps: whether the URL of another link follows in its own, as `NAME:...:URL`.
+        takes_stdio: whether it takes standard input and output away from the program.
+        accepts_again: whether a listener takes another peer as soon as the link to one has ended.
+        held_bytes: the bytes that the link takes at least while the other end reads none.
         meant_by: regular expressions of texts that are no URL but probably mean this scheme, each
             with the URL in the syntax of `re.Match.expand`, for the advice in an error.
     """
@@ -138,6 +84,11 @@ class Scheme:
     extra: str = ""
     system: str = ""
     starts_device: bool = False
+    is_simulated: bool = False
+    wraps: bool = False
+    takes_stdio: bool = False
+    accepts_again: bool = False
+    held_bytes: int = 0
     meant_by: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ._base import BadUrl, LinkLost, Listener, MissingExtra, OpenFailed, Transport
 from ._poll import CHUNK, PolledTransport
-from ._scheme import Option, Scheme, Usage, boolean, choice, integer, number
+from ._scheme import Option, Scheme, Usage
 from ._solo import SoloListener
 from ._threaded import ThreadedTransport
 from ._url import Url
+from .options import boolean, choice, integer, number
 
 if TYPE_CHECKING:
     import serial
@@ -43,7 +44,7 @@ _OPTIONS: Final = (
     Option(
         "boot",
         number(0, 60),
-        "time to wait after opening; what the board says meanwhile is thrown away",
+        "time to wait after opening; bytes received meanwhile are discarded",
         "0",
         "s",
     ),

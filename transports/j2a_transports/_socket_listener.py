@@ -104,7 +104,7 @@ class SocketListener(Listener):
                 self._waker.close()
 
     def _release(self) -> None:
-        """Free the socket; called once, when nobody uses it."""
+        """Free the socket; called once, when it is no longer in use."""
         self._sock.close()
 
 

@@ -25,7 +25,7 @@ if sys.platform != "win32":
     import tty
 
 _USAGE: Final = Usage("stdio:", "standard input and output of this process", ("stdio:",))
-SCHEME: Final = Scheme(name="stdio", open=_USAGE, listen=_USAGE)
+SCHEME: Final = Scheme(name="stdio", open=_USAGE, listen=_USAGE, takes_stdio=True)
 
 
 class StandardStreams:

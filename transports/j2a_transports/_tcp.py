@@ -13,9 +13,10 @@ from typing import Final
 
 from ._base import LinkLost, Listener, OpenFailed, Transport
 from ._poll import CHUNK, PolledTransport
-from ._scheme import Option, Scheme, Usage, timeout
+from ._scheme import Option, Scheme, Usage
 from ._socket_listener import SocketListener
 from ._url import Url, host_port
+from .options import timeout
 
 _OPEN: Final = Usage(
     "tcp://HOST:PORT",
@@ -39,6 +40,7 @@ SCHEME: Final = Scheme(
     name="tcp",
     open=_OPEN,
     listen=_LISTEN,
+    accepts_again=True,
     meant_by={r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):[0-9]{1,5}": r"tcp://\g<0>"},
 )
 

@@ -14,7 +14,8 @@ from typing import Any
 from urllib.parse import unquote
 
 from ._base import BadUrl
-from ._scheme import COMMON_OPTIONS, Converter, Option, Usage
+from ._scheme import COMMON_OPTIONS, Option, Usage
+from .options import Converter
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):(.*)", re.DOTALL)
 

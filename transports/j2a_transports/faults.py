@@ -17,8 +17,9 @@ from typing import Final, Literal
 
 from ._base import BadUrl, LinkClosed, LinkLost, Listener, Transport
 from ._damage import DEFAULT_DELAY_MS, KINDS, FaultCounters, FaultInjector, Piece, Rates
-from ._scheme import Option, Scheme, Usage, integer, number
+from ._scheme import Option, Scheme, Usage
 from ._url import Url
+from .options import integer, number
 
 __all__ = ["FaultCounters", "FaultInjector", "FaultyListener", "FaultyTransport", "Rates", "wrap"]
 
@@ -197,7 +198,7 @@ _USAGE: Final = Usage(
     ("faults:seed=1,drop=0.001:tcp://127.0.0.1:5000",),
     (Option("seed", integer(0, 2**63 - 1), "equal seeds disturb equal bytes", "0"), *_RATES),
 )
-SCHEME: Final = Scheme(name="faults", open=_USAGE, listen=_USAGE)
+SCHEME: Final = Scheme(name="faults", open=_USAGE, listen=_USAGE, wraps=True)
 _WITH_PREFIXES: Final = replace(
     _USAGE,
     options=(

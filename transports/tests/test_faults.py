@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from j2a_transports import LinkClosed, LinkLost, Transport
-from j2a_transports.faults import FaultInjector, Rates, wrap
+from j2a_transports.faults import FaultInjector, FaultyListener, FaultyTransport, Rates, wrap
 
 from .suite import PATIENCE_S, Background, read_exactly, read_to_end
 
@@ -338,3 +338,65 @@ def test_close_ends_a_delay(side: str) -> None:
     faulty.close()
     with pytest.raises(LinkClosed):
         waiter.result()
+
+
+class Dripping(Transport):
+    """Has a byte every 0.4 simulated seconds."""
+
+    is_simulated = True
+
+    def __init__(self) -> None:
+        super().__init__("dripping:", None)
+        self.now_s = 0.0
+
+    def clock(self) -> float:
+        return self.now_s
+
+    def read(self, timeout_s: float | None) -> bytes:
+        assert self.now_s < 5
+        wait_s = 0.4 if timeout_s is None else min(timeout_s, 0.4)
+        self.now_s += wait_s
+        return b"x" if wait_s == 0.4 else b""
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        raise NotImplementedError
+
+    @property
+    def closed(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        pass
+
+
+def test_bytes_that_are_dropped_do_not_prolong_a_read() -> None:
+    dripping = Dripping()
+    assert wrap(dripping, rx=Rates(drop=1.0)).read(1.0) == b""
+    assert dripping.now_s == pytest.approx(1.0)
+
+
+class Rarely(j2a_transports.Listener):
+    """Every other accept meets its time limit."""
+
+    def __init__(self) -> None:
+        super().__init__("rarely:")
+        self.count = 0
+
+    def accept(self, timeout_s: float | None) -> Transport | None:
+        self.count += 1
+        return None if self.count % 2 else Dripping()
+
+    def close(self) -> None:
+        pass
+
+
+def test_an_accept_that_meets_its_time_limit_uses_no_seed() -> None:
+    rates = Rates(drop=0.5)
+    listener = FaultyListener(Rarely(), rates, rates, 7)
+    for seed in (7, 8):
+        assert listener.accept(0) is None
+        accepted = listener.accept(0)
+        assert isinstance(accepted, FaultyTransport)
+        for injector, way in ((accepted.tx, "tx"), (accepted.rx, "rx")):
+            expected = joined(FaultInjector(rates, f"{seed}/{way}"), [DATA[:200]])
+            assert joined(injector, [DATA[:200]]) == expected

@@ -93,3 +93,25 @@ def test_opening_loads_one_driver() -> None:
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == ["._tcp"]
+
+
+def test_the_innermost_url_is_that_of_the_link_itself() -> None:
+    for url, inner in (
+        ("tcp://127.0.0.1:5000", "tcp://127.0.0.1:5000"),
+        ("FAULTS:drop=0.1:Exec:./fw a:b", "Exec:./fw a:b"),
+        ("faults:seed=1:faults::stdio:", "stdio:"),
+    ):
+        found, declared = j2a_transports.innermost(url)
+        assert (found, declared.name) == (inner, inner.partition(":")[0].lower())
+    for url in ("telnet://x", "faults:drop=1:telnet://x", "faults:", "no url"):
+        with pytest.raises(BadUrl):
+            j2a_transports.innermost(url)
+
+
+def test_what_suite_and_commands_go_by_is_declared() -> None:
+    declared = {name: j2a_transports.describe(name) for name in SCHEMES}
+    assert {name for name in declared if declared[name].wraps} == {"faults"}
+    assert {name for name in declared if declared[name].takes_stdio} == {"stdio"}
+    assert {name for name in declared if declared[name].is_simulated} == {"sim"}
+    assert {name for name in declared if declared[name].accepts_again} == {"tcp"}
+    assert {name for name in declared if declared[name].held_bytes} == {"exec"}

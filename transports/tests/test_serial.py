@@ -23,6 +23,7 @@ from j2a_transports import (
     OpenFailed,
     Transport,
     WriteTimeout,
+    _serial,
 )
 from j2a_transports._threaded import ThreadedTransport
 
@@ -213,13 +214,22 @@ def test_boot_discards_what_the_board_says_first(terminal: Listener) -> None:
         assert read_exactly(port, 5) == b"ready"
 
 
-def test_a_board_that_goes_away_while_booting(terminal: Listener) -> None:
+def test_a_board_that_goes_away_while_booting(
+    terminal: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    discard, is_set_up = _serial._discard, threading.Event()
+
+    def discarding(transport: Transport, duration_s: float) -> None:
+        is_set_up.set()
+        discard(transport, duration_s)
+
     def board() -> None:
         far = accepted(terminal)
-        time.sleep(1)  # the host has opened the port, and needs a moment to set it up
+        assert is_set_up.wait(PATIENCE_S)
         far.close()
         terminal.close()
 
+    monkeypatch.setattr(_serial, "_discard", discarding)
     booting = Background(board)
     with pytest.raises(OpenFailed, match="went away while the board started"):
         j2a_transports.open(terminal.url, boot=60)

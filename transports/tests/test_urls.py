@@ -145,6 +145,7 @@ def test_importing_the_package_loads_no_driver() -> None:
         "j2a_transports._registry",
         "j2a_transports._scheme",
         "j2a_transports._url",
+        "j2a_transports.options",
     ]
 
 

@@ -51,7 +51,7 @@ def _parser(words: Sequence[str]) -> tuple[_Parser, _Parser | None]:
     """Return the parser, with the arguments of the one command that is asked for, and its own."""
     parser = _Parser(
         prog="j2a-conform",
-        description="Judges devices and hosts by the specification of J2A.",
+        description="Tests devices and hosts against the specification of J2A.",
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     chosen = None
@@ -97,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         note("j2a-conform: interrupted")
         return 128 + _ended_by[0] if _ended_by else INTERRUPTED
-    except BrokenPipeError:  # nobody reads the output any more
+    except BrokenPipeError:  # the reader of the output has closed it
         drop_output()
     except OSError as error:  # of standard output: a full disk, or it is closed
         drop_output()

@@ -8,9 +8,9 @@ import argparse
 import sys
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
-from typing import TypeVar, get_args
+from typing import TypeVar
 
-from j2a_spec.requirements import Level
+from j2a_spec.capabilities import LEVELS
 
 from j2a_conformance._case import BaseCase
 from j2a_conformance._model import HarnessError
@@ -35,7 +35,7 @@ def add_arguments(command: argparse.ArgumentParser, example: str) -> None:
         nargs="+",
         action="extend",
         metavar="LEVEL",
-        help="only cases of these levels: " + ", ".join(get_args(Level)),
+        help="only cases of these levels: " + ", ".join(LEVELS),
     )
     command.add_argument(
         "--case",
@@ -75,10 +75,8 @@ def matching(
         HarnessError: nothing matches, or one of the patterns matches nothing.
         UsageError: there is no such level.
     """
-    if unknown := set(levels or ()) - set(get_args(Level)):
-        raise UsageError(
-            f"there is no level {min(unknown)}; the levels are {', '.join(get_args(Level))}"
-        )
+    if unknown := set(levels or ()) - set(LEVELS):
+        raise UsageError(f"there is no level {min(unknown)}; the levels are {', '.join(LEVELS)}")
     named = patterns or ()
     found = [
         case

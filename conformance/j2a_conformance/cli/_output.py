@@ -1,4 +1,4 @@
-"""What the commands print.
+"""The output of the commands.
 
 What flows in: text. What flows out: the same on standard output and standard error. Rules: control
 and format characters are escaped, because names, properties and reasons may come from the device; a

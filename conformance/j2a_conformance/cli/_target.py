@@ -13,7 +13,7 @@ from typing import Final
 
 import j2a_transports
 from j2a_spec.requirements import Level
-from j2a_transports import Transport, TransportError
+from j2a_transports import Scheme, Transport, TransportError
 
 from j2a_conformance.device._deviations import Deviation
 from j2a_conformance.device._testee import load_testee
@@ -22,7 +22,6 @@ from ._exit import UsageError
 
 __all__ = ["Target", "add_arguments", "check", "check_scale", "reach"]
 
-_FAULTS: Final = re.compile(r"(?:faults:[^:]*:)*")
 _BAUDS: Final = range(50, 50_000_001)
 _SCALES: Final = (0.01, 1000)  # with less, no answer comes in time
 _BAUD: Final = re.compile(r"[?&]baud=([0-9]+)(?:&|$)")
@@ -49,9 +48,12 @@ class Target:
     opener: Callable[[], Transport]
 
     @property
-    def inner(self) -> str:
-        """The URL without leading `faults:`."""
-        return self.url[len(_FAULTS.match(self.url)[0]) :]  # type: ignore[index]  # always matches
+    def link(self) -> tuple[str, Scheme]:
+        """The URL of the link itself, without `faults:`, and what is declared about it."""
+        try:
+            return j2a_transports.innermost(self.url)
+        except TransportError:  # opening it will say what is wrong
+            return self.url, Scheme(name="")
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -124,18 +126,17 @@ def _target(
 ) -> Target:
     keywords: dict[str, int] = {}
     target = Target(url, fresh, title, known, (), lambda: j2a_transports.open(url, **keywords))
-    if baud and target.inner.startswith("serial:"):
-        own = _BAUD.search(target.inner)
+    inner, scheme = target.link
+    if baud and _has_rate(scheme):
+        own = _BAUD.search(inner)
         if own is None:
             keywords["baud"] = baud
         elif int(own[1]) != baud:
             raise UsageError(f"--baud {baud} and baud={own[1]} in the URL are not the same")
-    return replace(target, fresh=fresh or _starts_device(target.inner))
+    return replace(target, fresh=fresh or scheme.starts_device)
 
 
-def _starts_device(url: str) -> bool:
-    """Tell whether opening a URL starts the device, as the driver of its scheme declares."""
-    try:
-        return j2a_transports.describe(url.partition(":")[0].lower()).starts_device
-    except TransportError:  # opening it will say what is wrong
-        return False
+def _has_rate(scheme: Scheme) -> bool:
+    """Tell whether links of a scheme have a rate of their own unless they are given one."""
+    options = scheme.open.options if scheme.open else ()
+    return any(option.name == "baud" and option.default for option in options)

@@ -21,8 +21,8 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "Exit code: 0 no regression, 1 regressions, 3 a file is no report or the newer run ended "
         "early, 4 no case in common beside those that every run begins with."
     )
-    command.add_argument("before", type=Path, metavar="A.json", help="of `run --json`, the older")
-    command.add_argument("after", type=Path, metavar="B.json", help="of `run --json`, the newer")
+    command.add_argument("before", type=Path, metavar="A.json", help="older report of `run --json`")
+    command.add_argument("after", type=Path, metavar="B.json", help="newer report of `run --json`")
 
 
 def main(args: argparse.Namespace) -> int:

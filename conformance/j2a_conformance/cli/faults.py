@@ -25,7 +25,6 @@ from ._reports import check_writable
 
 __all__ = ["add_arguments", "kinds_of", "main"]
 
-_PIPE: Final = 4096  # bytes that a pipe holds at least
 _SIDES: Final[dict[str, tuple[Side, ...]]] = {
     "both": ("requests", "replies"),
     "requests": ("requests",),
@@ -64,24 +63,24 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "--rate", type=float, metavar="R", help=f"faults per byte ({_OF_ROWS['rate']})"
     )
     command.add_argument("--frames", type=int, metavar="N", help="requests of each kind (2000)")
-    command.add_argument("--seconds", type=float, metavar="S", help="end each kind after so long")
-    command.add_argument("--seed", type=int, metavar="S", help="of the faults (1)")
+    command.add_argument("--seconds", type=float, metavar="S", help="end each kind after S seconds")
+    command.add_argument("--seed", type=int, metavar="S", help="seed of the faults (1)")
     command.add_argument(
         "--payload", type=int, metavar="N", help="payload bytes of each request (32)"
     )
-    command.add_argument("--direction", choices=_SIDES, help="which is damaged (both)")
+    command.add_argument("--direction", choices=_SIDES, help="the direction to damage (both)")
     command.add_argument("--json", type=Path, metavar="FILE", help="write a JSON report")
     command.add_argument(
         "--vector",
         type=Path,
         metavar="FILE",
-        help=f"where bytes that the device answers wrongly are saved ({_VECTOR})",
+        help=f"file for the bytes that the device answers wrongly ({_VECTOR})",
     )
     _target.add_arguments(command)
     mode = command.add_mutually_exclusive_group()
     mode.add_argument("--replay", type=Path, metavar="FILE", help="play the vectors of a file")
     mode.add_argument(
-        "--soak", type=int, metavar="N", help="only pour N damaged frames in, as fast as it goes"
+        "--soak", type=int, metavar="N", help="only send N damaged frames, as fast as possible"
     )
     command.add_argument("-v", "--verbose", action="store_true", help="show progress")
 
@@ -118,7 +117,7 @@ def main(args: argparse.Namespace) -> int:
     kinds = kinds_of(args.kind, args.rate)
     with _target.reach(args.url, args.baud or 0) as target:
         code = _judge(target, args, kinds)
-    if code == FAILED and target.url != target.inner:
+    if code == FAILED and target.url != target.link[0]:
         raise HarnessError(
             "what is wrong may be the doing of faults: in the URL, which are no part of the "
             "experiment; leave them out, --kind and --rate make faults"
@@ -152,7 +151,7 @@ def _judge(target: _target.Target, args: argparse.Namespace, kinds: Sequence[Kin
         player = player_for(
             target.opener,
             starts=target.fresh,
-            held=_PIPE if target.inner.startswith("exec:") else 0,
+            held=target.link[1].held_bytes,
             scale=args.timeout_scale,
             baud=args.baud or 0,
         )

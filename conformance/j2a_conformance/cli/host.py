@@ -8,7 +8,11 @@ import argparse
 import re
 import shlex
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+
+import j2a_transports
+from j2a_transports import OpenFailed
 
 from j2a_conformance._coverage import host_coverage
 from j2a_conformance._model import Result, Run
@@ -82,18 +86,30 @@ def main(args: argparse.Namespace) -> int:
         found = _judge(place, args, cases)
     try:
         show(_console.report(found), flush=True)
-    finally:  # also where nobody reads the output
+    finally:  # also if the reader of the output has closed it
         reports.write(found)
     return status(found)
 
 
 def _place(args: argparse.Namespace) -> Listening:
     if len(args.target) == 1 and (match := _URL.fullmatch(args.target[0])):
-        if match[1] != "tcp":
-            # The suite closes the link and waits for another one, which takes a true listener.
-            raise UsageError("the suite waits for hosts at tcp:// only, e.g. tcp://127.0.0.1:5000")
+        able = _places()
+        if match[1] not in able:
+            where, example = " or ".join(f"{name}://" for name in able), next(iter(able.values()))
+            raise UsageError(f"the suite waits for hosts at {where} only, e.g. {example}")
         return Listening(args.target[0], None, args.wait, _tell)
     return Listening(_ANY_PORT, Program(args.target), _START_S * args.timeout_scale)
+
+
+def _places() -> dict[str, str]:
+    """Return the schemes of places to wait at, where the host can connect again, and examples."""
+    found = {}
+    for name in j2a_transports.schemes():
+        with suppress(OpenFailed):  # of another package: the other schemes work without it
+            declared = j2a_transports.describe(name)
+            if declared.accepts_again and declared.listen:
+                found[name] = declared.listen.examples[0]
+    return found
 
 
 def _tell(url: str) -> None:

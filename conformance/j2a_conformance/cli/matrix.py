@@ -22,7 +22,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "cannot be written or would replace one of the reports."
     )
     command.add_argument(
-        "reports", nargs="+", type=Path, metavar="FILE.json", help="of `run --json`"
+        "reports", nargs="+", type=Path, metavar="FILE.json", help="reports of `run --json`"
     )
     command.add_argument(
         "--html", type=Path, required=True, metavar="FILE", help="write the page here"

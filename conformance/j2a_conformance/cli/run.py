@@ -6,10 +6,9 @@ What flows in: a URL or a testee file, and which cases. What flows out: reports,
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import get_args
 
 import j2a_transports
-from j2a_spec.requirements import Level
+from j2a_spec.capabilities import LEVELS
 
 from j2a_conformance._coverage import coverage
 from j2a_conformance._model import Result, Run
@@ -51,13 +50,13 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
         "--profile",
         choices=_deviations.profiles(),
         default=_deviations.STRICT,
-        help="what the device is judged by: this version (strict), or as an older device",
+        help="rules to judge the device by: this version (strict), or those of an older device",
     )
     command.add_argument(
         "--deviations",
         type=Path,
         metavar="FILE",
-        help="a list of what the device is known to do wrong, in TOML",
+        help="a list of the known deviations of the device, in TOML",
     )
     _target.add_arguments(command)
     _add_claims(command)
@@ -90,7 +89,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
 
 
 def _add_claims(command: argparse.ArgumentParser) -> None:
-    levels = get_args(Level)
+    levels = LEVELS
     command.add_argument(
         "--claims",
         nargs="+",
@@ -140,7 +139,7 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
             found, code = repeat(args.repeat, lambda: _judge(target, rules, args, cases))
     try:
         show(_console.report(found), flush=True)
-    finally:  # also where nobody reads the output
+    finally:  # also if the reader of the output has closed it
         reports.write(found)
     return code
 

@@ -53,6 +53,11 @@ class Requests:
             lack(f"the device has no function {name}")
         return self.claims.functions.index(name)
 
+    @property
+    def echo_opcode(self) -> int:
+        """The opcode of a2jEcho; without it the case ends as unimplemented."""
+        return self.opcode(c.GET_ECHO)
+
     def hide_application(self) -> None:
         """Forget the names of the application's functions; their opcodes stay taken."""
         names = tuple(n if n in c.KNOWN_BUILTINS else "" for n in self.claims.functions)
@@ -81,7 +86,7 @@ class Requests:
         return self.longest - c.MANY_HEADER
 
     def is_too_long(self, opcode: int, payload: bytes) -> bool:
-        """Tell whether a request is due 0xFF because of its length: its opcode comes first."""
+        """Tell whether 0xFF must answer a request because of its length: its opcode comes first."""
         names = self.claims.functions
         is_callable = opcode < len(names) and names[opcode] not in MANY_ONLY
         if opcode == 0:
@@ -115,7 +120,7 @@ class Requests:
 
     def echo(self, payload: bytes, seq: int | None = None) -> Request:
         """Return a request to a2jEcho."""
-        return self.request(self.opcode(c.GET_ECHO), payload, c.ECHO, payload, seq)
+        return self.request(self.echo_opcode, payload, c.ECHO, payload, seq)
 
     def many(
         self,

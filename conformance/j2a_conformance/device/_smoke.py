@@ -318,7 +318,7 @@ def _room(peer: Peer) -> int:
     fits, fails = c.MIN_ROOM, c.MAX_PAYLOAD + 1
     length = c.MAX_PAYLOAD
     while fails - fits > 1:
-        frame = peer.ask(peer.request(peer.opcode(c.GET_ECHO), bytes(length)))
+        frame = peer.ask(peer.request(peer.echo_opcode, bytes(length)))
         if frame.opcode == c.RET_FAILED:
             fails = length
         else:

@@ -18,9 +18,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import j2a_transports
+from j2a_spec.capabilities import LEVELS
 from j2a_spec.requirements import Level
 
 from j2a_conformance._model import HarnessError
@@ -32,7 +33,6 @@ from ._packages import PACKAGES
 __all__ = ["TesteeFile", "load_testee"]
 
 _COMMANDS: Final = ("build", "serve", "needs")
-_LEVELS: Final = get_args(Level)
 _ROOT: Final = "{root}"
 _BUILD_S = 600.0
 _START_S = 60.0
@@ -170,8 +170,8 @@ def _mistake(entry: dict[str, object]) -> str:
     if not isinstance(entry.get("fresh", False), bool):
         return "`fresh` is true or false"
     claims = entry.get("claims", [])
-    if not isinstance(claims, list) or not set(claims) <= set(_LEVELS):
-        return f"`claims` is a list of levels, which are {', '.join(_LEVELS)}"
+    if not isinstance(claims, list) or not set(claims) <= set(LEVELS):
+        return f"`claims` is a list of levels, which are {', '.join(LEVELS)}"
     for key in _COMMANDS:
         words = entry.get(key, ["-"])
         if not isinstance(words, list) or not words or not all(map(_is_text, words)):

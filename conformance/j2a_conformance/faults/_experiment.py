@@ -47,7 +47,7 @@ _ATTEMPTS: Final = 30
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a row is about.
+    """The subject of a row.
 
     Attributes:
         names: one kind of `KINDS` or more.
@@ -86,7 +86,7 @@ class Wrong:
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What was found.
+    """The findings of an experiment.
 
     Attributes:
         url: the link.
@@ -111,7 +111,7 @@ class Experiment:
 
     @property
     def gaps(self) -> list[str]:
-        """What was asked for but not tested, in words."""
+        """The requested but untested parts, in words."""
         return [text for row in self.rows if (text := row.gap())]
 
     @property
@@ -210,7 +210,7 @@ def run(
 
 
 def shortest(player: Player, found: Found) -> Wrong:
-    """Shrink the stream of what was found, where there is one and nobody interrupts it."""
+    """Shrink the stream of a finding, if it has one, until interrupted."""
     if not found.stream:
         return Wrong(found.reason)
     try:

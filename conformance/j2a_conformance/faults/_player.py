@@ -29,7 +29,7 @@ class Waits:
 
     Attributes:
         pause_s: between two segments, and behind the last one.
-        patience_s: for an answer that is due.
+        patience_s: the wait for an expected answer.
     """
 
     pause_s: float
@@ -46,7 +46,7 @@ class Player:
 
     Args:
         opener: opens the link.
-        rules: what is due.
+        rules: the expected replies.
         starts: opening the link starts the device.
         byte_s: time that a byte takes on the link.
         scale: factor for every wait.

@@ -1,7 +1,7 @@
 """Stands between the faults and the device and notes what really passed.
 
 What flows in and out: the bytes of a transport, unchanged. Rules: each write is noted with its
-time, because the pauses between writes decide what is due.
+time, because the expected replies depend on the pauses between writes.
 """
 
 from dataclasses import dataclass
@@ -78,7 +78,7 @@ class Tap(Transport):
 
     @property
     def sent(self) -> bytes:
-        """What was written since `clear`."""
+        """The bytes written since `clear`."""
         return b"".join(write.data for write in self._writes)
 
     def stream(self, byte_s: float) -> Stream | None:

@@ -1,4 +1,4 @@
-"""What a right device answers to any bytes.
+"""The answers of a correct device to any bytes.
 
 What flows in: a stream, as segments with a pause between them, and what the device claims. What
 flows out: the replies that are due, in order. Rules: the oracle says what the bytes mean; a pause,
@@ -46,7 +46,7 @@ class Rules:
     def is_exact(self, stream: Stream) -> bool:
         """Tell whether the device has room for what comes while it answers (J2A-LIMIT-001).
 
-        Where it has not, bytes may be lost, and what is due is not certain.
+        Where it has not, bytes may be lost, and the expected replies are uncertain.
         """
         return all(len(s) <= self.room or self._behind(s) <= self.room for s in stream)
 

@@ -61,7 +61,7 @@ class _Exchange:
 
     Attributes:
         wire: its bytes before the faults.
-        right: the reply that it is due.
+        right: the expected reply.
         stream: what reached the device; None where pauses leave open what that means.
         due: the replies that the device owes for it.
         answers: what the device sent, before the faults.

@@ -50,7 +50,7 @@ _WHOLE: Final = re.compile(
 
 @dataclass(slots=True)
 class Soak:
-    """What was poured in, and what came.
+    """The bytes sent, and the answers received.
 
     Attributes:
         frames: frames before the faults.

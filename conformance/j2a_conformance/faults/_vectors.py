@@ -30,7 +30,7 @@ def save(path: Path, stream: Stream, comment: str, rules: Rules) -> None:
         path: the file, which is replaced.
         stream: the bytes.
         comment: what is special about them.
-        rules: what is due, which a scenario states.
+        rules: the expected replies, which a scenario states.
 
     Raises:
         HarnessError: the file cannot be written.

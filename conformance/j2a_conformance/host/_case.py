@@ -1,4 +1,4 @@
-"""What a case for hosts is.
+"""The base class of a case for hosts.
 
 What flows in: a `Host`, the host program as a case talks to it. What flows out: nothing when the
 case passes, else `Judged`. Rules: as for cases for devices; a case begins and ends while the host

@@ -1,4 +1,4 @@
-"""What the scripted device has, and how it answers what no case looks at.
+"""The functions of the scripted device, and its answers that no case checks.
 
 What flows in: requests. What flows out: the return value and the payload of a reply. Rules: frozen;
 a case that needs another device states it, and the host meets that over a new link.

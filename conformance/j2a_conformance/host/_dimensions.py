@@ -40,7 +40,7 @@ _RETURNED = (*range(c.RET_MAX + 1), c.RET_FAILED)
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """A frame that nobody may act on.
+    """A frame that no receiver may act on.
 
     Attributes:
         what: what is wrong with it, in words.

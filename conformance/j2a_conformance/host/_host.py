@@ -1,7 +1,7 @@
 """The host program as a case talks to it: jobs for it, its requests, and the outcomes it reports.
 
 What flows in: jobs, replies and any other bytes for the host. What flows out: the requests that it
-sends, the outcomes that it reports, or `Judged` when they are not what is due. Rules: the program
+sends, the outcomes that it reports, or `Judged` when they are not as expected. Rules: the program
 calls the opcode `CONDUCTOR` with the outcome of its last job and gets the next one as the reply,
 so the link is the only way between suite and program. Every frame that comes is compared with the
 oracle, whichever case runs.
@@ -301,7 +301,7 @@ class Host:
         return wire_of(c.SOS, self.next_sif_seq(), opcode, payload)
 
     def next_sif_seq(self) -> int:
-        """Return the seq that is due in the next SIF, which is sent by other means than `sif`."""
+        """Return the seq of the next SIF, which is sent by other means than `sif`."""
         seq, self._sif_seq = self._sif_seq, (self._sif_seq + 1) % 256
         return seq
 

@@ -49,7 +49,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the host program reports of its last job.
+    """The report of the host program on its last job.
 
     Attributes:
         whole: as it was reported.
@@ -88,7 +88,7 @@ def difference(came: bytes, due: bytes) -> str:
 
 
 def explain(reported: str, due: bytes) -> str:
-    """Return where reported data differ from those that are due, or "" where nobody can tell."""
+    """Return where reported data differ from the expected data, or "" if that is unknown."""
     if (match := _LONG.fullmatch(reported)) is None:
         try:
             return difference(bytes.fromhex(reported.replace("-", "")), due)
@@ -116,7 +116,7 @@ def _joined(sifs: Sequence[tuple[int, bytes]]) -> bytes:
 
 
 def explain_sifs(reported: str, due: Sifs, never: Sequence[tuple[int, tuple[int, bytes]]]) -> str:
-    """Return which SIF is missing, comes twice, too early or damaged; "" where nobody can tell.
+    """Return which SIF is missing, comes twice, too early or damaged; "" if that is unknown.
 
     Args:
         reported: the joined SIFs, as a host program spells them.

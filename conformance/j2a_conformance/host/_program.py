@@ -1,4 +1,4 @@
-"""Where the host under test comes from: a command that is started, or whoever connects.
+"""The host under test: a command that the suite starts, or a program that connects.
 
 What flows in: a command, or a URL to listen at. What flows out: links to the host. Rules: nothing
 waits without an end; what was started is ended, with all that it started itself.
@@ -133,7 +133,7 @@ class Listening:
         return transport
 
     def ended(self, wait_s: float = 0.0) -> str:
-        """Return how the host ended, at most after `wait_s`; "" while it runs or nobody knows."""
+        """Return how the host ended, at most after `wait_s`; "" while it runs or if unknown."""
         deadline_s = time.monotonic() + wait_s
         while self._runner is not None:
             if (how := self._runner.ended()) or time.monotonic() > deadline_s:

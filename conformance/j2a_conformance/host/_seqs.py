@@ -1,7 +1,7 @@
 """The seqs of a host's requests (J2A-SEQ-003, J2A-SEQ-006).
 
 What flows in: the seqs of requests and of replies, in the order of the wire. What flows out:
-whether a seq is the one that is due. Rules: a reply shows that earlier requests will not be
+whether a seq is the expected one. Rules: a reply shows that earlier requests will not be
 answered any more; an error reply may stand for another request, so a host may go on to wait after
 one. While no seq is free only a barrier may come; it takes an outstanding one, and nothing but its
 own reply answers it.
@@ -13,7 +13,7 @@ _SEQS = 256
 
 
 class Seqs:
-    """What a host may use as its next seq, for one link."""
+    """The seqs that a host may use next, for one link."""
 
     def __init__(self) -> None:
         self._last: int | None = None

@@ -4,12 +4,11 @@ What flows in: a `Run`, or its results one by one. What flows out: text lines wi
 """
 
 from collections.abc import Iterator
-from typing import get_args
 
 from j2a_spec import constants as c
 from j2a_spec import requirements
+from j2a_spec.capabilities import LEVELS
 from j2a_spec.printable import printable
-from j2a_spec.requirements import Level
 
 from j2a_conformance._model import Evidence, Outcome, Result, Run, Verdict
 from j2a_conformance.device._deviations import STRICT
@@ -118,7 +117,7 @@ def _table(run: Run) -> Iterator[str]:
     verdicts = list(Verdict)
     yield ""
     yield f"{'level':12}" + "".join(f"{verdict.value:>17}" for verdict in verdicts)
-    for level in get_args(Level):
+    for level in LEVELS:
         results = [r for r in run.results if r.level == level]
         counts = [sum(r.verdict is verdict for r in results) for verdict in verdicts]
         if results:

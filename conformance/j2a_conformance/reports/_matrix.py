@@ -6,8 +6,8 @@ shown as "not run" where the run knows of it, else as "absent".
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import get_args
 
+from j2a_spec.capabilities import LEVELS
 from j2a_spec.requirements import Level
 
 from j2a_conformance._model import Run, Verdict
@@ -63,12 +63,10 @@ def render(runs: Sequence[Run]) -> bytes:
         columns=columns,
         levels=[
             (level, [column.levels.get(level) for column in columns])
-            for level in get_args(Level)
+            for level in LEVELS
             if any(level in column.levels for column in columns)
         ],
-        groups=[
-            (level, rows) for level in get_args(Level) if (rows := tuple(_rows(level, columns)))
-        ],
+        groups=[(level, rows) for level in LEVELS if (rows := tuple(_rows(level, columns)))],
     )
 
 

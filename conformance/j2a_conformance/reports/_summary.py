@@ -1,4 +1,4 @@
-"""What the results of a run come to, in words and numbers that every report shows.
+"""The summary of a run, in words and numbers that every report shows.
 
 What flows in: a `Run`. What flows out: a line for each level, and the judgement in a few words.
 Rules: nothing is judged here that the run does not judge; what was not run is called so.

@@ -1,1 +1,1 @@
-"""The bytes between suite and testee: the link, and what is due on it."""
+"""The bytes between suite and testee: the link, and the frames expected on it."""

@@ -32,7 +32,7 @@ _NEVER = DAMAGE | RESERVED
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """A reply that is due.
+    """An expected reply.
 
     None leaves a field open; even then the code says neither that the request was damaged, nor is
     it reserved (J2A-ERR-011).
@@ -71,7 +71,7 @@ def refusal(seq: int, code: int) -> Expected:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Wire bytes of a request and the reply that it is due."""
+    """Wire bytes of a request and its expected reply."""
 
     wire: bytes
     expected: Expected

@@ -21,7 +21,7 @@ typedef uint16_t ring_index;
 #error "this port has no transmit buffer, so J2A_TXBUF must be 0; what a board collects itself is up to its board.c"
 #endif
 
-enum { BYTES_IN_A_ROW = 32 }; /* then the main loop goes on, also when bytes come without end */
+enum { MAX_BYTES_PER_POLL = 32 }; /* so that endless input cannot block the main loop */
 
 typedef struct {
     volatile uint8_t bytes[J2A_RXBUF + 1u]; /* one place stays free, so that full and empty differ */
@@ -72,7 +72,7 @@ void port_receive_from(uint8_t link) {
 static void poll_receiver(void) {
 #if !BOARD_INTERRUPTS
     uint8_t i;
-    for (i = 0; i < BYTES_IN_A_ROW && after(ring.head) != ring.tail && board_has_byte(); i++)
+    for (i = 0; i < MAX_BYTES_PER_POLL && after(ring.head) != ring.tail && board_has_byte(); i++)
         port_receive();
 #endif
 }

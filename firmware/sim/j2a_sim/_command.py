@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="bit rate of the host's end, to see a mismatch (the firmware's)",
     )
-    avr.add_argument("--once", action="store_true", help="end when the first client has gone")
+    avr.add_argument("--once", action="store_true", help="end when the first client disconnects")
     avr.add_argument("--reset", action="store_true", help="reset the MCU for each client")
 
     usb = kinds.add_parser(
@@ -70,13 +70,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_argument(parse_address),
         default="127.0.0.1:3240",
         metavar="HOST:PORT",
-        help="where clients connect; port 0: any (%(default)s)",
+        help="address for clients to connect to; port 0: any free port (%(default)s)",
     )
     _add_chip(usb, "atmega32u4")
     usb.add_argument(
         "--commands",
         action="store_true",
-        help="take lines from standard input: unplug BUSID, plug BUSID",
+        help="read commands from standard input: unplug BUSID, plug BUSID",
     )
 
 

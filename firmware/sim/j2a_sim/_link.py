@@ -10,6 +10,7 @@ from typing import Any, Final
 from urllib.parse import unquote
 
 from j2a_transports import BadUrl, OpenFailed, Option, Scheme, Transport, Url, Usage
+from j2a_transports.options import text
 
 from j2a_sim._avr import AvrSim
 from j2a_sim._errors import SimError
@@ -78,11 +79,6 @@ def _seconds(text: str) -> float | None:
     return None if text.lower() == "none" else rate(text)
 
 
-def _text(text: str) -> str:
-    """any text."""
-    return text
-
-
 def _wire(text: str) -> str:
     """uart or usb."""
     if text not in {"uart", "usb"}:
@@ -97,11 +93,11 @@ _OPEN: Final = Usage(
     ("sim:demo.elf", "sim:demo.elf?mcu=atmega32u4&link=usb"),
     (
         Option(
-            "mcu", _text, f"the chip; {_MCUS['uart']}, with link=usb {_MCUS['usb']}, if not given"
+            "mcu", text, f"the chip; {_MCUS['uart']}, with link=usb {_MCUS['usb']}, if not given"
         ),
         Option("freq", frequency, "clock of the chip", "16000000"),
         Option("link", _wire, "which part of the chip the bytes go through", "uart"),
-        Option("uart", _text, "number of the UART, else the first that the chip has"),
+        Option("uart", text, "number of the UART, else the first that the chip has"),
         Option(
             "baud", rate, "bit rate of the host's end of the UART, else the firmware's", "", "bit/s"
         ),
@@ -115,7 +111,11 @@ _OPEN: Final = Usage(
     ),
 )
 SCHEME: Final = Scheme(
-    name="sim", open=_OPEN, system="simavr's library, a C compiler", starts_device=True
+    name="sim",
+    open=_OPEN,
+    system="simavr's library, a C compiler",
+    starts_device=True,
+    is_simulated=True,
 )
 
 

@@ -167,7 +167,7 @@ class Runner:
         self._next = other
 
     def _receive(self, client: Transport) -> None:
-        """Take what has arrived, until the next slice is due."""
+        """Read what has arrived, until the next slice begins."""
         while True:
             wait_s = self._wait_s()
             if len(self._backlog) >= MAX_BACKLOG:

@@ -5,7 +5,7 @@ import socket
 import struct
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from j2a_sim import UsbipServer
 from j2a_sim._usbip import server, session
@@ -31,10 +31,7 @@ def test_where_it_cannot_listen(usb_board, host, says):
             UsbipServer([usb_board()], host, port)
 
 
-@settings(
-    max_examples=40,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(max_examples=40)
 @given(st.binary(min_size=1, max_size=200))
 def test_nonsense_instead_of_a_request(served, data):
     with socket.create_connection(("127.0.0.1", served.port)) as connection:
@@ -46,10 +43,7 @@ def test_nonsense_instead_of_a_request(served, data):
 field = st.one_of(st.integers(0, 20), st.integers(0, 0xFFFFFFFF))
 
 
-@settings(
-    max_examples=60,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(max_examples=60)
 @given(
     st.sampled_from([1, 1, 1, 2, 3, 4, 0, 0xFFFFFFFF]),
     st.lists(field, min_size=8, max_size=8),

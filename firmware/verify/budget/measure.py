@@ -59,14 +59,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="measure.py", description="What the firmware takes: flash, RAM, stack, cycles."
+        prog="measure.py", description="Measure flash, RAM, stack and cycles of the firmware."
     )
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--write", action="store_true", help="renew snapshot.json and table.md")
     what.add_argument(
-        "--check", action="store_true", help="fail when a limit is broken or the snapshot differs"
+        "--check", action="store_true", help="fail when a limit is exceeded or the snapshot differs"
     )
-    what.add_argument("--against", metavar="REV", help="what has changed since a revision of git")
+    what.add_argument("--against", metavar="REV", help="show the changes since a git revision")
     parser.add_argument(
         "--rebuild",
         action="store_true",
@@ -80,11 +80,14 @@ def _parser() -> argparse.ArgumentParser:
         "--out",
         type=Path,
         default=builds.FIRMWARE / "build/budget",
-        help="folder for what is built (default: firmware/build/budget)",
+        help="build folder (default: firmware/build/budget)",
     )
     parser.add_argument("--save", type=Path, metavar="FILE", help="write the figures there as well")
     parser.add_argument(
-        "--figures", type=Path, metavar="FILE", help="take those that --save wrote, measure nothing"
+        "--figures",
+        type=Path,
+        metavar="FILE",
+        help="read figures that --save wrote, measure nothing",
     )
     parser.add_argument("--budget", type=Path, default=builds.BUDGET, help="another budget.toml")
     parser.add_argument("--snapshot", type=Path, default=snapshot.SNAPSHOT, help="another snapshot")

@@ -70,10 +70,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Run the C core under libFuzzer.")
     parser.add_argument("--core", type=Path, default=CORE, help="the core's folder")
     parser.add_argument("--seconds", type=int, default=60, help="how long; 0: replay the corpus")
-    parser.add_argument("--seed", type=int, default=1, help="of the fuzzer (default: 1)")
-    parser.add_argument("--inputs", default=".", help="folder for what breaks the core")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the fuzzer (default: 1)")
+    parser.add_argument("--inputs", default=".", help="folder for the inputs that break the core")
     parser.add_argument("--small", action="store_true", help="a device with room for 32 bytes")
-    parser.add_argument("--keep", action="store_true", help="merge what was found into corpus/")
+    parser.add_argument("--keep", action="store_true", help="merge new inputs into corpus/")
     arguments = parser.parse_args()
     if arguments.keep and arguments.small:
         parser.error("--keep with --small: the corpus is kept for the whole device; leave one out")

@@ -24,7 +24,7 @@ def test_speed(benchmark, contender, way):
     assert benchmark.pedantic(run, rounds=7, warmup_rounds=1) == FRAMES
 
 
-@settings(max_examples=200, derandomize=True)
+@settings(max_examples=200)
 @given(streams)
 def test_the_naive_decoder_makes_the_same_of_a_stream(stream):
     naive, ours = NaiveDeframer(), Deframer()
@@ -32,7 +32,7 @@ def test_the_naive_decoder_makes_the_same_of_a_stream(stream):
     assert naive.skipped == ours.skipped
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=100)
 @given(frames)
 def test_the_naive_encoder_makes_the_same_of_a_frame(frame):
     wire = naive_encode(frame.start, frame.seq, frame.opcode, frame.payload)

@@ -13,6 +13,7 @@ import pytest
 import j2a
 from j2a.demo import DemoDevice
 from j2a.events import Reply
+from j2a.io.handlers import Handlers
 
 COST_S = 0.25
 """What each request costs; a sum of it is exact."""
@@ -62,7 +63,7 @@ class Virtual:
         self._near, self._far = j2a_transports.pair()
         self._connect(options)
         self.client._engine.call = self._call
-        self.client._now = lambda: self.now
+        self.client.now = lambda: self.now
 
     def _connect(self, options):
         self.client = j2a.Client(self._near, **options)
@@ -289,3 +290,15 @@ def test_for_so_long_a_board_may_boot(monkeypatch, is_asyncio, options, limit_s)
         else:
             j2a.connect("loopback:x", **options)
     assert sum(limits) == limit_s
+
+
+def test_a_handler_that_an_earlier_one_cancels_is_not_called_any_more():
+    handlers = Handlers()
+    handlers.add(7, "first".encode)
+    second = handlers.add(None, "second".encode)
+    handlers.add((6, 7), "third".encode)
+    called = []
+    for handler in handlers.of(7):
+        called.append(handler())
+        second.cancel()
+    assert called == [b"first", b"third"]

@@ -228,6 +228,20 @@ class TestDropped:
         with pytest.raises(j2a_transports.LinkLost):
             far.read(PATIENCE_S)
 
+    def test_the_warning_says_how_the_client_was_found(self, monkeypatch):
+        near, _far = j2a_transports.pair()
+        client = j2a.Client(near)
+        abandon = client._engine.abandon
+
+        def end_at_once():
+            was_open = abandon()
+            client.close()  # as the reading thread does when it sees that the link is gone
+            return was_open
+
+        monkeypatch.setattr(client._engine, "abandon", end_at_once)
+        with pytest.warns(ResourceWarning, match=r"unclosed <j2a\.Client loopback: open>"):
+            client.__del__()
+
     def test_with_asyncio_too(self):
         async def main():
             near, far = j2a_transports.pair()

@@ -24,7 +24,7 @@ DECODED = {
 GARBAGE = bytes(value for value in range(256) if value not in (SOF, SOS))
 GOOD = Frame(SOF, 0x5A, 0x04, b"good")
 
-property_test = settings(max_examples=400, derandomize=True)
+property_test = settings(max_examples=400)
 
 
 def read(chunks: list[bytes]) -> tuple[list[Frame | FrameError], int, FrameError | None]:

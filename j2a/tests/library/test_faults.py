@@ -144,7 +144,7 @@ class BadLink(RuleBasedStateMachine):
 
 
 TestBadLink = BadLink.TestCase
-TestBadLink.settings = settings(max_examples=150, stateful_step_count=30, derandomize=True)
+TestBadLink.settings = settings(max_examples=150, stateful_step_count=30)
 
 
 # ---------------------------------------------------------------------- the real thing

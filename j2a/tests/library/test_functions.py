@@ -9,7 +9,7 @@ from j2a_spec.constants import BUILTINS
 
 import j2a
 from j2a.demo import DemoDevice
-from j2a.io.functions import DebugText, FunctionTable, pack_properties
+from j2a.io.functions import DebugText, FunctionTable, ManyRequest, pack_properties, read_chunk
 
 PROPERTIES = {"j2a.spec": "1.1", "name": "thing", "umlaut": "größe"}
 FAILED = (0xFF, b"")
@@ -299,3 +299,9 @@ class TestDemo:
     def test_the_functions_are_those_of_the_demo_firmware(self):
         own = ["getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
         assert list(DemoDevice().functions) == [*BUILTINS, *own]
+
+
+@pytest.mark.parametrize(("offset", "is_last"), [(0, False), (249, True), (498, True)])
+def test_content_that_fills_its_chunks_ends_with_the_full_one(offset, is_last):
+    reply = read_chunk(bytes(498), ManyRequest(False, False, offset, b""))
+    assert (reply.is_last, len(reply.data)) == (is_last, min(249, 498 - offset))

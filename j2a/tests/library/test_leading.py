@@ -232,3 +232,51 @@ def test_a_state_left_in_the_middle_is_put_in_order():
         assert session.waiting == 0
         session.data_to_send()
         calls(client, far, 3)
+
+
+def test_calls_made_at_once_are_all_given_up_when_a_signal_handler_raises(on_alarm):
+    def stop():
+        raise StopError
+
+    def device():
+        far.read(PATIENCE_S)
+        with client._engine._turn:  # all of them are made by then
+            pass
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+
+    with linked() as (client, _near, far):
+        on_alarm(stop)
+        served = Background(device)
+        with pytest.raises(StopError):
+            client._engine.call_all([("one of three", 1, b"", PATIENCE_S)] * 3)
+        served.result()
+        assert client._session.waiting == 0
+
+
+def test_a_call_of_a_signal_handler_keeps_its_time_limit(on_alarm, monkeypatch):
+    monkeypatch.setattr("j2a.io.blocking.LEAD_S", PATIENCE_S)
+    with linked() as (client, _near, far):
+        calls(client, far, 3)
+        is_over = threading.Event()
+
+        def inner():
+            with pytest.raises(j2a.CallTimeout):
+                client.call(2, timeout=0.05)
+            is_over.set()
+
+        def device():
+            stream = b""
+            while not (frames := oracle.decode(stream)):
+                stream += far.read(PATIENCE_S)
+            with client._engine._turn:  # a call that is being sent cannot be interrupted by one
+                pass
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+            if is_over.wait(PATIENCE_S):
+                far.write(oracle.encode(oracle.Frame(SOF, frames[0].seq, 0, b"outer")))
+            else:
+                far.close()
+
+        on_alarm(inner)
+        served = Background(device)
+        assert client.call(1).payload == b"outer"
+        served.result()

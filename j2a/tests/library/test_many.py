@@ -241,7 +241,7 @@ class TestWhatADeviceMayNotAnswer:
             drive(answers(reply), peer.echo(b"xyz", None))
 
     @given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=20)), max_size=6))
-    @settings(max_examples=200, derandomize=True)
+    @settings(max_examples=200)
     def test_anything_ends_in_data_or_a_typed_error(self, replies):
         left = iter(replies)
         try:

@@ -13,6 +13,7 @@ from j2a import Outcome
 from j2a.demo import DemoDevice
 from j2a.events import Reply
 from j2a.protocol.session import Session
+from j2a.protocol.transfer import echo_chunks
 
 from .test_many import chunk, drive, know
 
@@ -172,3 +173,14 @@ class TestTransfers:
             read.send([Reply(*chunk(b"why", code=code))])
         assert caught.value.outcome is Outcome.ANSWERED
         assert (caught.value.code, caught.value.payload) == (code, b"why")
+
+
+@pytest.mark.parametrize(
+    ("window", "outcome"), [(1, Outcome.NOT_SENT), (2, Outcome.MAYBE_EXECUTED)]
+)
+def test_a_chunk_that_was_not_sent_beside_others_leaves_the_transfer_open(window, outcome):
+    transfer = echo_chunks("echo", 5, bytes(20), chunk_size=10, window=window)
+    assert len(next(transfer)) == window
+    with pytest.raises(j2a.LinkStalled) as caught:
+        transfer.throw(j2a.LinkStalled("no seq is free", Outcome.NOT_SENT))
+    assert caught.value.outcome is outcome

@@ -2,7 +2,7 @@
 
 import pytest
 from j2a_spec import oracle, vectors
-from j2a_spec.constants import ERR_FRAMING, ERRORS, SITE_LOST, SOF, SOS
+from j2a_spec.constants import ERRORS, SOF, SOS
 
 from j2a.events import Frame, FrameError
 from j2a.io.functions import DebugText, FunctionTable
@@ -125,18 +125,6 @@ def test_error_replies_keep_their_place_between_replies():
     ]
 
 
-def test_lost_bytes_end_the_open_frame():
-    device = DeviceInVirtualTime()
-    device.receive(bytes((SOF, 9, 1)))
-    device.server.handle_loss()
-    assert device.server.next_timeout() is None
-    device.work()
-    assert device.sent == [oracle.Frame(SOF, 9, ERR_FRAMING, SITE_LOST.to_bytes(2, "little"))]
-    device.server.handle_loss()
-    device.work()
-    assert len(device.sent) == 1
-
-
 def test_broken_sifs_are_nobodys_business():
     device = DeviceInVirtualTime()
     sif = bytearray(oracle.encode(oracle.Frame(SOS, 1, 4, b"x")))
@@ -171,7 +159,7 @@ def test_a_trace_sees_what_passes_in_its_order():
     server.reply(taken, 0xBA, b"cba")
     sent = server.data_to_send()
     assert server.data_to_send() == b""
-    server.handle_loss()
+    server.handle_timeout(1.0)
     assert server.next_request() is None
     assert seen == [
         ("rx", wire + begun),
@@ -179,6 +167,6 @@ def test_a_trace_sees_what_passes_in_its_order():
         ("tx", Frame(SOS, 0, 7, b"sif")),
         ("tx", Frame(SOF, 9, 0xBA, b"cba")),
         ("tx", sent),
-        ("rx", FrameError("lost", SOF, None)),
+        ("rx", FrameError("timeout", SOF, None)),
     ]
     assert sent == b"".join(oracle.encode(oracle.Frame(*item)) for _, item in seen[2:4])

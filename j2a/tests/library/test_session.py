@@ -421,3 +421,19 @@ class TestCounters:
         assert session.receive(reply) == [call]
         assert seen == [("tx", Frame(SOF, 0, 1, b"")), ("tx", wire), ("rx", reply)]
         assert "switched off" in caplog.text
+
+
+def test_after_recover_the_bytes_of_ended_calls_take_no_room():
+    session = Session(first_seq=0, window=3)
+    session.rxbuf = 10
+
+    def call():
+        return session.start_call("x", 1, b"", now=0.0, timeout_s=9.0, waiter=object())
+
+    first, second, third = call(), call(), call()
+    assert (first.size, second.size, third.was_sent) == (5, 5, False)
+    # As if a signal handler had raised before the call was taken out.
+    first.reply, first.has_ended = Reply(0, b""), True
+    assert session.recover() == [first, third]
+    assert third.was_sent
+    assert not call().was_sent

@@ -1,6 +1,8 @@
 """Over a transport whose time is simulated, every time limit is simulated time."""
 
 import asyncio
+import math
+import os
 import threading
 import time
 
@@ -12,12 +14,14 @@ from j2a_spec.constants import SOF
 import j2a
 
 from .support import PATIENCE_S
+from .wire import Background
 
 
 class SlowDevice(j2a_transports.Transport):
     """Answers each request after so many simulated seconds; time passes only in `read`."""
 
     is_simulated = True
+    read_takes_s = 0.0005  # a simulator takes its time, too
 
     def __init__(self, takes_s):
         super().__init__("simulated:")
@@ -34,7 +38,7 @@ class SlowDevice(j2a_transports.Transport):
         self.now_s += seconds
 
     def read(self, timeout_s):
-        time.sleep(0.0005)  # a simulator takes its time, too
+        time.sleep(self.read_takes_s)
         with self._lock:
             if self._closed:
                 raise j2a_transports.LinkClosed("simulated: is closed")
@@ -75,6 +79,16 @@ def test_a_reply_within_the_limit_in_simulated_time(takes_s, limit_s):
         assert client.call(1, timeout=limit_s).payload == b"done"
 
 
+def test_calls_on_the_wire_together_keep_their_own_simulated_limits():
+    with j2a.Client(SlowDevice(math.inf), window=2) as client:
+        client._session.rxbuf = 4096
+        made = [("first", 1, b"", 1.0), ("second", 1, b"", 2.0)]
+        both = Background(client._engine.call_all, made)
+        with pytest.raises(j2a.CallTimeout, match="first"):  # once the second has ended, too
+            both.result()
+        assert client._session.waiting == 0
+
+
 def test_the_asyncio_client_keeps_simulated_limits_too():
     async def main():
         device = SlowDevice(3.0)
@@ -84,3 +98,73 @@ def test_the_asyncio_client_keeps_simulated_limits_too():
             assert (await client.call(1, timeout=20.0)).payload == b"done"
 
     asyncio.run(asyncio.wait_for(main(), PATIENCE_S))
+
+
+class SlowHost(SlowDevice):
+    """Sends pieces, each so many simulated seconds after the one before, and goes."""
+
+    def __init__(self, read_takes_s, *pieces):
+        super().__init__(0)
+        self.read_takes_s = read_takes_s
+        self.due = [
+            (self.now_s + sum(pause for pause, _ in pieces[: n + 1]), data)
+            for n, (_, data) in enumerate(pieces)
+        ]
+        self.written = b""
+
+    def read(self, timeout_s):
+        if not self.due and timeout_s:
+            raise j2a_transports.LinkLost("simulated: is lost: the host has gone")
+        return super().read(timeout_s)
+
+    def write(self, data):
+        self.written += bytes(data)
+
+
+@pytest.mark.requirement("J2A-TIME-001")
+@pytest.mark.parametrize(
+    ("pause_s", "read_takes_s", "is_answered"), [(0.005, 0.03, True), (0.025, 0.0, False)]
+)
+def test_a_device_judges_pauses_by_the_time_of_the_link(pause_s, read_takes_s, is_answered):
+    wire = oracle.encode(oracle.Frame(SOF, 7, 0, b""))
+    host = SlowHost(read_takes_s, (0.0, wire[:3]), (pause_s, wire[3:]), (0.5, b"\x00"))
+    with j2a.Device() as device:
+        device.serve(host)
+    [reply] = oracle.decode(host.written)
+    assert (reply.seq, reply.opcode == 0) == (7, is_answered)
+
+
+class WithDescriptor(SlowDevice):
+    """Has a descriptor, too; nothing is ever readable there."""
+
+    def __init__(self, takes_s):
+        super().__init__(takes_s)
+        self._ends = os.pipe()
+
+    def fileno(self):
+        return self._ends[0]
+
+    def wait(self, timeout_s):
+        raise AssertionError("time passes in read only")
+
+    def close(self):
+        if not self._closed:
+            for end in self._ends:
+                os.close(end)
+        super().close()
+
+
+def test_a_descriptor_does_not_end_simulated_time():
+    with j2a.Client(WithDescriptor(0.3)) as client:
+        assert client.call(1, timeout=1.0).payload == b"done"
+    with j2a.Client(WithDescriptor(3.0)) as client, pytest.raises(j2a.CallTimeout):
+        client.call(1, timeout=1.0)
+
+    async def run():
+        async with j2a.AsyncClient(WithDescriptor(0.3)) as client:
+            assert (await client.call(1, timeout=1.0)).payload == b"done"
+        async with j2a.AsyncClient(WithDescriptor(3.0)) as client:
+            with pytest.raises(j2a.CallTimeout):
+                await client.call(1, timeout=1.0)
+
+    asyncio.run(run())

@@ -11,6 +11,7 @@ from j2a_spec.constants import SOF, SOS
 
 import j2a
 from j2a.io.links import ThreadedLink, WatchedLink
+from j2a.io.threads import PIECE
 from j2a.protocol.deframer import Deframer
 
 from .sockets import tcp_pair
@@ -178,3 +179,54 @@ def test_a_client_that_outlives_its_event_loop():
     while not near.closed and time.monotonic() < deadline:
         time.sleep(0.001)
     assert near.closed
+
+
+@in_event_loop
+async def test_all_of_a_read_is_taken_though_nothing_comes_after_it():
+    near, far = tcp_pair()
+    async with j2a.AsyncClient(near, timeout=PATIENCE_S) as client:
+        seen, came = [], asyncio.Event()
+
+        @client.on_sif()
+        def handler(sif):
+            seen.append(sif.seq)
+            if len(seen) == 100:
+                came.set()
+
+        sifs = (oracle.Frame(SOS, n, 7, b"x" * 200) for n in range(100))
+        far.write(b"".join(map(oracle.encode, sifs)))
+        await asyncio.wait_for(came.wait(), PATIENCE_S)
+        assert seen == list(range(100))
+    far.close()
+
+
+@in_event_loop
+async def test_what_came_before_writing_failed_is_taken_in_all_its_pieces():
+    near, far = tcp_pair()
+    events = []
+    loop = asyncio.get_running_loop()
+    link = WatchedLink(near, loop, events.append, events.append, events.append)
+    link.start()
+    far.write(bytes(3 * PIECE + 1))
+    link._end_after_reading(ConnectionResetError("as if by a write"))
+    *pieces, reason = events
+    assert b"".join(pieces) == bytes(3 * PIECE + 1)
+    assert max(map(len, pieces)) == PIECE
+    assert isinstance(reason, j2a.LinkError)
+    link.stop()
+    near.close()
+    far.close()
+
+
+@in_event_loop
+async def test_a_look_at_the_time_of_the_question_answers_it():
+    near, far = tcp_pair()
+    async with j2a.AsyncClient(near) as client:
+        engine, looked = client._engine, asyncio.get_running_loop().create_future()
+        asked_at = engine.now()
+        engine._looks.append((asked_at, looked))
+        engine._looked(asked_at - 1)
+        assert not looked.done()
+        engine._looked(asked_at)  # a simulated clock may stand still meanwhile
+        assert looked.done()
+    far.close()

@@ -1,4 +1,4 @@
-"""What `bt:` URLs are, and their options.
+"""`bt:` URLs and their options.
 
 In: nothing.  Out: `OPEN` and `LISTEN`, and the forms of addresses that URLs and options share.
 """
@@ -8,7 +8,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from j2a_transports._scheme import Option, Usage, choice, text, timeout
+from j2a_transports._scheme import Option, Usage
+from j2a_transports.options import choice, text, timeout
 
 from .record import SERVICE
 

@@ -1,4 +1,4 @@
-"""What a gadget tells FunctionFS about itself: descriptors and strings, and the events it gets.
+"""The data that a gadget passes to FunctionFS: descriptors and strings, and the events it gets.
 
 In: which interfaces there are.  Out: the two blocks that are written to `ep0`, and their numbers.
 Rules: layouts are those of `linux/usb/functionfs.h` and of chapter 9 of the USB specifications;
@@ -38,7 +38,7 @@ _BULK, _INTERRUPT = 2, 3
 
 
 class Event(IntEnum):
-    """What FunctionFS reports on `ep0`; the number is byte 8 of the event."""
+    """An event that FunctionFS reports on `ep0`; the number is byte 8 of the event."""
 
     BIND = 0
     UNBIND = 1

@@ -1,4 +1,4 @@
-"""What of Linux a gadget needs: mounts, modules, files of configfs, the packet of an endpoint.
+"""The Linux interface of a gadget: mounts, modules, configfs files, packets of an endpoint.
 
 In: paths.  Out: `Kernel`, whose methods are all that touches the system, so that tests put a
 folder in its place.

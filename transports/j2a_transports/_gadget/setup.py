@@ -26,7 +26,7 @@ _NO_ENDPOINT: Final = (errno.EINVAL, errno.ENOTSUP, errno.ENODEV)
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the host reads of a device.
+    """The identity of a device as the host reads it.
 
     Args:
         name: of the gadget in configfs; one running program per name.
@@ -267,7 +267,7 @@ class GadgetFiles:
         return self._failed(f"cannot make the USB gadget: {error.strerror}{where}")
 
     def _failed(self, reason: str) -> OpenFailed:
-        # Whoever is not root gets nowhere with the rest of the advice.
+        # Without root the rest of the advice does not help.
         if not self._kernel.is_root():
             reason = f"a USB gadget is made by root: run it as root, with sudo; as it is, {reason}"
         return OpenFailed(f"{self._url}: {reason}")

@@ -1,4 +1,4 @@
-"""What `gadget:` URLs are, and their options.
+"""`gadget:` URLs and their options.
 
 In: nothing.  Out: `LISTEN`.
 """
@@ -8,7 +8,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from j2a_transports._scheme import Option, Usage, boolean, integer
+from j2a_transports._scheme import Option, Usage
+from j2a_transports.options import boolean, integer
 
 from .descriptors import PRODUCT, VENDOR
 from .link import CHUNK

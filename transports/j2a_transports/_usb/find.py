@@ -1,4 +1,4 @@
-"""Which J2A boards are on the USB, and what they are called.
+"""Find the J2A boards on the USB and their names.
 
 In: a pyusb backend, or none for libusb.  Out: `UsbBoard`s with their pyusb devices.
 Rules: a board is told by the class of its interface, whatever vendor and product ids it has;
@@ -272,7 +272,7 @@ def is_open(device: Any) -> bool:
 
 
 def trouble_of(error: Exception) -> str | None:
-    """Return the advice for a device that cannot be asked, None when there is none."""
+    """Return the advice for a device that cannot be queried, or None."""
     if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.EPERM):
         return UDEV_ADVICE
     if isinstance(error, NotImplementedError) and sys.platform == "win32":

@@ -30,8 +30,9 @@ from j2a_transports._base import (
     WriteTimeout,
 )
 from j2a_transports._loopback import Channel
-from j2a_transports._scheme import Option, Scheme, Usage, integer, number, text
+from j2a_transports._scheme import Option, Scheme, Usage
 from j2a_transports._url import Url
+from j2a_transports.options import integer, number, text
 
 from .address import Address
 from .claim import claim, claim_shown, clear_halt, dispose, explained

@@ -1,12 +1,12 @@
 """The two endpoints of a claimed interface by pyusb's blocking calls, for any backend.
 
 In: the endpoints and bytes to send.  Out: the bytes that arrive, through a callback.
-Rules: what did go is never sent again and what has come is never dropped, also when a transfer
-times out; a halt is cleared once, a second one without a byte in between ends the link; to a bulk
-endpoint the last transfer of a write is shorter than a packet, so empty where the rest was a
-multiple of it (USB-014); an interrupt endpoint never gets an empty packet (USB-015). A board
-that has taken all bytes, but not that empty packet, is not stuck: the packet stays owed until the
-board takes it or the next write, which does without.
+Rules: sent bytes are never sent again and received bytes are never dropped, even if a transfer
+times out; a halt is cleared once, a second one without a byte in between ends the link. On a bulk
+endpoint a write ends with a short packet, so with a zero-length packet (ZLP) if its length is a
+multiple of the packet size (USB-014); an interrupt endpoint never gets a ZLP (USB-015). A board
+that has taken all bytes but not the ZLP is not stuck: the ZLP stays pending until the board takes
+it or the next write makes it unnecessary.
 `Pipes` is also what `transfers` implements.
 """
 
@@ -21,14 +21,14 @@ from typing import Any, Final
 
 from .find import BULK, Pair
 
-# How many packets a transfer has at most: enough to fill some frames of the bus, and few enough
-# that a slow board ends one within any sensible write timeout.
+# The most packets in a transfer: enough to fill some frames of the bus, few enough that a slow
+# board completes one within any sensible write timeout.
 PACKETS: Final = 64
-# How long a blocking transfer waits before it is looked at whether it shall end.
+# How long a blocking transfer waits between checks whether it must end.
 SLICE_MS: Final = 100
 SLICE_END_S: Final = 2.0
-# How long an owed empty packet may hold up reading each time that it is tried.
-OWED_MS: Final = 5
+# How long each attempt to send a pending zero-length packet may hold up reading.
+ZLP_RETRY_MS: Final = 5
 
 
 class Stuck(Exception):  # noqa: N818 - the board is, which is no error here
@@ -169,15 +169,15 @@ class BlockingPipes(Pipes):
                 self._failed(end, reset())
 
     def _send_owed(self) -> None:
-        """Try the empty packet once, unless a write begins, which needs none before it."""
+        """Try the pending ZLP once, unless a write begins, which makes it unnecessary."""
         if not self._writing.acquire(blocking=False):
             return
         try:
             if self._owed:
-                self._device.write(self.outgoing.address, b"", OWED_MS)
+                self._device.write(self.outgoing.address, b"", ZLP_RETRY_MS)
                 self._owed = False
         except Exception as error:
-            # What else there is meets the next read or write, which knows what to do.
+            # The next read or write meets any other error and handles it.
             self._owed = timed_out(error)
         finally:
             self._writing.release()

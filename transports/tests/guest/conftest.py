@@ -41,7 +41,7 @@ def tool(name: str) -> ModuleType:
 
 @pytest.fixture(scope="session")
 def guest(need: Callable[[str], None], missing: Callable[[str], NoReturn]) -> Guest:
-    """guest(*command, timeout=240) runs a command in the guest; it has to return `code`."""
+    """guest(*command, timeout=900) runs a command in the guest; it has to return `code`."""
     for program in TOOLS:
         need(program)
     folders = [
@@ -52,7 +52,7 @@ def guest(need: Callable[[str], None], missing: Callable[[str], NoReturn]) -> Gu
     ]
     subprocess.run([sys.executable, "-m", "compileall", "-q", *folders], check=False, timeout=120)
 
-    def run(*command: str, timeout: int = 240, code: int = 0) -> subprocess.CompletedProcess[str]:
+    def run(*command: str, timeout: int = 900, code: int = 0) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
             [sys.executable, SCRIPT, f"--timeout={timeout}", "--", *command],
             stdin=subprocess.DEVNULL,

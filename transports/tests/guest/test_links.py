@@ -87,7 +87,7 @@ def test_calls_and_ends(guest, named, link):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("link", LINKS)
 def test_a_megabyte(guest, named, link):
-    assert good(guest(*CLIENT, named(link), "megabyte", timeout=240).stdout) == ["megabyte"]
+    assert good(guest(*CLIENT, named(link), "megabyte", timeout=900).stdout) == ["megabyte"]
 
 
 @pytest.mark.avr
@@ -97,7 +97,7 @@ def test_two_boards_by_serial_number(guest, build_firmware):
     serials = ["left", "right"]
     with served(*(build_firmware(**FIRMWARE, SERIAL=serial) for serial in serials)) as port:
         done = guest(
-            "python", "transports/tests/guest/two_boards.py", str(port), *serials, timeout=240
+            "python", "transports/tests/guest/two_boards.py", str(port), *serials, timeout=840
         )
     assert done.stdout.count("good: ") == 3
 
@@ -107,5 +107,5 @@ def test_two_boards_by_serial_number(guest, build_firmware):
 def test_what_programs_see(guest, build_firmware):
     """`j2a list` of a gadget and the simulated chip; a kernel driver is replaced and comes back."""
     with served(build_firmware(**FIRMWARE)) as port:
-        done = guest("python", "transports/tests/guest/programs.py", str(port), timeout=240)
+        done = guest("python", "transports/tests/guest/programs.py", str(port), timeout=900)
     assert done.stdout.count("good: ") == 2

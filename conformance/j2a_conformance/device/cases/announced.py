@@ -1,14 +1,11 @@
 """What a device announces: keys of its own, capabilities; a2jGetProperties called directly."""
 
-import re
-
 from j2a_spec import constants as c
+from j2a_spec.capabilities import TOKEN
 
 from j2a_conformance._judge import fail, skip
 from j2a_conformance.device._case import Case
 from j2a_conformance.device._peer import Peer
-
-_TOKEN = re.compile(r"[a-z][a-z0-9.-]{0,31}")
 
 
 class Direct(Case):
@@ -63,7 +60,7 @@ class Capabilities(Case):
         if value is None:
             return
         tokens = value.split(" ")
-        if strange := [token for token in tokens if not _TOKEN.fullmatch(token)]:
+        if strange := [token for token in tokens if not TOKEN.fullmatch(token)]:
             fail(f"{c.PROP_CAPS} is {value!r}, where {strange[0]!r} is no token")
         if len(set(tokens)) < len(tokens):
             fail(f"{c.PROP_CAPS} is {value!r}: a token stands twice")

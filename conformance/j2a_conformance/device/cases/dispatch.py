@@ -82,8 +82,8 @@ class ErrorsInOrder(Case):
 
     @staticmethod
     def _broken(peer: Peer, n: int) -> tuple[int, Request]:
-        """Return a broken request and the error that it is due."""
-        seq, opcode, data = peer.seq(), peer.opcode(c.GET_ECHO), payload_of(n % 23, n)
+        """Return a broken request and the expected error."""
+        seq, opcode, data = peer.seq(), peer.echo_opcode, payload_of(n % 23, n)
         wrong = with_sum(seq, opcode, data, checksum(seq, opcode, data) ^ 1 << n // 4 % 8)
         free = peer.out_of_range()
         if n % 4 == 0 and free:

@@ -102,7 +102,7 @@ class Payload(Case):
     def _run(self, peer: Peer) -> None:
         free = peer.out_of_range()[-1:]
         streams = [(seq := peer.seq(), c.ERR_OPCODE, peer.request(o, seq=seq).wire) for o in free]
-        seq, echo = peer.seq(), peer.opcode(c.GET_ECHO)
+        seq, echo = peer.seq(), peer.echo_opcode
         streams.append((seq, c.ERR_CHECKSUM, with_sum(seq, echo, b"a", checksum(seq, echo, b"b"))))
         whole = peer.echo(b"abc")
         streams.append((whole.seq, c.ERR_FRAMING, whole.wire[:4] + b"\x7d\xff"))
@@ -149,7 +149,7 @@ class SeqOfErrors(Case):
 
     @staticmethod
     def _streams(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for seq in range(256):
             good = peer.echo(b"abc", seq)
             known = len(good.wire) - 6  # bytes up to and with seq

@@ -104,7 +104,7 @@ class Largest(Case):
             request = peer.request(0x12, b"\x12" * 255, c.ERR_OPCODE, seq=0x12)
             assert len(request.wire) == c.MAX_WIRE
             peer.ask(request)
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for seq, code in product(sorted(c.STUFFED), (opcode, c.ECHO)):
             # 255 bytes that need stuffing, with a checksum that does so too where there is one.
             for first, second in product(range(0, 256, 5), repeat=2):
@@ -196,7 +196,7 @@ class Interrupted(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         whole = [
             encode(Frame(c.SOF, 0x51, opcode, b"abcd")),
             encode(Frame(c.SOF, 0x7D, opcode, bytes((0x12, 0xED, 0x7D, 0x00)))),
@@ -247,7 +247,7 @@ class InterruptedAnywhere(Case):
     @staticmethod
     def _streams(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
         ways = (b"", bytes((c.SOS,)), bytes((c.ESC,)), bytes((c.ESC, c.SOS)))
-        opcodes = [peer.opcode(c.GET_ECHO), *peer.out_of_range()[-1:]]
+        opcodes = [peer.echo_opcode, *peer.out_of_range()[-1:]]
         opcodes += [peer.opcode(c.MANY)] if peer.has(c.MANY) else []
         for kind, length in ((0, 255), (1, 255), (2, 255), (3, 140)):
             data = b"plain" * 51 if kind == 2 else payload_of(length, kind)
@@ -281,7 +281,7 @@ class InterruptedAnywhere(Case):
 
     @staticmethod
     def _cut(peer: Peer, stream: bytes) -> tuple[bytes, list[Expected]]:
-        """Return the stream with a good frame behind it, and what is due."""
+        """Return the stream followed by a valid frame, and the expected replies."""
         request = peer.probe()
         return stream + request.wire, [*answers(stream + b"\x12"), request.expected]
 
@@ -295,7 +295,7 @@ class EscapedMarker(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        frame = encode(Frame(c.SOF, 0x52, peer.opcode(c.GET_ECHO), b"abcd"))
+        frame = encode(Frame(c.SOF, 0x52, peer.echo_opcode, b"abcd"))
         for cut in range(1, len(frame)):
             request = peer.probe()
             stream = frame[:cut] + bytes((c.ESC,)) + request.wire
@@ -327,7 +327,7 @@ class FromHost(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         good = encode(Frame(c.SOS, 0x53, opcode, b"abcd"))
         streams = [
             good,
@@ -388,7 +388,7 @@ class Garbage(Case):
 
     def _run(self, peer: Peer) -> None:
         rng = random.Random(2)
-        piece = encode(Frame(c.SOF, 0x54, peer.opcode(c.GET_ECHO), MARKED))
+        piece = encode(Frame(c.SOF, 0x54, peer.echo_opcode, MARKED))
         done = 0
         while done < 150:
             stream = b"".join(_shred(rng, piece) for _ in range(rng.randint(1, 5)))

@@ -84,7 +84,7 @@ def fill(peer: Peer, requests: list[Request], room: int, kind: str) -> None:
 def _one(peer: Peer, kind: str, n: int, data: bytes) -> Request:
     """Return a request to a2jEcho; of the mixed ones some are damaged or refused."""
     if kind == "mixed" and n % 7 == 3:
-        seq, opcode = peer.seq(), peer.opcode(c.GET_ECHO)
+        seq, opcode = peer.seq(), peer.echo_opcode
         wire = with_sum(seq, opcode, data, checksum(seq, opcode, data) ^ 0x08)
         return Request(wire, refusal(seq, c.ERR_CHECKSUM))
     if kind == "mixed" and n % 7 == 5 and (free := peer.out_of_range()):
@@ -224,7 +224,7 @@ class Room(Case):
             peer.ask(peer.request(opcode, bytes(length), c.ERR_OPCODE))
         for name in sorted(n for n in MANY_ONLY if peer.has(n)):
             peer.ask(peer.direct(name, bytes(length)))
-        seq, opcode, payload = peer.seq(), peer.opcode(c.GET_ECHO), b"w" * length
+        seq, opcode, payload = peer.seq(), peer.echo_opcode, b"w" * length
         wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ 0x04)
         peer.play(wire, refusal(seq, c.ERR_CHECKSUM), alone=True)
 

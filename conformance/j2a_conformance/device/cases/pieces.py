@@ -6,19 +6,16 @@ from collections.abc import Iterator
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, FrameError, checksum, decode, encode, stuff
 
-from j2a_conformance._judge import Judged, inform
+from j2a_conformance._judge import inform
 from j2a_conformance.device._case import Case
+from j2a_conformance.device._paused import passes_in_pieces
 from j2a_conformance.device._peer import Expected, Peer, refusal
 from j2a_conformance.wire._dimensions import SPECIAL, misread, payload_of, pieces, places, spread
 
 from .frame import CLEAN, answers
 from .stuffing import escapable, escaped
-from .timing import send_paused
 
 _PAUSE_S = 0.001
-_ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
-_REFUSALS = 6
-_TRIES = 40
 _BATCH = 600  # bytes: few enough pieces that a busy machine makes no long pause among them
 
 
@@ -93,7 +90,7 @@ class Pieces(Case):
             single = [bytes((byte,)) for byte in request.wire]
             self._in_pieces(peer, single, request.expected)
         kinds = [(b"\x7d\xff", value) for value in (0x00, 0xFF, None)]
-        for n, (stream, (seq, ahead)) in enumerate(misread(peer.opcode(c.GET_ECHO), kinds)):
+        for n, (stream, (seq, ahead)) in enumerate(misread(peer.echo_opcode, kinds)):
             if ahead > c.HEADER and n % 37 == 0:
                 good = peer.probe()
                 owed = (refusal(seq, c.ERR_FRAMING), good.expected)
@@ -120,7 +117,7 @@ class Pieces(Case):
     @staticmethod
     def _mixed(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
         """Yield frames that each leave another state behind, and good ones behind them."""
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for n, length in enumerate(spread(peer.longest, 37)[::4]):
             request = peer.echo(payload_of(length, n), n * 29 % 256)
             wire, sos = request.wire, bytes((c.SOS,))
@@ -148,19 +145,8 @@ class Pieces(Case):
     @staticmethod
     def _in_pieces(peer: Peer, parts: list[bytes], *due: Expected) -> None:
         """Send the parts until the replies are right; a pause that a stall made does not count."""
-        refused = 0
-        for _ in range(_TRIES):
-            longest_s = send_paused(peer, parts, _PAUSE_S)
-            try:
-                peer.expect(*due, exact=True)
-                return
-            except Judged as judged:
-                refused += longest_s <= _ACCEPTED_S
-                if refused >= _REFUSALS or (refused and not judged.suspect):
-                    raise
-                peer.link.note(f"the longest pause was {longest_s * 1e3:.2f} ms: {judged.reason}")
-                peer.resync()
-        peer.link.note("this machine is too busy to make a pause of less than 9 ms")
+        if not passes_in_pieces(peer, parts, _PAUSE_S, *due, exact=True, is_strict=True):
+            peer.link.note("this machine is too busy to make a pause of less than 9 ms")
 
 
 def _small(stream: bytes, n: int) -> list[bytes]:

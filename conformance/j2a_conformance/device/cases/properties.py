@@ -170,7 +170,7 @@ class Room(Case):
     def _run(self, peer: Peer) -> None:
         value = peer.claims.properties.get(c.PROP_ROOM)
         if value is None:
-            frame = peer.ask(peer.request(peer.opcode(c.GET_ECHO), bytes(c.MAX_PAYLOAD)))
+            frame = peer.ask(peer.request(peer.echo_opcode, bytes(c.MAX_PAYLOAD)))
             if frame.opcode == c.RET_FAILED:
                 fail(f"the device has no room for 255 bytes, and no property {c.PROP_ROOM}")
             return

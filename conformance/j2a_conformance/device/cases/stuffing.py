@@ -43,7 +43,7 @@ class Replies(Case):
     def _behind_errors(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
         for value in range(256):
             request = peer.echo(bytes((value, 0x41, value)))
-            first, wrong = damaged(peer.opcode(c.GET_ECHO), value)
+            first, wrong = damaged(peer.echo_opcode, value)
             yield first, [refusal(wrong, c.ERR_CHECKSUM)]
             yield request.wire, [request.expected]
 
@@ -59,7 +59,7 @@ class Fields(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for value in STUFFED:
             peer.ask(peer.echo(b"seq", seq=value), peer.echo(b"", seq=value))
             peer.ask(peer.echo(b"l" * value))
@@ -100,7 +100,7 @@ class Needless(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         values = [v for v in range(256) if escapable(v)]
         for value in values:
             self._exchange(peer, opcode, bytes((value,)), peer.seq(), {3})
@@ -213,7 +213,7 @@ class EscapeFfAnywhere(Case):
     @staticmethod
     def _streams(peer: Peer) -> Iterator[tuple[bytes, list[Expected]]]:
         many = peer.opcode(c.MANY if peer.has(c.MANY) else c.GET_ECHO)
-        for n, (opcode, length) in enumerate(((peer.opcode(c.GET_ECHO), 255), (many, 150))):
+        for n, (opcode, length) in enumerate(((peer.echo_opcode, 255), (many, 150))):
             frame = encode(Frame(c.SOF, 0x56 + n, opcode, payload_of(length, 3 * n)))
             for cut in range(1, len(frame), 1 + 3 * n):
                 if frame[cut - 1] == c.ESC:  # ESC ESC would be a value of its own
@@ -223,15 +223,15 @@ class EscapeFfAnywhere(Case):
                 rest = frame[cut : cut + cut % 6]
                 yield frame[:cut] + b"\x7d\xff" + rest + request.wire, [*due, request.expected]
         kinds = [(b"\x7d\xff", value) for value in (0x00, 0xFF, None)]
-        for n, (stream, (seq, before)) in enumerate(misread(peer.opcode(c.GET_ECHO), kinds)):
+        for n, (stream, (seq, before)) in enumerate(misread(peer.echo_opcode, kinds)):
             request = peer.probe()
             due = [refusal(seq, c.ERR_FRAMING)] if before else []
             if n % 3 == 0:  # no good frame between two broken ones
-                first, wrong = damaged(peer.opcode(c.GET_ECHO), n)
+                first, wrong = damaged(peer.echo_opcode, n)
                 yield first, [refusal(wrong, c.ERR_CHECKSUM)]
             yield stream + request.wire, [*due, request.expected]
         for n, seq in enumerate(SPECIAL):
-            frame = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), b"abc"[: n % 4]))
+            frame = encode(Frame(c.SOF, seq, peer.echo_opcode, b"abc"[: n % 4]))
             known = 3 if frame[1] == c.ESC else 2
             for cut in range(known, len(frame)):
                 if frame[cut - 1] == c.ESC:

@@ -20,7 +20,7 @@ def with_sum(seq: int, opcode: int, payload: bytes, value: int) -> bytes:
 
 
 def broken(peer: Peer, name: str, payload: bytes, flip: int = 1) -> None:
-    """Call a function with a wrong checksum, for which error 0xF3 is due."""
+    """Call a function with a wrong checksum, and expect error 0xF3."""
     seq, opcode = peer.seq(), peer.opcode(name)
     wire = with_sum(seq, opcode, payload, checksum(seq, opcode, payload) ^ flip)
     peer.play(wire, refusal(seq, c.ERR_CHECKSUM))
@@ -78,7 +78,7 @@ class WrongFormula(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for payload in (b"\x12", b"\x7d\x7d\x7d", b"abc", b"\xed" * 5):
             for name, formula in _WRONG.items():
                 seq = peer.seq()
@@ -115,7 +115,7 @@ class FlippedBits(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for place in (0, 1, 3, 4, 5):  # all but the length, which would move the end of the frame
             for bit in range(8):
                 seq = peer.seq()
@@ -125,7 +125,7 @@ class FlippedBits(Case):
 
 
 def damaged(peer: Peer, name: str, data: bytes, n: int) -> tuple[bytes, list[Expected]]:
-    """Return a request with one wrong bit, and the error that it is due.
+    """Return a request with one wrong bit, and the expected error.
 
     Which bit it is depends on `n`: of the checksum, of the first, last or another byte of the
     payload, of the opcode, or of the seq. (A wrong length moves the end of the frame.)
@@ -228,7 +228,7 @@ class ShortLength(Case):
     LEVEL = "frame"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         payload = b"0123456789"
         for length in range(len(payload)):
             seq = peer.seq()

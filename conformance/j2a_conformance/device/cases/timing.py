@@ -11,29 +11,13 @@ from j2a_spec.oracle import Frame, checksum, encode, stuff
 from j2a_conformance._judge import Judged, fail, inform
 from j2a_conformance._model import Verdict
 from j2a_conformance.device._case import Case
+from j2a_conformance.device._paused import REFUSALS, TRIES, passes_in_pieces, send_paused
 from j2a_conformance.device._peer import Expected, Peer, Request, many_payload
 from j2a_conformance.wire._dimensions import lane_offset, lengths, payload_of, spread
 
 _ACCEPTED_S = c.BYTE_TIMEOUT_MIN_MS / 1e3
 _GIVEN_UP_S = c.BYTE_TIMEOUT_MAX_MS / 1e3
-_REFUSALS = 6
-_TRIES = 40
 _LONG_TRIES = 12
-
-
-def send_paused(peer: Peer, pieces: list[bytes], pause_s: float) -> float:
-    """Send the pieces with pauses between them; return the longest pause in seconds, measured."""
-    longest_s = 0.0
-    before_s = peer.link.now_s()
-    peer.link.send(pieces[0])
-    for piece in pieces[1:]:
-        # From the start of the last write, so that no pause is longer than was asked for.
-        peer.link.wait_until(before_s + pause_s)
-        again_s = peer.link.now_s()
-        peer.link.send(piece)
-        longest_s = max(longest_s, peer.link.now_s() - before_s)
-        before_s = again_s
-    return longest_s
 
 
 def accepts(
@@ -42,41 +26,33 @@ def accepts(
     pause_s: float,
     *due: Expected,
     enough: int = 2,
-    tries: int = _TRIES,
+    tries: int = TRIES,
 ) -> None:
     """Fail when the device refuses these pauses again and again.
 
     `enough` acceptances are asked for, more than one of a single pause: a device that stalls may
     see the bytes without it.
     """
-    accepted = refused = 0
-    for _ in range(tries):
-        longest_s = send_paused(peer, pieces, pause_s)
-        try:
-            peer.expect(*due)
-        except Judged as judged:
-            refused += longest_s <= _ACCEPTED_S
-            peer.link.note(f"refused, the longest pause was {longest_s * 1e3:.2f} ms")
-            if refused >= _REFUSALS:
-                fail(f"{judged.reason}, in {refused} attempts, with pauses of {pause_s * 1e3} ms")
-            peer.resync()
-        else:
-            accepted += 1
-            if accepted == enough:
-                return
-    inform("this machine is too busy to make a pause of less than 9 ms")
+    try:
+        passed = passes_in_pieces(peer, pieces, pause_s, *due, enough=enough, tries=tries)
+    except Judged as judged:
+        if judged.final:
+            raise
+        fail(f"{judged.reason}, in {REFUSALS} attempts, with pauses of {pause_s * 1e3} ms")
+    if not passed:
+        inform("this machine is too busy to make a pause of less than 9 ms")
 
 
 def awkward(peer: Peer) -> tuple[bytes, Expected]:
     """Return an echo that has escapes in seq and payload, and its due reply."""
     payload = bytes((0x12, 0x41, 0x7D))
-    wire = encode(Frame(c.SOF, 0xED, peer.opcode(c.GET_ECHO), payload))
+    wire = encode(Frame(c.SOF, 0xED, peer.echo_opcode, payload))
     return wire, Expected(0xED, c.ECHO, payload)
 
 
 def escaped(peer: Peer) -> tuple[bytes, Expected]:
     """Return an echo in which each field is escaped, needed or not, and its due reply."""
-    seq, opcode, payload = 0x41, peer.opcode(c.GET_ECHO), b"x"
+    seq, opcode, payload = 0x41, peer.echo_opcode, b"x"
     body = (seq, opcode, len(payload), *payload, checksum(seq, opcode, payload))
     wire = b"".join(bytes((c.ESC, value - 1)) for value in body)
     assert not {value - 1 for value in body} & {c.SOF, c.SOS, -1, 0xFF}
@@ -241,7 +217,7 @@ class GivesUpLong(Case):
                 peer.attempts(lambda a=part, b=rest, r=request: self._cut(peer, a, b, r.seq))  # type: ignore[misc]
         for length in spread(step=61) if peer.link.lossy else lengths():
             seq, data = (length + 0x85) % 256, payload_of(length, length)
-            wire = encode(Frame(c.SOF, seq, peer.opcode(c.GET_ECHO), data))
+            wire = encode(Frame(c.SOF, seq, peer.echo_opcode, data))
             cut = len(wire) - 1 - length * 11 % (len(wire) - 4)
             peer.attempts(lambda w=wire, n=cut, s=seq: self._stopped(peer, w[:n], w[n:], s))  # type: ignore[misc]
 
@@ -267,7 +243,7 @@ class GivesUpLong(Case):
     def _silent(peer: Peer) -> None:
         """Frames that start with SOS are given up, too, and nothing says so."""
         for length in (0, 30, 90, 200):
-            frame = encode(Frame(c.SOS, 0x57, peer.opcode(c.GET_ECHO), payload_of(length, 2)))
+            frame = encode(Frame(c.SOS, 0x57, peer.echo_opcode, payload_of(length, 2)))
             peer.link.send(frame[:-1])
             peer.silence(0.03 * max(peer.link.scale, 1.0), "for a frame that starts with SOS")
             peer.play(frame[-1:], alone=True)
@@ -332,7 +308,7 @@ class LongLength(Case):
     LEVEL = "timing"
 
     def _run(self, peer: Peer) -> None:
-        opcode = peer.opcode(c.GET_ECHO)
+        opcode = peer.echo_opcode
         for length, extra in ((10, 1), (10, 2), (10, 100), (0, 1), (0, 255), (64, 3), (200, 55)):
             seq, data = peer.seq(), payload_of(length, 2)
             body = bytes((seq, opcode, length + extra, *data, checksum(seq, opcode, data)))

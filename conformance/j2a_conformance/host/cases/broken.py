@@ -1,4 +1,4 @@
-"""Frames that nobody may act on, replies, error replies and SIFs, over every length.
+"""Frames that a host must not act on, replies, error replies and SIFs, over every length.
 
 Each is whole for a host that breaks the rule, and then it is handed over: the outcome says which.
 """

@@ -223,4 +223,4 @@ class WithoutMany(HostCase):
             host.job(f"write {name} 40*61 {host.limit_ms}")
             host.outcome("refused")
         call_by_name(host, PING)
-        host.do(f"call {c.GET_ECHO} 255*65 {host.limit_ms}", f"reply 186 {spell(b'e' * 255)}")
+        host.do(f"call {c.GET_ECHO} 255*65 {host.limit_ms}", f"reply {c.ECHO} {spell(b'e' * 255)}")

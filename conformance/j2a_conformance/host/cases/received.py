@@ -1,4 +1,4 @@
-"""What a host receives: every frame, however it is escaped, and nothing that is broken."""
+"""Reception by a host: every valid frame, however it is escaped, and no broken one."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""What a host has to live through: noise, frames that are cut, and resets of the device."""
+"""Recovery of a host from noise, incomplete frames, and resets of the device."""
 
 import random
 

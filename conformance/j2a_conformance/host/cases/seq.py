@@ -9,6 +9,7 @@ from j2a_conformance.host._case import HostCase
 from j2a_conformance.host._dimensions import content, frame
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Request
+from j2a_conformance.wire._expected import DAMAGE
 
 _SEQS = 256
 _EARLY = 200
@@ -16,11 +17,10 @@ _FREED = 10
 _BARRIER_MS = 200.0
 _REPLACED_S = 0.5  # of 1 s; a busy machine may take the first barrier late
 _REPLACED_MS = 1300.0
-_DAMAGE = (c.ERR_TIMEOUT, c.ERR_CHECKSUM, c.ERR_FRAMING)
 
 
 def stray(seq: int, payload: bytes = b"stray", start: int = c.SOF) -> bytes:
-    """Return a frame with the code 0x11 that answers nobody."""
+    """Return a frame with the code 0x11 that answers no request."""
     return encode(Frame(start, seq % 256, 0x11, payload))
 
 
@@ -119,7 +119,9 @@ class Stalled(_Stalled):
     def _run(self, host: Host) -> None:
         given_up, found = self.stall(host)
         began_s = host.link.now_s()
-        errors = [frame(c.SOF, one.seq, code, b"\x01\x00") for one in given_up for code in _DAMAGE]
+        errors = [
+            frame(c.SOF, one.seq, code, b"\x01\x00") for one in given_up for code in sorted(DAMAGE)
+        ]
         host.flood("error replies with each seq", b"".join(errors))
         if found is None:  # a host may do without barriers
             host.reply(given_up[-1], 1, b"late")

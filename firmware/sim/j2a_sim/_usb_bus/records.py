@@ -8,7 +8,7 @@ from j2a_sim._errors import SimError
 
 
 class UsbError(SimError):
-    """A transfer failed, or there is nobody to talk to."""
+    """A transfer failed, or no device is attached."""
 
 
 class UsbStall(UsbError):  # noqa: N818 - the name says what happened

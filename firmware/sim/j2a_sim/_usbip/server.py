@@ -154,7 +154,7 @@ class UsbipServer:
             thread.join()
 
     def unplug(self, busid: str) -> None:
-        """Pull a board out: its client loses it, and nobody can import it until `plug`.
+        """Pull a board out: its client loses it, and no client can import it until `plug`.
 
         Raises:
             SimError: there is no such board.
