@@ -6,7 +6,7 @@ other side in Python. Importing this loads no driver.
 
 from typing import TYPE_CHECKING
 
-from j2a.client import Client, connect
+from j2a.client import Client, Function, connect
 from j2a.device import Device
 from j2a.errors import (
     BadUrl,
@@ -14,8 +14,10 @@ from j2a.errors import (
     CallTimeout,
     ChecksumRefused,
     DamageReported,
+    Fail,
     FramingRefused,
     FunctionFailed,
+    InterfaceChanged,
     J2AError,
     LegacyLimit,
     LinkClosed,
@@ -30,21 +32,27 @@ from j2a.errors import (
     ProtocolError,
     RegistrationError,
     RemoteError,
+    SignatureError,
     UnknownFunction,
     UnsupportedVersion,
+    WrongArgument,
 )
 from j2a.events import Counters, Frame, FrameError, Reply, Sif
 from j2a.io.functions import ManyReply, ManyRequest, read_chunk
 from j2a.io.handlers import Subscription
+from j2a.io.streams import SifStream
 from j2a.protocol.trace import Trace
+from j2a.types.annotations import Length, f32, f64, i8, i16, i32, i64, u8, u16, u32, u64
 
 if TYPE_CHECKING:
-    from j2a.aio import AsyncClient, aconnect
+    from j2a.aio import AsyncClient, AsyncFunction, AsyncSifStream, aconnect
 
     __version__: str
 
 __all__ = [
     "AsyncClient",
+    "AsyncFunction",
+    "AsyncSifStream",
     "BadUrl",
     "ByteTimeoutRefused",
     "CallTimeout",
@@ -53,12 +61,16 @@ __all__ = [
     "Counters",
     "DamageReported",
     "Device",
+    "Fail",
     "Frame",
     "FrameError",
     "FramingRefused",
+    "Function",
     "FunctionFailed",
+    "InterfaceChanged",
     "J2AError",
     "LegacyLimit",
+    "Length",
     "LinkClosed",
     "LinkError",
     "LinkLost",
@@ -75,19 +87,32 @@ __all__ = [
     "RemoteError",
     "Reply",
     "Sif",
+    "SifStream",
+    "SignatureError",
     "Subscription",
     "Trace",
     "UnknownFunction",
     "UnsupportedVersion",
+    "WrongArgument",
     "aconnect",
     "connect",
+    "f32",
+    "f64",
+    "i8",
+    "i16",
+    "i32",
+    "i64",
     "read_chunk",
+    "u8",
+    "u16",
+    "u32",
+    "u64",
 ]
 
 
 def __getattr__(name: str) -> object:
     # asyncio takes longer to load than all of this package: who does not use it does not pay.
-    if name in ("AsyncClient", "aconnect"):
+    if name in ("AsyncClient", "AsyncFunction", "AsyncSifStream", "aconnect"):
         from j2a import aio  # noqa: PLC0415
 
         return getattr(aio, name)

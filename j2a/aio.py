@@ -7,18 +7,22 @@ Rules: arguments are checked before anything is sent; waiting and bytes are the 
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 from j2a_spec.constants import GET_ECHO
 
-from j2a.errors import J2AError, OpenFailed
-from j2a.events import Reply
-from j2a.io.client_base import ClientBase, check_echo
+from j2a.errors import J2AError, LinkClosed, OpenFailed
+from j2a.events import Reply, Sif
+from j2a.io.async_streams import AsyncSifStream
+from j2a.io.client_base import ClientBase, check_echo, checked
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.loop import AsyncEngine, AsyncHandler
 from j2a.io.opening import open_transport
+from j2a.io.remote import RemoteFunction, RemoteFunctions
+from j2a.io.streams import MAX_SIFS
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits
@@ -28,10 +32,45 @@ from j2a.protocol.transfer import Progress, Transfer
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["AsyncClient", "AsyncHandler", "aconnect"]
+__all__ = ["AsyncClient", "AsyncFunction", "AsyncHandler", "AsyncSifStream", "aconnect"]
 
 _HandlerF = TypeVar("_HandlerF", bound=AsyncHandler)
 _Result = TypeVar("_Result")
+
+
+class AsyncFunction(RemoteFunction):
+    """A function of a device; `await board.functions.add(40, 2)` is 42.
+
+    Raises: as `j2a.Function`.
+    """
+
+    async def __call__(self, /, *values: Any, **named: Any) -> Any:
+        """Call the function of the device."""
+        return self._unpack(await self._caller()._call_typed(self, self._pack(values, named)))
+
+
+class AsyncFunctions(RemoteFunctions[AsyncFunction]):
+    """The functions of a device by name; calling it loads them where that was not done yet."""
+
+    def __init__(
+        self,
+        functions: Mapping[str, AsyncFunction],
+        missing: Callable[[str], LookupError],
+        client: "weakref.ref[AsyncClient]",
+    ) -> None:
+        super().__init__(functions, missing)
+        self._client = client
+
+    async def __call__(self) -> "AsyncFunctions":
+        """Return them.
+
+        Raises: as `AsyncClient.call`, when the map is still to be fetched.
+        """
+        client = self._client()
+        if client is None:
+            raise LinkClosed("the functions were not fetched: the client is gone")
+        await client._drive(client._load_functions(), client._device_limits(client.now()))
+        return client.functions
 
 
 class AsyncClient(ClientBase):
@@ -53,13 +92,19 @@ class AsyncClient(ClientBase):
         on_handler_error: ErrorHook | None = None,
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
+        self._functions: tuple[object, AsyncFunctions] | None = None
         self._handlers: Handlers[AsyncHandler] = Handlers()
         self._engine = AsyncEngine(transport, self._session, self._handlers, on_handler_error)
 
     # ------------------------------------------------------------------ calls
 
     async def call(
-        self, function: str | int, payload: bytes = b"", timeout: float | None = None
+        self,
+        function: str | int,
+        payload: bytes = b"",
+        timeout: float | None = None,
+        *,
+        check: bool = False,
     ) -> Reply:
         """Call a function of the device and wait for its reply; `j2a.Client.call` for asyncio.
 
@@ -70,6 +115,7 @@ class AsyncClient(ClientBase):
             payload: 0 to 255 bytes, and not more than the device has room for (J2A-LIMIT-007).
             timeout: the time limit in seconds, with what has to be asked of the device before
                 (J2A-TIME-008); None takes the client's, `math.inf` has no limit.
+            check: raise FunctionFailed in place of returning a reply that is not `ok`.
 
         Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
 
@@ -80,8 +126,18 @@ class AsyncClient(ClientBase):
         limit_s = self._limit_s(timeout)
         known = self._known(function, data)
         if known is not None:
-            return await self._engine.call(*known, data, limit_s)
-        return await self._drive(self._call(function, data), self._call_limits(limit_s, self.now()))
+            reply = await self._engine.call(*known, data, limit_s)
+        else:
+            limits = self._call_limits(limit_s, self.now())
+            reply = await self._drive(self._call(function, data), limits)
+        return checked(function, reply) if check else reply
+
+    async def _call_typed(self, function: AsyncFunction, payload: bytes) -> Reply:
+        limit_s = self._typed_limit_s(function)
+        if len(payload) <= self._device.room:
+            return await self._engine.call(function.name, function.opcode, payload, limit_s)
+        limits = self._call_limits(limit_s, self.now())
+        return await self._drive(self._call(function, payload), limits)
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
@@ -168,13 +224,25 @@ class AsyncClient(ClientBase):
 
     # ------------------------------------------------------------------ what the device has
 
-    async def functions(self) -> dict[str, int]:
-        """Return names and opcodes of the functions; empty when there is no map (J2A-MAP-005).
+    @property
+    def functions(self) -> AsyncFunctions:
+        """The device's functions by name, as those of `j2a.Client`.
 
-        Raises: as `call`, when the map is still to be fetched.
+        `aconnect` fetches the map; `await board.functions()` does where that was not used.
         """
-        await self._drive(self._load_map(), self._device_limits(self.now()))
-        return dict(self._device.functions or {})
+        names = self._device.functions
+        if self._functions is None or self._functions[0] is not names:
+            functions = self._make_functions(AsyncFunction)
+            made = AsyncFunctions(functions, self._device.missing, weakref.ref(self))
+            self._functions = names, made
+        return self._functions[1]
+
+    def function(self, function: str | int, signature: str, definitions: str = "") -> AsyncFunction:
+        """Return a function with a signature; `j2a.Client.function` for asyncio.
+
+        Args and raises: as there; UnknownFunction also where the map was not fetched.
+        """
+        return self._make_function(AsyncFunction, function, signature, definitions)
 
     async def properties(self) -> dict[str, str]:
         """Return the properties, read when first asked for; {} if there are none (J2A-PROP-005).
@@ -218,10 +286,12 @@ class AsyncClient(ClientBase):
     # ------------------------------------------------------------------ SIFs
 
     @overload
-    def on_sif(self, opcodes: Opcodes, handler: AsyncHandler) -> Subscription[AsyncHandler]: ...
+    def on_sif(
+        self, opcodes: Opcodes | str, handler: AsyncHandler
+    ) -> Subscription[AsyncHandler]: ...
     @overload
-    def on_sif(self, opcodes: Opcodes = None) -> Callable[[_HandlerF], _HandlerF]: ...
-    def on_sif(self, opcodes: Opcodes = None, handler: AsyncHandler | None = None) -> object:
+    def on_sif(self, opcodes: Opcodes | str = None) -> Callable[[_HandlerF], _HandlerF]: ...
+    def on_sif(self, opcodes: Opcodes | str = None, handler: AsyncHandler | None = None) -> object:
         """Register a handler for server-initiated frames; without `handler` a decorator.
 
         Handlers run one after the other, in the order in which the SIFs came and the handlers were
@@ -231,7 +301,17 @@ class AsyncClient(ClientBase):
         Args, returns and raises: as `j2a.Client.on_sif`.
         """
         self._engine.check_process()
-        return self._handlers.register(opcodes, handler)
+        return self._handlers.register(self._wanted_sifs(opcodes), handler)
+
+    def sifs(self, opcodes: Opcodes | str = None, *, max_waiting: int = MAX_SIFS) -> AsyncSifStream:
+        """Return the SIFs that come from now on, for `async for`; `j2a.Client.sifs` for asyncio."""
+        return self._engine.stream(self._wanted_sifs(opcodes), max_waiting)
+
+    async def wait_sif(self, opcodes: Opcodes | str = None, timeout: float | None = None) -> Sif:
+        """Return the next SIF that comes; `j2a.Client.wait_sif` for asyncio."""
+        limit_s = self._limit_s(timeout)
+        async with self.sifs(opcodes) as stream:
+            return await stream.wait(limit_s)
 
     # ------------------------------------------------------------------ end
 

@@ -7,16 +7,18 @@ Rules: arguments are checked before anything is sent; waiting and bytes are the 
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 from j2a_spec.constants import GET_ECHO
 
 from j2a.errors import J2AError
-from j2a.events import Reply
+from j2a.events import Reply, Sif
 from j2a.io.blocking import Engine, Handler
-from j2a.io.client_base import ClientBase, check_echo
+from j2a.io.client_base import ClientBase, check_echo, checked
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.opening import open_transport
+from j2a.io.remote import RemoteFunction, RemoteFunctions
+from j2a.io.streams import MAX_SIFS, SifStream
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits
@@ -26,10 +28,26 @@ from j2a.protocol.transfer import Progress, Transfer
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["Client", "Handler", "connect"]
+__all__ = ["Client", "Function", "Handler", "connect"]
 
 _HandlerF = TypeVar("_HandlerF", bound=Handler)
 _Result = TypeVar("_Result")
+
+
+class Function(RemoteFunction):
+    """A function of a device; calling it sends the arguments and returns the result.
+
+    `board.functions.add(40, 2)` is 42. Arguments are given in order or by name. A function with
+    several results returns a named tuple.
+
+    Raises: as `Client.call`; WrongArgument for arguments that the signature does not admit, before
+        anything is sent (J2A-TYPE-008); FunctionFailed where the function returns another code than
+        0x00, and ProtocolError where the results are not what the signature says (J2A-TYPE-007).
+    """
+
+    def __call__(self, /, *values: Any, **named: Any) -> Any:
+        """Call the function of the device."""
+        return self._unpack(self._caller()._call_typed(self, self._pack(values, named)))
 
 
 class Client(ClientBase):
@@ -63,13 +81,19 @@ class Client(ClientBase):
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
         self._transport = transport
+        self._functions: tuple[object, RemoteFunctions[Function]] | None = None
         self._handlers: Handlers[Handler] = Handlers()
         self._engine = Engine(transport, self._session, self._handlers, on_handler_error)
 
     # ------------------------------------------------------------------ calls
 
     def call(
-        self, function: str | int, payload: bytes = b"", timeout: float | None = None
+        self,
+        function: str | int,
+        payload: bytes = b"",
+        timeout: float | None = None,
+        *,
+        check: bool = False,
     ) -> Reply:
         """Call a function of the device and wait for its reply.
 
@@ -83,6 +107,7 @@ class Client(ClientBase):
             timeout: the time limit in seconds, from now until the reply is here, with what has to
                 be asked of the device before (J2A-TIME-008); None takes the client's, `math.inf`
                 waits for ever.
+            check: raise FunctionFailed in place of returning a reply that is not `ok`.
 
         Returns: the return value as `.code`, 0xFF if the function failed, and the payload.
 
@@ -97,8 +122,17 @@ class Client(ClientBase):
         limit_s = self._limit_s(timeout)
         known = self._known(function, data)
         if known is not None:
-            return self._engine.call(*known, data, limit_s)
-        return self._drive(self._call(function, data), self._call_limits(limit_s, self.now()))
+            reply = self._engine.call(*known, data, limit_s)
+        else:
+            limits = self._call_limits(limit_s, self.now())
+            reply = self._drive(self._call(function, data), limits)
+        return checked(function, reply) if check else reply
+
+    def _call_typed(self, function: Function, payload: bytes) -> Reply:
+        limit_s = self._typed_limit_s(function)
+        if len(payload) <= self._device.room:
+            return self._engine.call(function.name, function.opcode, payload, limit_s)
+        return self._drive(self._call(function, payload), self._call_limits(limit_s, self.now()))
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).
@@ -194,13 +228,40 @@ class Client(ClientBase):
     # ------------------------------------------------------------------ what the device has
 
     @property
-    def functions(self) -> dict[str, int]:
-        """Names and opcodes of the device's functions; empty when it has no map (J2A-MAP-005).
+    def functions(self) -> RemoteFunctions[Function]:
+        """The device's functions by name; empty when it has no map (J2A-MAP-005).
+
+        Each is an opcode, and can be called where the device describes it (J2A-IFACE-010):
+        `board.functions.add(40, 2)` is 42, and `help(board.functions.add)` says what it does.
+        `connect` fetches the map; reading it asks nothing of the device then.
 
         Raises: as `call`, when the map is still to be fetched.
         """
-        self._drive(self._load_map(), self._device_limits(self.now()))
-        return dict(self._device.functions or {})
+        self._load()
+        names = self._device.functions
+        if self._functions is None or self._functions[0] is not names:
+            made = RemoteFunctions(self._make_functions(Function), self._device.missing)
+            self._functions = names, made
+        return self._functions[1]
+
+    def function(self, function: str | int, signature: str, definitions: str = "") -> Function:
+        """Return a function that the device does not describe, with the signature given here.
+
+        Example: `add = board.function("add", "(a i32, b i32) i32")`.
+
+        Args:
+            function: its name in the function map, or its opcode 0..255.
+            signature: what it takes and returns (J2A-TYPE-001).
+            definitions: lines such as "enum mode u8 (off=0, slow=1)" and "struct point (x f32)"
+                for the types that the signature uses; those of the device are known.
+
+        Raises:
+            UnknownFunction: the device has no function of that name.
+            SignatureError: the signature or a definition is wrong; it says at which character.
+        """
+        if isinstance(function, str):
+            self._load()
+        return self._make_function(Function, function, signature, definitions)
 
     @property
     def properties(self) -> dict[str, str]:
@@ -253,26 +314,65 @@ class Client(ClientBase):
     # ------------------------------------------------------------------ SIFs
 
     @overload
-    def on_sif(self, opcodes: Opcodes, handler: Handler) -> Subscription[Handler]: ...
+    def on_sif(self, opcodes: Opcodes | str, handler: Handler) -> Subscription[Handler]: ...
     @overload
-    def on_sif(self, opcodes: Opcodes = None) -> Callable[[_HandlerF], _HandlerF]: ...
-    def on_sif(self, opcodes: Opcodes = None, handler: Handler | None = None) -> object:
+    def on_sif(self, opcodes: Opcodes | str = None) -> Callable[[_HandlerF], _HandlerF]: ...
+    def on_sif(self, opcodes: Opcodes | str = None, handler: Handler | None = None) -> object:
         """Register a handler for server-initiated frames; without `handler` a decorator.
 
         Handlers run in one thread of the client, in the order in which the SIFs came and the
         handlers were registered (J2A-SIF-003, J2A-SIF-007); they may use the client.
 
         Args:
-            opcodes: one opcode 0..255, several, or None for all.
+            opcodes: one opcode 0..255, several, None for all, or the name of a SIF that the device
+                describes; `Sif.values` is then what the payload holds.
             handler: called with each `Sif`.
 
         Returns: an object whose `cancel()` ends it.
 
         Raises:
-            LocalError: an argument is wrong.
+            LocalError: an argument is wrong, or the device describes no SIF of that name.
         """
         self._engine.check_process()
-        return self._handlers.register(opcodes, handler)
+        return self._handlers.register(self._wanted_sifs(opcodes), handler)
+
+    def sifs(self, opcodes: Opcodes | str = None, *, max_waiting: int = MAX_SIFS) -> SifStream:
+        """Return the SIFs that come from now on, to iterate over.
+
+        Example::
+
+            for sif in board.sifs("counter"):
+                print(sif.values.count)
+
+        The iteration ends when the client is closed, and raises LinkError when the link is lost.
+        `wait(timeout)` returns the next SIF; `close()`, or the end of a `with` block, ends it.
+
+        Args:
+            opcodes: as for `on_sif`.
+            max_waiting: so many SIFs may wait; then the oldest are dropped, and counted in `lost`.
+
+        Raises:
+            LocalError: an argument is wrong, or the device describes no SIF of that name.
+        """
+        return self._engine.stream(self._wanted_sifs(opcodes), max_waiting)
+
+    def wait_sif(self, opcodes: Opcodes | str = None, timeout: float | None = None) -> Sif:
+        """Return the next SIF that comes.
+
+        A SIF that a call causes may come before its reply: use `sifs` before the call then.
+
+        Args:
+            opcodes: as for `on_sif`.
+            timeout: the time limit in seconds; None takes the client's, `math.inf` waits for ever.
+
+        Raises:
+            LocalError: an argument is wrong, or this is a SIF handler, which cannot wait for one.
+            CallTimeout: none came in time.
+            LinkError: the link is lost or closed.
+        """
+        limit_s = self._limit_s(timeout)
+        with self.sifs(opcodes) as stream:
+            return stream.wait(limit_s)
 
     # ------------------------------------------------------------------ end
 
@@ -297,6 +397,11 @@ class Client(ClientBase):
         self.close()
 
     # ------------------------------------------------------------------ machinery
+
+    def _load(self) -> None:
+        """Fetch the function map and the interface, unless they were."""
+        if self._device.functions is None or not self._device.asked_for_interface:
+            self._drive(self._load_functions(), self._device_limits(self.now()))
 
     def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
         try:

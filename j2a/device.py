@@ -10,7 +10,8 @@ functions.
 import logging
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Final, Self, TypeVar, overload
+from functools import partial
+from typing import TYPE_CHECKING, Final, Self, TypeVar
 
 from j2a_spec.constants import (
     BYTE_TIMEOUT_MS,
@@ -24,8 +25,9 @@ from j2a_spec.constants import (
 
 from j2a.errors import LinkClosed, LocalError
 from j2a.io.connection import Connection
-from j2a.io.functions import CallFunction, DebugText, FunctionTable, ManyFunction
+from j2a.io.functions import DebugText
 from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
+from j2a.io.registration import FunctionRegistry
 from j2a.protocol.arguments import check_opcode, check_payload
 from j2a.protocol.server import Server
 from j2a.protocol.trace import Trace
@@ -35,9 +37,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Device"]
 
-_F = TypeVar("_F", bound=Callable[..., object])
-_CallF = TypeVar("_CallF", bound=CallFunction)
-_ManyF = TypeVar("_ManyF", bound=ManyFunction)
 _logger = logging.getLogger("j2a")
 _Member = TypeVar("_Member")
 _RXBUF: Final = 4096
@@ -47,7 +46,7 @@ FILES_PER_HOST: Final = 3
 OTHER_FILES: Final = 32
 
 
-class Device:
+class Device(FunctionRegistry):
     """The server side of J2A.
 
     It answers each valid request by one reply, in order (J2A-DISP-001, J2A-DISP-002).
@@ -57,8 +56,8 @@ class Device:
         device = j2a.Device({"name": "thermometer"})
 
         @device.function
-        def read_celsius(payload: bytes) -> bytes:
-            return struct.pack("<f", 21.5)
+        def read_temperature() -> Annotated[j2a.f32, "Cel"]:
+            return 21.5
 
         with j2a_transports.listen("tcp://127.0.0.1:5000") as listener:
             device.serve_forever(listener)
@@ -66,7 +65,9 @@ class Device:
     Args:
         properties: keys and values that a host can read. `j2a.spec` and `j2a.rxbuf` are added
             unless they are given, and `j2a.room` where the room is less than 255. Optional parts
-            are announced as `{"j2a.caps": "token token"}` (J2A-CAP-001).
+            are announced as `{"j2a.caps": "token token"}` (J2A-CAP-001); `interface` is added.
+        interface: hosts can read the signatures of its functions (J2A-IFACE-001). Without it they
+            know names only, and all of these have to fit into 255 bytes.
         room: the longest payload of a request that it accepts, 32..255 bytes; it answers longer
             ones by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). Use it to test hosts with a small device.
         byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
@@ -85,6 +86,7 @@ class Device:
         self,
         properties: Mapping[str, str] | None = None,
         *,
+        interface: bool = True,
         room: int = MAX_PAYLOAD,
         byte_timeout_s: float = BYTE_TIMEOUT_MS / 1000,
         trace: Trace | None = None,
@@ -101,7 +103,7 @@ class Device:
         known = {PROP_SPEC: SPEC_VERSION, PROP_RXBUF: str(_RXBUF)}
         if room < MAX_PAYLOAD:
             known[PROP_ROOM] = str(room)
-        self._table = FunctionTable({**known, **(properties or {})}, self._take_debug, room)
+        super().__init__({**known, **(properties or {})}, self._take_debug, room, interface)
         self._byte_timeout_s = byte_timeout_s
         self.trace = trace
         self._calling = threading.Lock()
@@ -111,52 +113,6 @@ class Device:
         self._connections: dict[Connection, None] = {}
         self._listeners: dict[Listener, None] = {}
         self._stopped = False
-
-    # ------------------------------------------------------------------ registration
-
-    @property
-    def functions(self) -> dict[str, int]:
-        """Names and opcodes of all functions, built-in ones first."""
-        return {name: opcode for opcode, name in enumerate(self._table.names)}
-
-    @overload
-    def function(self, name: _CallF) -> _CallF: ...
-    @overload
-    def function(self, name: str | None = None) -> Callable[[_CallF], _CallF]: ...
-    def function(self, name: CallFunction | str | None = None) -> object:
-        """Register a function that hosts call with up to 255 bytes, or its room; a decorator.
-
-        The function takes the payload of the request and returns the payload of the reply, a
-        return code 0..0xEF (0xFF is failure), a tuple of both, or None. An exception or any other
-        code becomes 0xFF (J2A-DISP-003, J2A-DISP-004).
-
-        Args:
-            name: what hosts call it, printable ASCII without spaces; without it the function's own.
-
-        Raises:
-            RegistrationError: the name is wrong or taken, the function map is full, or the function
-                is async or a generator.
-        """
-        return _decorator(self._table.add_call, name)
-
-    @overload
-    def many(self, name: _ManyF) -> _ManyF: ...
-    @overload
-    def many(self, name: str | None = None) -> Callable[[_ManyF], _ManyF]: ...
-    def many(self, name: ManyFunction | str | None = None) -> object:
-        """Register a function for transfers of any size in chunks (a2jMany); a decorator.
-
-        The function takes a `ManyRequest` and returns a `ManyReply`, once for each chunk
-        (J2A-MANY-002, J2A-MANY-007); `read_chunk` serves reads of content that is there as a whole.
-
-        Args:
-            name: what hosts call it, printable ASCII without spaces; without it the function's own.
-
-        Raises:
-            RegistrationError: the name is wrong or taken, the function map is full, or the function
-                is async or a generator.
-        """
-        return _decorator(self._table.add_many, name)
 
     # ------------------------------------------------------------------ speaking unasked
 
@@ -180,6 +136,41 @@ class Device:
         with self._lock:
             connections = list(self._connections)
         return sum(connection.send_sif(opcode, data) for connection in connections)
+
+    def describe_sif(
+        self, name: str, opcode: int, fields: str | type = "()", doc: str = ""
+    ) -> Callable[..., int]:
+        """Describe the SIFs of an opcode, so that hosts find them by name.
+
+        Args:
+            name: up to 32 letters, digits and underscores.
+            opcode: 0..255.
+            fields: what a payload holds, such as "(count u32, level f32 mV)", or an annotated
+                dataclass or `NamedTuple`.
+            doc: one line for people.
+
+        Returns: a function that takes the values, in order or by name, and sends them as `send`.
+
+        Raises:
+            RegistrationError: the name or the opcode is described already, or cannot be.
+            SignatureError: the fields are wrong.
+        """
+        self._add_sif(name, opcode, fields, doc)
+        return partial(self.send, name)
+
+    def send(self, sif: str, /, *values: object, **named: object) -> int:
+        """Send the values of a described SIF to every connected host; see `send_sif`.
+
+        Args:
+            sif: its name.
+            values, named: one for each field.
+
+        Returns: how many hosts it goes to.
+
+        Raises:
+            LocalError: no SIF has the name, or a value is not what its field takes.
+        """
+        return self.send_sif(*self._pack_sif(sif, values, named))
 
     def debug(self, text: str) -> None:
         """Append text to what hosts read through a2jDebug; the oldest is lost beyond 4 KiB.
@@ -333,15 +324,3 @@ def _dispensable(connections: Iterable[Connection], idle_s: float) -> Connection
         return silent[0]
     quietest = max(connections, key=lambda connection: connection.silent_s)
     return quietest if quietest.silent_s >= idle_s else None
-
-
-def _decorator(register: Callable[[str, _F], None], name: _F | str | None) -> object:
-    if name is None or isinstance(name, str):
-
-        def decorate(function: _F) -> _F:
-            register(function.__name__ if name is None else name, function)
-            return function
-
-        return decorate
-    register(name.__name__, name)
-    return name

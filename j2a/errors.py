@@ -11,7 +11,14 @@ device may have acted.
 from enum import Enum
 from typing import Final, Self
 
-from j2a_spec.constants import ERR_CHECKSUM, ERR_FRAMING, ERR_OPCODE, ERR_TIMEOUT, RET_FAILED
+from j2a_spec.constants import (
+    ERR_CHECKSUM,
+    ERR_FRAMING,
+    ERR_OPCODE,
+    ERR_TIMEOUT,
+    RET_FAILED,
+    RET_MAX,
+)
 from j2a_spec.printable import printable
 
 __all__ = [
@@ -20,8 +27,10 @@ __all__ = [
     "CallTimeout",
     "ChecksumRefused",
     "DamageReported",
+    "Fail",
     "FramingRefused",
     "FunctionFailed",
+    "InterfaceChanged",
     "J2AError",
     "LegacyLimit",
     "LinkClosed",
@@ -36,9 +45,15 @@ __all__ = [
     "ProtocolError",
     "RegistrationError",
     "RemoteError",
+    "SignatureError",
     "UnknownFunction",
     "UnsupportedVersion",
+    "WrongArgument",
 ]
+
+
+_NEAR: Final = 20
+"""Characters of a wrong text that a message shows."""
 
 
 class Outcome(Enum):
@@ -70,7 +85,8 @@ class J2AError(Exception):
 
     def __str__(self) -> str:
         # Names and text of the device may be part of it, and a traceback prints it to a terminal.
-        return printable(super().__str__())
+        # Not that of KeyError, which puts the message in quotes.
+        return printable(Exception.__str__(self))
 
     def copy(self, text: str, outcome: Outcome) -> Self:
         """Return an error like this one with another message and outcome.
@@ -87,7 +103,7 @@ class LocalError(J2AError, ValueError):
     outcome = Outcome.NOT_SENT
 
 
-class UnknownFunction(LocalError, LookupError):
+class UnknownFunction(LocalError, KeyError):
     """The device has no function of that name."""
 
 
@@ -97,6 +113,63 @@ class PayloadTooLong(LocalError):
 
 class RegistrationError(LocalError):
     """A device cannot take this function or property."""
+
+
+class WrongArgument(LocalError, TypeError):
+    """An argument is not what the signature of the function takes (J2A-TYPE-008)."""
+
+
+class SignatureError(LocalError):
+    """A signature or an interface breaks the rules of its language.
+
+    Attributes:
+        text: the line that is wrong.
+        position: number of the character in it, from 0.
+        line: number of the line in an interface, from 1; None for a signature.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        text: str = "",
+        position: int = 0,
+        line: int | None = None,
+        *,
+        outcome: Outcome | None = None,
+    ) -> None:
+        super().__init__(message, text, position, line, outcome=outcome)
+        self.text = text
+        self.position = position
+        self.line = line
+
+    @classmethod
+    def at(cls, what: str, text: str, position: int, line: int | None = None) -> Self:
+        """Return the error of a text, with the place in its message."""
+        place = f"character {position + 1}"
+        if line is not None:
+            place = f"line {line}, {place}"
+        near = text[position:][:_NEAR]
+        return cls(
+            f"{what} ({place}, {f'at {near!r}' if near else 'at the end'})", text, position, line
+        )
+
+    def __str__(self) -> str:
+        return printable(str(self.args[0]))
+
+
+class Fail(Exception):
+    """Raised by a function of a device, which then returns a code and an empty payload.
+
+    Args:
+        code: from 1 to 0xEF, which a host gets as `FunctionFailed.code`; 0xFF says nothing more
+            (J2A-TYPE-006).
+    """
+
+    def __init__(self, code: int = RET_FAILED) -> None:
+        if not isinstance(code, int) or (not 1 <= code <= RET_MAX and code != RET_FAILED):
+            raise LocalError(f"a function fails by a code from 1 to 0xEF, or 0xFF, not {code!r}")
+        super().__init__(f"the function failed by code 0x{code:02X}")
+        self.code = code
 
 
 class BadUrl(LocalError):
@@ -144,6 +217,12 @@ class LegacyLimit(J2AError):
     """A device of version 1.0 may not support a transfer of this size (J2A-MANY-014)."""
 
     outcome = Outcome.ANSWERED
+
+
+class InterfaceChanged(J2AError):
+    """The device describes other functions than the program was made for."""
+
+    outcome = Outcome.NOT_SENT
 
 
 class UnsupportedVersion(J2AError):
@@ -201,7 +280,11 @@ class FramingRefused(DamageReported):
 
 
 class FunctionFailed(RemoteError):
-    """A function that transfers by a2jMany returned 0xF0 or above."""
+    """A function failed, and says no more than its code.
+
+    A described function has returned another value than 0x00 (J2A-TYPE-007), one that transfers by
+    a2jMany 0xF0 or above, or any function 0xFF in a call that is checked.
+    """
 
 
 _DOUBT: Final = (

@@ -6,7 +6,7 @@ times as much to build; what is made less often is a dataclass.
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from j2a_spec.constants import RET_MAX
 
@@ -61,12 +61,15 @@ class Sif:
         payload: 0..255 bytes.
         seq: the device's SIF counter, 0..255.
         missed: how many SIFs the counter skipped just before this one, 0..255.
+        values: a named tuple of what the payload holds, for those who ask for the SIF by its name;
+            else None.
     """
 
     opcode: int
     payload: bytes
     seq: int
     missed: int
+    values: Any = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -119,6 +119,7 @@ def header(name: str) -> str:
         "",
         opening,
         *merger.lines(LISTS),
+        *merger.lines(CORE / "j2a_typed.h"),
         "#if J2A_DEF_FILES",
         *merger.lines(CORE / "j2a_functions.h"),
         "#endif",
@@ -131,8 +132,9 @@ def header(name: str) -> str:
 def source(name: str) -> str:
     """Return the text of the C file."""
     merger = Merger()
-    list(merger.lines(LISTS))  # all of that is in the header
-    merger.done.add(CORE / "j2a_functions.h")
+    for path in (LISTS, CORE / "j2a_typed.h", CORE / "j2a_functions.h"):
+        if path not in merger.done:
+            list(merger.lines(path))  # all of that is in the header
     table = CORE / "j2a_table.c"
     last = CORE / "ext" / "j2a_selftest.c"  # long, for the vectors
     files = [path for path in sorted(CORE.rglob("*.c")) if path not in {table, last}]

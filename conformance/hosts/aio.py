@@ -5,8 +5,11 @@ of the opcode 0xE0. What flows out: the outcome of each job, as the payload of t
 """
 
 import asyncio
+import json
 import sys
 import zlib
+from itertools import zip_longest
+from typing import Any
 
 import j2a
 
@@ -69,6 +72,9 @@ class Host:
                 case ["call", function, data, ms]:
                     reply = await self.board.call(name(function), take(data), int(ms) / 1000)
                     return f"reply {reply.code} {spell(reply.payload)}"
+                case ["typed", function, arguments, ms]:
+                    typed = self.board.functions[function].with_timeout(int(ms) / 1000)
+                    return f"values {spell_values(await typed(*take_values(typed, arguments)))}"
                 case ["read", function, ms]:
                     limit_s = int(ms) / 1000
                     content = await self.board.read_many(
@@ -130,6 +136,24 @@ def take(word: str) -> bytes:
     """Take data from a job: `-`, hex digits, or `COUNT*HEX`."""
     count, star, unit = word.rpartition("*")
     return b"" if word == "-" else bytes.fromhex(unit) * int(count if star else 1)
+
+
+def take_values(function: j2a.AsyncFunction, word: str) -> list[Any]:
+    """Take the arguments of a typed call: JSON, bytes as a list of numbers."""
+    values: list[Any] = json.loads(word)
+    if function.signature is None:
+        return values
+    fields = zip_longest(values, function.signature.parameters)
+    return [
+        bytes(value) if field and field.type.element == "bytes" else value
+        for value, field in fields
+    ][: len(values)]
+
+
+def spell_values(values: object) -> str:
+    """Spell the result of a typed call: JSON without spaces."""
+    text = json.dumps(values, separators=(",", ":"), default=list)
+    return text.replace(" ", r"\u0020")
 
 
 def spell(data: bytes) -> str:

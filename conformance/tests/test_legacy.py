@@ -22,7 +22,7 @@ _SPEC = importlib.util.spec_from_file_location("firmware_2014", _PATH)
 firmware_2014 = sys.modules["firmware_2014"] = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(firmware_2014)
 BUILDS, Firmware2014 = firmware_2014.BUILDS, firmware_2014.Firmware2014
-LEGACY = Rules.of("legacy-2014")
+LEGACY = Rules.of_profile("legacy-2014")
 SLOW = (
     *("timing.", "scenario-", "frame.pieces", "frame.lengths", "frame.interrupted-anywhere"),
     *("frame.sos-to-device", "stuff.escape-ff-anywhere", "seq.", "limits.window"),

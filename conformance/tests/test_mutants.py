@@ -206,7 +206,7 @@ def test_a_mutant_that_answers_nothing_is_an_error(judge):
 
 def test_a_core_that_hangs_is_an_error(judge):
     start = "    j2a_tx_byte(start);"
-    hang = "    static uint8_t sent;\n    if (++sent > 13)\n        for (;;)\n            ;\n"
+    hang = "    static uint8_t sent;\n    if (++sent > 25)\n        for (;;)\n            ;\n"
     status, printed = judge(Edit("firmware/core/j2a_tx.c", start, hang + start), like=QUICK)
     assert status == 1
     assert "nothing answers after dispatch.reserved-values" in printed

@@ -11,13 +11,11 @@ from j2a_conformance import Verdict, load, run
 from j2a_conformance.cli import main
 from j2a_conformance.device._testee import load_testee
 from j2a_conformance.reports import _json
-from j2a_spec.capabilities import ANNOUNCED
 
 FOLDER = Path(__file__).parents[1] / "testees"
 NOTHING_LOST = {"limits.overrun"}
 NO_SELF_TEST = {"properties.selftest"}  # such a build is for bringing a port up
 NOT_OURS = NO_SELF_TEST | {"limits.room"}  # for devices with less room
-NOT_OURS |= {case.ID for case in load() if case.LEVEL in ANNOUNCED}
 
 
 @pytest.fixture

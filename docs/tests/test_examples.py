@@ -122,6 +122,17 @@ def test_thermometer():
             process.terminate()
 
 
+def test_types():
+    program = [sys.executable, EXAMPLES / "typed_device.py", "tcp://127.0.0.1:0"]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            found = process.stdout.readline().split()[-1]
+            printed = run(EXAMPLES / "typed_host.py", found)
+            assert f"```text\n{printed}```" in (ROOT / "docs/types.md").read_text()
+        finally:
+            process.terminate()
+
+
 @pytest.mark.avr
 def test_simulated_usb(build_firmware):
     elf = build_firmware("demo", port="avr-usb", MCU="atmega32u4", SERIAL="0042")
@@ -183,14 +194,16 @@ def test_the_first_application_works(firmware):
 
 def test_the_readme_shows_the_first_application():
     readme = (ROOT / "README.md").read_text()
-    [function] = re.findall(r"^uint8_t app_add.*?^}\n", readme, re.DOTALL | re.MULTILINE)
+    [function] = re.findall(r"^int32_t app_add.*?^}\n", readme, re.DOTALL | re.MULTILINE)
     assert function in (EXAMPLES / "first/app.c").read_text()
     assert (EXAMPLES / "first/functions.def").read_text().strip() in readme
 
 
 def test_the_reference_has_every_public_name_of_the_library():
     page = (ROOT / "docs/api/j2a.md").read_text()
-    listed = set(re.findall(r"\.\. auto(?:class|function|exception|data):: (\w+)", page))
+    parts = re.split(r"\.\. currentmodule:: j2a$|^\.\. automodule:: j2a\.types", page, flags=re.M)
+    own = "".join(part for part in parts if not part.startswith(".model"))
+    listed = set(re.findall(r"\.\. auto(?:class|function|exception|data):: (\w+)$", own, re.M))
     assert listed == set(j2a.__all__)
 
 

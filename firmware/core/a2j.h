@@ -23,7 +23,7 @@ typedef j2a_many_fn *const CMD_P_MANY;
 #define STARTJ STARTJT /* as printed in listing 7.2 */
 #define ADDLJT ADDJT /* as printed in listing 7.3 */
 #define ADDJT(function) J2A_ENTRY(function, A2J_KIND(function))
-#define ENDJT J2A_TABLE_END
+#define ENDJT J2A_TABLE_END J2A_NO_DEFINITIONS
 
 #define A2J_IS(function, type) __builtin_types_compatible_p(__typeof__(&(function)), type)
 /* The array has a negative size when the function is neither a CMD_P nor a CMD_P_MANY. */
@@ -44,10 +44,10 @@ typedef j2a_many_fn *const CMD_P_MANY;
 #if J2A_WITH_PROPERTIES
 extern unsigned char const a2j_props[] __asm__("j2a_properties"); /* the name that the core looks for */
 
-/* a2jGetProperties of such a device: j2a.room and j2a.spec as the first chunk, then the user's. */
+/* a2jGetProperties of such a device: j2a.room, j2a.caps and j2a.spec as the first chunk, then the user's. */
 static inline uint8_t a2j_get_properties(bool *is_last, bool is_write, uint32_t *const offset,
                                          uint8_t *const length, uint8_t **const data) {
-    static uint8_t spec[] = J2A_PROPERTY_ROOM "j2a.spec\0" J2A_SPEC_VERSION;
+    static uint8_t spec[] = J2A_PROPERTY_ROOM J2A_PROPERTY_CAPS "j2a.spec\0" J2A_SPEC_VERSION;
     uint8_t code;
     if (!is_write && *offset < sizeof spec) {
         *is_last = false;

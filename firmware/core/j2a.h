@@ -9,6 +9,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "j2a_numbers.h"
 #include "j2a_options.h"
 #include "j2a_port.h"
 #include "j2a_progmem.h"
@@ -79,16 +80,6 @@ void j2a_selftest(void);
 #else
 #define j2a_selftest() ((void)0)
 #endif
-
-/* Reads a number from a payload.
- * bytes: 4 bytes, the least significant first.
- * Returns the number. */
-uint32_t j2a_get_u32(const uint8_t *bytes);
-
-/* Writes a number into a payload.
- * bytes: room for 4 bytes, the least significant first.
- * value: the number. */
-void j2a_put_u32(uint8_t *bytes, uint32_t value);
 
 /* The application implements: its share of the main loop; must return soon. */
 void j2a_app_task(void);

@@ -4,6 +4,7 @@
 
 #include <stddef.h>
 
+#include "j2a_state.h"
 #include "j2a_table.h"
 
 /* What waits for j2a_process(): nothing, a frame, or the error code to be sent (0xF0 and up). */
@@ -11,24 +12,6 @@ enum { J2A_EVENT_NONE, J2A_EVENT_FRAME };
 
 /* Of a2jGetProperties where it is built in: only a2jGetMapping and a2jMany stand before it (J2A-DISP-009). */
 enum { J2A_PROPERTIES_OPCODE = 2 };
-
-/* The state of one link, most of it the parser's. Bytes are refused while an event waits, so the frame
- * stays as it is. */
-typedef struct {
-    volatile uint8_t event;
-    uint8_t state;       /* what the next byte is, and whether the last one was ESC */
-    uint8_t checksum;    /* over the bytes so far */
-    uint8_t count;       /* payload bytes so far */
-    uint8_t seq;
-    uint8_t opcode;      /* of the request */
-    uint8_t length;      /* of the request's payload; of the error's where event is one */
-    uint16_t last_ticks; /* when a byte was last taken */
-#if J2A_WITH_SIF
-    uint8_t sif_seq;     /* of the next SIF */
-#endif
-    uint8_t payload[J2A_ROOM]; /* last: what is near the start is reached by shorter code */
-} j2a_rx_t;
-extern j2a_rx_t j2a_rx_of[J2A_LINKS];
 
 /* Returns the state of the link that is served. Functions keep it: on an AVR what is reached by a pointer
  * takes half the code of what has an address. */
@@ -46,6 +29,32 @@ void j2a_rx_timeout(void);
 
 /* Sends one frame. start: J2A_SOF or J2A_SOS. */
 void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload);
+
+#if J2A_WITH_SELFTEST || J2A_WITH_INTERFACE
+/* Puts one more property, with key and value, behind the *length bytes of data, as far as it is in the chunk that
+ * begins at `offset` of the list. at: where in the list the property begins. *is_last: false if it goes on. */
+J2A_INLINE void j2a_append(const char *property, uint8_t size, size_t at, uint32_t offset, bool *is_last,
+                           uint8_t *length, uint8_t *data) {
+    uint8_t i;
+    for (i = 0; i < size; i++, at++) {
+        if (at < offset)
+            continue;
+        if (*length == J2A_ROOM_MANY) {
+            *is_last = false;
+            break;
+        }
+        data[(*length)++] = (uint8_t)property[i];
+    }
+}
+#endif
+
+/* The property j2a.interface, see j2a_append(), and its bytes. */
+#if J2A_WITH_INTERFACE
+enum { J2A_INTERFACE_BYTES = sizeof "j2a.interface" + sizeof "01234567" };
+#else
+enum { J2A_INTERFACE_BYTES = 0 };
+#endif
+void j2a_interface_property(size_t at, uint32_t offset, bool *is_last, uint8_t *length, uint8_t *data);
 
 /* The end of the list of properties: puts the key and the value of j2a.selftest, of which the first
  * byte is number `at` of the list, behind the *length bytes of data; see j2a_get_properties(). */

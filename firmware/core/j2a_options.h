@@ -48,8 +48,19 @@
 #error "J2A_WITH_SELFTEST=1 needs J2A_WITH_PROPERTIES=1, because the result is a property"
 #endif
 
+/* Signatures of the functions, a2jGetInterface and their texts in flash. Off: functions have names only. */
+#ifndef J2A_WITH_INTERFACE
+#define J2A_WITH_INTERFACE 0
+#endif
+#if J2A_WITH_INTERFACE && !J2A_WITH_MAPPING
+#error "J2A_WITH_INTERFACE=1 needs J2A_WITH_MAPPING=1, because hosts find it by both"
+#endif
+#if J2A_WITH_INTERFACE && !J2A_WITH_PROPERTIES
+#error "J2A_WITH_INTERFACE=1 needs J2A_WITH_PROPERTIES=1, because hosts find it by both"
+#endif
+
 #if ((J2A_WITH_MAPPING | J2A_WITH_MANY | J2A_WITH_PROPERTIES | J2A_WITH_DEBUG | J2A_WITH_SIF | \
-     J2A_WITH_SELFTEST) & ~1) != 0
+     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE) & ~1) != 0
 #error "J2A_WITH_... must be 0 or 1"
 #endif
 

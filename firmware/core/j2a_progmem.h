@@ -13,6 +13,13 @@
 #define J2A_WEAK
 #endif
 
+/* Of a function in a header. SDCC keeps a static one that nobody calls. */
+#ifdef __SDCC
+#define J2A_INLINE inline
+#else
+#define J2A_INLINE static inline
+#endif
+
 #ifdef __AVR__
 #define J2A_KEEP_POINTER(pointer) __asm__("" : "+b"(pointer))
 #define J2A_NOINLINE __attribute__((noinline))

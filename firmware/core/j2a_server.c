@@ -7,18 +7,18 @@
 #define PAUSE_TICKS ((uint16_t)(J2A_PAUSE_MS * J2A_TICKS_PER_MS + 1))
 
 /* Bytes in one call of j2a_poll(): bounded, so that endless noise does not keep the application waiting. */
-enum { TURNS = 255 };
+enum { MAX_BYTES_PER_POLL = 255 };
 
 void j2a_poll(void) {
     j2a_rx_t *const rx = &j2a_rx_of[j2a_link];
     /* Read before the bytes are taken: only then does "no byte" mean that none came before now. */
     const uint16_t now_ticks = j2a_port_ticks();
-    uint8_t turns = TURNS;
+    uint8_t left = MAX_BYTES_PER_POLL;
     int16_t byte;
 
-    for (; turns != 0 && rx->event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0; turns--)
+    for (; left != 0 && rx->event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0; left--)
         j2a_rx_parse((uint8_t)byte);
-    if (turns != TURNS)
+    if (left != MAX_BYTES_PER_POLL)
         rx->last_ticks = j2a_port_ticks(); /* anew, because taking the bytes took its time */
     else if (rx->event == J2A_EVENT_NONE && (uint16_t)(now_ticks - rx->last_ticks) >= PAUSE_TICKS)
         j2a_rx_timeout();
@@ -113,8 +113,8 @@ void j2a_process(void) {
 
 void j2a_task(void) {
 #if J2A_LINKS > 1
-    uint8_t turns;
-    for (turns = J2A_LINKS; turns != 0; turns--) {
+    uint8_t links;
+    for (links = J2A_LINKS; links != 0; links--) {
         j2a_poll();
         j2a_process();
         j2a_link = (uint8_t)((j2a_link + 1) % J2A_LINKS);

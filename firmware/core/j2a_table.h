@@ -22,7 +22,7 @@ typedef void (*j2a_function)(void);
 typedef struct {
     j2a_function function; /* none at opcode 0 without the map */
 #if J2A_WITH_MAPPING
-    const char *name;
+    const char *name; /* and what follows it in the line of the interface */
 #endif
 #if J2A_WITH_MANY
     uint8_t kind;
@@ -31,6 +31,9 @@ typedef struct {
 
 extern const j2a_entry j2a_builtins[];   /* J2A_BUILTIN_COUNT of them */
 extern const j2a_entry j2a_functions[];  /* the application's */
+#if J2A_WITH_INTERFACE
+extern const char j2a_definitions[];     /* of types and SIFs, each with a line feed */
+#endif
 extern const uint8_t j2a_function_count; /* of both; not in flash, so that link-time optimisation folds it */
 
 /* key NUL value NUL ..., and one more NUL (an empty key) at the end */
@@ -46,6 +49,14 @@ extern const unsigned char j2a_properties[];
 extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100 ? 3 : 4) ? 1 : -1];
 #else
 #define J2A_PROPERTY_ROOM
+#endif
+
+/* The capabilities that the core announces (J2A-CAP-001): a token behind each that is built in, and of the first
+ * one no space. */
+#if J2A_WITH_INTERFACE
+#define J2A_PROPERTY_CAPS "j2a.caps\0" "interface" "\0"
+#else
+#define J2A_PROPERTY_CAPS
 #endif
 
 /* The built-in functions in opcode order, as CALL(name on the wire, C function) or MANY(...). */
@@ -70,13 +81,19 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
 #else
 #define J2A_IF_DEBUG(text)
 #endif
+#if J2A_WITH_INTERFACE
+#define J2A_IF_INTERFACE(text) text
+#else
+#define J2A_IF_INTERFACE(text)
+#endif
 #define J2A_BUILTINS(CALL, MANY) \
     J2A_IF_MAPPING(CALL(a2jGetMapping, j2a_get_mapping)) \
     J2A_IF_MANY(CALL(a2jMany, j2a_many)) \
     J2A_IF_PROPERTIES(MANY(a2jGetProperties, j2a_get_properties)) \
     J2A_IF_DEBUG(CALL(a2jDebug, j2a_get_debug)) \
     CALL(a2jEcho, j2a_echo) \
-    J2A_IF_MANY(MANY(a2jEchoMany, j2a_echo_many))
+    J2A_IF_MANY(MANY(a2jEchoMany, j2a_echo_many)) \
+    J2A_IF_INTERFACE(MANY(a2jGetInterface, j2a_get_interface))
 /* End of what is generated. */
 
 #define J2A_DECLARED_CALL(name, function) J2A_DECLARE_CALL(function);
@@ -133,6 +150,13 @@ J2A_BUILTINS(J2A_TAKEN, J2A_TAKEN)
 #define J2A_TABLE_BEGIN const j2a_entry J2A_FLASH j2a_functions[] = {
 #define J2A_TABLE_END J2A_NO_ENTRY}; \
     const uint8_t j2a_function_count = J2A_BUILTIN_COUNT + sizeof j2a_functions / sizeof j2a_functions[0] - 1;
+
+/* Behind a table whose functions use no types of their own. */
+#if J2A_WITH_INTERFACE
+#define J2A_NO_DEFINITIONS const char J2A_FLASH j2a_definitions[] = "";
+#else
+#define J2A_NO_DEFINITIONS
+#endif
 
 #ifdef __cplusplus
 }

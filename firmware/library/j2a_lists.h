@@ -130,7 +130,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #endif
 
 /* The map must fit into one frame: a negative array size stops the build when it does not. */
-#if J2A_WITH_MAPPING
+#if J2A_WITH_MAPPING && !J2A_WITH_INTERFACE
 #define J2A_SIZE_OF_J2A_CALL(name, function) + sizeof #name
 #define J2A_SIZE_OF_
 #define J2A_CHECK_SIZE_(...) \
@@ -144,7 +144,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
     J2A_EACH_(J2A_KIND_OF, __VA_ARGS__) \
     J2A_EACH_(J2A_NAME_OF, __VA_ARGS__) \
     J2A_CHECK_SIZE_(__VA_ARGS__) \
-    J2A_TABLE_BEGIN J2A_EACH_(J2A_ENTRY_OF, __VA_ARGS__) J2A_TABLE_END \
+    J2A_TABLE_BEGIN J2A_EACH_(J2A_ENTRY_OF, __VA_ARGS__) J2A_TABLE_END J2A_NO_DEFINITIONS \
     extern const uint8_t j2a_function_count /* takes the semicolon of the user */
 
 #define J2A_VALUE_OF_J2A_PROPERTY(key, value) key "\0" value "\0"
@@ -156,7 +156,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #if J2A_WITH_PROPERTIES
 #define J2A_PROPERTIES(...) \
     J2A_EACH_(J2A_FULL_OF, __VA_ARGS__) \
-    const unsigned char J2A_FLASH j2a_properties[] = J2A_PROPERTY_ROOM "j2a.spec\0" J2A_SPEC_VERSION "\0" \
+    const unsigned char J2A_FLASH j2a_properties[] = J2A_PROPERTY_ROOM J2A_PROPERTY_CAPS "j2a.spec\0" J2A_SPEC_VERSION "\0" \
         J2A_EACH_(J2A_VALUE_OF, __VA_ARGS__); \
     extern const unsigned char j2a_properties[]
 #else

@@ -21,9 +21,11 @@ OPTIONS = {
     "two links": ["-DJ2A_LINKS=2"],
     "minimal": ["-DJ2A_ROOM=32", *(f"-DJ2A_WITH_{name}=0" for name in MINIMAL.split())],
     "self-test": ["-DJ2A_WITH_SELFTEST=1"],
+    "interface": ["-DJ2A_WITH_INTERFACE=1", "-DJ2A_WITH_SELFTEST=1"],
 }
 MAIN_PORT = "ports/cortex-m"  # with interrupts; its j2a_port_config.h is read with the core
 DEFINES = ["-DJ2A_RXBUF=64", "-DDEMO_STORE_BYTES=1024", "-DBAUD=115200u"]
+TYPED = ["apps/demo", "tests/typed"]
 CORE = sorted(FIRMWARE.glob("core/**/*.c"))
 CLOCK = FIRMWARE / "ports/common/avr_clock.c"  # of the AVR's ports
 COMMON = sorted({*FIRMWARE.glob("ports/common/*.c")} - {CLOCK})
@@ -106,13 +108,49 @@ def test_cppcheck_finds_nothing(need: Callable[[str], None], options: list[str])
     assert (result.returncode, result.stdout + result.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("folder", ["ports/posix", "apps/demo"])
-def test_cppcheck_finds_nothing_in_posix_and_demo(need: Callable[[str], None], folder: str) -> None:
+def test_cppcheck_finds_nothing_in_posix(need: Callable[[str], None]) -> None:
     need("cppcheck")
-    sources = sorted((FIRMWARE / folder).glob("*.c"))
-    where = includes("ports/posix", "apps/demo")
-    result = cppcheck("--enable=all", "--suppress=constParameter", *where, *sources)
+    sources = sorted((FIRMWARE / "ports/posix").glob("*.c"))
+    result = cppcheck(
+        "--enable=all", "--suppress=constParameter", *includes("ports/posix"), *sources
+    )
     assert (result.returncode, result.stdout + result.stderr) == (0, "")
+
+
+def preprocessed(out: Path, source: Path, app: str) -> Path:
+    """Preprocess a file of an app with typed functions, whose macros cppcheck does not expand."""
+    where = includes("ports/posix", app)
+    command = ["gcc", "-std=c99", "-E", *DEFINES, "-DJ2A_WITH_INTERFACE=1", *where, source]
+    result = run(*command, "-o", out / source.name)
+    assert result.returncode == 0, result.stderr
+    return out / source.name
+
+
+def test_cppcheck_finds_nothing_in_the_demo(need: Callable[[str], None], tmp_path: Path) -> None:
+    need("cppcheck")
+    source = preprocessed(tmp_path, FIRMWARE / "apps/demo/app.c", "apps/demo")
+    result = cppcheck("--enable=all", "--suppress=constParameter", source)
+    assert (result.returncode, result.stdout + result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("app", TYPED)
+def test_cppcheck_finds_nothing_in_typed_functions(
+    need: Callable[[str], None], app: str, tmp_path: Path
+) -> None:
+    """What macros make is not asked for style."""
+    need("cppcheck")
+    source = preprocessed(tmp_path, FIRMWARE / "core/j2a_table.c", app)
+    result = cppcheck("--enable=warning,performance,portability", "--inconclusive", source)
+    assert (result.returncode, result.stdout + result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("app", TYPED)
+def test_clang_tidy_finds_nothing_in_typed_functions(need: Callable[[str], None], app: str) -> None:
+    need("clang-tidy")
+    machine = [*TARGETS["cortex-m"], "-ffreestanding", "-DJ2A_WITH_INTERFACE=1"]
+    sources = [FIRMWARE / "core/j2a_table.c", FIRMWARE / app / "app.c"]
+    result = clang_tidy(sources, [*machine, *includes(MAIN_PORT, app)])
+    assert (result.returncode, result.stdout) == (0, ""), result.stderr
 
 
 @pytest.mark.parametrize("port", TARGETS)
@@ -262,7 +300,8 @@ def test_misra_rules_are_those_of_the_page(need: Callable[[str], None]) -> None:
     result = cppcheck(
         "--enable=style",
         "--addon=misra",
-        *includes(MAIN_PORT, "apps/demo"),
+        "-DJ2A_WITH_INTERFACE=1",
+        *includes(MAIN_PORT, "apps/builtins"),
         *CORE,
         *COMMON,
     )

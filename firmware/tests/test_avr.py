@@ -11,7 +11,8 @@ from j2a_spec.oracle import Frame, decode, encode
 
 pytestmark = pytest.mark.avr
 
-NAMES = [*c.BUILTINS, "getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
+DEMO = ("getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns")
+NAMES = [*c.BUILTINS, "a2jGetInterface", *DEMO]
 OPCODE = {name: opcode for opcode, name in enumerate(NAMES)}
 ECHO = OPCODE[c.GET_ECHO]
 RXBUF = 128

@@ -203,11 +203,11 @@ def plain_build(app):
 
 
 FRAME = """static uint8_t down(uint8_t length, uint8_t *payload) {
-    volatile uint8_t frame[100];
-    uint8_t i;
-    for (i = 0; i < 100; i++)
+    volatile uint8_t frame[SIZE];
+    uint16_t i;
+    for (i = 0; i < SIZE; i++)
         frame[i] = (uint8_t)(length + i);
-    payload[0] = frame[length % 100];
+    payload[0] = frame[length % SIZE];
     return 0;
 }"""
 RECURSION = """static __attribute__((noinline)) uint8_t down(uint8_t length, uint8_t *payload) {
@@ -216,12 +216,15 @@ RECURSION = """static __attribute__((noinline)) uint8_t down(uint8_t length, uin
 }"""
 
 
-def test_deep_stack_is_seen(build, tmp_path, checked):
-    elf = build("deep", "avr-serial", APP_DIR=str(deep_app(tmp_path / "deep", FRAME)))
+# The compiler makes room by other instructions from 64 bytes on, and for multiples of 256.
+@pytest.mark.parametrize("size", [50, 100, 255, 256, 300, 512])
+def test_deep_stack_is_seen(build, tmp_path, checked, size):
+    app = deep_app(tmp_path / "deep", FRAME.replace("SIZE", f"{size}"))
+    elf = build("deep", "avr-serial", APP_DIR=str(app))
     stack = avr_run.stack(elf, plain_build("deep"))
     bound = avr_stack.stack_bound(elf, plain_build("deep"))
-    # Deeper than a2jMany, which is the deepest otherwise, by nearly all of the 100 bytes.
-    assert 100 < stack <= bound < checked[1][FULL]["bound"] + 100
+    # Deeper than a2jMany, which is the deepest otherwise, by nearly all of the frame.
+    assert size < stack <= bound < checked[1][FULL]["bound"] + size
 
 
 POINTER = """static uint8_t (*volatile chosen)(uint8_t);

@@ -15,7 +15,8 @@ from j2a_spec.oracle import Frame, encode
 FIRMWARE = Path(__file__).parents[1]
 SWITCHES = ("MAPPING", "PROPERTIES", "SIF", "DEBUG")
 COMBINATIONS = list(itertools.product((1, 0), repeat=len(SWITCHES)))
-USER = re.findall(r"J2A_(?:CALL|MANY)\((\w+)", (FIRMWARE / "apps/demo/functions.def").read_text())
+LIST = (FIRMWARE / "apps/demo/functions.def").read_text("utf-8")
+USER = re.findall(r"J2A_(?:FUNCTION|CALL|MANY)\((\w+)", LIST)
 
 
 def options(combination):
@@ -27,7 +28,8 @@ def table(combination):
     """The names in opcode order with these options."""
     on = dict(zip(SWITCHES, combination, strict=True))
     left_out = {c.GET_PROPERTIES: not on["PROPERTIES"], c.GET_DEBUG: not on["DEBUG"]}
-    return [name for name in c.BUILTINS if not left_out.get(name)] + USER
+    described = ["a2jGetInterface"] if on["MAPPING"] and on["PROPERTIES"] else []
+    return [name for name in c.BUILTINS if not left_out.get(name)] + described + USER
 
 
 @pytest.mark.parametrize("combination", COMBINATIONS, ids=options)
@@ -148,7 +150,7 @@ def test_map_too_long_for_a_frame(make, tmp_path):
     ("functions", "properties", "message"),
     [
         ("J2A_CALL(, f)", "", 'the name "" has other characters'),
-        ("J2A_CALL(twice, f)\nJ2A_CALL(twice, g)", "", "j2a_name_twice"),
+        ("J2A_CALL(twice, f)\nJ2A_CALL(twice, g)", "", "the name twice stands here twice"),
         ("J2A_CALL(a2jEcho, f)", "", "j2a_name_a2jEcho"),
         ("", 'J2A_PROPERTY("", "value")', "j2a_property_is_empty"),
         ("", 'J2A_PROPERTY("key", "")', "j2a_property_is_empty"),

@@ -6,20 +6,29 @@ import signal
 import subprocess
 import termios
 import time
+import zlib
+from pathlib import Path
 
 import pytest
 from j2a_spec import constants as c
 from j2a_spec.grammar import MAPPING, PROPERTIES
 from j2a_spec.oracle import Frame, decode, encode
 
-NAMES = [*c.BUILTINS, "getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
+DEMO = (
+    *("getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns", "divide"),
+    *("echoNumbers", "echoShapes", "echoWords", "echoFirst"),
+)
+NAMES = [*c.BUILTINS, "a2jGetInterface", *DEMO]
 OPCODE = {name: opcode for opcode, name in enumerate(NAMES)}
+INTERFACE = Path(__file__).parents[1] / "apps/demo/interface.txt"
 PROPERTY_VALUES = {
+    "j2a.caps": "interface",
     "name": "J2A demo",
     "serial": "0001",
     "j2a.spec": c.SPEC_VERSION,
     "j2a.rxbuf": "4096",
     "port": "posix",
+    "j2a.interface": f"{zlib.crc32(INTERFACE.read_bytes()):08x}",
 }
 
 

@@ -1,6 +1,7 @@
 """`j2a call`: call a function of a device and print its reply.
 
-In: a function, the words of a payload. Out: the code that the function returned, and its payload.
+In: a function, values or the words of a payload. Out: the results, or the code that the function
+returned and its payload.
 """
 
 from __future__ import annotations
@@ -8,20 +9,27 @@ from __future__ import annotations
 import argparse
 import time
 
-from j2a_spec.constants import MAX_PAYLOAD
+from j2a_spec.constants import MAX_PAYLOAD, RET_OK
 
 import j2a
 from j2a.cli._exit import FAILED, OK, UsageError, error_facts
 from j2a.cli._link import add_json_argument, add_link_arguments, connect, function_of
 from j2a.cli._output import note, show, show_bytes, show_json
+from j2a.cli._typed import VALUES_HELP, json_of, lines_of, takes_values, values_of
 from j2a.cli._values import PAYLOAD_HELP, Decoder, dump, payload_of, text_of
 
 NOTES = f"""\
+{VALUES_HELP}
+
 {PAYLOAD_HELP}
 
+Payload words make the payload of any other function, of one that is given by its opcode, with --as,
+--raw and --bytes, and where a word that cannot be a text is written with its type.
+
 examples:
-  j2a call tcp://127.0.0.1:5000 add i32:1 i32:2 --as i32
-  j2a call tcp://127.0.0.1:5000 7 01 00 00 00 02 00 00 00"""
+  j2a call tcp://127.0.0.1:5000 add 40 2
+  j2a call tcp://127.0.0.1:5000 add i32:40 i32:2 --as i32
+  j2a call tcp://127.0.0.1:5000 7 28 00 00 00 02 00 00 00"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,10 +48,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="print only the bytes of the payload; on a terminal in hex",
     )
+    parser.add_argument(
+        "--bytes",
+        action="store_true",
+        help="take payload words and print bytes, also for a function that the device describes",
+    )
     add_link_arguments(parser)
     parser.add_argument("function", metavar="FUNCTION", help="its name, or its opcode 0..255")
     parser.add_argument(
-        "payload", metavar="PAYLOAD", nargs="*", default=[], help="see below; none: no bytes"
+        "payload",
+        metavar="VALUE",
+        nargs="*",
+        default=[],
+        help="a value or a payload word, see below; none: no bytes",
     )
 
 
@@ -51,14 +68,17 @@ def run(args: argparse.Namespace) -> int:
     """Call, print the reply; returns the exit code."""
     if args.raw and args.types is not None:
         raise UsageError("--as is not allowed with --raw, which prints the bytes as they are")
-    payload = payload_of(args.payload)
-    if len(payload) > MAX_PAYLOAD:
-        raise UsageError(
-            f"the payload has {len(payload)} bytes, {MAX_PAYLOAD} is the most; "
-            "longer data goes through j2a write, if the function is made for it"
-        )
     function = function_of(args.function)
+    is_raw = args.raw or args.bytes or args.types is not None or isinstance(function, int)
+    payload = None
+    if is_raw:
+        payload = _payload(args.payload)
     with connect(args) as client:
+        described = None if is_raw else client.functions.get(args.function)
+        if described is not None and takes_values(described, args.payload):
+            return _call_with_values(described, args)
+        if payload is None:
+            payload = _payload(args.payload)
         start = time.monotonic()
         try:
             reply = client.call(function, payload)
@@ -99,6 +119,40 @@ def run(args: argparse.Namespace) -> int:
     if problem is not None:
         note(f"j2a: {problem}")
         return FAILED
+    return OK
+
+
+def _payload(words: list[str]) -> bytes:
+    payload = payload_of(words)
+    if len(payload) > MAX_PAYLOAD:
+        raise UsageError(
+            f"the payload has {len(payload)} bytes, {MAX_PAYLOAD} is the most; "
+            "longer data goes through j2a write, if the function is made for it"
+        )
+    return payload
+
+
+def _call_with_values(function: j2a.Function, args: argparse.Namespace) -> int:
+    """Call a described function and print its results; returns the exit code."""
+    values = values_of(function, args.payload)
+    if args.timeout is not None:
+        function = function.with_timeout(args.timeout)
+    start = time.monotonic()
+    try:
+        result = function(*values)
+    except j2a.FunctionFailed as error:
+        if args.json:
+            facts = {"function": function.name, "code": error.code, "ok": False}
+            show_json({**facts, "error": error_facts(error, FAILED)})
+        note(f"j2a: {error}")
+        return FAILED
+    round_trip_s = time.monotonic() - start
+    if args.json:
+        facts = {"function": function.name, "code": RET_OK, "ok": True, "result": json_of(result)}
+        show_json({**facts, "round_trip_s": round(round_trip_s, 6)})
+    else:
+        for line in lines_of(function, result):
+            show(line)
     return OK
 
 

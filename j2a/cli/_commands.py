@@ -33,6 +33,8 @@ BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
         "echo": "test a link: send bytes there and back, verify and time them",
         "watch": "print the frames that a device sends unasked (SIFs)",
         "debug": "print the debug text of a device",
+        "stub": "write a typed Python module for the functions of a board",
+        "completion": "a script that lets bash, zsh or fish complete j2a",
         "serve": "be a device: the demo, or one written in Python",
     }
 )

@@ -27,7 +27,7 @@ TERMINATED: Final = 128 + signal.SIGTERM  # 143
 
 EXIT_CODES: Final = {
     OK: "done",
-    FAILED: "the function reported failure (code 0xFF), or data came back different",
+    FAILED: "the function reported failure, or data came back different",
     USAGE: "the command line is wrong, or names what the device or this computer does not have",
     LINK: "the link could not be opened, or was lost",
     TIMEOUT: "no answer in time",

@@ -1,7 +1,7 @@
 """`j2a info`: what a device is and can do.
 
-In: a link. Out: name, version, functions with opcodes, properties and the health of the link;
-without the properties when they cannot be read.
+In: a link. Out: name, version, functions with opcodes and signatures, SIFs, types, properties and
+the health of the link; without the properties when they cannot be read.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import j2a
 from j2a.cli._exit import OK, REMOTE, error_facts, exit_code
 from j2a.cli._link import add_json_argument, add_link_arguments, connect
 from j2a.cli._output import note, show, show_json
+from j2a.types.model import Interface
 
 MAX_DIGITS: Final = 10
 WIDEST_KEY: Final = 40  # a longer key moves only its own value to the right
@@ -33,6 +34,7 @@ def run(args: argparse.Namespace) -> int:
     """Ask the device and print; returns the exit code."""
     with connect(args) as client:
         functions = client.functions
+        interface, problem = client.interface, client.interface_problem
         properties: dict[str, str] = {}
         room, unreadable = None, None
         try:
@@ -48,28 +50,76 @@ def run(args: argparse.Namespace) -> int:
         "spec": None if unreadable else properties.get(PROP_SPEC, "1.0"),
         "rxbuf": _number(properties.get(PROP_RXBUF, "")),
         "room": room,
-        "functions": functions,
+        "functions": {name: int(opcode) for name, opcode in functions.items()},
+        "interface": interface and interface_facts(interface),
         "properties": None if unreadable else properties,
         "counters": dataclasses.asdict(counters),
     }
     if unreadable is not None:
         facts["error"] = error_facts(unreadable, code)
+    if problem:
+        facts["interface_problem"] = problem
     if args.json:
         show_json(facts)
     else:
         _print_head(facts, PROP_SPEC in properties)
         show("functions" if functions else "functions (no map; call by opcode)")
-        for name, opcode in functions.items():
-            show(f"  {opcode:>3}  {name}")
+        for function in functions.values():
+            show(f"  {function.opcode:>3}  {function.__doc__}")
+        for what, lines in _definitions(interface):
+            show(what)
+            for line in lines:
+                show(f"  {line}")
         reason = "(unreadable)" if unreadable else "(none)"
         show("properties" if properties else f"properties {reason}")
         for line in columns(properties):
             show(f"  {line}")
         show("link")
         show(f"  {counters_text(counters)}")
+    if problem:
+        note(f"j2a: the interface of the device is not used: {problem}")
     if unreadable is not None:
         note(f"j2a: the properties are unreadable: {unreadable}")
     return code
+
+
+def _definitions(interface: Interface | None) -> Iterator[tuple[str, list[str]]]:
+    """Yield the SIFs and the types that a device describes, as lines."""
+    if interface is None:
+        return
+    if interface.sifs:
+        yield "SIFs", [str(sif).removeprefix("sif ") for sif in interface.sifs]
+    if interface.types:
+        yield "types", [str(one) for one in interface.types]
+
+
+def interface_facts(interface: Interface) -> dict[str, object]:
+    """Return what a device describes, as JSON."""
+    return {
+        "functions": [
+            {
+                "name": one.name,
+                "opcode": opcode,
+                "signature": None if one.signature is None else str(one.signature),
+                "many": one.is_many,
+                "content": None if one.content is None else str(one.content),
+                "idempotent": one.idempotent,
+                "slow_ms": one.slow_ms,
+                "doc": one.doc,
+            }
+            for opcode, one in enumerate(interface.functions)
+        ],
+        "sifs": [
+            {
+                "name": one.name,
+                "opcode": one.opcode,
+                "fields": [str(field) for field in one.fields],
+                "doc": one.doc,
+            }
+            for one in interface.sifs
+        ],
+        "types": [str(one) for one in interface.types],
+    }
 
 
 def _print_head(facts: dict[str, object], says_spec: bool) -> None:

@@ -23,20 +23,26 @@ if sys.platform != "win32":
     import termios
 
 _Number = TypeVar("_Number", int, float)
+TIMEOUT_S: Final = 1.0
 _OWN: Final = frozenset(inspect.signature(j2a.connect).parameters)
 
 
-def add_link_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the URL and the options of a link."""
-    parser.add_argument("url", metavar="URL", help="the device, such as tcp://127.0.0.1:5000")
+def add_link_arguments(
+    parser: argparse.ArgumentParser,
+    *,
+    metavar: str = "URL",
+    about: str = "the device, such as tcp://127.0.0.1:5000",
+) -> None:
+    """Add the URL, or what a command takes in its place, and the options of a link."""
+    parser.add_argument("url", metavar=metavar, help=about)
     parser.set_defaults(url_help=open_help)
     group = parser.add_argument_group("link")
     group.add_argument(
         "--timeout",
         type=seconds,
-        default=1.0,
         metavar="S",
-        help="time limit of a call, or of each chunk of a transfer, in seconds, or inf (1)",
+        help="time limit of a call, or of each chunk of a transfer, in seconds, or inf (1, and "
+        "for a call what the device says that it may take)",
     )
     group.add_argument(
         "--boot-time",
@@ -121,7 +127,7 @@ def connect(args: argparse.Namespace) -> j2a.Client:
         options[name] = value
     return j2a.connect(
         args.url,
-        timeout=args.timeout,
+        timeout=TIMEOUT_S if args.timeout is None else args.timeout,
         boot_time=args.boot_time,
         trace=TracePrinter(raw=args.verbose > 1) if args.verbose else None,
         **options,  # type: ignore[arg-type]  # the names of other parameters were refused

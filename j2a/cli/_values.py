@@ -53,6 +53,13 @@ def payload_of(words: Sequence[str]) -> bytes:
     return b"".join(_bytes_of(word) for word in words)
 
 
+def is_payload_word(word: str) -> bool:
+    """Tell whether a word is written with its type, as in u16:5, or names where bytes come from."""
+    typed = _TYPED.fullmatch(word)
+    is_typed = typed is not None and typed[1].lower() in (*NUMBERS, "str", "hex")
+    return is_typed or word == "-" or word.startswith("@")
+
+
 def _bytes_of(word: str) -> bytes:
     if word == "-":
         if sys.stdin is None:

@@ -22,8 +22,9 @@ from j2a_transports import TransportError
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
-from j2a.io.handlers import ErrorHook, Handlers, Reporter
+from j2a.io.handlers import ErrorHook, Handlers, NamedSif, Opcodes, Reporter
 from j2a.io.opening import WAIT_S
+from j2a.io.streams import SifStream, slice_of
 from j2a.io.threads import JOIN_S, LEAD_S, LinkThreads, clock_of, join_threads, start_thread
 from j2a.protocol.session import Call, Session
 
@@ -272,13 +273,34 @@ class Engine:
     def _dispatch(self) -> None:
         while (sif := self._sifs.get()) is not None:
             self._deliver(sif)
+        self._finish_streams()
+
+    def _finish_streams(self) -> None:
+        """Tell those who wait for SIFs that none will come any more."""
+        handlers, reason = self._handlers(), self._session.end_reason
+        if handlers is not None:
+            handlers.finish(reason or LinkClosed(f"{self._transport.url} was closed"))
+
+    def stream(self, wanted: Opcodes | NamedSif, max_waiting: int) -> SifStream:
+        """Return the SIFs from now on; see `Client.sifs`."""
+        self.check_process()
+        handlers = self._handlers()
+        assert handlers is not None  # the client has them
+        return SifStream(
+            handlers,
+            wanted,
+            self._clock,
+            max_waiting=max_waiting,
+            dispatcher=self._dispatcher,
+            slice_s=slice_of(self._is_simulated),
+        )
 
     def _deliver(self, sif: Sif) -> None:
         handlers = self._handlers()
         if handlers is None or self._drops_sifs:
             self._drop()
             return
-        for handler in handlers.of(sif.opcode):
+        for handler in handlers.matching(sif.opcode):
             try:
                 handler(sif)
             except BaseException as error:
@@ -312,6 +334,7 @@ class Engine:
         self._drops_sifs = True
         self._end(LinkClosed(f"{self._transport.url} was closed by this program"))
         dropped = self._drop_waiting()
+        self._finish_streams()
         if dropped:
             _logger.warning(
                 "%s was closed before %d SIFs reached their handlers", self._transport.url, dropped

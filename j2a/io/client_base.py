@@ -9,8 +9,9 @@ import math
 import os
 import random
 import warnings
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Final
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from j2a_spec.constants import (
     DEBUG_LOST,
@@ -20,11 +21,13 @@ from j2a_spec.constants import (
     GET_ECHO,
     GET_ECHO_MANY,
     GET_MAPPING,
+    PROP_INTERFACE,
     RET_MAX,
 )
 
 from j2a.errors import (
     CallTimeout,
+    InterfaceChanged,
     LocalError,
     OpcodeRefused,
     ProtocolError,
@@ -32,12 +35,16 @@ from j2a.errors import (
     remote_error,
 )
 from j2a.events import Counters, Reply
+from j2a.io.handlers import NamedSif, Opcodes
+from j2a.io.remote import RemoteFunction
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.device_info import DeviceInfo, is_map
 from j2a.protocol.limits import DEVICE_LIMITS, Limits
 from j2a.protocol.session import MAX_WINDOW, NONCE_BYTES, Session
 from j2a.protocol.trace import Trace
 from j2a.protocol.transfer import CallRequest, Progress, Transfer, preparing
+from j2a.types.model import Described, Interface
+from j2a.types.parser import parse_definitions, parse_signature
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -46,6 +53,7 @@ __all__ = [
     "MAX_SIFS_WAITING",
     "ClientBase",
     "check_echo",
+    "checked",
     "take_stale_input",
 ]
 
@@ -55,6 +63,7 @@ MAX_SIFS_WAITING: Final = 65536
 MAX_DEBUG_READS: Final = 256
 """A device that writes debug text faster than it is read does not keep its reader for ever."""
 
+_FunctionT = TypeVar("_FunctionT", bound=RemoteFunction)
 _MAP_ASKS: Final = 4
 _FIRST_LIMIT_S: Final = 0.25
 _STALE_BYTES: Final = 2**18
@@ -106,6 +115,88 @@ class ClientBase:
         if engine.abandon():
             warn(text, ResourceWarning, source=self)
 
+    @property
+    def interface(self) -> Interface | None:
+        """What the device says of its functions and SIFs (J2A-IFACE-001).
+
+        None: it describes them not, or not so that it can be used, or the function map was not
+        fetched yet. Nothing is asked of the device for this.
+        """
+        return self._device.interface
+
+    @property
+    def interface_problem(self) -> str:
+        """Why the interface of the device is not used (J2A-IFACE-009); "" where it is, or none."""
+        return self._device.interface_problem
+
+    def use_types(self, interface_hash: str, classes: Mapping[str, type]) -> None:
+        """Have the values of a known interface be of classes that are there already.
+
+        What `j2a stub` generates calls this, and so knows that the device is the one it was made
+        for. Nothing is asked of the device.
+
+        Args:
+            interface_hash: the property j2a.interface that the program was made for.
+            classes: an IntEnum for each enumeration and a dataclass or named tuple for each
+                structure of the interface, by its name.
+
+        Raises:
+            InterfaceChanged: the device describes other functions now, or none.
+        """
+        device = self._device
+        if device.interface is None:
+            why = device.interface_problem or "the device does not describe its functions"
+            raise InterfaceChanged(
+                f"{why}; this program was made for the interface {interface_hash}"
+            )
+        found = (device.properties or {}).get(PROP_INTERFACE, "")
+        if found != interface_hash:
+            raise InterfaceChanged(
+                f"the device has the interface {found}, and this program is for "
+                f"{interface_hash}: generate it anew by j2a stub, or load the firmware it is for"
+            )
+        for definition in device.interface.types:
+            if definition.name in classes:
+                device.types.use(definition, classes[definition.name])
+
+    # ------------------------------------------------------------------ typed functions
+
+    def _make_functions(self, kind: Callable[..., _FunctionT]) -> dict[str, _FunctionT]:
+        """Return the functions of the map, described where the device describes them."""
+        device = self._device
+        lines = {line.name: line for line in (device.interface or Interface()).functions}
+        client = weakref.ref(self)
+        return {
+            name: kind(opcode, lines.get(name) or Described(name), device.types, client)
+            for name, opcode in (device.functions or {}).items()
+        }
+
+    def _make_function(
+        self,
+        kind: Callable[..., _FunctionT],
+        function: str | int,
+        signature: str,
+        definitions: str,
+    ) -> _FunctionT:
+        """Return a function that the user describes."""
+        what, opcode = self._device.resolve(function)
+        known = (self._device.interface or Interface()).types
+        types = {one.name: one for one in (*known, *parse_definitions(definitions))}
+        line = Described(what, parse_signature(signature, types))
+        return kind(opcode, line, self._device.types, weakref.ref(self))
+
+    def _wanted_sifs(self, opcodes: Opcodes | str) -> Opcodes | NamedSif:
+        """Return which SIFs a handler is for.
+
+        Raises:
+            LocalError: the device describes none of that name.
+        """
+        return NamedSif(self._device, opcodes) if isinstance(opcodes, str) else opcodes
+
+    def _typed_limit_s(self, function: RemoteFunction) -> float:
+        """Return the time limit of a call, in seconds."""
+        return function.timeout or self._timeout + function.slow_s
+
     # ------------------------------------------------------------------ several calls
 
     def _connect(self, boot_time: float) -> Transfer[None]:
@@ -118,6 +209,10 @@ class ClientBase:
             ) from None
 
     def _refresh(self, boot_time: float | None) -> Transfer[None]:
+        yield from self._fetch_map(boot_time)
+        yield from self._device.learn_interface()
+
+    def _fetch_map(self, boot_time: float | None) -> Transfer[None]:
         limits = [self._timeout]
         if boot_time is not None:
             limits = list(_boot_limits(check_timeout(boot_time)))
@@ -155,7 +250,17 @@ class ClientBase:
 
     def _load_map(self) -> Transfer[None]:
         if self._device.functions is None:
-            yield from self._refresh(None)
+            yield from self._fetch_map(None)
+
+    def _load_functions(self) -> Transfer[None]:
+        yield from self._load_map()
+        yield from self._device.learn_interface()
+
+    def _find(self, function: str | int) -> Transfer[None]:
+        """Load what is needed to know the opcode of a function."""
+        yield from self._load_map()
+        if isinstance(function, str) and function not in (self._device.functions or {}):
+            yield from self._device.learn_interface()
 
     def _read_debug(self) -> Transfer[str]:
         yield from self._load_map()
@@ -180,14 +285,17 @@ class ClientBase:
     def _known(self, function: str | int, payload: bytes) -> tuple[str, int] | None:
         """Return what to call, and its opcode, if nothing has to be asked before; else None."""
         device = self._device
-        if (device.functions is None and isinstance(function, str)) or len(payload) > device.room:
+        if len(payload) > device.room:
+            return None
+        is_known = not isinstance(function, str) or function in (device.functions or {})
+        if not is_known and not device.asked_for_interface:
             return None
         return device.resolve(function)
 
     def _call(self, function: str | int, payload: bytes) -> Transfer[Reply]:
         """Find out the opcode and the room for the payload, then make the call."""
         if isinstance(function, str) or len(payload) > self._device.room:
-            yield from preparing(str(function), self._load_map())
+            yield from preparing(str(function), self._find(function))
         what, opcode = self._device.resolve(function)
         if len(payload) > self._device.room:
             yield from preparing(what, self._device.check_room(what, payload))
@@ -205,13 +313,13 @@ class ClientBase:
     def _read_many(
         self, function: str | int, max_bytes: int, progress: Progress | None
     ) -> Transfer[bytes]:
-        yield from preparing(str(function), self._load_map())
+        yield from preparing(str(function), self._find(function))
         return (yield from self._device.read(function, max_bytes, progress))
 
     def _write_many(
         self, function: str | int, data: bytes, progress: Progress | None
     ) -> Transfer[int]:
-        yield from preparing(str(function), self._load_map())
+        yield from preparing(str(function), self._find(function))
         return (yield from self._device.write(function, data, progress))
 
     def _echo_many(self, data: bytes, progress: Progress | None) -> Transfer[bytes]:
@@ -284,6 +392,18 @@ def _boot_limits(total_s: float) -> Iterator[float]:
         yield limit_s
         total_s -= limit_s
         limit_s *= 2
+
+
+def checked(function: str | int, reply: Reply) -> Reply:
+    """Return the reply of a function that has not failed.
+
+    Raises:
+        FunctionFailed: it has.
+    """
+    if not reply.ok:
+        name = function if isinstance(function, str) else f"opcode {int(function)}"
+        raise remote_error(getattr(function, "name", name), *reply)
+    return reply
 
 
 def check_echo(reply: Reply, payload: bytes) -> bytes:

@@ -1,7 +1,7 @@
 """The function table of a device: what a request means.
 
 What flows in: functions at registration, then opcode and payload of each request. What flows out:
-the reply.
+the reply, and the interface, which describes the functions.
 Rules: no input raises; a function that raises or returns what it may not has failed (0xFF).
 Mistakes at registration raise `RegistrationError` at once.
 """
@@ -11,12 +11,14 @@ import inspect
 import logging
 import struct
 import threading
+import zlib
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from j2a_spec.constants import (
+    CAP_INTERFACE,
     DEBUG_LOST,
     DEBUG_MORE,
     ECHO,
@@ -27,6 +29,7 @@ from j2a_spec.constants import (
     GET_DEBUG,
     GET_ECHO,
     GET_ECHO_MANY,
+    GET_INTERFACE,
     GET_MAPPING,
     GET_PROPERTIES,
     MANY,
@@ -34,6 +37,8 @@ from j2a_spec.constants import (
     MANY_HEADER,
     MAX_MAPPING,
     MAX_PAYLOAD,
+    PROP_CAPS,
+    PROP_INTERFACE,
     RET_FAILED,
     RET_MAX,
     RET_OK,
@@ -41,9 +46,11 @@ from j2a_spec.constants import (
     SITE_OPCODE,
 )
 
-from j2a.errors import RegistrationError
+from j2a.errors import Fail, RegistrationError, SignatureError
 from j2a.events import Reply
 from j2a.protocol.server import site
+from j2a.types.model import Described, Enumeration, Interface, SifShape, Structure
+from j2a.types.parser import parse_interface
 
 __all__ = [
     "CallFunction",
@@ -58,6 +65,7 @@ __all__ = [
 Result = bytes | int | tuple[int, bytes] | None
 """The result of a call function: a payload (code 0), a code (empty payload), both, or nothing."""
 
+MAX_OPCODE: Final = 0xFF
 _HEADER: Final = struct.Struct("<BBL")
 _logger = logging.getLogger("j2a")
 
@@ -143,61 +151,138 @@ class FunctionTable:
         properties: keys and values that `a2jGetProperties` tells, in this order.
         debug: executes `a2jDebug`.
         room: the longest payload of a request that is acted on, 32..255 bytes (J2A-LIMIT-005).
+        has_interface: the device has the capability interface, and a2jGetInterface.
+
+    Attributes:
+        names: of the functions, in opcode order.
+        types: the enumerations and structures that the interface defines.
+        sifs: the SIFs that it describes, by name.
     """
 
     def __init__(
-        self, properties: Mapping[str, str], debug: CallFunction, room: int = MAX_PAYLOAD
+        self,
+        properties: Mapping[str, str],
+        debug: CallFunction,
+        room: int = MAX_PAYLOAD,
+        *,
+        has_interface: bool = False,
     ) -> None:
-        content = pack_properties(properties)
+        self._properties = dict(properties)
         self._room = room
+        self._has_interface = has_interface
         self._calls: dict[int, CallFunction] = {}
         self._manys: dict[int, ManyFunction] = {}
+        self._lines: list[Described] = []
         self.names: list[str] = []
+        self.types: Sequence[Enumeration | Structure] = ()
+        self.sifs: dict[str, SifShape] = {}
         self.add_call(GET_MAPPING, lambda _payload: self._mapping)
         self.add_call(MANY, lambda _payload: RET_FAILED)  # is never called: see `execute`
         self._many_opcode = len(self.names) - 1
         self._properties_opcode = len(self.names)
-        self.add_many(
-            GET_PROPERTIES,
-            lambda request: (
-                ManyReply(RET_FAILED) if request.is_write else read_chunk(content, request)
-            ),
-        )
+        self._add_content(GET_PROPERTIES, self._pack_properties)
         self.add_call(GET_DEBUG, debug)
         self.add_call(GET_ECHO, lambda payload: (ECHO, payload))
         self.add_many(
             GET_ECHO_MANY,
             lambda request: ManyReply(ECHO_MANY, request.is_last, request.data, request.offset),
         )
+        if has_interface:
+            self._add_content(GET_INTERFACE, lambda: self.interface)
+        pack_properties(self._properties)
 
-    def add_call(self, name: str, function: CallFunction) -> None:
-        """Append a function that is called directly."""
-        _check_function(name, function)
-        self._calls[self._add(name)] = function
+    def add_call(
+        self,
+        line: str | Described,
+        function: CallFunction,
+        types: Sequence[Enumeration | Structure] = (),
+    ) -> None:
+        """Append a function that is called directly, by its name or with its description."""
+        line = Described(line) if isinstance(line, str) else line
+        check_function(line.name, function)
+        self._calls[self._add(line, types)] = function
 
-    def add_many(self, name: str, function: ManyFunction) -> None:
+    def add_many(
+        self,
+        line: str | Described,
+        function: ManyFunction,
+        types: Sequence[Enumeration | Structure] = (),
+    ) -> None:
         """Append a function that is called through a2jMany."""
-        _check_function(name, function)
-        self._manys[self._add(name)] = function
+        line = Described(line, is_many=True) if isinstance(line, str) else line
+        check_function(line.name, function)
+        self._manys[self._add(line, types)] = function
 
-    def _add(self, name: str) -> int:
+    def add_sif(self, sif: SifShape, types: Sequence[Enumeration | Structure] = ()) -> None:
+        """Describe a SIF."""
+        self._check(Interface(tuple(types), (*self.sifs.values(), sif)))
+        self.types = types
+        self.sifs[sif.name] = sif
+
+    def _add_content(self, name: str, content: Callable[[], bytes]) -> None:
+        """Append a function for a2jMany that can be read and not be written."""
+        self.add_many(
+            name,
+            lambda request: (
+                ManyReply(RET_FAILED) if request.is_write else read_chunk(content(), request)
+            ),
+        )
+
+    def _add(self, line: Described, types: Sequence[Enumeration | Structure]) -> int:
+        name = line.name
         if not isinstance(name, str) or not name:
             raise RegistrationError(f"the name of a function is a text of 1 or more, not {name!r}")
         if any(not "!" <= char <= "~" for char in name):
             raise RegistrationError(
                 f"function name {name!r}: only printable ASCII without spaces can be sent"
             )
+        if self._has_interface and "(" in name:
+            raise RegistrationError(f"function name {name!r}: a signature begins with the (")
         if name in self.names:
             raise RegistrationError(f"there is a function named {name!r} already; use another name")
+        if len(self.names) > MAX_OPCODE:
+            raise RegistrationError(f"there are {len(self.names)} functions, so none for {name!r}")
+        types = types or self.types
+        self._check(Interface(tuple(types), (), (line,)))
         mapping = b"".join(name.encode("ascii") + b"\0" for name in [*self.names, name])
-        if len(mapping) > MAX_MAPPING:
+        if len(mapping) <= MAX_MAPPING:
+            self._mapping = mapping
+        elif not self._has_interface:  # which names the others (J2A-IFACE-007)
             raise RegistrationError(
                 f"with {name!r} the function map takes {len(mapping)} of {MAX_MAPPING} bytes; "
                 "use shorter names or fewer functions"
             )
-        self._mapping = mapping
         self.names.append(name)
+        self._lines.append(line)
+        self.types = types
         return len(self.names) - 1
+
+    def _check(self, part: Interface) -> None:
+        """Refuse what a host could not read."""
+        if self._has_interface:
+            try:
+                parse_interface(str(part))
+            except SignatureError as error:
+                raise RegistrationError(f"{error.text!r} cannot be sent: {error}") from None
+
+    @property
+    def _interface(self) -> Interface:
+        return Interface(tuple(self.types), tuple(self.sifs.values()), tuple(self._lines))
+
+    @property
+    def interface(self) -> bytes:
+        """What a2jGetInterface returns (J2A-IFACE-001)."""
+        return str(self._interface).encode()
+
+    def _pack_properties(self) -> bytes:
+        if not self._has_interface:
+            return pack_properties(self._properties)
+        tokens = self._properties.get(PROP_CAPS, "").split()
+        announced = {
+            PROP_CAPS: " ".join(dict.fromkeys([CAP_INTERFACE, *tokens])),
+            PROP_INTERFACE: f"{zlib.crc32(self.interface):08x}",
+        }
+        return pack_properties({**self._properties, **announced})
 
     def execute(self, opcode: int, payload: bytes) -> Reply:
         """Return the reply to a request, error replies included."""
@@ -213,6 +298,8 @@ class FunctionTable:
         try:
             code, data = _split(function(payload))
             _check(code, data, MAX_PAYLOAD)
+        except Fail as failure:
+            return Reply(failure.code, b"")
         except BaseException as error:
             _let_end(error)
             _logger.exception("function %s failed", self.names[opcode])
@@ -236,6 +323,8 @@ class FunctionTable:
             code = reply.code if reply.code <= RET_MAX else RET_FAILED
             reply_offset = offset if reply.offset is None else reply.offset
             header = _HEADER.pack(code, FLAG_LAST if reply.is_last else 0, reply_offset)
+        except Fail as failure:
+            return Reply(RET_OK, _HEADER.pack(failure.code, 0, offset))
         except BaseException as error:
             _let_end(error)
             _logger.exception("function %s failed", self.names[opcode])
@@ -253,7 +342,7 @@ def _let_end(error: BaseException) -> None:
         raise error
 
 
-def _check_function(name: str, function: object) -> None:
+def check_function(name: str, function: object) -> None:
     """Refuse what does not answer when it is called, also behind `functools.partial`."""
     while isinstance(function, functools.partial):
         function = function.func

@@ -1,21 +1,25 @@
 """The registered SIF handlers.
 
-What flows in: handlers with the opcodes they are for. What flows out: the handlers of a SIF, in the
-order of their registration.
+What flows in: handlers with the opcodes or the name they are for. What flows out: the handlers of a
+SIF, in the order of their registration.
 Rules: several handlers may have one opcode and one handler several opcodes; registering and
 cancelling are safe from any thread and from inside handlers.
 """
 
 import logging
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from typing import Generic, TypeVar
+from collections.abc import Callable, Container, Iterable, Iterator
+from dataclasses import replace
+from typing import Any, Generic, TypeVar
 
-from j2a.errors import LocalError
+from j2a.errors import J2AError, LocalError, ProtocolError
 from j2a.events import Sif
 from j2a.protocol.arguments import check_opcode
+from j2a.protocol.device_info import DeviceInfo
+from j2a.types.coding import Codec, PayloadMismatchError, tuple_class
+from j2a.types.model import SifShape
 
-__all__ = ["ErrorHook", "Handlers", "Opcodes", "Reporter", "Subscription"]
+__all__ = ["ErrorHook", "Handlers", "NamedSif", "Opcodes", "Reporter", "Subscription"]
 
 Opcodes = int | Iterable[int] | None
 """One opcode, several, or None for all."""
@@ -27,6 +31,48 @@ _logger = logging.getLogger("j2a")
 _Handler = TypeVar("_Handler", bound=Callable[..., object])
 
 
+class NamedSif:
+    """The opcode and the values of a SIF that the device describes.
+
+    It follows the interface: after a refresh the name may stand for another opcode.
+
+    Raises:
+        LocalError: the device describes no SIF of that name.
+    """
+
+    def __init__(self, device: DeviceInfo, name: str) -> None:
+        if name not in device.sifs:
+            known = ", ".join(device.sifs) or "none"
+            raise LocalError(
+                f"the device describes no SIF {name!r}, but {known}; take one by its opcode, 0..255"
+            )
+        self._name = name
+        self._device = device
+        self._prepared: tuple[SifShape | None, Codec, type[Any]] | None = None
+
+    def __contains__(self, opcode: object) -> bool:
+        shape = self._device.sifs.get(self._name)
+        return shape is not None and shape.opcode == opcode
+
+    def decode(self, sif: Sif) -> Sif:
+        """Return the SIF with its values.
+
+        Raises:
+            ProtocolError: the payload is not what the device says.
+        """
+        shape = self._device.sifs[self._name]
+        if self._prepared is None or self._prepared[0] is not shape:
+            codec = Codec(shape.fields, self._device.types)
+            self._prepared = shape, codec, tuple_class("Values", shape.fields)
+        _, codec, values = self._prepared
+        try:
+            return replace(sif, values=values(*codec.unpack(sif.payload)))
+        except PayloadMismatchError as error:
+            raise ProtocolError(
+                f"SIF {self._name}: the payload is not as described: {error}"
+            ) from None
+
+
 class Subscription(Generic[_Handler]):
     """A registered handler; `cancel` ends it."""
 
@@ -35,12 +81,20 @@ class Subscription(Generic[_Handler]):
     def __init__(
         self,
         handler: _Handler,
-        opcodes: frozenset[int] | None,
+        opcodes: frozenset[int] | NamedSif | None,
         cancel: Callable[["Subscription[_Handler]"], None],
     ) -> None:
         self.handler = handler
-        self.opcodes = opcodes
+        self.opcodes: Container[int] | None = opcodes
         self._cancel = cancel
+
+    @property
+    def deliver(self) -> Callable[[Sif], Any]:
+        """What calls the handler with a SIF that it is for."""
+        wanted, handler = self.opcodes, self.handler
+        return (
+            (lambda sif: handler(wanted.decode(sif))) if isinstance(wanted, NamedSif) else handler
+        )
 
     def cancel(self) -> None:
         """Call the handler no more; may be called twice. A call that is running goes on."""
@@ -54,8 +108,10 @@ class Handlers(Generic[_Handler]):
         self._lock = threading.Lock()
         # Replaced, never changed, so a running iteration keeps its own copy.
         self._subscriptions: tuple[Subscription[_Handler], ...] = ()
+        self._streams: tuple[Callable[[J2AError], None], ...] = ()
+        self._end: J2AError | None = None
 
-    def add(self, opcodes: Opcodes, handler: _Handler) -> Subscription[_Handler]:
+    def add(self, opcodes: Opcodes | NamedSif, handler: _Handler) -> Subscription[_Handler]:
         """Register a handler.
 
         Raises:
@@ -64,9 +120,10 @@ class Handlers(Generic[_Handler]):
         if not callable(handler):
             raise LocalError(f"a handler is called with each SIF, which {handler!r} cannot be")
         if isinstance(opcodes, str | bytes):
-            raise LocalError(f"SIFs have opcodes from 0 to 255 and no names, not {opcodes!r}")
-        if opcodes is None:
-            wanted = None
+            raise LocalError(f"SIFs have opcodes from 0 to 255, not {opcodes!r}")
+        wanted: frozenset[int] | NamedSif | None
+        if opcodes is None or isinstance(opcodes, NamedSif):
+            wanted = opcodes
         elif isinstance(opcodes, Iterable):
             wanted = frozenset(check_opcode(opcode) for opcode in opcodes)
         else:
@@ -76,7 +133,7 @@ class Handlers(Generic[_Handler]):
             self._subscriptions = (*self._subscriptions, subscription)
         return subscription
 
-    def register(self, opcodes: Opcodes, handler: _Handler | None) -> object:
+    def register(self, opcodes: Opcodes | NamedSif, handler: _Handler | None) -> object:
         """Register a handler; without one return a decorator that does."""
         if handler is not None:
             return self.add(opcodes, handler)
@@ -89,12 +146,36 @@ class Handlers(Generic[_Handler]):
 
         return decorate
 
-    def of(self, opcode: int) -> Iterator[_Handler]:
+    def matching(self, opcode: int) -> Iterator[Callable[[Sif], Any]]:
         """Yield the handlers of an opcode, but none that was cancelled meanwhile."""
         for subscription in self._subscriptions:
             is_wanted = subscription.opcodes is None or opcode in subscription.opcodes
             if is_wanted and subscription in self._subscriptions:
-                yield subscription.handler
+                yield subscription.deliver
+
+    def at_end(self, callback: Callable[[J2AError], None]) -> Callable[[], None]:
+        """Have a function called with the reason when no handler will be called any more.
+
+        Returns: a function that takes this back.
+        """
+        with self._lock:
+            self._streams = (*self._streams, callback)
+        if self._end is not None:
+            callback(self._end)
+        return lambda: self._forget(callback)
+
+    def finish(self, reason: J2AError) -> None:
+        """Tell that no handler will be called any more; may be called twice."""
+        with self._lock:
+            if self._end is not None:
+                return
+            self._end = reason
+        for callback in self._streams:
+            callback(reason)
+
+    def _forget(self, callback: Callable[[J2AError], None]) -> None:
+        with self._lock:
+            self._streams = tuple(one for one in self._streams if one is not callback)
 
     def _remove(self, gone: Subscription[_Handler]) -> None:
         with self._lock:

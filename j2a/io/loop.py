@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Sif
+from j2a.io.async_streams import AsyncSifStream
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
-from j2a.io.handlers import ErrorHook, Handlers, Reporter
+from j2a.io.handlers import ErrorHook, Handlers, NamedSif, Opcodes, Reporter
 from j2a.io.links import ThreadedLink, WatchedLink
+from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, LOOK_S, clock_of, join_threads, start_thread
 from j2a.protocol.session import Call, Session
 
@@ -260,13 +262,34 @@ class AsyncEngine:
             if self._loop.time() >= turn_ends:
                 await asyncio.sleep(0)
                 turn_ends = self._loop.time() + _TURN_S
+        self._finish_streams()
+
+    def _finish_streams(self) -> None:
+        """Tell those who wait for SIFs that none will come any more."""
+        handlers, reason = self._handlers(), self._session.end_reason
+        if handlers is not None:
+            handlers.finish(reason or LinkClosed(f"{self._transport.url} was closed"))
+
+    def stream(self, wanted: Opcodes | NamedSif, max_waiting: int) -> AsyncSifStream:
+        """Return the SIFs from now on; see `AsyncClient.sifs`."""
+        self.check_process()
+        handlers = self._handlers()
+        assert handlers is not None  # the client has them
+        return AsyncSifStream(
+            handlers,
+            wanted,
+            self.now,
+            max_waiting=max_waiting,
+            dispatcher=self.dispatcher,
+            slice_s=slice_of(self._is_simulated),
+        )
 
     async def _deliver(self, sif: Sif) -> None:
         handlers = self._handlers()
         if handlers is None or self._drops_sifs:
             self._session.count("sifs_dropped")
             return
-        for handler in handlers.of(sif.opcode):
+        for handler in handlers.matching(sif.opcode):
             try:
                 result = handler(sif)
                 if inspect.isawaitable(result):
@@ -296,6 +319,7 @@ class AsyncEngine:
         while not self._sifs.empty():
             dropped += self._sifs.get_nowait() is not None
         self._sifs.put_nowait(None)
+        self._finish_streams()
         for _ in range(dropped):
             self._session.count("sifs_dropped")
         if dropped:

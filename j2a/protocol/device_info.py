@@ -6,17 +6,21 @@ Rules: no input and no output of its own; both clients drive the same object. Wh
 kept until `forget`. Old devices are recognised by what they lack (J2A-PROP-005).
 """
 
+from collections.abc import Sequence
 from difflib import get_close_matches
 from functools import partial
 from typing import Final
 
 from j2a_spec.constants import (
+    CAP_INTERFACE,
     GET_ECHO_MANY,
+    GET_INTERFACE,
     GET_MAPPING,
     GET_PROPERTIES,
     MANY,
     MANY_HEADER,
     MIN_ROOM,
+    PROP_INTERFACE,
     PROP_ROOM,
     RET_OK,
     SPEC_VERSION,
@@ -24,7 +28,10 @@ from j2a_spec.constants import (
 
 from j2a.errors import (
     FunctionFailed,
+    J2AError,
     LegacyLimit,
+    LinkClosed,
+    LinkLost,
     LocalError,
     OpcodeRefused,
     Outcome,
@@ -36,6 +43,7 @@ from j2a.errors import (
 from j2a.events import Reply
 from j2a.protocol.announced import Announced
 from j2a.protocol.arguments import check_bytes, check_opcode
+from j2a.protocol.interface import MAX_INTERFACE, check_interface, kept_interface
 from j2a.protocol.transfer import (
     LEGACY_OFFSET,
     MAX_OFFSET,
@@ -50,6 +58,8 @@ from j2a.protocol.transfer import (
     read_chunks,
     write_chunks,
 )
+from j2a.types.coding import PythonTypes
+from j2a.types.model import Interface, SifShape
 
 __all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "DeviceInfo", "is_map"]
 
@@ -66,10 +76,17 @@ class DeviceInfo:
 
     Attributes:
         functions: names and opcodes; None until the map was fetched, empty when there is none.
+            Those of the interface, where it is used (J2A-IFACE-010).
         properties: keys and values; None until they were read, empty when there are none.
         announced: what the properties say; of no properties until they were read.
         room: the longest payload of a request that the device is known to take: 32 bytes, which
             every device does, until `learn_room` was run.
+        interface: what the functions take and return; None where the device does not describe
+            them, or not so that it can be used.
+        sifs: the SIFs that the device describes, by name.
+        interface_problem: why it is not used although the device has it, or "".
+        asked_for_interface: `learn_interface` was run.
+        types: the classes of the values that the interface describes.
     """
 
     def __init__(self) -> None:
@@ -77,6 +94,8 @@ class DeviceInfo:
         self.properties: dict[str, str] | None = None
         self.announced = Announced({})
         self.room = MIN_ROOM
+        self._mapped: Sequence[str] = ()
+        self._forget_interface()
         self._no_map = "its function map was not fetched"
         # Opcodes of the functions for which a probe has shown that all of the offset counts.
         self._probed: set[int] = set()
@@ -94,6 +113,7 @@ class DeviceInfo:
         self.functions = self.properties = None
         self.announced = Announced({})
         self.room = MIN_ROOM
+        self._forget_interface()
         self._probed = set()
         functions: dict[str, int] = {}
         if reply is None:
@@ -109,9 +129,10 @@ class DeviceInfo:
             self._no_map = "its function map is cut off"
         else:
             self._no_map = ""
-            for opcode, name in enumerate(reply.payload.split(b"\0")[:-1]):
+            self._mapped = reply.payload.decode("utf-8", "replace").split("\0")[:-1]
+            for opcode, name in enumerate(self._mapped):
                 if name:
-                    functions.setdefault(name.decode("utf-8", "replace"), opcode)
+                    functions.setdefault(name, opcode)
         self.functions = functions
 
     def resolve(self, function: object) -> tuple[str, int]:
@@ -123,7 +144,7 @@ class DeviceInfo:
         """
         if not isinstance(function, str):
             opcode = check_opcode(function)
-            return f"opcode {opcode}", opcode
+            return getattr(function, "name", f"opcode {opcode}"), opcode
         known = self.functions or {}
         opcode = known.get(function, -1)
         if opcode >= 0:
@@ -135,6 +156,63 @@ class DeviceInfo:
         near = get_close_matches(function, known, n=3, cutoff=0.5)
         hint = f"near it are: {', '.join(near)}" if near else f"it has: {', '.join(known)}"
         raise UnknownFunction(f"the device has no function {function!r}; {hint}")
+
+    def missing(self, function: str) -> UnknownFunction:
+        """Return the error of `resolve` for a function that there is not."""
+        try:
+            self.resolve(function)
+        except UnknownFunction as error:
+            return error
+        raise AssertionError(function)
+
+    # ------------------------------------------------------------------ interface
+
+    def _forget_interface(self) -> None:
+        self.interface: Interface | None = None
+        self.sifs: dict[str, SifShape] = {}
+        self.interface_problem = ""
+        self.asked_for_interface = False
+        self.types = PythonTypes()
+        self._mapped = ()
+
+    def learn_interface(self) -> Transfer[None]:
+        """Learn what the functions take and return, where the device tells it.
+
+        Nothing that the device says is an error: without a description its functions stay callable
+        by name and opcode (J2A-IFACE-009).
+        """
+        if self.asked_for_interface:
+            return
+        opcode = (self.functions or {}).get(GET_INTERFACE)
+        if opcode is not None:
+            try:
+                self.interface = yield from self._read_interface(opcode)
+            except (LinkClosed, LinkLost):
+                raise
+            except J2AError as error:
+                self.interface_problem = str(error)
+        self.asked_for_interface = True
+        if self.interface is not None:
+            names = [function.name for function in self.interface.functions]
+            self.functions = {name: opcode for opcode, name in enumerate(names)}
+            self.sifs = {sif.name: sif for sif in self.interface.sifs}
+
+    def _read_interface(self, opcode: int) -> Transfer[Interface]:
+        properties = yield from self.read_properties()
+        if CAP_INTERFACE not in self.announced.capabilities:
+            raise ProtocolError(f"the device does not announce {CAP_INTERFACE} (J2A-CAP-003)")
+        announced = properties.get(PROP_INTERFACE, "")
+        kept = kept_interface(announced, self._mapped)
+        if kept is not None:
+            return kept
+        content = yield from read_chunks(
+            GET_INTERFACE,
+            opcode,
+            max_bytes=MAX_INTERFACE,
+            advice="this library takes no longer interface (J2A-IFACE-008)",
+            offset_check=partial(self._guard_read, GET_INTERFACE, opcode),
+        )
+        return check_interface(content, announced, self._mapped)
 
     # ------------------------------------------------------------------ properties
 

@@ -162,6 +162,11 @@ class Session:
         return ended
 
     @property
+    def end_reason(self) -> J2AError | None:
+        """The reason of `close`, None while the session is open."""
+        return self._closed
+
+    @property
     def is_closed(self) -> bool:
         """`close` was called."""
         return self._closed is not None

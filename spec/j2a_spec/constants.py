@@ -74,12 +74,16 @@ GET_PROPERTIES: Final = "a2jGetProperties"
 GET_DEBUG: Final = "a2jDebug"
 GET_ECHO: Final = "a2jEcho"
 GET_ECHO_MANY: Final = "a2jEchoMany"
+GET_INTERFACE: Final = "a2jGetInterface"
 # Built-in functions in opcode order: all, and those of a device that announces nothing (j2a.caps).
 KNOWN_BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
 BUILTINS: Final = tuple(
     f.name for f in FUNCTIONS if not (f.capability and CAPABILITIES[f.capability].token)
 )
 WITH_MANY: Final = frozenset(f.name for f in FUNCTIONS if is_part_of(f, "many"))
+
+CAP_INTERFACE: Final = "interface"
+"""The token of j2a.caps for signatures (J2A-IFACE-001)."""
 
 # USB: the interface for frames, and SyncUSB, the one for the time (LINKS.md, thesis 6.3).
 USB_VENDOR: Final = 0x6666
@@ -102,7 +106,10 @@ PROP_RXBUF: Final = "j2a.rxbuf"
 PROP_ROOM: Final = "j2a.room"
 PROP_SELFTEST: Final = "j2a.selftest"
 PROP_CAPS: Final = "j2a.caps"
-PROPERTIES: Final = frozenset({PROP_SPEC, PROP_RXBUF, PROP_ROOM, PROP_SELFTEST, PROP_CAPS})
+PROP_INTERFACE: Final = "j2a.interface"
+PROPERTIES: Final = frozenset(
+    {PROP_SPEC, PROP_RXBUF, PROP_ROOM, PROP_SELFTEST, PROP_CAPS, PROP_INTERFACE}
+)
 """Every key that starts with `j2a.` (J2A-PROP-009)."""
 
 

@@ -131,7 +131,7 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     reports = _reports.Reports(args)
     known = _deviations.read(args.deviations) if args.deviations else ()
     with reach(args.url, args.baud or 0) as target:
-        rules = _deviations.Rules.of(args.profile, _deviations.joined(target.known, known))
+        rules = _deviations.Rules.of_profile(args.profile, _deviations.joined(target.known, known))
         if args.repeat == 1:
             found = _judge(target, rules, args, cases)
             code = status(found)

@@ -57,7 +57,7 @@ class Rules:
     known: tuple[Deviation, ...] = ()
 
     @classmethod
-    def of(cls, name: str, known: tuple[Deviation, ...] = ()) -> "Rules":
+    def of_profile(cls, name: str, known: tuple[Deviation, ...] = ()) -> "Rules":
         """Return the rules of a profile, by its name."""
         return cls(name, profile(name), known)
 

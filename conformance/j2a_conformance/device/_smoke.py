@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from j2a_spec import constants as c
+from j2a_spec import interface as oracle
 from j2a_spec.oracle import Event, Frame, FrameError, Skipped, decode
 
 from j2a_conformance._judge import Judged, fail
@@ -283,7 +284,7 @@ class Echo(_Smoke):
             peer.longest = _agreed(peer, lambda: _room(peer))
             peer.link.note(f"the device takes payloads of up to {peer.longest} bytes")
             return
-        data = self._properties(peer)
+        data = self._content(peer, c.GET_PROPERTIES)
         if data is None:
             return
         texts = [text.decode("utf-8", "replace") for text in data.split(b"\0")[:-1]]
@@ -292,18 +293,31 @@ class Echo(_Smoke):
         room = properties.get(c.PROP_ROOM, "")
         if room.isascii() and room.isdigit() and c.MIN_ROOM <= int(room) <= c.MAX_PAYLOAD:
             peer.longest = int(room)
+        if c.CAP_INTERFACE in properties.get(c.PROP_CAPS, "").split(" "):
+            self._complete_names(peer)
+
+    def _complete_names(self, peer: Peer) -> None:
+        """Take the names that do not fit into the mapping from the interface (J2A-IFACE-007)."""
+        known = peer.claims.functions
+        data = self._content(peer, c.GET_INTERFACE) if peer.has(c.GET_INTERFACE) else None
+        try:
+            named = tuple(function.name for function in oracle.parse(data or b"").functions)
+        except ValueError:
+            return  # cases of its own judge that
+        if named[: len(known)] == known:
+            peer.claims = replace(peer.claims, functions=named)
 
     @staticmethod
-    def _properties(peer: Peer) -> bytes | None:
-        """Return what the device holds; None where it fails twice, for which it has a case of its
-        own. What fails only once is no matter of the properties.
+    def _content(peer: Peer, function: str) -> bytes | None:
+        """Return what can be read; None where it fails twice, for which there is a case of its own.
+        What fails only once is no matter of that function.
         """
         first: Judged | None = None
         for _ in range(2):
             try:
-                data = _agreed(peer, lambda: peer.read_all(c.GET_PROPERTIES))
+                data = _agreed(peer, lambda: peer.read_all(function))
             except Judged as judged:
-                peer.link.note(f"the properties cannot be read: {judged.reason}")
+                peer.link.note(f"{function} cannot be read: {judged.reason}")
                 peer.resync()
                 first = first or judged
                 continue

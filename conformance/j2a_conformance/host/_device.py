@@ -55,6 +55,7 @@ class Device:
         names: of its functions in opcode order.
         mapping: code and payload of the reply of a2jGetMapping; None is the one that `names` make.
         properties: keys and values; None where a2jGetProperties is refused.
+        interface: what a read of a2jGetInterface gives, or None.
         content: what a read of `fetch` gives.
         chunk: the most data that it puts into a chunk, 1..249 bytes.
         offset_mask: the bits of an offset that it honours; 0xFF is a device of 2014.
@@ -66,6 +67,7 @@ class Device:
         ("name", "conductor"),
         (c.PROP_SPEC, c.SPEC_VERSION),
     )
+    interface: bytes | None = None
     content: bytes = b"content"
     chunk: int = c.MANY_DATA
     offset_mask: int = 0xFFFFFFFF
@@ -92,17 +94,14 @@ class Device:
         return is_echo and len(payload) == _NONCE
 
     def asks_about_it(self, opcode: int, payload: bytes) -> bool:
-        """Tell whether a request asks for the mapping or the properties.
+        """Tell whether a request asks for the mapping, the properties or the interface.
 
         A host may ask for them whenever it likes, so cases leave such requests to the device.
         """
         if c.MANY in self.names and opcode == self.names.index(c.MANY):
-            return payload[:1] == bytes((self._properties_opcode,))
+            about = (c.GET_PROPERTIES, c.GET_INTERFACE)
+            return payload[:1] in [bytes((self.opcode(n),)) for n in about if n in self.names]
         return opcode == 0
-
-    @property
-    def _properties_opcode(self) -> int:
-        return self.names.index(c.GET_PROPERTIES) if c.GET_PROPERTIES in self.names else 0xFF
 
     def answer(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
         """Return the code and the payload of the reply to a request."""
@@ -135,6 +134,8 @@ class Device:
         contents = {FETCH: self.content}
         if self.properties is not None:
             contents[c.GET_PROPERTIES] = properties_content(self.properties)
+        if self.interface is not None:
+            contents[c.GET_INTERFACE] = self.interface
         if name == STORE and is_write:
             return c.RET_OK, chunk_reply(c.RET_OK, c.FLAG_LAST, offset)
         if name not in contents:

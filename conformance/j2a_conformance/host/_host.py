@@ -206,7 +206,7 @@ class Host:
         assert self._pending is not None
         text = self._pending.payload.decode("utf-8", "replace")
         self.link.note(f"outcome: {text}")
-        outcome = Outcome.of(text)
+        outcome = Outcome.parse(text)
         if outcome.word == "unsupported" and self._verb != "call":
             skip(f"the host program does not know the job {self._verb}")
         if accepted and not {outcome.text, outcome.word} & set(accepted):

@@ -66,7 +66,7 @@ class Outcome:
     fate: str
 
     @classmethod
-    def of(cls, whole: str) -> "Outcome":
+    def parse(cls, whole: str) -> "Outcome":
         """Take a report apart."""
         before, _, last = whole.rpartition(" ")
         fate = last if last in _FATES else ""

@@ -22,7 +22,10 @@ PATTERNS = {
 }
 SIZES = (0, 1, 248, 249, 250, 498, 499, 600, 65_536)
 HUGE = 1_000_003
-FUNCTIONS = ["getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
+FUNCTIONS = [
+    *("getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns", "divide"),
+    *("echoNumbers", "echoShapes", "echoWords", "echoFirst"),
+]
 
 
 def test_all_echoes(client: j2a.Client) -> None:

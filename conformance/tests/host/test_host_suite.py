@@ -20,7 +20,11 @@ CASES = (START, *load())
 
 def test_the_reference_host_conforms(host_reference, host_judged):
     run = host_judged(host_reference, timeout_scale=0.5)
-    assert {r.case: r.reason for r in run.results if r.verdict is not Verdict.OK} == {}
+    # It has no types: those of the library and of its asyncio client are judged instead.
+    untyped = {case.ID for case in CASES if case.LEVEL == "interface"}
+    others = {r.case: r.reason for r in run.results if r.verdict is not Verdict.OK}
+    assert set(others) == untyped
+    assert set(others.values()) == {"the host program does not know the job typed"}
     assert len(run.results) == len(CASES)
     assert run.conformant
     assert not run.stopped

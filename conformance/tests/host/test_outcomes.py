@@ -69,5 +69,5 @@ def test_the_sif_in_question_is_named(reported, words):
     ],
 )
 def test_outcomes_are_taken_apart(text, word, rest, fate):
-    outcome = Outcome.of(text)
+    outcome = Outcome.parse(text)
     assert (outcome.whole, outcome.word, outcome.rest, outcome.fate) == (text, word, rest, fate)

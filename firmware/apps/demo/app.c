@@ -1,36 +1,23 @@
-/* The demo: one function of each kind, and the tools that a conformance run asks for. Requests come
- * in as the functions' payloads (little-endian numbers); a wrong length returns J2A_RET_FAILED. */
+/* The demo: typed functions, raw ones that read their payloads themselves, and the tools that a conformance run
+ * asks for. */
 #include "j2a_functions.h"
 
 #if !J2A_WITH_CLOCK
 #error "the demo tells the time: it needs J2A_WITH_CLOCK=1"
 #endif
 
-static uint16_t get_u16(const uint8_t *bytes) {
-    return (uint16_t)(bytes[0] | (uint16_t)bytes[1] << 8);
-}
-
 static uint8_t failed(uint8_t *length) {
     *length = 0;
     return J2A_RET_FAILED;
 }
 
-/* Replies 8 bytes: microseconds since the start. */
-uint8_t demo_get_time(uint8_t *const length, uint8_t **const payload) {
-    const uint64_t now_us = j2a_port_time_us();
-    j2a_put_u32(*payload, (uint32_t)now_us);
-    j2a_put_u32(*payload + 4, (uint32_t)(now_us >> 32));
-    *length = 8;
-    return 0;
+uint64_t app_getTime(void) {
+    return j2a_port_time_us();
 }
 
-/* Takes two i32, replies their sum, which wraps. */
-uint8_t demo_add(uint8_t *const length, uint8_t **const payload) {
-    if (*length != 8)
-        return failed(length);
-    j2a_put_u32(*payload, j2a_get_u32(*payload) + j2a_get_u32(*payload + 4));
-    *length = 4;
-    return 0;
+/* The sum wraps. */
+int32_t app_add(int32_t a, int32_t b) {
+    return (int32_t)((uint32_t)a + (uint32_t)b);
 }
 
 /* Keeps what was written last, for each link. A write at offset 0 starts anew; the next ones follow on. */
@@ -77,32 +64,58 @@ uint8_t demo_ret(uint8_t *const length, uint8_t **const payload) {
     return code;
 }
 
-/* Takes u16 milliseconds and returns that much later. */
-uint8_t demo_delay(uint8_t *const length, uint8_t **const payload) {
+void app_delay(uint16_t time_ms) {
     const uint64_t start_us = j2a_port_time_us();
-    uint32_t delay_us;
-
-    if (*length != 2)
-        return failed(length);
-    delay_us = get_u16(*payload) * (uint32_t)1000;
-    while (j2a_port_time_us() - start_us < delay_us) {
+    const uint32_t time_us = time_ms * (uint32_t)1000;
+    while (j2a_port_time_us() - start_us < time_us) {
     }
-    *length = 0;
-    return 0;
 }
 
-/* Replies u16: receive overruns since the start. */
-uint8_t demo_overruns(uint8_t *const length, uint8_t **const payload) {
-    const uint16_t overruns = j2a_port_overruns();
-    (*payload)[0] = (uint8_t)overruns;
-    (*payload)[1] = (uint8_t)(overruns >> 8);
-    *length = 2;
-    return 0;
+uint16_t app_overruns(void) {
+    return j2a_port_overruns();
+}
+
+int32_t app_divide(int32_t a, int32_t b) {
+    if (b == 0)
+        return j2a_fail(1);
+    return b == -1 ? (int32_t)(0 - (uint32_t)a) : a / b; /* the quotient wraps, where it does not fit */
+}
+
+void app_echoNumbers(bool flag, int8_t small, uint16_t wide, int32_t sum, uint64_t big, bool on, bool *on_out,
+                     int64_t *big_out, int64_t *sum_out, uint32_t *wide_out, int16_t *small_out,
+                     uint8_t *flag_out) {
+    *on_out = on;
+    *big_out = (int64_t)big;
+    *sum_out = sum;
+    *wide_out = wide;
+    *small_out = (int16_t)small;
+    *flag_out = flag;
+}
+
+void app_echoShapes(mode chosen, const point *place, const int16_t raw[3], const char *note, uint8_t note_length,
+                    int32_t raw_out[3], point *place_out, int8_t *mode_out, char **note_out,
+                    uint8_t *note_out_length) {
+    uint8_t i;
+    for (i = 0; i < 3; i++)
+        raw_out[i] = raw[i];
+    *place_out = *place;
+    *mode_out = (int8_t)chosen;
+    *note_out = (char *)note;
+    *note_out_length = note_length;
+}
+
+void app_echoWords(const uint16_t *words, uint8_t words_count, uint16_t **words_out, uint8_t *words_out_count) {
+    *words_out = (uint16_t *)words;
+    *words_out_count = words_count;
+}
+
+void app_echoFirst(uint32_t first, const uint8_t *rest, uint8_t rest_length, uint32_t *first_out) {
+    (void)rest;
+    (void)rest_length;
+    *first_out = first;
 }
 
 #if J2A_WITH_SIF
-
-enum { SIF_PERIODIC = 0x20 };
 
 /* Of the SIFs that each link is sent. */
 static struct {
@@ -120,15 +133,11 @@ uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
     return 0;
 }
 
-/* Takes u16 milliseconds between SIFs that count from 0; 0 stops them. */
-uint8_t demo_sif_period(uint8_t *const length, uint8_t **const payload) {
-    if (*length != 2)
-        return failed(length);
-    timer.period_us = get_u16(*payload) * (uint32_t)1000;
+/* Starts the count anew. */
+void app_sifPeriod(uint16_t period_ms) {
+    timer.period_us = period_ms * (uint32_t)1000;
     timer.next_us = (uint32_t)j2a_port_time_us() + timer.period_us;
     timer.counter = 0;
-    *length = 0;
-    return 0;
 }
 
 /* The lower 32 bits will do for differences of up to 65 s. */
@@ -137,11 +146,9 @@ static int32_t time_left_us(void) {
 }
 
 static void send_when_due(void) {
-    uint8_t payload[4];
     if (timer.period_us == 0 || time_left_us() > 0)
         return;
-    j2a_put_u32(payload, timer.counter++);
-    j2a_send_sif(SIF_PERIODIC, sizeof payload, payload);
+    j2a_sif_counter(timer.counter++);
     timer.next_us += timer.period_us;
     if (time_left_us() < 0) /* too slow for this period: what was missed is left out */
         timer.next_us = (uint32_t)j2a_port_time_us() + timer.period_us;
@@ -162,9 +169,9 @@ uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
     return failed(length);
 }
 
-uint8_t demo_sif_period(uint8_t *const length, uint8_t **const payload) {
-    (void)payload;
-    return failed(length);
+void app_sifPeriod(uint16_t period_ms) {
+    (void)period_ms;
+    j2a_fail(J2A_RET_FAILED);
 }
 
 void j2a_app_task(void) {

@@ -1,6 +1,6 @@
 /* Sensors and servos. In: the callbacks of the drivers in drivers/avr, requests of the host. Out: replies, SIFs
  * with samples (see transducers.h and transds.def), pulses for servos, a lamp.
- * Numbers are little-endian; a wrong length, channel or transducer returns J2A_RET_FAILED. */
+ * A wrong channel or transducer returns J2A_RET_FAILED. */
 #include <util/atomic.h>
 
 #include "adc.h"
@@ -56,131 +56,100 @@ static void on_adc_period(void) {
 
 /* ------------------------------------------------------------ functions --------------------- */
 
-static uint16_t get_u16(const uint8_t *bytes) {
-    return (uint16_t)(bytes[0] | (uint16_t)bytes[1] << 8);
+uint64_t app_getTime(void) {
+    return j2a_port_time_us();
 }
 
-static uint8_t failed(uint8_t *length) {
-    *length = 0;
-    return J2A_RET_FAILED;
-}
-
-/* Replies u64: microseconds since the start. */
-uint8_t sensors_get_time(uint8_t *const length, uint8_t **const payload) {
-    const uint64_t now_us = j2a_port_time_us();
-    j2a_put_u32(*payload, (uint32_t)now_us);
-    j2a_put_u32(*payload + 4, (uint32_t)(now_us >> 32));
-    *length = 8;
-    return 0;
-}
-
-/* Takes u8 channel, replies u64 microseconds (of the last step, 0: none yet), i16 count, u16 errors. */
-uint8_t sensors_get_encoder(uint8_t *const length, uint8_t **const payload) {
-    const uint8_t channel = (*payload)[0];
-    uint16_t errors;
-    if (*length != 1 || channel >= QUAD_COUNT)
-        return failed(length);
-    sample_take(&quads[channel]);
-    sample_write(&quads[channel], quads[channel].taken, *payload);
-    errors = quad_errors(channel);
-    (*payload)[SAMPLE_BYTES] = (uint8_t)errors;
-    (*payload)[SAMPLE_BYTES + 1] = (uint8_t)(errors >> 8);
-    *length = SAMPLE_BYTES + 2;
-    return 0;
-}
-
-/* Takes u8 channel, i16 count, which is a sample like those of steps. */
-uint8_t sensors_set_encoder(uint8_t *const length, uint8_t **const payload) {
-    const uint8_t channel = (*payload)[0];
-    if (*length != 3 || channel >= QUAD_COUNT)
-        return failed(length);
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { /* no step may come in between */
-        quad_set(channel, (int16_t)get_u16(*payload + 1));
-        sample_put(&quads[channel], get_u16(*payload + 1));
+void app_getEncoder(uint8_t channel, uint64_t *time, int16_t *count, uint16_t *errors) {
+    if (channel >= QUAD_COUNT) {
+        j2a_fail(J2A_RET_FAILED);
+        return;
     }
-    *length = 0;
-    return 0;
+    sample_take(&quads[channel]);
+    *time = quads[channel].time_us;
+    *count = (int16_t)quads[channel].taken;
+    *errors = quad_errors(channel);
+}
+
+void app_setEncoder(uint8_t channel, int16_t count) {
+    if (channel >= QUAD_COUNT) {
+        j2a_fail(J2A_RET_FAILED);
+        return;
+    }
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { /* no step may come in between */
+        quad_set(channel, count);
+        sample_put(&quads[channel], (uint16_t)count);
+    }
 }
 
 #if SENSORS_ADC
-/* Measures all inputs anew, which takes 0.5 ms. */
-static void scan(void) {
+/* Measures all inputs anew, which takes 0.5 ms. Returns the sample of this one, null if there is none. */
+static const sample *measure(uint8_t channel, uint8_t channels) {
+    if (channel >= channels) {
+        j2a_fail(J2A_RET_FAILED);
+        return 0;
+    }
     while (adc_busy()) { /* one that has begun before */
     }
     adc_start();
     while (adc_busy()) {
     }
+    sample_take(&analogs[channel]);
+    return &analogs[channel];
 }
 
-static uint8_t reply_analog(uint8_t *const length, uint8_t *const payload, uint8_t channels, bool is_distance) {
-    const uint8_t channel = payload[0];
-    sample *s;
-    if (*length != 1 || channel >= channels)
-        return failed(length);
-    scan();
-    s = &analogs[channel];
-    sample_take(s);
-    sample_write(s, is_distance ? sharp_mm(s->taken) : s->taken, payload);
-    *length = SAMPLE_BYTES;
-    return 0;
+void app_getAdc(uint8_t channel, uint64_t *time, uint16_t *value) {
+    const sample *const s = measure(channel, adc_channels);
+    if (s != 0) {
+        *time = s->time_us;
+        *value = s->taken;
+    }
 }
 
-/* Takes u8 channel, replies u64 microseconds, u16 counts. */
-uint8_t sensors_get_adc(uint8_t *const length, uint8_t **const payload) {
-    return reply_analog(length, *payload, adc_channels, false);
-}
-
-/* Takes u8 channel, replies u64 microseconds, u16 millimetres; 0: out of range. */
-uint8_t sensors_get_distance(uint8_t *const length, uint8_t **const payload) {
-    return reply_analog(length, *payload, dist_ir_channels, true);
+void app_getDistance(uint8_t channel, uint64_t *time, uint16_t *distance) {
+    const sample *const s = measure(channel, dist_ir_channels);
+    if (s != 0) {
+        *time = s->time_us;
+        *distance = sharp_mm(s->taken);
+    }
 }
 #endif
 
-/* Takes i8 deflection -100..100, and u8 channel, which is 0 when it is left out. */
+/* Takes i8 deflection -100..100, and u8 channel, which is 0 when it is left out. A signature has no optional
+ * parameters, so this function gets its payload as it is. */
 uint8_t sensors_set_servo(uint8_t *const length, uint8_t **const payload) {
     const uint8_t channel = *length == 2 ? (*payload)[1] : 0;
-    if (*length < 1 || *length > 2 || channel >= SERVO_COUNT)
-        return failed(length);
-    servo_set(channel, (int8_t)(*payload)[0]);
+    const bool right = *length >= 1 && *length <= 2 && channel < SERVO_COUNT;
     *length = 0;
+    if (!right)
+        return J2A_RET_FAILED;
+    servo_set(channel, (int8_t)(*payload)[0]);
     return 0;
 }
 
-/* Takes u8 transducer, u16 milliseconds between its SIFs at least; 0 stops them. */
-uint8_t sensors_set_period(uint8_t *const length, uint8_t **const payload) {
+void app_setPeriod(uint8_t id, uint16_t period) {
     static void (*const on_period[])(void) = {
         on_quad_period,
 #if SENSORS_ADC
         on_dist_ir_period, on_adc_period
 #endif
     };
-    const uint8_t id = (*payload)[0];
-    if (*length != 3 || id >= TRANSDUCERS)
-        return failed(length);
-    timer_start(id, get_u16(*payload + 1), on_period[id]);
+    if (id >= TRANSDUCERS) {
+        j2a_fail(J2A_RET_FAILED);
+        return;
+    }
+    timer_start(id, period, on_period[id]);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         due &= (uint8_t)~(1 << id);
     }
-    *length = 0;
-    return 0;
 }
 
-/* Takes u16 milliseconds after which the lamp changes; 0 leaves it as it is. */
-uint8_t sensors_set_blink(uint8_t *const length, uint8_t **const payload) {
-    if (*length != 2)
-        return failed(length);
-    timer_start(TIMER_LAMP, get_u16(*payload), on_lamp);
-    *length = 0;
-    return 0;
+void app_setBlink(uint16_t period) {
+    timer_start(TIMER_LAMP, period, on_lamp);
 }
 
-/* Replies u16: receive overruns since the start. */
-uint8_t sensors_overruns(uint8_t *const length, uint8_t **const payload) {
-    const uint16_t overruns = j2a_port_overruns();
-    (*payload)[0] = (uint8_t)overruns;
-    (*payload)[1] = (uint8_t)(overruns >> 8);
-    *length = 2;
-    return 0;
+uint16_t app_overruns(void) {
+    return j2a_port_overruns();
 }
 
 /* ------------------------------------------------------------ the main loop ----------------- */

@@ -25,9 +25,13 @@ uint8_t j2a_get_properties(bool *is_last, bool is_write, uint32_t *const offset,
         (*data)[n++] = c;
     }
     *length = n;
+#if J2A_WITH_INTERFACE
+    if (*is_last)
+        j2a_interface_property(at, *offset, is_last, length, *data);
+#endif
 #if J2A_WITH_SELFTEST
     if (*is_last)
-        j2a_selftest_property(at, *offset, is_last, length, *data);
+        j2a_selftest_property(at + J2A_INTERFACE_BYTES, *offset, is_last, length, *data);
 #endif
     return 0;
 }

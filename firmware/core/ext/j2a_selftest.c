@@ -160,16 +160,7 @@ void j2a_selftest(void) {
 }
 
 void j2a_selftest_property(size_t at, uint32_t offset, bool *is_last, uint8_t *length, uint8_t *data) {
-    uint8_t i;
-    for (i = 0; i < property_used; i++, at++) {
-        if (at < offset)
-            continue;
-        if (*length == J2A_ROOM_MANY) {
-            *is_last = false;
-            break;
-        }
-        data[(*length)++] = (uint8_t)property[i];
-    }
+    j2a_append(property, property_used, at, offset, is_last, length, data);
 }
 
 #endif

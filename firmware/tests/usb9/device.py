@@ -29,7 +29,7 @@ ADDRESS = 9
 CONTROL_MS = 500  # the longest that any stage of a standard request may take (9.2.6.4)
 HALF = bytes((c.SOF, 1, 4, 200)) + b"half of a frame"
 DEMO = ("getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns")
-OPCODE = {name: opcode for opcode, name in enumerate((*c.BUILTINS, *DEMO))}
+OPCODE = {name: opcode for opcode, name in enumerate((*c.BUILTINS, "a2jGetInterface", *DEMO))}
 
 
 def setup(kind: int, request: int, value: int = 0, index: int = 0, length: int = 0) -> bytes:

@@ -181,6 +181,13 @@ class _Code:
                 frame -= int(operands[1], 0)
             case "subi" if operands[0] == "r28":
                 frame += int(operands[1], 0)
+            case "dec" if operands == ("r29",):  # a frame of 256 bytes
+                frame += 256
+            case "inc" if operands == ("r29",):
+                frame -= 256
+            case "subi" if operands[0] == "r29":
+                high = int(operands[1], 0)
+                frame += (high - 256 if high > 127 else high) << 8
             case "sbci" if operands[0] == "r29":
                 high = int(operands[1], 0)
                 frame += (high - 256 if high > 127 else high) << 8

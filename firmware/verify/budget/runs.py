@@ -94,6 +94,10 @@ def measure(build: Build, out: Path, firmware: Path, strict: bool = True) -> Res
             if strict:
                 raise
     deepest = figures.get("bound", figures.get("stack"))
+    if deepest is not None and deepest < figures.get("stack", 0):
+        raise BudgetError(
+            f"{build.name}: the stack was {figures['stack']} bytes deep, and its bound is {deepest}"
+        )
     if deepest is not None and "ram" in figures:
         figures["total"] = figures["ram"] + deepest
     return Result(_version(compiler), figures)

@@ -5,6 +5,7 @@
 #define CONTRACTS_H
 
 #include "j2a_internal.h"
+#include "numbers.h"
 
 /* The state of the link that is served. */
 #define j2a_rx (j2a_rx_of[j2a_link])
@@ -71,11 +72,5 @@ uint8_t j2a_error(uint8_t code, uint8_t site, uint8_t *length, uint8_t *payload)
     ensures \result <= J2A_RET_MAX || \result == J2A_RET_FAILED || \result == J2A_ERR_OPCODE; */
 uint8_t j2a_many(uint8_t *const length, uint8_t **const payload);
 #endif
-
-/*@ requires \valid_read(bytes + (0 .. 3)); */
-uint32_t j2a_get_u32(const uint8_t *bytes);
-
-/*@ requires \valid(bytes + (0 .. 3)); */
-void j2a_put_u32(uint8_t *bytes, uint32_t value);
 
 #endif

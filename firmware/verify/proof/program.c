@@ -200,6 +200,21 @@ uint8_t any_many(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *
     return any_u8;
 }
 
+#if J2A_WITH_INTERFACE
+#define ANY_CALL(number) \
+    uint8_t any_call_##number(uint8_t *const length, uint8_t **const payload) { \
+        (void)payload; \
+        *length = 0; \
+        return 0; \
+    }
+ANY_CALL(1)
+ANY_CALL(2)
+ANY_CALL(3)
+ANY_CALL(4)
+ANY_CALL(5)
+ANY_CALL(6)
+#endif
+
 int main(void) {
     write_anything(j2a_rx.payload, J2A_ROOM);
     own();

@@ -1,9 +1,9 @@
 """Proves with Frama-C Eva that no input makes the core do something undefined.
 
 What flows in: the core's sources (--core), and the drivers beside this file (parser.c, sender.c,
-program.c, selftest.c), which call it with arbitrary values. What flows out: a line for each
-analysis, and exit status 0 when all hold, 1 when one does not, 2 when there is no core, no Frama-C
-or no compiler.
+program.c, selftest.c, typed/typed.c), which call it with arbitrary values. What flows out: a line
+for each analysis, and exit status 0 when all hold, 1 when one does not, 2 when there is no core, no
+Frama-C or no compiler.
 Rules: one alarm, one contract or check that is not proven, one warning that is not in EXPECTED, or
 one statement that is not reached and not in UNREACHED fails. docs/conformance/proof.md names what
 these proofs cannot see.
@@ -28,22 +28,36 @@ TIME_LIMIT_S = 600
 # Frama-C refuses what C99 6.3.2.3 allows, a cast between functions of other numbers of arguments;
 # without (void) it sees no number. Calls are still compared with the function that is called.
 PREPROCESS = (
-    "gcc -E -C -nostdinc -dD -I{libc} -I{core} -I{here} -D__FRAMAC__ -D__FC_MACHDEP_{machine_upper}"
-    " -Dvolatile= {defines} -o %o.i %i"
+    "gcc -E -C -nostdinc -dD -I{libc} -I{own} -I{core} -I{here} -D__FRAMAC__"
+    " -D__FC_MACHDEP_{machine_upper} -Dvolatile= {defines} -o %o.i %i"
     " && sed 's/(\\*j2a_function)(void)/(*j2a_function)()/' %o.i > %o"
 )
 # Of that cast: the type of the call is the kind that the table gives for the function.
 EXPECTED = {"kernel:typing:incompatible-types-call": 2}
 # A function of a header: each file has a copy, also one that does not call it.
-IN_EACH_FILE = re.compile(r"j2a_served(_\d+)?")
+SERVED = re.compile("j2a_served")
+IN_EACH_FILE = re.compile(
+    r"j2a_(served|append|fail|begin|begin_open|end|move|put_open|leave|buffer"
+    r"|(get|take|put|load|store|as)_(bool|_Bool|[uif]\d+))(_\d+)?"
+)
+# The functions of typed/functions.def, by whether they take an open end.
+CLOSED = ("numbers", "ratio", "nothing", "code")
+OPEN = ("all", "list", "text", "grow")
 # Statements that no input reaches, and why.
 UNREACHED = {
-    "j2a_get_mapping": 4,  # a map longer than 255 bytes: j2a_table.c does not compile then
+    # A map longer than 255 bytes: j2a_table.c does not compile then. With the interface, and in
+    # take(), names with a signature behind them: the driver has none.
+    "j2a_get_mapping": 5,
+    "take": 1,
     "j2a_entry_of": 1,  # the shortcut where the application has no functions
     "j2a_find": 3,  # an opcode without a function: only opcode 0 with the map built out
     "j2a_get_debug": 2,  # more than 255 bytes of text: only with a larger J2A_DEBUGBUF
     "j2a_selftest": 2,  # vectors that are not as they were compiled in
     "main": 1,  # the return after the endless loop
+    "j2a_buffer": 1,  # one of the two orders of bytes
+    # Which check of the length a typed function has is a constant.
+    **{f"j2a_call_{name}": 9 for name in CLOSED},
+    **{f"j2a_call_{name}": 4 for name in OPEN},
 }
 # With these options all of a function of them is reached.
 WHOLE = {
@@ -66,7 +80,10 @@ class Analysis:
     @property
     def name(self) -> str:
         """What it is called in the output and by --only."""
-        return " ".join((self.driver, self.machine, *self.defines))
+        return " ".join((Path(self.driver).name, self.machine, *self.defines))
+
+
+_SMALL = "-DJ2A_ROOM=32"
 
 
 def _parser(machine: str, *defines: str) -> Analysis:
@@ -91,9 +108,23 @@ def _program(machine: str, *defines: str) -> Analysis:
         " -eva-slevel-function j2a_process:1000 -eva-interprocedural-splits"
         " -eva-split-return-function j2a_find:full"
     )
-    parts = (f"ext/j2a_{part}.c" for part in ("debug", "many", "mapping", "properties"))
+    parts = (
+        f"ext/j2a_{part}.c" for part in ("debug", "interface", "many", "mapping", "properties")
+    )
     sources = ("j2a_builtins.c", "j2a_server.c", "j2a_table.c", *parts)
     return Analysis("program", sources, tuple(precision.split()), machine, defines)
+
+
+def _typed(machine: str) -> Analysis:
+    precision = (
+        "-eva-ilevel 256 -eva-slevel 300 -eva-split-limit 300 -eva-min-loop-unroll 300"
+        " -eva-interprocedural-splits -warn-special-float none"
+        " -eva-split-return-function j2a_end:0,j2a_leave:0,"
+        + ",".join(f"j2a_call_{name}:0" for name in CLOSED + OPEN)
+    )
+    # Longer requests are more turns of the same loops.
+    defines = (_SMALL, "-DJ2A_WITH_MAPPING=0")
+    return Analysis("typed/typed", (), tuple(precision.split()), machine, defines)
 
 
 def _selftest(machine: str) -> Analysis:
@@ -106,13 +137,15 @@ def _selftest(machine: str) -> Analysis:
     return Analysis("selftest", ("ext/j2a_selftest.c",), tuple(precision.split()), machine, defines)
 
 
-_SMALL = "-DJ2A_ROOM=32"
 _OFF = ("MAPPING", "PROPERTIES", "SIF", "DEBUG")
 # int of 64-bit machines has 32 bits; that of an AVR has 16.
 ANALYSES = (
     _selftest("gcc_x86_16"),
+    _typed("gcc_x86_16"),
+    _typed("ppc_32"),  # big-endian
     _program("gcc_x86_64"),
     _program("gcc_x86_16", "-DJ2A_WITH_SELFTEST=1"),
+    _program("gcc_x86_16", "-DJ2A_WITH_INTERFACE=1"),
     _program("gcc_x86_64", *(f"-DJ2A_WITH_{option}=0" for option in _OFF)),
     _program("gcc_x86_16", "-DJ2A_WITH_PROPERTIES=0", "-DJ2A_DEBUGBUF=300"),
     _program("gcc_x86_16", _SMALL, "-DJ2A_WITH_MAPPING=0"),
@@ -124,12 +157,13 @@ ANALYSES = (
 )
 
 
-def faults(output: str, whole: set[str]) -> list[str]:
+def faults(output: str, whole: set[str], uncalled: re.Pattern[str]) -> list[str]:
     """Return what in the output of Eva keeps it from being a proof; nothing when it is one.
 
     Args:
         output: what frama-c printed, with metrics.
         whole: functions of UNREACHED that are reached as a whole with these options.
+        uncalled: the names of functions that may be without a call.
     """
     found = [line for line in output.splitlines() if line.startswith("[eva:alarm]")]
     found += re.findall(
@@ -154,7 +188,7 @@ def faults(output: str, whole: set[str]) -> list[str]:
     found += [
         f"{name} is not analysed"
         for name in names
-        if name not in analysed and not IN_EACH_FILE.fullmatch(name)
+        if name not in analysed and not uncalled.fullmatch(name)
     ]
     for name, reached, out_of in statements:
         missing = int(out_of) - int(reached)
@@ -171,6 +205,7 @@ def prove(analysis: Analysis, core: Path) -> tuple[list[str], str]:
     ).stdout.strip()
     preprocess = PREPROCESS.format(
         libc=f"{share}/libc",
+        own=(HERE / analysis.driver).parent,
         core=core,
         here=HERE,
         machine_upper=analysis.machine.upper(),
@@ -192,7 +227,10 @@ def prove(analysis: Analysis, core: Path) -> tuple[list[str], str]:
         timeout=TIME_LIMIT_S,
         check=False,
     )
-    found = faults(result.stdout, {WHOLE[name] for name in analysis.defines if name in WHOLE})
+    whole = {WHOLE[name] for name in analysis.defines if name in WHOLE}
+    # The driver of typed functions is there to call them all.
+    uncalled = SERVED if analysis.driver == "typed/typed" else IN_EACH_FILE
+    found = faults(result.stdout, whole, uncalled)
     if result.returncode != 0:
         found.append(f"frama-c ended with status {result.returncode}: {result.stdout[-800:]}")
     reached = re.search(r"(\d+) statements reached \(out of (\d+)\)", result.stdout)
@@ -218,7 +256,10 @@ def frame_condition(core: Path) -> list[str]:
     with tempfile.TemporaryDirectory(prefix="j2a-proof-") as folder:
         copy = Path(folder, "core")
         shutil.copytree(core, copy)
-        header = copy / "j2a_internal.h"
+        typed = copy / "j2a_typed.h"
+        macro = "#define j2a_failure (j2a_rx_of[0].checksum)"
+        typed.write_text(typed.read_text().replace(macro, "extern uint8_t j2a_failure;"))
+        header = copy / "j2a_state.h"
         text, count = re.subn(
             r"^    (uint8_t|bool) (state|checksum|count);",
             r"    const \1 \2;",
@@ -227,7 +268,7 @@ def frame_condition(core: Path) -> list[str]:
         )
         header.write_text(text)
         if count != 3:
-            return [f"j2a_internal.h has {count} of the parser's three own fields"]
+            return [f"j2a_state.h has {count} of the parser's three own fields"]
         files = [str(path) for path in sorted(copy.rglob("*.c")) if path.name != "j2a_rx.c"]
         command = ["gcc", "-std=c99", "-fsyntax-only", "-Werror", "-DJ2A_WITH_SELFTEST=1"]
         result = subprocess.run(

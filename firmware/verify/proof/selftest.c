@@ -8,6 +8,7 @@
 #undef j2a_send
 #undef j2a_send_sif
 #include "any.h"
+#include "numbers.h"
 
 volatile uint8_t any_u8;
 volatile uint16_t any_u16;

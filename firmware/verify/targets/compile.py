@@ -35,7 +35,11 @@ OPTIONS: Final = {
         *("-std=c99", "-Os", *WARNINGS, "-Wno-overlength-strings"),
         *("-fno-unwind-tables", "-fno-asynchronous-unwind-tables"),
     ),
-    "sdcc": ("--std-c99", "--Werror", "--opt-code-size"),
+    # It warns of conditions (110) and code (126) that constants make needless in inline functions.
+    "sdcc": (
+        *("--std-c99", "--Werror", "--opt-code-size"),
+        *("--disable-warning", "110", "--disable-warning", "126"),
+    ),
 }
 # The apps whose tables are taken, and what is switched on and off with them.
 BUILDS: Final = {

@@ -34,7 +34,9 @@ CALLS = 1500
 PAYLOAD = b"12345678"
 START = bytes((SOF,))
 BOARDS = 64
-MAPPING = b"a2jGetMapping\0" + GET_ECHO.encode() + b"\0"
+MAPPING = b"a2jGetMapping\0" + GET_ECHO.encode() + b"\0typed\0"
+TYPED = 2
+RESULT = int.from_bytes(PAYLOAD, "little")
 
 
 def answer(request: bytes) -> bytes:
@@ -43,7 +45,9 @@ def answer(request: bytes) -> bytes:
         return request
     seq = (request[2] + 1) & 0xFF if request[1] == 0x7D else request[1]
     opcode = request[3] if request[1] == 0x7D else request[2]
-    return encode(SOF, seq, *((ECHO, PAYLOAD) if opcode else (0, MAPPING)))
+    if opcode == 0:
+        return encode(SOF, seq, 0, MAPPING)
+    return encode(SOF, seq, 0 if opcode == TYPED else ECHO, PAYLOAD)
 
 
 def serve() -> None:
@@ -161,9 +165,41 @@ def blocking(threads: int = 1) -> float:
         return cost_us(all_threads, CALLS // threads * threads)
 
 
+def typed() -> float:
+    """Call a function with two numbers that returns one."""
+    with peer() as sock, Client(TcpTransport("tcp:", sock.dup(), 5.0), timeout=30.0) as client:
+        function = client.function("typed", "(a i32, b i32) u64")
+
+        def work() -> None:
+            for _ in range(CALLS):
+                if function(40, 2) != RESULT:
+                    raise AssertionError
+
+        function(40, 2)
+        return cost_us(work, CALLS)
+
+
 def eight_threads() -> float:
     """Call from eight threads at once."""
     return blocking(8)
+
+
+def typed_awaited() -> float:
+    """Call it in an event loop."""
+
+    async def run() -> float:
+        with peer() as sock:
+            async with AsyncClient(TcpTransport("tcp:", sock.dup(), 5.0), timeout=30.0) as client:
+                await client.functions()
+                function = client.function("typed", "(a i32, b i32) u64")
+                await function(40, 2)
+                start = time.process_time()
+                for _ in range(CALLS):
+                    if await function(40, 2) != RESULT:
+                        raise AssertionError
+                return (time.process_time() - start) / CALLS * 1e6
+
+    return asyncio.run(run())
 
 
 def streams() -> float:
@@ -281,9 +317,11 @@ def main() -> int:
     rows: dict[Callable[[], float], Callable[[], float] | None] = {
         raw: None,
         blocking: raw,
+        typed: blocking,
         eight_threads: raw,
         streams: None,
         awaited: streams,
+        typed_awaited: awaited,
         streams_anew: None,
         awaited_anew: streams_anew,
         hundred: None,

@@ -6,11 +6,26 @@ import struct
 import sys
 
 import pytest
-from j2a_spec.constants import BUILTINS, ECHO, FLAG_LAST, FLAG_WRITE, MAX_PAYLOAD
+from j2a_spec.constants import (
+    BUILTINS,
+    ECHO,
+    FLAG_LAST,
+    FLAG_WRITE,
+    KNOWN_BUILTINS,
+    MAX_PAYLOAD,
+)
 
+import j2a
 from j2a.cli import main
 
-DEMO = [*BUILTINS, "getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
+OWN = ["getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
+OWN += ["divide", "echoNumbers", "echoShapes", "echoWords", "echoFirst"]
+
+
+def opcode_of(url, name):
+    """Return the opcode of a function of a device."""
+    with j2a.connect(url) as board:
+        return int(board.functions[name])
 
 
 @pytest.fixture(params=["demo", "firmware"])
@@ -27,7 +42,9 @@ def test_info(run, url):
     assert (result.code, result.err) == (0, "")
     lines = result.out.splitlines()
     assert lines[0].split(maxsplit=1) == ["name", "J2A demo"]
-    assert f"{DEMO.index('add'):5}  add" in lines
+    line = f"{opcode_of(url, 'add'):5}  add"
+    typed = "(a i32, b i32) i32 !idempotent # Adds two numbers."
+    assert line in lines or (line + typed in lines and "  counter 32 (count u32)" in result.out)
     assert any(line.split() == ["j2a.spec", "1.1"] for line in lines)
     assert "frames received" in lines[-1]
 
@@ -40,9 +57,17 @@ def test_info_as_json(run, url):
     assert facts["spec"] == "1.1"
     assert facts["rxbuf"] == 4096
     assert facts["room"] == 255
-    assert facts["functions"] == {name: opcode for opcode, name in enumerate(DEMO)}
+    built_in = KNOWN_BUILTINS if facts["interface"] else BUILTINS
+    names = [*built_in, *OWN]
+    assert facts["functions"] == {name: opcode for opcode, name in enumerate(names)}
+    if facts["interface"]:
+        functions = facts["interface"]["functions"]
+        assert [(one["opcode"], one["name"]) for one in functions] == list(enumerate(names))
+        add = functions[names.index("add")]
+        assert (add["signature"], add["idempotent"]) == ("(a i32, b i32) i32", True)
+        assert add["doc"] == "Adds two numbers."
     assert facts["properties"]["serial"]
-    assert facts["counters"]["frames_sent"] == facts["counters"]["frames_received"] == 2
+    assert facts["counters"]["frames_sent"] == facts["counters"]["frames_received"] >= 2
 
 
 def test_info_of_a_device_that_tells_nothing(run, fake, wire):
@@ -76,11 +101,45 @@ def test_a_property_that_is_not_there(run, url):
 
 
 def test_call_by_name_and_by_opcode(run, url):
-    opcode = DEMO.index("add")
+    opcode = opcode_of(url, "add")
     for function in ("add", str(opcode), f"0x{opcode:02X}"):
         result = run("call", url, function, "i32:40", "i32:2")
         assert (result.code, result.err) == (0, "")
         assert result.out.splitlines() == ["code     0x00", "payload  2a 00 00 00"]
+
+
+def test_values_go_to_a_described_function(run, demo):
+    assert run("call", demo, "add", "40", "2").out == "42\n"
+    assert run("call", demo, "add", "0x28", "-42").out == "-2\n"
+    assert run("call", demo, "delay", "1").out == ""
+    assert int(run("call", demo, "getTime").out) >= 0
+    facts = json.loads(run("call", demo, "add", "40", "2", "--json").out)
+    assert facts.pop("round_trip_s") >= 0
+    assert facts == {"function": "add", "code": 0, "ok": True, "result": 42}
+    raw = "code     0x00\npayload  2a 00 00 00\n"
+    assert run("call", demo, "add", "28000000", "02000000", "--bytes").out == raw
+    assert run("call", demo, "add", "i32:40", "02000000").out == raw
+    assert run("call", demo, str(opcode_of(demo, "add")), "28000000", "02000000").out == raw
+
+
+def test_a_time_limit_holds_whatever_the_device_says(run, demo):
+    result = run("call", demo, "delay", "1500", "--timeout", "0.2")
+    assert result.code == 4
+    assert run("call", demo, "delay", "1100").code == 0  # which is slow, as the device says
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("40",), "add(a i32, b i32) i32 takes 2 values"),
+        (("40", "x"), "'x' is no value of b i32: write a whole number"),
+        (("40", "2147483648"), "b is an integer of -2147483648 to 2147483647"),
+    ],
+)
+def test_values_that_do_not_fit(run, demo, words, message):
+    result = run("call", demo, "add", *words)
+    assert (result.code, result.out) == (2, "")
+    assert message in result.err
 
 
 def test_options_may_stand_between_the_words(run, url):
@@ -186,7 +245,7 @@ def test_read_into_a_file_and_to_standard_output(demo, tmp_path, capsysbinary):
     assert main(["read", demo, "store", "-o", str(target)]) == 0
     assert target.read_bytes() == data
     capsysbinary.readouterr()
-    assert main(["read", demo, str(DEMO.index("store"))]) == 0
+    assert main(["read", demo, str(opcode_of(demo, "store"))]) == 0
     out, err = capsysbinary.readouterr()
     assert (out, err) == (data, b"")
 

@@ -56,7 +56,7 @@ def test_an_error_keeps_its_exit_code_whatever_is_closed(words, way):
 
 
 def test_standard_input_that_is_closed():
-    done = shell(f"j2a call {NOWHERE} f - <&-")
+    done = shell(f"j2a call {NOWHERE} f - --bytes <&-")
     assert (done.returncode, done.stderr) == (2, "j2a: -: standard input is closed\n")
 
 

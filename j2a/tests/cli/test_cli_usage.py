@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 import sys
 from importlib.metadata import version
 from types import SimpleNamespace
@@ -65,10 +66,10 @@ def test_commands_of_other_packages(run, monkeypatch):
         Point("echo", ImportError("takes the place of a command of ours")),
     ]
     monkeypatch.setattr(_commands, "entry_points", lambda group: found)
-    listed = run("--help").out
-    assert "  zebra  what it does\n" in listed
-    assert "  broken (does not load: ImportError: no module somebody)\n" in listed
-    assert listed.count("  echo ") == 1
+    listed = re.sub(" +", " ", run("--help").out)
+    assert " zebra what it does\n" in listed
+    assert " broken (does not load: ImportError: no module somebody)\n" in listed
+    assert listed.count("\n echo ") == 1
     assert run("zebra", "x").out == "done: x\n"
     assert run("zebra", "x").code == 4
     assert "What it does\n" in run("zebra", "--help").out
@@ -112,9 +113,9 @@ def test_version(run):
         (["watch", NOWHERE, "--call", "09"], "'09' is no opcode"),
         (["call", NOWHERE, "f", "--json", "--raw"], "not allowed with"),
         (["call", NOWHERE, "f", "--raw", "--as", "u8"], "--as is not allowed with --raw"),
-        (["call", NOWHERE, "f", "1"], "two digits"),
+        (["call", NOWHERE, "f", "1", "--bytes"], "two digits"),
         (["call", NOWHERE, "f", "--as", "int"], "known are: u8"),
-        (["call", NOWHERE, "f", "str:" + "a" * 256], "256 bytes, 255 is the most; "),
+        (["call", NOWHERE, "7", "str:" + "a" * 256], "256 bytes, 255 is the most; "),
         (["echo", NOWHERE, "--size", "256"], "not from 0 to 255"),
         (["echo", NOWHERE, "--size", "1", "--all-lengths"], "not allowed with"),
         (["echo", NOWHERE, "--count", "0"], "not from 1 up"),
@@ -193,6 +194,7 @@ def test_every_error_has_an_exit_code():
         UsageError,
     ]
     kinds = [kind for kind in errors if isinstance(kind, type) and issubclass(kind, Exception)]
+    kinds.remove(j2a.Fail)  # of a device's function, which no command meets
     assert len(kinds) > 15
     for kind in kinds:
         error = kind.__new__(kind)

@@ -151,8 +151,9 @@ class TestTimeLimits:
         device, gate = DemoDevice(), threading.Event()
         device.function("gate")(lambda _payload: (gate.wait(PATIENCE_S), b"late")[1])
         async with linked(device) as client:
+            sent = client.counters.frames_sent
             call = asyncio.create_task(client.call("gate"))
-            while client.counters.frames_sent < 2:
+            while client.counters.frames_sent == sent:
                 await asyncio.sleep(0)
             call.cancel()
             with pytest.raises(asyncio.CancelledError):

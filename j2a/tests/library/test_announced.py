@@ -159,15 +159,15 @@ class TestCapabilities:
     def test_clients_show_them(self):
         with served(device("1.1", j2a_caps="future acme.turbo ?")) as url:
             with j2a.connect(url) as board:
-                assert board.capabilities == {"future", "acme.turbo"}
+                assert board.capabilities == {"interface", "future", "acme.turbo"}
                 board.refresh()
-                assert board.capabilities == {"future", "acme.turbo"}
+                assert board.capabilities == {"interface", "future", "acme.turbo"}
 
             async def ask():
                 async with await j2a.aconnect(url) as board:
                     return await board.capabilities()
 
-            assert asyncio.run(ask()) == {"future", "acme.turbo"}
+            assert asyncio.run(ask()) == {"interface", "future", "acme.turbo"}
 
 
 @pytest.mark.requirement("J2A-LIMIT-009")

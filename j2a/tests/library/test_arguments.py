@@ -33,6 +33,9 @@ TIMED = {
 OF_DEVICE = ("functions", "properties", "capabilities", "room", "refresh")
 DEFAULTS = {
     "payload": b"",
+    "check": False,
+    "definitions": "",
+    "max_waiting": 4096,
     "timeout": None,
     "total_timeout": None,
     "max_bytes": 64 * 2**20,
@@ -175,6 +178,7 @@ class TestSignatures:
     def test_of_a_device(self):
         assert defaults(inspect.signature(j2a.Device)) == {
             "properties": None,
+            "interface": True,
             "room": 255,
             "byte_timeout_s": 0.01,
             "trace": None,
@@ -185,7 +189,8 @@ class TestSignatures:
 
     @pytest.mark.parametrize("kind", [j2a.Client, j2a.AsyncClient])
     def test_those_below_are_all_that_take_limits(self, kind):
-        assert TIMED.keys() == {n for n, s in public(kind).items() if "timeout" in s.parameters}
+        timed = {n for n, s in public(kind).items() if "timeout" in s.parameters}
+        assert timed == {*TIMED, "wait_sif"}  # which asks nothing of the device
 
 
 @pytest.mark.requirement("J2A-TIME-008")
@@ -298,7 +303,7 @@ def test_a_handler_that_an_earlier_one_cancels_is_not_called_any_more():
     second = handlers.add(None, "second".encode)
     handlers.add((6, 7), "third".encode)
     called = []
-    for handler in handlers.of(7):
+    for handler in handlers.matching(7):
         called.append(handler())
         second.cancel()
     assert called == [b"first", b"third"]

@@ -69,7 +69,8 @@ class TestCalls:
     def test_functions_and_properties(self, client):
         assert client.functions["a2jGetMapping"] == 0
         assert client.properties["name"] == "J2A demo"
-        client.functions.clear()
+        with pytest.raises(TypeError):
+            client.functions["a2jGetMapping"] = 5
         client.properties.clear()
         assert client.functions
         assert client.properties

@@ -3,6 +3,7 @@
 import asyncio
 import random
 import struct
+import zlib
 from collections.abc import Callable
 
 import pytest
@@ -144,6 +145,8 @@ class TestAgainstTheDemo:
             "name": "J2A demo",
             "serial": "0001",
             "port": "python",
+            "j2a.caps": "interface",
+            "j2a.interface": f"{zlib.crc32(demo._table.interface):08x}",
         }
         assert drive(demo._execute, peer.read_properties()) == want
         assert peer.rxbuf == 4096

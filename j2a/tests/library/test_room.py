@@ -125,7 +125,7 @@ class TestCalls:
         assert all(len(request.payload) <= 32 for request in requests)
 
     def test_the_room_is_asked_for_once_and_only_when_it_matters(self, talk):
-        client, requests = talk(DemoDevice())
+        client, requests = talk(DemoDevice(interface=False))
         client.do("echo", bytes(32))
         assert [request.opcode for request in requests] == [0, ECHO_OPCODE]
         for size in (33, 255, 100):
@@ -135,7 +135,7 @@ class TestCalls:
 
     @pytest.mark.parametrize(("size", "asks"), [(26, []), (27, [1])])
     def test_a_transfer_asks_for_it_only_when_it_matters(self, talk, size, asks):
-        client, requests = talk(DemoDevice())
+        client, requests = talk(DemoDevice(interface=False))
         client.do("write_many", "store", bytes(size))
         assert [request.opcode for request in requests] == [0, *asks, 1]
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from j2a_spec import constants as c
 from j2a_spec.generate.frames import frame_vectors
+from j2a_spec.generate.interfaces import interface_tests, value_tests
 from j2a_spec.generate.payloads import payload_vectors
 from j2a_spec.generate.scenarios import scenarios
 from j2a_spec.generate.streams import stream_vectors
@@ -67,6 +68,8 @@ def tests() -> dict[str, list[dict[str, Any]]]:
             }
             for s in scenarios()
         ],
+        "interface": interface_tests(),
+        "value": value_tests(),
     }
 
 

@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 __all__ = ["KINDS", "Kind", "load", "schema"]
 
-Kind = Literal["frame", "stream", "payload", "scenario"]
-KINDS: tuple[Kind, ...] = ("frame", "stream", "payload", "scenario")
+Kind = Literal["frame", "stream", "payload", "scenario", "interface", "value"]
+KINDS: tuple[Kind, ...] = ("frame", "stream", "payload", "scenario", "interface", "value")
 
 
 def load(kind: Kind) -> list[dict[str, Any]]:

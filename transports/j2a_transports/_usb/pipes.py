@@ -144,7 +144,7 @@ class BlockingPipes(Pipes):
         self._ended = threading.Event()
         self._telling = threading.Lock()
         self._writing = threading.Lock()
-        self._owed = False
+        self._zlp_pending = False
         self._reader = threading.Thread(target=self._read, name="usb reader", daemon=True)
         self._reader.start()
 
@@ -154,8 +154,8 @@ class BlockingPipes(Pipes):
     def _read(self) -> None:
         end = self.incoming
         while not self._ended.is_set():
-            if self._owed:
-                self._send_owed()
+            if self._zlp_pending:
+                self._send_pending_zlp()
             try:
                 data = bytes(self._device.read(end.address, end.size, SLICE_MS))
             except Exception as error:
@@ -168,24 +168,24 @@ class BlockingPipes(Pipes):
             elif not self._ours():
                 self._failed(end, reset())
 
-    def _send_owed(self) -> None:
+    def _send_pending_zlp(self) -> None:
         """Try the pending ZLP once, unless a write begins, which makes it unnecessary."""
         if not self._writing.acquire(blocking=False):
             return
         try:
-            if self._owed:
+            if self._zlp_pending:
                 self._device.write(self.outgoing.address, b"", ZLP_RETRY_MS)
-                self._owed = False
+                self._zlp_pending = False
         except Exception as error:
             # The next read or write meets any other error and handles it.
-            self._owed = timed_out(error)
+            self._zlp_pending = timed_out(error)
         finally:
             self._writing.release()
 
     def write(self, data: memoryview, timeout_s: float | None) -> None:
         """See `Pipes.write`."""
         with self._writing:
-            self._owed = False
+            self._zlp_pending = False
             self._write(data, timeout_s)
 
     def _write(self, data: memoryview, timeout_s: float | None) -> None:
@@ -201,8 +201,8 @@ class BlockingPipes(Pipes):
             if timeout_s is not None:
                 left_ms = min(SLICE_MS, int((since + timeout_s - time.monotonic()) * 1000) + 1)
                 if left_ms <= 0:
-                    self._owed = sent == len(data)
-                    if self._owed:
+                    self._zlp_pending = sent == len(data)
+                    if self._zlp_pending:
                         return
                     raise Stuck(sent)
             try:

@@ -105,7 +105,7 @@ class AsyncPipes(Pipes):
         self._to_write = [self._new_slot(self.outgoing) for _ in range(count)]
         self._reading: deque[_Slot] = deque()
         # The empty packet that ends a write, left under way where the board takes its time.
-        self._owed: deque[_Slot] = deque()
+        self._zlps: deque[_Slot] = deque()
         self._unread = 0
         self._halted = False
         self._ended = False
@@ -250,7 +250,7 @@ class AsyncPipes(Pipes):
         sent = 0
         with self._changed:
             # Bytes follow, so it is not needed; a halt meets the first of them again.
-            self._recall(self._owed)
+            self._recall(self._zlps)
         try:
             while True:
                 with self._changed:
@@ -262,7 +262,7 @@ class AsyncPipes(Pipes):
                         raise Ended
                     if status == CANCELLED and sent == len(data):
                         if self.outgoing.bulk:
-                            self._owe()
+                            self._leave_zlp()
                         return
                     if status == CANCELLED and not gone:
                         raise Stuck(sent)
@@ -276,10 +276,10 @@ class AsyncPipes(Pipes):
             with self._changed:
                 self._recall(flying)
 
-    def _owe(self) -> None:
+    def _leave_zlp(self) -> None:
         slot = self._to_write.pop()
         if self._submit(slot, 0):
-            self._owed.append(slot)
+            self._zlps.append(slot)
         else:
             self._to_write.append(slot)
 

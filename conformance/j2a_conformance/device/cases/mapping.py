@@ -36,8 +36,13 @@ class Content(Case):
             fail(f"the mapping is not a list of names with NUL at their ends: {error}")
         if names[:1] != [c.GET_MAPPING]:
             fail(f"the name at opcode 0 is {names[0]}" if names else "the mapping is empty")
-        if len(names) < 256:
-            peer.ask(peer.request(len(names), b"", c.ERR_OPCODE))
+        functions = peer.claims.functions  # which may be more than fit into the mapping
+        if len(names) < len(functions):
+            missing = functions[len(names)]
+            if len(payload) + len(missing) + 1 <= min(peer.longest, c.MAX_MAPPING):
+                fail(f"the mapping lacks {missing}, which fits into it")
+        if len(functions) < 256:
+            peer.ask(peer.request(len(functions), b"", c.ERR_OPCODE))
         known = {c.MANY: (b"", c.RET_FAILED), c.GET_ECHO: (b"map", c.ECHO)}
         for name, (request, code) in known.items():
             if name not in names:

@@ -169,7 +169,7 @@ class Hint(HostCase):
             for _ in range(3 - len(waiting)):
                 late = host.request()
                 host.reply(late, 1, late.payload)
-            parts = [Outcome.of(part) for part in host.outcome().whole.split(" ; ")]
+            parts = [Outcome.parse(part) for part in host.outcome().whole.split(" ; ")]
             for n, part in enumerate(parts, start=1):
                 is_hinted = hinted.payload == bytes((n,))
                 if part.text != f"reply 1 0{n}" and not (

@@ -224,7 +224,7 @@ class Queued(_Ends):
                 fail(f"a call was sent whose time limit of {limit_ms} ms was over", suspect=True)
             host.reply(request, 1, request.payload)
         outcome = host.outcome().whole.split(" ; ")
-        for n, part in enumerate(map(Outcome.of, outcome)):
+        for n, part in enumerate(map(Outcome.parse, outcome)):
             due = f"reply 1 0{n}" if n in _LONG else "timeout"
             if part.text != due:
                 fail(f"the call {n} ended as `{part.whole}`, due is `{due}`", suspect=late)

@@ -1,0 +1,395 @@
+"""Signatures, as a host uses them (J2A-TYPE, J2A-IFACE)."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+from j2a_spec import constants as c
+from j2a_spec import interface as oracle
+
+from j2a_conformance._judge import fail
+from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._device import DEMO, FETCH, PING, STORE, Device
+from j2a_conformance.host._host import Host
+
+_DEFINITIONS = """\
+enum mode i16 (off=0, slow=1, fast=-2)
+struct point (x f32 m, y i16)
+"""
+_FUNCTIONS = """\
+add(a i32, b i32) i32 !idempotent # Adds two numbers.
+scalars(a bool, b u8, c i8, d u16, e i16, f u32, g i32) (g i32, f u32, e i16, d u16, c i8, b u8)
+wide(a u64, b i64, c f32, d f64) (d f64, c f32, b i64, a u64 us)
+shapes(m mode, p point[2], t text[8]) (p point, m mode[2], t text)
+words(w u16[]) u16[]
+raw(b bytes[4]) bytes
+none()
+"""
+_MAX_INTERFACE = 65536
+
+
+def _device(text: str, **changes: Any) -> Device:
+    """Return a device with this interface, whose functions are those of its lines."""
+    lines = text.partition("\n\n")[2] if not text.startswith("\n") else text[1:]
+    names = [line.partition("(")[0].partition(" ")[0] for line in lines.splitlines()]
+    return replace(
+        DEMO,
+        **{
+            "names": tuple(names),
+            "properties": (
+                (c.PROP_SPEC, c.SPEC_VERSION),
+                (c.PROP_CAPS, c.CAP_INTERFACE),
+                (c.PROP_INTERFACE, oracle.crc(text.encode())),
+            ),
+            "interface": text.encode(),
+            **changes,
+        },
+    )
+
+
+def _whole(functions: str, definitions: str = "") -> str:
+    """Return an interface with the built-in functions, those of `DEMO` and more."""
+    kinds = {c.GET_PROPERTIES: " many", c.GET_ECHO_MANY: " many", FETCH: " many", STORE: " many"}
+    first = [*c.BUILTINS, c.GET_INTERFACE, PING, FETCH, STORE]
+    kinds[c.GET_INTERFACE] = " many"
+    lines = "".join(f"{name}{kinds.get(name, '')}\n" for name in first)
+    return f"{definitions}\n{lines}{functions}"
+
+
+TYPED = _device(_whole(_FUNCTIONS, _DEFINITIONS))
+"""A device whose functions take and return values of all types."""
+
+
+def spell(values: Any) -> str:
+    """Return values as jobs and outcomes have them: JSON without spaces."""
+    return json.dumps(values, separators=(",", ":")).replace(" ", "\\u0020")
+
+
+def _function(device: Device, name: str) -> tuple[oracle.Interface, oracle.Function]:
+    whole = oracle.parse(device.interface or b"")
+    (found,) = [function for function in whole.functions if function.name == name]
+    return whole, found
+
+
+def _payload(fields: tuple[oracle.Field, ...], values: list[Any], whole: oracle.Interface) -> bytes:
+    """Return the payload for values as jobs spell them: bytes are lists of numbers."""
+    pairs = zip(values, fields, strict=True)
+    own = [bytes(value) if field.element == "bytes" else value for value, field in pairs]
+    payload: bytes = oracle.payload(fields, whole).build([*own, None])
+    return payload
+
+
+def typed(host: Host, name: str, arguments: list[Any], results: list[Any]) -> None:
+    """Have the host call a described function; judge the request and what it makes of the reply."""
+    whole, function = _function(host.device, name)
+    host.job(f"typed {name} {spell(arguments)} {host.limit_ms}")
+    payload = _payload(function.parameters or (), arguments, whole)
+    request = host.request(host.device.opcode(name), payload)
+    host.reply(request, c.RET_OK, _payload(function.results, results, whole))
+    is_one = [field.name for field in function.results] == ["_"]
+    host.outcome(f"values {spell((results[0] if is_one else results) if results else None)}")
+
+
+_TEXTS = ("", "a", "J2A", "\u00fc\u00fc", "\x12\x7d", "\U0001f916", "12345678")
+
+
+class Values(HostCase):
+    """Has the host call functions with arguments and results of every type."""
+
+    ID = "host.types.values"
+    EXPECTATION = "The bytes of the oracle in the request, and the values that the reply holds."
+    REQUIREMENTS = ("J2A-TYPE-001", "J2A-TYPE-003", "J2A-TYPE-004", "J2A-IFACE-010")
+    LEVEL = "interface"
+    DEVICE = TYPED
+
+    def _run(self, host: Host) -> None:
+        for a, b in ((40, 2), (-1, 1), (2**31 - 1, -(2**31)), (0x12ED7D, -0x12ED7D)):
+            typed(host, "add", [a, b], [(a + b + 2**31) % 2**32 - 2**31])
+        for high in (0, 1):
+            ends = [[-(2 ** (n - 1)), 2 ** (n - 1) - 1][high] for n in (8, 16, 32)]
+            tops = [[0, 2**n - 1][high] for n in (8, 16, 32)]
+            arguments = [bool(high), tops[0], ends[0], tops[1], ends[1], tops[2], ends[2]]
+            typed(host, "scalars", arguments, arguments[:0:-1])
+            wide = [[0, 2**64 - 1][high], [-(2**63), 2**63 - 1][high], 0.5 - high, -1.25 * high]
+            typed(host, "wide", wide, wide[::-1])
+        for n, text in enumerate(
+            ("", "a", "J2A", "\u00fc\u00fc", "\x12\x7d", "\U0001f916", "12345678")
+        ):
+            points = [[n + 0.5, -n], [-n - 0.25, n]]
+            mode = (0, 1, -2)[n % 3]
+            typed(host, "shapes", [mode, points, text], [points[1], [mode, 1], text])
+        for count in (0, 1, 2, 60, 127):
+            words = [(0x12ED + 0x1111 * n) % 65536 for n in range(count)]
+            typed(host, "words", [words[:20]], [words[:20]])
+        for data in ([], [0], [255, 0x12, 0xED, 0x7D]):
+            typed(host, "raw", [data], [data])
+        typed(host, "none", [], [])
+
+
+class Bools(HostCase):
+    """Returns every byte as a bool."""
+
+    ID = "host.types.bools"
+    EXPECTATION = "Every byte but 0 is true."
+    REQUIREMENTS = ("J2A-TYPE-002",)
+    LEVEL = "interface"
+    DEVICE = _device(_whole("flag() bool\nflags() (a bool, b bool[2])\n"))
+
+    def _run(self, host: Host) -> None:
+        for byte in range(256):
+            for name, payload in (("flag", bytes((byte,))), ("flags", bytes((0, byte, byte ^ 1)))):
+                host.job(f"typed {name} [] {host.limit_ms}")
+                host.reply(host.request(host.device.opcode(name), b""), c.RET_OK, payload)
+                due: Any = bool(byte)
+                if name == "flags":
+                    due = [False, [bool(byte), byte != 1]]
+                host.outcome(f"values {spell(due)}")
+
+
+_REFUSED: tuple[tuple[str, list[Any]], ...] = (
+    ("add", [1]), ("add", [1, 2, 3]), ("add", []), ("add", [1, 2**31]), ("add", [-(2**31) - 1, 1]),
+    ("add", [1, 1.5]), ("add", ["1", 2]), ("add", [None, 2]),
+    ("scalars", [True, 256, 0, 0, 0, 0, 0]), ("scalars", [True, -1, 0, 0, 0, 0, 0]),
+    ("scalars", [True, 0, 128, 0, 0, 0, 0]), ("scalars", [True, 0, -129, 0, 0, 0, 0]),
+    ("scalars", [True, 0, 0, 65536, 0, 0, 0]), ("scalars", [True, 0, 0, 0, 32768, 0, 0]),
+    ("scalars", [True, 0, 0, 0, 0, 2**32, 0]), ("scalars", [True, 0, 0, 0, 0, -1, 0]),
+    ("scalars", [2, 0, 0, 0, 0, 0, 0]),
+    ("wide", [2**64, 0, 0, 0]), ("wide", [-1, 0, 0, 0]), ("wide", [0, 2**63, 0, 0]),
+    ("wide", [0, 0, 1e39, 0]), ("wide", [0, 0, "x", 0]),
+    ("shapes", [2, [[0, 0], [0, 0]], ""]), ("shapes", [0, [[0, 0]], ""]),
+    ("shapes", [0, [[0, 0], [0, 0], [0, 0]], ""]), ("shapes", [0, [[0, 0], [0]], ""]),
+    ("shapes", [0, [[0, 0], [0, 32768]], ""]), ("shapes", [0, [[0, 0], [0, 0]], "123456789"]),
+    ("shapes", [0, [[0, 0], [0, 0]], "\u00fc\u00fc\u00fc\u00fc\u00fc"]),
+    ("words", [[65536]]), ("words", [5]),
+    ("raw", [[0] * 5]), ("none", [0]),
+)  # fmt: skip
+
+
+class Refused(HostCase):
+    """Has the host call functions with arguments that their signatures do not admit."""
+
+    ID = "host.types.refused"
+    EXPECTATION = "The host refuses, and nothing is sent."
+    REQUIREMENTS = ("J2A-TYPE-008",)
+    LEVEL = "interface"
+    DEVICE = TYPED
+
+    def _run(self, host: Host) -> None:
+        for name, arguments in _REFUSED:
+            text = spell(arguments)
+            _, requests = host.do(f"typed {name} {text} {host.limit_ms}", "refused")
+            if requests:
+                fail(f"a request was sent for {name}({text}), which its signature does not admit")
+        typed(host, "add", [1, 2], [3])
+
+
+class Failures(HostCase):
+    """Returns other values than 0x00, with and without a payload that would fit."""
+
+    ID = "host.types.failures"
+    EXPECTATION = "The host reports that the function failed, and no result."
+    REQUIREMENTS = ("J2A-TYPE-007",)
+    LEVEL = "interface"
+    DEVICE = TYPED
+
+    def _run(self, host: Host) -> None:
+        for name, size in (("add", 4), ("none", 0), ("words", 2)):
+            opcode = host.device.opcode(name)
+            arguments = {"add": [1, 2], "none": [], "words": [[1]]}[name]
+            for code in (*range(1, 0xF0), c.RET_FAILED):
+                for payload in (b"", bytes(size)):
+                    host.job(f"typed {name} {spell(arguments)} {host.limit_ms}")
+                    host.reply(host.request(opcode), code, payload)
+                    host.outcome("error", "failed")
+
+
+class BadReplies(HostCase):
+    """Returns 0x00 and payloads that are not what the signature says."""
+
+    ID = "host.types.bad-replies"
+    EXPECTATION = "The host reports an error of the device, and no result."
+    REQUIREMENTS = ("J2A-TYPE-007",)
+    LEVEL = "interface"
+    DEVICE = TYPED
+
+    def _run(self, host: Host) -> None:
+        asked: dict[str, list[Any]] = {
+            "add": [1, 2],
+            "shapes": [0, [[0, 0], [0, 0]], ""],
+            "words": [[]],
+            "none": [],
+        }
+        fit = {"add": {4}, "shapes": range(10, 256), "words": range(0, 256, 2), "none": {0}}
+        for name, arguments in asked.items():
+            payloads = [bytes(length) for length in range(256) if length not in fit[name]]
+            if name == "shapes":
+                payloads += [bytes(10) + bad for bad in (b"\xff", b"a\xc3", b"\xed\xa0\x80")]
+            for payload in payloads:
+                host.job(f"typed {name} {spell(arguments)} {host.limit_ms}")
+                host.reply(host.request(host.device.opcode(name)), c.RET_OK, payload)
+                host.outcome("failed")
+        typed(host, "add", [1, 2], [3])
+
+
+def _raw_calls_work(host: Host) -> None:
+    opcode = host.device.opcode(PING)
+    for function in (PING, f"@{opcode}"):
+        host.job(f"call {function} 0102 {host.limit_ms}")
+        host.reply(host.request(opcode, b"\1\2"), 3, b"raw")
+        host.replied_with(3, b"raw")
+
+
+_BAD_LINES = (
+    "add(a i32 i32", "add(a i32, a i32)", "add(a text, b u8)", "add(a u8[0])", "add(a u8) u8 ",
+    "add()\nadd()", "add (a u8)", "add(a u8)  u8", "add(a u8)\tu8", "add(a f64[40])",
+    "add(a u8)\r", "add(a u8) !slow(0)", "add(a u8) # ", "add(a u8) # a\x07",
+)  # fmt: skip
+_BAD_DEFINITIONS = (
+    "enum m u8 (a=0, a=1)", "enum m u8 (a=256)", "enum m u8 (a=1, b=1)", "enum m f32 (a=1)",
+    "enum m u8 ()", "struct m (a text)", "struct u8 (a u16)", "struct m (a u8)\nstruct m (a u8)",
+    "struct m ()", "sif m 256 ()", "sif m 1 ()\nsif n 1 ()",
+)  # fmt: skip
+_FINE = "fine(a u8) u8\n"
+_RIGHT_LINES = f"{_FINE}add(a u8)\n"
+_RIGHT = _whole(_RIGHT_LINES)
+_BROKEN = (
+    "",
+    "\n",
+    "\n\n",
+    "add(a i32) i32\n",
+    _RIGHT[:-1],
+    _RIGHT.replace("\n", "\n\n", 1),
+    _RIGHT.replace(f"{c.MANY}\n", ""),
+    _RIGHT.replace(f"{PING}\n", "pong\n"),
+    *(_whole(f"{_FINE}{line}\n") for line in _BAD_LINES),
+    *(_whole(_RIGHT_LINES, f"{line}\n") for line in _BAD_DEFINITIONS),
+)
+
+
+class Broken(HostCase):
+    """Is a device whose interface breaks a rule of its language, or has other names than its
+    mapping, in one place each time.
+    """
+
+    ID = "host.interface.broken"
+    EXPECTATION = "No function is called by a signature; raw calls work, by name and by opcode."
+    REQUIREMENTS = ("J2A-IFACE-009",)
+    LEVEL = "interface"
+
+    def _run(self, host: Host) -> None:
+        names = (*c.BUILTINS, c.GET_INTERFACE, PING, FETCH, STORE, "fine", "add")
+        host.become(_device(_RIGHT, names=names))
+        typed(host, "fine", [1], [2])
+        for text in _BROKEN:
+            host.become(_device(text, names=names))
+            for name in ("fine", "add"):
+                host.do(f"typed {name} [1] {host.limit_ms}", "refused")
+            _raw_calls_work(host)
+
+
+class WrongHash(HostCase):
+    """Is a device whose j2a.interface is not the CRC-32 of its interface, or no CRC-32 at all."""
+
+    ID = "host.interface.wrong-hash"
+    EXPECTATION = "No function is called by a signature; raw calls work."
+    REQUIREMENTS = ("J2A-IFACE-012",)
+    LEVEL = "interface"
+
+    def _run(self, host: Host) -> None:
+        host.become(TYPED)
+        typed(host, "add", [1, 2], [3])
+        right = dict(TYPED.properties or ())
+        due = right[c.PROP_INTERFACE]
+        for value in ("00000000", "x", f"0{due}", f"{due} ", f"{int(due, 16) ^ 1:08x}"):
+            properties = tuple({**right, c.PROP_INTERFACE: value}.items())
+            host.become(replace(TYPED, properties=properties))
+            host.do(f"typed add [1,2] {host.limit_ms}", "refused")
+            _raw_calls_work(host)
+
+
+class NotAnnounced(HostCase):
+    """Is a device that has a2jGetInterface, but announces no capability or another one."""
+
+    ID = "host.interface.not-announced"
+    EXPECTATION = "The interface is not read; raw calls work."
+    REQUIREMENTS = ("J2A-CAP-003",)
+    LEVEL = "interface"
+
+    def _run(self, host: Host) -> None:
+        known = (
+            (c.PROP_SPEC, c.SPEC_VERSION),
+            (c.PROP_INTERFACE, oracle.crc(TYPED.interface or b"")),
+        )
+        for caps in (None, "other", "interface.x", "xinterface", "interfac"):
+            more = () if caps is None else ((c.PROP_CAPS, caps),)
+            host.become(replace(TYPED, properties=known + more))
+            host.do(f"typed add [1,2] {host.limit_ms}", "refused")
+            _raw_calls_work(host)
+
+
+class Endless(HostCase):
+    """Is a device whose interface has no end, and then one whose interface has 65536 bytes."""
+
+    ID = "host.interface.endless"
+    EXPECTATION = "The host gives up at a bound that is not below 65536 bytes; raw calls work."
+    REQUIREMENTS = ("J2A-IFACE-008", "J2A-IFACE-009")
+    LEVEL = "interface"
+
+    def _run(self, host: Host) -> None:
+        text = _whole("add(a i32, b i32) i32\n").encode()
+        for size in (_MAX_INTERFACE, 2**20):
+            doc = b" # " + b"x" * (size - len(text) - 3)
+            data = text[:-1] + doc + b"\n"
+            host.become(_device(data.decode()))
+            if size == _MAX_INTERFACE:
+                typed(host, "add", [1, 2], [3])
+            else:
+                host.do(f"typed add [1,2] {host.limit_ms}", "refused")
+            _raw_calls_work(host)
+
+
+class Unknown(HostCase):
+    """Is a device of a later version: with definitions, flags and elements that are not known."""
+
+    ID = "host.interface.unknown"
+    EXPECTATION = (
+        "The host uses what it knows; it calls no function with elements that it does not know."
+    )
+    REQUIREMENTS = ("J2A-IFACE-011",)
+    LEVEL = "interface"
+    DEVICE = _device(
+        _whole(
+            "first(a later, b u8) u8\nsecond(a u8) later[3]\nthird(a of) u8 !later\n"
+            "add(a i32, b i32) i32 !later(1, x) !idempotent !other # Adds.\n",
+            "union later (a u8) = 7\nstruct of (a later)\nsif beat 7 (a later)\n",
+        )
+    )
+
+    def _run(self, host: Host) -> None:
+        typed(host, "add", [1, 2], [3])
+        for name, arguments in (("first", [1, 2]), ("second", [1]), ("third", [1])):
+            _, requests = host.do(f"typed {name} {spell(arguments)} {host.limit_ms}", "refused")
+            if requests:
+                fail(f"{name} was called, whose signature has an element that is not known")
+        _raw_calls_work(host)
+
+
+class Long(HostCase):
+    """Is a device with 200 functions, whose names do not fit into its mapping."""
+
+    ID = "host.interface.long"
+    EXPECTATION = "All of them are called by their names."
+    REQUIREMENTS = ("J2A-IFACE-010",)
+    LEVEL = "interface"
+
+    def _run(self, host: Host) -> None:
+        functions = [f"function_with_a_long_name_{n:03}(a u8) u8\n" for n in range(200)]
+        device = _device(_whole("".join(functions)))
+        names, mapping = iter(device.names), b""
+        for name in names:
+            if len(mapping) + len(name) + 1 > c.MAX_MAPPING:
+                break
+            mapping += name.encode() + b"\0"
+        host.become(replace(device, mapping=(c.RET_OK, mapping)))
+        for n in (0, 1, 77, 198, 199):
+            typed(host, f"function_with_a_long_name_{n:03}", [n], [255 - n])

@@ -1,0 +1,134 @@
+"""Values as people write and read them, for functions that the device describes.
+
+In: words such as `42`, `slow`, `1,2,3`, `{"x": 1}`. Out: values; and texts and JSON of results.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Final
+
+import j2a
+from j2a.cli._exit import UsageError
+from j2a.cli._values import is_payload_word, payload_of
+from j2a.types.model import INTEGERS, Element, Enumeration, Field, Structure
+
+VALUES_HELP: Final = """\
+values, one for each parameter of a function that the device describes:
+  42  0x2a  -1.5         a number
+  true  false            a bool
+  slow                   an enumeration: a name, or a number
+  hello                  a text, as it stands
+  12ed  @FILE  -         bytes: payload words
+  1,2,3                  an array, or the fields of a structure; also as JSON"""
+
+_BOOLS: Final = {"true": True, "1": True, "false": False, "0": False}
+
+
+def takes_values(function: j2a.Function, words: Sequence[str]) -> bool:
+    """Tell whether words are values for a function, and not payload words.
+
+    They are payload words where the function is not described, and where one is written with its
+    type, as no value but a text can be.
+    """
+    if function.signature is None:
+        return False
+    elements = [field.type.element for field in function.signature.parameters]
+    literal = [element in ("text", "bytes") for element in elements]
+    literal += [False] * (len(words) - len(literal))
+    return not any(
+        is_payload_word(word) and not is_literal
+        for word, is_literal in zip(words, literal, strict=False)
+    )
+
+
+def values_of(function: j2a.Function, words: Sequence[str]) -> list[object]:
+    """Return the values that words stand for.
+
+    Raises:
+        UsageError: there are not as many as parameters, or one cannot be read.
+    """
+    assert function.signature is not None
+    fields = function.signature.parameters
+    if len(words) != len(fields):
+        raise UsageError(f"{function.name}{function.signature} takes {len(fields)} values")
+    return [_value(field, word) for field, word in zip(fields, words, strict=True)]
+
+
+def _value(field: Field, word: str) -> object:
+    element = field.type.element
+    if element == "text":
+        return word
+    if element == "bytes":
+        return payload_of([word])
+    try:
+        if field.type.count is None and not isinstance(element, Structure):
+            return _scalar(element, word)
+        if word[:1] in ("[", "{"):
+            return json.loads(word)
+        parts = word.split(",") if word else []
+        if not isinstance(element, Structure):
+            return [_scalar(element, part) for part in parts]
+        if field.type.count is not None:
+            raise ValueError("structures are written as JSON")
+        return [
+            _scalar(one.type.element, part) for one, part in zip(element.fields, parts, strict=True)
+        ]
+    except ValueError as error:
+        raise UsageError(f"{word!r} is no value of {field}: {error}") from None
+
+
+def _scalar(element: Element, word: str) -> object:
+    if isinstance(element, Structure):
+        raise ValueError("structures in structures are written as JSON")
+    if isinstance(element, Enumeration):
+        return int(word, 0) if word[:1].isdigit() or word[:1] == "-" else word
+    if element == "bool":
+        if word.lower() not in _BOOLS:
+            raise ValueError("write true or false")
+        return _BOOLS[word.lower()]
+    if element not in INTEGERS:
+        return float(word)
+    try:
+        return int(word, 0)
+    except ValueError:
+        raise ValueError("write a whole number, decimal or as 0x2a") from None
+
+
+def json_of(value: object) -> object:
+    """Return a value as JSON has it: enumerations by name, bytes in hex, structures as objects."""
+    if isinstance(value, IntEnum):
+        return value.name
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, tuple):
+        names = getattr(value, "_fields", None)
+        if names is not None:
+            return {name: json_of(one) for name, one in zip(names, value, strict=True)}
+        return [json_of(one) for one in value]
+    return value
+
+
+def lines_of(function: j2a.Function, result: object) -> list[str]:
+    """Return what a function returned, for people: a line for each result, with its name."""
+    assert function.signature is not None
+    results = function.signature.results
+    if not results:
+        return []
+    if len(results) == 1 and not results[0].name:
+        return [_text(result)]
+    assert isinstance(result, tuple)
+    width = max(len(field.name) for field in results)
+    return [f"{f.name:<{width}}  {_text(v)}" for f, v in zip(results, result, strict=True)]
+
+
+def _text(value: object) -> str:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bytes):
+        return value.hex(" ")
+    if isinstance(value, IntEnum):
+        return value.name
+    return json.dumps(json_of(value))

@@ -1,0 +1,86 @@
+"""`j2a completion`: what it offers, and that bash, zsh and fish take it."""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from j2a.cli import _commands
+from j2a.cli._completion import candidates
+
+BIN = str(Path(sys.executable).parent)
+# What each shell is asked for; zsh completes only in a terminal, so its two commands are replaced.
+ASK = {
+    "bash": """
+        source <(j2a completion bash)
+        COMP_WORDBREAKS=$' \\t\\n"\\'><=;|&(:' COMP_LINE=$1 COMP_POINT=${#1}
+        compopt() { :; }
+        _j2a
+        printf '%s\\n' "${COMPREPLY[@]}"
+    """,
+    "zsh": """
+        compdef() { :; }
+        _files() { :; }
+        compadd() { while [[ $1 != -- ]] { shift }; shift; (( $# )) && print -l -- "$@" }
+        source <(j2a completion zsh)
+        words=("${(@s: :)1}") CURRENT=${#words}
+        _j2a
+        true
+    """,
+    "fish": "j2a completion fish | source; complete -C $argv[1]",
+}
+
+
+def test_what_is_offered_comes_from_the_commands(demo):
+    assert candidates([""]) == list(_commands.names())
+    assert candidates(["in"]) == ["info"]
+    assert candidates(["completion", ""]) == ["bash", "zsh", "fish"]
+    assert candidates(["completion", "bash", ""]) == []
+    assert {"--json", "--watch"} <= set(candidates(["list", "-"]))
+    assert candidates(["setup", "--print", "u"]) == ["udev"]
+    assert candidates(["nothing", ""]) == []
+    assert "tcp:" in candidates(["call", ""])
+    assert candidates(["call", "--timeout", ""]) == []
+    assert "tcp:" in candidates(["call", "--timeout", "3", "t"])
+
+
+def test_functions_are_those_of_the_device(demo):
+    offered = candidates(["call", demo, ""])
+    assert {"add", "getTime"} <= set(offered)
+    assert not [name for name in offered if name.startswith("a2j")]
+    assert "a2jEcho" in candidates(["call", "--json", demo, "a2"])
+    assert candidates(["call", demo, "add", ""]) == []
+
+
+def test_a_device_that_is_not_there_offers_nothing(run, monkeypatch):
+    monkeypatch.setenv("J2A_COMPLETE", "call\ntcp://127.0.0.1:1\n\n")
+    result = run("completion", "bash")
+    assert (result.code, result.out, result.err) == (0, "", "")
+
+
+@pytest.mark.parametrize("shell", ASK)
+def test_the_shell_takes_the_script(shell, demo, need):
+    need(shell)
+
+    def offered(line):
+        done = subprocess.run(
+            [shell, *(("-f",) if shell == "zsh" else ()), "-c", ASK[shell]]
+            + (["shell", line] if shell != "fish" else [line]),
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "HOME": "/nonexistent"},
+        )
+        assert done.stderr == "", shlex.quote(line)
+        return set(done.stdout.split())
+
+    assert offered("j2a ") == set(_commands.names())
+    assert offered("j2a in") == {"info"}
+    assert "--json" in offered("j2a call --")
+    assert offered("j2a completion z") == {"zsh"}
+    assert offered(f"j2a call {demo} ad") == {"add"}
+    assert offered(f"j2a call {demo} nothing") == set()
+    assert offered("j2a call tc") == {"tcp:"}

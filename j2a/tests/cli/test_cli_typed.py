@@ -1,0 +1,113 @@
+"""Values on the command line: how words become values, and results become text."""
+
+import json
+
+import pytest
+
+import j2a
+from j2a.cli._exit import UsageError
+from j2a.cli._typed import lines_of, takes_values, values_of
+from j2a.client import Function
+from j2a.tests.library.support import served
+from j2a.types.coding import PythonTypes
+from j2a.types.model import Described
+from j2a.types.parser import parse_definitions, parse_signature
+
+DEFINITIONS = "enum mode i8 (off=0, slow=1, down=-1)\nstruct point (x f32 m, mode mode)"
+TYPES = {one.name: one for one in parse_definitions(DEFINITIONS)}
+
+
+def function(signature):
+    line = Described("f", parse_signature(signature, TYPES))
+    return Function(5, line, PythonTypes(), lambda: None)
+
+
+@pytest.mark.parametrize(
+    ("signature", "words", "values"),
+    [
+        ("(a u8, b i16)", ["0x2a", "-5"], [42, -5]),
+        ("(a f32)", ["-1.5"], [-1.5]),
+        ("(a bool, b bool)", ["true", "0"], [True, False]),
+        ("(a mode, b mode, c mode)", ["slow", "1", "-1"], ["slow", 1, -1]),
+        ("(a text)", ["i32:5"], ["i32:5"]),
+        ("(a text)", ["-"], ["-"]),
+        ("(a bytes)", ["12ed"], [b"\x12\xed"]),
+        ("(a bytes)", ["str:hi"], [b"hi"]),
+        ("(a i16[3])", ["1,-2,3"], [[1, -2, 3]]),
+        ("(a i16[])", [""], [[]]),
+        ("(a i16[])", ["[1, 2]"], [[1, 2]]),
+        ("(a point)", ["1.5,slow"], [[1.5, "slow"]]),
+        ("(a point)", ['{"x": 1, "mode": 0}'], [{"x": 1, "mode": 0}]),
+        ("(a point[1])", ['[{"x": 1, "mode": 0}]'], [[{"x": 1, "mode": 0}]]),
+    ],
+)
+def test_words_become_values(signature, words, values):
+    assert takes_values(function(signature), words)
+    assert values_of(function(signature), words) == values
+    function(signature)._pack(values, {})
+
+
+@pytest.mark.parametrize(
+    ("signature", "words"),
+    [
+        ("(a u8)", ["yes"]),
+        ("(a u8)", ["010"]),
+        ("(a f32)", ["one"]),
+        ("(a bool)", ["2"]),
+        ("(a i16[3])", ["1,x,3"]),
+        ("(a point)", ["1"]),
+        ("(a point)", ["{"]),
+        ("(a point[1])", ["1,slow"]),
+        ("(a bytes)", ["xyz"]),
+        ("(a u8)", []),
+    ],
+)
+def test_words_that_are_no_values(signature, words):
+    with pytest.raises(UsageError):
+        values_of(function(signature), words)
+
+
+@pytest.mark.parametrize(
+    ("signature", "words"),
+    [("(a u8)", ["u8:5"]), ("(a u8)", ["-"]), ("(a u8)", ["@file"]), ("(a text)", ["x", "u8:5"])],
+)
+def test_words_with_a_type_are_a_payload(signature, words):
+    assert not takes_values(function(signature), words)
+
+
+@pytest.mark.parametrize(
+    ("result", "payload", "lines"),
+    [
+        ("", b"", []),
+        (" u16 mV", b"\x2a\0", ["42"]),
+        (" bool", b"\1", ["true"]),
+        (" text", "Grüße".encode(), ["Grüße"]),
+        (" bytes", b"\x12\xed", ["12 ed"]),
+        (" mode", b"\1", ["slow"]),
+        (" mode", b"\5", ["5"]),
+        (" u8[2]", b"\1\2", ["[1, 2]"]),
+        (" point", b"\0\0\x80\x3f\1", ['{"x": 1.0, "mode": "slow"}']),
+        (" (a u8, mode mode)", b"\1\1", ["a     1", "mode  slow"]),
+    ],
+)
+def test_results_are_shown(result, payload, lines):
+    one = function(f"(){result}")
+    one._prepare()
+    assert lines_of(one, one._unpack(j2a.Reply(0, payload))) == lines
+
+
+def test_a_failure_says_its_code(run):
+    device = j2a.Device()
+
+    @device.function
+    def fail(code: j2a.u8) -> j2a.u8:
+        raise j2a.Fail(code)
+
+    with served(device, "tcp://127.0.0.1:0") as url:
+        result = run("call", url, "fail", "3")
+        assert (result.code, result.out) == (1, "")
+        assert "fail: the function failed (code 0x03)" in result.err
+        facts = json.loads(run("call", url, "fail", "3", "--json").out)
+        assert (facts["code"], facts["ok"]) == (3, False)
+        assert facts["error"]["type"] == "FunctionFailed"
+        assert facts["error"]["outcome"] == "answered"

@@ -1,0 +1,203 @@
+"""What `j2a stub` writes: typed modules that work, headers that compile; and its errors."""
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+
+import j2a
+from j2a.cli import main
+from j2a.demo import DemoDevice
+from j2a.errors import SignatureError
+from j2a.types.definition_file import interface_text, read_definition_file
+from j2a.types.header import c_header
+from j2a.types.model import Interface
+from j2a.types.stub import class_name, python_module
+
+from .strategies import interfaces
+
+FIRMWARE = Path(__file__).parents[3] / "firmware"
+
+
+def load(path):
+    """The module in a file."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    # A dataclass looks for its module there.
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def demo():
+    import threading  # noqa: PLC0415 - for this fixture alone
+
+    import j2a_transports  # noqa: PLC0415
+
+    listener = j2a_transports.listen("tcp://127.0.0.1:0")
+    device = DemoDevice()
+    thread = threading.Thread(target=device.serve_forever, args=(listener,))
+    thread.start()
+    yield listener.url
+    device.stop()
+    thread.join()
+
+
+@pytest.fixture
+def board(tmp_path, demo):
+    """The module for the demo."""
+    assert main(["stub", demo, "-o", str(tmp_path / "demo_board.py")]) == 0
+    return load(tmp_path / "demo_board.py")
+
+
+def test_a_module_calls_its_board(board, demo):
+    made = board.connect(demo)
+    with made.client:
+        assert made.add(40, 2) == 42
+        assert made.echoNumbers(True, -1, 2, 3, 4, on=False) == board.EchoNumbersResults(
+            on=False, big=4, sum=3, wide=2, small=-1, flag=1
+        )
+        place = board.Point(x=1.5, y=-2)
+        found = made.echoShapes(board.Mode.fast, place, [1, 2, 3], "ü")
+        assert (found.place, found.mode, found.raw, found.note) == (place, -2, (1, 2, 3), "ü")
+        with pytest.raises(j2a.FunctionFailed):
+            made.divide(1, 0)
+        with pytest.raises(j2a.WrongArgument):
+            made.add(2**31, 0)
+
+
+def test_a_module_is_for_asyncio_too(board, demo):
+    async def run():
+        made = await board.aconnect(demo)
+        async with made.client:
+            assert await made.add(40, 2) == 42
+            assert (await made.echoWords([1, 2])).words == (1, 2)
+
+    import asyncio  # noqa: PLC0415 - for this test alone
+
+    asyncio.run(run())
+
+
+def test_another_board_is_refused(board, demo):
+    board.HASH = "00000000"
+    with pytest.raises(j2a.InterfaceChanged, match="this program is for 00000000"):
+        board.connect(demo)
+
+
+def test_a_board_that_describes_nothing_is_refused(board):
+    import j2a_transports  # noqa: PLC0415 - for this test alone
+
+    near, _far = j2a_transports.pair()
+    refused = pytest.raises(j2a.InterfaceChanged, match="does not describe its functions")
+    with j2a.Client(near) as client, refused:
+        board.Board(client)
+
+
+def test_a_module_is_strictly_typed(board, tmp_path):
+    pytest.importorskip("mypy")
+    user = tmp_path / "user.py"
+    user.write_text(
+        "from demo_board import Mode, Point, connect\n"
+        "board = connect('tcp://127.0.0.1:5000')\n"
+        "total: int = board.add(40, 2)\n"
+        "place: Point = board.echoShapes(Mode.off, Point(1.0, 2), [1, 2, 3], 'x').place\n"
+        "board.add('40', 2)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", "user.py", "demo_board.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PATH": "", "MYPYPATH": str(tmp_path)},
+    )
+    errors = [line for line in done.stdout.splitlines() if ": error:" in line]
+    assert [re.sub(r"^(\S+?):(\d+).*", r"\1:\2", line) for line in errors] == ["user.py:5"]
+
+
+@settings(max_examples=20)
+@given(interfaces())
+def test_every_interface_makes_a_module_and_a_header(interface):
+    compile(python_module(interface, "00000000", 'odd "source" \\'), "board.py", "exec")
+    assert c_header(interface, "00000000", "a */ b").count("#endif") == 1
+
+
+def test_classes_have_names_of_classes():
+    assert [class_name(name) for name in ("mode", "motor_mode", "_x", "__", "aB")] == [
+        "Mode", "MotorMode", "X", "Unnamed", "AB",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("folder", ["apps/demo", "tests/typed"])
+def test_a_definition_file_says_what_the_board_says(folder):
+    text = (FIRMWARE / folder / "functions.def").read_text("utf-8")
+    text = re.sub(r"^#(ifndef|endif).*$", "", text, flags=re.MULTILINE)
+    assert interface_text(text) == (FIRMWARE / folder / "interface.txt").read_text("utf-8")
+    assert len(read_definition_file(text).functions) > 10
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("J2A_FUNCTION(add", 'a ")" is missing (line 1, character 1'),
+        ("\n\nJ2A_FUNCTION(add)", "the arguments of J2A_FUNCTION cannot be read (line 3"),
+        ('J2A_FUN(add, i32, "x")', "J2A_FUN is no entry of functions.def"),
+        ("#ifdef X\n", "only a build can decide this; ask a board"),
+        ('J2A_FUNCTION(add, i32, (i33, a), "x")', "add uses a type that is not defined"),
+        ("J2A_CALL a", 'a "(" is expected behind J2A_CALL'),
+        ('J2A_CALL(a, b) "', "this cannot be read"),
+        ('J2A_FUNCTION(add, i32, (i32, a), (i32, a), "x")', "the name a stands here twice"),
+        ("J2A_ENUM(m, u8, (a, 0), b)", "the arguments of J2A_ENUM cannot be read"),
+    ],
+)
+def test_a_definition_file_that_cannot_be_read_says_where(text, message):
+    with pytest.raises(SignatureError) as caught:
+        read_definition_file(text)
+    assert message in str(caught.value)
+
+
+def test_a_header_compiles(tmp_path, need):
+    need("gcc")
+    source = FIRMWARE / "apps/demo/functions.def"
+    assert main(["stub", str(source), "-o", str(tmp_path / "board.h")]) == 0
+    (tmp_path / "main.c").write_text(
+        '#include "board.h"\npoint p = {1.5f, 2};\nmode m = mode_fast;\n'
+        "int opcode = J2A_OPCODE_add + J2A_SIF_counter;\n"
+    )
+    flags = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+    subprocess.run(
+        ["gcc", *flags, "-c", "main.c", "-o", "main.o"], cwd=tmp_path, check=True, timeout=60
+    )
+
+
+def test_json_has_the_same(tmp_path, demo, capsys):
+    assert main(["stub", demo, "-o", str(tmp_path / "board.json")]) == 0
+    facts = json.loads((tmp_path / "board.json").read_text("utf-8"))
+    with j2a.connect(demo) as client:
+        assert facts["hash"] == client.properties["j2a.interface"]
+    assert [one["signature"] for one in facts["functions"] if one["name"] == "add"] == [
+        "(a i32, b i32) i32"
+    ]
+    assert "wrote" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("no.def",), "cannot read no.def"),
+        (("no.def", "-o", "board.txt"), "board.txt: the name ends in .py, .json, .h"),
+    ],
+)
+def test_what_cannot_be_written_is_said(arguments, message, capsys):
+    assert main(["stub", *arguments]) != 0
+    assert message in capsys.readouterr().err
+
+
+def test_nothing_to_describe_is_a_module_too():
+    compile(python_module(Interface(), "00000000", "nothing"), "board.py", "exec")

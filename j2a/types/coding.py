@@ -1,0 +1,367 @@
+"""Packs Python values into payloads, and back (SPEC.md, section 19).
+
+What flows in: fields of a signature or a SIF, then values or payloads. What flows out: payloads, or
+values: bool, int, float, str, bytes; an IntEnum for an enumeration, a named tuple for a structure,
+a tuple for an array. Rules: `struct` does the work where all is scalar; everything else says what
+is wrong, so that the fast way needs no checks of its own.
+"""
+
+import keyword
+import struct
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from enum import IntEnum
+from typing import Any, Final
+
+from j2a_spec.constants import MAX_PAYLOAD
+
+from j2a.errors import WrongArgument
+from j2a.types.model import OPEN, Element, Enumeration, Field, Structure, Type, integer_range
+
+__all__ = ["Codec", "PayloadMismatchError", "PythonTypes"]
+
+_CODES: Final = {
+    "bool": "?",
+    "u8": "B",
+    "i8": "b",
+    "u16": "H",
+    "i16": "h",
+    "u32": "I",
+    "i32": "i",
+    "u64": "Q",
+    "i64": "q",
+    "f32": "f",
+    "f64": "d",
+}
+
+_make_enum: Callable[[str, list[tuple[str, int]]], type[IntEnum]] = IntEnum  # type: ignore[assignment]
+
+_Flatten = Callable[[Any, str, list[Any]], None]
+"""Appends the scalars of a value; the text names the argument in errors."""
+_Build = Callable[[Sequence[Any], int], Any]
+"""Returns the value whose scalars begin at the index."""
+
+
+class PayloadMismatchError(ValueError):
+    """A payload is not what the signature says."""
+
+
+class PythonTypes:
+    """The Python classes of values: those of enumerations and structures are made once.
+
+    Args:
+        array: makes the value of an array.
+        is_strict: a number that its enumeration does not name is refused; otherwise it stays a
+            number, as one that a later version of a device names.
+    """
+
+    def __init__(
+        self, *, array: Callable[[Iterable[Any]], Sequence[Any]] = tuple, is_strict: bool = False
+    ) -> None:
+        self.array = array
+        self.is_strict = is_strict
+        self._enums: dict[Enumeration, type[IntEnum]] = {}
+        # By identity: to compare structures takes time that doubles with each one in another.
+        self._structures: dict[int, tuple[Structure, type[Any]]] = {}
+
+    def enum(self, enumeration: Enumeration) -> type[IntEnum]:
+        """Return the IntEnum of an enumeration."""
+        made = self._enums.get(enumeration)
+        if made is None:
+            names = python_names([name for name, _ in enumeration.values])
+            members = zip(names, (number for _, number in enumeration.values), strict=True)
+            made = _make_enum(enumeration.name, list(members))
+            self._enums[enumeration] = made
+        return made
+
+    def structure(self, structure: Structure) -> type[Any]:
+        """Return the class of a structure, a named tuple unless `use` gave another."""
+        made = self._structures.get(id(structure))
+        if made is None or made[0] is not structure:
+            made = (structure, tuple_class(structure.name, structure.fields))
+            self._structures[id(structure)] = made
+        return made[1]
+
+    def use(self, definition: Enumeration | Structure, kind: type[Any]) -> None:
+        """Have values be of a class that is there already."""
+        if isinstance(definition, Enumeration):
+            self._enums[definition] = kind
+        else:
+            self._structures[id(definition)] = (definition, kind)
+
+
+class Codec:
+    """Packs the values of some fields, and unpacks them.
+
+    Args:
+        fields: of a signature, a result or a SIF; the last one may be open.
+        types: where the classes of enumerations and structures come from.
+
+    Attributes:
+        fields: the same.
+        python_names: of the fields, as Python can write them.
+    """
+
+    def __init__(self, fields: Iterable[Field], types: PythonTypes) -> None:
+        self.fields = tuple(fields)
+        fixed = [field for field in self.fields if not field.type.is_open]
+        self._tail = None if len(fixed) == len(self.fields) else self.fields[-1]
+        parts = [_part(field.type, types) for field in fixed]
+        self._struct = struct.Struct("<" + "".join(code for code, _, _ in parts))
+        self._flatten = [flatten for _, flatten, _ in parts]
+        self._build: list[tuple[_Build, int]] = []
+        at = 0
+        for code, _, build in parts:
+            self._build.append((build, at))
+            at += len(code)
+        self._is_plain = self._tail is None and all(
+            field.type.count is None and field.type.element in _CODES for field in fixed
+        )
+        self._checks_bool = any(field.type.element == "bool" for field in fixed)
+        self._element = None
+        if self._tail is not None and self._tail.type.count == 0:
+            self._element = Codec((Field("", Type(self._tail.type.element)),), types)
+        self._array = types.array
+        self._names = [field.name for field in self.fields]
+        self.python_names = python_names(self._names)
+
+    def pack(self, values: Sequence[Any]) -> bytes:
+        """Return the payload for one value for each field.
+
+        Raises:
+            WrongArgument: a value is not what its field takes; the message names the field.
+        """
+        if self._is_plain and not self._checks_bool:
+            try:
+                return self._struct.pack(*values)
+            except (struct.error, OverflowError):
+                pass  # the slow way finds out why
+        if len(values) != len(self.fields):
+            raise WrongArgument(f"{len(self.fields)} values are expected, not {len(values)}")
+        flat: list[Any] = []
+        for field, value, flatten in zip(self.fields, values, self._flatten, strict=False):
+            flatten(value, field.name, flat)
+        payload = self._struct.pack(*flat)
+        if self._tail is not None:
+            payload += self._pack_tail(self._tail, values[-1])
+        if len(payload) > MAX_PAYLOAD:
+            raise WrongArgument(
+                f"{self.fields[-1].name} is too long: {len(payload)} bytes do not fit into a "
+                f"payload of {MAX_PAYLOAD}"
+            )
+        return payload
+
+    def pack_named(self, values: Sequence[Any], named: Mapping[str, Any]) -> bytes:
+        """Return the payload for values in order and by name, as Python passes arguments.
+
+        Raises:
+            WrongArgument: as `pack`; or a value is missing, or there is one too many.
+        """
+        found = dict(zip(self._names, values, strict=False))
+        own = dict(zip(self.python_names, self._names, strict=True))
+        if len(values) > len(self._names):
+            raise WrongArgument(f"{len(self._names)} values are expected, not {len(values)}")
+        for given, value in named.items():
+            name = own.get(given, given)
+            if name not in self._names:
+                raise WrongArgument(f"there is no {given}; there are: {', '.join(self._names)}")
+            if name in found:
+                raise WrongArgument(f"{given} is given twice")
+            found[name] = value
+        if missing := [name for name in self._names if name not in found]:
+            raise WrongArgument(f"a value is missing for {', '.join(missing)}")
+        return self.pack([found[name] for name in self._names])
+
+    def unpack(self, payload: bytes) -> tuple[Any, ...]:
+        """Return the values that a payload holds, one for each field.
+
+        Raises:
+            PayloadMismatchError: the payload is not as long as the fields, or a text is not UTF-8.
+        """
+        size = self._struct.size
+        if len(payload) != size and (self._tail is None or len(payload) < size):
+            raise PayloadMismatchError(f"{len(payload)} bytes came, where {size} are described")
+        if self._is_plain:
+            return self._struct.unpack(payload)
+        flat = self._struct.unpack_from(payload)
+        values = tuple(build(flat, at) for build, at in self._build)
+        if self._tail is None:
+            return values
+        return (*values, self._unpack_tail(self._tail, payload[size:]))
+
+    def _pack_tail(self, field: Field, value: Any) -> bytes:
+        if self._element is not None:
+            items = _items(value, field)
+            return b"".join(self._element.pack_item(item, field.name) for item in items)
+        if field.type.element == "text":
+            if not isinstance(value, str):
+                raise WrongArgument(f"{field.name} is a text, not {value!r:.60}")
+            try:
+                data = value.encode()
+            except UnicodeEncodeError as error:
+                raise WrongArgument(f"{field.name} is not a text of Unicode: {error}") from None
+        elif isinstance(value, bytes | bytearray | memoryview):
+            data = bytes(value)
+        else:
+            raise WrongArgument(f"{field.name} takes bytes, not {value!r:.60}")
+        if field.type.count is not None and len(data) > field.type.count:
+            raise WrongArgument(
+                f"{field.name} is at most {field.type.count} bytes long, not {len(data)}"
+            )
+        return data
+
+    def pack_item(self, value: Any, name: str) -> bytes:
+        """Return the bytes of one element of an array; `name` is that of the array."""
+        flat: list[Any] = []
+        self._flatten[0](value, name, flat)
+        return self._struct.pack(*flat)
+
+    def _unpack_tail(self, field: Field, data: bytes) -> Any:
+        if self._element is not None:
+            size = self._element._struct.size
+            if len(data) % size:
+                raise PayloadMismatchError(f"{field.name} ends within an element")
+            return self._array(
+                self._element.unpack(data[at : at + size])[0] for at in range(0, len(data), size)
+            )
+        if field.type.count is not None and len(data) > field.type.count:
+            raise PayloadMismatchError(f"{field.name} is longer than {field.type.count} bytes")
+        if field.type.element == "bytes":
+            return data
+        try:
+            return data.decode()
+        except UnicodeDecodeError as error:
+            raise PayloadMismatchError(f"{field.name} is not UTF-8: {error}") from None
+
+
+def tuple_class(name: str, fields: Sequence[Field]) -> type[Any]:
+    """Return a named tuple for fields."""
+    return namedtuple(name, python_names([field.name for field in fields]))
+
+
+def python_names(names: Iterable[str]) -> list[str]:
+    """Return names that Python lets attributes have: `class` is `class_`, `_x` is `n_x`."""
+    made: dict[str, None] = {}
+    for name in names:
+        own = f"n{name}" if name.startswith("_") else name
+        while keyword.iskeyword(own) or own == "mro" or own in made:
+            own += "_"
+        made[own] = None
+    return list(made)
+
+
+def _part(kind: Type, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
+    """Return the codes of `struct` for a type that is not open, and how to take it apart."""
+    code, flatten, build = _element(kind.element, types)
+    if kind.count is None:
+        return code, flatten, build
+    count, width = kind.count, len(code)
+
+    def flatten_all(value: Any, name: str, flat: list[Any]) -> None:
+        items = _items(value, Field(name, kind))
+        if len(items) != count:
+            raise WrongArgument(f"{name} is an array of {count}, not of {len(items)}")
+        for item in items:
+            flatten(item, name, flat)
+
+    def build_all(flat: Sequence[Any], at: int) -> Any:
+        return types.array(build(flat, at + index * width) for index in range(count))
+
+    return code * count, flatten_all, build_all
+
+
+def _items(value: Any, field: Field) -> Sequence[Any]:
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise WrongArgument(f"{field.name} is an array, {field.type}, not {value!r:.60}")
+    return value if isinstance(value, Sequence) else list(value)
+
+
+def _element(element: Element, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
+    if isinstance(element, Structure):
+        return _structure(element, types)
+    if isinstance(element, Enumeration):
+        return _enumeration(element, types)
+    assert element not in OPEN
+    code = _CODES[element]
+    check = struct.Struct("<" + code).pack
+
+    def flatten(value: Any, name: str, flat: list[Any]) -> None:
+        if element == "bool" and value not in (False, True):
+            raise WrongArgument(f"{name} is True or False, not {value!r:.60}")
+        try:
+            check(value)
+        except (struct.error, OverflowError):
+            raise WrongArgument(f"{name} is {_takes(element)}, not {value!r:.60}") from None
+        flat.append(value)
+
+    return code, flatten, _scalar
+
+
+def _scalar(flat: Sequence[Any], at: int) -> Any:
+    return flat[at]
+
+
+def _takes(element: str) -> str:
+    if element[0] == "f":
+        return f"a number that fits into {element}"
+    allowed = integer_range(element)
+    return f"an integer of {allowed[0]} to {allowed[-1]} ({element})"
+
+
+def _enumeration(element: Enumeration, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
+    by_name = dict(element.values)
+    members = {int(member): member for member in types.enum(element)}
+
+    def flatten(value: Any, name: str, flat: list[Any]) -> None:
+        number = by_name.get(value) if isinstance(value, str) else value
+        if not isinstance(number, int) or number not in members:
+            names = ", ".join(by_name)
+            raise WrongArgument(f"{name} is one of {names}, not {value!r:.60}")
+        flat.append(number)
+
+    def build(flat: Sequence[Any], at: int) -> Any:
+        number = flat[at]
+        if types.is_strict and number not in members:
+            raise PayloadMismatchError(f"{element.name} names no {number}")
+        return members.get(number, number)
+
+    return _CODES[element.integer], flatten, build
+
+
+def _structure(element: Structure, types: PythonTypes) -> tuple[str, _Flatten, _Build]:
+    made = types.structure(element)
+    parts = [_part(field.type, types) for field in element.fields]
+    names = [field.name for field in element.fields]
+    attributes = python_names(names)
+    starts: list[int] = []
+    at = 0
+    for code, _, _ in parts:
+        starts.append(at)
+        at += len(code)
+
+    def flatten(value: Any, name: str, flat: list[Any]) -> None:
+        values = _members(value, names, attributes)
+        if values is None:
+            raise WrongArgument(
+                f"{name} is a {element.name} of {', '.join(names)}, not {value!r:.60}"
+            )
+        for (_, inner, _), one, field in zip(parts, values, names, strict=True):
+            inner(one, f"{name}.{field}", flat)
+
+    def build(flat: Sequence[Any], at: int) -> Any:
+        return made(
+            *(inner(flat, at + start) for (_, _, inner), start in zip(parts, starts, strict=True))
+        )
+
+    return "".join(code for code, _, _ in parts), flatten, build
+
+
+def _members(value: Any, names: list[str], attributes: list[str]) -> Sequence[Any] | None:
+    """Return the values of the fields of a structure, out of what a user gives for it."""
+    if isinstance(value, Mapping):
+        return [value[name] for name in names] if set(value) == set(names) else None
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return value if len(value) == len(names) else None
+    if all(hasattr(value, name) for name in attributes):
+        return [getattr(value, name) for name in attributes]
+    return None
