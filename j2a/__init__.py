@@ -14,6 +14,7 @@ from j2a.errors import (
     CallTimeout,
     ChecksumRefused,
     DamageReported,
+    DeviceRestarted,
     Fail,
     FramingRefused,
     FunctionFailed,
@@ -37,7 +38,7 @@ from j2a.errors import (
     UnsupportedVersion,
     WrongArgument,
 )
-from j2a.events import Counters, Frame, FrameError, Reply, Sif
+from j2a.events import Counters, Frame, FrameError, Reply, ResetCause, Restart, Sif
 from j2a.io.functions import ManyReply, ManyRequest, read_chunk
 from j2a.io.handlers import Subscription
 from j2a.io.streams import SifStream
@@ -61,6 +62,7 @@ __all__ = [
     "Counters",
     "DamageReported",
     "Device",
+    "DeviceRestarted",
     "Fail",
     "Frame",
     "FrameError",
@@ -86,6 +88,8 @@ __all__ = [
     "RegistrationError",
     "RemoteError",
     "Reply",
+    "ResetCause",
+    "Restart",
     "Sif",
     "SifStream",
     "SignatureError",

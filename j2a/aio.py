@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 from j2a_spec.constants import GET_ECHO
 
 from j2a.errors import J2AError, LinkClosed, OpenFailed
-from j2a.events import Reply, Sif
+from j2a.events import Reply, Restart, Sif
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.client_base import ClientBase, check_echo, checked
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
-from j2a.io.loop import AsyncEngine, AsyncHandler
+from j2a.io.loop import AsyncEngine, AsyncHandler, AsyncRestartHandler
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
 from j2a.io.streams import MAX_SIFS
@@ -94,7 +94,13 @@ class AsyncClient(ClientBase):
         super().__init__(transport.url, timeout, window, trace)
         self._functions: tuple[object, AsyncFunctions] | None = None
         self._handlers: Handlers[AsyncHandler] = Handlers()
-        self._engine = AsyncEngine(transport, self._session, self._handlers, on_handler_error)
+        self._engine = AsyncEngine(
+            transport,
+            self._session,
+            self._handlers,
+            on_handler_error,
+            weakref.WeakMethod(self._restarted),
+        )
 
     # ------------------------------------------------------------------ calls
 
@@ -124,9 +130,10 @@ class AsyncClient(ClientBase):
         """
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
+        generation = self._session.generation
         known = self._known(function, data)
         if known is not None:
-            reply = await self._engine.call(*known, data, limit_s)
+            reply = await self._engine.call(*known, data, limit_s, generation)
         else:
             limits = self._call_limits(limit_s, self.now())
             reply = await self._drive(self._call(function, data), limits)
@@ -134,8 +141,10 @@ class AsyncClient(ClientBase):
 
     async def _call_typed(self, function: AsyncFunction, payload: bytes) -> Reply:
         limit_s = self._typed_limit_s(function)
-        if len(payload) <= self._device.room:
-            return await self._engine.call(function.name, function.opcode, payload, limit_s)
+        if function.epoch == self._session.epoch and len(payload) <= self._device.room:
+            return await self._engine.call(
+                function.name, function.opcode, payload, limit_s, self._session.generation
+            )
         limits = self._call_limits(limit_s, self.now())
         return await self._drive(self._call(function, payload), limits)
 
@@ -313,6 +322,15 @@ class AsyncClient(ClientBase):
         async with self.sifs(opcodes) as stream:
             return await stream.wait(limit_s)
 
+    @overload
+    def on_restart(self, handler: AsyncRestartHandler) -> Subscription[AsyncRestartHandler]: ...
+    @overload
+    def on_restart(self) -> Callable[[AsyncRestartHandler], AsyncRestartHandler]: ...
+    def on_restart(self, handler: AsyncRestartHandler | None = None) -> object:
+        """Register a handler for restarts of the device; `j2a.Client.on_restart` for asyncio."""
+        self._engine.check_process()
+        return self._restart_handlers.register(None, handler)
+
     # ------------------------------------------------------------------ end
 
     async def close(self) -> None:
@@ -332,14 +350,27 @@ class AsyncClient(ClientBase):
 
     # ------------------------------------------------------------------ machinery
 
+    async def _restarted(self, restart: Restart) -> tuple[Restart, Handlers[AsyncRestartHandler]]:
+        """Learn anew what a device has that has restarted."""
+        try:
+            restart = await self._drive(self._relearn(restart), self._device_limits(self.now()))
+        except J2AError as error:
+            restart = self._failed_relearning(restart, error)
+        return restart, self._restart_handlers
+
+    def _tell_restart(self, restart: Restart) -> None:
+        self._engine.tell_restart(restart)
+
     async def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
+        generation = self._session.generation
         try:
             requests = next(transfer)
             while True:
                 try:
                     now = self.now()
                     replies = await self._engine.call_all(
-                        [self._arguments(request, limits, now) for request in requests]
+                        [self._arguments(request, limits, now) for request in requests],
+                        generation,
                     )
                 except J2AError as error:
                     requests = transfer.throw(error)

@@ -5,6 +5,7 @@ whole, SIFs to their handlers.
 Rules: arguments are checked before anything is sent; waiting and bytes are the engine's business.
 """
 
+import weakref
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
@@ -12,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 from j2a_spec.constants import GET_ECHO
 
 from j2a.errors import J2AError
-from j2a.events import Reply, Sif
-from j2a.io.blocking import Engine, Handler
+from j2a.events import Reply, Restart, Sif
+from j2a.io.blocking import Engine, Handler, RestartHandler
 from j2a.io.client_base import ClientBase, check_echo, checked
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.opening import open_transport
@@ -83,7 +84,13 @@ class Client(ClientBase):
         self._transport = transport
         self._functions: tuple[object, RemoteFunctions[Function]] | None = None
         self._handlers: Handlers[Handler] = Handlers()
-        self._engine = Engine(transport, self._session, self._handlers, on_handler_error)
+        self._engine = Engine(
+            transport,
+            self._session,
+            self._handlers,
+            on_handler_error,
+            weakref.WeakMethod(self._restarted),
+        )
 
     # ------------------------------------------------------------------ calls
 
@@ -120,9 +127,10 @@ class Client(ClientBase):
         """
         data = check_payload(payload)
         limit_s = self._limit_s(timeout)
+        generation = self._session.generation
         known = self._known(function, data)
         if known is not None:
-            reply = self._engine.call(*known, data, limit_s)
+            reply = self._engine.call(*known, data, limit_s, generation)
         else:
             limits = self._call_limits(limit_s, self.now())
             reply = self._drive(self._call(function, data), limits)
@@ -130,8 +138,9 @@ class Client(ClientBase):
 
     def _call_typed(self, function: Function, payload: bytes) -> Reply:
         limit_s = self._typed_limit_s(function)
-        if len(payload) <= self._device.room:
-            return self._engine.call(function.name, function.opcode, payload, limit_s)
+        generation = self._session.generation
+        if function.epoch == self._session.epoch and len(payload) <= self._device.room:
+            return self._engine.call(function.name, function.opcode, payload, limit_s, generation)
         return self._drive(self._call(function, payload), self._call_limits(limit_s, self.now()))
 
     def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
@@ -374,6 +383,23 @@ class Client(ClientBase):
         with self.sifs(opcodes) as stream:
             return stream.wait(limit_s)
 
+    @overload
+    def on_restart(self, handler: RestartHandler) -> Subscription[RestartHandler]: ...
+    @overload
+    def on_restart(self) -> Callable[[RestartHandler], RestartHandler]: ...
+    def on_restart(self, handler: RestartHandler | None = None) -> object:
+        """Register a handler for restarts of the device; without `handler` a decorator.
+
+        It is called with a `Restart`, in the thread of the SIF handlers, when the device has said
+        that it began anew, or was found to have other functions than before. By then its functions
+        were learnt anew. Calls that were waiting have raised `DeviceRestarted`; SIF handlers stay,
+        those by name for the SIF that has this name now (J2A-BOOT-004, J2A-BOOT-005).
+
+        Returns: an object whose `cancel()` ends it.
+        """
+        self._engine.check_process()
+        return self._restart_handlers.register(None, handler)
+
     # ------------------------------------------------------------------ end
 
     def close(self) -> None:
@@ -400,17 +426,31 @@ class Client(ClientBase):
 
     def _load(self) -> None:
         """Fetch the function map and the interface, unless they were."""
-        if self._device.functions is None or not self._device.asked_for_interface:
+        device = self._device
+        if device.functions is None or not device.asked_for_interface or self._is_stale:
             self._drive(self._load_functions(), self._device_limits(self.now()))
 
+    def _restarted(self, restart: Restart) -> tuple[Restart, Handlers[RestartHandler]]:
+        """Learn anew what a device has that has restarted."""
+        try:
+            restart = self._drive(self._relearn(restart), self._device_limits(self.now()))
+        except J2AError as error:
+            restart = self._failed_relearning(restart, error)
+        return restart, self._restart_handlers
+
+    def _tell_restart(self, restart: Restart) -> None:
+        self._engine.tell_restart(restart)
+
     def _drive(self, transfer: Transfer[_Result], limits: Limits) -> _Result:
+        generation = self._session.generation
         try:
             requests = next(transfer)
             while True:
                 try:
                     now = self.now()
                     replies = self._engine.call_all(
-                        [self._arguments(request, limits, now) for request in requests]
+                        [self._arguments(request, limits, now) for request in requests],
+                        generation,
                     )
                 except J2AError as error:
                     requests = transfer.throw(error)

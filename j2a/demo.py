@@ -81,7 +81,7 @@ class DemoDevice(Device):
 
     Args:
         properties: in addition to, or instead of, the demo's own.
-        interface, room, trace: see `Device`.
+        interface, boot, room, trace: see `Device`.
     """
 
     def __init__(
@@ -89,12 +89,13 @@ class DemoDevice(Device):
         properties: Mapping[str, str] | None = None,
         *,
         interface: bool = True,
+        boot: bool = False,
         room: int = MAX_PAYLOAD,
         trace: Trace | None = None,
     ) -> None:
         own = {"name": "J2A demo", "serial": "0001", "port": "python"}
         properties = {**own, **(properties or {})}
-        super().__init__(properties, interface=interface, room=room, trace=trace)
+        super().__init__(properties, interface=interface, boot=boot, room=room, trace=trace)
         self._start_us = time.monotonic_ns() // 1000
         self._content = bytearray()
         self._ticker = _Ticker(self)
@@ -187,7 +188,9 @@ class DemoDevice(Device):
         time.sleep(time_ms / 1000)
 
     def _sif(self, payload: bytes) -> Result:
-        if not payload or not self.send_sif(payload[0], payload[1:]):
+        if not payload or self._is_reserved(payload[0]):
+            return RET_FAILED
+        if not self.send_sif(payload[0], payload[1:]):
             return RET_FAILED
         return None
 

@@ -14,21 +14,26 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, Self, TypeVar
 
 from j2a_spec.constants import (
+    BOOT,
     BYTE_TIMEOUT_MS,
+    CAP_BOOT,
     MAX_PAYLOAD,
     MIN_ROOM,
+    PROP_CAPS,
     PROP_ROOM,
     PROP_RXBUF,
     PROP_SPEC,
     SPEC_VERSION,
 )
 
-from j2a.errors import LinkClosed, LocalError
+from j2a.errors import LinkClosed, LocalError, RegistrationError
+from j2a.events import ResetCause
 from j2a.io.connection import Connection
 from j2a.io.functions import DebugText
 from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
 from j2a.io.registration import FunctionRegistry
 from j2a.protocol.arguments import check_opcode, check_payload
+from j2a.protocol.boot import pack_boot
 from j2a.protocol.server import Server
 from j2a.protocol.trace import Trace
 
@@ -68,6 +73,9 @@ class Device(FunctionRegistry):
             are announced as `{"j2a.caps": "token token"}` (J2A-CAP-001); `interface` is added.
         interface: hosts can read the signatures of its functions (J2A-IFACE-001). Without it they
             know names only, and all of these have to fit into 255 bytes.
+        boot: the first frame to each host says that the device began anew, so that a host whose
+            link stays notices a restart (J2A-BOOT-001); it needs `interface`. SIFs of the opcode
+            0xFF are not for the application then.
         room: the longest payload of a request that it accepts, 32..255 bytes; it answers longer
             ones by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). Use it to test hosts with a small device.
         byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
@@ -78,7 +86,7 @@ class Device(FunctionRegistry):
         trace: the trace of links that begin from now on; None traces nothing.
 
     Raises:
-        LocalError: `room` or `byte_timeout_s` is out of range.
+        LocalError: `room` or `byte_timeout_s` is out of range, or `boot` lacks `interface`.
         RegistrationError: a property is empty or holds NUL.
     """
 
@@ -87,6 +95,7 @@ class Device(FunctionRegistry):
         properties: Mapping[str, str] | None = None,
         *,
         interface: bool = True,
+        boot: bool = False,
         room: int = MAX_PAYLOAD,
         byte_timeout_s: float = BYTE_TIMEOUT_MS / 1000,
         trace: Trace | None = None,
@@ -99,11 +108,17 @@ class Device(FunctionRegistry):
             raise LocalError(
                 f"room is a number of bytes from {MIN_ROOM} to {MAX_PAYLOAD}, not {room!r}"
             )
+        if boot and not interface:
+            raise LocalError("boot=True needs interface=True, whose hash the boot SIF tells")
         self._debug_text = DebugText()
+        self._has_boot = boot
         known = {PROP_SPEC: SPEC_VERSION, PROP_RXBUF: str(_RXBUF)}
         if room < MAX_PAYLOAD:
             known[PROP_ROOM] = str(room)
-        super().__init__({**known, **(properties or {})}, self._take_debug, room, interface)
+        known |= properties or {}
+        if boot:
+            known[PROP_CAPS] = f"{CAP_BOOT} {known.get(PROP_CAPS, '')}".rstrip()
+        super().__init__(known, self._take_debug, room, interface)
         self._byte_timeout_s = byte_timeout_s
         self.trace = trace
         self._calling = threading.Lock()
@@ -133,6 +148,8 @@ class Device(FunctionRegistry):
         """
         check_opcode(opcode)
         data = check_payload(payload)
+        if self._is_reserved(opcode):
+            raise LocalError("the opcode 0xFF is that of the boot SIF; take another one")
         with self._lock:
             connections = list(self._connections)
         return sum(connection.send_sif(opcode, data) for connection in connections)
@@ -155,6 +172,8 @@ class Device(FunctionRegistry):
             RegistrationError: the name or the opcode is described already, or cannot be.
             SignatureError: the fields are wrong.
         """
+        if self._is_reserved(opcode):
+            raise RegistrationError(f"{name}: the opcode 0xFF is that of the boot SIF")
         self._add_sif(name, opcode, fields, doc)
         return partial(self.send, name)
 
@@ -171,6 +190,9 @@ class Device(FunctionRegistry):
             LocalError: no SIF has the name, or a value is not what its field takes.
         """
         return self.send_sif(*self._pack_sif(sif, values, named))
+
+    def _is_reserved(self, opcode: int) -> bool:
+        return self._has_boot and opcode == BOOT
 
     def debug(self, text: str) -> None:
         """Append text to what hosts read through a2jDebug; the oldest is lost beyond 4 KiB.
@@ -279,6 +301,8 @@ class Device(FunctionRegistry):
 
     def _connection(self, transport: "Transport") -> Connection:
         server = Server(byte_timeout_s=self._byte_timeout_s, trace=self.trace)
+        if self._has_boot:
+            server.send_sif(BOOT, pack_boot(ResetCause.UNKNOWN, 0, self._table.interface_hash))
         connection = Connection(server, transport)
         self._enter(self._connections, connection)
         return connection

@@ -27,6 +27,7 @@ __all__ = [
     "CallTimeout",
     "ChecksumRefused",
     "DamageReported",
+    "DeviceRestarted",
     "Fail",
     "FramingRefused",
     "FunctionFailed",
@@ -201,6 +202,13 @@ class LinkStalled(LinkError):
     """
 
     outcome = Outcome.NOT_SENT
+
+
+class DeviceRestarted(J2AError):
+    """The device began anew; a call whose request was sent before may have been executed.
+
+    Its functions are learnt anew before the next call by name (J2A-BOOT-004, J2A-BOOT-005).
+    """
 
 
 class CallTimeout(J2AError, TimeoutError):

@@ -6,11 +6,20 @@ times as much to build; what is made less often is a dataclass.
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
-from j2a_spec.constants import RET_MAX
+from j2a_spec.constants import (
+    BOOT_BROWNOUT,
+    BOOT_PIN,
+    BOOT_POWER,
+    BOOT_SOFTWARE,
+    BOOT_UNKNOWN,
+    BOOT_WATCHDOG,
+    RET_MAX,
+)
 
-__all__ = ["Counters", "Frame", "FrameError", "Reason", "Reply", "Sif"]
+__all__ = ["Counters", "Frame", "FrameError", "Reason", "Reply", "ResetCause", "Restart", "Sif"]
 
 Reason = Literal["checksum", "marker", "escape", "timeout", "lost"]
 """Why a frame was abandoned: wrong checksum; interrupted by the marker of the next one; ESC 0xFF;
@@ -72,6 +81,36 @@ class Sif:
     values: Any = None
 
 
+class ResetCause(IntEnum):
+    """Why a device began anew (J2A-BOOT-002)."""
+
+    UNKNOWN = BOOT_UNKNOWN
+    POWER = BOOT_POWER
+    PIN = BOOT_PIN
+    BROWNOUT = BOOT_BROWNOUT
+    WATCHDOG = BOOT_WATCHDOG
+    SOFTWARE = BOOT_SOFTWARE
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """A device has begun anew while the link stayed.
+
+    Attributes:
+        cause: why, as far as the device says.
+        count: number of this start, 0 where the device keeps none.
+        interface_hash: the property j2a.interface that the device has now, "" where it is not
+            known.
+        is_changed: the device describes other functions, SIFs or types than before, or they could
+            not be learnt.
+    """
+
+    cause: ResetCause = ResetCause.UNKNOWN
+    count: int = 0
+    interface_hash: str = ""
+    is_changed: bool = True
+
+
 @dataclass(frozen=True, slots=True)
 class Counters:
     """The health of a link since it was opened; all are counts.
@@ -89,6 +128,7 @@ class Counters:
         late_replies: replies that came after their call had ended.
         stray_replies: replies that no call was waiting for, duplicates included.
         error_replies: replies that said the request was refused (F0, F2, F3, F4).
+        restarts: times the device said that it began anew (J2A-BOOT-004).
         sifs: server-initiated frames received.
         sif_gaps: times the SIF counter of the device jumped.
         sifs_missed: SIFs that these jumps show to be missing; a device that was reset in between
@@ -110,6 +150,7 @@ class Counters:
     late_replies: int = 0
     stray_replies: int = 0
     error_replies: int = 0
+    restarts: int = 0
     sifs: int = 0
     sif_gaps: int = 0
     sifs_missed: int = 0

@@ -59,10 +59,20 @@ void j2a_process(void);
 /* Sends a server-initiated frame (SIF) on the link j2a_link: from within a function to the host that called it,
  * before the reply; elsewhere to the host of the link that j2a_link is set to, 0 to begin with. From the main
  * context only. Returns when the transmitter, or the port's buffer, has its last byte.
- * opcode: 0..255, what the host knows the frame by.
+ * opcode: 0..255, what the host knows the frame by. With J2A_WITH_BOOT nothing is sent for 255, the opcode of
+ * the boot SIF, nor while the link is down.
  * length: bytes of the payload, 0..255; J2A_ROOM does not limit it.
  * payload: where they are. */
 void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload);
+#endif
+
+#if J2A_WITH_BOOT
+/* An application may implement these, where compiler and linker know weak functions; they are asked once for each
+ * link, when the boot SIF is sent.
+ * Returns why the device began anew, J2A_BOOT_UNKNOWN to J2A_BOOT_SOFTWARE; without it the port tells. */
+uint8_t j2a_boot_cause(void);
+/* Returns the number of this start, from 1 on, and 1 again behind 65535; 0, as without it, where none is kept. */
+uint16_t j2a_boot_count(void);
 #endif
 
 /* Adds to what a2jDebug gives the host. What does not fit is dropped, and the host is told that text was

@@ -38,6 +38,16 @@
 #define J2A_BYTE_TIMEOUT_MIN_MS 9u /* a pause up to this is always accepted */
 #define J2A_BYTE_TIMEOUT_MAX_MS 20u /* a pause of this ends the frame */
 
+/* Boot SIF */
+#define J2A_BOOT 0xFFu /* opcode of the boot SIF */
+#define J2A_BOOT_BYTES 0x07u /* bytes of its payload */
+#define J2A_BOOT_UNKNOWN 0x00u /* cause of the reset: the device cannot tell */
+#define J2A_BOOT_POWER 0x01u /* cause: the power was switched on */
+#define J2A_BOOT_PIN 0x02u /* cause: the reset pin */
+#define J2A_BOOT_BROWNOUT 0x03u /* cause: the voltage was too low */
+#define J2A_BOOT_WATCHDOG 0x04u /* cause: the watchdog */
+#define J2A_BOOT_SOFTWARE 0x05u /* cause: the firmware itself, or an update of it */
+
 /* USB */
 #define J2A_USB_VENDOR 0x6666u /* vendor id of boards that have none of their own */
 #define J2A_USB_PRODUCT 0xCAFEu /* product id of such boards */

@@ -27,6 +27,12 @@ void j2a_rx_parse(uint8_t byte);
 /* Ends a frame whose next byte did not come, if one is being received. */
 void j2a_rx_timeout(void);
 
+/* Sends the boot SIF on the link that is served, unless it was sent or the link is down. Returns whether it was
+ * sent. */
+#if J2A_WITH_BOOT
+bool j2a_greet(void);
+#endif
+
 /* Sends one frame. start: J2A_SOF or J2A_SOS. */
 void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload);
 
@@ -53,6 +59,9 @@ J2A_INLINE void j2a_append(const char *property, uint8_t size, size_t at, uint32
 enum { J2A_INTERFACE_BYTES = sizeof "j2a.interface" + sizeof "01234567" };
 #else
 enum { J2A_INTERFACE_BYTES = 0 };
+#endif
+#if J2A_WITH_INTERFACE
+uint32_t j2a_interface_hash(void);
 #endif
 void j2a_interface_property(size_t at, uint32_t offset, bool *is_last, uint8_t *length, uint8_t *data);
 

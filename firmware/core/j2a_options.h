@@ -59,8 +59,19 @@
 #error "J2A_WITH_INTERFACE=1 needs J2A_WITH_PROPERTIES=1, because hosts find it by both"
 #endif
 
+/* A SIF at the start, by which hosts notice a reset. Off: hosts do not notice each reset. */
+#ifndef J2A_WITH_BOOT
+#define J2A_WITH_BOOT 0
+#endif
+#if J2A_WITH_BOOT && !J2A_WITH_SIF
+#error "J2A_WITH_BOOT=1 needs J2A_WITH_SIF=1, because a SIF tells the hash of the interface"
+#endif
+#if J2A_WITH_BOOT && !J2A_WITH_INTERFACE
+#error "J2A_WITH_BOOT=1 needs J2A_WITH_INTERFACE=1, because a SIF tells the hash of the interface"
+#endif
+
 #if ((J2A_WITH_MAPPING | J2A_WITH_MANY | J2A_WITH_PROPERTIES | J2A_WITH_DEBUG | J2A_WITH_SIF | \
-     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE) & ~1) != 0
+     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE | J2A_WITH_BOOT) & ~1) != 0
 #error "J2A_WITH_... must be 0 or 1"
 #endif
 

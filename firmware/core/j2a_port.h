@@ -40,6 +40,12 @@ extern uint8_t j2a_link;
 #error "J2A_LINKS (make LINKS=) is more than this port has, see J2A_PORT_LINKS"
 #endif
 
+/* Whether somebody may be there to receive: the boot SIF waits for it (J2A-BOOT-001). A port that knows when a
+ * host comes, such as one with USB, says so in its j2a_port_config.h. */
+#ifndef J2A_PORT_IS_UP
+#define J2A_PORT_IS_UP true
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

@@ -100,6 +100,9 @@ void j2a_process(void) {
     uint8_t code = rx->event;
     uint8_t *payload = rx->payload;
 
+#if J2A_WITH_BOOT
+    (void)j2a_greet();
+#endif
     if (code == J2A_EVENT_NONE)
         return;
     if (code == J2A_EVENT_FRAME)

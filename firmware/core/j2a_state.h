@@ -23,6 +23,9 @@ typedef struct {
 #if J2A_WITH_SIF
     uint8_t sif_seq;     /* of the next SIF */
 #endif
+#if J2A_WITH_BOOT
+    bool has_greeted;    /* the boot SIF was sent */
+#endif
     uint8_t payload[J2A_ROOM]; /* last: what is near the start is reached by shorter code */
 } j2a_rx_t;
 extern j2a_rx_t j2a_rx_of[J2A_LINKS];

@@ -199,7 +199,8 @@ uint8_t j2a_failure;
         enum { \
             fixed_size = 0 J2A_EACH(J2A_BYTES, J2A_BYTES, J2A_NOTHING, ~, __VA_ARGS__), \
             is_open = 0 J2A_EACH(J2A_STEP, J2A_STEP, J2A_NOTHING, ~, __VA_ARGS__), \
-            no_payload_is_longer_than_255 = 1 / (fixed_size <= (int)J2A_MAX_PAYLOAD) \
+            no_payload_is_longer_than_255 = 1 / (fixed_size <= (int)J2A_MAX_PAYLOAD), \
+            opcode_255_is_that_of_the_boot_SIF = 1 / !(J2A_WITH_BOOT && (opcode) == J2A_BOOT) \
         }; \
         J2A_LARGE uint8_t payload[is_open ? J2A_MAX_PAYLOAD : fixed_size + 1]; /* C has no empty arrays */ \
         uint8_t *to = payload; \

@@ -54,7 +54,12 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
 /* The capabilities that the core announces (J2A-CAP-001): a token behind each that is built in, and of the first
  * one no space. */
 #if J2A_WITH_INTERFACE
-#define J2A_PROPERTY_CAPS "j2a.caps\0" "interface" "\0"
+#if J2A_WITH_BOOT
+#define J2A_TOKEN_BOOT " boot"
+#else
+#define J2A_TOKEN_BOOT
+#endif
+#define J2A_PROPERTY_CAPS "j2a.caps\0" "interface" J2A_TOKEN_BOOT "\0"
 #else
 #define J2A_PROPERTY_CAPS
 #endif

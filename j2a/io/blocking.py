@@ -15,26 +15,31 @@ import queue
 import threading
 import weakref
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from j2a_transports import TransportError
 
 from j2a.errors import LinkClosed, LinkError, LocalError
-from j2a.events import Reply, Sif
+from j2a.events import Reply, Restart, Sif
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
 from j2a.io.handlers import ErrorHook, Handlers, NamedSif, Opcodes, Reporter
 from j2a.io.opening import WAIT_S
 from j2a.io.streams import SifStream, slice_of
 from j2a.io.threads import JOIN_S, LEAD_S, LinkThreads, clock_of, join_threads, start_thread
-from j2a.protocol.session import Call, Session
+from j2a.protocol.session import Call, Event, Session
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["Engine", "Handler"]
+__all__ = ["Engine", "Handler", "RestartHandler"]
 
 Handler = Callable[[Sif], object]
 """Called with each SIF that it is registered for, in a thread of the client."""
+
+RestartHandler = Callable[[Restart], object]
+"""Called when the device has restarted, in the same thread."""
+
+_Restarted = Callable[[Restart], tuple[Restart, Handlers[RestartHandler]]]
 
 _LEAVE_S: Final = 0.1
 """How long a dispatcher whose handler has not ended in time has left to do so."""
@@ -50,6 +55,8 @@ class Engine:
         session: belongs to the engine from now on.
         handlers: of SIFs; the engine calls them as long as somebody else keeps them.
         on_handler_error: see `Client`.
+        restarted: learns anew what the device has, and returns what handlers of restarts are told
+            and these handlers; a weak one, because it belongs to the client.
     """
 
     def __init__(
@@ -58,14 +65,17 @@ class Engine:
         session: Session,
         handlers: Handlers[Handler],
         on_handler_error: ErrorHook | None,
+        restarted: "weakref.WeakMethod[_Restarted]",
     ) -> None:
         self._transport = transport
         self._clock = clock_of(transport)
         self._is_simulated = transport.is_simulated
         self._session = session
         self._handlers = weakref.ref(handlers)
+        self._restarted = restarted
+        self._restart: Restart | None = None
         self._reporter = Reporter(on_handler_error)
-        self._sifs: queue.SimpleQueue[Sif | None] = queue.SimpleQueue()
+        self._sifs: queue.SimpleQueue[Sif | Restart | None] = queue.SimpleQueue()
         self._takes_sifs = True
         self._drops_sifs = False
         # Whoever takes the second holds the first while it waits, except for the reader, which only
@@ -84,8 +94,15 @@ class Engine:
             self._end(error)
             raise
 
-    def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
-        """Make one call, from any thread; see `Client.call`."""
+    def call(
+        self,
+        what: str,
+        opcode: int,
+        payload: bytes,
+        limit_s: float,
+        generation: int | None = None,
+    ) -> Reply:
+        """Make one call, from any thread; see `Client.call` and `Session.start_call`."""
         self.check_process()
         if self._turn._is_owned():  # type: ignore[attr-defined]
             self._refuse_nested(what)
@@ -94,7 +111,13 @@ class Engine:
         try:
             with self._turn, self._state:
                 call = self._session.start_call(
-                    what, opcode, payload, now=self._clock(), timeout_s=limit_s, waiter=waiter
+                    what,
+                    opcode,
+                    payload,
+                    now=self._clock(),
+                    timeout_s=limit_s,
+                    waiter=waiter,
+                    generation=generation,
                 )
                 self._send()
             self._wait(call, waiter)
@@ -107,13 +130,15 @@ class Engine:
         assert call.reply is not None
         return call.reply
 
-    def call_all(self, requests: Sequence[tuple[str, int, bytes, float]]) -> list[Reply]:
+    def call_all(
+        self, requests: Sequence[tuple[str, int, bytes, float]], generation: int | None = None
+    ) -> list[Reply]:
         """Make calls at once, each with the arguments of `call`; return their replies in order.
 
         Raises: the first error, in this order, once all of them have ended.
         """
         if len(requests) == 1:
-            return [self.call(*requests[0])]
+            return [self.call(*requests[0], generation)]
         self.check_process()
         if self._is_interrupted():
             self._refuse_nested(requests[0][0])
@@ -126,7 +151,13 @@ class Engine:
                     waiter.acquire()
                     calls.append(
                         self._session.start_call(
-                            what, opcode, payload, now=now, timeout_s=limit_s, waiter=waiter
+                            what,
+                            opcode,
+                            payload,
+                            now=now,
+                            timeout_s=limit_s,
+                            waiter=waiter,
+                            generation=generation,
                         )
                     )
                 self._send()
@@ -230,7 +261,7 @@ class Engine:
         with self._turn, self._state:
             self._settle(self._session.handle_timeout(now))
 
-    def _settle(self, events: Iterable[Call | Sif]) -> None:
+    def _settle(self, events: Iterable[Event]) -> None:
         """Wake the callers whose call has ended, queue SIFs, and send what is to be sent.
 
         The state lock is held, so requests keep their order.
@@ -238,6 +269,8 @@ class Engine:
         for event in events:
             if isinstance(event, Sif):
                 self._queue_sif(event)
+            elif isinstance(event, Restart):
+                self._queue_restart(event)
             elif event.has_ended and event.waiter.locked():
                 event.waiter.release()
         self._send()
@@ -263,6 +296,18 @@ class Engine:
         else:
             self._session.count("sifs_dropped")
 
+    def tell_restart(self, restart: Restart) -> None:
+        """Note a restart of which the device has not told; its handlers come after the SIFs."""
+        with self._turn, self._state:
+            self._session.note_restart()
+            self._queue_restart(restart)
+
+    def _queue_restart(self, restart: Restart) -> None:
+        # A device that restarts all the time is told of once, when there is time for it.
+        if self._restart is None and self._takes_sifs:
+            self._sifs.put(restart)
+        self._restart = restart
+
     def _finish_sifs(self) -> None:
         """Let the dispatcher run out after the SIFs that wait."""
         with self._turn, self._state:
@@ -271,9 +316,34 @@ class Engine:
                 self._sifs.put(None)
 
     def _dispatch(self) -> None:
-        while (sif := self._sifs.get()) is not None:
-            self._deliver(sif)
+        while (event := self._sifs.get()) is not None:
+            if isinstance(event, Restart):
+                self._deliver_restart(event)
+            else:
+                self._deliver(event)
         self._finish_streams()
+
+    def _deliver_restart(self, restart: Restart) -> None:
+        with self._turn, self._state:
+            restart, self._restart = self._restart or restart, None
+        restarted = self._restarted()
+        if restarted is None or self._drops_sifs:
+            return
+        restart, handlers = restarted(restart)
+        del restarted  # it keeps the client alive
+        for handler in handlers.matching():
+            self._call_handler(handler, restart)
+            if self._drops_sifs:
+                return
+
+    def _call_handler(self, handler: Callable[[Any], object], event: Sif | Restart) -> None:
+        try:
+            handler(event)
+        except BaseException as error:
+            # Also sys.exit(): it would end this thread, and all SIFs with it.
+            with self._turn, self._state:
+                self._session.count("handler_errors")
+            self._reporter.report(error, event)
 
     def _finish_streams(self) -> None:
         """Tell those who wait for SIFs that none will come any more."""
@@ -301,13 +371,7 @@ class Engine:
             self._drop()
             return
         for handler in handlers.matching(sif.opcode):
-            try:
-                handler(sif)
-            except BaseException as error:
-                # Also sys.exit(): it would end this thread, and all SIFs with it.
-                with self._turn, self._state:
-                    self._session.count("handler_errors")
-                self._reporter.report(error, sif)
+            self._call_handler(handler, sif)
             if self._drops_sifs:
                 return
 
@@ -319,9 +383,10 @@ class Engine:
         """Count and forget the SIFs that wait, so that close may leave a handler that is stuck."""
         dropped = 0
         try:
-            while self._sifs.get_nowait() is not None:
-                self._drop()
-                dropped += 1
+            while (event := self._sifs.get_nowait()) is not None:
+                if isinstance(event, Sif):
+                    self._drop()
+                    dropped += 1
         except queue.Empty:
             pass
         self._sifs.put(None)

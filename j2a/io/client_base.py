@@ -5,15 +5,18 @@ several calls as generators (see `j2a.protocol.transfer`), which each client dri
 """
 
 import contextlib
+import logging
 import math
 import os
 import random
 import warnings
 import weakref
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Final, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from j2a_spec.constants import (
+    CAP_BOOT,
     DEBUG_LOST,
     DEBUG_MORE,
     ECHO,
@@ -21,22 +24,23 @@ from j2a_spec.constants import (
     GET_ECHO,
     GET_ECHO_MANY,
     GET_MAPPING,
-    PROP_INTERFACE,
+    MIN_ROOM,
     RET_MAX,
 )
 
 from j2a.errors import (
     CallTimeout,
     InterfaceChanged,
+    J2AError,
     LocalError,
     OpcodeRefused,
     ProtocolError,
     RemoteError,
     remote_error,
 )
-from j2a.events import Counters, Reply
-from j2a.io.handlers import NamedSif, Opcodes
-from j2a.io.remote import RemoteFunction
+from j2a.events import Counters, Reply, Restart
+from j2a.io.handlers import Handlers, NamedSif, Opcodes
+from j2a.io.remote import Origin, RemoteFunction
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.device_info import DeviceInfo, is_map
 from j2a.protocol.limits import DEVICE_LIMITS, Limits
@@ -63,6 +67,7 @@ MAX_SIFS_WAITING: Final = 65536
 MAX_DEBUG_READS: Final = 256
 """A device that writes debug text faster than it is read does not keep its reader for ever."""
 
+_logger = logging.getLogger("j2a")
 _FunctionT = TypeVar("_FunctionT", bound=RemoteFunction)
 _MAP_ASKS: Final = 4
 _FIRST_LIMIT_S: Final = 0.25
@@ -79,6 +84,12 @@ class ClientBase:
         self._timeout = check_timeout(timeout)
         self._window = window
         self._device = DeviceInfo()
+        # The epoch of the session in which it was learnt what the device has.
+        self._learnt = 0
+        self._generation = 0
+        self._has_changed = False
+        self._pinned: tuple[str, Mapping[str, type]] | None = None
+        self._restart_handlers: Handlers[Any] = Handlers()
         # A random start keeps the replies to an earlier program from answering this one.
         self._session = Session(
             first_seq=random.randrange(256),
@@ -143,21 +154,47 @@ class ClientBase:
         Raises:
             InterfaceChanged: the device describes other functions now, or none.
         """
+        self._use_types(interface_hash, classes)
+        self._pinned = interface_hash, classes
+
+    def _use_types(self, interface_hash: str, classes: Mapping[str, type]) -> None:
         device = self._device
         if device.interface is None:
             why = device.interface_problem or "the device does not describe its functions"
             raise InterfaceChanged(
                 f"{why}; this program was made for the interface {interface_hash}"
             )
-        found = (device.properties or {}).get(PROP_INTERFACE, "")
-        if found != interface_hash:
+        if device.interface_hash != interface_hash:
             raise InterfaceChanged(
-                f"the device has the interface {found}, and this program is for "
+                f"the device has the interface {device.interface_hash}, and this program is for "
                 f"{interface_hash}: generate it anew by j2a stub, or load the firmware it is for"
             )
         for definition in device.interface.types:
             if definition.name in classes:
                 device.types.use(definition, classes[definition.name])
+
+    # ------------------------------------------------------------------ restarts
+
+    @property
+    def _is_stale(self) -> bool:
+        """What was learnt of the device may be wrong, because it has or may have restarted."""
+        return self._learnt != self._session.epoch
+
+    def _relearn(self, restart: Restart) -> Transfer[Restart]:
+        """Learn anew what the device has, unless that was done; return what handlers are told."""
+        yield from self._load_functions()
+        is_changed, self._has_changed = self._has_changed, False
+        found = self._device.interface_hash
+        return replace(restart, interface_hash=found, is_changed=is_changed)
+
+    def _tell_restart(self, restart: Restart) -> None:
+        """Note a restart of which the device has not told, and have the handlers called."""
+        raise NotImplementedError
+
+    def _failed_relearning(self, restart: Restart, error: J2AError) -> Restart:
+        """Return what handlers are told when what the device has could not be learnt."""
+        _logger.warning("%s has restarted, and its functions are not known: %s", self._url, error)
+        return replace(restart, interface_hash="", is_changed=True)
 
     # ------------------------------------------------------------------ typed functions
 
@@ -166,8 +203,11 @@ class ClientBase:
         device = self._device
         lines = {line.name: line for line in (device.interface or Interface()).functions}
         client = weakref.ref(self)
+        # Those of another interface than the program was made for are refused when they are called.
+        is_right = self._pinned is None or self._pinned[0] == device.interface_hash
+        epoch = self._learnt if is_right else -1
         return {
-            name: kind(opcode, lines.get(name) or Described(name), device.types, client)
+            name: kind(opcode, lines.get(name) or Described(name), device.types, client, epoch)
             for name, opcode in (device.functions or {}).items()
         }
 
@@ -183,7 +223,47 @@ class ClientBase:
         known = (self._device.interface or Interface()).types
         types = {one.name: one for one in (*known, *parse_definitions(definitions))}
         line = Described(what, parse_signature(signature, types))
-        return kind(opcode, line, self._device.types, weakref.ref(self))
+        origin = Origin.NAME if isinstance(function, str | RemoteFunction) else Origin.OPCODE
+        return kind(
+            opcode, line, self._device.types, weakref.ref(self), self._learnt, origin=origin
+        )
+
+    def _current(self, function: str | int) -> str | int:
+        """Return what names a function of the device as it is now (J2A-BOOT-006).
+
+        Raises:
+            InterfaceChanged: since the device has restarted, it has no such function.
+        """
+        if not isinstance(function, RemoteFunction):
+            return function
+        if self._pinned is not None and function.origin is Origin.DEVICE:
+            self._use_types(*self._pinned)
+        if function.epoch != self._learnt:
+            self._adapt(function)
+        return function
+
+    def _adapt(self, function: RemoteFunction) -> None:
+        """Give a function the opcode that it has now."""
+        device, name = self._device, function.name
+        opcode: int | None = function.opcode
+        if function.origin is not Origin.OPCODE:
+            opcode = (device.functions or {}).get(name)
+            if opcode is None:
+                raise InterfaceChanged(
+                    f"{name} was not sent: the device has restarted and has no function of that "
+                    "name any more"
+                )
+        if function.origin is Origin.DEVICE and function.signature is not None:
+            lines = (device.interface or Interface()).functions
+            now = next((line.signature for line in lines if line.name == name), None)
+            if now != function.signature:
+                raise InterfaceChanged(
+                    f"{name} was not sent: the device has restarted, and {name}"
+                    f"{function.signature} is {f'{name}{now}' if now else 'not described'} now; "
+                    "take it from the client's functions anew"
+                )
+        assert opcode is not None
+        function.opcode, function.epoch = opcode, self._learnt
 
     def _wanted_sifs(self, opcodes: Opcodes | str) -> Opcodes | NamedSif:
         """Return which SIFs a handler is for.
@@ -209,8 +289,28 @@ class ClientBase:
             ) from None
 
     def _refresh(self, boot_time: float | None) -> Transfer[None]:
+        session, device = self._session, self._device
+        epoch, generation = session.epoch, session.generation
+        is_told = generation != self._generation
+        is_doubted = self._is_stale and not is_told
+        before = device.identity
         yield from self._fetch_map(boot_time)
+        yield from self._learn_interface()
+        self._learnt, self._generation = epoch, generation
+        if self._pinned is not None:
+            with contextlib.suppress(InterfaceChanged):  # raised by calls
+                self._use_types(*self._pinned)
+        if not device.differs_from(before):
+            return
+        self._has_changed = True
+        if is_doubted:
+            # It has restarted without a boot SIF: what began before is over.
+            self._generation += 1
+            self._tell_restart(Restart(interface_hash=device.interface_hash))
+
+    def _learn_interface(self) -> Transfer[None]:
         yield from self._device.learn_interface()
+        self._session.has_boot = CAP_BOOT in self._device.announced.capabilities
 
     def _fetch_map(self, boot_time: float | None) -> Transfer[None]:
         limits = [self._timeout]
@@ -249,18 +349,20 @@ class ClientBase:
         )
 
     def _load_map(self) -> Transfer[None]:
-        if self._device.functions is None:
+        if self._is_stale:
+            yield from self._refresh(None)
+        elif self._device.functions is None:
             yield from self._fetch_map(None)
 
     def _load_functions(self) -> Transfer[None]:
         yield from self._load_map()
-        yield from self._device.learn_interface()
+        yield from self._learn_interface()
 
     def _find(self, function: str | int) -> Transfer[None]:
         """Load what is needed to know the opcode of a function."""
         yield from self._load_map()
         if isinstance(function, str) and function not in (self._device.functions or {}):
-            yield from self._device.learn_interface()
+            yield from self._learn_interface()
 
     def _read_debug(self) -> Transfer[str]:
         yield from self._load_map()
@@ -285,7 +387,13 @@ class ClientBase:
     def _known(self, function: str | int, payload: bytes) -> tuple[str, int] | None:
         """Return what to call, and its opcode, if nothing has to be asked before; else None."""
         device = self._device
-        if len(payload) > device.room:
+        is_plain = not isinstance(function, str | RemoteFunction)
+        if self._is_stale:
+            if not is_plain or len(payload) > MIN_ROOM:
+                return None
+        elif len(payload) > device.room:
+            return None
+        if isinstance(function, RemoteFunction) and function.epoch != self._learnt:
             return None
         is_known = not isinstance(function, str) or function in (device.functions or {})
         if not is_known and not device.asked_for_interface:
@@ -294,9 +402,10 @@ class ClientBase:
 
     def _call(self, function: str | int, payload: bytes) -> Transfer[Reply]:
         """Find out the opcode and the room for the payload, then make the call."""
-        if isinstance(function, str) or len(payload) > self._device.room:
-            yield from preparing(str(function), self._find(function))
-        what, opcode = self._device.resolve(function)
+        is_named = isinstance(function, str | RemoteFunction)
+        if is_named or self._is_stale or len(payload) > self._device.room:
+            yield from preparing(_name(function), self._find(function))
+        what, opcode = self._device.resolve(self._current(function))
         if len(payload) > self._device.room:
             yield from preparing(what, self._device.check_room(what, payload))
         [reply] = yield (CallRequest(what, payload, opcode),)
@@ -313,14 +422,14 @@ class ClientBase:
     def _read_many(
         self, function: str | int, max_bytes: int, progress: Progress | None
     ) -> Transfer[bytes]:
-        yield from preparing(str(function), self._find(function))
-        return (yield from self._device.read(function, max_bytes, progress))
+        yield from preparing(_name(function), self._find(function))
+        return (yield from self._device.read(self._current(function), max_bytes, progress))
 
     def _write_many(
         self, function: str | int, data: bytes, progress: Progress | None
     ) -> Transfer[int]:
-        yield from preparing(str(function), self._find(function))
-        return (yield from self._device.write(function, data, progress))
+        yield from preparing(_name(function), self._find(function))
+        return (yield from self._device.write(self._current(function), data, progress))
 
     def _echo_many(self, data: bytes, progress: Progress | None) -> Transfer[bytes]:
         yield from preparing(GET_ECHO_MANY, self._load_map())
@@ -357,6 +466,11 @@ class ClientBase:
 
     def _limit_s(self, timeout: object) -> float:
         return self._timeout if timeout is None else check_timeout(timeout)
+
+
+def _name(function: str | int) -> str:
+    """Return how messages name a function."""
+    return function.name if isinstance(function, RemoteFunction) else str(function)
 
 
 def _ask_map(limit_s: float) -> Transfer[Reply | None]:

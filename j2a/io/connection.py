@@ -59,6 +59,7 @@ class Connection:
     def run(self, execute: Callable[[int, bytes], tuple[int, bytes]]) -> None:
         """Serve until the link ends, whichever side ends it."""
         try:
+            self._flush()  # what a host is told before it asks
             while True:
                 self._read()
                 while (request := self._next_request()) is not None:

@@ -274,13 +274,18 @@ class FunctionTable:
         """What a2jGetInterface returns (J2A-IFACE-001)."""
         return str(self._interface).encode()
 
+    @property
+    def interface_hash(self) -> str:
+        """The property j2a.interface (J2A-IFACE-006)."""
+        return f"{zlib.crc32(self.interface):08x}"
+
     def _pack_properties(self) -> bytes:
         if not self._has_interface:
             return pack_properties(self._properties)
         tokens = self._properties.get(PROP_CAPS, "").split()
         announced = {
             PROP_CAPS: " ".join(dict.fromkeys([CAP_INTERFACE, *tokens])),
-            PROP_INTERFACE: f"{zlib.crc32(self.interface):08x}",
+            PROP_INTERFACE: self.interface_hash,
         }
         return pack_properties({**self._properties, **announced})
 

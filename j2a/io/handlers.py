@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 from j2a.errors import J2AError, LocalError, ProtocolError
-from j2a.events import Sif
+from j2a.events import Restart, Sif
 from j2a.protocol.arguments import check_opcode
 from j2a.protocol.device_info import DeviceInfo
 from j2a.types.coding import Codec, PayloadMismatchError, tuple_class
@@ -24,8 +24,8 @@ __all__ = ["ErrorHook", "Handlers", "NamedSif", "Opcodes", "Reporter", "Subscrip
 Opcodes = int | Iterable[int] | None
 """One opcode, several, or None for all."""
 
-ErrorHook = Callable[[BaseException, Sif], None]
-"""Called with an exception that a handler raised, and the SIF."""
+ErrorHook = Callable[[BaseException, Any], None]
+"""Called with an exception that a handler raised, and the SIF, or the `Restart`."""
 
 _logger = logging.getLogger("j2a")
 _Handler = TypeVar("_Handler", bound=Callable[..., object])
@@ -89,7 +89,7 @@ class Subscription(Generic[_Handler]):
         self._cancel = cancel
 
     @property
-    def deliver(self) -> Callable[[Sif], Any]:
+    def deliver(self) -> Callable[[Any], Any]:
         """What calls the handler with a SIF that it is for."""
         wanted, handler = self.opcodes, self.handler
         return (
@@ -146,7 +146,7 @@ class Handlers(Generic[_Handler]):
 
         return decorate
 
-    def matching(self, opcode: int) -> Iterator[Callable[[Sif], Any]]:
+    def matching(self, opcode: int = 0) -> Iterator[Callable[[Any], Any]]:
         """Yield the handlers of an opcode, but none that was cancelled meanwhile."""
         for subscription in self._subscriptions:
             is_wanted = subscription.opcodes is None or opcode in subscription.opcodes
@@ -188,12 +188,13 @@ class Reporter:
     def __init__(self, hook: ErrorHook | None) -> None:
         self._hook = hook
 
-    def report(self, error: BaseException, sif: Sif) -> None:
+    def report(self, error: BaseException, event: Sif | Restart) -> None:
         """Report one; never raises."""
         if self._hook is None:
-            _logger.error("a handler of SIF 0x%02X failed", sif.opcode, exc_info=error)
+            what = f"SIF 0x{event.opcode:02X}" if isinstance(event, Sif) else "restarts"
+            _logger.error("a handler of %s failed", what, exc_info=error)
             return
         try:
-            self._hook(error, sif)
+            self._hook(error, event)
         except BaseException:
             _logger.exception("on_handler_error failed after a handler had raised %r", error)

@@ -13,26 +13,30 @@ import logging
 import math
 import weakref
 from collections.abc import Awaitable, Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
-from j2a.events import Reply, Sif
+from j2a.events import Reply, Restart, Sif
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
 from j2a.io.handlers import ErrorHook, Handlers, NamedSif, Opcodes, Reporter
 from j2a.io.links import ThreadedLink, WatchedLink
 from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, LOOK_S, clock_of, join_threads, start_thread
-from j2a.protocol.session import Call, Session
+from j2a.protocol.session import Event, Session
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["AsyncEngine", "AsyncHandler"]
+__all__ = ["AsyncEngine", "AsyncHandler", "AsyncRestartHandler"]
 
 AsyncHandler = Callable[[Sif], Awaitable[object] | object]
 """Called in the event loop with each SIF that it is registered for; may be a coroutine function."""
 
+AsyncRestartHandler = Callable[[Restart], Awaitable[object] | object]
+"""Called in the event loop when the device has restarted; may be a coroutine function."""
+
+_Restarted = Callable[[Restart], Awaitable[tuple[Restart, Handlers[AsyncRestartHandler]]]]
 _TURN_S: Final = 0.005
 """For so long SIF handlers that never wait may keep the event loop for themselves."""
 
@@ -47,6 +51,8 @@ class AsyncEngine:
         session: belongs to the engine from now on.
         handlers: of SIFs; the engine calls them as long as somebody else keeps them.
         on_handler_error: see `j2a.Client`.
+        restarted: learns anew what the device has, and returns what handlers of restarts are told
+            and these handlers; a weak one, because it belongs to the client.
     """
 
     def __init__(
@@ -55,15 +61,18 @@ class AsyncEngine:
         session: Session,
         handlers: Handlers[AsyncHandler],
         on_handler_error: ErrorHook | None,
+        restarted: "weakref.WeakMethod[_Restarted]",
     ) -> None:
         self._transport = transport
         self._session = session
+        self._restarted = restarted
+        self._restart: Restart | None = None
         self._handlers = weakref.ref(handlers)
         self._reporter = Reporter(on_handler_error)
         self._loop = asyncio.get_running_loop()
         self.now = clock_of(transport)
         self._is_simulated = transport.is_simulated
-        self._sifs: asyncio.Queue[Sif | None] = asyncio.Queue()
+        self._sifs: asyncio.Queue[Sif | Restart | None] = asyncio.Queue()
         self._takes_sifs = True
         self._drops_sifs = False
         # The next time at which time limits are judged; nothing may be late then.
@@ -94,15 +103,28 @@ class AsyncEngine:
         threaded.start()
         return threaded
 
-    async def call(self, what: str, opcode: int, payload: bytes, limit_s: float) -> Reply:
-        """Make one call; see `AsyncClient.call`."""
+    async def call(
+        self,
+        what: str,
+        opcode: int,
+        payload: bytes,
+        limit_s: float,
+        generation: int | None = None,
+    ) -> Reply:
+        """Make one call; see `AsyncClient.call` and `Session.start_call`."""
         self.check_process()
         if asyncio.get_running_loop() is not self._loop:
             self._refuse_loop()
         done: asyncio.Future[None] = asyncio.Future(loop=self._loop)
         try:
             call = self._session.start_call(
-                what, opcode, payload, now=self.now(), timeout_s=limit_s, waiter=done
+                what,
+                opcode,
+                payload,
+                now=self.now(),
+                timeout_s=limit_s,
+                waiter=done,
+                generation=generation,
             )
         except J2AError:
             # Repeated attempts must not block the event loop.
@@ -122,15 +144,17 @@ class AsyncEngine:
         assert call.reply is not None
         return call.reply
 
-    async def call_all(self, requests: Sequence[tuple[str, int, bytes, float]]) -> list[Reply]:
+    async def call_all(
+        self, requests: Sequence[tuple[str, int, bytes, float]], generation: int | None = None
+    ) -> list[Reply]:
         """Make calls at once, each with the arguments of `call`; return their replies in order.
 
         Raises: the first error, in this order, once all of them have ended.
         """
         if len(requests) == 1:
-            return [await self.call(*requests[0])]
+            return [await self.call(*requests[0], generation)]
         found = await asyncio.gather(
-            *(self.call(*request) for request in requests), return_exceptions=True
+            *(self.call(*request, generation) for request in requests), return_exceptions=True
         )
         replies = []
         for result in found:
@@ -187,7 +211,7 @@ class AsyncEngine:
 
     # ------------------------------------------------------------------ in the event loop
 
-    def _settle(self, events: Iterable[Call | Sif]) -> None:
+    def _settle(self, events: Iterable[Event]) -> None:
         """Wake the callers whose call has ended, queue SIFs, and send what is to be sent."""
         for event in events:
             if isinstance(event, Sif):
@@ -195,6 +219,8 @@ class AsyncEngine:
                     self._sifs.put_nowait(event)
                 else:
                     self._session.count("sifs_dropped")
+            elif isinstance(event, Restart):
+                self._queue_restart(event)
             elif event.has_ended and not event.waiter.done():
                 event.waiter.set_result(None)
         self._send()
@@ -257,12 +283,50 @@ class AsyncEngine:
 
     async def _dispatch(self) -> None:
         turn_ends = 0.0
-        while (sif := await self._sifs.get()) is not None:
-            await self._deliver(sif)
+        while (event := await self._sifs.get()) is not None:
+            if isinstance(event, Restart):
+                await self._deliver_restart(event)
+            else:
+                await self._deliver(event)
             if self._loop.time() >= turn_ends:
                 await asyncio.sleep(0)
                 turn_ends = self._loop.time() + _TURN_S
         self._finish_streams()
+
+    def tell_restart(self, restart: Restart) -> None:
+        """Note a restart of which the device has not told; its handlers come after the SIFs."""
+        self._session.note_restart()
+        self._queue_restart(restart)
+
+    def _queue_restart(self, restart: Restart) -> None:
+        # A device that restarts all the time is told of once, when there is time for it.
+        if self._restart is None and self._takes_sifs:
+            self._sifs.put_nowait(restart)
+        self._restart = restart
+
+    async def _deliver_restart(self, restart: Restart) -> None:
+        restart, self._restart = self._restart or restart, None
+        restarted = self._restarted()
+        if restarted is None or self._drops_sifs:
+            return
+        restart, handlers = await restarted(restart)
+        del restarted  # it keeps the client alive
+        for handler in handlers.matching():
+            await self._call_handler(handler, restart)
+            if self._drops_sifs:
+                return
+
+    async def _call_handler(self, handler: Callable[[Any], Any], event: Sif | Restart) -> None:
+        try:
+            result = handler(event)
+            if inspect.isawaitable(result):
+                await result
+        except (Exception, asyncio.CancelledError) as error:
+            # A handler may meet a cancelled future; only cancelling this task ends it.
+            if self.dispatcher.cancelling():
+                raise
+            self._session.count("handler_errors")
+            self._reporter.report(error, event)
 
     def _finish_streams(self) -> None:
         """Tell those who wait for SIFs that none will come any more."""
@@ -290,16 +354,7 @@ class AsyncEngine:
             self._session.count("sifs_dropped")
             return
         for handler in handlers.matching(sif.opcode):
-            try:
-                result = handler(sif)
-                if inspect.isawaitable(result):
-                    await result
-            except (Exception, asyncio.CancelledError) as error:
-                # A handler may meet a cancelled future; only cancelling this task ends it.
-                if self.dispatcher.cancelling():
-                    raise
-                self._session.count("handler_errors")
-                self._reporter.report(error, sif)
+            await self._call_handler(handler, sif)
             if self._drops_sifs:
                 return
 
@@ -317,7 +372,7 @@ class AsyncEngine:
         self._end(reason)
         dropped = 0
         while not self._sifs.empty():
-            dropped += self._sifs.get_nowait() is not None
+            dropped += isinstance(self._sifs.get_nowait(), Sif)
         self._sifs.put_nowait(None)
         self._finish_streams()
         for _ in range(dropped):

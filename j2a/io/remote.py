@@ -10,6 +10,7 @@ import inspect
 import keyword
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import Enum
 from typing import Any, Final, Generic, NoReturn, Self, TypeVar
 
 from j2a_spec.constants import RET_OK
@@ -21,7 +22,7 @@ from j2a.protocol.arguments import check_timeout
 from j2a.types.coding import Codec, PayloadMismatchError, PythonTypes, tuple_class
 from j2a.types.model import INTEGERS, Described, Element, Enumeration, Signature, Structure, Type
 
-__all__ = ["RemoteFunction", "RemoteFunctions"]
+__all__ = ["Origin", "RemoteFunction", "RemoteFunctions"]
 
 _CLASSES: Final[Mapping[Element, type]] = {
     **dict.fromkeys(INTEGERS, int),
@@ -33,25 +34,47 @@ _CLASSES: Final[Mapping[Element, type]] = {
 }
 
 
+class Origin(Enum):
+    """Who says which function it is, and so what is done when the device has restarted."""
+
+    DEVICE = "device"
+    """The device: it is found by its name, and refused if it has another signature."""
+    NAME = "name"
+    """The user, who names it: it is found by its name."""
+    OPCODE = "opcode"
+    """The user, who gives the opcode: it is that."""
+
+
 class RemoteFunction(int):
-    """A function of the device. It is an integer, too: its opcode.
+    """A function of the device. It is an integer, too: its opcode when it was made.
 
     Attributes:
         name: what the device calls it.
-        opcode: 0..255.
+        opcode: 0..255; another one where the device has restarted and moved it.
         signature: what it takes and returns; None where that is not known, and for a2jMany.
         is_many: it is made for a2jMany, so `read_many` and `write_many` call it.
         idempotent: executing it twice does the same as once.
         slow_s: how much longer than usual it may take, in seconds.
         doc: one line for people, or "".
         timeout: the time limit of a call in seconds, or None for the client's and `slow_s`.
+        epoch: of the session in which the opcode is right.
+        origin: see `Origin`.
     """
 
-    def __new__(cls, opcode: int, *_: object) -> Self:
+    def __new__(cls, opcode: int, *_: object, **__: object) -> Self:
         """Make the integer."""
         return super().__new__(cls, opcode)
 
-    def __init__(self, opcode: int, line: Described, types: PythonTypes, client: Any) -> None:
+    def __init__(
+        self,
+        opcode: int,
+        line: Described,
+        types: PythonTypes,
+        client: Any,
+        epoch: int,
+        *,
+        origin: Origin = Origin.DEVICE,
+    ) -> None:
         self.name = line.name
         self.opcode = opcode
         self.signature = line.signature
@@ -60,6 +83,8 @@ class RemoteFunction(int):
         self.slow_s = (line.slow_ms or 0) / 1000
         self.doc = line.doc
         self.timeout: float | None = None
+        self.epoch = epoch
+        self.origin = origin
         self.__name__ = line.name
         self.__doc__ = printable(f"{line}")  # a terminal shows it
         self._line = line
@@ -73,7 +98,9 @@ class RemoteFunction(int):
 
         Example: `board.functions.measure.with_timeout(5)("left")`.
         """
-        made = type(self)(self.opcode, self._line, self._types, self._client)
+        made = type(self)(
+            self.opcode, self._line, self._types, self._client, self.epoch, origin=self.origin
+        )
         made.timeout = check_timeout(timeout)
         return made
 

@@ -143,7 +143,7 @@ class DeviceInfo:
             LocalError: it is neither a name nor an opcode.
         """
         if not isinstance(function, str):
-            opcode = check_opcode(function)
+            opcode = check_opcode(getattr(function, "opcode", function))
             return getattr(function, "name", f"opcode {opcode}"), opcode
         known = self.functions or {}
         opcode = known.get(function, -1)
@@ -166,6 +166,25 @@ class DeviceInfo:
         raise AssertionError(function)
 
     # ------------------------------------------------------------------ interface
+
+    @property
+    def interface_hash(self) -> str:
+        """The property j2a.interface where the interface is used, else ""."""
+        return (self.properties or {}).get(PROP_INTERFACE, "") if self.interface else ""
+
+    @property
+    def identity(self) -> tuple[Sequence[str], str | None] | None:
+        """The names of the mapping and the hash of the interface, as far as they are known."""
+        if self.functions is None:
+            return None
+        return self._mapped, self.interface_hash if self.asked_for_interface else None
+
+    def differs_from(self, before: tuple[Sequence[str], str | None] | None) -> bool:
+        """Whether the device is another one than what had this identity."""
+        now = self.identity
+        if before is None or now is None:
+            return False
+        return before[0] != now[0] or (None not in (before[1], now[1]) and before[1] != now[1])
 
     def _forget_interface(self) -> None:
         self.interface: Interface | None = None

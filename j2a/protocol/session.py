@@ -1,7 +1,7 @@
 """The host's side of a link, without the link.
 
 What flows in: calls to make, bytes that arrived, the time. What flows out: bytes to send, calls
-that were sent or have ended, and SIFs.
+that were sent or have ended, SIFs and restarts of the device.
 Rules: no clock, no thread, no file, no randomness of its own. `window` calls at most are on the
 wire, the others wait in order. Each attempt takes a new seq, never one that is outstanding. A reply
 answers the call that is on the wire with its seq and no other; anything else is dropped and
@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any, Final, Literal
 
 from j2a_spec.constants import (
+    BOOT,
     ECHO,
     ERR_CHECKSUM,
     ERR_FRAMING,
@@ -24,14 +25,23 @@ from j2a_spec.constants import (
     SOS,
 )
 
-from j2a.errors import CallTimeout, J2AError, LinkStalled, Outcome, ProtocolError, remote_error
-from j2a.events import Counters, Frame, FrameError, Reply, Sif
+from j2a.errors import (
+    CallTimeout,
+    DeviceRestarted,
+    J2AError,
+    LinkStalled,
+    Outcome,
+    ProtocolError,
+    remote_error,
+)
+from j2a.events import Counters, Frame, FrameError, Reply, Restart, Sif
+from j2a.protocol.boot import unpack_boot
 from j2a.protocol.calls import Call, Deadlines
 from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a.protocol.trace import Trace, Tracer
 
-__all__ = ["MAX_WINDOW", "NONCE_BYTES", "Call", "Session"]
+__all__ = ["MAX_WINDOW", "NONCE_BYTES", "Call", "Event", "Session"]
 
 _SEQS: Final = 256
 MAX_WINDOW: Final = 64
@@ -40,6 +50,8 @@ _DAMAGE: Final = frozenset((ERR_TIMEOUT, ERR_CHECKSUM, ERR_FRAMING))
 # A barrier may be replaced after this time (J2A-SEQ-007), but a slow link still answers it.
 _BARRIER_S: Final = 1.0
 _MAX_NONCES: Final = 256
+Event = Call | Sif | Restart
+"""What `Session.receive` returns."""
 _new_reply = tuple.__new__  # half the price of Reply(...)
 _OK: Final = frozenset((*range(RET_MAX + 1), RET_FAILED))
 
@@ -58,6 +70,10 @@ class Session:
         rxbuf: wire bytes that the device can hold while it is busy (property j2a.rxbuf); until it
             is known there is one call on the wire at a time (J2A-LIMIT-003).
         echo_opcode: of a2jEcho, None until it is known; barriers need it.
+        has_boot: the device announces the boot SIF; None until that is known.
+        generation: how often the device has said that it began anew.
+        epoch: the same, and how often something was seen that a restart would explain. What was
+            learnt of the device in another epoch may be wrong.
     """
 
     def __init__(
@@ -70,6 +86,9 @@ class Session:
     ) -> None:
         self.rxbuf = 0
         self.echo_opcode: int | None = None
+        self.has_boot: bool | None = None
+        self.generation = 0
+        self.epoch = 0
         self._window = window
         self._nonce = nonce
         self._now = 0.0
@@ -94,7 +113,7 @@ class Session:
         self._barrier_time = 0.0
         self._nonces: dict[bytes, int] = {}
         self._out: list[bytes] = []
-        self._events: list[Call | Sif] = []
+        self._events: list[Event] = []
         self._closed: J2AError | None = None
         self._next_sif: int | None = None
         self._is_lost = False
@@ -103,7 +122,15 @@ class Session:
     # ------------------------------------------------------------------ calls
 
     def start_call(
-        self, what: str, opcode: int, payload: bytes, *, now: float, timeout_s: float, waiter: Any
+        self,
+        what: str,
+        opcode: int,
+        payload: bytes,
+        *,
+        now: float,
+        timeout_s: float,
+        waiter: Any,
+        generation: int | None = None,
     ) -> Call:
         """Queue a call and, if the window has room, put it on the wire.
 
@@ -114,13 +141,18 @@ class Session:
             now: the time, in seconds.
             timeout_s: when the call ends if no reply has come, from now on; may be infinite.
             waiter: kept in the call for the client.
+            generation: in which the opcode meant what the call is for; None means it always does.
 
         Raises:
+            DeviceRestarted: the generation is over.
             LinkStalled: it is this call's turn, and no seq is free (J2A-SEQ-006).
             LinkError: the session was closed; the reason of that.
         """
         if self._closed is not None:
             raise self._closed.copy(str(self._closed), Outcome.NOT_SENT)
+        if generation is not None and generation != self.generation:
+            text = f"{what} was not sent: the device has restarted meanwhile; try again"
+            raise DeviceRestarted(text, outcome=Outcome.NOT_SENT)
         self._now = now
         deadline = now + timeout_s if timeout_s != float("inf") else None
         call = Call(what, opcode, payload, deadline, timeout_s, waiter)
@@ -332,8 +364,8 @@ class Session:
 
     # ------------------------------------------------------------------ input
 
-    def receive(self, data: bytes, now: float | None = None) -> list[Call | Sif]:
-        """Take bytes that arrived; return SIFs, calls that ended and calls sent, in this order.
+    def receive(self, data: bytes, now: float | None = None) -> list[Event]:
+        """Take bytes that arrived; return what they caused, and calls sent instead, in order.
 
         Never raises, whatever the bytes are.
 
@@ -362,6 +394,8 @@ class Session:
                 self._is_lost = False
                 self._counts["resyncs"] += 1
             if event.start == SOS:
+                if event.opcode == BOOT:
+                    events += self._take_boot(event)
                 events.append(self._take_sif(event))
             else:
                 events += self._take_reply(event)
@@ -370,7 +404,7 @@ class Session:
         self._events = []
         return events
 
-    def recover(self) -> list[Call | Sif]:
+    def recover(self) -> list[Event]:
         """Put the state in order after a signal handler has raised amid any method, Ctrl-C perhaps.
 
         Bytes may be lost, so the open frame is given up.
@@ -394,8 +428,25 @@ class Session:
             return events + self._end_all(self._closed)
         return events + self._fill_window()
 
+    def _take_boot(self, frame: Frame) -> list[Event]:
+        """Take a SIF of the opcode of the boot SIF; return what it ends if it is one."""
+        if not self.has_boot:
+            # What comes first was sent before anything was learnt.
+            self.epoch += self.has_boot is None and self._counts["frames_received"] > 1
+            return []
+        self.epoch += 1
+        self.generation += 1
+        self.rxbuf, self.echo_opcode = 0, None
+        self._next_sif = None
+        self._counts["restarts"] += 1
+        restart = unpack_boot(frame.payload)
+        cause = f" (cause: {restart.cause.name.lower()})" if restart.cause else ""
+        return [*self._end_all(DeviceRestarted(f"the device has restarted{cause}")), restart]
+
     def _take_sif(self, frame: Frame) -> Sif:
         missed = 0 if self._next_sif is None else (frame.seq - self._next_sif) % _SEQS
+        # Going back is also what the counter of a device does that was reset.
+        self.epoch += missed > 0 and frame.seq < (self._next_sif or 0)
         self._next_sif = (frame.seq + 1) % _SEQS
         self._counts["sifs"] += 1
         self._counts["sif_gaps"] += missed > 0
@@ -469,6 +520,11 @@ class Session:
         return ended
 
     # ------------------------------------------------------------------ counters
+
+    def note_restart(self) -> None:
+        """Count a restart of which the device has not told."""
+        self.generation += 1
+        self._counts["restarts"] += 1
 
     def count(self, name: Literal["sifs_dropped", "handler_errors"]) -> None:
         """Count what happened in the client."""

@@ -84,6 +84,18 @@ WITH_MANY: Final = frozenset(f.name for f in FUNCTIONS if is_part_of(f, "many"))
 
 CAP_INTERFACE: Final = "interface"
 """The token of j2a.caps for signatures (J2A-IFACE-001)."""
+CAP_BOOT: Final = "boot"
+"""The token of j2a.caps for the boot SIF (J2A-BOOT-001)."""
+
+# The boot SIF: its opcode, the bytes of its payload, and why a device began anew.
+BOOT: Final = 0xFF
+BOOT_BYTES: Final = 7
+BOOT_UNKNOWN: Final = 0
+BOOT_POWER: Final = 1
+BOOT_PIN: Final = 2
+BOOT_BROWNOUT: Final = 3
+BOOT_WATCHDOG: Final = 4
+BOOT_SOFTWARE: Final = 5
 
 # USB: the interface for frames, and SyncUSB, the one for the time (LINKS.md, thesis 6.3).
 USB_VENDOR: Final = 0x6666
@@ -168,6 +180,17 @@ TABLE: Final = (
         ("BYTE_TIMEOUT_MS", BYTE_TIMEOUT_MS, "nominal longest pause inside a frame"),
         ("BYTE_TIMEOUT_MIN_MS", BYTE_TIMEOUT_MIN_MS, "a pause up to this is always accepted"),
         ("BYTE_TIMEOUT_MAX_MS", BYTE_TIMEOUT_MAX_MS, "a pause of this ends the frame"),
+    ),
+    *_rows(
+        "Boot SIF",
+        ("BOOT", BOOT, "opcode of the boot SIF"),
+        ("BOOT_BYTES", BOOT_BYTES, "bytes of its payload"),
+        ("BOOT_UNKNOWN", BOOT_UNKNOWN, "cause of the reset: the device cannot tell"),
+        ("BOOT_POWER", BOOT_POWER, "cause: the power was switched on"),
+        ("BOOT_PIN", BOOT_PIN, "cause: the reset pin"),
+        ("BOOT_BROWNOUT", BOOT_BROWNOUT, "cause: the voltage was too low"),
+        ("BOOT_WATCHDOG", BOOT_WATCHDOG, "cause: the watchdog"),
+        ("BOOT_SOFTWARE", BOOT_SOFTWARE, "cause: the firmware itself, or an update of it"),
     ),
     *_rows(
         "USB",

@@ -123,6 +123,13 @@ MANY_REPLY = cs.Struct(
 )
 """The payload of a reply of a2jMany."""
 
+BOOT = cs.Struct(
+    "cause" / cs.Byte * "why the device began anew; 0 is unknown",
+    "count" / cs.Int16ul * "number of this start; 0 where the device keeps none",
+    "hash" / cs.Int32ul * "CRC-32 of the interface",
+)
+"""The payload of the boot SIF (J2A-BOOT-002); what follows is of a later version."""
+
 GRAMMARS = {
     "packet": PACKET,
     "error-payload": ERROR_PAYLOAD,
@@ -130,5 +137,6 @@ GRAMMARS = {
     "properties": PROPERTIES,
     "many-request": MANY_REQUEST,
     "many-reply": MANY_REPLY,
+    "boot": BOOT,
 }
 """Every grammar by the name that the documentation uses."""

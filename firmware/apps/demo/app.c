@@ -129,6 +129,10 @@ uint8_t demo_sif(uint8_t *const length, uint8_t **const payload) {
     *length = 0;
     if (given == 0)
         return J2A_RET_FAILED;
+#if J2A_WITH_BOOT
+    if ((*payload)[0] == J2A_BOOT)
+        return J2A_RET_FAILED;
+#endif
     j2a_send_sif((*payload)[0], (uint8_t)(given - 1), *payload + 1);
     return 0;
 }

@@ -66,7 +66,7 @@ uint8_t j2a_get_interface(bool *is_last, bool is_write, uint32_t *const offset, 
 }
 
 /* Bit by bit: a table would be longer than the rest of this file. */
-static uint32_t crc32(void) {
+uint32_t j2a_interface_hash(void) {
     walk_t walk = {j2a_definitions, 0, false};
     uint32_t crc = 0xFFFFFFFF;
     uint8_t c;
@@ -82,7 +82,7 @@ static uint32_t crc32(void) {
 void j2a_interface_property(size_t at, uint32_t offset, bool *is_last, uint8_t *length, uint8_t *data) {
     static const char J2A_FLASH key[] = "j2a.interface";
     char property[J2A_INTERFACE_BYTES];
-    uint32_t crc = crc32();
+    uint32_t crc = j2a_interface_hash();
     size_t i;
     for (i = 0; i < sizeof key; i++)
         property[i] = (char)j2a_flash_u8(&key[i]);

@@ -5,9 +5,15 @@
 #include <stdint.h>
 
 #include "avr_clock.h"
+#include "avr_reset.h"
 
 #define J2A_TICKS_PER_MS AVR_CLOCK_TICKS_PER_MS
 #define J2A_PORT_NAME "avr-usb"
+#define J2A_PORT_BOOT_CAUSE avr_reset_cause()
+
+/* A host has configured the board, and does not let it sleep. */
+extern volatile uint8_t usb_trouble; /* see usb.h */
+#define J2A_PORT_IS_UP (usb_trouble == 0)
 
 /* The interface SyncUSB, by which the host tells its time. Off: it is not there. */
 #ifndef J2A_WITH_SYNCUSB

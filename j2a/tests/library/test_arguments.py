@@ -179,6 +179,7 @@ class TestSignatures:
         assert defaults(inspect.signature(j2a.Device)) == {
             "properties": None,
             "interface": True,
+            "boot": False,
             "room": 255,
             "byte_timeout_s": 0.01,
             "trace": None,

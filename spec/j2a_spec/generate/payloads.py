@@ -35,7 +35,7 @@ class PayloadVector:
 
 def payload_vectors() -> list[PayloadVector]:
     """Return every payload vector, in a fixed order."""
-    groups = (_errors(), _mappings(), _properties(), _many(), _small(), _added())
+    groups = (_errors(), _mappings(), _properties(), _many(), _small(), _added(), _boots())
     return [
         PayloadVector(f"payload-{n:03}", comment, tuple(f"J2A-{i}" for i in ids.split()), *rest)
         for n, (comment, ids, *rest) in enumerate((row for group in groups for row in group), 1)
@@ -177,3 +177,28 @@ def _added() -> Iterator[_Row]:
         flags = {"is_last": True} | ({"is_write": False} if first_field == "func" else {})
         chunk = {first_field: 5, "flags": flags, "offset": 498, "data": ""}
         yield _built("an empty last chunk behind others", "MANY-020", grammar, chunk)
+
+
+def _boots() -> Iterator[_Row]:
+    ids = "BOOT-002"
+    causes = (
+        ("unknown", c.BOOT_UNKNOWN),
+        ("power", c.BOOT_POWER),
+        ("reset pin", c.BOOT_PIN),
+        ("brown-out", c.BOOT_BROWNOUT),
+        ("watchdog", c.BOOT_WATCHDOG),
+        ("software", c.BOOT_SOFTWARE),
+    )
+    plain = {"count": 0, "hash": 0x78563412}
+    for name, cause in causes:
+        yield _built(name, ids, "boot", {"cause": cause, **plain})
+    for count in (1, 0x127D, 0xFFFF):
+        value = {**plain, "cause": c.BOOT_POWER, "count": count}
+        yield _built(f"start {count}", ids + " BOOT-003", "boot", value)
+    later = {**plain, "cause": 200}
+    data = GRAMMARS["boot"].build(later) + b"\x12\xed\x7d"
+    yield "of a later version", "BOOT-002 BOOT-007", "boot", data, later, False
+    for length in range(c.BOOT_BYTES):
+        yield _invalid(
+            f"{length} bytes", "BOOT-002 BOOT-007", "boot", bytes(length), "host-accepts"
+        )

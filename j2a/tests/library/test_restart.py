@@ -1,0 +1,800 @@
+"""A device that restarts while the link stays (SPEC.md, section 21)."""
+
+import asyncio
+import contextlib
+import enum
+import gc
+import logging
+import threading
+import weakref
+
+import j2a_transports
+import pytest
+from j2a_spec import oracle, vectors
+from j2a_spec.constants import BOOT, GET_MAPPING, SOF, SOS
+
+import j2a
+from j2a.errors import Outcome
+from j2a.events import ResetCause, Restart
+from j2a.protocol.boot import pack_boot, unpack_boot
+from j2a.protocol.session import Session
+
+from .rebooting import Rebooting, boot_payload
+from .support import PATIENCE_S, linked
+from .wire import Background
+
+
+class Mode(enum.IntEnum):
+    off = 0
+    on = 1
+
+
+def old_firmware(**options):
+    """Firmware with `add`, `read`, `mode`, `raw` and the SIF `beat`."""
+    device = j2a.Device(**{"boot": True, **options})
+    device.calls = []
+    device.describe_sif("beat", 7, "(count u8)")
+
+    @device.function
+    def add(a: j2a.i32, b: j2a.i32) -> j2a.i32:
+        device.calls.append("add")
+        return a + b
+
+    @device.function
+    def read() -> j2a.u8:
+        device.calls.append("read")
+        return 7
+
+    @device.function
+    def mode(mode: Mode) -> Mode:
+        return mode
+
+    device.function("raw")(lambda payload: payload)
+    device.many("log")(lambda request: j2a.read_chunk(b"old" * 200, request))
+    return device
+
+
+def new_firmware(**options):
+    """Firmware whose functions have other opcodes, and `erase` has that of the old `add`."""
+    device = j2a.Device(**{"boot": True, **options})
+    device.calls = []
+    device.describe_sif("beat", 9, "(level u16, count u8)")
+
+    @device.function
+    def erase() -> None:
+        device.calls.append("erase")
+
+    @device.function
+    def add(a: j2a.i64, b: j2a.i64) -> j2a.i64:
+        device.calls.append("add")
+        return a + b
+
+    @device.function
+    def read() -> j2a.u8:
+        device.calls.append("read")
+        return 9
+
+    @device.function
+    def mode(mode: Mode) -> Mode:
+        return mode
+
+    device.function("raw")(lambda payload: payload + b"!")
+    device.many("log")(lambda request: j2a.read_chunk(b"new" * 200, request))
+    return device
+
+
+@contextlib.contextmanager
+def connected(device, *, says=True, **options):
+    """A board, as it is after a reset, and a client that has learnt what it has."""
+    with Rebooting(device) as board:
+        if says:
+            board.reset()
+        with j2a.Client(board.near, timeout=PATIENCE_S, **options) as client:
+            client.refresh()
+            yield board, client
+
+
+def in_loop(test):
+    return asyncio.run(asyncio.wait_for(test, 2 * PATIENCE_S))
+
+
+@contextlib.asynccontextmanager
+async def aconnected(device):
+    with Rebooting(device) as board:
+        board.reset()
+        async with j2a.AsyncClient(board.near, timeout=PATIENCE_S) as client:
+            await client.refresh()
+            yield board, client
+
+
+class TestPayload:
+    @pytest.mark.requirement("J2A-BOOT-007")
+    def test_means_what_the_grammar_says(self):
+        tests = [test for test in vectors.load("payload") if test["grammar"] == "boot"]
+        assert len(tests) >= 15
+        for test in tests:
+            found = unpack_boot(bytes.fromhex(test["data"]))
+            value = test["value"]
+            if value is None:
+                assert found == Restart()
+                continue
+            assert (found.count, found.interface_hash) == (value["count"], f"{value['hash']:08x}")
+            known = {cause.value for cause in ResetCause}
+            assert found.cause == (value["cause"] if value["cause"] in known else 0)
+            if test["result"] == "valid":
+                packed = pack_boot(found.cause, found.count, found.interface_hash)
+                assert packed.hex() == test["data"]
+
+
+class TestSession:
+    def session(self, has_boot=True, window=4):
+        session = Session(first_seq=10, window=window)
+        session.rxbuf = 1000
+        session.has_boot = has_boot
+        return session
+
+    def start(self, session, what="f", **options):
+        return session.start_call(what, 5, b"", now=0.0, timeout_s=9.0, waiter=object(), **options)
+
+    def boot(self, seq=0, payload=bytes(7)):
+        return oracle.encode(oracle.Frame(SOS, seq, BOOT, payload))
+
+    @pytest.mark.requirement("J2A-BOOT-004")
+    @pytest.mark.parametrize("sent", range(5))
+    @pytest.mark.parametrize("queued", range(3))
+    def test_ends_every_call(self, sent, queued):
+        session = self.session(window=max(sent, 1))
+        calls = [self.start(session) for _ in range(sent + queued)]
+        events = session.receive(self.boot(payload=bytes((4, 3, 0, 1, 2, 3, 4))), 1.0)
+        assert events[: len(calls)] == calls
+        restart, sif = events[len(calls) :]
+        assert restart == Restart(ResetCause.WATCHDOG, 3, "04030201")
+        assert (sif.opcode, sif.seq, sif.missed) == (BOOT, 0, 0)
+        for number, call in enumerate(calls):
+            assert isinstance(call.error, j2a.DeviceRestarted)
+            was_sent = number < max(sent, 1)
+            assert call.error.outcome is (Outcome.MAYBE_EXECUTED if was_sent else Outcome.NOT_SENT)
+            assert "watchdog" in str(call.error)
+        assert session.waiting == 0
+        assert session.counters.restarts == 1
+
+    @pytest.mark.requirement("J2A-BOOT-004")
+    def test_takes_no_later_reply_for_one_to_an_earlier_call(self):
+        session = self.session()
+        old = self.start(session)
+        session.receive(self.boot(), 1.0)
+        for _ in range(255):
+            call = self.start(session)
+            assert call.seq != old.seq
+            late = oracle.encode(oracle.Frame(SOF, old.seq, 0, b"late"))
+            reply = oracle.encode(oracle.Frame(SOF, call.seq, 0, b"right"))
+            assert session.receive(late + reply, 1.0) == [call]
+            assert call.reply.payload == b"right"
+            if session.counters.late_replies == 1:
+                break
+        assert session.counters.late_replies == 1
+
+    @pytest.mark.requirement("J2A-BOOT-007")
+    @pytest.mark.parametrize("before", [None, 0, 1, 100, 255])
+    @pytest.mark.parametrize("seq", [0, 1, 254, 255])
+    def test_begins_to_count_sifs_anew(self, before, seq):
+        session = self.session()
+        if before is not None:
+            session.receive(oracle.encode(oracle.Frame(SOS, before, 1, b"")))
+        session.receive(self.boot(seq=seq))
+        after = oracle.encode(oracle.Frame(SOS, (seq + 3) % 256, 1, b""))
+        [sif] = session.receive(after)
+        assert sif.missed == 2
+        assert session.counters.sifs_missed == 2
+
+    @pytest.mark.parametrize("length", range(12))
+    def test_any_length_is_a_restart(self, length):
+        session = self.session()
+        call = self.start(session)
+        assert session.receive(self.boot(payload=bytes(range(length))), 1.0)[0] is call
+        assert session.generation == 1
+
+    @pytest.mark.parametrize("has_boot", [False, None])
+    def test_is_a_sif_like_others_where_nobody_announced_it(self, has_boot):
+        session = self.session(has_boot)
+        call = self.start(session)
+        [sif] = session.receive(self.boot(), 1.0)
+        assert sif.opcode == BOOT
+        assert not call.has_ended
+        assert session.generation == session.epoch == 0
+        session.receive(self.boot(seq=1), 1.0)
+        # Before it is known whether the device has the capability, it may be one.
+        assert session.epoch == (has_boot is None)
+
+    @pytest.mark.parametrize("opcode", [0, 1, 0x7F, 0xFE])
+    def test_other_opcodes_are_other_sifs(self, opcode):
+        session = self.session()
+        call = self.start(session)
+        session.receive(oracle.encode(oracle.Frame(SOS, 0, opcode, bytes(7))), 1.0)
+        assert not call.has_ended
+        assert session.epoch == 0
+
+    def test_a_reply_of_that_code_is_a_reply(self):
+        session = self.session()
+        call = self.start(session)
+        session.receive(oracle.encode(oracle.Frame(SOF, call.seq, BOOT, bytes(7))), 1.0)
+        assert call.reply.code == 0xFF
+        assert session.generation == 0
+
+    def test_a_damaged_one_is_none(self):
+        session = self.session()
+        call = self.start(session)
+        wire = bytearray(self.boot())
+        wire[-1] ^= 1
+        session.receive(bytes(wire), 1.0)
+        assert not call.has_ended
+        assert session.generation == 0
+
+    def test_refuses_a_call_of_a_generation_that_is_over(self):
+        session = self.session()
+        session.receive(self.boot())
+        self.start(session, generation=1)
+        self.start(session)
+        for generation in (0, 2):
+            with pytest.raises(j2a.DeviceRestarted) as caught:
+                self.start(session, generation=generation)
+            assert caught.value.outcome is Outcome.NOT_SENT
+        assert session.waiting == 2
+
+    def test_forgets_what_the_device_can_hold(self):
+        session = self.session()
+        session.echo_opcode = 4
+        session.receive(self.boot())
+        assert (session.rxbuf, session.echo_opcode) == (0, None)
+        calls = [self.start(session) for _ in range(3)]
+        assert [call.was_sent for call in calls] == [True, False, False]
+
+    @pytest.mark.parametrize(
+        ("seqs", "doubts"),
+        [((5, 6, 7), 0), ((5, 7), 0), ((254, 255, 0, 1), 0), ((5, 4), 1), ((5, 0), 1), ((5, 5), 1),
+         ((200, 1), 1), ((0, 0), 1), ((3, 4, 0, 1), 1), ((255, 1), 0)],
+    )  # fmt: skip
+    def test_a_counter_that_goes_back_is_a_clue(self, seqs, doubts):
+        session = self.session(has_boot=False)
+        for seq in seqs:
+            session.receive(oracle.encode(oracle.Frame(SOS, seq, 1, b"")))
+        assert (session.epoch, session.generation) == (doubts, 0)
+
+
+class TestCalls:
+    @pytest.mark.requirement("J2A-BOOT-005")
+    def test_a_name_is_looked_up_in_the_new_map(self):
+        with connected(old_firmware()) as (board, client):
+            assert client.call("raw", b"a").payload == b"a"
+            new = new_firmware()
+            board.reset(new)
+            while client.counters.restarts == 0:
+                pass
+            assert client.call("raw", b"a").payload == b"a!"
+            assert client.functions.read() == 9
+            assert client.read_many("log") == b"new" * 200
+            assert new.calls == ["read"]
+
+    @pytest.mark.requirement("J2A-BOOT-006")
+    @pytest.mark.parametrize("how", ["kept", "with timeout", "used before"])
+    def test_a_changed_signature_is_refused(self, how):
+        with connected(old_firmware()) as (board, client):
+            add = client.functions.add
+            if how == "used before":
+                assert add(40, 2) == 42
+            if how == "with timeout":
+                add = add.with_timeout(9)
+            new = new_firmware()
+            board.reset(new)
+            while client.counters.restarts == 0:
+                pass
+            for _ in range(2):
+                with pytest.raises(j2a.InterfaceChanged, match=r"add.*i32.*i64") as caught:
+                    add(40, 2)
+                assert caught.value.outcome is Outcome.NOT_SENT
+            assert new.calls == []
+            assert client.functions.add(40, 2) == 42
+            assert new.calls == ["add"]
+
+    @pytest.mark.requirement("J2A-BOOT-006")
+    def test_a_function_that_is_gone_is_refused(self):
+        with connected(old_firmware()) as (board, client):
+            add, raw = client.functions.add, client.functions["raw"]
+            bare = j2a.Device(boot=True)
+            board.reset(bare)
+            while client.counters.restarts == 0:
+                pass
+            with pytest.raises(j2a.InterfaceChanged, match="no function of that name"):
+                add(1, 2)
+            with pytest.raises(j2a.InterfaceChanged, match="no function of that name"):
+                client.call(raw, b"")
+            with pytest.raises(j2a.UnknownFunction):
+                client.call("add", b"")
+
+    @pytest.mark.requirement("J2A-BOOT-006")
+    def test_a_function_that_is_not_described_any_more_is_refused(self):
+        with connected(old_firmware()) as (board, client):
+            add = client.functions.add
+            raw = j2a.Device(boot=True)
+            raw.function("add")(lambda payload: payload)
+            board.reset(raw)
+            while client.counters.restarts == 0:
+                pass
+            with pytest.raises(j2a.InterfaceChanged, match="not described"):
+                add(1, 2)
+
+    def test_an_equal_function_moves_to_its_new_opcode(self):
+        with connected(old_firmware()) as (board, client):
+            read, log, raw = (client.functions[name] for name in ("read", "log", "raw"))
+            mode = client.functions.mode
+            old_opcode = read.opcode
+            board.reset(new_firmware())
+            while client.counters.restarts == 0:
+                pass
+            assert [read(), read()] == [9, 9]
+            assert read.opcode == client.functions.read.opcode != old_opcode
+            assert client.read_many(log) == b"new" * 200
+            assert client.call(raw, b"a").payload == b"a!"
+            assert mode(1) == 1
+
+    def test_what_the_user_described_is_found_by_its_name_or_opcode(self):
+        with connected(old_firmware()) as (board, client):
+            by_name = client.function("raw", "(a u8) (a u8, rest bytes)")
+            by_opcode = client.function(4, "(text text) text")
+            board.reset(new_firmware())
+            while client.counters.restarts == 0:
+                pass
+            assert by_name(1) == (1, b"!")
+            with pytest.raises(j2a.FunctionFailed, match="0xBA"):
+                by_opcode("hello")
+
+    @pytest.mark.requirement("J2A-BOOT-004")
+    def test_a_call_under_way_ends(self):
+        with connected(old_firmware()) as (board, client):
+            board.is_mute = True
+            asked = len(board.requests)
+            calls = [Background(client.call, "raw", b"a"), Background(client.functions.add, 1, 2)]
+            board.wait_for_request(asked + 1)
+            while client._session.waiting < 2:
+                pass
+            board.reset()
+            fates = []
+            for call in calls:
+                with pytest.raises(j2a.DeviceRestarted) as caught:
+                    call.result()
+                fates.append(caught.value.outcome)
+            assert set(fates) == {Outcome.MAYBE_EXECUTED, Outcome.NOT_SENT}
+
+    @pytest.mark.requirement("J2A-BOOT-004")
+    def test_a_transfer_under_way_ends(self):
+        with connected(old_firmware()) as (board, client):
+            board.is_mute = True
+            asked = len(board.requests)
+            reading = Background(client.read_many, "log")
+            first = board.wait_for_request(asked + 1)
+            board.reply(first, 0, bytes((0, 0, 0, 0, 0, 0)) + b"old" * 80)
+            board.wait_for_request(asked + 2)
+            board.reset(new_firmware())
+            with pytest.raises(j2a.DeviceRestarted):
+                reading.result()
+
+    def test_a_transfer_does_not_go_on_in_the_new_firmware(self):
+        """The restart comes between two chunks, when no call waits."""
+        with connected(old_firmware()) as (board, client):
+            new = new_firmware()
+
+            def restart(done, _total):
+                if done < 600:
+                    board.reset(new)
+                    while client.counters.restarts == 0:
+                        pass
+
+            with pytest.raises(j2a.DeviceRestarted, match="meanwhile"):
+                client.read_many("log", progress=restart)
+            assert all(by is not new or frame.opcode == 0 or frame.payload[:1] != b"\x0b"
+                       for frame, by in board.requests)  # fmt: skip
+
+    @pytest.mark.requirement("J2A-BOOT-005")
+    @pytest.mark.parametrize("length", [32, 33, 255])
+    def test_the_room_is_learnt_anew(self, length):
+        with connected(old_firmware()) as (board, client):
+            raw = int(client.functions["raw"])
+            assert client.call(raw, bytes(255)).ok
+            board.reset(old_firmware(room=32))
+            while client.counters.restarts == 0:
+                pass
+            if length == 32:
+                assert client.call(raw, bytes(length)).ok
+            else:
+                with pytest.raises(j2a.PayloadTooLong):
+                    client.call(raw, bytes(length))
+
+    def test_a_device_that_does_not_answer_after_its_restart(self):
+        with connected(old_firmware()) as (board, client):
+            client.on_restart(lambda _restart: None)
+            board.reset()
+            board.is_mute = True
+            while client.counters.restarts == 0:
+                pass
+            with pytest.raises(j2a.CallTimeout) as caught:
+                client.call("raw", b"", timeout=0.05)
+            assert caught.value.outcome is Outcome.NOT_SENT
+            board.is_mute = False
+            assert client.call("raw", b"x").payload == b"x"
+
+    def test_another_restart_while_the_map_is_fetched(self):
+        with connected(old_firmware()) as (board, client):
+            board.reset()
+            while client.counters.restarts == 0:
+                pass
+            client.functions.read()
+            board.is_mute = True
+            asked = len(board.requests)
+            board.sif(BOOT, boot_payload(board.device))
+            call = Background(client.call, "raw", b"")
+            board.wait_for_request(asked + 1)
+            while client._session.waiting < 1:
+                pass
+            board.reset(new_firmware())
+            with contextlib.suppress(j2a.DeviceRestarted):
+                call.result()
+            assert client.call("raw", b"").payload == b"!"
+
+    def test_a_new_firmware_that_does_not_say_such_things(self):
+        """It may use the opcode as it likes, and the old one may come back."""
+        with connected(old_firmware()) as (board, client):
+            silent = new_firmware(boot=False)
+            board.reset(silent, payload=b"")
+            while client.counters.restarts == 0:
+                pass
+            assert client.functions.read() == 9
+            board.sif(BOOT, bytes(7))
+            board.sif(BOOT, b"")
+            assert client.functions.read() == 9
+            assert client.counters.restarts == 1
+
+
+class TestGeneratedModules:
+    HASH = old_firmware()._table.interface_hash
+
+    def test_are_refused_until_their_firmware_is_back(self):
+        with connected(old_firmware()) as (board, client):
+            client.use_types(self.HASH, {"Mode": Mode})
+            assert client.functions.mode(Mode.on) is Mode.on
+            new = new_firmware()
+            board.reset(new)
+            while client.counters.restarts == 0:
+                pass
+            for _ in range(2):
+                with pytest.raises(j2a.InterfaceChanged, match=self.HASH):
+                    client.functions.read()
+            with pytest.raises(j2a.InterfaceChanged, match=self.HASH):
+                client.functions.mode(1)
+            assert new.calls == []
+            assert client.call("read").ok
+            board.reset(old_firmware())
+            while client.counters.restarts == 1:
+                pass
+            assert client.functions.mode(Mode.on) is Mode.on
+            assert client.functions.read() == 7
+
+
+class TestHandlers:
+    def told(self, client):
+        restarts, came = [], threading.Event()
+
+        @client.on_restart()
+        def told(restart):
+            restarts.append(restart)
+            came.set()
+
+        return restarts, came
+
+    @pytest.mark.parametrize("is_new", [False, True])
+    def test_are_told_when_the_functions_are_known(self, is_new):
+        with connected(old_firmware()) as (board, client):
+            restarts, came = self.told(client)
+            seen = []
+            client.on_restart(lambda _restart: seen.append(client.functions.read()))
+            firmware = new_firmware() if is_new else old_firmware()
+            board.reset(firmware)
+            assert came.wait(PATIENCE_S)
+            expected = Restart(ResetCause.WATCHDOG, 2, firmware._table.interface_hash, is_new)
+            assert restarts == [expected]
+        assert seen == [9 if is_new else 7]
+
+    def test_sif_handlers_stay_by_name(self):
+        with connected(old_firmware()) as (board, client):
+            values, raw = [], []
+            client.on_sif("beat", lambda sif: values.append(sif.values))
+            client.on_sif(7, raw.append)
+            client.on_sif(BOOT, raw.append)
+            board.sif(7, b"\x05")
+            board.reset(new_firmware())
+            board.sif(9, b"\x01\x00\x06")
+            board.sif(7, b"\x08")
+        assert [tuple(one) for one in values] == [(5,), (1, 6)]
+        assert [sif.opcode for sif in raw] == [7, BOOT, 7]
+
+    def test_one_that_raises_is_counted_and_told(self):
+        errors = []
+        options = {"on_handler_error": lambda error, event: errors.append((error, event))}
+        with connected(old_firmware(), **options) as (board, client):
+            client.on_restart(lambda _restart: 1 / 0)
+            _, came = self.told(client)
+            board.reset()
+            assert came.wait(PATIENCE_S)
+        [(error, event)] = errors
+        assert isinstance(error, ZeroDivisionError)
+        assert isinstance(event, Restart)
+        assert client.counters.handler_errors == 1
+
+    def test_can_be_cancelled(self):
+        with connected(old_firmware()) as (board, client):
+            seen = []
+            client.on_restart(seen.append).cancel()
+            _, came = self.told(client)
+            board.reset()
+            assert came.wait(PATIENCE_S)
+        assert seen == []
+
+    def test_are_told_of_many_restarts_at_once(self):
+        with connected(old_firmware()) as (board, client):
+            gate, begun = threading.Event(), threading.Event()
+
+            @client.on_sif(7)
+            def hold(_sif):
+                begun.set()
+                gate.wait(PATIENCE_S)
+
+            restarts, _ = self.told(client)
+            board.sif(7, b"\0")
+            assert begun.wait(PATIENCE_S)
+            for count in range(1, 101):
+                board.reset(payload=boot_payload(board.device, 1, count))
+            while client.counters.restarts < 100:
+                pass
+            assert client._engine._sifs.qsize() <= 102
+            gate.set()
+        assert [restart.count for restart in restarts] == [100]
+
+    def test_are_told_where_nothing_could_be_learnt(self, caplog):
+        with connected(old_firmware()) as (board, client):
+            restarts, came = self.told(client)
+            client._timeout = 0.01
+            board.reset()
+            board.is_mute = True
+            assert came.wait(PATIENCE_S)
+            assert [(one.is_changed, one.interface_hash) for one in restarts] == [(True, "")]
+            assert "its functions are not known" in caplog.text
+
+    def test_must_be_callable(self):
+        with connected(old_firmware()) as (_, client), pytest.raises(j2a.LocalError):
+            client.on_restart(5)
+
+    def test_a_client_that_nobody_uses_ends(self):
+        with Rebooting(old_firmware()) as board:
+            board.reset()
+            client = j2a.Client(board.near, timeout=PATIENCE_S)
+            client.refresh()
+            client.on_restart(lambda _restart: None)
+            gone = weakref.ref(client)
+            with pytest.warns(ResourceWarning):
+                del client
+                gc.collect()
+            assert gone() is None
+
+
+class TestClues:
+    """Of devices without the capability."""
+
+    def silent(self, make, **options):
+        return make(boot=False, **options)
+
+    def test_a_counter_that_begins_anew_leads_to_a_new_map(self):
+        with connected(self.silent(old_firmware), says=False) as (board, client):
+            restarts = []
+            client.on_restart(restarts.append)
+            add = client.functions.add
+            board.skip_sifs(9)
+            board.sif(7, b"\0")
+            new = self.silent(new_firmware)
+            board.reset(new, says=False)
+            board.sif(9, bytes(3))
+            while client.counters.sifs < 2:
+                pass
+            with pytest.raises((j2a.DeviceRestarted, j2a.InterfaceChanged)) as caught:
+                add(40, 2)
+            assert caught.value.outcome is Outcome.NOT_SENT
+            assert new.calls == []
+            assert client.functions.read() == 9
+        expected = Restart(ResetCause.UNKNOWN, 0, new._table.interface_hash, True)
+        assert restarts == [expected]
+        assert client.counters.restarts == 1
+
+    def test_lost_sifs_cost_nothing_but_a_look(self):
+        with connected(self.silent(old_firmware), says=False) as (board, client):
+            restarts = []
+            client.on_restart(restarts.append)
+            board.skip_sifs(250)
+            board.sif(7, b"\0")
+            board.skip_sifs(20)
+            board.sif(7, b"\0")
+            while client.counters.sifs < 2:
+                pass
+            assert client.functions.add(40, 2) == 42
+            asked = len(board.requests)
+            assert client.functions.add(40, 2) == 42
+            assert len(board.requests) == asked + 1
+        assert restarts == []
+        assert client.counters.restarts == 0
+
+    def test_a_transfer_begun_before_does_not_go_on(self):
+        with connected(self.silent(old_firmware), says=False) as (board, client):
+            new = self.silent(new_firmware)
+
+            def restart(done, _total):
+                if client.counters.sifs == 0:
+                    board.skip_sifs(5)
+                    board.sif(7, b"\0")
+                    board.reset(new, says=False)
+                    board.sif(9, bytes(3))
+                    while client.counters.sifs < 2:
+                        pass
+                    Background(lambda: client.properties).result()
+
+            with pytest.raises(j2a.DeviceRestarted):
+                client.read_many("log", progress=restart)
+
+    def test_a_device_without_an_interface(self):
+        old = j2a.Device(interface=False)
+        old.function("first")(lambda payload: b"old")
+        new = j2a.Device(interface=False)
+        new.function("zero")(lambda payload: b"zero")
+        new.function("first")(lambda payload: b"new")
+        with connected(old, says=False) as (board, client):
+            assert client.call("first").payload == b"old"
+            board.skip_sifs(5)
+            board.sif(7)
+            board.reset(new, says=False)
+            board.sif(7)
+            while client.counters.sifs < 2:
+                pass
+            with pytest.raises(j2a.DeviceRestarted):
+                client.call("first")
+            assert client.call("first").payload == b"new"
+
+    def test_its_sifs_of_that_opcode_say_nothing(self):
+        with connected(self.silent(old_firmware), says=False) as (board, client):
+            asked = len(board.requests)
+            for _ in range(5):
+                board.sif(BOOT, bytes(7))
+            while client.counters.sifs < 5:
+                pass
+            assert client.functions.read() == 7
+            assert len(board.requests) == asked + 1
+            assert client.counters.restarts == 0
+
+
+class TestAsyncio:
+    def test_calls_and_handlers(self):
+        async def main():
+            async with aconnected(old_firmware()) as (board, client):
+                told: asyncio.Queue = asyncio.Queue()
+                values = []
+                client.on_restart(told.put)
+                client.on_sif("beat", lambda sif: values.append(tuple(sif.values)))
+                add, read = client.functions.add, client.functions.read
+                board.is_mute = True
+                asked = len(board.requests)
+                calls = [asyncio.create_task(f) for f in (read(), client.call("raw"))]
+                await asyncio.to_thread(board.wait_for_request, asked + 1)
+                new = new_firmware()
+                board.reset(new)
+                board.sif(9, b"\x01\x00\x06")
+                found = await asyncio.gather(*calls, return_exceptions=True)
+                assert all(isinstance(one, j2a.DeviceRestarted) for one in found)
+                restart = await told.get()
+                assert restart == Restart(ResetCause.WATCHDOG, 2, new._table.interface_hash, True)
+                with pytest.raises(j2a.InterfaceChanged):
+                    await add(1, 2)
+                assert await read() == 9
+                assert await client.functions.add(1, 2) == 3
+                assert (await client.call("raw", b"a")).payload == b"a!"
+                assert await client.read_many("log") == b"new" * 200
+                assert new.calls == ["read", "add"]
+            assert values == [(1, 6)]
+
+        in_loop(main())
+
+    def test_a_handler_that_raises_is_counted(self, caplog):
+        async def main():
+            async with aconnected(old_firmware()) as (board, client):
+                came = asyncio.Event()
+
+                async def fail(_restart):
+                    raise ValueError("no")
+
+                client.on_restart(fail)
+                client.on_restart(lambda _restart: came.set())
+                board.reset()
+                await came.wait()
+            return client.counters.handler_errors
+
+        with caplog.at_level(logging.ERROR):
+            assert in_loop(main()) == 1
+        assert "a handler of restarts failed" in caplog.text
+
+    def test_a_device_that_says_nothing(self):
+        async def main():
+            async with aconnected(old_firmware(boot=False)) as (board, client):
+                told: asyncio.Queue = asyncio.Queue()
+                client.on_restart(told.put)
+                board.skip_sifs(3)
+                board.sif(7, b"\0")
+                board.reset(new_firmware(boot=False), says=False)
+                board.sif(9, bytes(3))
+                while client.counters.sifs < 4:
+                    if client.counters.sifs == 3:
+                        break
+                    await asyncio.sleep(0)
+                with pytest.raises(j2a.DeviceRestarted):
+                    await client.call("raw", b"")
+                assert (await client.call("raw", b"")).payload == b"!"
+                assert (await told.get()).is_changed
+
+        in_loop(main())
+
+
+class TestDevice:
+    @pytest.mark.requirement("J2A-BOOT-001", "J2A-BOOT-002", "J2A-BOOT-003")
+    def test_says_so_to_each_host_first(self):
+        device = old_firmware()
+        device.send("beat", 1)
+        for _ in range(3):
+            near, far = j2a_transports.pair()
+            thread = threading.Thread(target=device.serve, args=(far,))
+            thread.start()
+            data = b""
+            while not oracle.decode(data):
+                data += near.read(PATIENCE_S)
+            [frame] = oracle.decode(data)
+            assert frame == oracle.Frame(SOS, 0, BOOT, boot_payload(device, 0, 0))
+            near.write(oracle.encode(oracle.Frame(SOF, 1, 0, b"")))
+            reply = near.read(PATIENCE_S)
+            assert oracle.decode(reply)[0].start == SOF
+            near.close()
+            thread.join(PATIENCE_S)
+
+    def test_announces_it(self):
+        with linked(old_firmware()) as client:
+            assert client.capabilities == {"boot", "interface"}
+            assert client.functions.read() == 7
+        more = j2a.Device({"j2a.caps": "acme.turbo"}, boot=True)
+        with linked(more) as client:
+            assert client.properties["j2a.caps"] == "interface boot acme.turbo"
+        with linked(j2a.Device()) as client:
+            assert client.capabilities == {"interface"}
+
+    def test_keeps_the_opcode_for_it(self):
+        device = old_firmware()
+        with pytest.raises(j2a.LocalError, match="0xFF"):
+            device.send_sif(BOOT)
+        with pytest.raises(j2a.RegistrationError, match="0xFF"):
+            device.describe_sif("mine", BOOT)
+        assert device.send_sif(0xFE) == 0
+        other = j2a.Device()
+        other.describe_sif("mine", BOOT)
+        assert other.send_sif(BOOT) == 0
+
+    def test_needs_an_interface(self):
+        with pytest.raises(j2a.LocalError, match="interface"):
+            j2a.Device(interface=False, boot=True)
+
+    def test_no_call_is_ended_by_the_first_frame(self):
+        """It may come while the host asks already."""
+        for _ in range(20):
+            with linked(old_firmware()) as client:
+                assert client.functions.add(40, 2) == 42
+                assert client.counters.restarts == 0
+                assert GET_MAPPING in client.functions
