@@ -43,6 +43,7 @@ class Host:
 
     def __init__(self, board: j2a.AsyncClient) -> None:
         self.board = board
+        self.held: j2a.AsyncFunction | None = None
         self.sifs: dict[str, list[j2a.Sif]] = {"all": [], "a": [], "b": []}
         self.came = asyncio.Event()
         board.on_sif(None, self.sifs["all"].append)
@@ -56,6 +57,8 @@ class Host:
             try:
                 reply = await self.board.call(CONDUCTOR, outcome.encode(), 60)
                 return reply.payload.decode()
+            except j2a.DeviceRestarted:
+                pass  # it was not sent: nothing restarts while the suite waits
             except j2a.LinkStalled:
                 await asyncio.sleep(0.005)
 
@@ -74,6 +77,12 @@ class Host:
                     return f"reply {reply.code} {spell(reply.payload)}"
                 case ["typed", function, arguments, ms]:
                     typed = self.board.functions[function].with_timeout(int(ms) / 1000)
+                    return f"values {spell_values(await typed(*take_values(typed, arguments)))}"
+                case ["hold", function]:
+                    self.held = self.board.functions[function]
+                    return "held"
+                case ["held", arguments, ms] if self.held is not None:
+                    typed = self.held.with_timeout(int(ms) / 1000)
                     return f"values {spell_values(await typed(*take_values(typed, arguments)))}"
                 case ["read", function, ms]:
                     limit_s = int(ms) / 1000
@@ -99,6 +108,10 @@ class Host:
             return f"error {error.code} {fate(error)}"
         except j2a.CallTimeout as error:
             return f"timeout {fate(error)}"
+        except j2a.DeviceRestarted as error:
+            return f"restarted {fate(error)}"
+        except j2a.InterfaceChanged as error:
+            return f"changed {error}"[:32]
         except j2a.LinkStalled:
             return "stalled"
         except j2a.LinkError:

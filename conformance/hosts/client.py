@@ -45,6 +45,7 @@ class Host:
 
     def __init__(self, url: str) -> None:
         self.board = connect(url)
+        self.held: j2a.Function | None = None
         self.sifs: dict[str, list[j2a.Sif]] = {"all": [], "a": [], "b": []}
         self.board.on_sif(None, self.sifs["all"].append)
         self.board.on_sif(FOR_A_AND_B, self.sifs["a"].append)
@@ -55,6 +56,8 @@ class Host:
         while True:
             try:
                 return self.board.call(CONDUCTOR, outcome.encode(), 60).payload.decode()
+            except j2a.DeviceRestarted:
+                pass  # it was not sent: nothing restarts while the suite waits
             except j2a.LinkStalled:
                 time.sleep(0.005)
 
@@ -74,6 +77,12 @@ class Host:
                     return f"reply {reply.code} {spell(reply.payload)}"
                 case ["typed", function, arguments, ms]:
                     typed = self.board.functions[function].with_timeout(int(ms) / 1000)
+                    return f"values {spell_values(typed(*take_values(typed, arguments)))}"
+                case ["hold", function]:
+                    self.held = self.board.functions[function]
+                    return "held"
+                case ["held", arguments, ms] if self.held is not None:
+                    typed = self.held.with_timeout(int(ms) / 1000)
                     return f"values {spell_values(typed(*take_values(typed, arguments)))}"
                 case ["read", function, ms]:
                     limit_s = int(ms) / 1000
@@ -99,6 +108,10 @@ class Host:
             return f"error {error.code} {fate(error)}"
         except j2a.CallTimeout as error:
             return f"timeout {fate(error)}"
+        except j2a.DeviceRestarted as error:
+            return f"restarted {fate(error)}"
+        except j2a.InterfaceChanged as error:
+            return f"changed {error}"[:32]
         except j2a.LinkStalled:
             return "stalled"
         except j2a.LinkError:

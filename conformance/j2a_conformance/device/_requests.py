@@ -53,6 +53,10 @@ class Requests:
             lack(f"the device has no function {name}")
         return self.claims.functions.index(name)
 
+    def announces(self, token: str) -> bool:
+        """Whether the device announces a capability (J2A-CAP-001)."""
+        return token in self.claims.properties.get(c.PROP_CAPS, "").split(" ")
+
     @property
     def echo_opcode(self) -> int:
         """The opcode of a2jEcho; without it the case ends as unimplemented."""

@@ -84,6 +84,7 @@ class Link:
 
     Attributes:
         sifs: every SIF since the link was opened, in order.
+        first: the first frame since then, whole or broken; None before.
         byte_s: time that a byte on the wire takes, as far as it is known.
         expect_loss: do not wait long for an answer: it is lost rather than late.
         repeated: exchanges that were repeated since `begin`, because the link is lossy.
@@ -98,6 +99,7 @@ class Link:
         self.expect_loss = bool(lossy)
         self.repeated = 0
         self.sifs: list[Arrival] = []
+        self.first: Arrival | None = None
         self._splitter = Splitter()
         self._waiting: deque[Arrival] = deque()
         self._evidence: deque[Evidence] = deque(maxlen=_EVIDENCE_KEPT)
@@ -198,6 +200,8 @@ class Link:
             event = arrival.event
             # A broken frame that begins with SOS is not kept apart: it is a fault of the device.
             is_sif = isinstance(event, Frame) and event.start == c.SOS
+            if self.first is None and not isinstance(event, Skipped):
+                self.first = arrival
             self.record("sif" if is_sif else "received", arrival.raw)
             (self.sifs if is_sif else self._waiting).append(arrival)
 
@@ -254,5 +258,6 @@ class Link:
             self.note(f"closing the old link: {error}")
         self._adopt(transport)
         self.sifs.clear()
+        self.first = None
         self._waiting.clear()
         self._splitter = Splitter()

@@ -438,6 +438,8 @@ class TestCalls:
             board.reset(new_firmware())
             with contextlib.suppress(j2a.DeviceRestarted):
                 call.result()
+            while client.counters.restarts < 3:
+                pass
             assert client.call("raw", b"").payload == b"!"
 
     def test_a_new_firmware_that_does_not_say_such_things(self):

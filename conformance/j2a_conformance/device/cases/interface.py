@@ -11,11 +11,6 @@ _EACH_UP_TO = 64
 _STEP = 7
 
 
-def announced(peer: Peer) -> bool:
-    """Tell whether the device announces the capability."""
-    return c.CAP_INTERFACE in peer.claims.properties.get(c.PROP_CAPS, "").split(" ")
-
-
 def interface(peer: Peer) -> oracle.Interface:
     """Return what the interface of the device says, or end the case where it breaks a rule."""
     try:
@@ -38,7 +33,7 @@ class Announced(Case):
 
     def _run(self, peer: Peer) -> None:
         has = {
-            f"the token {c.CAP_INTERFACE}": announced(peer),
+            f"the token {c.CAP_INTERFACE}": peer.announces(c.CAP_INTERFACE),
             f"the function {c.GET_INTERFACE}": peer.has(c.GET_INTERFACE),
             f"the property {c.PROP_INTERFACE}": c.PROP_INTERFACE in peer.claims.properties,
         }

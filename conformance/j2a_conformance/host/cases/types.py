@@ -47,10 +47,16 @@ def _device(text: str, **changes: Any) -> Device:
     )
 
 
-def _whole(functions: str, definitions: str = "") -> str:
+def described(functions: str, definitions: str = "", before: int = 0) -> Device:
+    """Return a device with the functions of `DEMO` and these, and so many more before them."""
+    return _device(_whole(functions, definitions, before))
+
+
+def _whole(functions: str, definitions: str = "", before: int = 0) -> str:
     """Return an interface with the built-in functions, those of `DEMO` and more."""
     kinds = {c.GET_PROPERTIES: " many", c.GET_ECHO_MANY: " many", FETCH: " many", STORE: " many"}
-    first = [*c.BUILTINS, c.GET_INTERFACE, PING, FETCH, STORE]
+    more = [f"more{n}" for n in range(before)]
+    first = [*c.BUILTINS, c.GET_INTERFACE, *more, PING, FETCH, STORE]
     kinds[c.GET_INTERFACE] = " many"
     lines = "".join(f"{name}{kinds.get(name, '')}\n" for name in first)
     return f"{definitions}\n{lines}{functions}"

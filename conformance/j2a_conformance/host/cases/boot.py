@@ -1,0 +1,281 @@
+"""A device that restarts while the link stays, as a host sees it (J2A-BOOT)."""
+
+from dataclasses import replace
+from typing import Final
+
+from j2a_spec import constants as c
+from j2a_spec import interface as oracle
+from j2a_spec.grammar import BOOT
+
+from j2a_conformance._judge import fail
+from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._device import PING, Device
+from j2a_conformance.host._dimensions import frame
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._outcomes import Outcome, Request, Sifs, spell
+
+from .types import described
+
+_ADD = "add(a i32, b i32) i32\n"
+_RXBUF = 4096
+
+
+def _booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
+    """Return a device with the capability, with so many functions more before those of `DEMO`."""
+    device = described(functions, before=before)
+    properties = dict(device.properties or ()) | {c.PROP_CAPS: f"{c.CAP_INTERFACE} {c.CAP_BOOT}"}
+    for key, value in changes.items():
+        properties[f"j2a.{key}"] = value
+    return replace(device, properties=tuple(properties.items()))
+
+
+BOOTING: Final = _booting()
+
+
+def _payload(device: Device, cause: int = c.BOOT_WATCHDOG, count: int = 2) -> bytes:
+    crc = int(oracle.crc(device.interface or b""), 16)
+    payload: bytes = BOOT.build({"cause": cause, "count": count, "hash": crc})
+    return payload
+
+
+def boot(host: Host, device: Device | None = None, payload: bytes | None = None) -> None:
+    """Be reset, with other firmware perhaps, and say so; a job must be under way."""
+    host.device = device or host.device
+    host.reset_sifs()
+    host.send(host.sif(c.BOOT, _payload(host.device) if payload is None else payload))
+
+
+def _restarted(outcome: Outcome, was_sent: bool = True) -> None:
+    """Judge what is said of a call that a restart ended."""
+    due = "maybe-executed" if was_sent else "not-sent"
+    if outcome.fate not in ("", due):
+        fail(f"the host says `{outcome.fate}` of a request that was {'' if was_sent else 'not '}"
+             f"sent before the restart; due is `{due}`")  # fmt: skip
+
+
+def _end_a_call(host: Host, device: Device | None = None) -> Request:
+    """Restart while a call waits; return its request."""
+    request = host.asked(b"waits")
+    boot(host, device)
+    _restarted(host.outcome("restarted"))
+    return request
+
+
+class Ends(HostCase):
+    """Sends boot SIFs of every length and many contents while a call waits, with every kind of seq
+    before them; then the late reply, before that of the next call.
+    """
+
+    ID = "host.boot.ends"
+    EXPECTATION = "The call ends at once; the next one gets its own reply."
+    REQUIREMENTS = ("J2A-BOOT-004", "J2A-BOOT-007")
+    LEVEL = "boot"
+    DEVICE = BOOTING
+
+    def _run(self, host: Host) -> None:
+        whole = _payload(host.device)
+        payloads = [whole[:length] for length in range(len(whole) + 1)]
+        payloads += [whole + bytes(more) for more in (1, 2, 248)]
+        payloads += [_payload(host.device, cause, cause * 257) for cause in (*range(7), 18, 255)]
+        for number, payload in enumerate(payloads):
+            old = host.asked(bytes(number % 33))
+            host.reset_sifs(number * 97)
+            host.send(host.sif(0x30, b"before"))
+            boot(host, payload=payload)
+            _restarted(host.outcome("restarted"))
+            new = host.asked(b"next")
+            host.send(old.reply(c.RET_OK, b"late"))
+            host.reply(new, c.RET_OK, b"right")
+            host.replied_with(c.RET_OK, b"right")
+
+
+class EndsAll(HostCase):
+    """Restarts while several calls wait, some of which may have been sent."""
+
+    ID = "host.boot.ends-all"
+    EXPECTATION = "All calls end; those that were not sent are never sent."
+    REQUIREMENTS = ("J2A-BOOT-004",)
+    LEVEL = "boot"
+    DEVICE = _booting(rxbuf=str(_RXBUF))
+
+    def _run(self, host: Host) -> None:
+        for count in (2, 3, 8):
+            opcode = host.device.opcode(PING)
+            call = f"call @{opcode} aa {host.limit_ms}"
+            host.job("together " + " ; ".join([call] * count))
+            requests = host.requests(count, 60)
+            boot(host)
+            report = host.outcome().whole
+            outcomes = [Outcome.parse(text) for text in report.split(" ; ")]
+            if len(outcomes) != count or {outcome.word for outcome in outcomes} != {"restarted"}:
+                fail(f"the host reports `{report}`; due are {count} times `restarted`")
+            fates = [outcome.fate for outcome in outcomes]
+            sent = fates.count("maybe-executed")
+            if "" not in fates and sent != len(requests):
+                fail(f"{len(requests)} requests came, but the host says that {sent} were sent")
+
+
+class Map(HostCase):
+    """Comes back with the same functions at other opcodes, and with others in their place."""
+
+    ID = "host.boot.map"
+    EXPECTATION = "The host asks for the function map before it calls by name again."
+    REQUIREMENTS = ("J2A-BOOT-005",)
+    LEVEL = "boot"
+    DEVICE = BOOTING
+
+    def _run(self, host: Host) -> None:
+        for before in (1, 0, 2, 7, 3, 0):
+            _end_a_call(host, _booting(before=before))
+            for payload in (b"", b"abc"):
+                data = payload.hex() or "-"
+                host.job(f"call {PING} {data} {host.limit_ms}")
+                host.reply(host.request(host.device.opcode(PING), payload), c.RET_OK, payload)
+                host.replied_with(c.RET_OK, payload)
+            host.job(f"typed add [40,2] {host.limit_ms}")
+            numbers = (40).to_bytes(4, "little") + (2).to_bytes(4, "little")
+            request = host.request(host.device.opcode("add"), numbers)
+            host.reply(request, c.RET_OK, (42).to_bytes(4, "little"))
+            host.outcome("values 42")
+
+
+_CHANGED: Final = (
+    "add(a i64, b i32) i32\n",
+    "add(a i32, b i64) i32\n",
+    "add(a i32, b i32) i64\n",
+    "add(a u32, b i32) i32\n",
+    "add(a i32, b i32) u32\n",
+    "add(a i32, b i32)\n",
+    "add(a i32) i32\n",
+    "add(a i32, b i32, c i32) i32\n",
+    "add(a i32, b i32) (sum i32, more i32)\n",
+    "add(a i32, b i32[1]) i32\n",
+    "add(a f32, b f32) f32\n",
+    "add\n",
+    "add many\n",
+    "",
+    "sub(a i32, b i32) i32\n",
+)
+
+
+class Signature(HostCase):
+    """Comes back with a function of another signature, or without it, and then with the right one
+    at another opcode.
+    """
+
+    ID = "host.boot.signature"
+    EXPECTATION = "A function that was taken before is refused, until it has its signature again."
+    REQUIREMENTS = ("J2A-BOOT-006",)
+    LEVEL = "boot"
+    DEVICE = BOOTING
+
+    def _run(self, host: Host) -> None:
+        host.job("hold add")
+        host.outcome("held")
+        for number, functions in enumerate(_CHANGED):
+            _end_a_call(host, _booting(functions, before=number % 3))
+            _, requests = host.do(f"held [40,2] {host.limit_ms}", "changed")
+            if requests:
+                fail(f"a request was sent, though `add` is {functions.strip() or 'gone'} now")
+            _end_a_call(host, _booting(before=number % 4))
+            host.job(f"held [1,2] {host.limit_ms}")
+            numbers = (1).to_bytes(4, "little") + (2).to_bytes(4, "little")
+            request = host.request(host.device.opcode("add"), numbers)
+            host.reply(request, c.RET_OK, (3).to_bytes(4, "little"))
+            host.outcome("values 3")
+
+
+class Count(HostCase):
+    """Sends SIFs before and behind boot SIFs of many seqs, with gaps behind them."""
+
+    ID = "host.boot.count"
+    EXPECTATION = "What is missing is counted from the boot SIF on."
+    REQUIREMENTS = ("J2A-BOOT-007",)
+    LEVEL = "boot"
+    DEVICE = BOOTING
+
+    def _run(self, host: Host) -> None:
+        for before, seq, gap in ((10, 0, 0), (0, 0, 3), (200, 5, 0), (255, 255, 1), (7, 3, 254)):
+            host.reset_sifs(before)
+            self._hand(host, [(0x30, b"before")])
+            boot_sif = frame(c.SOS, seq, c.BOOT, _payload(host.device))
+            host.reset_sifs((seq + 1) % 256)
+            self._hand(host, [(c.BOOT, _payload(host.device)), (0x30, b"behind")], boot_sif, gap)
+
+    @staticmethod
+    def _hand(host: Host, sifs: Sifs, first: bytes = b"", gap: int | None = None) -> None:
+        """Send SIFs, of which `first` may be one; judge what the host hands over and counts."""
+        host.job(f"sifs all {len(sifs)} {host.limit_ms}")
+        host.send(first + host.sif(*sifs[-1], gap or 0))
+        missing, _, data = host.outcome("sifs").rest.partition(" ")
+        due = b"".join(bytes((opcode, len(payload))) + payload for opcode, payload in sifs)
+        if data != spell(due):
+            fail(f"the handler got {data}, not {spell(due)}")
+        if gap is not None and missing != str(gap):
+            fail(f"the host reports {missing} missing SIFs; behind the boot SIF {gap} are")
+
+
+class Room(HostCase):
+    """Comes back with a smaller room and without j2a.rxbuf, and with a larger room."""
+
+    ID = "host.boot.room"
+    EXPECTATION = "The host keeps to what the properties say now."
+    REQUIREMENTS = ("J2A-BOOT-005", "J2A-LIMIT-003", "J2A-LIMIT-007")
+    LEVEL = "boot"
+    DEVICE = _booting(rxbuf=str(_RXBUF))
+
+    def _run(self, host: Host) -> None:
+        for room in (48, 64, 254):
+            _end_a_call(host, _booting(room=str(room)))
+            opcode = host.device.opcode(PING)
+            _, requests = host.do(f"call @{opcode} {room + 1}*55 {host.limit_ms}", "refused")
+            if requests:
+                fail(f"a payload of {room + 1} bytes was sent to a room of {room}")
+            host.job(f"call @{opcode} {room}*55 {host.limit_ms}")
+            host.reply(host.request(opcode, b"\x55" * room))
+            host.outcome("reply 0 -")
+            call = f"call @{opcode} aa {host.limit_ms}"
+            host.job(" ; ".join([f"together {call}", call, call]))
+            for left in range(3, 0, -1):
+                came = host.requests(2, 60)
+                if len(came) > 1:
+                    fail(f"{len(came)} of {left} requests came at once without j2a.rxbuf")
+                host.reply(came[0], c.RET_OK, b"")
+            host.outcome("reply 0 - ; reply 0 - ; reply 0 -")
+            _end_a_call(host, BOOTING)
+            host.job(f"call @{host.device.opcode(PING)} 255*55 {host.limit_ms}")
+            host.reply(host.request(host.device.opcode(PING), b"\x55" * 255))
+            host.outcome("reply 0 -")
+
+
+class Others(HostCase):
+    """Sends SIFs that are no boot SIFs while a call waits: of the same opcode by a device without
+    the capability, of other opcodes, and damaged; and the code 0xFF as a reply.
+    """
+
+    ID = "host.boot.others"
+    EXPECTATION = "The call goes on and gets its reply."
+    REQUIREMENTS = ("J2A-BOOT-004", "J2A-CAP-003", "J2A-SIF-003")
+    LEVEL = "boot"
+    DEVICE = BOOTING
+
+    def _run(self, host: Host) -> None:
+        payload = _payload(host.device)
+        whole = host.sif(c.BOOT, payload)
+        damaged = whole[:-1] + bytes((whole[-1] ^ 1,))
+        wires = [host.sif(opcode, payload) for opcode in (0, 1, 7, 0x7F, c.BOOT - 1)]
+        self._go_on(host, [damaged, whole[:-3], *wires])
+        request = host.asked(b"fails")
+        host.reply(request, c.RET_FAILED, payload)
+        host.replied_with(c.RET_FAILED, payload)
+        host.become(described(_ADD))
+        payloads = [payload[:length] for length in (0, 1, 6, 7)]
+        self._go_on(host, [host.sif(c.BOOT, one) for one in payloads])
+
+    @staticmethod
+    def _go_on(host: Host, wires: list[bytes]) -> None:
+        for number, wire in enumerate(wires):
+            request = host.asked(bytes((number,)))
+            host.send(wire)
+            host.reply(request, c.RET_OK, b"right")
+            host.replied_with(c.RET_OK, b"right")
