@@ -5,7 +5,8 @@ methods are the functions of the board, typed. Rules: the text depends on nothin
 changes only when the board does; names that Python reserves get an underscore behind them.
 """
 
-from collections.abc import Iterator, Sequence
+import keyword
+from collections.abc import Container, Iterator, Sequence
 from typing import Final
 
 from j2a.types.coding import python_names
@@ -31,8 +32,14 @@ _PLAIN: Final = {
     "text": "str",
     "bytes": "bytes",
 }
-_OWN: Final = frozenset({"client", "AsyncBoard", "Board", "connect", "aconnect", "j2a", "HASH"})
-"""Names of the module and its classes that functions of a board do not take."""
+_MODULE: Final = frozenset({"AsyncBoard", "Board", "HASH", "IntEnum", "Sequence"})
+"""Names of the module that classes of a board do not take."""
+_OWN: Final = frozenset({"client", *_PLAIN.values(), "tuple"})
+"""Names in the classes of boards that functions do not take: types are looked up there, too."""
+_LOCAL: Final = ("self", "result", *sorted({*_PLAIN.values(), "tuple"}))
+"""Names in the methods of boards that parameters do not take."""
+_Classes = dict[tuple[str, str], str]
+"""The names of classes: by "type", "results" or "sif", and the name of that."""
 
 
 def python_module(interface: Interface, interface_hash: str, source: str) -> str:
@@ -50,6 +57,7 @@ def _lines(interface: Interface, interface_hash: str, source: str) -> Iterator[s
     functions = [
         line for line in interface.functions if line.signature and line.name.isidentifier()
     ]
+    classes = _class_names(interface, functions)
     yield f'"""The functions of {_quoted(source)}, written by j2a stub; do not edit."""'
     yield ""
     yield "from collections.abc import Sequence"
@@ -62,24 +70,47 @@ def _lines(interface: Interface, interface_hash: str, source: str) -> Iterator[s
     yield '"""The property j2a.interface of the boards that this module is for."""'
     for definition in interface.types:
         if isinstance(definition, Enumeration):
-            yield from _enumeration(definition)
+            yield from _enumeration(definition, classes)
         else:
-            yield from _record(
-                class_name(definition.name), definition.fields, f"A {definition.name}."
-            )
+            name = classes["type", definition.name]
+            yield from _record(name, definition.fields, f"A {definition.name}.", classes)
     for line in functions:
         assert line.signature is not None
         if _has_several(line.signature):
-            name = f"{class_name(line.name)}Results"
-            yield from _record(name, line.signature.results, f"What {line.name} returns.")
+            name = classes["results", line.name]
+            doc = f"What {line.name} returns."
+            yield from _record(name, line.signature.results, doc, classes)
     for sif in interface.sifs:
-        yield from _record(f"{class_name(sif.name)}Sif", sif.fields, _sif_doc(sif))
+        yield from _record(classes["sif", sif.name], sif.fields, _sif_doc(sif), classes)
     yield from ("", "", "_CLASSES = {")
     for definition in interface.types:
-        yield f'    "{definition.name}": {class_name(definition.name)},'
+        yield f'    "{definition.name}": {classes["type", definition.name]},'
     yield "}"
-    yield from _board(functions, "Board", "Client", "connect", "")
-    yield from _board(functions, "AsyncBoard", "AsyncClient", "aconnect", "a")
+    yield from _board(functions, classes, is_async=False)
+    yield from _board(functions, classes, is_async=True)
+
+
+def _class_names(interface: Interface, functions: Sequence[Described]) -> _Classes:
+    """Return a name for each class, which no other one has and Python does not use itself."""
+    wanted = [("type", definition.name, "") for definition in interface.types]
+    wanted += [
+        ("results", line.name, "Results")
+        for line in functions
+        if line.signature and _has_several(line.signature)
+    ]
+    wanted += [("sif", sif.name, "Sif") for sif in interface.sifs]
+    made: _Classes = {}
+    for kind, name, end in wanted:
+        taken = {*made.values(), *_MODULE}
+        made[kind, name] = _free(f"{class_name(name)}{end}", taken)
+    return made
+
+
+def _free(name: str, taken: Container[str]) -> str:
+    """Return a name that is not taken, nor a keyword, by underscores behind it."""
+    while name in taken or keyword.iskeyword(name):
+        name += "_"
+    return name
 
 
 def class_name(name: str) -> str:
@@ -97,8 +128,8 @@ def _doc(text: str, indent: str) -> str:
     return f'{indent}"""{_quoted(text)}"""'
 
 
-def _enumeration(definition: Enumeration) -> Iterator[str]:
-    yield from ("", "", f"class {class_name(definition.name)}(IntEnum):")
+def _enumeration(definition: Enumeration, classes: _Classes) -> Iterator[str]:
+    yield from ("", "", f"class {classes['type', definition.name]}(IntEnum):")
     yield _doc(f"An enumeration of {definition.integer}.", "    ")
     yield ""
     names = python_names([name for name, _ in definition.values])
@@ -106,21 +137,21 @@ def _enumeration(definition: Enumeration) -> Iterator[str]:
         yield f"    {name} = {number}"
 
 
-def _record(name: str, fields: Sequence[Field], doc: str) -> Iterator[str]:
+def _record(name: str, fields: Sequence[Field], doc: str, classes: _Classes) -> Iterator[str]:
     # No named tuple: fields named count or index would hide what tuples have.
     yield from ("", "", "@dataclass(frozen=True)", f"class {name}:")
     yield _doc(doc, "    ")
     names = python_names([field.name for field in fields])
     for attribute, field in zip(names, fields, strict=True):
-        yield from ("", f"    {attribute}: {_annotation(field.type, 'tuple')}")
+        yield from ("", f"    {attribute}: {_annotation(field.type, 'tuple', classes)}")
         if field.type.unit:
             yield _doc(f"In {field.type.unit}.", "    ")
 
 
-def _annotation(kind: Type, array: str) -> str:
+def _annotation(kind: Type, array: str, classes: _Classes) -> str:
     element = kind.element
     if isinstance(element, Enumeration | Structure):
-        one = class_name(element.name)
+        one = classes["type", element.name]
     else:
         one = _PLAIN[element]
     if kind.count is None or element in ("text", "bytes"):
@@ -136,10 +167,11 @@ def _sif_doc(sif: SifShape) -> str:
     return f"The values of the SIF {sif.name}{f': {sif.doc}' if sif.doc else '.'}"
 
 
-def _board(
-    functions: Sequence[Described], name: str, client: str, connect: str, is_async: str
-) -> Iterator[str]:
-    keyword, wait = ("async def", "await ") if is_async else ("def", "")
+def _board(functions: Sequence[Described], classes: _Classes, *, is_async: bool) -> Iterator[str]:
+    name, client, connect = "Board", "Client", "connect"
+    if is_async:
+        name, client, connect = "AsyncBoard", "AsyncClient", "aconnect"
+    define, wait = ("async def", "await ") if is_async else ("def", "")
     yield from ("", "", f"class {name}:")
     yield from (
         '    """The functions of a board.',
@@ -155,13 +187,16 @@ def _board(
         "        client.use_types(HASH, _CLASSES)",
         "        self.client = client",
     )
-    names = python_names([line.name for line in functions])
-    for method, line in zip(names, functions, strict=True):
-        yield from _method(method, line, keyword, wait)
+    taken = set(_OWN)
+    for line in functions:
+        [method] = python_names([line.name])
+        method = _free(method, taken)
+        taken.add(method)
+        yield from _method(method, line, classes, is_async=is_async)
     yield from (
         "",
         "",
-        f"{keyword} {connect}(url: str, timeout: float = 1.0) -> {name}:",
+        f"{define} {connect}(url: str, timeout: float = 1.0) -> {name}:",
         '    """Connect to a board and see that this module is for it.',
         "",
         f"    Raises: as `j2a.{connect}`; InterfaceChanged.",
@@ -175,20 +210,22 @@ def _board(
     )
 
 
-def _method(method: str, line: Described, keyword: str, wait: str) -> Iterator[str]:
+def _method(method: str, line: Described, classes: _Classes, *, is_async: bool) -> Iterator[str]:
     signature = line.signature
     assert signature is not None
-    method = f"{method}_" if method in _OWN else method
-    names = python_names([field.name for field in signature.parameters])
+    define, wait = ("async def", "await ") if is_async else ("def", "")
+    names = python_names([*_LOCAL, *(field.name for field in signature.parameters)])[len(_LOCAL) :]
     pairs = list(zip(names, signature.parameters, strict=True))
-    parameters = "".join(f", {name}: {_annotation(f.type, 'Sequence')}" for name, f in pairs)
-    results = f"{class_name(line.name)}Results" if _has_several(signature) else "None"
+    parameters = "".join(
+        f", {name}: {_annotation(f.type, 'Sequence', classes)}" for name, f in pairs
+    )
+    results = classes["results", line.name] if _has_several(signature) else "None"
     if signature.results and not _has_several(signature):
-        results = _annotation(signature.results[0].type, "tuple")
-    yield from ("", f"    {keyword} {method}(self{parameters}) -> {results}:")
+        results = _annotation(signature.results[0].type, "tuple", classes)
+    yield from ("", f"    {define} {method}(self{parameters}) -> {results}:")
     yield from _method_doc(line, pairs, signature)
     call = f'{wait}self.client.functions["{line.name}"]({", ".join(names)})'
-    if results == "None":
+    if not signature.results:
         yield f"        {call}"
     elif _has_several(signature):
         yield f"        return {results}(*{f'({call})' if wait else call})"

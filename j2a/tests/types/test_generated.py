@@ -17,6 +17,7 @@ from j2a.errors import SignatureError
 from j2a.types.definition_file import interface_text, read_definition_file
 from j2a.types.header import c_header
 from j2a.types.model import Interface
+from j2a.types.parser import parse_interface
 from j2a.types.stub import class_name, python_module
 
 from .strategies import interfaces
@@ -201,3 +202,48 @@ def test_what_cannot_be_written_is_said(arguments, message, capsys):
 
 def test_nothing_to_describe_is_a_module_too():
     compile(python_module(Interface(), "00000000", "nothing"), "board.py", "exec")
+
+
+CLASHING = """\
+enum none u8 (a=0, none=2)
+enum motor_mode u8 (a=0)
+struct motorMode (self u8, class i16, b i16)
+struct board (a u8)
+struct sequence (a u8)
+struct addResults (a u8)
+struct beatSif (a u8)
+struct hASH (a u8)
+sif beat 32 (n u32)
+
+add(a motor_mode, self motorMode) (x u8, y addResults)
+int(int i32, self none, result u8) i32
+bool(a i32, b bool) bool
+client() board
+client_() sequence
+connect(class u8) hASH
+HASH()
+tuple(a u8[2]) u8[2]
+"""
+
+
+def test_names_that_clash_are_told_apart(tmp_path):
+    pytest.importorskip("mypy")
+    module = tmp_path / "clashing_board.py"
+    module.write_text(python_module(parse_interface(CLASHING), "00000000", "x"))
+    made = load(module)
+    assert [one.__name__ for one in made._CLASSES.values()] == [
+        "None_", "MotorMode", "MotorMode_", "Board_", "Sequence_", "AddResults", "BeatSif",
+        "HASH_",
+    ]  # fmt: skip
+    assert made.AddResults_ is not made.AddResults
+    methods = ["add", "int_", "bool_", "client_", "client__", "connect", "HASH", "tuple_"]
+    assert [name for name in vars(made.Board) if not name.startswith("_")] == methods
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", module.name],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PATH": "", "MYPYPATH": str(tmp_path)},
+    )
+    assert done.returncode == 0, done.stdout
