@@ -31,6 +31,9 @@ void j2a_rx_timeout(void);
  * sent. */
 #if J2A_WITH_BOOT
 bool j2a_greet(void);
+
+/* Returns the CRC-32 of the interface. */
+uint32_t j2a_interface_hash(void);
 #endif
 
 /* Sends one frame. start: J2A_SOF or J2A_SOS. */
@@ -59,9 +62,6 @@ J2A_INLINE void j2a_append(const char *property, uint8_t size, size_t at, uint32
 enum { J2A_INTERFACE_BYTES = sizeof "j2a.interface" + sizeof "01234567" };
 #else
 enum { J2A_INTERFACE_BYTES = 0 };
-#endif
-#if J2A_WITH_INTERFACE
-uint32_t j2a_interface_hash(void);
 #endif
 void j2a_interface_property(size_t at, uint32_t offset, bool *is_last, uint8_t *length, uint8_t *data);
 

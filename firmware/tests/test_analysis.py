@@ -21,14 +21,14 @@ OPTIONS = {
     "two links": ["-DJ2A_LINKS=2"],
     "minimal": ["-DJ2A_ROOM=32", *(f"-DJ2A_WITH_{name}=0" for name in MINIMAL.split())],
     "self-test": ["-DJ2A_WITH_SELFTEST=1"],
-    "interface": ["-DJ2A_WITH_INTERFACE=1", "-DJ2A_WITH_SELFTEST=1"],
+    "interface": ["-DJ2A_WITH_INTERFACE=1", "-DJ2A_WITH_BOOT=1", "-DJ2A_WITH_SELFTEST=1"],
 }
 MAIN_PORT = "ports/cortex-m"  # with interrupts; its j2a_port_config.h is read with the core
 DEFINES = ["-DJ2A_RXBUF=64", "-DDEMO_STORE_BYTES=1024", "-DBAUD=115200u"]
 TYPED = ["apps/demo", "tests/typed"]
 CORE = sorted(FIRMWARE.glob("core/**/*.c"))
-CLOCK = FIRMWARE / "ports/common/avr_clock.c"  # of the AVR's ports
-COMMON = sorted({*FIRMWARE.glob("ports/common/*.c")} - {CLOCK})
+AVR_COMMON = sorted(FIRMWARE.glob("ports/common/avr_*.c"))
+COMMON = sorted({*FIRMWARE.glob("ports/common/*.c")} - {*AVR_COMMON})
 # How Clang is told the machine of each port that shares ports/common.
 TARGETS = {
     "cortex-m": ["--target=arm-none-eabi", "-mcpu=cortex-m3", "-mthumb"],
@@ -252,7 +252,7 @@ def test_clang_tidy_finds_nothing_for_the_avr(need: Callable[[str], None], mcu: 
         f"-DSENSORS_ADC={int(bool(CHIPS[mcu].analog))}",
         *includes(*AVR_FOLDERS),
     ]
-    result = clang_tidy([*AVR_SOURCES, CLOCK], flags, f"--checks={UNCHECKED['avr']}")
+    result = clang_tidy([*AVR_SOURCES, *AVR_COMMON], flags, f"--checks={UNCHECKED['avr']}")
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
 
 
@@ -269,7 +269,7 @@ def test_every_port_and_common_file_is_looked_at() -> None:
     ports = {path.parent.name for path in FIRMWARE.glob("ports/*/port.mk")}
     assert ports == {*TARGETS, *AVR_PORTS, "posix"}
     looked_at = {path for port in {*TARGETS, *AVR_PORTS} for path in port_sources(port)}
-    assert looked_at >= {*COMMON, CLOCK}
+    assert looked_at >= {*COMMON, *AVR_COMMON}
 
 
 def test_clang_tidy_finds_what_is_wrong(need: Callable[[str], None], tmp_path: Path) -> None:

@@ -148,17 +148,18 @@ def test_a_chip_tells_why_it_was_reset(build, port, mcu, link):
     (8, c.BOOT_WATCHDOG), (10, c.BOOT_WATCHDOG), (0, c.BOOT_UNKNOWN), (16, c.BOOT_UNKNOWN),
 ])  # fmt: skip
 def test_the_flags_of_an_avr(tmp_path, flags, cause):
-    """avr_reset.h, with a variable in place of the register."""
+    """avr_reset.c, with a variable in place of the register."""
     (tmp_path / "avr").mkdir()
     (tmp_path / "avr/io.h").write_text(
         "#include <stdint.h>\n#define _BV(bit) (1 << (bit))\nextern uint8_t MCUSR;\n"
         "enum { PORF, EXTRF, BORF, WDRF };\n"
     )
     (tmp_path / "main.c").write_text(
-        f'#include "avr_reset.h"\nuint8_t MCUSR = {flags};\n'
+        f'#include "avr_reset.c"\nuint8_t MCUSR = {flags};\n'
         "int main(void) { const int cause = avr_reset_cause(); return MCUSR ? 99 : cause; }\n"
     )
     folders = [f"-I{tmp_path}", f"-I{ROOT}/firmware/ports/common", f"-I{ROOT}/firmware/core"]
+    folders += [f"-I{ROOT}/firmware/ports/posix", "-DJ2A_WITH_INTERFACE=1", ON]
     program = tmp_path / "main"
     subprocess.run(["gcc", *folders, "-o", program, tmp_path / "main.c"], check=True)
     assert subprocess.run([program], check=False).returncode == cause

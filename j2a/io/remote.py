@@ -71,7 +71,7 @@ class RemoteFunction(int):
         line: Described,
         types: PythonTypes,
         client: Any,
-        epoch: int,
+        epoch: int = 0,
         *,
         origin: Origin = Origin.DEVICE,
     ) -> None:

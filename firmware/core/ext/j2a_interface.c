@@ -66,6 +66,9 @@ uint8_t j2a_get_interface(bool *is_last, bool is_write, uint32_t *const offset, 
 }
 
 /* Bit by bit: a table would be longer than the rest of this file. */
+#if !J2A_WITH_BOOT
+static
+#endif
 uint32_t j2a_interface_hash(void) {
     walk_t walk = {j2a_definitions, 0, false};
     uint32_t crc = 0xFFFFFFFF;

@@ -11,8 +11,8 @@
 #define J2A_PORT_NAME "avr-usb"
 #define J2A_PORT_BOOT_CAUSE avr_reset_cause()
 
-/* A host has configured the board, and does not let it sleep. */
-extern volatile uint8_t usb_trouble; /* see usb.h */
+/* A host has configured the board, and does not let it sleep: see usb.h. */
+extern volatile uint8_t usb_trouble;
 #define J2A_PORT_IS_UP (usb_trouble == 0)
 
 /* The interface SyncUSB, by which the host tells its time. Off: it is not there. */

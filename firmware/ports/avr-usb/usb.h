@@ -44,7 +44,7 @@ enum {
 
 /* ------------------------------------------------------------------ usb_device.c ------------- */
 
-/* 0 while packets flow. The port clears USB_RESTARTED and may use USB_PORT for itself; interrupts off for
+/* usb_trouble, which j2a_port_config.h declares: 0 while packets flow. The port clears USB_RESTARTED and may use USB_PORT for itself; interrupts off for
  * that. */
 enum {
     USB_UNCONFIGURED = 1, /* the host has not chosen the configuration, or the cable is out */
@@ -52,7 +52,6 @@ enum {
     USB_RESTARTED = 4,    /* the endpoints were set up anew: what was in them is gone */
     USB_PORT = 8
 };
-extern volatile uint8_t usb_trouble;
 
 /* Starts the controller and joins the bus; interrupts must be switched on afterwards. Called once. */
 void usb_start(void);

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from j2a_spec.capabilities import CAPABILITIES
+from j2a_spec.capabilities import CAPABILITIES, Capability
 
 __all__ = [
     "BUDGET",
@@ -187,12 +187,17 @@ def _of_parts() -> list[dict[str, Any]]:
             "note": f"full with {part.title}",
             "port": "avr-serial",
             "app": "builtins",
-            "options": [f"{part.option}=1"],
+            "options": [f"{one.option}=1" for one in (*_needed(part), part)],
             "measure": ["size", "bound"],
         }
         for part in CAPABILITIES.values()
         if part.token
     ]
+
+
+def _needed(part: Capability) -> list[Capability]:
+    """Return the parts that another one needs and that are not in a full build."""
+    return [CAPABILITIES[name] for name in part.needs if CAPABILITIES[name].token]
 
 
 def loaded(build: Build) -> Build:

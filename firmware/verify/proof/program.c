@@ -95,6 +95,12 @@ void j2a_rx_timeout(void) {
 static uint8_t replies;
 
 void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload) {
+#if J2A_WITH_BOOT
+    if (start == J2A_SOS) {
+        //@ check length == J2A_BOOT_BYTES && \initialized(payload + (0 .. J2A_BOOT_BYTES - 1));
+        return;
+    }
+#endif
     //@ check start == J2A_SOF;
     (void)seq;
     (void)opcode;

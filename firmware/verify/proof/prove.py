@@ -109,7 +109,8 @@ def _program(machine: str, *defines: str) -> Analysis:
         " -eva-split-return-function j2a_find:full"
     )
     parts = (
-        f"ext/j2a_{part}.c" for part in ("debug", "interface", "many", "mapping", "properties")
+        f"ext/j2a_{part}.c"
+        for part in ("boot", "debug", "interface", "many", "mapping", "properties")
     )
     sources = ("j2a_builtins.c", "j2a_server.c", "j2a_table.c", *parts)
     return Analysis("program", sources, tuple(precision.split()), machine, defines)
@@ -145,7 +146,7 @@ ANALYSES = (
     _typed("ppc_32"),  # big-endian
     _program("gcc_x86_64"),
     _program("gcc_x86_16", "-DJ2A_WITH_SELFTEST=1"),
-    _program("gcc_x86_16", "-DJ2A_WITH_INTERFACE=1"),
+    _program("gcc_x86_16", "-DJ2A_WITH_INTERFACE=1", "-DJ2A_WITH_BOOT=1"),
     _program("gcc_x86_64", *(f"-DJ2A_WITH_{option}=0" for option in _OFF)),
     _program("gcc_x86_16", "-DJ2A_WITH_PROPERTIES=0", "-DJ2A_DEBUGBUF=300"),
     _program("gcc_x86_16", _SMALL, "-DJ2A_WITH_MAPPING=0"),
