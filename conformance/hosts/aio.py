@@ -78,6 +78,8 @@ class Host:
                 case ["typed", function, arguments, ms]:
                     typed = self.board.functions[function].with_timeout(int(ms) / 1000)
                     return f"values {spell_values(await typed(*take_values(typed, arguments)))}"
+                case ["restarts"]:
+                    return f"restarts {self.board.counters.restarts}"
                 case ["hold", function]:
                     self.held = self.board.functions[function]
                     return "held"

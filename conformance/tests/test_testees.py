@@ -15,7 +15,8 @@ from j2a_conformance.reports import _json
 FOLDER = Path(__file__).parents[1] / "testees"
 NOTHING_LOST = {"limits.overrun"}
 NO_SELF_TEST = {"properties.selftest"}  # such a build is for bringing a port up
-NOT_OURS = NO_SELF_TEST | {"limits.room"}  # for devices with less room
+NO_BOOT = {f"boot.{name}" for name in ("first", "payload", "once", "reserved")}
+NOT_OURS = NO_SELF_TEST | NO_BOOT | {"limits.room"}  # for devices with less room
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 from j2a_sim import AvrSim
+from j2a_spec.capabilities import CAPABILITIES
 
 from firmware.verify.budget import avr_run, avr_stack, builds, callgraph, report, snapshot
 from firmware.verify.budget import measure as command
@@ -137,6 +138,9 @@ def test_each_switch_is_measured():
     switches = {name for name in re.findall(r"#ifndef (J2A_\w+)", text) if not name.endswith("_H")}
     switches -= WITHOUT
     alone = {name for build in builds.load() if len(build.options) == 1 for name in build.options}
+    # A part of the protocol comes with the parts that it needs.
+    names = {build.name for build in builds.load()}
+    alone |= {part.option for part in CAPABILITIES.values() if f"avr-serial/{part.id}" in names}
     for entry in ENTRIES:
         options = {option.partition("=")[0] for option in entry.get("options", [])}
         options |= {f"J2A_{name}" for name in entry.get("make", {}) if name in VARIABLES}
