@@ -86,17 +86,20 @@ function skip_blanks(    begin) {
 }
 
 # Reads the arguments behind a "(" into `argument`; returns how many.
-function read_arguments(    count, depth, begin, c) {
+function read_arguments(    count, depth, begin, c, left) {
     count = 1
     depth = 1
     begin = number
     split("", argument)
     for (;;) {
+        left = length(text)
         skip_blanks()
         if (text == "") {
             number = begin
             wrong("a \")\" is missing")
         }
+        if (length(text) < left && !is_properties && argument[count] ~ /[A-Za-z0-9_]$/ && text ~ /^[A-Za-z0-9_]/)
+            wrong("a comma is missing behind " argument[count])
         if (last !~ /[A-Za-z0-9_]/ && match(text, /^J2A_[A-Z]+/) && (substr(text, 1, RLENGTH) in is_macro)) {
             number = begin
             wrong("a \")\" is missing: the next entry begins within this one")
@@ -195,7 +198,7 @@ function check_text(text) {
         wrong("the text at the end is missing: " macro " ends with \"what it is for\"")
     if (text == "\"\"")
         wrong("the text at the end is empty: say in a few words what it is for")
-    if (text ~ /\\[abefnrtv0-7x]/)
+    if (text ~ /\\[abefnrtv0-7x]/ || text ~ /[\001-\037\177]/)
         wrong("the text has a control character: it is one line of plain text")
 }
 

@@ -86,6 +86,10 @@ TYPED_SLIPS = [
     # the name
     ('J2A_FUNCTION("f", void, "x")', 1, 'the name of a function has no quotes: "f"'),
     ('J2A_FUNCTION(, void, "x")', 1, "the name of a function is missing"),
+    ('J2A_FUNCTION(f void, "x")', 1, "a comma is missing behind f"),
+    ('J2A_FUNCTION(f, void, (u8 a), "x")', 1, "a comma is missing behind (u8"),
+    ('J2A_FUNCTION(f, void, (u8, a b), "x")', 1, "a comma is missing behind (u8,a"),
+    ('J2A_FUNCTION(f, void, "a\tb")', 1, "the text has a control character"),
     ('J2A_FUNCTION(2f, void, "x")', 1, '"2f" is no name of a function: a name has letters'),
     ('J2A_FUNCTION(my-f, void, "x")', 1, '"my-f" is no name of a function'),
     ('J2A_FUNCTION(while, void, "x")', 1, "the name of a function cannot be while, a word of C"),
@@ -144,7 +148,7 @@ TYPED_SLIPS = [
     ('J2A_FUNCTION(f, void, (array(i33), a), "x")', 1, "there is no type i33; did you mean i32?"),
     ('J2A_FUNCTION(f, void, (u8, a, "mV"), "x")', 1, "a unit has no quotes"),
     ('J2A_FUNCTION(f, void, (u8, a, m\u00b2), "x")', 1, "is no unit: give a symbol of UCUM"),
-    ('J2A_FUNCTION(f, (u8, m V!), "x")', 1, '"mV!" is no unit'),
+    ('J2A_FUNCTION(f, (u8, mV!), "x")', 1, '"mV!" is no unit'),
     # flags
     ('J2A_FUNCTION(f, void, idempotnt, "x")', 1, '"idempotnt" is neither a parameter'),
     ('J2A_FUNCTION(f, void, slow, "x")', 1, "slow takes a number of milliseconds"),
