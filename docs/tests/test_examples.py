@@ -228,3 +228,40 @@ def test_the_commands_of_the_quick_start():
         [watch] = re.findall(r"^j2a (watch URL .*)$", text, re.MULTILINE)
         words = [found if word == "URL" else word for word in shlex.split(watch, comments=True)]
         assert "opcode  32" in run("-m", "j2a", *words, "--count", "2")
+
+
+class TestFewLines:
+    """What a user writes for two functions and a stream."""
+
+    FOLDER = ROOT / "docs/examples/few_lines"
+
+    @staticmethod
+    def counted(text, first):
+        """The lines from the first function on, without blank lines and comments."""
+        lines = [line.strip() for line in text[text.index(first) :].splitlines()]
+        return len([line for line in lines if line and not line.startswith(("#", "//"))])
+
+    def test_in_c(self, build_firmware):
+        functions = (self.FOLDER / "functions.def").read_text()
+        code = (self.FOLDER / "app.c").read_text()
+        assert self.counted(functions, "J2A") + self.counted(code, "int32_t app_add") <= 6
+        program = build_firmware("few_lines", APP_DIR=self.FOLDER)
+        with j2a.connect(f"exec:{program}") as board:
+            assert board.functions.add(40, 2) == 42
+            board.functions.led(True)
+            with board.sifs("counter") as stream:
+                first, second = stream.wait(LIMIT_S), stream.wait(LIMIT_S)
+        assert second.values.count == first.values.count + 1
+
+    def test_in_python(self):
+        text = (ROOT / "docs/examples/few_lines.py").read_text()
+        assert self.counted(text, "@device.function") <= 5
+        made = {}
+        exec(compile(text, "few_lines.py", "exec"), made)
+        with served(made["device"]) as found, j2a.connect(found) as board:
+            assert board.functions.add(40, 2) == 42
+            board.functions.led(True)
+            assert made["lights"] == [True]
+            with board.sifs("counter") as stream:
+                made["counter"](7)
+                assert stream.wait(LIMIT_S).values.count == 7

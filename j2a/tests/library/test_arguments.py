@@ -71,7 +71,7 @@ class Virtual:
     def _connect(self, options):
         self.client = j2a.Client(self._near, **options)
 
-    def _call(self, what, opcode, payload, limit_s):
+    def _call(self, what, opcode, payload, limit_s, _generation=None):
         self.limits.append(limit_s)
         cost_s = math.inf if self.is_silent else COST_S
         self.now += min(cost_s, limit_s)
@@ -279,7 +279,7 @@ def test_for_so_long_a_board_may_boot(monkeypatch, is_asyncio, options, limit_s)
     near, far = j2a_transports.pair()
     limits = []
 
-    def call(_engine, what, _opcode, _payload, limit):
+    def call(_engine, what, _opcode, _payload, limit, _generation=None):
         limits.append(limit)
         raise j2a.CallTimeout(what)
 
