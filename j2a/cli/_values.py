@@ -15,19 +15,8 @@ from pathlib import Path
 from typing import Final
 
 from j2a.cli._exit import UsageError
+from j2a.types.coding import NUMBER_CODES
 
-NUMBERS: Final = {
-    "u8": "B",
-    "i8": "b",
-    "u16": "H",
-    "i16": "h",
-    "u32": "I",
-    "i32": "i",
-    "u64": "Q",
-    "i64": "q",
-    "f32": "f",
-    "f64": "d",
-}
 PAYLOAD_HELP: Final = """\
 payload words, put one after the other:
   12 ed  12ed  0x12ed    bytes in hex
@@ -38,7 +27,7 @@ payload words, put one after the other:
   @FILE                  the content of a file
   -                      standard input, to its end"""
 
-_DECODED: Final = frozenset([*NUMBERS, *(f"{kind}*" for kind in NUMBERS), "str", "hex"])
+_DECODED: Final = frozenset([*NUMBER_CODES, *(f"{kind}*" for kind in NUMBER_CODES), "str", "hex"])
 _TYPED: Final = re.compile(r"([A-Za-z][A-Za-z0-9]*):(.*)", re.DOTALL)
 _HEX_SEPARATORS: Final = re.compile(r"[\s,:_]+|0[xX]")
 _SHOWN_AS: Final = {0x5C: "\\\\", 0x0A: "\\n", 0x0D: "\\r", 0x09: "\\t", 0x00: "\\0"}
@@ -56,7 +45,7 @@ def payload_of(words: Sequence[str]) -> bytes:
 def is_payload_word(word: str) -> bool:
     """Tell whether a word is written with its type, as in u16:5, or names where bytes come from."""
     typed = _TYPED.fullmatch(word)
-    is_typed = typed is not None and typed[1].lower() in (*NUMBERS, "str", "hex")
+    is_typed = typed is not None and typed[1].lower() in (*NUMBER_CODES, "str", "hex")
     return is_typed or word == "-" or word.startswith("@")
 
 
@@ -75,9 +64,9 @@ def _bytes_of(word: str) -> bytes:
         return value.encode("utf-8", "surrogateescape")
     if kind == "hex":
         return _hex(value, word)
-    if kind in NUMBERS:
+    if kind in NUMBER_CODES:
         return b"".join(_number(kind, text, word) for text in value.split(","))
-    known = ", ".join([*NUMBERS, "str", "hex"])
+    known = ", ".join([*NUMBER_CODES, "str", "hex"])
     raise UsageError(f"{word!r}: unknown type {typed[1]!r}; known are: {known}")
 
 
@@ -107,7 +96,7 @@ def _hex(digits: str, word: str) -> bytes:
 
 
 def _number(kind: str, text: str, word: str) -> bytes:
-    code = NUMBERS[kind]
+    code = NUMBER_CODES[kind]
     try:
         if kind.startswith("f"):
             return struct.pack("<" + code, float(text))
@@ -143,10 +132,10 @@ class Decoder:
         self._kinds = [kind.strip().lower() for kind in spec.split(",")]
         for kind in self._kinds:
             if kind not in _DECODED:
-                known = ", ".join([*NUMBERS, "str", "hex"])
+                known = ", ".join([*NUMBER_CODES, "str", "hex"])
                 raise UsageError(f"--as {spec}: unknown type {kind!r}; known are: {known}")
         for kind in self._kinds[:-1]:
-            if kind not in NUMBERS:
+            if kind not in NUMBER_CODES:
                 raise UsageError(f"--as {spec}: nothing can follow {kind}, which takes the rest")
 
     def values(self, payload: bytes) -> list[int | float | str]:
@@ -156,7 +145,7 @@ class Decoder:
             ValueError: the payload does not have the size of these types.
         """
         *kinds, last = self._kinds
-        layout = "<" + "".join(NUMBERS[kind] for kind in kinds)
+        layout = "<" + "".join(NUMBER_CODES[kind] for kind in kinds)
         size = struct.calcsize(layout)
         rest = payload[size:]
         try:
@@ -173,7 +162,7 @@ class Decoder:
 
     @staticmethod
     def _repeated(kind: str, rest: bytes) -> Iterable[int | float]:
-        item = "<" + NUMBERS[kind.rstrip("*")]
+        item = "<" + NUMBER_CODES[kind.rstrip("*")]
         if kind.endswith("*"):
             return [value for (value,) in struct.iter_unpack(item, rest)]
         return struct.unpack(item, rest)

@@ -2,35 +2,18 @@
 
 import asyncio
 import contextlib
-from collections.abc import Callable
-from typing import Any, Self
+from typing import Self
 
 from j2a.errors import LinkClosed, LocalError
 from j2a.events import Sif
-from j2a.io.handlers import Handlers, NamedSif, Opcodes
 from j2a.io.streams import SifStreamBase
 from j2a.protocol.arguments import check_timeout
 
 __all__ = ["AsyncSifStream"]
 
 
-class AsyncSifStream(SifStreamBase):
+class AsyncSifStream(SifStreamBase[asyncio.Event]):
     """SIFs of an asyncio client; see `AsyncClient.sifs`."""
-
-    def __init__(
-        self,
-        handlers: Handlers[Any],
-        wanted: Opcodes | NamedSif,
-        now: Callable[[], float],
-        *,
-        max_waiting: int,
-        dispatcher: "asyncio.Task[None]",
-        slice_s: float,
-    ) -> None:
-        self._came = asyncio.Event()
-        self._dispatcher = dispatcher
-        self._slice_s = slice_s
-        super().__init__(handlers, wanted, now, max_waiting, self._came)
 
     def __aiter__(self) -> Self:
         return self

@@ -360,6 +360,7 @@ class Engine:
             handlers,
             wanted,
             self._clock,
+            came=threading.Event(),
             max_waiting=max_waiting,
             dispatcher=self._dispatcher,
             slice_s=slice_of(self._is_simulated),

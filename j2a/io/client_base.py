@@ -291,8 +291,7 @@ class ClientBase:
     def _refresh(self, boot_time: float | None) -> Transfer[None]:
         session, device = self._session, self._device
         epoch, generation = session.epoch, session.generation
-        is_told = generation != self._generation
-        is_doubted = self._is_stale and not is_told
+        is_doubted = self._is_stale and generation == self._generation
         before = device.identity
         yield from self._fetch_map(boot_time)
         yield from self._learn_interface()

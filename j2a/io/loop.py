@@ -343,6 +343,7 @@ class AsyncEngine:
             handlers,
             wanted,
             self.now,
+            came=asyncio.Event(),
             max_waiting=max_waiting,
             dispatcher=self.dispatcher,
             slice_s=slice_of(self._is_simulated),

@@ -9,7 +9,7 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Generic, Protocol, Self, TypeVar
 
 from j2a.errors import CallTimeout, J2AError, LinkClosed, LocalError, Outcome
 from j2a.events import Sif
@@ -30,8 +30,19 @@ class _Event(Protocol):
     def set(self) -> None: ...
 
 
-class SifStreamBase:
+_EventT = TypeVar("_EventT", bound=_Event)
+
+
+class SifStreamBase(Generic[_EventT]):
     """What both kinds have in common: the SIFs that wait, and the subscription.
+
+    Args:
+        handlers, wanted: which SIFs.
+        now: the time of the link, in seconds.
+        came: is set when a SIF has come, or none will come any more.
+        max_waiting: so many SIFs wait at most.
+        dispatcher: the thread or task of the SIF handlers.
+        slice_s: a wait looks at the time so often, in seconds.
 
     Attributes:
         lost: SIFs that were dropped because too many waited.
@@ -42,13 +53,18 @@ class SifStreamBase:
         handlers: Handlers[Any],
         wanted: Opcodes | NamedSif,
         now: Callable[[], float],
+        *,
+        came: _EventT,
         max_waiting: int,
-        came: _Event,
+        dispatcher: object,
+        slice_s: float,
     ) -> None:
         if not isinstance(max_waiting, int) or max_waiting < 1:
             raise LocalError(f"max_waiting is a number of SIFs from 1 on, not {max_waiting!r}")
         self.lost = 0
-        self._event = came
+        self._came = came
+        self._dispatcher = dispatcher
+        self._slice_s = slice_s
         self._now = now
         self._sifs: deque[Sif] = deque()
         self._max_waiting = max_waiting
@@ -68,11 +84,11 @@ class SifStreamBase:
             self._sifs.popleft()
             self.lost += 1
         self._sifs.append(sif)
-        self._event.set()
+        self._came.set()
 
     def _end(self, reason: J2AError) -> None:
         self._reason = self._reason or reason
-        self._event.set()
+        self._came.set()
 
     def _take(self) -> Sif | None:
         """Return the next SIF, or None if none has come.
@@ -94,12 +110,12 @@ class SifStreamBase:
         return left_s
 
 
-def _put(stream: weakref.ref[SifStreamBase], sif: Sif) -> None:
+def _put(stream: weakref.ref[SifStreamBase[Any]], sif: Sif) -> None:
     if (one := stream()) is not None:
         one._put(sif)
 
 
-def _end(stream: weakref.ref[SifStreamBase], reason: J2AError) -> None:
+def _end(stream: weakref.ref[SifStreamBase[Any]], reason: J2AError) -> None:
     if (one := stream()) is not None:
         one._end(reason)
 
@@ -109,23 +125,8 @@ def _release(*releases: Callable[[], None]) -> None:
         release()
 
 
-class SifStream(SifStreamBase):
+class SifStream(SifStreamBase[threading.Event]):
     """SIFs of a blocking client; see `Client.sifs`."""
-
-    def __init__(
-        self,
-        handlers: Handlers[Any],
-        wanted: Opcodes | NamedSif,
-        now: Callable[[], float],
-        *,
-        max_waiting: int,
-        dispatcher: threading.Thread,
-        slice_s: float,
-    ) -> None:
-        self._came = threading.Event()
-        self._dispatcher = dispatcher
-        self._slice_s = slice_s
-        super().__init__(handlers, wanted, now, max_waiting, self._came)
 
     def __iter__(self) -> Self:
         return self

@@ -18,10 +18,9 @@ from j2a_spec.constants import MAX_PAYLOAD
 from j2a.errors import WrongArgument
 from j2a.types.model import OPEN, Element, Enumeration, Field, Structure, Type, integer_range
 
-__all__ = ["Codec", "PayloadMismatchError", "PythonTypes"]
+__all__ = ["NUMBER_CODES", "Codec", "PayloadMismatchError", "PythonTypes"]
 
-_CODES: Final = {
-    "bool": "?",
+NUMBER_CODES: Final = {
     "u8": "B",
     "i8": "b",
     "u16": "H",
@@ -33,6 +32,8 @@ _CODES: Final = {
     "f32": "f",
     "f64": "d",
 }
+"""The code of `struct` for each element that is a number."""
+_CODES: Final = {"bool": "?", **NUMBER_CODES}
 
 _make_enum: Callable[[str, list[tuple[str, int]]], type[IntEnum]] = IntEnum  # type: ignore[assignment]
 

@@ -94,6 +94,14 @@ def connected(device, *, says=True, **options):
             yield board, client
 
 
+def restart(board, client, firmware=None, **options):
+    """Reset the board, and wait until the client has noticed it."""
+    before = client.counters.restarts
+    board.reset(firmware, **options)
+    while client.counters.restarts == before:
+        pass
+
+
 def in_loop(test):
     return asyncio.run(asyncio.wait_for(test, 2 * PATIENCE_S))
 
@@ -267,9 +275,7 @@ class TestCalls:
         with connected(old_firmware()) as (board, client):
             assert client.call("raw", b"a").payload == b"a"
             new = new_firmware()
-            board.reset(new)
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, new)
             assert client.call("raw", b"a").payload == b"a!"
             assert client.functions.read() == 9
             assert client.read_many("log") == b"new" * 200
@@ -285,9 +291,7 @@ class TestCalls:
             if how == "with timeout":
                 add = add.with_timeout(9)
             new = new_firmware()
-            board.reset(new)
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, new)
             for _ in range(2):
                 with pytest.raises(j2a.InterfaceChanged, match=r"add.*i32.*i64") as caught:
                     add(40, 2)
@@ -301,9 +305,7 @@ class TestCalls:
         with connected(old_firmware()) as (board, client):
             add, raw = client.functions.add, client.functions["raw"]
             bare = j2a.Device(boot=True)
-            board.reset(bare)
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, bare)
             with pytest.raises(j2a.InterfaceChanged, match="no function of that name"):
                 add(1, 2)
             with pytest.raises(j2a.InterfaceChanged, match="no function of that name"):
@@ -317,9 +319,7 @@ class TestCalls:
             add = client.functions.add
             raw = j2a.Device(boot=True)
             raw.function("add")(lambda payload: payload)
-            board.reset(raw)
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, raw)
             with pytest.raises(j2a.InterfaceChanged, match="not described"):
                 add(1, 2)
 
@@ -328,9 +328,7 @@ class TestCalls:
             read, log, raw = (client.functions[name] for name in ("read", "log", "raw"))
             mode = client.functions.mode
             old_opcode = read.opcode
-            board.reset(new_firmware())
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, new_firmware())
             assert [read(), read()] == [9, 9]
             assert read.opcode == client.functions.read.opcode != old_opcode
             assert client.read_many(log) == b"new" * 200
@@ -341,9 +339,7 @@ class TestCalls:
         with connected(old_firmware()) as (board, client):
             by_name = client.function("raw", "(a u8) (a u8, rest bytes)")
             by_opcode = client.function(4, "(text text) text")
-            board.reset(new_firmware())
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, new_firmware())
             assert by_name(1) == (1, b"!")
             with pytest.raises(j2a.FunctionFailed, match="0xBA"):
                 by_opcode("hello")
@@ -383,14 +379,12 @@ class TestCalls:
         with connected(old_firmware()) as (board, client):
             new = new_firmware()
 
-            def restart(done, _total):
+            def swap(done, _total):
                 if done < 600:
-                    board.reset(new)
-                    while client.counters.restarts == 0:
-                        pass
+                    restart(board, client, new)
 
             with pytest.raises(j2a.DeviceRestarted, match="meanwhile"):
-                client.read_many("log", progress=restart)
+                client.read_many("log", progress=swap)
             assert all(by is not new or frame.opcode == 0 or frame.payload[:1] != b"\x0b"
                        for frame, by in board.requests)  # fmt: skip
 
@@ -400,9 +394,7 @@ class TestCalls:
         with connected(old_firmware()) as (board, client):
             raw = int(client.functions["raw"])
             assert client.call(raw, bytes(255)).ok
-            board.reset(old_firmware(room=32))
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, old_firmware(room=32))
             if length == 32:
                 assert client.call(raw, bytes(length)).ok
             else:
@@ -424,9 +416,7 @@ class TestCalls:
 
     def test_another_restart_while_the_map_is_fetched(self):
         with connected(old_firmware()) as (board, client):
-            board.reset()
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client)
             client.functions.read()
             board.is_mute = True
             asked = len(board.requests)
@@ -446,9 +436,7 @@ class TestCalls:
         """It may use the opcode as it likes, and the old one may come back."""
         with connected(old_firmware()) as (board, client):
             silent = new_firmware(boot=False)
-            board.reset(silent, payload=b"")
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, silent, payload=b"")
             assert client.functions.read() == 9
             board.sif(BOOT, bytes(7))
             board.sif(BOOT, b"")
@@ -464,9 +452,7 @@ class TestGeneratedModules:
             client.use_types(self.HASH, {"Mode": Mode})
             assert client.functions.mode(Mode.on) is Mode.on
             new = new_firmware()
-            board.reset(new)
-            while client.counters.restarts == 0:
-                pass
+            restart(board, client, new)
             for _ in range(2):
                 with pytest.raises(j2a.InterfaceChanged, match=self.HASH):
                     client.functions.read()
@@ -474,9 +460,7 @@ class TestGeneratedModules:
                 client.functions.mode(1)
             assert new.calls == []
             assert client.call("read").ok
-            board.reset(old_firmware())
-            while client.counters.restarts == 1:
-                pass
+            restart(board, client, old_firmware())
             assert client.functions.mode(Mode.on) is Mode.on
             assert client.functions.read() == 7
 
@@ -635,7 +619,7 @@ class TestClues:
         with connected(self.silent(old_firmware), says=False) as (board, client):
             new = self.silent(new_firmware)
 
-            def restart(done, _total):
+            def swap(done, _total):
                 if client.counters.sifs == 0:
                     board.skip_sifs(5)
                     board.sif(7, b"\0")
@@ -646,7 +630,7 @@ class TestClues:
                     Background(lambda: client.properties).result()
 
             with pytest.raises(j2a.DeviceRestarted):
-                client.read_many("log", progress=restart)
+                client.read_many("log", progress=swap)
 
     def test_a_device_without_an_interface(self):
         old = j2a.Device(interface=False)

@@ -5,6 +5,7 @@ from j2a_spec import interface as oracle
 
 from j2a_conformance._judge import fail
 from j2a_conformance.device._case import Case
+from j2a_conformance.device._contents import check_end, check_offsets, check_writes
 from j2a_conformance.device._peer import Peer
 
 _EACH_UP_TO = 64
@@ -105,15 +106,8 @@ class Chunks(Case):
         lines = [at + 1 for at, byte in enumerate(whole[:-1]) if byte == ord("\n")]
         around = {at + n for at in (*lines, 249, 256, 498, 512) for n in (-1, 0, 1)}
         spread = {*range(_EACH_UP_TO), *range(0, len(whole), _STEP), len(whole) - 1}
-        for offset in sorted(at for at in spread | around if 0 <= at < len(whole)):
-            reply = peer.ask_many(peer.many(c.GET_INTERFACE, offset % 2, offset))
-            if not reply.data or whole[offset : offset + len(reply.data)] != reply.data:
-                fail(f"a read at offset {offset} returns other bytes than the first read")
-            if (reply.code, reply.offset) != (c.RET_OK, offset):
-                fail(f"{reply} in a read at offset {offset}")
-            if (offset + len(reply.data) == len(whole)) != bool(reply.flags & c.FLAG_LAST):
-                not_ = "" if reply.flags & c.FLAG_LAST else "not "
-                fail(f"isLast is {not_}set in the chunk at {offset}, the end is {len(whole)}")
+        offsets = sorted(at for at in spread | around if 0 <= at < len(whole))
+        check_offsets(peer, c.GET_INTERFACE, whole, offsets)
 
 
 class Written(Case):
@@ -126,15 +120,7 @@ class Written(Case):
     NEEDS = (c.GET_INTERFACE,)
 
     def _run(self, peer: Peer) -> None:
-        before = peer.read_all(c.GET_INTERFACE)
-        whole = bytes(peer.longest_chunk)
-        for offset, data in ((0, b""), (0, b"\nevil\n"), (3, whole), (2**31, b"x")):
-            for flags in (c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST):
-                reply = peer.ask_many(peer.many(c.GET_INTERFACE, flags, offset, data))
-                if reply.code != c.RET_FAILED:
-                    fail(f"code 0x{reply.code:02X} for a write to the interface")
-        if peer.read_all(c.GET_INTERFACE) != before:
-            fail("a write has changed the interface")
+        check_writes(peer, c.GET_INTERFACE, "interface", b"\nevil\n")
 
 
 class BehindEnd(Case):
@@ -147,14 +133,7 @@ class BehindEnd(Case):
     NEEDS = (c.GET_INTERFACE,)
 
     def _run(self, peer: Peer) -> None:
-        size = len(peer.read_all(c.GET_INTERFACE))
-        behind = [size + (1 << shift) for shift in range(31)]
-        for offset in (size, *behind, 0xFFFFFFFF - 255, 0xFFFFFFFE, 0xFFFFFFFF):
-            reply = peer.ask_many(peer.many(c.GET_INTERFACE, offset=offset))
-            if reply.data or not reply.flags & c.FLAG_LAST or reply.offset != offset:
-                fail(f"{reply} in a read at offset {offset}, the end is {size}")
-            if reply.code > c.RET_MAX:
-                fail(f"code 0x{reply.code:02X} in a read behind the end")
+        check_end(peer, c.GET_INTERFACE)
 
 
 class Hash(Case):

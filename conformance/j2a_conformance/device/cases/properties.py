@@ -6,6 +6,7 @@ from j2a_spec.grammar import PROPERTIES
 
 from j2a_conformance._judge import fail, inform, skip
 from j2a_conformance.device._case import Case
+from j2a_conformance.device._contents import check_end, check_offsets, check_writes
 from j2a_conformance.device._peer import Peer
 from j2a_conformance.device._selftest import read
 
@@ -26,15 +27,7 @@ class Content(Case):
         whole = peer.read_all(c.GET_PROPERTIES)
         if not whole.endswith(b"\0") or whole.count(b"\0") % 2:
             fail("the properties are not pairs of texts that each end in NUL")
-        for offset in range(len(whole)):
-            reply = peer.ask_many(peer.many(c.GET_PROPERTIES, offset % 2, offset))
-            if not reply.data or whole[offset : offset + len(reply.data)] != reply.data:
-                fail(f"a read at offset {offset} returns other bytes than the first read")
-            if (reply.code, reply.offset) != (c.RET_OK, offset):
-                fail(f"{reply} in a read at offset {offset}")
-            if (offset + len(reply.data) == len(whole)) != bool(reply.flags & c.FLAG_LAST):
-                not_ = "" if reply.flags & c.FLAG_LAST else "not "
-                fail(f"isLast is {not_}set in the chunk at {offset}, the end is {len(whole)}")
+        check_offsets(peer, c.GET_PROPERTIES, whole, range(len(whole)))
 
 
 class Pairs(Case):
@@ -66,15 +59,7 @@ class Written(Case):
     NEEDS = (c.GET_PROPERTIES,)
 
     def _run(self, peer: Peer) -> None:
-        before = peer.read_all(c.GET_PROPERTIES)
-        whole = bytes(peer.longest_chunk)
-        for offset, data in ((0, b""), (0, b"name\0evil\0"), (3, whole), (2**31, b"x")):
-            for flags in (c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST):
-                reply = peer.ask_many(peer.many(c.GET_PROPERTIES, flags, offset, data))
-                if reply.code != c.RET_FAILED:
-                    fail(f"code 0x{reply.code:02X} for a write to the properties")
-        if peer.read_all(c.GET_PROPERTIES) != before:
-            fail("a write has changed the properties")
+        check_writes(peer, c.GET_PROPERTIES, "properties", b"name\0evil\0")
 
 
 class Version(Case):
@@ -102,14 +87,7 @@ class BehindEnd(Case):
     NEEDS = (c.GET_PROPERTIES,)
 
     def _run(self, peer: Peer) -> None:
-        size = len(peer.read_all(c.GET_PROPERTIES))
-        bytes_up = [size + (1 << shift) for shift in range(31)]
-        for offset in (size, *bytes_up, 0xFFFFFFFF - 255, 0xFFFFFFFE, 0xFFFFFFFF):
-            reply = peer.ask_many(peer.many(c.GET_PROPERTIES, offset=offset))
-            if reply.data or not reply.flags & c.FLAG_LAST or reply.offset != offset:
-                fail(f"{reply} in a read at offset {offset}, the end is {size}")
-            if reply.code > c.RET_MAX:
-                fail(f"code 0x{reply.code:02X} in a read behind the end")
+        check_end(peer, c.GET_PROPERTIES)
 
 
 class SelfTest(Case):

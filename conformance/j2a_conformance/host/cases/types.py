@@ -237,6 +237,13 @@ class BadReplies(HostCase):
         typed(host, "add", [1, 2], [3])
 
 
+def _not_used(host: Host, device: Device) -> None:
+    """Be a device whose interface cannot be used; judge that the host does without it."""
+    host.become(device)
+    host.do(f"typed add [1,2] {host.limit_ms}", "refused")
+    _raw_calls_work(host)
+
+
 def _raw_calls_work(host: Host) -> None:
     opcode = host.device.opcode(PING)
     for function in (PING, f"@{opcode}"):
@@ -308,9 +315,7 @@ class WrongHash(HostCase):
         due = right[c.PROP_INTERFACE]
         for value in ("00000000", "x", f"0{due}", f"{due} ", f"{int(due, 16) ^ 1:08x}"):
             properties = tuple({**right, c.PROP_INTERFACE: value}.items())
-            host.become(replace(TYPED, properties=properties))
-            host.do(f"typed add [1,2] {host.limit_ms}", "refused")
-            _raw_calls_work(host)
+            _not_used(host, replace(TYPED, properties=properties))
 
 
 class NotAnnounced(HostCase):
@@ -328,9 +333,7 @@ class NotAnnounced(HostCase):
         )
         for caps in (None, "other", "interface.x", "xinterface", "interfac"):
             more = () if caps is None else ((c.PROP_CAPS, caps),)
-            host.become(replace(TYPED, properties=known + more))
-            host.do(f"typed add [1,2] {host.limit_ms}", "refused")
-            _raw_calls_work(host)
+            _not_used(host, replace(TYPED, properties=known + more))
 
 
 class Endless(HostCase):

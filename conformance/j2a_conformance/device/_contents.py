@@ -1,0 +1,53 @@
+"""What every function that is read through a2jMany and cannot be written has to do.
+
+What flows in: the name of the function, and offsets. What flows out: nothing, or `Judged`. The
+properties and the interface are such contents.
+"""
+
+from collections.abc import Iterable
+
+from j2a_spec import constants as c
+
+from j2a_conformance._judge import fail
+
+from ._peer import Peer
+
+__all__ = ["check_end", "check_offsets", "check_writes"]
+
+
+def check_offsets(peer: Peer, name: str, whole: bytes, offsets: Iterable[int]) -> None:
+    """Read from each offset; what comes must be that part of `whole`, the first read."""
+    for offset in offsets:
+        reply = peer.ask_many(peer.many(name, offset % 2, offset))
+        if not reply.data or whole[offset : offset + len(reply.data)] != reply.data:
+            fail(f"a read at offset {offset} returns other bytes than the first read")
+        if (reply.code, reply.offset) != (c.RET_OK, offset):
+            fail(f"{reply} in a read at offset {offset}")
+        if (offset + len(reply.data) == len(whole)) != bool(reply.flags & c.FLAG_LAST):
+            not_ = "" if reply.flags & c.FLAG_LAST else "not "
+            fail(f"isLast is {not_}set in the chunk at {offset}, the end is {len(whole)}")
+
+
+def check_writes(peer: Peer, name: str, what: str, content: bytes) -> None:
+    """Write nothing, some content and a whole chunk; all of it must fail and change nothing."""
+    before = peer.read_all(name)
+    whole = bytes(peer.longest_chunk)
+    for offset, data in ((0, b""), (0, content), (3, whole), (2**31, b"x")):
+        for flags in (c.FLAG_WRITE, c.FLAG_WRITE | c.FLAG_LAST):
+            reply = peer.ask_many(peer.many(name, flags, offset, data))
+            if reply.code != c.RET_FAILED:
+                fail(f"code 0x{reply.code:02X} for a write to the {what}")
+    if peer.read_all(name) != before:
+        fail(f"a write has changed the {what}")
+
+
+def check_end(peer: Peer, name: str) -> None:
+    """Read at the end and at many offsets behind it; an empty last chunk must come."""
+    size = len(peer.read_all(name))
+    bytes_up = [size + (1 << shift) for shift in range(31)]
+    for offset in (size, *bytes_up, 0xFFFFFFFF - 255, 0xFFFFFFFE, 0xFFFFFFFF):
+        reply = peer.ask_many(peer.many(name, offset=offset))
+        if reply.data or not reply.flags & c.FLAG_LAST or reply.offset != offset:
+            fail(f"{reply} in a read at offset {offset}, the end is {size}")
+        if reply.code > c.RET_MAX:
+            fail(f"code 0x{reply.code:02X} in a read behind the end")
