@@ -27,6 +27,7 @@ from j2a_spec.constants import (
 )
 
 from j2a.errors import (
+    DeviceRestarted,
     FunctionFailed,
     J2AError,
     LegacyLimit,
@@ -206,7 +207,7 @@ class DeviceInfo:
         if opcode is not None:
             try:
                 self.interface = yield from self._read_interface(opcode)
-            except (LinkClosed, LinkLost):
+            except (DeviceRestarted, LinkClosed, LinkLost):
                 raise
             except J2AError as error:
                 self.interface_problem = str(error)

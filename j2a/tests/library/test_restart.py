@@ -7,6 +7,7 @@ import gc
 import logging
 import threading
 import weakref
+from collections import OrderedDict
 
 import j2a_transports
 import pytest
@@ -17,6 +18,7 @@ import j2a
 from j2a.errors import Outcome
 from j2a.events import ResetCause, Restart
 from j2a.protocol.boot import pack_boot, unpack_boot
+from j2a.protocol.device_info import DeviceInfo
 from j2a.protocol.session import Session
 
 from .rebooting import Rebooting, boot_payload
@@ -431,6 +433,23 @@ class TestCalls:
             while client.counters.restarts < 3:
                 pass
             assert client.call("raw", b"").payload == b"!"
+
+    @pytest.mark.parametrize("answered", range(2))  # the properties, and then the interface
+    def test_another_restart_while_the_interface_is_read(self, answered, monkeypatch):
+        """It is no fault of the interface, which would leave the functions without types."""
+        monkeypatch.setattr("j2a.protocol.interface._kept", OrderedDict())
+        firmware, device = old_firmware(), DeviceInfo()
+        device.take_map(j2a.Reply(*firmware._execute(0, b"")))
+        learning = device.learn_interface()
+        requests = next(learning)
+        for _ in range(answered):
+            requests = learning.send(
+                [j2a.Reply(*firmware._execute(device.many_opcode, one.payload)) for one in requests]
+            )
+        with pytest.raises(j2a.DeviceRestarted):
+            learning.throw(j2a.DeviceRestarted("the device has restarted"))
+        assert not device.asked_for_interface
+        assert device.interface_problem == ""
 
     def test_a_new_firmware_that_does_not_say_such_things(self):
         """It may use the opcode as it likes, and the old one may come back."""
