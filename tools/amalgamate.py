@@ -83,14 +83,20 @@ class Merger:
         own = []
         for line in path.read_text("utf-8").splitlines():
             include = INCLUDE.match(line)
-            header = CORE / include[1] if include else None
-            if header is not None and header.is_file():
+            header = _own(include[1]) if include else None
+            if header is not None:
                 if header not in self.done:
                     yield from self.lines(header)
             elif include is None or include[1] != CONFIG:
                 own.append(line)
         where = path.relative_to(FIRMWARE).as_posix()
         yield from (f"/* ---- {where} {'-' * (90 - len(where))} */", *own, "")
+
+
+def _own(name: str) -> Path | None:
+    """Return the header of this name that is ours, if there is one."""
+    paths = (folder / name for folder in (CORE, LISTS.parent))
+    return next((path for path in paths if path.is_file()), None)
 
 
 def version() -> str:
@@ -119,7 +125,6 @@ def header(name: str) -> str:
         "",
         opening,
         *merger.lines(LISTS),
-        *merger.lines(CORE / "j2a_typed.h"),
         "#if J2A_DEF_FILES",
         *merger.lines(CORE / "j2a_functions.h"),
         "#endif",
@@ -132,7 +137,7 @@ def header(name: str) -> str:
 def source(name: str) -> str:
     """Return the text of the C file."""
     merger = Merger()
-    for path in (LISTS, CORE / "j2a_typed.h", CORE / "j2a_functions.h"):
+    for path in (LISTS, CORE / "j2a_functions.h"):
         if path not in merger.done:
             list(merger.lines(path))  # all of that is in the header
     table = CORE / "j2a_table.c"

@@ -65,13 +65,21 @@ def test_the_program_of_a_page_runs(page, url):
 def test_the_first_program_of_the_readme_runs():
     """With the sketch beside it in a simulated Uno: firmware/tests/test_arduino.py."""
     device, levels = j2a.Device({"name": "My Uno"}), []
-    device.function("led")(levels.append)
+
+    @device.function
+    def led(on: bool) -> None:
+        levels.append(on)
+
+    @device.function
+    def add(a: j2a.i32, b: j2a.i32) -> j2a.i32:
+        return a + b
+
     program = shown("README.md", 0)
     with served(device) as found:
         printed = run("-c", program.replace(SHOWN_URL, found))
     assert SHOWN_URL in program
-    assert printed.startswith("My Uno ['a2jGetMapping', ") and printed.endswith("'led']\n")
-    assert levels == [b"\x01"]
+    assert printed == "My Uno 42\n"
+    assert levels == [True]
 
 
 def test_the_frames_of_the_picture_are_valid():
@@ -80,7 +88,7 @@ def test_the_frames_of_the_picture_are_valid():
         bytes.fromhex("".join(re.findall(r"<text[^>]*>(.*?)</text>", row)))
         for row in re.findall(r'<g class="frame.*?</g>', picture, re.DOTALL)
     ]
-    led = len(BUILTINS)  # the first function of a sketch
+    led = len(BUILTINS) + 1  # the first function of a sketch, behind a2jGetInterface
     assert [decode(frame) for frame in drawn] == [
         [Frame(SOF, 1, led, b"\x01")],
         [Frame(SOF, 1, 0, b"")],

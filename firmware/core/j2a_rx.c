@@ -8,6 +8,7 @@ enum { IDLE, SEQ, OPCODE, LENGTH, PAYLOAD, CHECKSUM, ESCAPED = 0x80 };
 
 j2a_rx_t j2a_rx_of[J2A_LINKS];
 #if J2A_LINKS > 1
+uint8_t j2a_failure;
 uint8_t j2a_link;
 #endif
 

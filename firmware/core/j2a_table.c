@@ -6,10 +6,6 @@
 
 /* J2A_IF_MANY: nobody could call a function of kind many without a2jMany, so it gets no opcode then. */
 
-#if J2A_LINKS > 1
-uint8_t j2a_failure;
-#endif
-
 /* ------------------------------------------------------------------------- typed functions ------ */
 
 #ifdef __AVR__
@@ -328,9 +324,12 @@ J2A_TABLE_END
 #define J2A_BUFFER(name, type, count, text)
 #define J2A_CALL(name, function)
 #define J2A_MANY(name, function)
-const char J2A_FLASH j2a_definitions[] = ""
+static const char J2A_FLASH definitions[] = ""
 #include "functions.def"
     ;
+const char *j2a_definitions(void) {
+    return definitions;
+}
 #endif
 
 /* ------------------------------------------------------------------------- properties ------ */

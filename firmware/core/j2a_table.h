@@ -32,7 +32,7 @@ typedef struct {
 extern const j2a_entry j2a_builtins[];   /* J2A_BUILTIN_COUNT of them */
 extern const j2a_entry j2a_functions[];  /* the application's */
 #if J2A_WITH_INTERFACE
-extern const char j2a_definitions[];     /* of types and SIFs, each with a line feed */
+const char *j2a_definitions(void);       /* of types and SIFs, in flash, each with a line feed */
 #endif
 extern const uint8_t j2a_function_count; /* of both; not in flash, so that link-time optimisation folds it */
 
@@ -158,7 +158,11 @@ J2A_BUILTINS(J2A_TAKEN, J2A_TAKEN)
 
 /* Behind a table whose functions use no types of their own. */
 #if J2A_WITH_INTERFACE
-#define J2A_NO_DEFINITIONS const char J2A_FLASH j2a_definitions[] = "";
+#define J2A_NO_DEFINITIONS \
+    static const char J2A_FLASH j2a_no_definitions[] = ""; \
+    const char *j2a_definitions(void) { \
+        return j2a_no_definitions; \
+    }
 #else
 #define J2A_NO_DEFINITIONS
 #endif

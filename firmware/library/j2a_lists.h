@@ -2,8 +2,12 @@
  * properties.def. In: two lists, each once in the whole image, at file scope, in C99 or C++:
  *   J2A_FUNCTIONS(J2A_CALL(add, my_add), J2A_MANY(store, my_store))
  *   J2A_PROPERTIES(J2A_PROPERTY("name", "My board"))
+ * In C++ functions may be plain ones, whose types the compiler finds (see j2a_deduced.h):
+ *   J2A_FUNCTIONS(J2A_FUNCTION(add, "a b: Adds two numbers."),  int32_t add(int32_t a, int32_t b)
+ *                 J2A_BUFFER(config, "Kept."),                  uint8_t config[400]
+ *                 J2A_SIF(report, "time(ms) value: A reading.")) j2a::sif<32, uint32_t, uint16_t> report
  * Out: the tables that the core expects. Opcodes are in the order of the list, after the built-in functions;
- * without a2jMany (J2A_WITH_MANY 0) a J2A_MANY has none, and is as if it were not in the list.
+ * without a2jMany (J2A_WITH_MANY 0) a J2A_MANY or J2A_BUFFER has none, and is as if it were not in the list.
  * j2a.spec belongs to each device and is the first property. Lists may be empty, may end in a comma, and
  * hold 64 items; beyond that functions.def is the way.
  * Rules: names that are macros are replaced first. A function of the wrong kind, a name or key that is
@@ -12,6 +16,7 @@
 #ifndef J2A_LISTS_H
 #define J2A_LISTS_H
 
+#include "j2a_deduced.h"
 #include "j2a_table.h"
 
 /* J2A_EACH_(WHAT, item, item, ...) gives WHAT_item WHAT_item ...: an item such as J2A_CALL(add, my_add) is
@@ -112,6 +117,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_ENTRY_OF_J2A_CALL(name, function) J2A_CALL_ENTRY(name, function)
 #define J2A_ENTRY_OF_
 
+
 /* Nobody could call a function of kind many without a2jMany, so it gets no name and no opcode then. The
  * pointer, which compilers leave out, keeps them from warning of a static function without use. */
 #if J2A_WITH_MANY
@@ -129,6 +135,77 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_SIZE_OF_J2A_MANY(name, function)
 #endif
 
+/* What a C++ compiler finds out itself. */
+#ifdef __cplusplus
+#define J2A_MEMBER_OF_J2A_CALL(name, function)
+#define J2A_DEFINITION_OF_J2A_CALL(name, function)
+#define J2A_MEMBER_OF_J2A_MANY(name, function)
+#define J2A_DEFINITION_OF_J2A_MANY(name, function)
+#define J2A_MEMBER_OF_
+#define J2A_DEFINITION_OF_
+#if J2A_WITH_INTERFACE
+#define J2A_WRITE_NAME_(target) J2A_WRITE_LINE_(target)
+#else
+#define J2A_WRITE_NAME_(target) static constexpr j2a::characters<sizeof #target> J2A_FLASH j2a_map_of_##target = {#target};
+#endif
+#if J2A_WITH_MAPPING
+#define J2A_TYPED_NAME_(target) enum { j2a_name_##target }; J2A_WRITE_NAME_(target)
+#define J2A_TYPED_ENTRY_(target, function, kind) {(j2a_function)(function), j2a_map_of_##target.of J2A_OF_KIND(kind)},
+#else
+#define J2A_TYPED_NAME_(target)
+#define J2A_TYPED_ENTRY_(target, function, kind) {(j2a_function)(function) J2A_OF_KIND(kind)},
+#endif
+
+#define J2A_KIND_OF_J2A_FUNCTION(function, text) J2A_CHECK_TEXT_(j2a::describe<decltype(&function)>, function, text)
+#define J2A_NAME_OF_J2A_FUNCTION(function, text) J2A_TYPED_NAME_(function)
+#define J2A_ENTRY_OF_J2A_FUNCTION(target, text) \
+    J2A_TYPED_ENTRY_(target, &j2a::function<decltype(&target)>::call<&target>, J2A_KIND_CALL)
+#define J2A_SIZE_OF_J2A_FUNCTION(function, text) + sizeof #function
+#define J2A_MEMBER_OF_J2A_FUNCTION(function, text)
+#define J2A_DEFINITION_OF_J2A_FUNCTION(function, text)
+
+#define J2A_KIND_OF_J2A_BUFFER(array, text) J2A_CHECK_TEXT_(j2a::memory<decltype(array)>, array, text)
+#define J2A_MEMBER_OF_J2A_BUFFER(array, text)
+#define J2A_DEFINITION_OF_J2A_BUFFER(array, text)
+#if J2A_WITH_MANY
+#define J2A_NAME_OF_J2A_BUFFER(array, text) J2A_TYPED_NAME_(array)
+#define J2A_ENTRY_OF_J2A_BUFFER(array, text) \
+    J2A_TYPED_ENTRY_(array, &j2a::memory<decltype(array)>::many<array>, J2A_KIND_MANY)
+#define J2A_SIZE_OF_J2A_BUFFER(array, text) + sizeof #array
+#else
+#define J2A_NAME_OF_J2A_BUFFER(array, text)
+#define J2A_ENTRY_OF_J2A_BUFFER(array, text)
+#define J2A_SIZE_OF_J2A_BUFFER(array, text)
+#endif
+
+#define J2A_NAME_OF_J2A_SIF(sif, text)
+#define J2A_ENTRY_OF_J2A_SIF(sif, text)
+#define J2A_SIZE_OF_J2A_SIF(sif, text)
+#if J2A_WITH_SIF && J2A_WITH_INTERFACE
+#define J2A_KIND_OF_J2A_SIF(sif, text) J2A_CHECK_TEXT_(j2a::describe_sif<decltype(sif)>, sif, text) J2A_WRITE_DEFINITION_(sif)
+#define J2A_MEMBER_OF_J2A_SIF(sif, text) decltype(j2a_map_of_##sif) of_##sif;
+#define J2A_DEFINITION_OF_J2A_SIF(sif, text) j2a_map_of_##sif,
+#else
+#define J2A_KIND_OF_J2A_SIF(sif, text)
+#define J2A_MEMBER_OF_J2A_SIF(sif, text)
+#define J2A_DEFINITION_OF_J2A_SIF(sif, text)
+#endif
+#endif
+
+/* Definitions are written one behind the other. */
+#if J2A_WITH_INTERFACE && defined(__cplusplus)
+#define J2A_DEFINITIONS_(...) \
+    static const struct { \
+        J2A_EACH_(J2A_MEMBER_OF, __VA_ARGS__) \
+        char end; \
+    } J2A_FLASH j2a_written_definitions = {J2A_EACH_(J2A_DEFINITION_OF, __VA_ARGS__) '\0'}; \
+    const char *j2a_definitions(void) { \
+        return reinterpret_cast<const char *>(&j2a_written_definitions); \
+    }
+#else
+#define J2A_DEFINITIONS_(...) J2A_NO_DEFINITIONS
+#endif
+
 /* The map must fit into one frame: a negative array size stops the build when it does not. */
 #if J2A_WITH_MAPPING && !J2A_WITH_INTERFACE
 #define J2A_SIZE_OF_J2A_CALL(name, function) + sizeof #name
@@ -144,7 +221,7 @@ char j2a_needs_a_many(j2a_many_fn *function);
     J2A_EACH_(J2A_KIND_OF, __VA_ARGS__) \
     J2A_EACH_(J2A_NAME_OF, __VA_ARGS__) \
     J2A_CHECK_SIZE_(__VA_ARGS__) \
-    J2A_TABLE_BEGIN J2A_EACH_(J2A_ENTRY_OF, __VA_ARGS__) J2A_TABLE_END J2A_NO_DEFINITIONS \
+    J2A_TABLE_BEGIN J2A_EACH_(J2A_ENTRY_OF, __VA_ARGS__) J2A_TABLE_END J2A_DEFINITIONS_(__VA_ARGS__) \
     extern const uint8_t j2a_function_count /* takes the semicolon of the user */
 
 #define J2A_VALUE_OF_J2A_PROPERTY(key, value) key "\0" value "\0"

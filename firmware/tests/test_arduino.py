@@ -4,8 +4,10 @@ import itertools
 import re
 import shlex
 import shutil
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import pytest
@@ -24,7 +26,8 @@ BOARDS = ["uno", "mega", "leonardo"]
 FLASH = {"uno": 32256, "mega": 253952, "leonardo": 28672}
 ECHO = c.BUILTINS.index(c.GET_ECHO)
 MANY = c.BUILTINS.index(c.MANY)
-FIRST = len(c.BUILTINS)
+BUILTINS = [*c.BUILTINS, c.GET_INTERFACE]
+FIRST = len(BUILTINS)
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +91,17 @@ class Board:
         assert reply.opcode == 0
         return reply.payload
 
+    def interface(self):
+        """What the sketch tells of its functions: definitions, and lines without the built-ins."""
+        text = b""
+        while True:
+            chunk = self.many(BUILTINS.index(c.GET_INTERFACE), offset=len(text), ms=150)
+            text += chunk[c.MANY_HEADER :]
+            if chunk[1] & c.FLAG_LAST:
+                lines = text.decode().splitlines()
+                end = lines.index("")
+                return text, lines[:end], lines[end + 1 :][FIRST:]
+
 
 def reply(seq, code, payload=b""):
     return Frame(c.SOF, seq, code, payload)
@@ -134,10 +148,20 @@ def test_builder_of_the_ide_finds_the_library(arduino, need, packed, built, tmp_
 
 def test_echo(built):
     board = Board(built[0] / "uno" / "Echo.elf")
-    names = MAPPING.build([*c.BUILTINS, "led", "reverse"])
+    names = MAPPING.build([*BUILTINS, "led", "add", "hello"])
     assert board.ask(0) == [reply(1, 0, names)]
-    assert board.call(1, b"J2A\x12") == (0, b"\x12A2J")
-    assert board.call(1) == (0, b"")
+    assert board.interface()[1:] == (
+        [],
+        [
+            "led(on bool) # Switches the LED.",
+            "add(a i32, b i32) i32 # Adds two numbers.",
+            "hello(name text[254]) text # Greets.",
+        ],
+    )
+    assert board.call(1, struct.pack("<ii", 40, -2)) == (0, struct.pack("<i", 38))
+    assert board.call(2, b"J2A\x12") == (0, b"Hello, J2A\x12!")
+    assert board.call(2, b"x" * 247, ms=80) == (0, b"Hello, " + b"x" * 247 + b"!")
+    assert board.call(2, b"x" * 248, ms=80) == (c.RET_FAILED, b"")
     for level in (1, 0):
         assert board.call(0, bytes((level,))) == (0, b"")
         assert board.sim.pins.level("PB5") == level  # the pin of LED_BUILTIN
@@ -158,7 +182,9 @@ def test_sensor(built):
     assert abs(value(board.call(0, b"\x00")) - 256) <= 1
     assert value(board.call(0, b"\x03")) == 1023
     assert abs(value(board.call(2)) - 16 * 256) <= 16
-    assert board.call(0, b"\x06") == (c.RET_FAILED, b"")  # an Uno has six inputs
+    assert board.call(0, b"\x06") == (1, b"")  # an Uno has six inputs
+    assert board.call(0) == (c.RET_FAILED, b"")
+    assert board.interface()[1] == ["sif report 32 (time u32 ms, value u16) # A reading of A0."]
     assert board.call(1, (20).to_bytes(2, "little"), ms=5) == (0, b"")
     reports = board.frames(111)
     assert [(r.start, r.seq, r.opcode) for r in reports] == [(c.SOS, n, 0x20) for n in range(5)]
@@ -175,8 +201,10 @@ def test_servo(built):
     sim.pins.watch("PB1")  # the pin 9 of the board
     assert board.call(0, (1500).to_bytes(2, "little")) == (0, b"")
     assert board.call(1) == (0, (1500).to_bytes(2, "little"))
-    for wrong in (b"", b"\x10", (499).to_bytes(2, "little"), (2501).to_bytes(2, "little")):
+    for wrong in (b"", b"\x10"):
         assert board.call(0, wrong) == (c.RET_FAILED, b"")
+    for wrong in (1, 499, 2501):
+        assert board.call(0, wrong.to_bytes(2, "little")) == (1, b"")
     board.run_ms(100)
     edges = sim.pins.edges("PB1")
     rises = [edge.cycle for edge in edges if edge.level]
@@ -200,6 +228,8 @@ def test_properties_and_many(built):
     board = Board(built[0] / "uno" / "Properties.elf")
     index = c.BUILTINS.index(c.GET_PROPERTIES)
     keys = (
+        "j2a.caps",
+        "interface",
         "j2a.spec",
         c.SPEC_VERSION,
         "name",
@@ -209,7 +239,9 @@ def test_properties_and_many(built):
         "clock",
         "16000000L",
     )
-    listed = "".join(f"{word}\0" for word in (*keys, "j2a.rxbuf", "62")).encode()
+    crc = f"{zlib.crc32(board.interface()[0]):08x}"
+    words = (*keys, "j2a.rxbuf", "62", c.PROP_INTERFACE, crc)
+    listed = "".join(f"{word}\0" for word in words).encode()
     head = bytes((0, c.FLAG_LAST, 0, 0, 0, 0))
     assert board.many(index) == head + listed
     (_, uptime) = board.call(0)
@@ -223,6 +255,65 @@ def test_properties_and_many(built):
     assert board.many(FIRST, b"", 0) == bytes(6) + data[:249]
     rest = bytes((0, c.FLAG_LAST)) + (249).to_bytes(4, "little")
     assert board.many(FIRST, b"", 249) == rest + data[249:]
+    assert board.interface()[2] == [
+        "content many bytes[400] # What the host has written.",
+        "curve many u16[100] mV # A curve.",
+    ]
+
+
+def test_types_of_an_avr(variant):
+    board = Board(variant("uno", FAKE / "Types"))
+    assert board.interface()[1:] == (
+        [],
+        [
+            "numbers(a i16, b u16, c i32, d i8, e f32) (a i16, b u16, c i32, d i8, e f32)",
+            "mode(mode u8) i16",
+            "middle(values i16[3]) i16 mV",
+            "text(times u8, text text) text # Repeats the text.",
+        ],
+    )
+    numbers = struct.pack("<hHibf", -2, 65535, -(2**31), -128, 1.5)
+    assert board.call(0, numbers) == (0, numbers)
+    assert board.call(1, b"\x05") == (0, struct.pack("<h", 5))
+    assert board.call(2, struct.pack("<3h", -1, -300, 7)) == (0, struct.pack("<h", -300))
+    assert board.call(3, b"\x02ab") == (0, b"abab")
+
+
+def test_sketch_of_the_comparison(variant, tmp_path):
+    page = (ROOT / "docs/comparison.md").read_text()
+    sketch = re.search(r"^```cpp\n(.*?)^```", page, re.M | re.S)[1]
+    (tmp_path / "Compared").mkdir()
+    (tmp_path / "Compared/Compared.ino").write_text(sketch)
+    image = variant("uno", tmp_path / "Compared")
+    told = re.search(r"^\| Arduino: J2A, typed \| (\d+) \| (\d+) \|$", page, re.M)
+    printed = subprocess.run(["avr-size", image], capture_output=True, text=True, check=True)
+    text, data, bss = map(int, printed.stdout.splitlines()[1].split()[:3])
+    assert abs(text + data - int(told[1])) <= 100
+    assert abs(data + bss - int(told[2])) <= 16
+    lines = [line for line in sketch.splitlines() if line.strip(" {}();")]
+    count = sum(not line.startswith("#include") for line in lines)
+    assert f"| J2A, typed, Arduino | {count} |" in page
+    board = Board(image)
+    assert board.call(0, struct.pack("<ii", 40, 2), ms=5) == (0, struct.pack("<i", 42))
+    values = [int.from_bytes(sif.payload, "little") for sif in board.frames(500)]
+    assert values == list(range(values[0], values[0] + 5))
+
+
+def test_fragments_of_the_page_are_compiled(variant, tmp_path):
+    page = (ROOT / "docs/arduino.md").read_text()
+    fragments = re.findall(r"^```cpp\n((?!#include).*?)^```", page, re.M | re.S)
+    assert len(fragments) == 3
+    for number, fragment in enumerate(fragments):
+        sketch = f"#include <J2A.h>\n{fragment}\n"
+        if "J2A_FUNCTIONS" not in fragment:
+            continue
+        sketch += "J2A_PROPERTIES();\nvoid setup() {}\n"
+        sketch += "" if "void loop()" in fragment else "void loop() {}\n"
+        folder = tmp_path / f"Part{number}"
+        folder.mkdir()
+        (folder / f"Part{number}.ino").write_text(sketch)
+        shutil.rmtree(tmp_path / "uno", ignore_errors=True)
+        variant("uno", folder)
 
 
 def j2a(*words):
@@ -244,7 +335,7 @@ def test_sketch_and_program_of_the_readme(variant, tmp_path):
     (tmp_path / "My/My.ino").write_text(sketch)
     image = variant("uno", tmp_path / "My")
     printed = j2a("-c", program.replace("serial:///dev/ttyACM0?baud=115200", f"sim:{image}"))
-    assert printed.startswith("My Uno ['a2jGetMapping', ") and printed.endswith("'led']\n")
+    assert printed == "My Uno 42\n"
     board = Board(image)
     for level in (1, 0):
         assert board.call(0, bytes((level,))) == (0, b"")
@@ -263,11 +354,11 @@ def test_commands_of_the_readme(built):
     }
     assert "Sensor" in printed["info"] and "analog" in printed["info"]
     assert printed["call"] == "0\n"  # the input is at 0 V
-    pattern = r"opcode  32  seq   (\d)  (\d+) 0$"
+    pattern = r"opcode  32  seq   (\d)  report\(time=(\d+) ms, value=0\)$"
     (first, second) = re.findall(pattern, printed["watch"], re.M)
     assert (first[0], second[0]) == ("0", "1")
     assert int(second[1]) - int(first[1]) == 500
-    assert len(re.findall(r"opcode  32  seq   \d  \d+ \d+$", readme, re.M)) == 2
+    assert len(re.findall(r"seq   \d  report\(time=\d+ ms, value=\d+\)$", readme, re.M)) == 2
 
 
 def test_two_links_on_a_mega(variant):
@@ -293,7 +384,7 @@ def test_second_uart_of_a_leonardo(variant, tmp_path):
     text = re.sub(r"\bSerial\b", "Serial1", echo_sketch.read_text())
     (sketch / "Echo1.ino").write_text(text)
     board = Board(variant("leonardo", sketch), mcu="atmega32u4", uart="1")
-    assert board.call(1, b"J2A") == (0, b"A2J")
+    assert board.call(1, struct.pack("<ii", 40, 2)) == (0, struct.pack("<i", 42))
 
 
 def levels_of(data, start, bit):

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 FAKE = Path(__file__).parent / "arduino"
 EXAMPLES = ["Conformance", "Echo", "Many", "Properties", "Sensor", "Servo"]
 ECHO = c.BUILTINS.index(c.GET_ECHO)
-FIRST = len(c.BUILTINS)
+FIRST = len(c.BUILTINS) + 1  # behind a2jGetInterface
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wundef"]
 
 # The fields of PlatformIO's description of library.json that a library for any framework needs.
@@ -100,7 +100,7 @@ def test_the_sketch_is_the_same_on_the_page_and_in_the_package(packed):
         for text in (page, (packed / "README.md").read_text())
     )
     assert sketch == told
-    assert "if (*length != 8)" in sketch
+    assert "J2A_FUNCTION(add, " in sketch
 
 
 def test_url_of_a_publisher(tmp_path, tool):
@@ -204,3 +204,22 @@ def test_nobody_listens_then_somebody_does(device):
     request = f"b {echo(1, b'x' * 50).hex()}"
     answers = device("c 0", request, "t", "t", "c 1", request, "t")
     assert answers == [[], [], [reply(1, c.ECHO, b"x" * 50)]]
+
+
+def test_strings(device):
+    requests = [
+        Frame(c.SOF, 1, FIRST + 2, b"Bob"),
+        Frame(c.SOF, 2, FIRST + 2, b""),
+        Frame(c.SOF, 3, FIRST + 3, b"\x02ab"),
+        Frame(c.SOF, 4, FIRST + 3, b"\x01ab"),
+        Frame(c.SOF, 5, FIRST + 4, b""),
+        Frame(c.SOF, 6, FIRST + 3, b""),
+    ]
+    for request, answer in zip(
+        requests,
+        [b"Bob", b"", b"twice", b"ab", None, None],
+        strict=True,
+    ):
+        code = c.RET_FAILED if answer is None else 0
+        ((event,),) = device(f"b {encode(request).hex()}", "t")
+        assert event == reply(request.seq, code, answer or b"")

@@ -118,13 +118,14 @@ def lines_of(function: j2a.Function, result: object) -> list[str]:
     if not results:
         return []
     if len(results) == 1 and not results[0].name:
-        return [_text(result)]
+        return [plain(result)]
     assert isinstance(result, tuple)
     width = max(len(field.name) for field in results)
-    return [f"{f.name:<{width}}  {_text(v)}" for f, v in zip(results, result, strict=True)]
+    return [f"{f.name:<{width}}  {plain(v)}" for f, v in zip(results, result, strict=True)]
 
 
-def _text(value: object) -> str:
+def plain(value: object) -> str:
+    """Return a value as people read it."""
     if isinstance(value, str):
         return value
     if isinstance(value, bytes):

@@ -1,6 +1,7 @@
 """`j2a watch`: print the frames that a device sends unasked (SIFs).
 
-In: a link. Out: a line for each SIF, and one for each gap in their numbers.
+In: a link. Out: a line for each SIF, and one for each gap in their numbers. SIFs that the device
+describes are printed by their fields.
 Rules: the library's thread collects, this one prints, so that a slow reader of the output loses
 nothing. What `--then` names is called however the watching ends, unless the link is gone.
 """
@@ -34,15 +35,19 @@ from j2a.cli._link import (
     whole_number,
 )
 from j2a.cli._output import note, show, show_json
+from j2a.cli._typed import json_of, plain, takes_values, values_of
 from j2a.cli._values import Decoder, payload_of, short_hex, text_of
+from j2a.types.coding import Codec, PythonTypes
+from j2a.types.model import SifShape
 
 NOTES = """\
 examples:
-  j2a watch tcp://127.0.0.1:5000 0x20 --as u32
-  j2a watch tcp://127.0.0.1:5000 --call 'sifPeriod u16:100' --count 10 --json
-  j2a watch tcp://127.0.0.1:5000 --call 'sifPeriod u16:100' --then 'sifPeriod u16:0'"""
+  j2a watch tcp://127.0.0.1:5000 counter --call 'sifPeriod 100' --count 10 --json
+  j2a watch tcp://127.0.0.1:5000 --call 'sifPeriod 100' --then 'sifPeriod 0'
+  j2a watch tcp://127.0.0.1:5000 0x20 --as u32"""
 _LOOK_S = 0.2
-_Call = tuple[str | int, bytes]
+_Call = tuple[str | int, list[str]]
+_Shapes = dict[int, tuple[SifShape, Codec]]  # by opcode
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,14 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--call",
         action="append",
         default=[],
-        metavar="'FUNCTION PAYLOAD'",
+        metavar="'FUNCTION VALUE'",
         help="call this first, to start the device sending; words as for j2a call",
     )
     parser.add_argument(
         "--then",
         action="append",
         default=[],
-        metavar="'FUNCTION PAYLOAD'",
+        metavar="'FUNCTION VALUE'",
         help="call this at the end, also after Ctrl-C, to stop the device sending",
     )
     parser.add_argument("--count", type=whole_number(1), metavar="N", help="end after N SIFs")
@@ -74,24 +79,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json_argument(parser, "an object for each SIF, one per line,")
     add_link_arguments(parser)
     parser.add_argument(
-        "opcodes",
-        metavar="OPCODE",
+        "sifs",
+        metavar="SIF",
         nargs="*",
         default=[],
-        type=whole_number(0, 255),
-        help="watch only these opcodes, 0..255",
+        help="watch only these: names of SIFs that the device describes, or opcodes 0..255",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Print SIFs until the end; returns the exit code."""
+    wanted = [_opcode_or_name(text) for text in args.sifs]
     first = [_parse_call("--call", text) for text in args.call]
     last = [_parse_call("--then", text) for text in args.then]
     if last:
         end_on_sigterm()
     with connect(args) as client:
         try:
-            _watch(client, first, args)
+            _watch(client, wanted, first, args)
         except BaseException:  # Ctrl-C and SIGTERM too: the device shall stop sending
             if client.is_open:
                 try:
@@ -103,9 +108,18 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
-def _watch(client: j2a.Client, first: Sequence[_Call], args: argparse.Namespace) -> None:
+def _watch(
+    client: j2a.Client,
+    wanted: Sequence[str | int],
+    first: Sequence[_Call],
+    args: argparse.Namespace,
+) -> None:
     arrived: queue.SimpleQueue[tuple[float, float, j2a.Sif]] = queue.SimpleQueue()
-    client.on_sif(args.opcodes or None, lambda sif: arrived.put((time.time(), client.now(), sif)))
+    described = client.interface.sifs if client.interface else ()
+    types = PythonTypes()
+    shapes = {shape.opcode: (shape, Codec(shape.fields, types)) for shape in described}
+    opcodes = _opcodes_of(wanted, shapes)
+    client.on_sif(opcodes, lambda sif: arrived.put((time.time(), client.now(), sif)))
     _call_each(client, first)
     end = math.inf if args.duration is None else client.now() + args.duration
     seen = 0
@@ -122,7 +136,7 @@ def _watch(client: j2a.Client, first: Sequence[_Call], args: argparse.Namespace)
         if came_at > end:  # simulated time may run faster than that of this machine
             break
         seen += 1
-        _print(at_s, sif, args)
+        _print(at_s, sif, shapes, args)
     if args.count is not None and seen < args.count:
         came = f"{seen} of {args.count} SIFs came within {args.duration:g} s"
         raise CommandFailed(came, TIMEOUT)
@@ -134,8 +148,15 @@ def _call_each(client: j2a.Client, calls: Sequence[_Call]) -> None:
     Raises:
         CommandFailed: one failed, so that those after it were not called.
     """
-    for function, payload in calls:
-        reply = client.call(function, payload)
+    for function, words in calls:
+        described = client.functions.get(function) if isinstance(function, str) else None
+        if described is not None and takes_values(described, words):
+            try:
+                described(*values_of(described, words))
+            except j2a.FunctionFailed as error:
+                raise CommandFailed(str(error), FAILED) from None
+            continue
+        reply = client.call(function, payload_of(words))
         if not reply.ok:
             raise CommandFailed(f"{function} failed (code 0x{reply.code:02X})", FAILED)
 
@@ -145,23 +166,67 @@ def _parse_call(option: str, text: str) -> _Call:
         function, *words = shlex.split(text)
     except ValueError:
         raise UsageError(
-            f"{option} {text!r}: write a function and its payload, "
-            f"as in {option} 'sifPeriod u16:100'"
+            f"{option} {text!r}: write a function and its values, as in {option} 'sifPeriod 100'"
         ) from None
-    return function_of(function), payload_of(words)
+    return function_of(function), words
 
 
-def _print(at_s: float, sif: j2a.Sif, args: argparse.Namespace) -> None:
-    values, problem = None, None
-    if args.types is not None:
-        try:
-            values = args.types.values(sif.payload)
-        except ValueError as error:
-            problem = error
-            note(f"j2a: SIF {sif.seq}: {error}")
+def _opcode_or_name(text: str) -> str | int:
+    if not text[:1].isdigit():
+        return text
+    try:
+        return whole_number(0, 255)(text)
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(f"SIF: {error}") from None
+
+
+def _opcodes_of(wanted: Sequence[str | int], shapes: _Shapes) -> list[int] | None:
+    """Return the opcodes of SIFs by name or opcode, None for all.
+
+    Raises:
+        UsageError: the device describes no SIF of a name.
+    """
+    known = {shape.name: opcode for opcode, (shape, _) in shapes.items()}
+    for name in wanted:
+        if isinstance(name, str) and name not in known:
+            raise UsageError(
+                f"the device describes no SIF {name!r}, but {', '.join(known) or 'none'}; "
+                "give its opcode, 0..255"
+            )
+    return [known[one] if isinstance(one, str) else one for one in wanted] or None
+
+
+def _values_of(sif: j2a.Sif, shapes: _Shapes, types: Decoder | None) -> tuple[object, str]:
+    """Return the values of a SIF for JSON, None where nobody knows them, and all for people.
+
+    Raises:
+        ValueError: the payload is not as described.
+    """
+    if types is not None:
+        values = types.values(sif.payload)
+        return values, " ".join(map(str, values))
+    if sif.opcode not in shapes:
+        text = text_of(sif.payload)
+        return None, f"{short_hex(sif.payload)}{f'  {text}' if text else ''}"
+    shape, codec = shapes[sif.opcode]
+    named = list(zip(shape.fields, codec.unpack(sif.payload), strict=True))
+    units = {field.name: f" {field.type.unit}" if field.type.unit else "" for field in shape.fields}
+    text = ", ".join(f"{field.name}={plain(one)}{units[field.name]}" for field, one in named)
+    return {field.name: json_of(one) for field, one in named}, f"{shape.name}({text})"
+
+
+def _print(at_s: float, sif: j2a.Sif, shapes: _Shapes, args: argparse.Namespace) -> None:
+    problem = None
+    try:
+        values, what = _values_of(sif, shapes, args.types)
+    except ValueError as error:
+        problem = error
+        note(f"j2a: SIF {sif.seq}: {error}")
+        values, what = _values_of(sif, {}, None)
     if args.json:
-        facts = {
+        facts: dict[str, object] = {
             "time": round(at_s, 6),
+            "sif": shapes[sif.opcode][0].name if sif.opcode in shapes else None,
             "opcode": sif.opcode,
             "seq": sif.seq,
             "missed": sif.missed,
@@ -176,9 +241,4 @@ def _print(at_s: float, sif: j2a.Sif, args: argparse.Namespace) -> None:
     if sif.missed:
         show(f"              {sif.missed} SIF{'s' * (sif.missed > 1)} missed")
     clock = datetime.fromtimestamp(at_s).strftime("%H:%M:%S.%f")[:-3]
-    if values is None:
-        text = text_of(sif.payload)
-        what = f"{short_hex(sif.payload)}{f'  {text}' if text else ''}"
-    else:
-        what = " ".join(map(str, values))
     show(f"{clock}  opcode {sif.opcode:>3}  seq {sif.seq:>3}  {what}".rstrip(), flush=True)

@@ -43,7 +43,7 @@ static uint8_t take(walk_t *walk) {
 
 uint8_t j2a_get_interface(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
                           uint8_t **const data) {
-    walk_t walk = {j2a_definitions, 0, false};
+    walk_t walk = {j2a_definitions(), 0, false};
     size_t at = 0;
     uint8_t n = 0;
     uint8_t c;
@@ -70,7 +70,7 @@ uint8_t j2a_get_interface(bool *is_last, bool is_write, uint32_t *const offset, 
 static
 #endif
 uint32_t j2a_interface_hash(void) {
-    walk_t walk = {j2a_definitions, 0, false};
+    walk_t walk = {j2a_definitions(), 0, false};
     uint32_t crc = 0xFFFFFFFF;
     uint8_t c;
     while ((c = take(&walk)) != 0) {

@@ -51,12 +51,8 @@ private:
     size_t first = 0, count = 0;
 };
 
-static uint8_t get_time(uint8_t *const length, uint8_t **const payload) {
-    const uint64_t us = j2a_port_time_us();
-    j2a_put_u32(*payload, static_cast<uint32_t>(us));
-    j2a_put_u32(*payload + 4, static_cast<uint32_t>(us >> 32));
-    *length = 8;
-    return J2A_RET_OK;
+static uint64_t getTime() {
+    return j2a_port_time_us();
 }
 
 static uint8_t overruns(uint8_t *const length, uint8_t **const payload) {
@@ -65,7 +61,23 @@ static uint8_t overruns(uint8_t *const length, uint8_t **const payload) {
     return J2A_RET_OK;
 }
 
-J2A_FUNCTIONS(J2A_CALL(getTime, get_time), J2A_CALL(overruns, overruns));
+static String greet(const String &name) {
+    return String(name);
+}
+
+static String twice(uint8_t times, String name) {
+    return times == 2 ? String("twice") : name;
+}
+
+static String large() {
+    char text[J2A_ROOM + 2];
+    memset(text, 'x', sizeof text - 1);
+    text[sizeof text - 1] = '\0';
+    return String(text);
+}
+
+J2A_FUNCTIONS(J2A_FUNCTION(getTime, ""), J2A_CALL(overruns, overruns), J2A_FUNCTION(greet, "name:"),
+              J2A_FUNCTION(twice, "times name:"), J2A_FUNCTION(large, ""));
 J2A_PROPERTIES();
 
 int main(int argc, char **argv) {

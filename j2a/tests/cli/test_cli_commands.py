@@ -375,7 +375,30 @@ def test_watch(run, url):
     assert [line.split()[1:5] for line in lines] == [
         ["opcode", "32", "seq", str(seq)] for seq in range(3)
     ]
-    assert lines[2].endswith("02 00 00 00")
+    assert lines[2].endswith("  counter(count=2)")
+
+
+def test_watch_takes_values_and_names(run, url):
+    calls = ["--call", "sif 21 07", "--call", "sifPeriod 5"]
+    result = run("watch", url, "counter", *calls, "--count", "2", "--json")
+    sifs = [json.loads(line) for line in result.out.splitlines()]
+    assert [sif["sif"] for sif in sifs] == ["counter"] * 2
+    assert [sif["values"] for sif in sifs] == [{"count": 0}, {"count": 1}]
+    assert run("watch", url, "--call", "sifPeriod soon").code == 2
+    assert run("watch", url, "--call", "divide 1 0").code == 1
+    result = run("watch", url, "timer")
+    assert (result.code, result.out) == (2, "")
+    assert "describes no SIF 'timer', but counter" in result.err
+
+
+def test_watch_shows_bytes_that_are_not_as_described(run, url):
+    result = run("watch", url, "--call", "sif 20 07", "--count", "1")
+    assert result.code == 0
+    assert result.out.rstrip().endswith("  07")
+    assert "SIF 0: " in result.err
+    facts = json.loads(run("watch", url, "--call", "sif 20 07", "--count", "1", "--json").out)
+    assert (facts["payload"], facts["error"]["type"]) == ("07", "PayloadMismatchError")
+    assert "values" not in facts
 
 
 def test_watch_as_json_is_one_object_per_line(run, url):

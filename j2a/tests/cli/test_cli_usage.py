@@ -122,7 +122,7 @@ def test_version(run):
         (["echo", NOWHERE, "--many", "9", "--count", "2"], "--count is not allowed with --many"),
         (["echo", NOWHERE, "--many", "4294967295"], "not from 0 to 67108864"),
         (["watch", NOWHERE, "256"], "not from 0 to 255"),
-        (["watch", NOWHERE, "sif"], "not a whole number"),
+        (["watch", NOWHERE, "0x"], "not a whole number"),
         (["watch", NOWHERE, "--duration", "inf"], "must have an end"),
         (["serve", "--listen", "exec:./fw"], "cannot listen"),
         (["serve", "--device", "thermometer"], "MODULE:ATTRIBUTE"),

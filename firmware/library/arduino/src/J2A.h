@@ -10,6 +10,33 @@
 
 #include "j2a_core.h"
 
+/* A String is a text, too. As a result it is copied into the reply. */
+namespace j2a {
+template <> struct parameter<String> : text {
+    using text::text;
+    String pass() {
+        return String(value);
+    }
+};
+template <> struct parameter<const String &> : parameter<String> {
+    using parameter<String>::parameter;
+};
+template <> struct returned<String> {
+    static constexpr bool is_void = false;
+    static constexpr const char *element() {
+        return "text";
+    }
+    template <class Values, class F> static uint8_t end(F function, Values &values, uint8_t *length, uint8_t **payload) {
+        const String result = values.template call<String>(function);
+        if (result.length() > J2A_ROOM)
+            j2a_fail(J2A_RET_FAILED);
+        else
+            memcpy(*payload, result.c_str(), result.length());
+        return j2a_end(length, static_cast<uint8_t>(result.length()));
+    }
+};
+} // namespace j2a
+
 class J2ADevice {
 public:
     /* Serves a stream, which the sketch has begun.

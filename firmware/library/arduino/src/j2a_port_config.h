@@ -4,6 +4,11 @@
 #define J2A_TICKS_PER_MS 1u /* of millis() */
 #define J2A_PORT_LINKS 255  /* as many streams as a sketch has */
 
+/* Functions are described to the host: about 800 bytes of flash. Without, J2A_FUNCTION tells their names only. */
+#ifndef J2A_WITH_INTERFACE
+#define J2A_WITH_INTERFACE 1
+#endif
+
 /* Bytes that are collected and written at once. An AVR's Serial has a buffer of its own; with USB elsewhere
  * each write may become a packet. */
 #ifndef J2A_TXBUF

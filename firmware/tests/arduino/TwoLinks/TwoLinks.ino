@@ -1,14 +1,12 @@
 /* Two hosts at once: one on Serial, one on Serial1; which tells a host the link that it is on. */
 #include <J2A.h>
 
-uint8_t which(uint8_t *const length, uint8_t **const payload) {
-  (*payload)[0] = j2a_link;
-  *length = 1;
+uint8_t which() {
   J2A.sendSif(7, "hello", 5);
-  return J2A_RET_OK;
+  return j2a_link;
 }
 
-J2A_FUNCTIONS(J2A_CALL(which, which));
+J2A_FUNCTIONS(J2A_FUNCTION(which, "Returns the link."));
 J2A_PROPERTIES(J2A_PROPERTY("name", "two"));
 
 void setup() {

@@ -5,39 +5,26 @@
  * It tells whether board, stream and speed go together: what is lost, what is late, what is wrong. */
 #include <J2A.h>
 
-const uint8_t PERIODIC = 0x20;
 const uint16_t STORE_SIZE = 256;
 
 uint8_t content[STORE_SIZE];
 uint16_t used = 0;
 uint32_t period_ms = 0;
-uint32_t next_ms, counter;
+uint32_t next_ms, count;
 
-uint16_t get_u16(const uint8_t *bytes) {
-  return bytes[0] | (uint16_t)bytes[1] << 8;
-}
+j2a::sif<0x20, uint32_t> counter;
 
 uint8_t failed(uint8_t *const length) {
   *length = 0;
   return J2A_RET_FAILED;
 }
 
-/* 8 bytes of microseconds since the start. */
-uint8_t getTime(uint8_t *const length, uint8_t **const payload) {
-  const uint64_t now_us = j2a_port_time_us();
-  j2a_put_u32(*payload, (uint32_t)now_us);
-  j2a_put_u32(*payload + 4, (uint32_t)(now_us >> 32));
-  *length = 8;
-  return J2A_RET_OK;
+uint64_t getTime() {
+  return j2a_port_time_us();
 }
 
-/* The sum of two numbers of 32 bits. */
-uint8_t add(uint8_t *const length, uint8_t **const payload) {
-  if (*length != 8)
-    return failed(length);
-  j2a_put_u32(*payload, j2a_get_u32(*payload) + j2a_get_u32(*payload + 4));
-  *length = 4;
-  return J2A_RET_OK;
+int32_t add(int32_t a, int32_t b) {
+  return (int32_t)((uint32_t)a + (uint32_t)b);
 }
 
 /* Keeps what was written last; a write at 0 starts anew, others follow on. */
@@ -79,7 +66,7 @@ uint8_t ret(uint8_t *const length, uint8_t **const payload) {
 uint8_t wait(uint8_t *const length, uint8_t **const payload) {
   if (*length != 2)
     return failed(length);
-  delay(get_u16(*payload));
+  delay(j2a_get_u16(*payload));
   *length = 0;
   return J2A_RET_OK;
 }
@@ -94,34 +81,46 @@ uint8_t sif(uint8_t *const length, uint8_t **const payload) {
   return J2A_RET_OK;
 }
 
-/* From now on a SIF that counts, every so many milliseconds; 0 ends it. */
-uint8_t sifPeriod(uint8_t *const length, uint8_t **const payload) {
-  if (*length != 2)
-    return failed(length);
-  period_ms = get_u16(*payload);
+void sifPeriod(uint16_t period) {
+  period_ms = period;
   next_ms = millis() + period_ms;
-  counter = 0;
-  *length = 0;
-  return J2A_RET_OK;
+  count = 0;
 }
 
-uint8_t overruns(uint8_t *const length, uint8_t **const payload) {
-  const uint16_t count = J2A.overruns();
-  (*payload)[0] = count & 0xFF;
-  (*payload)[1] = count >> 8;
-  *length = 2;
-  return J2A_RET_OK;
+uint16_t overruns() {
+  return J2A.overruns();
+}
+
+int32_t divide(int32_t a, int32_t b) {
+  if (b == 0)
+    return j2a_fail(1);
+  return b == -1 ? (int32_t)-(uint32_t)a : a / b;
+}
+
+/* Parameters that the function changes are its results. */
+void echoNumbers(bool flag, int8_t small, uint16_t wide, int32_t sum, uint64_t big, bool on,
+                 bool &outOn, int64_t &outBig, int64_t &outSum, uint32_t &outWide, int16_t &outSmall, uint8_t &outFlag) {
+  outOn = on;
+  outBig = (int64_t)big;
+  outSum = sum;
+  outWide = wide;
+  outSmall = small;
+  outFlag = flag;
 }
 
 J2A_FUNCTIONS(
-  J2A_CALL(getTime, getTime),
-  J2A_CALL(add, add),
+  J2A_FUNCTION(getTime, "-> us !idempotent: Returns the time since the start."),
+  J2A_FUNCTION(add, "a b !idempotent: Adds two numbers."),
   J2A_MANY(store, store),
   J2A_CALL(ret, ret),
   J2A_CALL(delay, wait),
   J2A_CALL(sif, sif),
-  J2A_CALL(sifPeriod, sifPeriod),
-  J2A_CALL(overruns, overruns)
+  J2A_FUNCTION(sifPeriod, "period(ms) !idempotent: Sends the SIF counter periodically; 0 stops it."),
+  J2A_FUNCTION(overruns, "!idempotent: Returns how often received bytes were lost since the start."),
+  J2A_FUNCTION(divide, "a b !idempotent: Divides; fails with code 1 where b is 0."),
+  J2A_FUNCTION(echoNumbers, "flag small wide sum big on on big sum wide small flag !idempotent: "
+                            "Returns the numbers as other types."),
+  J2A_SIF(counter, "count: Counts from 0 while sifPeriod is not 0.")
 );
 
 #if defined(__AVR__) && !defined(USBCON)
@@ -142,12 +141,10 @@ void setup() {
 }
 
 void loop() {
-  uint8_t payload[4];
   J2A.task();
   if (period_ms == 0 || (int32_t)(millis() - next_ms) < 0)
     return;
-  j2a_put_u32(payload, counter++);
-  J2A.sendSif(PERIODIC, payload, sizeof payload);
+  counter(count++);
   next_ms += period_ms;
   if ((int32_t)(millis() - next_ms) >= 0) /* too slow for this period: what was missed is left out */
     next_ms = millis() + period_ms;

@@ -1,36 +1,28 @@
-/* Two functions that a host calls by name: led switches the LED of the board, reverse sends a text back to
- * front.
+/* Functions that a host calls by name: led switches the LED of the board, add adds, hello greets.
  *
- *   j2a call serial:///dev/ttyACM0?baud=115200 led 01
+ *   j2a call serial:///dev/ttyACM0?baud=115200 led true
+ *   j2a call serial:///dev/ttyACM0?baud=115200 add 40 2
+ *   j2a call serial:///dev/ttyACM0?baud=115200 hello World
  *
- * A function finds the request in payload, *length bytes of it, and leaves the reply there; what it returns,
- * 0 for success, goes to the host, too. */
+ * They are plain functions: the compiler finds out their types, and a text names their parameters. */
 #include <J2A.h>
 
-uint8_t led(uint8_t *const length, uint8_t **const payload) {
-  if (*length != 1) {
-    *length = 0;
-    return J2A_RET_FAILED;
-  }
-  digitalWrite(LED_BUILTIN, (*payload)[0] ? HIGH : LOW);
-  *length = 0;
-  return J2A_RET_OK;
+void led(bool on) {
+  digitalWrite(LED_BUILTIN, on ? HIGH : LOW);
 }
 
-uint8_t reverse(uint8_t *const length, uint8_t **const payload) {
-  uint8_t *bytes = *payload;
-  for (uint8_t first = 0, last = *length; first + 1 < last; first++) {
-    last--;
-    const uint8_t kept = bytes[first];
-    bytes[first] = bytes[last];
-    bytes[last] = kept;
-  }
-  return J2A_RET_OK;
+long add(long a, long b) {
+  return a + b;
+}
+
+String hello(const String &name) {
+  return "Hello, " + name + "!";
 }
 
 J2A_FUNCTIONS(
-  J2A_CALL(led, led),
-  J2A_CALL(reverse, reverse)
+  J2A_FUNCTION(led, "on: Switches the LED."),
+  J2A_FUNCTION(add, "a b: Adds two numbers."),
+  J2A_FUNCTION(hello, "name: Greets.")
 );
 
 J2A_PROPERTIES(

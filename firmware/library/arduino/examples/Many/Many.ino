@@ -1,35 +1,17 @@
-/* Data longer than a frame: 400 bytes that the host writes and reads as a whole.
+/* Data longer than a frame: 400 bytes that the host writes and reads as a whole, and a curve of 100 numbers.
  *
- * A function of the kind "many" is called once for each chunk. When the host writes, *length bytes in *data
- * belong at *offset; when it reads, the function gives at most J2A_MANY_DATA bytes from *offset on, and says
- * by *is_last when these were the last. *data may point into the sketch's own memory. */
+ *   j2a read serial:///dev/ttyACM0?baud=115200 content --out content.bin
+ *
+ * A function that makes its data when it is asked is of the kind "many", J2A_MANY in place of J2A_BUFFER: it is called
+ * once for each chunk; the sketch Conformance has one. */
 #include <J2A.h>
 
-const uint16_t SIZE = 400;
-uint8_t content[SIZE];
-uint16_t used = 0;
-
-uint8_t store(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
-              uint8_t **const data) {
-  if (is_write) {
-    const uint8_t given = *length;
-    *length = 0;
-    if (*offset > SIZE || given > SIZE - *offset)
-      return J2A_RET_FAILED;
-    memcpy(content + *offset, *data, given);
-    used = *offset + given;
-    return J2A_RET_OK;
-  }
-  const uint16_t left = *offset < used ? used - *offset : 0;
-  *is_last = left <= J2A_MANY_DATA;
-  *length = *is_last ? left : J2A_MANY_DATA;
-  if (left != 0)
-    *data = content + *offset;
-  return J2A_RET_OK;
-}
+uint8_t content[400];
+uint16_t curve[100];
 
 J2A_FUNCTIONS(
-  J2A_MANY(store, store)
+  J2A_BUFFER(content, "What the host has written."),
+  J2A_BUFFER(curve, "-> mV: A curve.")
 );
 
 J2A_PROPERTIES(

@@ -12,14 +12,12 @@
 #define ROOM /* an empty item is none */
 #endif
 
-uint8_t uptime(uint8_t *const length, uint8_t **const payload) {
-  j2a_put_u32(*payload, millis());
-  *length = 4;
-  return J2A_RET_OK;
+uint32_t uptime() {
+  return millis();
 }
 
 J2A_FUNCTIONS(
-  J2A_CALL(uptime, uptime)
+  J2A_FUNCTION(uptime, "-> ms: Returns the time since the start.")
 );
 
 J2A_PROPERTIES(

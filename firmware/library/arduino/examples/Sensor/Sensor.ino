@@ -1,58 +1,39 @@
 /* An analog sensor that is asked, or that reports by itself.
  *
- *   analog   takes the number of an analog input, replies its value, 2 bytes: 0 to 1023 on most boards
- *   every    takes 2 bytes of milliseconds; from then on A0 is reported in this rhythm, 0 ends it
- *   average  replies the average of A0 in 16 readings, in sixteenths
+ *   j2a call serial:///dev/ttyACM0?baud=115200 analog 0
+ *   j2a watch serial:///dev/ttyACM0?baud=115200 --call 'every 500' --then 'every 0'
  *
- * A report is a frame with the opcode 0x20: 4 bytes of millis(), 2 bytes of value. Numbers are
- * little-endian. */
+ * A report is a frame that the host did not ask for, a SIF, with the opcode 0x20. */
 #include <J2A.h>
 
-const uint8_t REPORT = 0x20;
+j2a::sif<0x20, uint32_t, uint16_t> report;
 
 uint16_t period_ms = 0;
 uint32_t last_ms = 0;
 
-void put_u16(uint8_t *bytes, uint16_t value) {
-  bytes[0] = value & 0xFF;
-  bytes[1] = value >> 8;
+uint16_t analog(uint8_t channel) {
+  if (channel >= NUM_ANALOG_INPUTS)
+    return j2a_fail(1);
+  return analogRead(channel);
 }
 
-uint8_t failed(uint8_t *const length) {
-  *length = 0;
-  return J2A_RET_FAILED;
-}
-
-uint8_t analog(uint8_t *const length, uint8_t **const payload) {
-  if (*length != 1 || (*payload)[0] >= NUM_ANALOG_INPUTS)
-    return failed(length);
-  put_u16(*payload, analogRead((*payload)[0]));
-  *length = 2;
-  return J2A_RET_OK;
-}
-
-uint8_t every(uint8_t *const length, uint8_t **const payload) {
-  if (*length != 2)
-    return failed(length);
-  period_ms = (*payload)[0] | (uint16_t)(*payload)[1] << 8;
+void every(uint16_t period) {
+  period_ms = period;
   last_ms = millis();
-  *length = 0;
-  return J2A_RET_OK;
 }
 
-uint8_t average(uint8_t *const length, uint8_t **const payload) {
-  uint16_t sum = 0;
+uint16_t sum() {
+  uint16_t total = 0;
   for (uint8_t i = 0; i < 16; i++)
-    sum += analogRead(A0);
-  put_u16(*payload, sum);
-  *length = 2;
-  return J2A_RET_OK;
+    total += analogRead(A0);
+  return total;
 }
 
 J2A_FUNCTIONS(
-  J2A_CALL(analog, analog),
-  J2A_CALL(every, every),
-  J2A_CALL(average, average)
+  J2A_FUNCTION(analog, "channel: Returns the value of an analog input, 0 to 1023 on most boards; fails without such an input."),
+  J2A_FUNCTION(every, "period(ms) !idempotent: Sends the SIF report periodically; 0 stops it."),
+  J2A_FUNCTION(sum, "Returns the sum of 16 readings of A0."),
+  J2A_SIF(report, "time(ms) value: A reading of A0.")
 );
 
 J2A_PROPERTIES(
@@ -67,10 +48,7 @@ void setup() {
 void loop() {
   J2A.task();
   if (period_ms != 0 && millis() - last_ms >= period_ms) {
-    uint8_t report[6];
     last_ms += period_ms;
-    j2a_put_u32(report, last_ms);
-    put_u16(report + 4, analogRead(A0));
-    J2A.sendSif(REPORT, report, sizeof report);
+    report(last_ms, analogRead(A0));
   }
 }

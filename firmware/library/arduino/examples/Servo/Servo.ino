@@ -1,7 +1,6 @@
 /* A model servo at pin 9, set by the host.
  *
- *   servo    takes 2 bytes of microseconds, 500 to 2500: the length of the pulse; 1500 is the middle, 0 off
- *   position replies these 2 bytes
+ *   j2a call serial:///dev/ttyACM0?baud=115200 servo 1500
  *
  * The pulse is made here every 20 ms, so the sketch needs nothing but a pin; an interrupt may lengthen a
  * pulse by a few microseconds. The library Servo makes steadier ones with a timer: then servo calls
@@ -16,26 +15,20 @@ const uint16_t LONGEST_US = 2500;
 uint16_t pulse_us = 0;
 uint32_t last_us = 0;
 
-uint8_t servo(uint8_t *const length, uint8_t **const payload) {
-  const uint16_t wanted_us = (*payload)[0] | (uint16_t)(*payload)[1] << 8;
-  const bool good = *length == 2 && (wanted_us == 0 || (wanted_us >= SHORTEST_US && wanted_us <= LONGEST_US));
-  *length = 0;
-  if (!good)
-    return J2A_RET_FAILED;
-  pulse_us = wanted_us;
-  return J2A_RET_OK;
+void servo(uint16_t pulse) {
+  if (pulse != 0 && (pulse < SHORTEST_US || pulse > LONGEST_US))
+    j2a_fail(1);
+  else
+    pulse_us = pulse;
 }
 
-uint8_t position(uint8_t *const length, uint8_t **const payload) {
-  (*payload)[0] = pulse_us & 0xFF;
-  (*payload)[1] = pulse_us >> 8;
-  *length = 2;
-  return J2A_RET_OK;
+uint16_t position() {
+  return pulse_us;
 }
 
 J2A_FUNCTIONS(
-  J2A_CALL(servo, servo),
-  J2A_CALL(position, position)
+  J2A_FUNCTION(servo, "pulse(us) !idempotent: Sets the pulse, 500 to 2500; 1500 is the middle, 0 off."),
+  J2A_FUNCTION(position, "-> us: Returns the pulse.")
 );
 
 J2A_PROPERTIES(
