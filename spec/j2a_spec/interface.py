@@ -8,6 +8,7 @@ know are skipped (J2A-IFACE-011).
 
 import re
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from dataclasses import field as attribute
 
@@ -134,6 +135,11 @@ def payload(fields: tuple[Field, ...], interface: Interface) -> cs.Construct:
     return cs.Sequence(*(_grammar(field, interface) for field in fields), cs.Terminated)
 
 
+def size(fields: Iterable[Field], interface: Interface) -> int:
+    """Return how many bytes fields take together, none of which is open."""
+    return int(cs.Sequence(*(_grammar(field, interface) for field in fields)).sizeof())
+
+
 def _grammar(field: Field, interface: Interface) -> cs.Construct:
     if field.element in _OPEN:
         data = cs.ExprValidator(
@@ -179,16 +185,16 @@ def _field(text: str) -> Field:
     return Field(name, element, number, unit or "")
 
 
-def _is_open(field: Field) -> bool:
+def is_open(field: Field) -> bool:
     return field.element in _OPEN or field.count == 0
 
 
 def _check(fields: tuple[Field, ...], interface: Interface) -> None:
     """Check what a payload holds, whose elements are all defined."""
-    if any(_is_open(field) for field in fields[:-1]):
+    if any(is_open(field) for field in fields[:-1]):
         raise ValueError("a field follows an open one")
-    fixed = tuple(field for field in fields if not _is_open(field))
-    if sum(_grammar(field, interface).sizeof() for field in fixed) > c.MAX_PAYLOAD:
+    fixed = tuple(field for field in fields if not is_open(field))
+    if size(fixed, interface) > c.MAX_PAYLOAD:
         raise ValueError("longer than a payload")
 
 
@@ -217,7 +223,7 @@ def _define(interface: Interface, line: str) -> None:
         if not _known(fields, interface):
             return
         _check(fields, interface)
-        if _is_open(fields[-1]):
+        if is_open(fields[-1]):
             raise ValueError(f"{line}: open")
         interface.structs[name] = fields
         if _depth(name, interface) > _MAX_DEPTH:

@@ -5,8 +5,9 @@ whose results have the names of parameters. Each result is the value of that par
 have another type, so that a wrong order of bytes or a lost sign is seen.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import construct as cs
@@ -20,9 +21,40 @@ from j2a_conformance.wire._dimensions import payload_of
 
 from .interface import interface
 
-_ROUNDS = 40
+_ROUNDS = 50
 _DIVIDE = "divide"
 _TEXTS = ("", "a", "J2A", "Grüße", "\x12\x7d\x00", "€uro", "🤖", "0123456789abcdef")
+_SIZES = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    6,
+    7,
+    8,
+    11,
+    12,
+    16,
+    20,
+    31,
+    32,
+    33,
+    50,
+    60,
+    63,
+    64,
+    65,
+    96,
+    100,
+    127,
+    128,
+    129,
+    200,
+    201,
+    236,
+    255,
+)
 _FLOATS = (0.0, 1.0, -1.0, 127.0, -128.0, 0.5, -2.25, 1024.0, 16777215.0, 3.1415927410125732, 1e-5)
 
 
@@ -49,18 +81,34 @@ class Echo:
         """Return one value for each parameter; `n` chooses them."""
         return [self.value(field, n + 3 * at) for at, field in enumerate(self.parameters)]
 
+    @cached_property
+    def room(self) -> int:
+        """Return how many bytes an open end may have, in the request and in the reply."""
+        sizes = []
+        for fields in (self.parameters, self.function.results):
+            fixed = [field for field in fields if not oracle.is_open(field)]
+            sizes.append(oracle.size(fixed, self.whole))
+        return self.peer.longest - max(sizes)
+
     def value(self, field: oracle.Field, n: int) -> Any:
         """Return a value that both the parameter and the result of its name can hold."""
         results = {one.name: one for one in self.function.results}
         result = results.get(field.name, field)
         if field.element == "text":
-            texts = [text for text in _TEXTS if len(text.encode()) <= (field.count or 99)]
+            sizes = [size for size in _SIZES if size <= min(field.count or 255, self.room)]
+            texts = [text for text in _TEXTS if len(text.encode()) <= sizes[-1]]
+            texts += [("J2A ü" * size).encode()[:size].decode("utf-8", "ignore") for size in sizes]
             return texts[n % len(texts)]
         if field.element == "bytes":
-            return payload_of(n % (field.count or 20), n)
+            before = oracle.size(self.parameters[:-1], self.whole)
+            wanted = sorted({*_SIZES, *(size - before for size in _SIZES if size >= before)})
+            sizes = [size for size in wanted if size <= min(field.count or 255, self.room)]
+            return payload_of(sizes[n % len(sizes)], n)
         count = field.count
         if count == 0:
-            count = n % 12
+            one = oracle.size([replace(field, count=None)], self.whole)
+            counts = [count for count in _SIZES if count * one <= self.room]
+            count = counts[n % len(counts)]
         if count is None:
             return self._one(field.element, result.element, n)
         return [self._one(field.element, result.element, n + 5 * at) for at in range(count)]
@@ -102,7 +150,7 @@ def _numbers(element: str, n: int) -> Iterator[int]:
     bits = int(element[1:])
     low = -(1 << bits - 1) if element[0] == "i" else 0
     high = low + (1 << bits) - 1
-    yield from (low, low + 1, high, high - 1, 0, 1, 0x12 & high, 0x7D & high)
+    yield from (low, low + 1, high, high - 1, 0, 1, 0x127D & high, 0x7D12 & high)
     for shift in range(bits - 1):
         yield 1 << shift
         if low:
@@ -189,18 +237,36 @@ class Lengths(Case):
 
     def _run(self, peer: Peer) -> None:
         for echo in echoes(peer):
-            grammar = oracle.payload(echo.parameters, echo.whole)
-            opcode = peer.opcode(echo.function.name)
             whole = echo.pack(1)
-            for length in range(peer.longest + 1):
-                payload = (whole + payload_of(peer.longest, 0))[:length]
-                try:
-                    grammar.parse(payload)
-                except UnicodeDecodeError:
-                    continue  # a device need not look into a text
-                except cs.ConstructError:
-                    peer.ask(peer.request(opcode, payload, c.RET_FAILED, b""))
+            _refused(peer, echo.whole, echo.function, whole, range(peer.longest + 1))
             echo.judge(whole, echo.values(1))
+        # Of the others only those that do no harm where they are called after all.
+        described = interface(peer)
+        for function in described.functions:
+            if function.parameters is not None and "!idempotent" in function.flags:
+                _refused(peer, described, function, b"", (*range(20), *_SIZES))
+
+
+def _refused(
+    peer: Peer,
+    whole: oracle.Interface,
+    function: oracle.Function,
+    begin: bytes,
+    lengths: Iterable[int],
+) -> None:
+    """Send payloads of these lengths, and judge the replies to those that the function refuses."""
+    grammar = oracle.payload(function.parameters or (), whole)
+    opcode = peer.opcode(function.name)
+    for length in lengths:
+        payload = (begin + payload_of(peer.longest, 0))[:length]
+        if len(payload) < length:
+            continue
+        try:
+            grammar.parse(payload)
+        except UnicodeDecodeError:
+            continue  # a device need not look into a text
+        except cs.ConstructError:
+            peer.ask(peer.request(opcode, payload, c.RET_FAILED, b""))
 
 
 class LongestFrame(Case):

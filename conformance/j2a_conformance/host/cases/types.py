@@ -23,6 +23,9 @@ wide(a u64, b i64, c f32, d f64) (d f64, c f32, b i64, a u64 us)
 shapes(m mode, p point[2], t text[8]) (p point, m mode[2], t text)
 words(w u16[]) u16[]
 raw(b bytes[4]) bytes
+three(a i32, b u32, c i32) (c i32, b u32, a i32)
+blob(b bytes) bytes
+note(t text) text
 none()
 """
 _MAX_INTERFACE = 65536
@@ -96,6 +99,7 @@ def typed(host: Host, name: str, arguments: list[Any], results: list[Any]) -> No
     host.outcome(f"values {spell((results[0] if is_one else results) if results else None)}")
 
 
+_SIZES = (0, 1, 2, 3, 5, 6, 11, 12, 16, 31, 32, 33, 50, 60, 63, 64, 65, 99, 100, 127, 128, 129, 200)
 _TEXTS = ("", "a", "J2A", "\u00fc\u00fc", "\x12\x7d", "\U0001f916", "12345678")
 
 
@@ -111,6 +115,8 @@ class Values(HostCase):
     def _run(self, host: Host) -> None:
         for a, b in ((40, 2), (-1, 1), (2**31 - 1, -(2**31)), (0x12ED7D, -0x12ED7D)):
             typed(host, "add", [a, b], [(a + b + 2**31) % 2**32 - 2**31])
+        for n in (0x01127D80, 0xED7F00FE):
+            typed(host, "three", [-5, n, 0x7D], [-(2**31), n ^ 0xFF, 0x7D12])
         for high in (0, 1):
             ends = [[-(2 ** (n - 1)), 2 ** (n - 1) - 1][high] for n in (8, 16, 32)]
             tops = [[0, 2**n - 1][high] for n in (8, 16, 32)]
@@ -124,9 +130,13 @@ class Values(HostCase):
             points = [[n + 0.5, -n], [-n - 0.25, n]]
             mode = (0, 1, -2)[n % 3]
             typed(host, "shapes", [mode, points, text], [points[1], [mode, 1], text])
-        for count in (0, 1, 2, 60, 127):
-            words = [(0x12ED + 0x1111 * n) % 65536 for n in range(count)]
-            typed(host, "words", [words[:20]], [words[:20]])
+        words = [(0x12ED + 0x1111 * n) % 65536 for n in range(20)]
+        typed(host, "words", [words], [words])
+        for size in _SIZES:  # jobs and outcomes have room for so many digits
+            digits = [(size + n) % 10 for n in range(min(size, 100))]
+            typed(host, "words", [digits], [digits])
+            typed(host, "blob", [digits], [digits])
+            typed(host, "note", ["J2A,-x" * (size // 6) + "12345"[: size % 6]], ["y" * size])
         for data in ([], [0], [255, 0x12, 0xED, 0x7D]):
             typed(host, "raw", [data], [data])
         typed(host, "none", [], [])
@@ -161,7 +171,13 @@ _REFUSED: tuple[tuple[str, list[Any]], ...] = (
     ("scalars", [True, 0, 0, 0, 0, 2**32, 0]), ("scalars", [True, 0, 0, 0, 0, -1, 0]),
     ("scalars", [2, 0, 0, 0, 0, 0, 0]),
     ("wide", [2**64, 0, 0, 0]), ("wide", [-1, 0, 0, 0]), ("wide", [0, 2**63, 0, 0]),
-    ("wide", [0, 0, 1e39, 0]), ("wide", [0, 0, "x", 0]),
+    ("wide", [0, -(2**63) - 1, 0, 0]), ("wide", ["1", 0, 0, 0]), ("wide", [0, "1", 0, 0]),
+    ("wide", [0, 0, 1e39, 0]), ("wide", [0, 0, 10**39, 0]), ("wide", [0, 0, -(10**39), 0]),
+    ("wide", [0, 0, "x", 0]), ("wide", [0, 0, 0, "x"]), ("wide", [0, 0, 0, None]),
+    ("scalars", [True, 0, 0, -1, 0, 0, 0]), ("scalars", [True, 0, 0, 0, -32769, 0, 0]),
+    ("scalars", [True, "1", 0, 0, 0, 0, 0]), ("scalars", [True, 0, "1", 0, 0, 0, 0]),
+    ("scalars", [True, 0, 0, "1", 0, 0, 0]), ("scalars", [True, 0, 0, 0, 0.5, 0, 0]),
+    ("scalars", [True, 0, 0, 0, 0, "1", 0]),
     ("shapes", [2, [[0, 0], [0, 0]], ""]), ("shapes", [0, [[0, 0]], ""]),
     ("shapes", [0, [[0, 0], [0, 0], [0, 0]], ""]), ("shapes", [0, [[0, 0], [0]], ""]),
     ("shapes", [0, [[0, 0], [0, 32768]], ""]), ("shapes", [0, [[0, 0], [0, 0]], "123456789"]),
