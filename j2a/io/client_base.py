@@ -11,7 +11,7 @@ import os
 import random
 import warnings
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -88,6 +88,8 @@ class ClientBase:
         self._learnt = 0
         self._generation = 0
         self._has_changed = False
+        # Of the device when all of it was last learnt.
+        self._identity: tuple[Sequence[str], str | None] | None = None
         self._pinned: tuple[str, Mapping[str, type]] | None = None
         self._restart_handlers: Handlers[Any] = Handlers()
         # A random start keeps the replies to an earlier program from answering this one.
@@ -292,10 +294,11 @@ class ClientBase:
         session, device = self._session, self._device
         epoch, generation = session.epoch, session.generation
         is_doubted = self._is_stale and generation == self._generation
-        before = device.identity
+        before = self._identity
         yield from self._fetch_map(boot_time)
         yield from self._learn_interface()
         self._learnt, self._generation = epoch, generation
+        self._identity = device.identity
         if self._pinned is not None:
             with contextlib.suppress(InterfaceChanged):  # raised by calls
                 self._use_types(*self._pinned)

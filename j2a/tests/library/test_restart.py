@@ -451,6 +451,30 @@ class TestCalls:
         assert not device.asked_for_interface
         assert device.interface_problem == ""
 
+    def test_what_was_learnt_in_part_is_not_compared_with(self):
+        new = old_firmware()
+        new.describe_sif("more", 8, "(level u8)")
+        execute = new._execute
+        with connected(old_firmware()) as (board, client):
+            restarts = []
+            client.on_restart(restarts.append)
+
+            def map_only(opcode, payload):
+                board.is_mute = True  # behind the map
+                return execute(opcode, payload)
+
+            new._execute = map_only
+            asked = len(board.requests)
+            board.reset(new)
+            board.wait_for_request(asked + 2)
+            new._execute = execute
+            for number in (2, 3):
+                board.reset()
+                while len(restarts) < number:
+                    pass
+            assert client.functions.add(40, 2) == 42
+        assert [restart.is_changed for restart in restarts] == [True, True, False]
+
     def test_a_new_firmware_that_does_not_say_such_things(self):
         """It may use the opcode as it likes, and the old one may come back."""
         with connected(old_firmware()) as (board, client):
