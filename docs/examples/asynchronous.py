@@ -9,10 +9,9 @@ import j2a
 async def main(url: str) -> None:
     """Make two calls at once; each waits for its own reply."""
     async with await j2a.aconnect(url) as board:
-        slow = board.call("delay", (200).to_bytes(2, "little"))
-        quick = board.call("a2jEcho", b"hello")
-        replies = await asyncio.gather(slow, quick)
-        print([reply.code for reply in replies])
+        slow = board.functions.delay(200)
+        quick = board.functions.add(40, 2)
+        print(await asyncio.gather(slow, quick))
 
 
 asyncio.run(main(sys.argv[1]))

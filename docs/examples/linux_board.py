@@ -2,6 +2,7 @@
 
 import struct
 import time
+from typing import Annotated
 
 import j2a_transports
 
@@ -12,9 +13,9 @@ clock = {"ahead_us": 0}
 
 
 @device.function
-def host_time(payload: bytes) -> bytes:
-    """Return the time of the host, in microseconds since 1970."""
-    return struct.pack("<Q", time.time_ns() // 1000 + clock["ahead_us"])
+def host_time() -> Annotated[j2a.u64, "us"]:
+    """Return the time of the host since 1970."""
+    return time.time_ns() // 1000 + clock["ahead_us"]
 
 
 def on_sync(packet: bytes) -> None:

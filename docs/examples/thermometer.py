@@ -2,6 +2,7 @@
 
 import struct
 import sys
+from typing import Annotated
 
 import j2a_transports
 
@@ -11,9 +12,9 @@ device = j2a.Device({"name": "thermometer", "serial": "0042"})
 
 
 @device.function
-def read_celsius(payload: bytes) -> bytes:
+def temperature() -> Annotated[j2a.f32, "Cel"]:
     """Return the temperature."""
-    return struct.pack("<f", 21.5)
+    return 21.5
 
 
 @device.many
