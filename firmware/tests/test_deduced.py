@@ -152,6 +152,11 @@ def test_failures_have_their_code_and_no_results(call):
     assert (last.opcode, last.payload) == (0, struct.pack("<i", 2))
 
 
+def test_results_that_are_not_set_are_zero(call):
+    replies = call(("eight", EIGHT), ("untouched", b"\xff" * 4), ("reverse", bytes(6)))
+    assert replies[1].payload == bytes(4 + 6)
+
+
 def test_sifs_carry_their_fields(call):
     frames = call(("send", struct.pack("<IhBB", 2**32 - 2, -5, 8, 9)))
     assert frames == [
@@ -212,7 +217,15 @@ MISTAKES = [
     ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "2a: Doc.")', "a name is letters"),
     ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a-b: Doc.")', "a name is letters"),
     ("int f(int a) { return a; }", f'J2A_FUNCTION(f, "{"a" * 33}: Doc.")', "a name is letters"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a.b: Doc.")', "a name is letters"),
+    ("int f(int a) { return a; }", f'J2A_FUNCTION(f, "a({"m" * 33}): Doc.")', "a name is letters"),
+    (
+        "int f(int a, int b, int c) { return a + b + c; }",
+        'J2A_FUNCTION(f, "a b b: Doc.")',
+        "same name",
+    ),
     ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(): Doc.")', "a name is letters"),
+    ("int f() { return 0; }", 'J2A_FUNCTION(f, "Doc\\x7f.")', "a text is one line"),
     ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m s): Doc.")', "a name is letters"),
     ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m: Doc.")', "a name is letters"),
     ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m)s: Doc.")', "a name is letters"),

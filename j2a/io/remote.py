@@ -146,9 +146,12 @@ class RemoteFunction(int):
             raise LocalError(
                 f"{self.name} is for data of any size: use read_many({self.name!r}) or write_many"
             )
+        client = self._client()
+        problem = client.interface_problem if client is not None else ""
         raise LocalError(
-            f"the device does not say what {self.name} takes; use call({self.name!r}, payload), or "
-            f"tell it by function({self.name!r}, signature)"
+            f"the device does not say what {self.name} takes"
+            f"{f' (its interface is not used: {problem})' if problem else ''}; "
+            f"use call({self.name!r}, payload), or tell it by function({self.name!r}, signature)"
         )
 
     def _prepare(self) -> Codec:

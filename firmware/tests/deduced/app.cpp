@@ -60,6 +60,9 @@ void eight(bool a, int8_t b, uint16_t c, int32_t d, uint64_t e, float f, double 
            uint16_t &c2, int32_t &d2, uint64_t &e2, float &f2, double &g2, uint8_t &h2) {
     a2 = a, b2 = b, c2 = c, d2 = d, e2 = e, f2 = f, g2 = g, h2 = h;
 }
+void untouched(uint32_t, uint32_t &a, int16_t (&b)[3]) {
+    (void)a, (void)b;
+}
 uint8_t raw(uint8_t *const length, uint8_t **const) { return *length; }
 
 uint8_t memory[300];
@@ -99,6 +102,7 @@ J2A_FUNCTIONS(
     J2A_FUNCTION(reverse, "values(mV) values(mV) calls:"),
     J2A_FUNCTION(greet, "times wide name:"),
     J2A_FUNCTION(eight, "a b c d e f g h a b c d e f g h:"),
+    J2A_FUNCTION(untouched, "value a b:"),
     J2A_FUNCTION(send, "time value two:"),
     J2A_BUFFER(memory, "Bytes."),
     J2A_BUFFER(curve, "-> mV:"),
