@@ -25,6 +25,7 @@ NOTES: Final = """\
 examples:
   j2a stub serial:///dev/ttyACM0 -o board.py
   j2a stub firmware/functions.def -o board.h
+  j2a stub firmware/apps/sensors/functions.def -D SENSORS_ADC=1 -o sensors.py
 
 board.py has a class with a method for each function. It refuses boards with another interface.
 A functions.def is read as for a build with all parts, so its hash is that of such a board."""
@@ -42,6 +43,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help="what to write: .py, .json or .h; without it Python goes to standard output",
+    )
+    parser.add_argument(
+        "-D",
+        "--define",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="what a name stands for in the conditions of a functions.def; without VALUE 1",
+    )
+    parser.add_argument(
+        "-U",
+        "--undefine",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="this name stands for nothing there",
     )
 
 
@@ -78,8 +95,14 @@ def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
             text = path.read_text("utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"cannot read {path}: {error}") from None
-        digest = f"{zlib.crc32(interface_text(text).encode()):08x}"
-        return read_definition_file(text), digest, path.name
+        options: dict[str, str | None] = dict.fromkeys(args.undefine)
+        for one in args.define:
+            name, is_given, value = one.partition("=")
+            options[name] = value if is_given else "1"
+        digest = f"{zlib.crc32(interface_text(text, options).encode()):08x}"
+        return read_definition_file(text, options), digest, path.name
+    if args.define or args.undefine:
+        raise UsageError("-D and -U are for a functions.def; a board knows what it is built with")
     with connect(args) as client:
         if client.interface is None:
             why = client.interface_problem or "the device does not describe its functions"

@@ -2,11 +2,12 @@
 
 What flows in: the text of the file. What flows out: the interface of a board with all built-in
 functions and those of the file. Rules: the macros of this project are read, and numbers that the
-file defines; a condition of the preprocessor is an error, because only a build can decide it.
+file defines; a condition on a name is decided by what the user says of that name, and is an error
+without, because a build may say either.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from j2a_spec.capabilities import FUNCTIONS
@@ -21,19 +22,26 @@ __all__ = ["interface_text", "read_definition_file"]
 _SKIPPED: Final = re.compile(r"\s+|//[^\n]*|/\*.*?\*/", re.DOTALL)
 _TOKEN: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"|[(),]|[^\s(),"]+')
 _DEFINE: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)\s+(\S+)")
+_CONDITION: Final = re.compile(r"#\s*(if|ifdef|ifndef|else|endif)\b(.*?)(?://.*|/\*.*\*/\s*)?")
+_ASKED: Final = re.compile(r"\s*(!?)\s*(?:(defined)\s*\(?\s*)?([A-Za-z_]\w*|[01])\s*\)?\s*")
 _FLAGS: Final = ("idempotent", "slow")
 
 Node = str | list["Node"]
 """An argument of a macro: a word, a string with its quotes, or what stands in parentheses."""
 
 
-def read_definition_file(text: str) -> Interface:
+def read_definition_file(text: str, options: Mapping[str, str | None] | None = None) -> Interface:
     """Return the interface that a functions.def makes.
+
+    Args:
+        text: of the file.
+        options: what names stand for in conditions such as `#if NAME`; None for one that the build
+            does not define.
 
     Raises:
         SignatureError: an entry cannot be read; the error tells the line.
     """
-    own = interface_text(text)
+    own = interface_text(text, options)
     interface = parse_interface(own)
     for function in interface.functions:
         # A device of a later version may use such types (J2A-IFACE-011), a file may not.
@@ -45,12 +53,12 @@ def read_definition_file(text: str) -> Interface:
     return interface
 
 
-def interface_text(text: str) -> str:
-    """Return the text of that interface (J2A-IFACE-001); raises as `read_definition_file`."""
+def interface_text(text: str, options: Mapping[str, str | None] | None = None) -> str:
+    """Return the text of that interface (J2A-IFACE-001); as `read_definition_file`."""
     kinds = {function.name: function.kind for function in FUNCTIONS}
     lines = [f"{name}{' many' if kinds[name] == 'many' else ''}" for name in KNOWN_BUILTINS]
     definitions: list[str] = []
-    reader = _Reader(text)
+    reader = _Reader(text, options or {})
     for macro, arguments in reader.entries():
         make = _ENTRIES.get(macro)
         if make is None:
@@ -66,8 +74,10 @@ def interface_text(text: str) -> str:
 class _Reader:
     """The macros of a file."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, options: Mapping[str, str | None]) -> None:
         self._text = text
+        self._options = options
+        self._has_else: list[bool] = []  # of the conditions around what is read
         self._at = 0
         self._start = 0
         self._numbers: dict[str, str] = {}
@@ -99,6 +109,8 @@ class _Reader:
             if self._at < len(self._text):
                 self._start = self._at
                 raise self.error("this cannot be read")
+            if self._has_else:
+                raise self.error("an #endif is missing behind this")
             return None
         self._at = match.end()
         return match[0]
@@ -106,11 +118,69 @@ class _Reader:
     def _directive(self) -> None:
         self._start = self._at
         line = self._text[self._at :].partition("\n")[0]
-        match = _DEFINE.match(line)
-        if match is None:
-            raise self.error("only a build can decide this; ask a board, by its URL")
-        self._numbers[match[1]] = match[2]
         self._at += len(line)
+        if match := _DEFINE.match(line):
+            self._numbers[match[1]] = match[2]
+        elif match := _CONDITION.fullmatch(line):
+            self._condition(match[1], match[2])
+        else:
+            raise self.error("only a build can decide this; ask a board, by its URL")
+
+    def _condition(self, kind: str, asked: str) -> None:
+        if kind.startswith("if"):
+            is_true = self._decide(kind, asked)
+            self._has_else.append(False)
+        elif not self._has_else or (kind == "else" and self._has_else[-1]):
+            raise self.error("there is no #if for this")
+        elif kind == "endif":
+            self._has_else.pop()
+            return
+        else:
+            self._has_else[-1] = True
+            is_true = False  # what stood in front of it was read
+        if not is_true:
+            self._skip_branch()
+
+    def _decide(self, kind: str, asked: str) -> bool:
+        """Return whether a condition holds."""
+        match = _ASKED.fullmatch(asked)
+        if match is None or (kind != "if" and (match[1] or match[2])):
+            raise self.error("only a build can decide this; ask a board, by its URL")
+        negated, defined, name = match.groups()
+        known: dict[str, str | None] = {"0": "0", "1": "1", **self._options, **self._numbers}
+        if name not in known:
+            raise self.error(
+                f"give the value of {name} by -D {name}=1, or say by -U {name} that it has none"
+            )
+        value = known[name]
+        if kind != "if" or defined:
+            return (value is not None) != (bool(negated) or kind == "ifndef")
+        try:
+            return bool(int(value or "0", 0)) != bool(negated)
+        except ValueError:
+            raise self.error(f"{name} is {value}, which is no number") from None
+
+    def _skip_branch(self) -> None:
+        """Leave out what stands before the #else or #endif of this condition."""
+        depth = 0
+        while self._at < len(self._text):
+            line = self._text[self._at :].partition("\n")[0]
+            self._at += len(line) + 1
+            match = _CONDITION.fullmatch(line.strip())
+            if match is None:
+                continue
+            if match[1].startswith("if"):
+                depth += 1
+            elif depth:
+                depth -= match[1] == "endif"
+            elif match[1] == "endif":
+                self._has_else.pop()
+                return
+            elif self._has_else[-1]:
+                raise self.error("there is a second #else behind this")
+            else:
+                self._has_else[-1] = True
+                return
 
     def _list(self) -> list[Node]:
         """Read arguments up to and with the ")"; strings side by side are one."""

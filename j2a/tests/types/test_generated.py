@@ -138,9 +138,9 @@ def test_classes_have_names_of_classes():
 @pytest.mark.parametrize("folder", ["apps/demo", "tests/typed"])
 def test_a_definition_file_says_what_the_board_says(folder):
     text = (FIRMWARE / folder / "functions.def").read_text("utf-8")
-    text = re.sub(r"^#(ifndef|endif).*$", "", text, flags=re.MULTILINE)
-    assert interface_text(text) == (FIRMWARE / folder / "interface.txt").read_text("utf-8")
-    assert len(read_definition_file(text).functions) > 10
+    options = {"TYPED_NO_F64": None}
+    assert interface_text(text, options) == (FIRMWARE / folder / "interface.txt").read_text("utf-8")
+    assert len(read_definition_file(text, options).functions) > 10
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,18 @@ def test_a_definition_file_says_what_the_board_says(folder):
         ("J2A_FUNCTION(add", 'a ")" is missing (line 1, character 1'),
         ("\n\nJ2A_FUNCTION(add)", "the arguments of J2A_FUNCTION cannot be read (line 3"),
         ('J2A_FUN(add, i32, "x")', "J2A_FUN is no entry of functions.def"),
-        ("#ifdef X\n", "only a build can decide this; ask a board"),
+        ("#if X > 1\n", "only a build can decide this; ask a board"),
+        ("#ifdef X && Y\n", "only a build can decide this; ask a board"),
+        ("#elif X\n", "only a build can decide this; ask a board"),
+        ('#include "more.def"\n', "only a build can decide this; ask a board"),
+        ("\n#if X\n#endif", "give the value of X by -D X=1, or say by -U X"),
+        ("#ifdef X\n", "give the value of X by -D X=1"),
+        ("#define X y\n#if X\n#endif", "X is y, which is no number (line 2"),
+        ("#if 1\nJ2A_CALL(a, b)\n", "an #endif is missing"),
+        ("#if 0\nJ2A_CALL(a, b)\n", "an #endif is missing"),
+        ("#endif\n", "there is no #if for this"),
+        ("#if 1\n#else\n#else\n#endif\n", "there is a second #else behind this"),
+        ("#if 0\n#else\n#else\n#endif\n", "there is no #if for this"),
         ('J2A_FUNCTION(add, i32, (i33, a), "x")', "add uses a type that is not defined"),
         ("J2A_CALL a", 'a "(" is expected behind J2A_CALL'),
         ('J2A_CALL(a, b) "', "this cannot be read"),
@@ -161,6 +172,69 @@ def test_a_definition_file_that_cannot_be_read_says_where(text, message):
     with pytest.raises(SignatureError) as caught:
         read_definition_file(text)
     assert message in str(caught.value)
+
+
+CONDITIONS = """\
+J2A_CALL(first, f)
+{condition}
+J2A_CALL(yes, f)
+#if 0
+#else // of the inner one
+J2A_CALL(inner, f)
+#endif
+#else
+#if 1
+#ifdef NEVER
+#endif
+J2A_CALL(no, f)
+#endif
+#endif
+J2A_CALL(last, f)
+"""
+
+
+@pytest.mark.parametrize(
+    ("condition", "options", "holds"),
+    [
+        ("#if X", {"X": "1"}, True),
+        ("#if X", {"X": "0"}, False),
+        ("#if X", {"X": "0x10"}, True),
+        ("#if X", {"X": None}, False),
+        ("#if !X", {"X": "1"}, False),
+        ("# if ! X // a comment", {"X": "0"}, True),
+        ("#if defined(X)", {"X": "0"}, True),
+        ("#if defined X", {"X": None}, False),
+        ("#if !defined(X)", {"X": None}, True),
+        ("#ifdef X", {"X": ""}, True),
+        ("#ifdef X", {"X": None}, False),
+        ("#ifndef X", {"X": None}, True),
+        ("#ifndef X /* another */", {"X": "1"}, False),
+        ("#if 1", {}, True),
+        ("#if 0", {}, False),
+        ("#define X 2\n#if X", {"X": "0"}, True),
+    ],
+)
+def test_conditions_are_those_of_the_build(condition, options, holds):
+    text = CONDITIONS.format(condition=condition)
+    names = [one.name for one in read_definition_file(text, {"NEVER": None, **options}).functions]
+    wanted = ["yes", "inner"] if holds else ["no"]
+    assert names[names.index("first") :] == ["first", *wanted, "last"]
+
+
+def test_the_command_takes_conditions(tmp_path, capsys, demo):
+    source, out = FIRMWARE / "apps/sensors/functions.def", tmp_path / "board.json"
+    assert main(["stub", str(source), "-o", str(out)]) == 2
+    assert "-D SENSORS_ADC=1" in capsys.readouterr().err
+    for option, has_adc in (
+        ("-DSENSORS_ADC=1", True),
+        ("-DSENSORS_ADC", True),
+        ("-USENSORS_ADC", False),
+    ):
+        assert main(["stub", str(source), "-o", str(out), option]) == 0
+        names = [one["name"] for one in json.loads(out.read_text("utf-8"))["functions"]]
+        assert ("getAdc" in names) is has_adc
+    assert main(["stub", demo, "-o", str(out), "-DX"]) == 2
+    assert "for a functions.def" in capsys.readouterr().err
 
 
 def test_a_header_compiles(tmp_path, need):
