@@ -43,7 +43,8 @@ J2A_INTEGER_(4, true, i32)
 J2A_INTEGER_(8, true, i64)
 
 template <class T> struct no_type {
-    static_assert(sizeof(T) == 0, "J2A: no type of the wire stands for this type of a parameter or result");
+    static_assert(sizeof(T) == 0, "J2A cannot send this type; parameters: bool, integers, float, enum, const T (&x)[3], const char *, "
+                                  "String; results: the same, or T &x and T (&x)[3]");
 };
 template <class T, bool is_enum = __is_enum(T)> struct scalar : no_type<T> {};
 template <class T> struct scalar<T, true> : scalar<__underlying_type(T)> {};
@@ -572,7 +573,7 @@ template <unsigned long size, unsigned n> constexpr characters<size> written(con
 }
 
 template <class F> struct describe {
-    static_assert(sizeof(F) == 0, "J2A_FUNCTION: this is no plain function");
+    static_assert(sizeof(F) == 0, "J2A_FUNCTION: this is no plain function; for an array use J2A_BUFFER, for a j2a::sif J2A_SIF");
 };
 template <class R, class... P> struct describe<R (*)(P...)> {
     static constexpr unsigned names = sizeof...(P);
@@ -621,6 +622,7 @@ template <class P, class... Rest> struct fields<P, Rest...> {
 
 /* A SIF by its opcode and the types of its fields: j2a::sif<0x20, uint32_t, uint16_t> report; report(now, value); */
 template <uint8_t opcode, class... P> struct sif {
+    static constexpr uint8_t number = opcode;
     static constexpr uint16_t size = parameters<P...>::in;
     static_assert(size <= J2A_MAX_PAYLOAD, "j2a::sif: the payload is longer than 255 bytes");
     static_assert(!parameters<P...>::has_text && parameters<P...>::out == 0, "j2a::sif: fields are numbers and arrays");
@@ -645,21 +647,33 @@ template <uint8_t opcode, class... P> struct describe_sif<sif<opcode, P...>> {
 template <class S> struct describe_sif<const S> : describe_sif<S> {};
 #endif
 
+/* Of properties: whether key number k comes again behind it. */
+constexpr bool is_key(const char *a, const char *b) {
+    return *a == *b && (*a == '\0' || is_key(a + 1, b + 1));
+}
+constexpr bool is_key_again(const char *const *keys, unsigned k, unsigned from) {
+    return *keys[from] != '\0' && (is_key(keys[k], keys[from]) || is_key_again(keys, k, from + 1));
+}
+constexpr bool is_a_key_twice(const char *const *keys, unsigned k) {
+    return *keys[k] != '\0' && (is_key_again(keys, k, k + 1) || is_a_key_twice(keys, k + 1));
+}
+
 } // namespace j2a
 
 /* Checks a text against what it describes, which it keeps for the compiler as j2a_line_of_`target`. */
 #define J2A_CHECK_TEXT_(described, target, text) \
     static constexpr char j2a_text_of_##target[] = text; \
     static constexpr auto j2a_line_of_##target = described::with(#target, j2a_text_of_##target); \
-    static_assert(j2a::names_from(j2a_line_of_##target.words()) == described::names, \
-                  "J2A: the text names another number of parameters than there are: \"first second: What it does.\""); \
     static_assert(j2a::are_fields(j2a_line_of_##target.words()), \
-                  "J2A: a name is letters, digits and _, at most 32, and a unit in parentheses may follow: speed(m/s)"); \
-    static_assert(j2a_line_of_##target.differ(0), "J2A: two parameters have the same name"); \
-    static_assert(j2a::are_flags(j2a_line_of_##target.words()), "J2A: flags are !idempotent and !slow(1) to !slow(65535)"); \
+                  "J2A: " #target ": a name is letters, digits and _, at most 32, and a unit may follow: speed(m/s)"); \
+    static_assert(j2a::names_from(j2a_line_of_##target.words()) == described::names, \
+                  "J2A: " #target ": as many names as parameters stand in front of the colon: \"a b: Adds.\""); \
+    static_assert(j2a_line_of_##target.differ(0), "J2A: " #target ": two parameters have the same name"); \
+    static_assert(j2a::are_flags(j2a_line_of_##target.words()), \
+                  "J2A: " #target ": flags are !idempotent and !slow(1) to !slow(65535)"); \
     static_assert(j2a::is_unit_of_result(j2a_line_of_##target.words(), described::has_result), \
-                  "J2A: behind -> comes the unit of what the function returns"); \
-    static_assert(j2a::are_printable(j2a_text_of_##target), "J2A: a text is one line");
+                  "J2A: " #target ": behind -> comes the unit of what the function returns"); \
+    static_assert(j2a::are_printable(j2a_text_of_##target), "J2A: " #target ": a text is one line");
 
 /* Writes such a line into flash as j2a_map_of_`target`. */
 #define J2A_WRITE_LINE_(target) \

@@ -12,7 +12,7 @@
  * hold 64 items; beyond that functions.def is the way.
  * Rules: names that are macros are replaced first. A function of the wrong kind, a name or key that is
  * empty, a name that comes twice and names too long for a payload do not compile. That keys do not repeat is
- * the user's care. */
+ * the user's care in C; in C++ the compiler sees it. */
 #ifndef J2A_LISTS_H
 #define J2A_LISTS_H
 
@@ -138,10 +138,13 @@ char j2a_needs_a_many(j2a_many_fn *function);
 /* What a C++ compiler finds out itself. */
 #ifdef __cplusplus
 #define J2A_MEMBER_OF_J2A_CALL(name, function)
+#define J2A_CASE_OF_J2A_CALL(name, function)
 #define J2A_DEFINITION_OF_J2A_CALL(name, function)
 #define J2A_MEMBER_OF_J2A_MANY(name, function)
+#define J2A_CASE_OF_J2A_MANY(name, function)
 #define J2A_DEFINITION_OF_J2A_MANY(name, function)
 #define J2A_MEMBER_OF_
+#define J2A_CASE_OF_
 #define J2A_DEFINITION_OF_
 #if J2A_WITH_INTERFACE
 #define J2A_WRITE_NAME_(target) J2A_WRITE_LINE_(target)
@@ -162,10 +165,12 @@ char j2a_needs_a_many(j2a_many_fn *function);
     J2A_TYPED_ENTRY_(target, &j2a::function<decltype(&target)>::call<&target>, J2A_KIND_CALL)
 #define J2A_SIZE_OF_J2A_FUNCTION(function, text) + sizeof #function
 #define J2A_MEMBER_OF_J2A_FUNCTION(function, text)
+#define J2A_CASE_OF_J2A_FUNCTION(function, text)
 #define J2A_DEFINITION_OF_J2A_FUNCTION(function, text)
 
 #define J2A_KIND_OF_J2A_BUFFER(array, text) J2A_CHECK_TEXT_(j2a::memory<decltype(array)>, array, text)
 #define J2A_MEMBER_OF_J2A_BUFFER(array, text)
+#define J2A_CASE_OF_J2A_BUFFER(array, text)
 #define J2A_DEFINITION_OF_J2A_BUFFER(array, text)
 #if J2A_WITH_MANY
 #define J2A_NAME_OF_J2A_BUFFER(array, text) J2A_TYPED_NAME_(array)
@@ -184,10 +189,12 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #if J2A_WITH_SIF && J2A_WITH_INTERFACE
 #define J2A_KIND_OF_J2A_SIF(sif, text) J2A_CHECK_TEXT_(j2a::describe_sif<decltype(sif)>, sif, text) J2A_WRITE_DEFINITION_(sif)
 #define J2A_MEMBER_OF_J2A_SIF(sif, text) decltype(j2a_map_of_##sif) of_##sif;
+#define J2A_CASE_OF_J2A_SIF(sif, text) case decltype(sif)::number:
 #define J2A_DEFINITION_OF_J2A_SIF(sif, text) j2a_map_of_##sif,
 #else
 #define J2A_KIND_OF_J2A_SIF(sif, text)
 #define J2A_MEMBER_OF_J2A_SIF(sif, text)
+#define J2A_CASE_OF_J2A_SIF(sif, text)
 #define J2A_DEFINITION_OF_J2A_SIF(sif, text)
 #endif
 #endif
@@ -195,6 +202,13 @@ char j2a_needs_a_many(j2a_many_fn *function);
 /* Definitions are written one behind the other. */
 #if J2A_WITH_INTERFACE && defined(__cplusplus)
 #define J2A_DEFINITIONS_(...) \
+    inline void j2a_each_sif_has_its_own_opcode(int opcode) { \
+        switch (opcode) { \
+            J2A_EACH_(J2A_CASE_OF, __VA_ARGS__) \
+        default: \
+            break; \
+        } \
+    } \
     static const struct { \
         J2A_EACH_(J2A_MEMBER_OF, __VA_ARGS__) \
         char end; \
@@ -230,8 +244,21 @@ char j2a_needs_a_many(j2a_many_fn *function);
     extern char j2a_property_is_empty[sizeof key > 1 && sizeof value > 1 ? 1 : -1];
 #define J2A_FULL_OF_
 
+/* In C++ a key that comes twice does not compile. */
+#ifdef __cplusplus
+#define J2A_KEY_OF_J2A_PROPERTY(key, value) key,
+#define J2A_KEY_OF_
+#define J2A_CHECK_KEYS_(...) \
+    static constexpr const char *j2a_keys[] = {"j2a.spec", "j2a.caps", "j2a.interface", \
+                                               J2A_EACH_(J2A_KEY_OF, __VA_ARGS__) ""}; \
+    static_assert(!j2a::is_a_key_twice(j2a_keys, 0), "J2A_PROPERTIES: a key comes twice, or is one of J2A's own");
+#else
+#define J2A_CHECK_KEYS_(...)
+#endif
+
 #if J2A_WITH_PROPERTIES
 #define J2A_PROPERTIES(...) \
+    J2A_CHECK_KEYS_(__VA_ARGS__) \
     J2A_EACH_(J2A_FULL_OF, __VA_ARGS__) \
     const unsigned char J2A_FLASH j2a_properties[] = J2A_PROPERTY_ROOM J2A_PROPERTY_CAPS "j2a.spec\0" J2A_SPEC_VERSION "\0" \
         J2A_EACH_(J2A_VALUE_OF, __VA_ARGS__); \

@@ -210,36 +210,56 @@ def test_compilers_and_options(two_files, tmp_path, need, compiler, standard, op
 
 
 MISTAKES = [
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "Doc.")', "names another number"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a b: Doc.")', "names another number"),
-    ("int f() { return 0; }", 'J2A_FUNCTION(f, "Note: doc.")', "names another number"),
-    ("int f(int a, int b) { return a + b; }", 'J2A_FUNCTION(f, "a a: Doc.")', "same name"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "2a: Doc.")', "a name is letters"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a-b: Doc.")', "a name is letters"),
-    ("int f(int a) { return a; }", f'J2A_FUNCTION(f, "{"a" * 33}: Doc.")', "a name is letters"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a.b: Doc.")', "a name is letters"),
-    ("int f(int a) { return a; }", f'J2A_FUNCTION(f, "a({"m" * 33}): Doc.")', "a name is letters"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "Doc.")', "f: as many names as parameters"),
+    (
+        "int f(int a) { return a; }",
+        'J2A_FUNCTION(f, "a b: Doc.")',
+        "f: as many names as parameters",
+    ),
+    ("int f() { return 0; }", 'J2A_FUNCTION(f, "Note: doc.")', "f: as many names as parameters"),
+    (
+        "int f(int a, int b) { return a + b; }",
+        'J2A_FUNCTION(f, "a a: Doc.")',
+        "f: two parameters have the same name",
+    ),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "2a: Doc.")', "f: a name is letters"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a-b: Doc.")', "f: a name is letters"),
+    ("int f(int a) { return a; }", f'J2A_FUNCTION(f, "{"a" * 33}: Doc.")', "f: a name is letters"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a.b: Doc.")', "f: a name is letters"),
+    (
+        "int f(int a) { return a; }",
+        f'J2A_FUNCTION(f, "a({"m" * 33}): Doc.")',
+        "f: a name is letters",
+    ),
     (
         "int f(int a, int b, int c) { return a + b + c; }",
         'J2A_FUNCTION(f, "a b b: Doc.")',
-        "same name",
+        "f: two parameters have the same name",
     ),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(): Doc.")', "a name is letters"),
-    ("int f() { return 0; }", 'J2A_FUNCTION(f, "Doc\\x7f.")', "a text is one line"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m s): Doc.")', "a name is letters"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m: Doc.")', "a name is letters"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m)s: Doc.")', "a name is letters"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a !slow(0): Doc.")', "flags are"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a !slow(65536): Doc.")', "flags are"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a !fast: Doc.")', "flags are"),
-    ("int f() { return 0; }", 'J2A_FUNCTION(f, "!slow(1) !slow(2) !slow(3): Doc.")', "flags are"),
-    ("void f(int a) { (void)a; }", 'J2A_FUNCTION(f, "a -> mV: Doc.")', "behind -> comes"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a ->: Doc.")', "behind -> comes"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a ->mV: Doc.")', "behind -> comes"),
-    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a: One\\ntwo.")', "a text is one line"),
-    ("void *f() { return 0; }", 'J2A_FUNCTION(f, "Doc.")', "no type of the wire"),
-    ("void f(int *a) { *a = 1; }", 'J2A_FUNCTION(f, "a: Doc.")', "no type of the wire"),
-    ("struct S { int a; }; void f(S s) { (void)s; }", 'J2A_FUNCTION(f, "s: Doc.")', "no type of"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(): Doc.")', "f: a name is letters"),
+    ("int f() { return 0; }", 'J2A_FUNCTION(f, "Doc\\x7f.")', "f: a text is one line"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m s): Doc.")', "f: a name is letters"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m: Doc.")', "f: a name is letters"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a(m)s: Doc.")', "f: a name is letters"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a !slow(0): Doc.")', "f: flags are"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a !slow(65536): Doc.")', "f: flags are"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a !fast: Doc.")', "f: flags are"),
+    (
+        "int f() { return 0; }",
+        'J2A_FUNCTION(f, "!slow(1) !slow(2) !slow(3): Doc.")',
+        "f: flags are",
+    ),
+    ("void f(int a) { (void)a; }", 'J2A_FUNCTION(f, "a -> mV: Doc.")', "f: behind -> comes"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a ->: Doc.")', "f: behind -> comes"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a ->mV: Doc.")', "f: behind -> comes"),
+    ("int f(int a) { return a; }", 'J2A_FUNCTION(f, "a: One\\ntwo.")', "f: a text is one line"),
+    ("void *f() { return 0; }", 'J2A_FUNCTION(f, "Doc.")', "J2A cannot send this type"),
+    ("void f(int *a) { *a = 1; }", 'J2A_FUNCTION(f, "a: Doc.")', "J2A cannot send this type"),
+    (
+        "struct S { int a; }; void f(S s) { (void)s; }",
+        'J2A_FUNCTION(f, "s: Doc.")',
+        "J2A cannot send this type",
+    ),
     ("int f(int &a) { return a; }", 'J2A_FUNCTION(f, "a: Doc.")', "not both"),
     (
         "void f(const char *a, int b) { (void)a, (void)b; }",
@@ -255,9 +275,10 @@ MISTAKES = [
     ("int f() { return 0; }", "J2A_CALL(f, f)", "j2a_needs_a_call"),
     ("int f() { return 0; }", 'J2A_FUNCTION(f, ""), J2A_FUNCTION(f, "")', "j2a_name_f"),
     ("int f;", 'J2A_BUFFER(f, "Doc.")', "this is no array"),
-    ("void *f[2];", 'J2A_BUFFER(f, "Doc.")', "no type of the wire"),
+    ("void *f[2];", 'J2A_BUFFER(f, "Doc.")', "J2A cannot send this type"),
     ("int f;", 'J2A_SIF(f, "Doc.")', "this is no j2a::sif"),
-    ("j2a::sif<1, int> f;", 'J2A_SIF(f, "Doc.")', "names another number"),
+    ("j2a::sif<1, int> f;", 'J2A_SIF(f, "Doc.")', "f: as many names as parameters"),
+    ("j2a::sif<1> f, g;", 'J2A_SIF(f, ""), J2A_SIF(g, "")', "duplicate case value"),
     ("j2a::sif<1, const char *> f;", 'J2A_SIF(f, "a: Doc.")', "fields are numbers"),
 ]
 
@@ -273,3 +294,25 @@ def test_mistakes_are_told(two_files, tmp_path, need, compiler, before, item, me
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode != 0
     assert message in result.stderr, result.stderr
+
+
+@pytest.mark.parametrize(
+    "properties",
+    [
+        'J2A_PROPERTY("a", "1"), J2A_PROPERTY("b", "2"), J2A_PROPERTY("a", "3")',
+        'J2A_PROPERTY("a", "1"), J2A_PROPERTY("b", "2"), J2A_PROPERTY("b", "3")',
+        'J2A_PROPERTY("j2a.spec", "1.1")',
+        'J2A_PROPERTY("a", "1"), J2A_PROPERTY("j2a.interface", "0")',
+    ],
+)
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+def test_a_key_that_comes_twice_is_told(two_files, tmp_path, need, compiler, properties):
+    need(compiler)
+    source = tmp_path / "app.cpp"
+    source.write_text(f'#include "j2a.h"\nJ2A_FUNCTIONS();\nJ2A_PROPERTIES({properties});\n')
+    command = [compiler, "-std=c++11", "-DJ2A_RXBUF=255", "-DJ2A_TXBUF=0", f"-I{two_files}"]
+    result = subprocess.run(
+        [*command, "-fsyntax-only", str(source)], capture_output=True, text=True, check=False
+    )
+    assert result.returncode != 0
+    assert "a key comes twice" in result.stderr

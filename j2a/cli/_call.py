@@ -78,6 +78,8 @@ def run(args: argparse.Namespace) -> int:
         if described is not None and takes_values(described, args.payload):
             return _call_with_values(described, args)
         if payload is None:
+            if client.functions and args.function not in client.functions:
+                client.call(function)  # raises, and tells which names are near
             payload = _payload(args.payload)
         start = time.monotonic()
         try:

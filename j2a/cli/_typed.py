@@ -53,7 +53,8 @@ def values_of(function: j2a.Function, words: Sequence[str]) -> list[object]:
     assert function.signature is not None
     fields = function.signature.parameters
     if len(words) != len(fields):
-        raise UsageError(f"{function.name}{function.signature} takes {len(fields)} values")
+        count = f"{len(fields)} value{'s' * (len(fields) != 1)}"
+        raise UsageError(f"{function.name}{function.signature} takes {count}, not {len(words)}")
     return [_value(field, word) for field, word in zip(fields, words, strict=True)]
 
 
@@ -73,6 +74,9 @@ def _value(field: Field, word: str) -> object:
             return [_scalar(element, part) for part in parts]
         if field.type.count is not None:
             raise ValueError("structures are written as JSON")
+        if len(parts) != len(element.fields):
+            names = ",".join(one.name for one in element.fields)
+            raise ValueError(f"write its fields, {names}")
         return [
             _scalar(one.type.element, part) for one, part in zip(element.fields, parts, strict=True)
         ]
@@ -90,7 +94,10 @@ def _scalar(element: Element, word: str) -> object:
             raise ValueError("write true or false")
         return _BOOLS[word.lower()]
     if element not in INTEGERS:
-        return float(word)
+        try:
+            return float(word)
+        except ValueError:
+            raise ValueError("write a number, such as 1.5") from None
     try:
         return int(word, 0)
     except ValueError:

@@ -443,10 +443,12 @@ def unpack_properties(content: bytes) -> dict[str, str]:
         return {}
     texts = [part.decode("utf-8", "replace") for part in content.split(b"\0")]
     keys, values = texts[:-1:2], texts[1:-1:2]
-    if texts[-1] or len(keys) != len(values) or "" in keys or len(set(keys)) != len(keys):
+    if texts[-1] or len(keys) != len(values) or "" in keys:
         raise ProtocolError(
             "the device's properties are not pairs of key and value, each ended by NUL"
         )
+    if twice := [key for key in dict.fromkeys(keys) if keys.count(key) > 1]:
+        raise ProtocolError(f"the device has the property {twice[0]!r} twice")
     return dict(zip(keys, values, strict=True))
 
 

@@ -13,7 +13,18 @@ import keyword
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
-from typing import Annotated, Any, Final, ForwardRef, NoReturn, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    Final,
+    ForwardRef,
+    NoReturn,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from j2a.errors import RegistrationError, SignatureError
 from j2a.types.coding import PythonTypes
@@ -131,6 +142,13 @@ class Annotations:
             if isinstance(hints.get(parameter.name), str | ForwardRef):
                 _refuse(name, f"the annotation of {parameter.name} has a name that cannot be found")
         if not _is_typed(parameters, hints):
+            for one in parameters[:1]:
+                if not _may_take_bytes(hints.get(one.name, bytes)):
+                    _refuse(
+                        name,
+                        f"{one.name} is annotated with no type of J2A; annotate it and the result "
+                        "with j2a.i32 and the like, or with bytes for payloads as they are",
+                    )
             return None
         for parameter in parameters:
             if parameter.name not in hints:
@@ -280,6 +298,17 @@ def _is_typed(parameters: Sequence[inspect.Parameter], hints: Mapping[str, objec
         # A return value may be an integer by name, or by its truth.
         return not (isinstance(result, type) and issubclass(result, int))
     return _is_named_tuple(result) and all(map(_is_type, _members(result).values()))
+
+
+def _may_take_bytes(hint: object) -> bool:
+    """Tell whether a parameter with this annotation may be a payload as it is."""
+    if hint is Any:  # which is a class, too
+        return True
+    if isinstance(hint, type) and get_origin(hint) is None:
+        return issubclass(bytes, hint) or hint in (bytearray, memoryview)
+    if get_origin(hint) in (Union, UnionType):
+        return any(map(_may_take_bytes, get_args(hint)))
+    return get_origin(hint) is None
 
 
 def _is_type(hint: object) -> bool:

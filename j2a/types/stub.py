@@ -82,7 +82,7 @@ def _lines(interface: Interface, interface_hash: str, source: str) -> Iterator[s
             yield from _record(name, line.signature.results, doc, classes)
     for sif in interface.sifs:
         yield from _record(classes["sif", sif.name], sif.fields, _sif_doc(sif), classes)
-    yield from ("", "", "_CLASSES = {")
+    yield from ("", "", "_CLASSES: dict[str, type] = {")
     for definition in interface.types:
         yield f'    "{definition.name}": {classes["type", definition.name]},'
     yield "}"

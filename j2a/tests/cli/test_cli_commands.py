@@ -131,7 +131,7 @@ def test_a_time_limit_holds_whatever_the_device_says(run, demo):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("40",), "add(a i32, b i32) i32 takes 2 values"),
+        (("40",), "add(a i32, b i32) i32 takes 2 values, not 1"),
         (("40", "x"), "'x' is no value of b i32: write a whole number"),
         (("40", "2147483648"), "b is an integer of -2147483648 to 2147483647"),
     ],
@@ -140,6 +140,21 @@ def test_values_that_do_not_fit(run, demo, words, message):
     result = run("call", demo, "add", *words)
     assert (result.code, result.out) == (2, "")
     assert message in result.err
+
+
+@pytest.mark.parametrize("words", [(), ("40", "2"), ("hello",)])
+def test_a_name_that_is_not_known_is_told_first(run, demo, words):
+    result = run("call", demo, "ad", *words)
+    assert (result.code, result.out) == (2, "")
+    assert "no function 'ad'" in result.err and "add" in result.err
+
+
+def test_values_of_structures_and_numbers_that_do_not_fit(run, demo):
+    result = run("call", demo, "echoShapes", "slow", "1", "1,2,3", "note")
+    assert "write its fields, x,y" in result.err
+    result = run("call", demo, "echoShapes", "slow", "abc,2", "1,2,3", "note")
+    assert "write a number, such as 1.5" in result.err
+    assert run("call", demo, "echoShapes", "slow", "--", "-1,2", "-1,2,3", "note").code == 0
 
 
 def test_options_may_stand_between_the_words(run, url):

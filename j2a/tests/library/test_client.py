@@ -17,6 +17,7 @@ from j2a_spec import oracle
 
 import j2a
 from j2a.demo import DemoDevice
+from j2a.protocol.device_info import unpack_properties
 
 from .support import PATIENCE_S, OldDevice, linked, served
 from .wire import Background
@@ -278,6 +279,10 @@ class TestConnecting:
             with pytest.raises(j2a.LegacyLimit):
                 client.read_many("content")
             assert client.echo_many(bytes(3000)) == bytes(3000)
+
+    def test_a_property_that_comes_twice_is_named(self):
+        with pytest.raises(j2a.ProtocolError, match="the property 'name' twice"):
+            unpack_properties(b"name\0a\0x\0y\0name\0b\0")
 
     def test_a_window_pipelines_calls(self):
         with linked(window=8) as client:

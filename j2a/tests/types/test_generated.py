@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
+from j2a_spec.constants import KNOWN_BUILTINS
 
 import j2a
 from j2a.cli import main
@@ -300,6 +301,27 @@ tuple(a u8[2]) u8[2]
 """
 
 
+def assert_strict(module):
+    """See that mypy has nothing to say of a module."""
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", module.name],
+        cwd=module.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PATH": "", "MYPYPATH": str(module.parent)},
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_a_module_without_types_of_its_own_is_strict(tmp_path):
+    pytest.importorskip("mypy")
+    module = tmp_path / "plain_board.py"
+    text = "\n" + "".join(f"{name}\n" for name in KNOWN_BUILTINS) + "add(a i32, b i32) i32\n"
+    module.write_text(python_module(parse_interface(text), "00000000", "x"))
+    assert_strict(module)
+
+
 def test_names_that_clash_are_told_apart(tmp_path):
     pytest.importorskip("mypy")
     module = tmp_path / "clashing_board.py"
@@ -312,12 +334,4 @@ def test_names_that_clash_are_told_apart(tmp_path):
     assert made.AddResults_ is not made.AddResults
     methods = ["add", "int_", "bool_", "client_", "client__", "connect", "HASH", "tuple_"]
     assert [name for name in vars(made.Board) if not name.startswith("_")] == methods
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", module.name],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PATH": "", "MYPYPATH": str(tmp_path)},
-    )
-    assert done.returncode == 0, done.stdout
+    assert_strict(module)
