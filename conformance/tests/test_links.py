@@ -228,7 +228,7 @@ def test_without_its_rate_a_very_slow_link_names_the_option(slow):
         names = (*c.BUILTINS, *(f"a_function_with_a_very_long_name_{n}" for n in range(5)))
 
     with pytest.raises(HarnessError, match=r"later than .* --baud"):
-        run(lambda: SlowLink(Long, 120), [])
+        run(lambda: SlowLink(Long, 120), [], timeout_scale=0.4)
     found = run(lambda: SlowLink(Long, 120), [load()[0]], baud=1200)
     assert of(found, Verdict.FAILED) == {}
 

@@ -24,7 +24,7 @@ _BEFORE_MARKER: Final = re.compile(rb"(?=[\x12\xed])")
 _EVIDENCE_KEPT: Final = 40
 _SENT_KEPT: Final = 256  # writes; enough to find the request of any seq again
 _SPIN_S: Final = 0.0015
-_REPLY_S: Final = 2.0
+_REPLY_S: Final = 5.0  # a device in an emulator stands still as long as its machine does
 _LOSS_S: Final = 0.05  # more than a device takes to give up a frame (J2A-TIME-002)
 _BITS: Final = 10  # of a byte on a serial line; with parity and a second stop bit 12
 
