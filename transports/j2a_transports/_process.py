@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any, Final
 
 from ._base import BadUrl, LinkLost, OpenFailed, Transport
@@ -159,6 +160,10 @@ class ProcessTransport(PolledTransport):
 
 def open_url(url: Url) -> Transport:
     """Start the child of `exec:command args`."""
+    return uninterrupted(lambda: _start(url))
+
+
+def _start(url: Url) -> Transport:
     command, options = parse_command(url, _OPEN)
     child = Child(url.text, command, options.get("cwd"), subprocess.PIPE, subprocess.PIPE)
     stdin, stdout = child.process.stdin, child.process.stdout
@@ -171,6 +176,38 @@ def open_url(url: Url) -> Transport:
     stdin.close()
     stdout.close()
     return ProcessTransport(url.text, child, read_fd, write_fd, options["write_timeout"])
+
+
+def uninterrupted(start: Callable[[], Transport]) -> Transport:
+    """Return what `start` returns, which runs in a thread, where no signal ends it half way.
+
+    So Ctrl-C leaves no child behind: what has been started by then is closed.
+    """
+    made: list[Transport] = []
+    errors: list[BaseException] = []
+    began, ended, given_up = threading.Lock(), threading.Event(), threading.Event()
+
+    def work() -> None:
+        with began:
+            try:
+                if not given_up.is_set():
+                    made.append(start())
+            except BaseException as error:  # raised again below
+                errors.append(error)
+            ended.set()
+
+    try:
+        threading.Thread(target=work, name="j2a start", daemon=True).start()
+        ended.wait()
+    except BaseException:
+        given_up.set()
+        with began:  # the thread is not between its question and its end
+            for transport in made:
+                transport.close()
+        raise
+    for error in errors:
+        raise error
+    return made[0]
 
 
 def threaded(url: str, child: Child, write_timeout_s: float | None) -> Transport:

@@ -19,7 +19,7 @@ from typing import Final
 
 from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport
 from ._poll import BROKEN, CHUNK, READY, PolledTransport, Readiness, Waker
-from ._process import CWD, Child, ProcessTransport, parse_command
+from ._process import CWD, Child, ProcessTransport, parse_command, uninterrupted
 from ._scheme import Scheme, Usage
 from ._solo import wait_to_look
 from ._url import Url
@@ -52,6 +52,10 @@ def _open_raw(url: Url) -> tuple[int, int]:
 
 def open_url(url: Url) -> Transport:
     """Start the child of `pty:command args` with a pseudo terminal as its stdin and stdout."""
+    return uninterrupted(lambda: _start(url))
+
+
+def _start(url: Url) -> Transport:
     command, options = parse_command(url, _OPEN)
     master, slave = _open_raw(url)
     try:

@@ -8,11 +8,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
 
 import j2a_transports
 import pytest
-from j2a_transports import LinkLost, OpenFailed, Transport
+from j2a_transports import LinkLost, OpenFailed, Transport, _process, _pty
 from j2a_transports._process import ProcessTransport
+from j2a_transports._url import Url
 
 from .suite import PATIENCE_S, read_exactly, read_to_end
 
@@ -259,3 +261,25 @@ def test_closed_standard_streams() -> None:
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "stdio: standard input or output is closed\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent to this process")
+@pytest.mark.parametrize("module", [_process, _pty], ids=["exec", "pty"])
+def test_ctrl_c_while_it_starts_leaves_no_child(
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType
+) -> None:
+    start, started = module._start, []
+
+    def interrupted(url: Url) -> Transport:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.05)  # the main thread is in the handler
+        started.append(start(url))
+        return started[0]
+
+    monkeypatch.setattr(module, "_start", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        j2a_transports.open(f"{module.SCHEME.name}:cat")
+    [transport] = started
+    assert transport.closed
+    assert isinstance(transport, ProcessTransport)
+    assert transport.child.process.returncode is not None

@@ -69,7 +69,11 @@ def good(output: str) -> list[str]:
 @pytest.mark.parametrize(
     "link",
     # By USB, test_usb.py has calls and ends of the gadget, and test_usbip.py those of the chip.
-    [link if link == "bt" else pytest.param(link, marks=pytest.mark.exhaustive) for link in LINKS],
+    [
+        pytest.param("gadget", marks=pytest.mark.exhaustive),
+        "bt",
+        pytest.param("usbip", marks=[pytest.mark.avr, pytest.mark.exhaustive]),
+    ],
 )
 def test_calls_and_ends(guest, named, link):
     """Enumeration, strings, function map, properties, transfers, SIFs, time-outs, 2048 echoes.
