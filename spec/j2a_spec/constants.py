@@ -75,6 +75,8 @@ GET_DEBUG: Final = "a2jDebug"
 GET_ECHO: Final = "a2jEcho"
 GET_ECHO_MANY: Final = "a2jEchoMany"
 GET_INTERFACE: Final = "a2jGetInterface"
+GET_TRANSDS: Final = "a2jGetTransds"
+TRANSD: Final = "a2jTransd"
 # Built-in functions in opcode order: all, and those of a device that announces nothing (j2a.caps).
 KNOWN_BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
 BUILTINS: Final = tuple(
@@ -87,6 +89,9 @@ CAP_INTERFACE: Final = "interface"
 CAP_BOOT: Final = "boot"
 """The token of j2a.caps for the boot SIF (J2A-BOOT-001)."""
 
+CAP_TRANSDUCERS: Final = "transducers"
+"""The token of j2a.caps for sensors and actuators (J2A-TRANS-001)."""
+
 # The boot SIF: its opcode, the bytes of its payload, and why a device began anew.
 BOOT: Final = 0xFF
 BOOT_BYTES: Final = 7
@@ -96,6 +101,25 @@ BOOT_PIN: Final = 2
 BOOT_BROWNOUT: Final = 3
 BOOT_WATCHDOG: Final = 4
 BOOT_SOFTWARE: Final = 5
+
+# Transducers: the items of a2jTransd, why it refuses one, and bounds of descriptors.
+TRANSD_SAMPLE: Final = 0
+TRANSD_ENABLED: Final = 1
+TRANSD_PERIOD: Final = 2
+TRANSD_DECIMATION: Final = 3
+TRANSD_THRESHOLD: Final = 4
+TRANSD_TOPIC: Final = 5
+TRANSD_WATCHDOG: Final = 6
+TRANSD_SET: Final = 7
+TRANSD_TRIGGER: Final = 8
+TRANSD_SAVE: Final = 9
+TRANSD_TIME: Final = 10
+TRANSD_NO_ID: Final = 1
+TRANSD_NO_ITEM: Final = 2
+TRANSD_BAD_LENGTH: Final = 3
+TRANSD_BAD_VALUE: Final = 4
+TRANSD_MAX_ID: Final = 254
+TRANSD_MAX_TOPIC: Final = 32
 
 # USB: the interface for frames, and SyncUSB, the one for the time (LINKS.md, thesis 6.3).
 USB_VENDOR: Final = 0x6666
@@ -191,6 +215,32 @@ TABLE: Final = (
         ("BOOT_BROWNOUT", BOOT_BROWNOUT, "cause: the voltage was too low"),
         ("BOOT_WATCHDOG", BOOT_WATCHDOG, "cause: the watchdog"),
         ("BOOT_SOFTWARE", BOOT_SOFTWARE, "cause: the firmware itself, or an update of it"),
+    ),
+    *_rows(
+        "Items of a2jTransd",
+        ("TRANSD_SAMPLE", TRANSD_SAMPLE, "newest value of each channel, a sample"),
+        ("TRANSD_ENABLED", TRANSD_ENABLED, "whether sample SIFs are sent, `bool`"),
+        ("TRANSD_PERIOD", TRANSD_PERIOD, "least time between two sample SIFs, `u32 us`"),
+        ("TRANSD_DECIMATION", TRANSD_DECIMATION, "every so manieth value is taken, `u8` from 1 on"),
+        ("TRANSD_THRESHOLD", TRANSD_THRESHOLD, "least difference of values, of the type"),
+        ("TRANSD_TOPIC", TRANSD_TOPIC, "name under which hosts publish, `text[32]`, not empty"),
+        ("TRANSD_WATCHDOG", TRANSD_WATCHDOG, "silence until an actuator is set to safe, `u16 ms`"),
+        ("TRANSD_SET", TRANSD_SET, "first channel `u8`, time `u64 us`, a value for each channel"),
+        ("TRANSD_TRIGGER", TRANSD_TRIGGER, "time at which a sensor measures, `u64 us`"),
+        ("TRANSD_SAVE", TRANSD_SAVE, "keeps the settings without power; nothing"),
+        ("TRANSD_TIME", TRANSD_TIME, "the device's clock, `u64 us`"),
+    ),
+    *_rows(
+        "Failures of a2jTransd",
+        ("TRANSD_NO_ID", TRANSD_NO_ID, "NO_ID: no transducer has this id"),
+        ("TRANSD_NO_ITEM", TRANSD_NO_ITEM, "NO_ITEM: it has no such item to read, or to write"),
+        ("TRANSD_BAD_LENGTH", TRANSD_BAD_LENGTH, "BAD_LENGTH: what is written has another length"),
+        ("TRANSD_BAD_VALUE", TRANSD_BAD_VALUE, "BAD_VALUE: what is written is out of range"),
+    ),
+    *_rows(
+        "Bounds of transducers",
+        ("TRANSD_MAX_ID", TRANSD_MAX_ID, "largest id of a transducer"),
+        ("TRANSD_MAX_TOPIC", TRANSD_MAX_TOPIC, "bytes of the longest topic"),
     ),
     *_rows(
         "USB",

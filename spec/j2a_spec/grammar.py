@@ -130,6 +130,27 @@ BOOT = cs.Struct(
 )
 """The payload of the boot SIF (J2A-BOOT-002); what follows is of a later version."""
 
+SAMPLE = cs.Struct(
+    "time" / cs.Int64ul * "when the value was measured, in microseconds; 0: there is none",
+    "value" / cs.GreedyBytes * "the value, as its type says",
+)
+"""One channel of a sample (J2A-TRANS-005)."""
+
+QUEUED = cs.Struct(
+    "lost" / cs.Int16ul * "number of values lost because the queue was full, modulo 65536",
+    "channel" / cs.Byte * "channel of the first value",
+    "time" / cs.Int64ul * "when it was measured, in microseconds",
+    "value" / cs.GreedyBytes * "the value; then follow the others, each with channel and time",
+)
+"""The payload of a sample SIF of a sensor with a queue (J2A-TRANS-006)."""
+
+TRANSD = cs.Struct(
+    "id" / cs.Byte * "of the transducer",
+    "item" / cs.Byte * "what is read or written",
+    "value" / cs.GreedyBytes * "what to write; nothing to read the item",
+)
+"""The payload of a request to a2jTransd (J2A-TRANS-008)."""
+
 GRAMMARS = {
     "packet": PACKET,
     "error-payload": ERROR_PAYLOAD,
@@ -138,5 +159,8 @@ GRAMMARS = {
     "many-request": MANY_REQUEST,
     "many-reply": MANY_REPLY,
     "boot": BOOT,
+    "sample": SAMPLE,
+    "queued": QUEUED,
+    "transd": TRANSD,
 }
 """Every grammar by the name that the documentation uses."""

@@ -18,25 +18,25 @@ from j2a_spec import constants as c
 
 __all__ = ["Field", "Function", "Interface", "Sif", "crc", "parse", "payload"]
 
-_NAME = r"[A-Za-z_][A-Za-z0-9_]{0,31}"
+NAME = r"[A-Za-z_][A-Za-z0-9_]{0,31}"
 _UNIT = r"[A-Za-z0-9%'*./^_+\-\[\]{}]{1,32}"
-_TYPE = rf"{_NAME}(?:\[(?:[1-9][0-9]{{0,4}})?\])?(?: {_UNIT})?"
-_FIELDS = rf"{_NAME} {_TYPE}(?:, {_NAME} {_TYPE})*"
-_VALUES = rf"{_NAME}=-?[0-9]{{1,20}}(?:, {_NAME}=-?[0-9]{{1,20}})*"
-_FLAG = rf"!{_NAME}(?:\([ -(*-~]*\))?"
-_DOC = r"(?: # (?P<doc>[^\x00-\x1f\x7f]+))?"
+TYPE = rf"{NAME}(?:\[(?:[1-9][0-9]{{0,4}})?\])?(?: {_UNIT})?"
+_FIELDS = rf"{NAME} {TYPE}(?:, {NAME} {TYPE})*"
+_VALUES = rf"{NAME}=-?[0-9]{{1,20}}(?:, {NAME}=-?[0-9]{{1,20}})*"
+_FLAG = rf"!{NAME}(?:\([ -(*-~]*\))?"
+DOC = r"(?: # (?P<doc>[^\x00-\x1f\x7f]+))?"
 
-_FIELD = re.compile(rf"({_NAME}) ({_NAME})(\[([0-9]*)\])?(?: ({_UNIT}))?")
-_ENUM = re.compile(rf"enum ({_NAME}) ([ui](?:8|16|32|64)) \(({_VALUES})\)")
-_STRUCT = re.compile(rf"struct ({_NAME}) \(({_FIELDS})\)")
-_SIF = re.compile(rf"sif ({_NAME}) ([0-9]{{1,3}}) \(({_FIELDS})?\){_DOC}")
-_UNKNOWN = re.compile(rf"({_NAME}) [ -~\x80-\U0010ffff]*")
+_FIELD = re.compile(rf"({NAME}) ({NAME})(\[([0-9]*)\])?(?: ({_UNIT}))?")
+_ENUM = re.compile(rf"enum ({NAME}) ([ui](?:8|16|32|64)) \(({_VALUES})\)")
+_STRUCT = re.compile(rf"struct ({NAME}) \(({_FIELDS})\)")
+_SIF = re.compile(rf"sif ({NAME}) ([0-9]{{1,3}}) \(({_FIELDS})?\){DOC}")
+UNKNOWN = re.compile(rf"({NAME}) [ -~\x80-\U0010ffff]*")
 _FUNCTION = re.compile(
     r"(?P<name>[!-')-~]+)"
     rf"(?P<call>\((?P<parameters>{_FIELDS})?\)"
-    rf"(?: (?P<result>{_TYPE})| \((?P<results>{_FIELDS})\))?)?"
-    rf"(?P<many> many(?: (?P<content>{_TYPE}))?)?"
-    rf"(?P<flags>(?: {_FLAG})*){_DOC}"
+    rf"(?: (?P<result>{TYPE})| \((?P<results>{_FIELDS})\))?)?"
+    rf"(?P<many> many(?: (?P<content>{TYPE}))?)?"
+    rf"(?P<flags>(?: {_FLAG})*){DOC}"
 )
 
 _SCALARS = {
@@ -117,7 +117,7 @@ def parse(data: bytes) -> Interface:
         raise ValueError("no empty line, or no line feed at the end")
     interface = Interface()
     for line in definitions.split("\n")[1:]:
-        _define(interface, line)
+        define(interface, line)
     for line in functions.split("\n")[:-1]:
         interface.functions.append(_function(interface, line))
     _each_once("functions", [function.name for function in interface.functions])
@@ -132,15 +132,15 @@ def payload(fields: tuple[Field, ...], interface: Interface) -> cs.Construct:
     Raises:
         ValueError: an element is not defined.
     """
-    return cs.Sequence(*(_grammar(field, interface) for field in fields), cs.Terminated)
+    return cs.Sequence(*(grammar(field, interface) for field in fields), cs.Terminated)
 
 
 def size(fields: Iterable[Field], interface: Interface) -> int:
     """Return how many bytes fields take together, none of which is open."""
-    return int(cs.Sequence(*(_grammar(field, interface) for field in fields)).sizeof())
+    return int(cs.Sequence(*(grammar(field, interface) for field in fields)).sizeof())
 
 
-def _grammar(field: Field, interface: Interface) -> cs.Construct:
+def grammar(field: Field, interface: Interface) -> cs.Construct:
     if field.element in _OPEN:
         data = cs.ExprValidator(
             cs.GreedyBytes, lambda value, _: field.count is None or len(value) <= field.count
@@ -164,16 +164,16 @@ def _element(name: str, interface: Interface) -> cs.Construct:
         return _SCALARS[interface.enums[name][0]]
     if name not in interface.structs:
         raise ValueError(f"{name} is not defined")
-    return cs.Sequence(*(_grammar(field, interface) for field in interface.structs[name]))
+    return cs.Sequence(*(grammar(field, interface) for field in interface.structs[name]))
 
 
 def _fields(text: str | None) -> tuple[Field, ...]:
-    fields = tuple(_field(one) for one in text.split(", ")) if text else ()
+    fields = tuple(described(one) for one in text.split(", ")) if text else ()
     _each_once("fields", [field.name for field in fields])
     return fields
 
 
-def _field(text: str) -> Field:
+def described(text: str) -> Field:
     match = _FIELD.fullmatch(text)
     assert match is not None
     name, element, array, count, unit = match.groups()
@@ -198,12 +198,12 @@ def _check(fields: tuple[Field, ...], interface: Interface) -> None:
         raise ValueError("longer than a payload")
 
 
-def _known(fields: tuple[Field, ...], interface: Interface) -> bool:
+def known(fields: tuple[Field, ...], interface: Interface) -> bool:
     types = {*_SCALARS, *_OPEN, *interface.enums, *interface.structs}
     return all(field.element in types for field in fields)
 
 
-def _define(interface: Interface, line: str) -> None:
+def define(interface: Interface, line: str) -> None:
     if match := _ENUM.fullmatch(line):
         name, integer, text = match.groups()
         _is_new(interface, name)
@@ -220,7 +220,7 @@ def _define(interface: Interface, line: str) -> None:
     elif match := _STRUCT.fullmatch(line):
         name, fields = match[1], _fields(match[2])
         _is_new(interface, name)
-        if not _known(fields, interface):
+        if not known(fields, interface):
             return
         _check(fields, interface)
         if is_open(fields[-1]):
@@ -233,13 +233,13 @@ def _define(interface: Interface, line: str) -> None:
         opcode = int(match[2])
         if opcode > 255:
             raise ValueError(f"{line}: no opcode")
-        if not _known(fields, interface):
+        if not known(fields, interface):
             return
         _check(fields, interface)
         interface.sifs.append(Sif(match[1], opcode, fields, match["doc"] or ""))
         _each_once("SIFs", [sif.name for sif in interface.sifs])
         _each_once("opcodes of SIFs", [str(sif.opcode) for sif in interface.sifs])
-    elif not (match := _UNKNOWN.fullmatch(line)) or match[1] in ("enum", "struct", "sif"):
+    elif not (match := UNKNOWN.fullmatch(line)) or match[1] in ("enum", "struct", "sif"):
         raise ValueError(f"no definition: {line!r}")
 
 
@@ -265,14 +265,14 @@ def _function(interface: Interface, line: str) -> Function:
     if match["call"]:
         parameters = _fields(match["parameters"])
         one = match["result"]
-        results = (_field(f"_ {one}"),) if one else _fields(match["results"])
+        results = (described(f"_ {one}"),) if one else _fields(match["results"])
     if match["content"]:
-        content = _field(f"_ {match['content']}")
+        content = described(f"_ {match['content']}")
     flags = tuple(re.findall(_FLAG, match["flags"]))
     for flag in flags:
         if re.match(r"!slow(\(|$)", flag) and not _is_time(flag):
             raise ValueError(f"{line!r}: no time of 1 to 65535 ms")
-    if not _known((*(parameters or ()), *results, *([content] if content else [])), interface):
+    if not known((*(parameters or ()), *results, *([content] if content else [])), interface):
         parameters, results, content = None, (), None
     _check(parameters or (), interface)
     _check(results, interface)

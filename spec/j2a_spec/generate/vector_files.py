@@ -9,6 +9,7 @@ from j2a_spec.generate.interfaces import interface_tests, value_tests
 from j2a_spec.generate.payloads import payload_vectors
 from j2a_spec.generate.scenarios import scenarios
 from j2a_spec.generate.streams import stream_vectors
+from j2a_spec.generate.transducers import sample_tests, transducer_tests
 from j2a_spec.oracle import Event, Frame, FrameError, Incomplete, Skipped, decode
 
 _FOLDER = "spec/j2a_spec/vectors"
@@ -70,6 +71,8 @@ def tests() -> dict[str, list[dict[str, Any]]]:
         ],
         "interface": interface_tests(),
         "value": value_tests(),
+        "transducers": transducer_tests(),
+        "sample": sample_tests(),
     }
 
 

@@ -10,8 +10,12 @@ from typing import Any, Literal
 
 __all__ = ["KINDS", "Kind", "load", "schema"]
 
-Kind = Literal["frame", "stream", "payload", "scenario", "interface", "value"]
-KINDS: tuple[Kind, ...] = ("frame", "stream", "payload", "scenario", "interface", "value")
+Kind = Literal[
+    "frame", "stream", "payload", "scenario", "interface", "value", "transducers", "sample"
+]
+KINDS: tuple[Kind, ...] = (
+    "frame", "stream", "payload", "scenario", "interface", "value", "transducers", "sample",
+)  # fmt: skip
 
 
 def load(kind: Kind) -> list[dict[str, Any]]:
