@@ -48,6 +48,29 @@
 #define J2A_BOOT_WATCHDOG 0x04u /* cause: the watchdog */
 #define J2A_BOOT_SOFTWARE 0x05u /* cause: the firmware itself, or an update of it */
 
+/* Items of a2jTransd */
+#define J2A_TRANSD_SAMPLE 0x00u /* newest value of each channel, a sample */
+#define J2A_TRANSD_ENABLED 0x01u /* whether sample SIFs are sent, `bool` */
+#define J2A_TRANSD_PERIOD 0x02u /* least time between two sample SIFs, `u32 us` */
+#define J2A_TRANSD_DECIMATION 0x03u /* every so manieth value is taken, `u8` from 1 on */
+#define J2A_TRANSD_THRESHOLD 0x04u /* least difference of values, of the type */
+#define J2A_TRANSD_TOPIC 0x05u /* name under which hosts publish, `text[32]`, not empty */
+#define J2A_TRANSD_WATCHDOG 0x06u /* silence until an actuator is set to safe, `u16 ms` */
+#define J2A_TRANSD_SET 0x07u /* first channel `u8`, time `u64 us`, a value for each channel */
+#define J2A_TRANSD_TRIGGER 0x08u /* time at which a sensor measures, `u64 us` */
+#define J2A_TRANSD_SAVE 0x09u /* keeps the settings without power; nothing */
+#define J2A_TRANSD_TIME 0x0Au /* the device's clock, `u64 us` */
+
+/* Failures of a2jTransd */
+#define J2A_TRANSD_NO_ID 0x01u /* NO_ID: no transducer has this id */
+#define J2A_TRANSD_NO_ITEM 0x02u /* NO_ITEM: it has no such item to read, or to write */
+#define J2A_TRANSD_BAD_LENGTH 0x03u /* BAD_LENGTH: what is written has another length */
+#define J2A_TRANSD_BAD_VALUE 0x04u /* BAD_VALUE: what is written is out of range */
+
+/* Bounds of transducers */
+#define J2A_TRANSD_MAX_ID 0xFEu /* largest id of a transducer */
+#define J2A_TRANSD_MAX_TOPIC 0x20u /* bytes of the longest topic */
+
 /* USB */
 #define J2A_USB_VENDOR 0x6666u /* vendor id of boards that have none of their own */
 #define J2A_USB_PRODUCT 0xCAFEu /* product id of such boards */

@@ -140,6 +140,19 @@
 #define J2A_UNIT_ONE(name)
 #define J2A_UNIT_MORE(name, unit) " " J2A_STRING(unit)
 
+/* Fields in parentheses, and lines of definitions (SPEC.md, section 20). */
+#define J2A_FIRST_FIELD(none, item) J2A_IF_FIELD(J2A_FIELD_TEXT, item)
+#define J2A_NEXT_FIELD(none, item) J2A_IF_FIELD(J2A_NEXT_TEXT, item)
+#define J2A_FIELD_TEXT(type, ...) J2A_STRING(J2A_FIRST(__VA_ARGS__)) " " J2A_SPELL(type) J2A_UNIT_TEXT(__VA_ARGS__)
+#define J2A_NEXT_TEXT(type, ...) ", " J2A_FIELD_TEXT(type, __VA_ARGS__)
+#define J2A_FIELD_LIST(...) "(" J2A_EACH(J2A_FIRST_FIELD, J2A_NEXT_FIELD, J2A_NOTHING, ~, __VA_ARGS__) ")"
+#define J2A_FIRST_VALUE(none, item) J2A_APPLY(J2A_VALUE_TEXT, J2A_STRIP item)
+#define J2A_NEXT_VALUE(none, item) ", " J2A_APPLY(J2A_VALUE_TEXT, J2A_STRIP item)
+#define J2A_VALUE_TEXT(value, number) J2A_STRING(value) "=" J2A_STRING(number)
+#define J2A_ENUM_TEXT(name, integer, ...) \
+    "enum " #name " " #integer " (" J2A_EACH(J2A_FIRST_VALUE, J2A_NEXT_VALUE, J2A_NOTHING, ~, __VA_ARGS__, "") ")\n"
+#define J2A_STRUCT_TEXT(name, ...) "struct " #name " " J2A_FIELD_LIST(__VA_ARGS__, "") "\n"
+
 /* ------------------------------------------------------------------------- results ------ */
 
 /* A result is void, TYPE, (TYPE, unit) or ((TYPE, name), (TYPE, name, unit), ...). Its shape is the form of its

@@ -117,7 +117,7 @@ J2A_ELEMENT_OF_C(bytes, uint8_t, 1)
 #define J2A_ENUMERATOR(type, item) J2A_ENUMERATOR_(type, J2A_STRIP item)
 #define J2A_ENUMERATOR_(type, ...) J2A_ENUMERATOR_OF(type, __VA_ARGS__)
 #define J2A_ENUMERATOR_OF(type, value, number) type##_##value = number,
-#define J2A_ENUM(name, integer, ...) \
+#define J2A_DEFINE_ENUM(name, integer, ...) \
     typedef j2a_c_##integer name; \
     enum { J2A_EACH(J2A_ENUMERATOR, J2A_ENUMERATOR, J2A_NOTHING, name, __VA_ARGS__, "") }; \
     J2A_ELEMENT_OF_C(name, j2a_c_##integer, j2a_size_##integer) \
@@ -130,7 +130,7 @@ J2A_ELEMENT_OF_C(bytes, uint8_t, 1)
     J2A_INLINE name j2a_as_##name(const name *value) { \
         return *value; \
     }
-#define J2A_STRUCT(name, ...) \
+#define J2A_DEFINE_STRUCT(name, ...) \
     typedef struct { \
         J2A_EACH(J2A_MEMBER, J2A_MEMBER, J2A_NOTHING, ~, __VA_ARGS__, "") \
     } name; \
@@ -152,6 +152,8 @@ J2A_ELEMENT_OF_C(bytes, uint8_t, 1)
     J2A_INLINE const name *j2a_as_##name(const name *value) { \
         return value; \
     }
+#define J2A_ENUM J2A_DEFINE_ENUM
+#define J2A_STRUCT J2A_DEFINE_STRUCT
 #define J2A_FUNCTION(name, result, ...)
 #define J2A_BUFFER(name, type, length, text)
 #define J2A_SIF(name, opcode, ...)

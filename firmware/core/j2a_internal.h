@@ -36,6 +36,11 @@ bool j2a_greet(void);
 uint32_t j2a_interface_hash(void);
 #endif
 
+/* Set with each request that is executed, for the watchdogs of actuators. */
+#if J2A_WITH_TRANSDUCERS
+extern bool j2a_is_heard;
+#endif
+
 /* Sends one frame. start: J2A_SOF or J2A_SOS. */
 void j2a_send(uint8_t start, uint8_t seq, uint8_t opcode, uint8_t length, const uint8_t *payload);
 

@@ -70,8 +70,22 @@
 #error "J2A_WITH_BOOT=1 needs J2A_WITH_INTERFACE=1, because a SIF tells the hash of the interface"
 #endif
 
+/* Sensors and actuators that describe themselves, transds_process(). Off: there is no transds_process(). */
+#ifndef J2A_WITH_TRANSDUCERS
+#define J2A_WITH_TRANSDUCERS 0
+#endif
+#if J2A_WITH_TRANSDUCERS && !J2A_WITH_SIF
+#error "J2A_WITH_TRANSDUCERS=1 needs J2A_WITH_SIF=1, because samples are SIFs and hosts find them by both"
+#endif
+#if J2A_WITH_TRANSDUCERS && !J2A_WITH_MAPPING
+#error "J2A_WITH_TRANSDUCERS=1 needs J2A_WITH_MAPPING=1, because samples are SIFs and hosts find them by both"
+#endif
+#if J2A_WITH_TRANSDUCERS && !J2A_WITH_PROPERTIES
+#error "J2A_WITH_TRANSDUCERS=1 needs J2A_WITH_PROPERTIES=1, because samples are SIFs and hosts find them by both"
+#endif
+
 #if ((J2A_WITH_MAPPING | J2A_WITH_MANY | J2A_WITH_PROPERTIES | J2A_WITH_DEBUG | J2A_WITH_SIF | \
-     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE | J2A_WITH_BOOT) & ~1) != 0
+     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE | J2A_WITH_BOOT | J2A_WITH_TRANSDUCERS) & ~1) != 0
 #error "J2A_WITH_... must be 0 or 1"
 #endif
 

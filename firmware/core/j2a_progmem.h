@@ -1,6 +1,6 @@
 /* Constants in flash. In: the address of an object declared J2A_FLASH. Out: its bytes. On a
  * Harvard machine (AVR) such objects need their own load instruction; elsewhere they are plain
- * constants. */
+ * constants. j2a_flash_load() reads the first bytes of one into another of its type, or all. */
 #ifndef J2A_PROGMEM_H
 #define J2A_PROGMEM_H
 
@@ -28,6 +28,7 @@
 #define j2a_flash_u8(address) pgm_read_byte(address)
 #define j2a_flash_pointer(address) ((const char *)pgm_read_word(address))
 #define j2a_flash_function(address) ((void (*)(void))pgm_read_word(address))
+#define j2a_flash_load(to, from, bytes) ((void)memcpy_P((to), (from), (bytes)))
 #else
 #define J2A_KEEP_POINTER(pointer) ((void)0)
 #define J2A_NOINLINE
@@ -35,6 +36,7 @@
 #define j2a_flash_u8(address) (*(const uint8_t *)(address))
 #define j2a_flash_pointer(address) (*(address))
 #define j2a_flash_function(address) (*(address))
+#define j2a_flash_load(to, from, bytes) ((void)(*(to) = *(from)))
 #endif
 
 #endif

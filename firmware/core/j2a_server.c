@@ -73,6 +73,9 @@ static uint8_t execute(uint8_t opcode, uint8_t *length, uint8_t **payload) {
     const uint8_t site = j2a_find(opcode, J2A_KIND_CALL, &function);
     uint8_t code;
 
+#if J2A_WITH_TRANSDUCERS
+    j2a_is_heard = true;
+#endif
     if (site != 0) {
         code = j2a_error(J2A_ERR_OPCODE, site, length, *payload);
 #if J2A_WITH_PROPERTIES

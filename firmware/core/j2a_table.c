@@ -248,12 +248,7 @@ typedef char j2a_names_longer_than_a_payload[
 #endif
 
 #if J2A_WITH_INTERFACE
-/* The lines of SPEC.md, section 20, without the line feed. */
-#define J2A_FIRST_FIELD(none, item) J2A_IF_FIELD(J2A_FIELD_TEXT, item)
-#define J2A_NEXT_FIELD(none, item) J2A_IF_FIELD(J2A_NEXT_TEXT, item)
-#define J2A_FIELD_TEXT(type, ...) J2A_STRING(J2A_FIRST(__VA_ARGS__)) " " J2A_SPELL(type) J2A_UNIT_TEXT(__VA_ARGS__)
-#define J2A_NEXT_TEXT(type, ...) ", " J2A_FIELD_TEXT(type, __VA_ARGS__)
-#define J2A_FIELD_LIST(...) "(" J2A_EACH(J2A_FIRST_FIELD, J2A_NEXT_FIELD, J2A_NOTHING, ~, __VA_ARGS__) ")"
+/* The lines of SPEC.md, section 20, without the line feed; those of definitions are in j2a_fields.h. */
 #define J2A_RESULT_TEXT(result) J2A_BY_SHAPE(J2A_RESULT_TEXT_, result)
 #define J2A_RESULT_TEXT_VOID(r)
 #define J2A_RESULT_TEXT_ONE(r) J2A_TYPE_TEXT(r)
@@ -308,12 +303,8 @@ J2A_TABLE_END
 #undef J2A_MANY
 
 #if J2A_WITH_INTERFACE
-#define J2A_FIRST_VALUE(none, item) J2A_APPLY(J2A_VALUE_TEXT, J2A_STRIP item)
-#define J2A_NEXT_VALUE(none, item) ", " J2A_APPLY(J2A_VALUE_TEXT, J2A_STRIP item)
-#define J2A_VALUE_TEXT(value, number) J2A_STRING(value) "=" J2A_STRING(number)
-#define J2A_ENUM(name, integer, ...) \
-    "enum " #name " " #integer " (" J2A_EACH(J2A_FIRST_VALUE, J2A_NEXT_VALUE, J2A_NOTHING, ~, __VA_ARGS__, "") ")\n"
-#define J2A_STRUCT(name, ...) "struct " #name " " J2A_FIELD_LIST(__VA_ARGS__, "") "\n"
+#define J2A_ENUM J2A_ENUM_TEXT
+#define J2A_STRUCT J2A_STRUCT_TEXT
 #if J2A_WITH_SIF
 #define J2A_SIF(name, opcode, ...) "sif " #name " " J2A_STRING(opcode) " " J2A_FIELD_LIST(__VA_ARGS__) \
     J2A_EACH(J2A_NOTHING, J2A_NOTHING, J2A_DOC, ~, __VA_ARGS__) "\n"

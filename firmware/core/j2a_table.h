@@ -54,12 +54,24 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
 /* The capabilities that the core announces (J2A-CAP-001): a token behind each that is built in, and of the first
  * one no space. */
 #if J2A_WITH_INTERFACE
+#define J2A_TOKEN_INTERFACE "interface"
+#else
+#define J2A_TOKEN_INTERFACE
+#endif
 #if J2A_WITH_BOOT
 #define J2A_TOKEN_BOOT " boot"
 #else
 #define J2A_TOKEN_BOOT
 #endif
-#define J2A_PROPERTY_CAPS "j2a.caps\0" "interface" J2A_TOKEN_BOOT "\0"
+#if J2A_WITH_TRANSDUCERS && J2A_WITH_INTERFACE
+#define J2A_TOKEN_TRANSDUCERS " transducers"
+#elif J2A_WITH_TRANSDUCERS
+#define J2A_TOKEN_TRANSDUCERS "transducers"
+#else
+#define J2A_TOKEN_TRANSDUCERS
+#endif
+#if J2A_WITH_INTERFACE || J2A_WITH_TRANSDUCERS
+#define J2A_PROPERTY_CAPS "j2a.caps\0" J2A_TOKEN_INTERFACE J2A_TOKEN_BOOT J2A_TOKEN_TRANSDUCERS "\0"
 #else
 #define J2A_PROPERTY_CAPS
 #endif
@@ -91,6 +103,11 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
 #else
 #define J2A_IF_INTERFACE(text)
 #endif
+#if J2A_WITH_TRANSDUCERS
+#define J2A_IF_TRANSDUCERS(text) text
+#else
+#define J2A_IF_TRANSDUCERS(text)
+#endif
 #define J2A_BUILTINS(CALL, MANY) \
     J2A_IF_MAPPING(CALL(a2jGetMapping, j2a_get_mapping)) \
     J2A_IF_MANY(CALL(a2jMany, j2a_many)) \
@@ -98,7 +115,9 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
     J2A_IF_DEBUG(CALL(a2jDebug, j2a_get_debug)) \
     CALL(a2jEcho, j2a_echo) \
     J2A_IF_MANY(MANY(a2jEchoMany, j2a_echo_many)) \
-    J2A_IF_INTERFACE(MANY(a2jGetInterface, j2a_get_interface))
+    J2A_IF_INTERFACE(MANY(a2jGetInterface, j2a_get_interface)) \
+    J2A_IF_TRANSDUCERS(MANY(a2jGetTransds, j2a_get_transds)) \
+    J2A_IF_TRANSDUCERS(CALL(a2jTransd, j2a_transd))
 /* End of what is generated. */
 
 #define J2A_DECLARED_CALL(name, function) J2A_DECLARE_CALL(function);

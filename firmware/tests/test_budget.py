@@ -146,7 +146,7 @@ def test_each_switch_is_measured():
         options |= {f"J2A_{name}" for name in entry.get("make", {}) if name in VARIABLES}
         if len(options - {SMALL}) == 1:
             alone |= options
-    assert switches == alone
+    assert switches == {name for name in alone if name.startswith("J2A_")}
 
 
 # ------------------------------------------------------------------- are the figures right?

@@ -169,7 +169,8 @@ def load(path: Path = BUDGET) -> list[Build]:
         raise BudgetError(f"{path.name}: {error}") from None
     entries = table.get("build", [])
     if path == BUDGET:
-        entries = [*entries, *_of_parts()]
+        known = {entry.get("name") for entry in entries}
+        entries = [*entries, *(one for one in _of_parts() if one["name"] not in known)]
     builds = [_build(entry, table.get("port", {})) for entry in entries]
     names = [build.name for build in builds]
     for name in names:

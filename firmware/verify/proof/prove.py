@@ -59,6 +59,11 @@ UNREACHED = {
     **{f"j2a_call_{name}": 9 for name in CLOSED},
     **{f"j2a_call_{name}": 4 for name in OPEN},
 }
+# Files without a proof, and why; they are run with sanitizers instead.
+NOT_PROVEN = {
+    "j2a_transds_table.c": "tables, which the file below reads",
+    "ext/j2a_transducers.c": "indices of queues are right by what earlier calls have left",
+}
 # With these options all of a function of them is reached.
 WHOLE = {
     "-DJ2A_WITH_MAPPING=0": "j2a_find",
@@ -242,7 +247,7 @@ def prove(analysis: Analysis, core: Path) -> tuple[list[str], str]:
 
 def left_out(core: Path) -> list[str]:
     """Return the files of the core that no analysis has, each as a sentence."""
-    analysed = {name for analysis in ANALYSES for name in analysis.sources}
+    analysed = {name for analysis in ANALYSES for name in analysis.sources} | NOT_PROVEN.keys()
     names = (path.relative_to(core).as_posix() for path in sorted(core.rglob("*.c")))
     return [f"{name} is in no analysis" for name in names if name not in analysed]
 
@@ -307,7 +312,10 @@ def main() -> int:
                 print(f"        {line}")
             failed = failed or bool(found)
     for what, found in (
-        ("every file of the core is in an analysis", left_out(core)),
+        (
+            f"every file of the core is in an analysis, but for {', '.join(NOT_PROVEN)}",
+            left_out(core),
+        ),
         ("nobody but the parser assigns its own fields", frame_condition(core)),
     ):
         print(f"{'FAILED' if found else 'proven'}  {what}")

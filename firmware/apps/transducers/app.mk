@@ -1,0 +1,5 @@
+# The functions of the demo, too: the conformance suite judges a device by them.
+include apps/demo/app.mk
+OWN_MAIN := 1
+APP_OPTIONS += -DJ2A_WITH_INTERFACE=1
+PORT_SOURCES += apps/demo/app.c

@@ -1,0 +1,85 @@
+/* What the table of transducers, which j2a_transds_table.c makes of transds.def, and the engine in ext/j2a_transducers.c
+ * share. */
+#ifndef J2A_TRANSDS_H
+#define J2A_TRANSDS_H
+
+#include "j2a_internal.h"
+
+/* The bytes of a channel's time, and of what stands before the values of a sensor with a queue. */
+enum { J2A_TIME_BYTES = 8, J2A_LOST_BYTES = 2 };
+
+/* Raw values that a transds.def gives. */
+enum { J2A_RAW_NA, J2A_RAW_THRESHOLD, J2A_RAW_LOW, J2A_RAW_HIGH };
+
+/* What is kept of each sensor, in RAM. The driver's context writes what is volatile but `tail`. */
+typedef struct {
+    uint64_t sent_us;      /* when the last sample SIF began, 0 before the first one */
+    uint32_t period_us;
+    volatile uint8_t head; /* entries that were put into the queue; without one odd while a value is written */
+    volatile uint8_t tail; /* entries that were taken out of it */
+    volatile bool is_fresh; /* without a queue: a value was taken since the last sample SIF */
+    volatile bool is_enabled;
+    uint8_t put_at;
+    uint8_t take_at;
+    volatile uint16_t full; /* values that found no room */
+    uint16_t dropped;       /* values that waited when the sensor was disabled */
+} j2a_sensor;
+
+/* What waits for its time. */
+typedef struct {
+    uint64_t due_us;
+    bool waits;
+} j2a_due;
+
+typedef struct {
+    uint16_t limit_ms; /* 0: never */
+    bool is_safe;      /* since the last request */
+} j2a_watchdog;
+
+/* One transducer, in flash. Pointers to what it does not have are null. A slot of a channel is its time and its value,
+ * one of a queue the channel before. What j2a_sense() needs comes first, up to `topic`. */
+typedef struct {
+    uint8_t id;
+    uint8_t channels;
+    uint8_t size;                 /* of a value, in bytes */
+    uint8_t depth;                /* of the queue, 0 without one */
+    j2a_sensor *sensor;
+    volatile uint8_t *slots;      /* of the queue, else of each channel */
+    uint8_t *decimation;          /* the setting, then for each channel the values since one was taken */
+    uint8_t *threshold;           /* which of the two that follow is the setting */
+    uint8_t *last;                /* of each channel of a queue with threshold: whether there is one, the last value */
+    char *topic;                  /* NUL behind it */
+    j2a_due *trigger;
+    j2a_due *waiting;             /* of each channel of an actuator */
+    uint8_t *values;              /* for which they wait */
+    j2a_watchdog *watchdog;
+    void (*start)(void);          /* sensor: the driver's trigger */
+    void (*set)(uint8_t channel, const uint8_t *value);
+    bool (*raw)(uint8_t which, uint8_t *value);
+    int8_t (*compare)(const uint8_t *a, const uint8_t *b, uint8_t size);
+    bool (*is_near)(const uint8_t *a, const uint8_t *b, const uint8_t *limit, uint8_t size);
+} j2a_transducer;
+
+extern const j2a_transducer j2a_transducers[];
+extern const uint8_t j2a_transducer_count;
+extern const char j2a_descriptors[]; /* in flash */
+
+/* Called by the callback of a driver. index: of the transducer. value: its bytes on the wire. */
+void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value);
+
+/* The body of transds_process(). payload: room for the longest sample SIF. */
+void j2a_turn(uint8_t *payload);
+
+/* Compare two values: less than 0, 0, or more, and 2 where one is not a number. */
+int8_t j2a_compare_unsigned(const uint8_t *a, const uint8_t *b, uint8_t size);
+int8_t j2a_compare_signed(const uint8_t *a, const uint8_t *b, uint8_t size);
+int8_t j2a_compare_f32(const uint8_t *a, const uint8_t *b, uint8_t size);
+int8_t j2a_compare_f64(const uint8_t *a, const uint8_t *b, uint8_t size);
+
+/* Return whether two values differ by less than a limit. */
+bool j2a_near_unsigned(const uint8_t *a, const uint8_t *b, const uint8_t *limit, uint8_t size);
+bool j2a_near_signed(const uint8_t *a, const uint8_t *b, const uint8_t *limit, uint8_t size);
+bool j2a_near_f32(const uint8_t *a, const uint8_t *b, const uint8_t *limit, uint8_t size);
+bool j2a_near_f64(const uint8_t *a, const uint8_t *b, const uint8_t *limit, uint8_t size);
+
+#endif

@@ -1,0 +1,214 @@
+"""Transducers in firmware: the listings of the thesis, a sensor that is swapped, wrong lists."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from j2a_spec import transducers as oracle
+
+import j2a
+from j2a.types.transds_file import read_transds, transds_text
+
+ROOT = Path(__file__).parents[2]
+APP = ROOT / "firmware/apps/transducers"
+EXAMPLE = ROOT / "docs/examples/sensors"
+LISTING_9_2 = """\
+/* Name, ID, Prefix, Model, Number of Channels, Data Type, Value
+indicating N/A */
+SENSOR(quad, 0, quad, HEDS-6500, 2, int16_t, -1) \\
+SENSOR(dist_ir, 1, sharp, GP2Y0A02YK, 8, uint16_t, 0) \\
+SENSOR(dist_us, 2, srf02, SRF02, 12, uint32_t, 0x00FFFFFF)
+"""
+# Drivers in the form of listing 9.1, a main loop with the functions of listing 9.3, and each driver
+# reports once.
+DRIVERS = """\
+#include "transds.h"
+static void (*quad_cb)(uint8_t channel, int16_t value);
+static void (*sharp_cb)(uint8_t channel, uint16_t value);
+static void (*srf02_cb)(uint8_t channel, uint32_t value);
+void quad_set_cb(void(*new_value_func)(uint8_t channel, int16_t value)) {
+    quad_cb = new_value_func;
+}
+void sharp_set_cb(void(*new_value_func)(uint8_t channel, uint16_t value)) {
+    sharp_cb = new_value_func;
+}
+void srf02_set_cb(void(*new_value_func)(uint8_t channel, uint32_t value)) {
+    srf02_cb = new_value_func;
+}
+uint8_t measure(uint8_t *const length, uint8_t **const payload);
+uint8_t measure(uint8_t *const length, uint8_t **const payload) {
+    (void)payload;
+    *length = 0;
+    quad_cb(1, -300);
+    sharp_cb(7, 65535);
+    srf02_cb(11, 0x00FFFFFF);
+    return 0;
+}
+void j2a_app_task(void) {
+    static bool begun;
+    if (!begun)
+        transds_init();
+    begun = true;
+    transds_process();
+}
+"""
+PROPERTIES = 'J2A_PROPERTY("name", "thesis")\n'
+
+
+def write_app(folder, transds, code=DRIVERS, functions="J2A_CALL(measure, measure)\n"):
+    folder.mkdir(exist_ok=True)
+    (folder / "transds.def").write_text(transds)
+    (folder / "functions.def").write_text(functions)
+    (folder / "properties.def").write_text(PROPERTIES)
+    (folder / "app.c").write_text(code)
+    return folder
+
+
+def make(folder, out, **variables):
+    settings = [f"{key}={value}" for key, value in variables.items()]
+    return subprocess.run(
+        [
+            "make",
+            "-s",
+            "-C",
+            ROOT / "firmware",
+            "APP=app",
+            f"APP_DIR={folder}",
+            f"OUT={out}",
+            *settings,
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture
+def built(need, tmp_path):
+    need("cc")
+
+    def build(transds, **more):
+        done = make(write_app(tmp_path / "app", transds, **more), tmp_path / "out")
+        assert done.returncode == 0, done.stderr
+        return f"exec:{tmp_path}/out/app"
+
+    return build
+
+
+class TestThesis:
+    @pytest.mark.parametrize("is_macro", [False, True])
+    def test_listings_9_1_to_9_3_as_printed(self, built, is_macro):
+        text = LISTING_9_2
+        if is_macro:
+            text = "#define SENSORS \\\n" + text.partition("*/\n")[2]
+        with j2a.connect(built(text)) as board:
+            assert board.transducers.descriptors == read_transds(LISTING_9_2)
+            streams = {name: board.transducers[name].samples() for name in board.transducers}
+            board.call("measure")
+            found = {name: stream.wait(10) for name, stream in streams.items()}
+        assert found["quad"].values == (None, -300)
+        assert found["dist_ir"].values == (None,) * 7 + (65535,)
+        reading = found["dist_us"].readings[11]
+        assert (reading.raw, reading.value) == (0x00FFFFFF, None)
+        assert reading.time_us
+
+    @pytest.mark.avr
+    def test_listings_on_an_avr(self, need, tmp_path):
+        need("avr-gcc")
+        folder = write_app(tmp_path / "app", LISTING_9_2)
+        done = make(folder, tmp_path / "out", PORT="avr-serial")
+        assert done.returncode == 0, done.stderr
+        with (
+            j2a.connect(f"sim:{tmp_path}/out/app.elf") as board,
+            board.transducers["quad"].samples() as samples,
+        ):
+            board.call("measure")
+            assert samples.wait(10).values == (None, -300)
+
+
+def test_the_example_of_the_docs(build_firmware):
+    program = build_firmware("sensors", APP_DIR=EXAMPLE)
+    with j2a.connect(f"exec:{program}") as board:
+        with board.transducers["quad"].samples() as samples:
+            board.transducers["servo"].set(50)
+            sample = samples.wait(10)
+        assert (sample.values, sample.unit) == ((90.0, None), "deg")
+        assert [one.value for one in board.transducers["dist_ir"].read()] == [400]
+
+
+def test_a_sensor_is_swapped_by_one_line(built):
+    """The host program stays; the new sensor appears with its unit."""
+    before = "SENSOR(dist, 3, dist, OLD, 1, uint16_t, 0, (unit, mm))\n"
+    after = "SENSOR(dist, 3, dist, NEW, 2, float, nan, (unit, m), (scale, 2))\n"
+    code = """
+#include "transds.h"
+static void (*cb)(uint8_t channel, TYPE value);
+void dist_set_cb(void (*callback)(uint8_t channel, TYPE value)) { cb = callback; }
+void j2a_app_task(void) {
+    static bool begun;
+    if (!begun) {
+        transds_init();
+        begun = true;
+    }
+    cb(0, 400);
+    transds_process();
+}
+"""
+
+    def host(url):
+        with j2a.connect(url) as board:
+            sample = board.transducers["dist"].wait(10)
+            return sample.values, sample.unit, board.transducers["dist"].descriptor.model
+
+    old = host(built(before, code=code.replace("TYPE", "uint16_t"), functions=""))
+    assert old == ((400,), "mm", "OLD")
+    new = host(built(after, code=code.replace("TYPE", "float"), functions=""))
+    assert new == ((800.0, None), "m", "NEW")
+
+
+def test_a_board_says_what_its_file_says(build_firmware, tmp_path):
+    """The compiler and Python read the same; what Python writes of the board is such a file."""
+    with j2a.connect(f"exec:{build_firmware('transducers', 'posix')}") as board:
+        content = board.read_many("a2jGetTransds")
+    of_file = j2a.load_transds(APP / "transds.def")
+    assert content.decode() == str(of_file)
+    assert len(oracle.parse(content).transducers) == len(of_file.transducers) == 9
+    assert read_transds(transds_text(of_file, "x")) == of_file
+
+
+ONE = "SENSOR(a, 1, a, X, 1, u8, none{more})\n"
+CODE = """
+#include "transds.h"
+void a_set_cb(void (*callback)(uint8_t channel, uint8_t value)) { (void)callback; }
+void j2a_app_task(void) { transds_process(); }
+"""
+
+
+class TestWrongLists:
+    @pytest.mark.parametrize(
+        ("transds", "said"),
+        [
+            (ONE.replace("1, a", "255, a"), "id_of_a_is_0_to_254"),
+            (ONE.replace("X, 1", "X, 0"), "channels_of_a_are_1_to_255"),
+            (ONE.replace("X, 1", "X, 29"), "a_sample_of_a_is_longer_than_a_frame"),
+            (ONE.replace("none{more}", "none, (queue, 256)"), "queue_of_a_is_1_to_255"),
+            (ONE * 2, "j2a_index_a"),
+            (ONE + ONE.replace("(a, 1, a", "(b, 1, b"), "duplicate case value"),
+            (ONE.replace("u8", "u7"), "u7"),
+            (ONE.replace("u8, none", "u8, none, (threshold, x)"), "'x' undeclared"),
+            (ONE.replace("u8", "uint16_t"), "conflicting types for 'a_set_cb'"),
+            (ONE.replace(" 1, a", " 1, c"), "a_set_cb"),  # nobody declares it, or calls it
+        ],
+    )
+    def test_do_not_compile(self, need, tmp_path, transds, said):
+        need("cc")
+        folder = write_app(tmp_path / "app", transds.replace("{more}", ""), CODE, "")
+        done = make(folder, tmp_path / "out", PORT="posix")
+        assert done.returncode != 0
+        assert said in done.stderr.replace("\u2018", "'").replace("\u2019", "'")
+
+    def test_the_right_one_does(self, need, tmp_path):
+        need("cc")
+        folder = write_app(tmp_path / "app", ONE.replace("{more}", ""), CODE, "")
+        done = make(folder, tmp_path / "out", PORT="posix")
+        assert done.returncode == 0, done.stderr
