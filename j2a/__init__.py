@@ -34,36 +34,67 @@ from j2a.errors import (
     RegistrationError,
     RemoteError,
     SignatureError,
+    UnknownBoard,
     UnknownFunction,
+    UnknownTransducer,
     UnsupportedVersion,
     WrongArgument,
 )
-from j2a.events import Counters, Frame, FrameError, Reply, ResetCause, Restart, Sif
+from j2a.events import (
+    Counters,
+    Frame,
+    FrameError,
+    Reading,
+    Reply,
+    ResetCause,
+    Restart,
+    Sample,
+    Sif,
+)
+from j2a.fleet import BoardChange, Fleet
 from j2a.io.functions import ManyReply, ManyRequest, read_chunk
 from j2a.io.handlers import Subscription
 from j2a.io.streams import SifStream
+from j2a.io.transds_file import load_transds
+from j2a.io.transducers import Actuator, Sensor
 from j2a.protocol.trace import Trace
 from j2a.types.annotations import Length, f32, f64, i8, i16, i32, i64, u8, u16, u32, u64
+from j2a.types.arrays import Batch
+from j2a.types.transducers import Descriptors, Transducer
 
 if TYPE_CHECKING:
-    from j2a.aio import AsyncClient, AsyncFunction, AsyncSifStream, aconnect
+    from j2a.aio import (
+        AsyncActuator,
+        AsyncClient,
+        AsyncFunction,
+        AsyncSensor,
+        AsyncSifStream,
+        aconnect,
+    )
 
     __version__: str
 
 __all__ = [
+    "Actuator",
+    "AsyncActuator",
     "AsyncClient",
     "AsyncFunction",
+    "AsyncSensor",
     "AsyncSifStream",
     "BadUrl",
+    "Batch",
+    "BoardChange",
     "ByteTimeoutRefused",
     "CallTimeout",
     "ChecksumRefused",
     "Client",
     "Counters",
     "DamageReported",
+    "Descriptors",
     "Device",
     "DeviceRestarted",
     "Fail",
+    "Fleet",
     "Frame",
     "FrameError",
     "FramingRefused",
@@ -85,17 +116,23 @@ __all__ = [
     "Outcome",
     "PayloadTooLong",
     "ProtocolError",
+    "Reading",
     "RegistrationError",
     "RemoteError",
     "Reply",
     "ResetCause",
     "Restart",
+    "Sample",
+    "Sensor",
     "Sif",
     "SifStream",
     "SignatureError",
     "Subscription",
     "Trace",
+    "Transducer",
+    "UnknownBoard",
     "UnknownFunction",
+    "UnknownTransducer",
     "UnsupportedVersion",
     "WrongArgument",
     "aconnect",
@@ -106,6 +143,7 @@ __all__ = [
     "i16",
     "i32",
     "i64",
+    "load_transds",
     "read_chunk",
     "u8",
     "u16",
@@ -114,9 +152,15 @@ __all__ = [
 ]
 
 
+_OF_AIO = (
+    *("AsyncActuator", "AsyncClient", "AsyncFunction", "AsyncSensor", "AsyncSifStream"),
+    "aconnect",
+)
+
+
 def __getattr__(name: str) -> object:
     # asyncio takes longer to load than all of this package: who does not use it does not pay.
-    if name in ("AsyncClient", "AsyncFunction", "AsyncSifStream", "aconnect"):
+    if name in _OF_AIO:
         from j2a import aio  # noqa: PLC0415
 
         return getattr(aio, name)

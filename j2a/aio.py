@@ -23,6 +23,7 @@ from j2a.io.loop import AsyncEngine, AsyncHandler, AsyncRestartHandler
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
 from j2a.io.streams import MAX_SIFS
+from j2a.io.transducers import AsyncActuator, AsyncSensor, Transducers
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits
@@ -32,7 +33,15 @@ from j2a.protocol.transfer import Progress, Transfer
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["AsyncClient", "AsyncFunction", "AsyncHandler", "AsyncSifStream", "aconnect"]
+__all__ = [
+    "AsyncActuator",
+    "AsyncClient",
+    "AsyncFunction",
+    "AsyncHandler",
+    "AsyncSensor",
+    "AsyncSifStream",
+    "aconnect",
+]
 
 _HandlerF = TypeVar("_HandlerF", bound=AsyncHandler)
 _Result = TypeVar("_Result")
@@ -73,6 +82,22 @@ class AsyncFunctions(RemoteFunctions[AsyncFunction]):
         return client.functions
 
 
+class AsyncTransducers(Transducers[Any]):
+    """The transducers of a device by name; calling it loads them where that was not done yet."""
+
+    def __init__(self, known: Transducers[Any], client: "weakref.ref[AsyncClient]") -> None:
+        super().__init__(known.__getitem__, list(known), known.why, known.descriptors)
+        self._client = client
+
+    async def __call__(self) -> "AsyncTransducers":
+        """Learn what the device has, unless that was done, and return its transducers."""
+        client = self._client()
+        if client is None:
+            raise LinkClosed("the client is gone")
+        await client._drive(client._load_functions(), client._device_limits(client.now()))
+        return client.transducers
+
+
 class AsyncClient(ClientBase):
     """The host's end of a link for asyncio; use `await j2a.aconnect(url)` to get one.
 
@@ -93,7 +118,6 @@ class AsyncClient(ClientBase):
     ) -> None:
         super().__init__(transport.url, timeout, window, trace)
         self._functions: tuple[object, AsyncFunctions] | None = None
-        self._handlers: Handlers[AsyncHandler] = Handlers()
         self._engine = AsyncEngine(
             transport,
             self._session,
@@ -245,6 +269,16 @@ class AsyncClient(ClientBase):
             made = AsyncFunctions(functions, self._device.missing, weakref.ref(self))
             self._functions = names, made
         return self._functions[1]
+
+    @property
+    def transducers(self) -> AsyncTransducers:
+        """The device's sensors and actuators by name, as far as they were learnt.
+
+        `aconnect` reads what the device says of them; `await board.transducers()` does so anew
+        after a restart. See `Client.transducers`.
+        """
+        known = self._make_transducers(AsyncSensor, AsyncActuator)
+        return AsyncTransducers(known, weakref.ref(self))
 
     def function(self, function: str | int, signature: str, definitions: str = "") -> AsyncFunction:
         """Return a function with a signature; `j2a.Client.function` for asyncio.

@@ -20,6 +20,7 @@ from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
 from j2a.io.streams import MAX_SIFS, SifStream
+from j2a.io.transducers import Actuator, Sensor, Transducers
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits
@@ -83,7 +84,7 @@ class Client(ClientBase):
         super().__init__(transport.url, timeout, window, trace)
         self._transport = transport
         self._functions: tuple[object, RemoteFunctions[Function]] | None = None
-        self._handlers: Handlers[Handler] = Handlers()
+        self._transducers: tuple[object, Transducers[Any]] | None = None
         self._engine = Engine(
             transport,
             self._session,
@@ -252,6 +253,23 @@ class Client(ClientBase):
             made = RemoteFunctions(self._make_functions(Function), self._device.missing)
             self._functions = names, made
         return self._functions[1]
+
+    @property
+    def transducers(self) -> Transducers[Any]:
+        """The device's sensors and actuators by name; empty where it describes none.
+
+        `connect` reads what it says of them; to look here asks nothing of the device then. The
+        objects stay right when the device restarts (J2A-TRANS-001, J2A-TRANS-027).
+
+        Returns: a mapping of `j2a.Sensor` and `j2a.Actuator`.
+
+        Raises: as `call`, when the descriptors are still to be read.
+        """
+        self._load()
+        learnt = self._device.descriptors
+        if self._transducers is None or self._transducers[0] is not learnt:
+            self._transducers = learnt, self._make_transducers(Sensor, Actuator)
+        return self._transducers[1]
 
     def function(self, function: str | int, signature: str, definitions: str = "") -> Function:
         """Return a function that the device does not describe, with the signature given here.

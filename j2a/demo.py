@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 from typing import Annotated, Final, NamedTuple
 
 from j2a_spec.constants import MAX_PAYLOAD, RET_FAILED
@@ -18,6 +19,7 @@ from j2a.errors import Fail
 from j2a.io.functions import ManyReply, ManyRequest, Result, read_chunk
 from j2a.protocol.trace import Trace
 from j2a.types.annotations import Length, f32, i8, i16, i32, i64, u8, u16, u32, u64
+from j2a.types.transducers import Descriptors
 
 __all__ = ["SIF_PERIODIC", "STORE_BYTES", "DemoDevice"]
 
@@ -90,12 +92,20 @@ class DemoDevice(Device):
         *,
         interface: bool = True,
         boot: bool = False,
+        transducers: str | Path | Descriptors | None = None,
         room: int = MAX_PAYLOAD,
         trace: Trace | None = None,
     ) -> None:
         own = {"name": "J2A demo", "serial": "0001", "port": "python"}
         properties = {**own, **(properties or {})}
-        super().__init__(properties, interface=interface, boot=boot, room=room, trace=trace)
+        super().__init__(
+            properties,
+            interface=interface,
+            boot=boot,
+            transducers=transducers,
+            room=room,
+            trace=trace,
+        )
         self._start_us = time.monotonic_ns() // 1000
         self._content = bytearray()
         self._ticker = _Ticker(self)

@@ -11,12 +11,15 @@ import logging
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Final, Self, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 
 from j2a_spec.constants import (
     BOOT,
     BYTE_TIMEOUT_MS,
     CAP_BOOT,
+    CAP_TRANSDUCERS,
+    GET_TRANSDS,
     MAX_PAYLOAD,
     MIN_ROOM,
     PROP_CAPS,
@@ -24,6 +27,7 @@ from j2a_spec.constants import (
     PROP_RXBUF,
     PROP_SPEC,
     SPEC_VERSION,
+    TRANSD,
 )
 
 from j2a.errors import LinkClosed, LocalError, RegistrationError
@@ -32,10 +36,13 @@ from j2a.io.connection import Connection
 from j2a.io.functions import DebugText
 from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
 from j2a.io.registration import FunctionRegistry
+from j2a.io.transds_file import load_transds
+from j2a.io.transducer_runner import TransducerRunner
 from j2a.protocol.arguments import check_opcode, check_payload
 from j2a.protocol.boot import pack_boot
 from j2a.protocol.server import Server
 from j2a.protocol.trace import Trace
+from j2a.types.transducers import Descriptors
 
 if TYPE_CHECKING:
     from j2a_transports import Listener, Transport
@@ -44,6 +51,8 @@ __all__ = ["Device"]
 
 _logger = logging.getLogger("j2a")
 _Member = TypeVar("_Member")
+_Moved = TypeVar("_Moved", bound=Callable[[int, Any], object])
+_Started = TypeVar("_Started", bound=Callable[[], object])
 _RXBUF: Final = 4096
 MAX_HOSTS: Final = 64
 IDLE_S: Final = 60.0
@@ -76,6 +85,8 @@ class Device(FunctionRegistry):
         boot: the first frame to each host says that the device began anew, so that a host whose
             link stays notices a restart (J2A-BOOT-001); it needs `interface`. SIFs of the opcode
             0xFF are not for the application then.
+        transducers: its sensors and actuators: a transds.def, or what `load_transds` returns. See
+            `sense` and `actuator` (J2A-TRANS-001).
         room: the longest payload of a request that it accepts, 32..255 bytes; it answers longer
             ones by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). Use it to test hosts with a small device.
         byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
@@ -86,7 +97,8 @@ class Device(FunctionRegistry):
         trace: the trace of links that begin from now on; None traces nothing.
 
     Raises:
-        LocalError: `room` or `byte_timeout_s` is out of range, or `boot` lacks `interface`.
+        LocalError: `room` or `byte_timeout_s` is out of range, or `boot` lacks `interface`; a
+            transds.def is wrong (`SignatureError`).
         RegistrationError: a property is empty or holds NUL.
     """
 
@@ -96,6 +108,7 @@ class Device(FunctionRegistry):
         *,
         interface: bool = True,
         boot: bool = False,
+        transducers: str | Path | Descriptors | None = None,
         room: int = MAX_PAYLOAD,
         byte_timeout_s: float = BYTE_TIMEOUT_MS / 1000,
         trace: Trace | None = None,
@@ -116,12 +129,17 @@ class Device(FunctionRegistry):
         if room < MAX_PAYLOAD:
             known[PROP_ROOM] = str(room)
         known |= properties or {}
+        if transducers is not None:
+            known[PROP_CAPS] = f"{CAP_TRANSDUCERS} {known.get(PROP_CAPS, '')}".rstrip()
         if boot:
             known[PROP_CAPS] = f"{CAP_BOOT} {known.get(PROP_CAPS, '')}".rstrip()
         super().__init__(known, self._take_debug, room, interface)
         self._byte_timeout_s = byte_timeout_s
         self.trace = trace
         self._calling = threading.Lock()
+        self._runner: TransducerRunner | None = None
+        if transducers is not None:
+            self._runner = self._add_transducers(transducers)
         self._lock = threading.Lock()
         self._debug_lock = threading.Lock()
         # In the order in which they came.
@@ -191,6 +209,77 @@ class Device(FunctionRegistry):
         """
         return self.send_sif(*self._pack_sif(sif, values, named))
 
+    # ------------------------------------------------------------------ transducers
+
+    def _add_transducers(self, source: str | Path | Descriptors) -> TransducerRunner:
+        known = source if isinstance(source, Descriptors) else load_transds(source)
+        runner = TransducerRunner(known, self.send_sif, self._calling)
+        self._table.add_content(GET_TRANSDS, self._tell_descriptors)
+        self._table.add_call(TRANSD, runner.request)
+        return runner
+
+    def _tell_descriptors(self) -> bytes:
+        """Return what a2jGetTransds returns; a host reads it before it uses samples."""
+        return self._transducers().content
+
+    def _transducers(self) -> TransducerRunner:
+        if self._runner is None:
+            raise LocalError(
+                "this device has no transducers: give it a transds.def when it is made"
+            )
+        return self._runner
+
+    def sense(self, name: str, channel: int, value: Any, *, raw: bool = False) -> None:
+        """Take a value that a sensor has measured now, as a driver of firmware calls back.
+
+        It is sent to each host as the settings of the sensor say; any thread may call this.
+
+        Args:
+            name: of the sensor.
+            channel: which of its channels, from 0 on.
+            value: in the unit of the descriptor; None is the N/A value.
+            raw: it is a raw one, before scale and offset.
+
+        Raises:
+            LocalError: the device has no such sensor or channel, or the value is not of its type.
+        """
+        self._transducers().sense(name, channel, value, is_raw=raw)
+
+    def actuator(self, name: str) -> Callable[[_Moved], _Moved]:
+        """Register the function that sets an actuator; a decorator.
+
+        It takes the channel and the value in the unit of the descriptor, and is called when a host
+        sets a channel, when a time has come for which it was set, and with the safe value when the
+        host is silent for too long (J2A-TRANS-016, J2A-TRANS-017)::
+
+            @device.actuator("servo")
+            def turn(channel: int, percent: float) -> None: ...
+
+        Raises:
+            LocalError: the device has no such actuator.
+        """
+
+        def register(function: _Moved) -> _Moved:
+            self._transducers().on_set(name, function)
+            return function
+
+        return register
+
+    def on_trigger(self, name: str) -> Callable[[_Started], _Started]:
+        """Register the function that lets a sensor with the key trigger measure; a decorator.
+
+        It takes nothing and calls `sense` when it has measured (J2A-TRANS-018).
+
+        Raises:
+            LocalError: the device has no such sensor.
+        """
+
+        def register(function: _Started) -> _Started:
+            self._transducers().on_trigger(name, function)
+            return function
+
+        return register
+
     def _is_reserved(self, opcode: int) -> bool:
         return self._has_boot and opcode == BOOT
 
@@ -257,6 +346,8 @@ class Device(FunctionRegistry):
 
     def stop(self) -> None:
         """End all `serve` and `serve_forever`, from any thread and from inside functions."""
+        if self._runner is not None:
+            self._runner.stop()
         with self._lock:
             self._stopped = True
             connections = list(self._connections)
@@ -323,8 +414,12 @@ class Device(FunctionRegistry):
             if self._stopped:
                 raise LocalError("this device was stopped; make a new one")
             group[member] = None
+        if self._runner is not None:
+            self._runner.start()
 
     def _execute(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
+        if self._runner is not None:
+            self._runner.hear()
         with self._calling:
             return self._table.execute(opcode, payload)
 

@@ -47,7 +47,9 @@ __all__ = [
     "RegistrationError",
     "RemoteError",
     "SignatureError",
+    "UnknownBoard",
     "UnknownFunction",
+    "UnknownTransducer",
     "UnsupportedVersion",
     "WrongArgument",
 ]
@@ -108,6 +110,14 @@ class UnknownFunction(LocalError, KeyError):
     """The device has no function of that name."""
 
 
+class UnknownTransducer(LocalError, KeyError):
+    """The device has no sensor or actuator of that name."""
+
+
+class UnknownBoard(LocalError, KeyError):
+    """The fleet has no board of that name, or it is not here now."""
+
+
 class PayloadTooLong(LocalError):
     """A payload is longer than a frame holds, or than the device has room for (J2A-LIMIT-007)."""
 
@@ -127,6 +137,8 @@ class SignatureError(LocalError):
         text: the line that is wrong.
         position: number of the character in it, from 0.
         line: number of the line in an interface, from 1; None for a signature.
+        reason: the message without the place.
+        file: the name of the file that is wrong, or "".
     """
 
     def __init__(
@@ -142,6 +154,8 @@ class SignatureError(LocalError):
         self.text = text
         self.position = position
         self.line = line
+        self.reason = message
+        self.file = ""
 
     @classmethod
     def at(cls, what: str, text: str, position: int, line: int | None = None) -> Self:
@@ -150,9 +164,11 @@ class SignatureError(LocalError):
         if line is not None:
             place = f"line {line}, {place}"
         near = text[position:][:_NEAR]
-        return cls(
+        error = cls(
             f"{what} ({place}, {f'at {near!r}' if near else 'at the end'})", text, position, line
         )
+        error.reason = what
+        return error
 
     def __str__(self) -> str:
         return printable(str(self.args[0]))

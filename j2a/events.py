@@ -5,7 +5,7 @@ are named tuples because one is made for every frame on the wire and a frozen da
 times as much to build; what is made less often is a dataclass.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
@@ -19,7 +19,18 @@ from j2a_spec.constants import (
     RET_MAX,
 )
 
-__all__ = ["Counters", "Frame", "FrameError", "Reason", "Reply", "ResetCause", "Restart", "Sif"]
+__all__ = [
+    "Counters",
+    "Frame",
+    "FrameError",
+    "Reading",
+    "Reason",
+    "Reply",
+    "ResetCause",
+    "Restart",
+    "Sample",
+    "Sif",
+]
 
 Reason = Literal["checksum", "marker", "escape", "timeout", "lost"]
 """Why a frame was abandoned: wrong checksum; interrupted by the marker of the next one; ESC 0xFF;
@@ -109,6 +120,69 @@ class Restart:
     count: int = 0
     interface_hash: str = ""
     is_changed: bool = True
+
+
+class Reading(NamedTuple):
+    """One value of one channel of a transducer (J2A-TRANS-005)."""
+
+    channel: int
+    time_us: int | None
+    """On the clock of the device, in microseconds; None where the channel has no value yet."""
+    raw: Any
+    """As it was on the wire."""
+    value: Any
+    """In the unit of the transducer; None where there is no value, or it is N/A (J2A-TRANS-024)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What a sensor has measured.
+
+    Attributes:
+        board: the URL of the board; in a `j2a.Fleet` its identity.
+        name: of the transducer.
+        sequence: number of this sample since the board was connected, from 0 on.
+        readings: one for each channel in order; of a sensor with a queue one for each value, in the
+            order in which they were measured.
+        host_time: when it came, in seconds on the clock of `Client.now`.
+        unit: of the values, a symbol of UCUM, or "".
+        lost: values that were lost before this sample, because the queue of the device was full
+            (J2A-TRANS-026).
+        missed: SIFs of any kind that the link lost just before this one; see `Sif.missed`.
+        is_reset: the clock of the device went back since the sample before (J2A-TRANS-027).
+        payload: of the SIF.
+    """
+
+    board: str
+    name: str
+    sequence: int
+    readings: tuple[Reading, ...]
+    host_time: float
+    unit: str = ""
+    lost: int = 0
+    missed: int = 0
+    is_reset: bool = False
+    payload: bytes = field(default=b"", repr=False)
+
+    @property
+    def values(self) -> tuple[Any, ...]:
+        """The values of the readings, None where there is none."""
+        return tuple(reading.value for reading in self.readings)
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """The channels of the readings."""
+        return tuple(reading.channel for reading in self.readings)
+
+    @property
+    def times_us(self) -> tuple[int | None, ...]:
+        """The times of the readings on the clock of the device, in microseconds."""
+        return tuple(reading.time_us for reading in self.readings)
+
+    @property
+    def time_us(self) -> int | None:
+        """The time of the newest reading, in microseconds."""
+        return max((time for time in self.times_us if time is not None), default=None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
 OLDEST = (3, 11)
-EXTRAS = ("serial", "usb", "conformance", "build")
+EXTRAS = ("serial", "usb", "conformance", "build", "record")
 TOOLS = ("pytest", "pytest-timeout", "pytest-xdist", "hypothesis")
 TESTS = ("j2a/tests/library",)
 MORE_TESTS = ("transports/tests", "--ignore=transports/tests/guest")

@@ -32,10 +32,14 @@ BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
         "props": "the properties of a device, or one of them",
         "echo": "test a link: send bytes there and back, verify and time them",
         "watch": "print the frames that a device sends unasked (SIFs)",
+        "record": "write what the sensors of boards measure into a file",
+        "replay": "be the board of a recording",
+        "export": "write the samples of a recording as tables",
         "debug": "print the debug text of a device",
+        "transds": "the sensors and actuators of a board, or of a transds.def",
         "stub": "write a typed Python module for the functions of a board",
         "completion": "a script that lets bash, zsh or fish complete j2a",
-        "serve": "be a device: the demo, or one written in Python",
+        "serve": "be a device: the demo, one written in Python, or virtual sensors",
     }
 )
 

@@ -35,6 +35,11 @@ def add_link_arguments(
 ) -> None:
     """Add the URL, or what a command takes in its place, and the options of a link."""
     parser.add_argument("url", metavar=metavar, help=about)
+    add_link_options(parser)
+
+
+def add_link_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a link."""
     parser.set_defaults(url_help=open_help)
     group = parser.add_argument_group("link")
     group.add_argument(
@@ -115,6 +120,11 @@ def connect(args: argparse.Namespace) -> j2a.Client:
         UsageError: an option is wrong.
         J2AError: as `j2a.connect`.
     """
+    return connect_to(args, args.url)
+
+
+def connect_to(args: argparse.Namespace, url: str) -> j2a.Client:
+    """Open a link with the options of the command line; raises as `connect`."""
     options: dict[str, object] = {} if args.baud is None else {"baud": args.baud}
     for option in args.option:
         name, equals, value = option.partition("=")
@@ -126,7 +136,7 @@ def connect(args: argparse.Namespace) -> j2a.Client:
             raise UsageError(f"-O {option}: {name} is no option of a URL; see --help")
         options[name] = value
     return j2a.connect(
-        args.url,
+        url,
         timeout=TIMEOUT_S if args.timeout is None else args.timeout,
         boot_time=args.boot_time,
         trace=TracePrinter(raw=args.verbose > 1) if args.verbose else None,
@@ -192,6 +202,14 @@ def finite_seconds(text: str) -> float:
     value = seconds(text)
     if value == math.inf:
         raise argparse.ArgumentTypeError("the time must have an end")
+    return value
+
+
+def positive_number(text: str) -> float:
+    """Read a number above 0."""
+    value = _read(float, text, "a number")
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
     return value
 
 

@@ -1,4 +1,4 @@
-"""`j2a serve`: be a device: the demo, or one written in Python.
+"""`j2a serve`: be a device: the demo, one written in Python, or a board with virtual sensors.
 
 In: where hosts arrive. Out: `listening on URL`, and a device there until Ctrl-C.
 """
@@ -27,22 +27,30 @@ from j2a.cli._link import (
 )
 from j2a.cli._output import note, show
 from j2a.cli._trace import TracePrinter
+from j2a.cli._transds import read_transds_argument
 from j2a.device import IDLE_S, MAX_HOSTS
 from j2a.io.opening import WAIT_S
 
 NOTES = """\
 examples:
   j2a serve --listen tcp://127.0.0.1:5000
-  j2a serve --device thermometer:device"""
+  j2a serve --device thermometer:device
+  j2a serve --transds transds.def --listen tcp://127.0.0.1:5000"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
     add_listen_argument(parser)
-    parser.add_argument(
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
         "--device",
         metavar="MODULE:ATTRIBUTE",
         help="a j2a.Device of yours, or a function that makes one (the demo)",
+    )
+    what.add_argument(
+        "--transds",
+        metavar="FILE",
+        help="a board with the transducers of a transds.def, whose sensors measure waves",
     )
     parser.add_argument(
         "--max-hosts",
@@ -66,7 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until the end; returns the exit code."""
     check_listen_url(args.listen)
-    device = _demo() if args.device is None else load_device(args.device)
+    if args.transds is not None:
+        device: j2a.Device = virtual_board(args.transds)
+    else:
+        device = _demo() if args.device is None else load_device(args.device)
     if args.verbose:
         # A Device takes its trace when it is made, which was before the command line was read.
         device.trace = TracePrinter(raw=args.verbose > 1, is_device=True)
@@ -117,6 +128,16 @@ def load_device(name: str) -> j2a.Device:
     if not isinstance(device, j2a.Device):
         raise UsageError(f"--device {name}: is {type(device).__name__}, not a j2a.Device")
     return device
+
+
+def virtual_board(path: str) -> j2a.Device:
+    """Return a device with the transducers of a transds.def, which measures."""
+    from j2a.virtual import VirtualBoard  # noqa: PLC0415 - only needed for this option
+
+    descriptors, _ = read_transds_argument(path, {})
+    board = VirtualBoard(descriptors)
+    board.measure()
+    return board
 
 
 def _demo() -> j2a.Device:

@@ -25,10 +25,11 @@ NOTES: Final = """\
 examples:
   j2a stub serial:///dev/ttyACM0 -o board.py
   j2a stub firmware/functions.def -o board.h
-  j2a stub firmware/apps/sensors/functions.def -D SENSORS_ADC=1 -o sensors.py
+  j2a stub firmware/apps/sensors/functions.def -D SENSORS_ADC=1 -D J2A_WITH_TRANSDUCERS=0
 
 board.py has a class with a method for each function. It refuses boards with another interface.
-A functions.def is read as for a build with all parts, so its hash is that of such a board."""
+A functions.def is read as for a build with all parts, and with transducers where a transds.def
+lies beside it, so its hash is that of such a board."""
 _SUFFIXES: Final = (".py", ".json", ".h")
 
 
@@ -99,8 +100,11 @@ def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
         for one in args.define:
             name, is_given, value = one.partition("=")
             options[name] = value if is_given else "1"
-        digest = f"{zlib.crc32(interface_text(text, options).encode()):08x}"
-        return read_definition_file(text, options), digest, path.name
+        is_off = options.get("J2A_WITH_TRANSDUCERS") == "0"
+        has_transducers = not is_off and path.with_name("transds.def").exists()
+        own = interface_text(text, options, has_transducers=has_transducers)
+        interface = read_definition_file(text, options, has_transducers=has_transducers)
+        return interface, f"{zlib.crc32(own.encode()):08x}", path.name
     if args.define or args.undefine:
         raise UsageError("-D and -U are for a functions.def; a board knows what it is built with")
     with connect(args) as client:

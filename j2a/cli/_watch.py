@@ -1,7 +1,7 @@
-"""`j2a watch`: print the frames that a device sends unasked (SIFs).
+"""`j2a watch`: print the frames that a device sends unasked (SIFs), samples of sensors among them.
 
-In: a link. Out: a line for each SIF, and one for each gap in their numbers. SIFs that the device
-describes are printed by their fields.
+In: a link. Out: a line for each SIF, and one for each gap in their numbers; with `--rates` a table
+of sensors each second. SIFs that the device describes are printed by their fields.
 Rules: the library's thread collects, this one prints, so that a slow reader of the output loses
 nothing. What `--then` names is called however the watching ends, unless the link is gone.
 """
@@ -15,6 +15,7 @@ import shlex
 import time
 from collections.abc import Sequence
 from datetime import datetime
+from typing import NamedTuple
 
 import j2a
 from j2a.cli._exit import (
@@ -35,6 +36,7 @@ from j2a.cli._link import (
     whole_number,
 )
 from j2a.cli._output import note, show, show_json
+from j2a.cli._samples import RATE_HEAD, Rates, rate_text, sample_facts, sample_text
 from j2a.cli._typed import json_of, plain, takes_values, values_of
 from j2a.cli._values import Decoder, payload_of, short_hex, text_of
 from j2a.types.coding import Codec, PythonTypes
@@ -44,10 +46,56 @@ NOTES = """\
 examples:
   j2a watch tcp://127.0.0.1:5000 counter --call 'sifPeriod 100' --count 10 --json
   j2a watch tcp://127.0.0.1:5000 --call 'sifPeriod 100' --then 'sifPeriod 0'
-  j2a watch tcp://127.0.0.1:5000 0x20 --as u32"""
+  j2a watch tcp://127.0.0.1:5000 0x20 --as u32
+  j2a watch tcp://127.0.0.1:5000 quad
+  j2a watch tcp://127.0.0.1:5000 --rates
+
+--rates shows of each sensor: samples that came in this second; jitter, which is the standard
+deviation of the time between two of them on the clock of the board; delay, the median time to the
+host above that of the quickest one; and the longest one. The clocks are not synchronised."""
 _LOOK_S = 0.2
+_RATES_S = 1.0
 _Call = tuple[str | int, list[str]]
 _Shapes = dict[int, tuple[SifShape, Codec]]  # by opcode
+
+
+class _Arrived(NamedTuple):
+    """A SIF, with the time of day and of the link, and the sample that it is."""
+
+    at_s: float
+    came_at: float
+    sif: j2a.Sif
+    sample: j2a.Sample | None
+
+
+class _RateTable:
+    """What `--rates` shows."""
+
+    def __init__(self, client: j2a.Client, args: argparse.Namespace) -> None:
+        if not any(isinstance(one, j2a.Sensor) for one in client.transducers.values()):
+            raise UsageError(f"{client.url} has no sensors: {client.transducers.why}")
+        self._rates = Rates()
+        self._now = client.now
+        self._due = self._now() + _RATES_S
+        self._as_json = args.json
+
+    def add(self, sample: j2a.Sample) -> None:
+        self._rates.add(sample)
+
+    def show_if_due(self) -> None:
+        if self._now() >= self._due:
+            self._due = self._now() + _RATES_S
+            self.show()
+
+    def show(self) -> None:
+        if not self._as_json:
+            show(RATE_HEAD)
+        for name, facts in self._rates.take():
+            if self._as_json:
+                rounded = {k: round(v, 3) if isinstance(v, float) else v for k, v in facts.items()}
+                show_json({"sensor": name, **rounded})
+            else:
+                show(rate_text(name, facts), flush=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,6 +124,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--as", dest="types", type=Decoder, metavar="TYPES", help="decode payloads, as j2a call"
     )
+    parser.add_argument(
+        "--rates",
+        action="store_true",
+        help="show each second how regularly the samples of each sensor come, in place of them",
+    )
     add_json_argument(parser, "an object for each SIF, one per line,")
     add_link_arguments(parser)
     parser.add_argument(
@@ -83,7 +136,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SIF",
         nargs="*",
         default=[],
-        help="watch only these: names of SIFs that the device describes, or opcodes 0..255",
+        help="watch only these: names of sensors and of SIFs that the device describes, or opcodes",
     )
 
 
@@ -114,29 +167,41 @@ def _watch(
     first: Sequence[_Call],
     args: argparse.Namespace,
 ) -> None:
-    arrived: queue.SimpleQueue[tuple[float, float, j2a.Sif]] = queue.SimpleQueue()
+    arrived: queue.SimpleQueue[_Arrived] = queue.SimpleQueue()
     described = client.interface.sifs if client.interface else ()
     types = PythonTypes()
     shapes = {shape.opcode: (shape, Codec(shape.fields, types)) for shape in described}
-    opcodes = _opcodes_of(wanted, shapes)
-    client.on_sif(opcodes, lambda sif: arrived.put((time.time(), client.now(), sif)))
+    opcodes = _opcodes_of(wanted, shapes, client)
+
+    def take(sif: j2a.Sif) -> None:
+        arrived.put(_Arrived(time.time(), client.now(), sif, client._source.current))
+
+    client.on_sif(opcodes, take)
     _call_each(client, first)
     end = math.inf if args.duration is None else client.now() + args.duration
     seen = 0
+    rates = _RateTable(client, args) if args.rates else None
     while args.count is None or seen < args.count:
         left_s = min(_LOOK_S, end - client.now())
+        if rates is not None:
+            rates.show_if_due()
         try:
-            at_s, came_at, sif = arrived.get(timeout=max(left_s, 0.0))
+            one = arrived.get(timeout=max(left_s, 0.0))
         except queue.Empty:
             if left_s <= 0:
                 break
             if not client.is_open:
                 client.call(0)  # raises what ended the link
             continue
-        if came_at > end:  # simulated time may run faster than that of this machine
+        if one.came_at > end:  # simulated time may run faster than that of this machine
             break
         seen += 1
-        _print(at_s, sif, shapes, args)
+        if rates is None:
+            _print(one, shapes, args)
+        elif one.sample is not None:
+            rates.add(one.sample)
+    if rates is not None:
+        rates.show()
     if args.count is not None and seen < args.count:
         came = f"{seen} of {args.count} SIFs came within {args.duration:g} s"
         raise CommandFailed(came, TIMEOUT)
@@ -180,18 +245,22 @@ def _opcode_or_name(text: str) -> str | int:
         raise UsageError(f"SIF: {error}") from None
 
 
-def _opcodes_of(wanted: Sequence[str | int], shapes: _Shapes) -> list[int] | None:
+def _opcodes_of(
+    wanted: Sequence[str | int], shapes: _Shapes, client: j2a.Client
+) -> list[int] | None:
     """Return the opcodes of SIFs by name or opcode, None for all.
 
     Raises:
-        UsageError: the device describes no SIF of a name.
+        UsageError: the device describes no SIF and has no sensor of a name.
     """
-    known = {shape.name: opcode for opcode, (shape, _) in shapes.items()}
+    sensors = [one for one in client.transducers.values() if isinstance(one, j2a.Sensor)]
+    known = {one.name: one.descriptor.id for one in sensors}
+    known |= {shape.name: opcode for opcode, (shape, _) in shapes.items()}
     for name in wanted:
         if isinstance(name, str) and name not in known:
             raise UsageError(
-                f"the device describes no SIF {name!r}, but {', '.join(known) or 'none'}; "
-                "give its opcode, 0..255"
+                f"the device describes no SIF or sensor {name!r}, but "
+                f"{', '.join(known) or 'none'}; give its opcode, 0..255"
             )
     return [known[one] if isinstance(one, str) else one for one in wanted] or None
 
@@ -215,17 +284,22 @@ def _values_of(sif: j2a.Sif, shapes: _Shapes, types: Decoder | None) -> tuple[ob
     return {field.name: json_of(one) for field, one in named}, f"{shape.name}({text})"
 
 
-def _print(at_s: float, sif: j2a.Sif, shapes: _Shapes, args: argparse.Namespace) -> None:
+def _print(one: _Arrived, shapes: _Shapes, args: argparse.Namespace) -> None:
+    sif, sample = one.sif, one.sample if args.types is None else None
     problem = None
+    values: object
     try:
-        values, what = _values_of(sif, shapes, args.types)
+        if sample is not None:
+            values, what = None, sample_text(sample)
+        else:
+            values, what = _values_of(sif, shapes, args.types)
     except ValueError as error:
         problem = error
         note(f"j2a: SIF {sif.seq}: {error}")
         values, what = _values_of(sif, {}, None)
     if args.json:
         facts: dict[str, object] = {
-            "time": round(at_s, 6),
+            "time": round(one.at_s, 6),
             "sif": shapes[sif.opcode][0].name if sif.opcode in shapes else None,
             "opcode": sif.opcode,
             "seq": sif.seq,
@@ -234,11 +308,13 @@ def _print(at_s: float, sif: j2a.Sif, shapes: _Shapes, args: argparse.Namespace)
         }
         if values is not None:
             facts["values"] = values
+        if sample is not None:
+            facts |= sample_facts(sample)
         if problem is not None:
             facts["error"] = error_facts(problem, FAILED)
         show_json(facts)
         return
     if sif.missed:
         show(f"              {sif.missed} SIF{'s' * (sif.missed > 1)} missed")
-    clock = datetime.fromtimestamp(at_s).strftime("%H:%M:%S.%f")[:-3]
+    clock = datetime.fromtimestamp(one.at_s).strftime("%H:%M:%S.%f")[:-3]
     show(f"{clock}  opcode {sif.opcode:>3}  seq {sif.seq:>3}  {what}".rstrip(), flush=True)

@@ -41,6 +41,8 @@ from j2a.errors import (
 from j2a.events import Counters, Reply, Restart
 from j2a.io.handlers import Handlers, NamedSif, Opcodes
 from j2a.io.remote import Origin, RemoteFunction
+from j2a.io.samples import SampleSource
+from j2a.io.transducers import RemoteTransducer, Transducers
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.device_info import DeviceInfo, is_map
 from j2a.protocol.limits import DEVICE_LIMITS, Limits
@@ -69,6 +71,7 @@ MAX_DEBUG_READS: Final = 256
 
 _logger = logging.getLogger("j2a")
 _FunctionT = TypeVar("_FunctionT", bound=RemoteFunction)
+_TransducerT = TypeVar("_TransducerT", bound=RemoteTransducer)
 _MAP_ASKS: Final = 4
 _FIRST_LIMIT_S: Final = 0.25
 _STALE_BYTES: Final = 2**18
@@ -92,6 +95,7 @@ class ClientBase:
         self._identity: tuple[Sequence[str], str | None] | None = None
         self._pinned: tuple[str, Mapping[str, type]] | None = None
         self._restart_handlers: Handlers[Any] = Handlers()
+        self._handlers: Handlers[Any] = Handlers()
         # A random start keeps the replies to an earlier program from answering this one.
         self._session = Session(
             first_seq=random.randrange(256),
@@ -99,6 +103,16 @@ class ClientBase:
             trace=trace,
             nonce=lambda: os.urandom(NONCE_BYTES),
         )
+
+        client = weakref.ref(self)
+        self._source = SampleSource(
+            url, self._device, lambda: _now_of(client), lambda: _is_stale(client)
+        )
+        self._handlers.add(None, self._source.take)
+
+    def now(self) -> float:
+        """Return the time on which the limits of this link run, in seconds."""
+        raise NotImplementedError
 
     @property
     def url(self) -> str:
@@ -279,6 +293,29 @@ class ClientBase:
         """Return the time limit of a call, in seconds."""
         return function.timeout or self._timeout + function.slow_s
 
+    # ------------------------------------------------------------------ transducers
+
+    def _make_transducers(
+        self,
+        sensor: Callable[..., _TransducerT],
+        actuator: Callable[..., _TransducerT],
+    ) -> Transducers[_TransducerT]:
+        """Return the transducers of the device."""
+        source, client = self._source, weakref.ref(self)
+        why = self._device.transducers_problem or "the device describes none"
+
+        def made(name: str) -> _TransducerT:
+            codec = source.codec(name)
+            is_sensor = codec is not None and codec.transducer.is_sensor
+            return (sensor if is_sensor else actuator)(name, source, client, self._url)
+
+        return Transducers(made, source.names(), why, self._device.descriptors)
+
+    @property
+    def transducers_problem(self) -> str:
+        """Why the transducers of the device are not used; "" where they are, or there are none."""
+        return self._device.transducers_problem
+
     # ------------------------------------------------------------------ several calls
 
     def _connect(self, boot_time: float) -> Transfer[None]:
@@ -312,6 +349,7 @@ class ClientBase:
 
     def _learn_interface(self) -> Transfer[None]:
         yield from self._device.learn_interface()
+        yield from self._device.learn_transducers()
         self._session.has_boot = CAP_BOOT in self._device.announced.capabilities
 
     def _fetch_map(self, boot_time: float | None) -> Transfer[None]:
@@ -533,3 +571,13 @@ def check_echo(reply: Reply, payload: bytes) -> bytes:
             f"a2jEcho: {len(payload)} bytes came back changed, or with code 0x{reply.code:02X}"
         )
     return reply.payload
+
+
+def _now_of(client: "weakref.ref[ClientBase]") -> float:
+    owner = client()
+    return 0.0 if owner is None else owner.now()
+
+
+def _is_stale(client: "weakref.ref[ClientBase]") -> bool:
+    owner = client()
+    return owner is None or owner._is_stale

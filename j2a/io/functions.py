@@ -180,7 +180,7 @@ class FunctionTable:
         self.add_call(MANY, lambda _payload: RET_FAILED)  # is never called: see `execute`
         self._many_opcode = len(self.names) - 1
         self._properties_opcode = len(self.names)
-        self._add_content(GET_PROPERTIES, self._pack_properties)
+        self.add_content(GET_PROPERTIES, self._pack_properties)
         self.add_call(GET_DEBUG, debug)
         self.add_call(GET_ECHO, lambda payload: (ECHO, payload))
         self.add_many(
@@ -188,7 +188,7 @@ class FunctionTable:
             lambda request: ManyReply(ECHO_MANY, request.is_last, request.data, request.offset),
         )
         if has_interface:
-            self._add_content(GET_INTERFACE, lambda: self.interface)
+            self.add_content(GET_INTERFACE, lambda: self.interface)
         pack_properties(self._properties)
 
     def add_call(
@@ -219,7 +219,7 @@ class FunctionTable:
         self.types = types
         self.sifs[sif.name] = sif
 
-    def _add_content(self, name: str, content: Callable[[], bytes]) -> None:
+    def add_content(self, name: str, content: Callable[[], bytes]) -> None:
         """Append a function for a2jMany that can be read and not be written."""
         self.add_many(
             name,

@@ -7,25 +7,28 @@ cancelling are safe from any thread and from inside handlers.
 """
 
 import logging
+import re
 import threading
 from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 from j2a.errors import J2AError, LocalError, ProtocolError
-from j2a.events import Restart, Sif
+from j2a.events import Sif
+from j2a.io.samples import WantedSamples
 from j2a.protocol.arguments import check_opcode
 from j2a.protocol.device_info import DeviceInfo
 from j2a.types.coding import Codec, PayloadMismatchError, tuple_class
 from j2a.types.model import SifShape
 
-__all__ = ["ErrorHook", "Handlers", "NamedSif", "Opcodes", "Reporter", "Subscription"]
+__all__ = ["ErrorHook", "Handlers", "NamedSif", "Opcodes", "Reporter", "Subscription", "Wanted"]
 
 Opcodes = int | Iterable[int] | None
 """One opcode, several, or None for all."""
 
 ErrorHook = Callable[[BaseException, Any], None]
-"""Called with an exception that a handler raised, and the SIF, or the `Restart`."""
+"""Called with an exception that a handler raised, and what it was called with: a SIF, a `Restart`,
+a sample or a change of a fleet."""
 
 _logger = logging.getLogger("j2a")
 _Handler = TypeVar("_Handler", bound=Callable[..., object])
@@ -73,6 +76,10 @@ class NamedSif:
             ) from None
 
 
+Wanted = Opcodes | NamedSif | WantedSamples
+"""What a handler or a stream is for."""
+
+
 class Subscription(Generic[_Handler]):
     """A registered handler; `cancel` ends it."""
 
@@ -81,7 +88,7 @@ class Subscription(Generic[_Handler]):
     def __init__(
         self,
         handler: _Handler,
-        opcodes: frozenset[int] | NamedSif | None,
+        opcodes: frozenset[int] | NamedSif | WantedSamples | None,
         cancel: Callable[["Subscription[_Handler]"], None],
     ) -> None:
         self.handler = handler
@@ -93,7 +100,9 @@ class Subscription(Generic[_Handler]):
         """What calls the handler with a SIF that it is for."""
         wanted, handler = self.opcodes, self.handler
         return (
-            (lambda sif: handler(wanted.decode(sif))) if isinstance(wanted, NamedSif) else handler
+            (lambda sif: handler(wanted.decode(sif)))
+            if isinstance(wanted, NamedSif | WantedSamples)
+            else handler
         )
 
     def cancel(self) -> None:
@@ -111,7 +120,7 @@ class Handlers(Generic[_Handler]):
         self._streams: tuple[Callable[[J2AError], None], ...] = ()
         self._end: J2AError | None = None
 
-    def add(self, opcodes: Opcodes | NamedSif, handler: _Handler) -> Subscription[_Handler]:
+    def add(self, opcodes: Wanted, handler: _Handler) -> Subscription[_Handler]:
         """Register a handler.
 
         Raises:
@@ -121,8 +130,8 @@ class Handlers(Generic[_Handler]):
             raise LocalError(f"a handler is called with each SIF, which {handler!r} cannot be")
         if isinstance(opcodes, str | bytes):
             raise LocalError(f"SIFs have opcodes from 0 to 255, not {opcodes!r}")
-        wanted: frozenset[int] | NamedSif | None
-        if opcodes is None or isinstance(opcodes, NamedSif):
+        wanted: frozenset[int] | NamedSif | WantedSamples | None
+        if opcodes is None or isinstance(opcodes, NamedSif | WantedSamples):
             wanted = opcodes
         elif isinstance(opcodes, Iterable):
             wanted = frozenset(check_opcode(opcode) for opcode in opcodes)
@@ -133,7 +142,7 @@ class Handlers(Generic[_Handler]):
             self._subscriptions = (*self._subscriptions, subscription)
         return subscription
 
-    def register(self, opcodes: Opcodes | NamedSif, handler: _Handler | None) -> object:
+    def register(self, opcodes: Wanted, handler: _Handler | None) -> object:
         """Register a handler; without one return a decorator that does."""
         if handler is not None:
             return self.add(opcodes, handler)
@@ -188,13 +197,19 @@ class Reporter:
     def __init__(self, hook: ErrorHook | None) -> None:
         self._hook = hook
 
-    def report(self, error: BaseException, event: Sif | Restart) -> None:
+    def report(self, error: BaseException, event: object) -> None:
         """Report one; never raises."""
         if self._hook is None:
-            what = f"SIF 0x{event.opcode:02X}" if isinstance(event, Sif) else "restarts"
+            what = f"SIF 0x{event.opcode:02X}" if isinstance(event, Sif) else _plural(event)
             _logger.error("a handler of %s failed", what, exc_info=error)
             return
         try:
             self._hook(error, event)
         except BaseException:
             _logger.exception("on_handler_error failed after a handler had raised %r", error)
+
+
+def _plural(event: object) -> str:
+    """Return what events of this kind are called, such as "board changes"."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(event).__name__)
+    return f"{words.lower()}s"

@@ -19,7 +19,7 @@ from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Reply, Restart, Sif
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
-from j2a.io.handlers import ErrorHook, Handlers, NamedSif, Opcodes, Reporter
+from j2a.io.handlers import ErrorHook, Handlers, Reporter, Wanted
 from j2a.io.links import ThreadedLink, WatchedLink
 from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, LOOK_S, clock_of, join_threads, start_thread
@@ -334,7 +334,7 @@ class AsyncEngine:
         if handlers is not None:
             handlers.finish(reason or LinkClosed(f"{self._transport.url} was closed"))
 
-    def stream(self, wanted: Opcodes | NamedSif, max_waiting: int) -> AsyncSifStream:
+    def stream(self, wanted: Wanted, max_waiting: int) -> AsyncSifStream:
         """Return the SIFs from now on; see `AsyncClient.sifs`."""
         self.check_process()
         handlers = self._handlers()

@@ -13,7 +13,7 @@ from typing import Any, Final, Generic, Protocol, Self, TypeVar
 
 from j2a.errors import CallTimeout, J2AError, LinkClosed, LocalError, Outcome
 from j2a.events import Sif
-from j2a.io.handlers import Handlers, NamedSif, Opcodes
+from j2a.io.handlers import Handlers, Wanted
 from j2a.io.opening import WAIT_S
 from j2a.protocol.arguments import check_timeout
 
@@ -51,7 +51,7 @@ class SifStreamBase(Generic[_EventT]):
     def __init__(
         self,
         handlers: Handlers[Any],
-        wanted: Opcodes | NamedSif,
+        wanted: Wanted,
         now: Callable[[], float],
         *,
         came: _EventT,

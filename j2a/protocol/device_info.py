@@ -13,10 +13,12 @@ from typing import Final
 
 from j2a_spec.constants import (
     CAP_INTERFACE,
+    CAP_TRANSDUCERS,
     GET_ECHO_MANY,
     GET_INTERFACE,
     GET_MAPPING,
     GET_PROPERTIES,
+    GET_TRANSDS,
     MANY,
     MANY_HEADER,
     MIN_ROOM,
@@ -44,6 +46,7 @@ from j2a.errors import (
 from j2a.events import Reply
 from j2a.protocol.announced import Announced
 from j2a.protocol.arguments import check_bytes, check_opcode
+from j2a.protocol.descriptors import MAX_DESCRIPTORS, check_descriptors
 from j2a.protocol.interface import MAX_INTERFACE, check_interface, kept_interface
 from j2a.protocol.transfer import (
     LEGACY_OFFSET,
@@ -61,6 +64,7 @@ from j2a.protocol.transfer import (
 )
 from j2a.types.coding import PythonTypes
 from j2a.types.model import Interface, SifShape
+from j2a.types.transducers import Descriptors
 
 __all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "DeviceInfo", "is_map"]
 
@@ -88,6 +92,10 @@ class DeviceInfo:
         interface_problem: why it is not used although the device has it, or "".
         asked_for_interface: `learn_interface` was run.
         types: the classes of the values that the interface describes.
+        descriptors: the device's transducers; None where it has none, or not so that they can be
+            used, or they were not read yet.
+        transducers_problem: why they are not used although the device has them, or "".
+        asked_for_transducers: `learn_transducers` was run.
     """
 
     def __init__(self) -> None:
@@ -193,6 +201,9 @@ class DeviceInfo:
         self.interface_problem = ""
         self.asked_for_interface = False
         self.types = PythonTypes()
+        self.descriptors: Descriptors | None = None
+        self.transducers_problem = ""
+        self.asked_for_transducers = False
         self._mapped = ()
 
     def learn_interface(self) -> Transfer[None]:
@@ -233,6 +244,38 @@ class DeviceInfo:
             offset_check=partial(self._guard_read, GET_INTERFACE, opcode),
         )
         return check_interface(content, announced, self._mapped)
+
+    # ------------------------------------------------------------------ transducers
+
+    def learn_transducers(self) -> Transfer[None]:
+        """Learn what sensors and actuators the device has, where it tells it.
+
+        Nothing that the device says is an error: its functions stay callable (J2A-TRANS-021).
+        """
+        if self.asked_for_transducers:
+            return
+        opcode = (self.functions or {}).get(GET_TRANSDS)
+        if opcode is not None:
+            try:
+                self.descriptors = yield from self._read_transducers(opcode)
+            except (DeviceRestarted, LinkClosed, LinkLost):
+                raise
+            except J2AError as error:
+                self.transducers_problem = str(error)
+        self.asked_for_transducers = True
+
+    def _read_transducers(self, opcode: int) -> Transfer[Descriptors]:
+        yield from self.read_properties()
+        if CAP_TRANSDUCERS not in self.announced.capabilities:
+            raise ProtocolError(f"the device does not announce {CAP_TRANSDUCERS} (J2A-CAP-003)")
+        content = yield from read_chunks(
+            GET_TRANSDS,
+            opcode,
+            max_bytes=MAX_DESCRIPTORS,
+            advice="this library takes no longer descriptors (J2A-TRANS-020)",
+            offset_check=partial(self._guard_read, GET_TRANSDS, opcode),
+        )
+        return check_descriptors(content)
 
     # ------------------------------------------------------------------ properties
 

@@ -30,15 +30,26 @@ from j2a.types.model import (
     integer_range,
 )
 
-__all__ = ["Types", "parse_definitions", "parse_interface", "parse_signature"]
+__all__ = [
+    "DOC",
+    "NAME",
+    "REST",
+    "Scanner",
+    "Types",
+    "parse_definitions",
+    "parse_interface",
+    "parse_signature",
+    "read_definition",
+    "read_type",
+]
 
-_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}(?![A-Za-z0-9_])")
+NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}(?![A-Za-z0-9_])")
 _LABEL: Final = re.compile(r"[!-'\)-~]+")
 _UNIT: Final = re.compile(r"[A-Za-z0-9%'*./^_+\-\[\]{}]{1,32}")
 _COUNT: Final = re.compile(r"[1-9][0-9]{0,4}(?![0-9])")
 _NUMBER: Final = re.compile(r"-?[0-9]{1,20}(?![0-9])")
-_DOC: Final = re.compile(r"[^\x00-\x1f\x7f]+")
-_REST: Final = re.compile(r"[^\x00-\x1f\x7f]*")
+DOC: Final = re.compile(r"[^\x00-\x1f\x7f]+")
+REST: Final = re.compile(r"[^\x00-\x1f\x7f]*")
 _FLAG_VALUE: Final = re.compile(r"\(([ -(*-~]*)\)")
 _MAX_COUNT: Final = 65535
 _MAX_SLOW_MS: Final = 65535
@@ -59,7 +70,7 @@ def parse_signature(text: str, types: Types | None = None) -> Signature:
     Raises:
         SignatureError: it is none; the error tells the character.
     """
-    scanner = _Scanner(text)
+    scanner = Scanner(text)
     signature = _signature(scanner, types or {})
     if scanner.unknown is not None:
         raise scanner.error(_no_type(scanner, types or {}), scanner.unknown)
@@ -83,10 +94,10 @@ def parse_interface(text: str) -> Interface:
     types: dict[str, Enumeration | Structure] = {}
     sifs: list[SifShape] = []
     for number, line in enumerate(lines[:split], 1):
-        _definition(_Scanner(line, number), types, sifs)
+        read_definition(Scanner(line, number), types, sifs)
     functions: dict[str, Described] = {}
     for number, line in enumerate(lines[split + 1 :], split + 2):
-        scanner = _Scanner(line, number)
+        scanner = Scanner(line, number)
         function = _function(scanner, types)
         if function.name in functions:
             raise scanner.error(f"another function has the name {function.name}", 0)
@@ -105,7 +116,7 @@ def parse_definitions(text: str) -> tuple[Enumeration | Structure, ...]:
     return parse_interface("".join(f"{line}\n" for line in text.split("\n") if line) + "\n").types
 
 
-class _Scanner:
+class Scanner:
     """A text and the position in it.
 
     Attributes:
@@ -121,6 +132,7 @@ class _Scanner:
         self._objection: SignatureError | None = None
 
     def error(self, what: str, at: int | None = None) -> SignatureError:
+        """Return the error at this place, or at another one."""
         at = self.at if at is None else at
         return SignatureError.at(what, self.text, at, self._line)
 
@@ -129,6 +141,7 @@ class _Scanner:
         self._objection = self._objection or self.error(what, at)
 
     def starts(self, *tokens: str) -> bool:
+        """Whether one of the tokens comes next."""
         return self.text.startswith(tokens, self.at)
 
     def more(self) -> bool:
@@ -136,17 +149,20 @@ class _Scanner:
         return not self.starts(" !", " #") and self.skip(" ")
 
     def skip(self, token: str) -> bool:
+        """Skip a token, if it comes next."""
         if not self.starts(token):
             return False
         self.at += len(token)
         return True
 
     def expect(self, token: str, where: str) -> None:
+        """Skip a token, which must come next."""
         if not self.skip(token):
             what = "a space" if token == " " else repr(token)
             raise self.error(f"{what} is expected {where}")
 
     def take(self, pattern: re.Pattern[str], what: str) -> str:
+        """Take what matches a pattern, which must come next."""
         match = pattern.match(self.text, self.at)
         if match is None:
             raise self.error(f"{what} is expected")
@@ -154,6 +170,7 @@ class _Scanner:
         return match[0]
 
     def number(self, pattern: re.Pattern[str], allowed: range, what: str) -> int:
+        """Take a number, which must be allowed."""
         at = self.at
         number = int(self.take(pattern, what))
         if number not in allowed:
@@ -161,13 +178,14 @@ class _Scanner:
         return number
 
     def end(self) -> None:
+        """Refuse what is left of the text, and what `object` was told."""
         if self.at < len(self.text):
             raise self.error("nothing more is expected")
         if self._objection and self.unknown is None:
             raise self._objection
 
 
-def _signature(scanner: _Scanner, types: Types) -> Signature:
+def _signature(scanner: Scanner, types: Types) -> Signature:
     scanner.expect("(", "at the start of a signature")
     parameters = _fields(scanner, types) if not scanner.skip(")") else ()
     results: tuple[Field, ...] = ()
@@ -176,25 +194,25 @@ def _signature(scanner: _Scanner, types: Types) -> Signature:
             results = _fields(scanner, types)
         else:
             at = scanner.at
-            results = (Field("", _type(scanner, types)),)
+            results = (Field("", read_type(scanner, types)),)
             if results[0].type.size > MAX_PAYLOAD:
                 scanner.object(_TOO_LONG, at)
     return Signature(parameters, results)
 
 
-def _fields(scanner: _Scanner, types: Types) -> tuple[Field, ...]:
+def _fields(scanner: Scanner, types: Types) -> tuple[Field, ...]:
     """Read fields up to and with the ")"."""
     fields: dict[str, Field] = {}
     size, last = 0, None
     while True:
         at = scanner.at
-        name = scanner.take(_NAME, "a name")
+        name = scanner.take(NAME, "a name")
         if name in fields:
             raise scanner.error(f"the name {name} stands here twice", at)
         if last is not None and last.type.is_open:
             scanner.object(f"nothing may follow {last}, which takes what is left", at)
         scanner.expect(" ", "between a name and its type")
-        last = fields[name] = Field(name, _type(scanner, types))
+        last = fields[name] = Field(name, read_type(scanner, types))
         size += last.type.size
         if size > MAX_PAYLOAD:
             scanner.object(_TOO_LONG, at)
@@ -203,7 +221,8 @@ def _fields(scanner: _Scanner, types: Types) -> tuple[Field, ...]:
         scanner.expect(", ", 'behind a field, or ")"')
 
 
-def _type(scanner: _Scanner, types: Types) -> Type:
+def read_type(scanner: Scanner, types: Types) -> Type:
+    """Read a type with its unit."""
     element = _element(scanner, types)
     count: int | None = None
     if scanner.skip("["):
@@ -216,9 +235,9 @@ def _type(scanner: _Scanner, types: Types) -> Type:
     return Type(element, count, unit)
 
 
-def _element(scanner: _Scanner, types: Types) -> Element:
+def _element(scanner: Scanner, types: Types) -> Element:
     at = scanner.at
-    name = scanner.take(_NAME, "a type")
+    name = scanner.take(NAME, "a type")
     if name in SCALARS or name in OPEN:
         return name
     if name in types:
@@ -227,17 +246,18 @@ def _element(scanner: _Scanner, types: Types) -> Element:
     return "bool"  # in its place
 
 
-def _definition(
-    scanner: _Scanner, types: dict[str, Enumeration | Structure], sifs: list[SifShape]
+def read_definition(
+    scanner: Scanner, types: dict[str, Enumeration | Structure], sifs: list[SifShape]
 ) -> None:
-    kind = scanner.take(_NAME, "enum, struct or sif")
+    """Read a line of a definition, and add what it defines."""
+    kind = scanner.take(NAME, "enum, struct or sif")
     scanner.expect(" ", f"behind {kind}")
     if kind not in ("enum", "struct", "sif"):  # of a later version (J2A-IFACE-011)
-        scanner.take(_REST, "printable text")
+        scanner.take(REST, "printable text")
         scanner.end()
         return
     at = scanner.at
-    name = scanner.take(_NAME, "a name")
+    name = scanner.take(NAME, "a name")
     if kind != "sif" and (name in types or name in SCALARS or name in OPEN):
         raise scanner.error(f"another type has the name {name}", at)
     scanner.expect(" ", f"behind {name}")
@@ -253,9 +273,9 @@ def _definition(
         types[name] = definition
 
 
-def _enumeration(scanner: _Scanner, name: str, _types: Types) -> Enumeration:
+def _enumeration(scanner: Scanner, name: str, _types: Types) -> Enumeration:
     at = scanner.at
-    integer = scanner.take(_NAME, "an integer type")
+    integer = scanner.take(NAME, "an integer type")
     if integer not in INTEGERS:
         raise scanner.error(f"an enumeration holds an integer, not {integer}", at)
     scanner.expect(" (", "behind the integer type")
@@ -263,7 +283,7 @@ def _enumeration(scanner: _Scanner, name: str, _types: Types) -> Enumeration:
     numbers: set[int] = set()
     while True:
         at = scanner.at
-        value = scanner.take(_NAME, "a name")
+        value = scanner.take(NAME, "a name")
         scanner.expect("=", f"behind {value}")
         number = scanner.number(_NUMBER, integer_range(integer), "a number")
         if value in values or number in numbers:
@@ -275,7 +295,7 @@ def _enumeration(scanner: _Scanner, name: str, _types: Types) -> Enumeration:
         scanner.expect(", ", 'behind a value, or ")"')
 
 
-def _structure(scanner: _Scanner, name: str, types: Types) -> Structure:
+def _structure(scanner: Scanner, name: str, types: Types) -> Structure:
     scanner.expect("(", f"behind {name}")
     at = scanner.at
     structure = Structure(name, _fields(scanner, types))
@@ -286,7 +306,7 @@ def _structure(scanner: _Scanner, name: str, types: Types) -> Structure:
     return structure
 
 
-def _sif(scanner: _Scanner, name: str, types: Types, others: list[SifShape]) -> SifShape:
+def _sif(scanner: Scanner, name: str, types: Types, others: list[SifShape]) -> SifShape:
     at = scanner.at
     opcode = scanner.number(_NUMBER, range(_MAX_OPCODE + 1), "an opcode")
     if any(name == other.name or opcode == other.opcode for other in others):
@@ -296,7 +316,7 @@ def _sif(scanner: _Scanner, name: str, types: Types, others: list[SifShape]) -> 
     return SifShape(name, opcode, fields, _doc(scanner))
 
 
-def _function(scanner: _Scanner, types: Types) -> Described:
+def _function(scanner: Scanner, types: Types) -> Described:
     name = scanner.take(_LABEL, "the name of a function")
     signature = content = None
     is_many = False
@@ -305,12 +325,12 @@ def _function(scanner: _Scanner, types: Types) -> Described:
     elif scanner.more():
         scanner.expect("many", "behind a name without a signature")
         is_many = True
-        content = _type(scanner, types) if scanner.more() else None
+        content = read_type(scanner, types) if scanner.more() else None
     idempotent = False
     slow_ms = None
     while scanner.skip(" !"):
         at = scanner.at
-        flag = scanner.take(_NAME, "the name of a flag")
+        flag = scanner.take(NAME, "the name of a flag")
         value = scanner.take(_FLAG_VALUE, "a value")[1:-1] if scanner.starts("(") else None
         if flag == "idempotent" and value is None:
             idempotent = True
@@ -323,10 +343,10 @@ def _function(scanner: _Scanner, types: Types) -> Described:
     return Described(name, signature, is_many, content, idempotent, slow_ms, doc)
 
 
-def _no_type(scanner: _Scanner, types: Types) -> str:
+def _no_type(scanner: Scanner, types: Types) -> str:
     """Return what to say about the element that no definition gives."""
     at = scanner.unknown
-    match = _NAME.match(scanner.text, at or 0)
+    match = NAME.match(scanner.text, at or 0)
     assert match is not None
     before = re.search(r"(\w+) $", scanner.text[:at])
     if before and before[1] in (*SCALARS, *OPEN, *types):
@@ -335,11 +355,11 @@ def _no_type(scanner: _Scanner, types: Types) -> str:
     return f"there is no type {match[0]!r}" + (f"; did you mean {near[0]}?" if near else "")
 
 
-def _slow_ms(scanner: _Scanner, value: str | None, at: int) -> int:
+def _slow_ms(scanner: Scanner, value: str | None, at: int) -> int:
     if value is None or not _COUNT.fullmatch(value) or int(value) > _MAX_SLOW_MS:
         raise scanner.error(f"slow takes 1 to {_MAX_SLOW_MS} milliseconds", at)
     return int(value)
 
 
-def _doc(scanner: _Scanner) -> str:
-    return scanner.take(_DOC, "documentation") if scanner.skip(" # ") else ""
+def _doc(scanner: Scanner) -> str:
+    return scanner.take(DOC, "documentation") if scanner.skip(" # ") else ""

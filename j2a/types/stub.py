@@ -22,7 +22,7 @@ from j2a.types.model import (
     Type,
 )
 
-__all__ = ["python_module"]
+__all__ = ["class_name", "python_module", "quoted"]
 
 _PLAIN: Final = {
     **dict.fromkeys(INTEGERS, "int"),
@@ -58,7 +58,7 @@ def _lines(interface: Interface, interface_hash: str, source: str) -> Iterator[s
         line for line in interface.functions if line.signature and line.name.isidentifier()
     ]
     classes = _class_names(interface, functions)
-    yield f'"""The functions of {_quoted(source)}, written by j2a stub; do not edit."""'
+    yield f'"""The functions of {quoted(source)}, written by j2a stub; do not edit."""'
     yield ""
     yield "from collections.abc import Sequence"
     yield "from dataclasses import dataclass"
@@ -120,12 +120,13 @@ def class_name(name: str) -> str:
     return made if made[0].isalpha() else f"N{made}"
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """Return a text as it can stand in a docstring."""
     return text.replace("\\", "/").replace('"', "'")
 
 
 def _doc(text: str, indent: str) -> str:
-    return f'{indent}"""{_quoted(text)}"""'
+    return f'{indent}"""{quoted(text)}"""'
 
 
 def _enumeration(definition: Enumeration, classes: _Classes) -> Iterator[str]:
@@ -239,9 +240,9 @@ def _method_doc(
 ) -> Iterator[str]:
     more = [f"{name}: in {field.type.unit}." for name, field in pairs if field.type.unit]
     unit = signature.results[0].type.unit if len(signature.results) == 1 else ""
-    yield f'        """{_quoted(line.doc or f"Call {line.name}.")}'
+    yield f'        """{quoted(line.doc or f"Call {line.name}.")}'
     yield ""
-    yield f"        {line.name}{_quoted(str(signature))}"
+    yield f"        {line.name}{quoted(str(signature))}"
     if more:
         yield from ("", "        Args:", *(f"            {text}" for text in more))
     if unit:

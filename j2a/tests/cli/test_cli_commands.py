@@ -11,7 +11,7 @@ from j2a_spec.constants import (
     ECHO,
     FLAG_LAST,
     FLAG_WRITE,
-    KNOWN_BUILTINS,
+    GET_INTERFACE,
     MAX_PAYLOAD,
 )
 
@@ -57,7 +57,7 @@ def test_info_as_json(run, url):
     assert facts["spec"] == "1.1"
     assert facts["rxbuf"] == 4096
     assert facts["room"] == 255
-    built_in = KNOWN_BUILTINS if facts["interface"] else BUILTINS
+    built_in = (*BUILTINS, GET_INTERFACE) if facts["interface"] else BUILTINS
     names = [*built_in, *OWN]
     assert facts["functions"] == {name: opcode for opcode, name in enumerate(names)}
     if facts["interface"]:
@@ -403,7 +403,7 @@ def test_watch_takes_values_and_names(run, url):
     assert run("watch", url, "--call", "divide 1 0").code == 1
     result = run("watch", url, "timer")
     assert (result.code, result.out) == (2, "")
-    assert "describes no SIF 'timer', but counter" in result.err
+    assert "describes no SIF or sensor 'timer', but counter" in result.err
 
 
 def test_watch_shows_bytes_that_are_not_as_described(run, url):

@@ -114,6 +114,8 @@ def test_numbers_that_are_not_finite(run, demo, kind, number, text):
         (["watch", "DEMO", "--call", "sif"], 1, "CommandFailed", None),
         (["echo", "DEMO", "--size", "999"], 2, "UsageError", None),
         (["list", "--nonsense"], 2, "UsageError", None),
+        (["transds", "DEMO"], 5, "CommandFailed", None),
+        (["transds", "nowhere.def"], 2, "UsageError", None),
     ],
 )
 def test_an_error_is_an_object_too(run, demo, argv, code, kind, outcome):

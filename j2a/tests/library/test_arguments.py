@@ -180,6 +180,7 @@ class TestSignatures:
             "properties": None,
             "interface": True,
             "boot": False,
+            "transducers": None,
             "room": 255,
             "byte_timeout_s": 0.01,
             "trace": None,

@@ -5,7 +5,7 @@ import struct
 
 import pytest
 from j2a_spec import grammar
-from j2a_spec.constants import BUILTINS, KNOWN_BUILTINS
+from j2a_spec.constants import BUILTINS, GET_INTERFACE
 
 import j2a
 from j2a.demo import DemoDevice
@@ -299,7 +299,7 @@ class TestDemo:
     def test_the_functions_are_those_of_the_demo_firmware(self):
         own = ["getTime", "add", "store", "ret", "delay", "sif", "sifPeriod", "overruns"]
         own += ["divide", "echoNumbers", "echoShapes", "echoWords", "echoFirst"]
-        assert list(DemoDevice().functions) == [*KNOWN_BUILTINS, *own]
+        assert list(DemoDevice().functions) == [*BUILTINS, GET_INTERFACE, *own]
 
 
 @pytest.mark.parametrize(("offset", "is_last"), [(0, False), (249, True), (498, True)])

@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple, Sequence  # noqa: UP035 - as user
 
 import pytest
 from j2a_spec import interface as oracle
-from j2a_spec.constants import GET_INTERFACE, KNOWN_BUILTINS
+from j2a_spec.constants import BUILTINS, GET_INTERFACE
 
 import j2a
 from j2a.demo import DemoDevice
@@ -345,7 +345,7 @@ class TestInterface:
         assert line(device, "config") == "config many bytes[2048] # Kept."
         assert line(device, "f") == "f(a u8) u8 mV"
         names = [one.name for one in oracle.parse(content(device, GET_INTERFACE)).functions]
-        assert names == list(device.functions) == [*KNOWN_BUILTINS, "raw", "config", "f"]
+        assert names == list(device.functions) == [*BUILTINS, GET_INTERFACE, "raw", "config", "f"]
 
     @pytest.mark.requirement("J2A-IFACE-006")
     def test_the_properties_announce_it(self):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
-from j2a_spec.constants import KNOWN_BUILTINS
+from j2a_spec.constants import BUILTINS
 
 import j2a
 from j2a.cli import main
@@ -317,7 +317,7 @@ def assert_strict(module):
 def test_a_module_without_types_of_its_own_is_strict(tmp_path):
     pytest.importorskip("mypy")
     module = tmp_path / "plain_board.py"
-    text = "\n" + "".join(f"{name}\n" for name in KNOWN_BUILTINS) + "add(a i32, b i32) i32\n"
+    text = "\n" + "".join(f"{name}\n" for name in BUILTINS) + "add(a i32, b i32) i32\n"
     module.write_text(python_module(parse_interface(text), "00000000", "x"))
     assert_strict(module)
 

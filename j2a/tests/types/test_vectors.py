@@ -1,11 +1,15 @@
-"""The golden vectors of interfaces and of typed payloads, by the library."""
+"""The golden vectors of interfaces, descriptors, typed payloads and samples, by the library."""
+
+import json
 
 import pytest
 from j2a_spec import vectors
 
 from j2a.errors import SignatureError
 from j2a.types.coding import Codec, PayloadMismatchError, PythonTypes
+from j2a.types.descriptors import parse_descriptors
 from j2a.types.parser import parse_interface, parse_signature
+from j2a.types.samples import SampleCodec
 
 from .test_language import plain
 from .test_values import plain as without_classes
@@ -60,3 +64,44 @@ def test_a_payload_holds_what_its_vector_says(test):
 
 def listed(value):
     return [listed(one) for one in value] if isinstance(value, tuple) else value
+
+
+@pytest.mark.parametrize("test", ids(vectors.load("transducers")))
+def test_descriptors_say_what_their_vector_says(test):
+    if test["result"] == "invalid":
+        with pytest.raises(SignatureError):
+            parse_descriptors(test["text"])
+        return
+    found = parse_descriptors(test["text"]).transducers
+    assert [described(one) for one in found] == [
+        {**due, "type": fields_of([due["type"]])[0][1:]} for due in test["meaning"]
+    ]
+
+
+def described(one):
+    kind = one.type
+    element = kind.element if isinstance(kind.element, str) else kind.element.name
+    return {
+        "kind": one.kind,
+        "name": one.name,
+        "id": one.id,
+        "channels": one.channels,
+        "type": (element, kind.count, kind.unit),
+        "doc": one.doc,
+        "attributes": dict(one.attributes),
+    }
+
+
+@pytest.mark.parametrize("test", ids(vectors.load("sample")))
+def test_a_sample_holds_what_its_vector_says(test):
+    transducer = parse_descriptors(test["descriptors"])[test["name"]]
+    codec, data = SampleCodec(transducer, PythonTypes()), bytes.fromhex(test["data"])
+    unpack = codec.unpack_queued if transducer.queue else lambda data: (0, codec.unpack(data))
+    if test["result"] == "invalid":
+        with pytest.raises(PayloadMismatchError):
+            unpack(data)
+        return
+    lost, readings = unpack(data)
+    found = [[one.channel, one.time_us, without_classes(one.value)] for one in readings]
+    assert lost == test["lost"]
+    assert json.loads(json.dumps(found)) == test["readings"]

@@ -1,0 +1,164 @@
+"""`j2a export`: the samples of a recording as tables.
+
+In: a file that `j2a record` wrote. Out: a folder with a table for each sensor, as CSV or Parquet.
+Rules: a row is one value of one channel; channels without a value have none. Tables are written
+piece by piece, so that a long recording needs no more memory than a short one; a file that is there
+already is not overwritten.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import j2a
+from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError
+from j2a.cli._output import note, show
+from j2a.cli._progress import Progress
+from j2a.recording import Recorded, Recording
+from j2a.types.arrays import Batch
+from j2a.types.transducers import Transducer
+
+NOTES: Final = """\
+examples:
+  j2a export drive.mcap tables
+  j2a export drive.mcap tables --format parquet
+
+The columns: host_time_ns (since 1970), time_us (on the clock of the board), channel, and value in
+the unit of the sensor, or the raw fields of a structure. No value (N/A) is an empty cell. It needs
+NumPy and pandas: pip install "j2a[arrays]"; for Parquet: pip install "j2a[parquet]"."""
+_PIECE: Final = 20_000
+_Frame = Any
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("file", metavar="FILE", help="a recording, *.mcap")
+    parser.add_argument("folder", metavar="DIR", type=Path, help="where the tables are written")
+    parser.add_argument(
+        "--format", choices=tuple(_WRITERS), default="csv", help="of the tables (%(default)s)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the tables; returns the exit code."""
+    recording = Recording(args.file)
+    try:
+        args.folder.mkdir(parents=True, exist_ok=True)
+        size = Path(args.file).stat().st_size
+    except OSError as error:
+        raise UsageError(f"{error.filename}: {error.strerror}") from None
+    tables: dict[tuple[str, str], _Table] = {}
+    with contextlib.ExitStack() as stack:
+        progress = stack.enter_context(Progress(f"reading {args.file}"))
+        try:
+            done = 0
+            for one in recording:
+                key = one.board, one.sensor.name
+                if key not in tables:
+                    path = args.folder / f"{_plain(one.board)}_{one.sensor.name}.{args.format}"
+                    tables[key] = stack.enter_context(_Table(path, one.sensor, args.format))
+                tables[key].add(one)
+                done += len(one.payload)
+                progress(min(done, size), size)
+            for table in tables.values():
+                table.flush()
+        except FileExistsError as error:
+            raise UsageError(f"{error.filename} is there already; choose another folder") from None
+        except OSError as error:
+            raise CommandFailed(f"cannot write the tables: {error.strerror}", FAILED) from None
+    for table in tables.values():
+        show(f"wrote {table.path}: {table.rows} rows")
+    if not tables:
+        note(f"j2a: {args.file} has no samples")
+    if not recording.is_whole:
+        note(f"j2a: {args.file} ends early; what it has is written")
+    return OK
+
+
+def _plain(name: str) -> str:
+    return "".join(char if char.isalnum() or char in "-." else "_" for char in name) or "board"
+
+
+class _Table:
+    """The table of one sensor; a context manager that closes it."""
+
+    def __init__(self, path: Path, sensor: Transducer, form: str) -> None:
+        self.path = path
+        self.rows = 0
+        self._sensor = sensor
+        self._waiting: list[Recorded] = []
+        self._write, self._close = _WRITERS[form](path)
+
+    def __enter__(self) -> _Table:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._close()
+
+    def add(self, one: Recorded) -> None:
+        """Take a sample; now and then it writes what waits."""
+        self._waiting.append(one)
+        if len(self._waiting) >= _PIECE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what waits."""
+        if self._waiting:
+            frame = _frame(self._sensor, self._waiting)
+            self._waiting = []
+            self.rows += len(frame)
+            self._write(frame)
+
+
+def _frame(sensor: Transducer, samples: list[Recorded]) -> _Frame:
+    """Return a table of samples, without the channels that have no value yet."""
+    from numpy import array, repeat  # noqa: PLC0415 - an extra
+
+    batch = Batch(sensor, [one.payload for one in samples])
+    frame = batch.to_pandas()
+    times = array([one.time_ns for one in samples], dtype="i8")
+    frame.insert(0, "host_time_ns", repeat(times, batch.counts))
+    return frame[frame["time_us"] != 0]
+
+
+_Writer = tuple[Callable[[_Frame], None], Callable[[], None]]
+
+
+def _csv(path: Path) -> _Writer:
+    file = path.open("x", encoding="utf-8", newline="")
+    heads: Iterator[bool] = iter((True,))
+
+    def write(frame: _Frame) -> None:
+        frame.to_csv(file, index=False, header=next(heads, False), lineterminator="\n")
+
+    return write, file.close
+
+
+def _parquet(path: Path) -> _Writer:
+    try:
+        import pyarrow as arrow  # noqa: PLC0415 - an extra
+        from pyarrow import parquet  # noqa: PLC0415
+    except ImportError:
+        raise j2a.LocalError('this needs pyarrow: pip install "j2a[parquet]"') from None
+    file = path.open("xb")
+    writers: list[Any] = []
+
+    def write(frame: _Frame) -> None:
+        table = arrow.Table.from_pandas(frame, preserve_index=False)
+        if not writers:
+            writers.append(parquet.ParquetWriter(file, table.schema))
+        writers[0].write_table(table)
+
+    def close() -> None:
+        for writer in writers:
+            writer.close()
+        file.close()
+
+    return write, close
+
+
+_WRITERS: Final[dict[str, Callable[[Path], _Writer]]] = {"csv": _csv, "parquet": _parquet}

@@ -1,0 +1,67 @@
+"""`j2a replay`: be the board of a recording.
+
+In: a file that `j2a record` wrote, and where hosts arrive. Out: a device with the transducers of
+the board, whose samples come again; it ends with the recording.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from typing import Final
+
+import j2a_transports
+
+from j2a.cli._exit import OK, UsageError, end_on_sigterm
+from j2a.cli._link import add_listen_argument, check_listen_url, positive_number, takes_stdio
+from j2a.cli._output import note, show
+from j2a.replay import ReplayBoard
+
+NOTES: Final = """\
+examples:
+  j2a replay drive.mcap --listen tcp://127.0.0.1:5000
+  j2a replay two.mcap --board left --speed 4 --listen tcp://127.0.0.1:5000
+
+It begins when a host has read what the board says of its transducers."""
+_DELIVER_S: Final = 0.5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("file", metavar="FILE", help="a recording, *.mcap")
+    add_listen_argument(parser)
+    parser.add_argument("--board", metavar="NAME", help="which one, where there are several")
+    parser.add_argument(
+        "--speed",
+        type=positive_number,
+        default=1.0,
+        metavar="X",
+        help="so many times as fast as it was recorded (%(default)g)",
+    )
+    parser.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl-C")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play the recording; returns the exit code."""
+    check_listen_url(args.listen)
+    try:
+        board = ReplayBoard(args.file, args.board)
+    except OSError as error:
+        raise UsageError(f"cannot read {args.file}: {error.strerror}") from None
+    end_on_sigterm()
+    with j2a_transports.listen(args.listen) as listener, board:
+        tell = note if takes_stdio(listener.url) else show
+        tell(f"listening on {listener.url}")
+        sys.stdout.flush()
+        server = threading.Thread(target=board.serve_forever, args=(listener,), daemon=True)
+        server.start()
+        count = board.play(args.speed)
+        while args.loop:
+            count += board.play(args.speed)
+        time.sleep(_DELIVER_S)  # what was sent last is still on its way
+        if not board.is_whole:
+            note(f"j2a: {args.file} ends early; whoever wrote it did not end it")
+        tell(f"replayed {count} samples")
+    return OK

@@ -1,0 +1,125 @@
+"""Samples of sensors, as `j2a watch` shows them.
+
+In: samples. Out: a line or an object for each, and for each sensor how regularly they come.
+Rules: the clocks of board and host are not the same one, so a delay is told above that of the
+quickest sample in the same span of time.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Iterator
+from typing import Any, Final
+
+import j2a
+from j2a.cli._typed import json_of, plain
+
+__all__ = ["RATE_HEAD", "Rates", "rate_text", "sample_facts", "sample_text"]
+
+RATE_HEAD: Final = (
+    f"{'sensor':<16} {'samples':>8} {'per s':>8} "
+    f"{'jitter':>10} {'delay':>10} {'most':>10} {'lost':>6}"
+)
+_US: Final = 1e6
+_MS: Final = 1e3
+
+
+def sample_text(sample: j2a.Sample) -> str:
+    """Return a sample as people read it, such as "quad  12.5 deg, N/A"."""
+    unit = f" {sample.unit}" if sample.unit else ""
+    channels = [one.channel for one in sample.readings]
+    is_plain = channels == list(range(len(channels)))
+    parts = [
+        ("" if is_plain else f"[{one.channel}] ") + _value_text(one, unit)
+        for one in sample.readings
+    ]
+    notes = [f"{sample.lost} lost"] * bool(sample.lost)
+    notes += ["the clock went back"] * sample.is_reset
+    more = f"  ({', '.join(notes)})" if notes else ""
+    return f"{sample.name}  {', '.join(parts)}{more}"
+
+
+def _value_text(reading: j2a.Reading, unit: str) -> str:
+    if reading.time_us is None:
+        return "none yet"
+    return "N/A" if reading.value is None else f"{plain(reading.value)}{unit}"
+
+
+def sample_facts(sample: j2a.Sample) -> dict[str, Any]:
+    """Return what JSON has of a sample."""
+    return {
+        "sensor": sample.name,
+        "unit": sample.unit,
+        "readings": [
+            {"channel": one.channel, "time_us": one.time_us, "value": json_of(one.value)}
+            for one in sample.readings
+        ],
+        "lost": sample.lost,
+        "is_reset": sample.is_reset,
+    }
+
+
+class _Rate:
+    """What was seen of one sensor in a span of time."""
+
+    def __init__(self) -> None:
+        self.host_s: list[float] = []
+        self.device_s: list[float] = []
+        self.lost = 0
+
+    def add(self, sample: j2a.Sample) -> None:
+        self.lost += sample.lost + sample.missed
+        if sample.is_reset:  # times before it are of another count
+            self.host_s.clear()
+            self.device_s.clear()
+        if sample.time_us is not None:
+            self.host_s.append(sample.host_time)
+            self.device_s.append(sample.time_us / _US)
+
+    def facts(self) -> dict[str, float | int | None]:
+        """Return samples, per second, and in ms: jitter of the board, delay at the median, most."""
+        count = len(self.device_s)
+        span_s = self.host_s[-1] - self.host_s[0] if count > 1 else 0.0
+        periods = [b - a for a, b in zip(self.device_s, self.device_s[1:], strict=False)]
+        delays = [host - device for host, device in zip(self.host_s, self.device_s, strict=True)]
+        least = min(delays, default=0.0)
+        return {
+            "samples": count,
+            "per_s": (count - 1) / span_s if span_s > 0 else None,
+            "jitter_ms": _MS * statistics.pstdev(periods) if len(periods) > 1 else None,
+            "delay_ms": _MS * (statistics.median(delays) - least) if count > 1 else None,
+            "most_ms": _MS * (max(delays) - least) if count > 1 else None,
+            "lost": self.lost,
+        }
+
+
+class Rates:
+    """How regularly the samples of each sensor come."""
+
+    def __init__(self) -> None:
+        self._rates: dict[str, _Rate] = {}
+
+    def add(self, sample: j2a.Sample) -> None:
+        """Take a sample into the present span of time."""
+        self._rates.setdefault(sample.name, _Rate()).add(sample)
+
+    def take(self) -> Iterator[tuple[str, dict[str, float | int | None]]]:
+        """Yield each sensor with what was seen of it since the last time; a new span begins."""
+        rates, self._rates = self._rates, {name: _Rate() for name in self._rates}
+        for name, rate in rates.items():
+            yield name, rate.facts()
+
+
+def rate_text(name: str, facts: dict[str, float | int | None]) -> str:
+    """Return the line below RATE_HEAD for a sensor."""
+
+    def cell(key: str, unit: str, width: int) -> str:
+        value = facts[key]
+        text = "-" if value is None or not math.isfinite(value) else f"{value:.2f}{unit}"
+        return f"{text:>{width}}"
+
+    return (
+        f"{name:<16} {facts['samples']:>8} {cell('per_s', '', 8)} {cell('jitter_ms', ' ms', 10)} "
+        f"{cell('delay_ms', ' ms', 10)} {cell('most_ms', ' ms', 10)} {facts['lost']:>6}"
+    )

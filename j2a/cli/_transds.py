@@ -1,0 +1,204 @@
+"""`j2a transds`: the transducers of a board, or of the transds.def of its firmware.
+
+In: a transds.def or a board. Out: a table; or JSON, and files for ROS, C, Python, for firmware and
+to read. Rule: nothing is written unless all of it can be.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+import j2a
+from j2a.cli._exit import OK, REMOTE, CommandFailed, UsageError
+from j2a.cli._link import add_json_argument, add_link_arguments, connect
+from j2a.cli._output import note, show, show_json
+from j2a.io.transds_file import load_transds
+from j2a.types.datasheet import data_sheets
+from j2a.types.ros import ros1_package, ros2_package
+from j2a.types.transds_file import strange_keys, transds_text
+from j2a.types.transds_header import transducers_header
+from j2a.types.transds_module import transducers_module
+from j2a.types.transducers import Descriptors, Transducer
+
+NOTES: Final = """\
+examples:
+  j2a transds transds.def                              is it right?
+  j2a transds serial:///dev/ttyACM0 --def transds.def  the file for a board that is there
+  j2a transds transds.def --ros2 j2a_msgs --html board.html
+
+Messages of ROS have raw values; docs/transducers.md tells what the keys mean."""
+_COLUMNS: Final = ("id", "kind", "name", "channels", "type", "model", "more")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    add_json_argument(parser, "everything")
+    add_link_arguments(
+        parser, metavar="SOURCE", about="the URL of a device, or a transds.def of its firmware"
+    )
+    files = parser.add_argument_group("what to write")
+    for option, metavar, what in (
+        ("--ros1", "DIR", "a package of ROS 1, with DIR/msg/NAME.msg for each transducer"),
+        ("--ros2", "DIR", "a package of ROS 2, with DIR/msg/Name.msg"),
+        ("--def", "FILE", "a transds.def for firmware"),
+        ("--c", "FILE", "a C header for host programs"),
+        ("--python", "FILE", "a typed Python module for host programs"),
+        ("--html", "FILE", "a data sheet of each transducer"),
+    ):
+        files.add_argument(
+            option, type=Path, metavar=metavar, help=what, dest=f"{option.strip('-')}_path"
+        )
+    parser.add_argument(
+        "-D",
+        "--define",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="what a name stands for in the conditions of a transds.def; without VALUE 1",
+    )
+    parser.add_argument(
+        "-U",
+        "--undefine",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="this name stands for nothing there",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read, print and write; returns the exit code."""
+    descriptors, source = _read(args)
+    files = dict(_files(args, descriptors, source))
+    if args.json:
+        show_json(facts(descriptors, source))
+    elif not files:
+        for line in table(descriptors):
+            show(line)
+    for text in strange_keys(descriptors):
+        note(f"j2a: {text}")
+    _write(files)
+    tell = note if args.json else show
+    for path in files:
+        tell(f"wrote {path}")
+    return OK
+
+
+def _read(args: argparse.Namespace) -> tuple[Descriptors, str]:
+    """Return the descriptors and what to call their source."""
+    if args.url.endswith(".def"):
+        options: dict[str, str | None] = dict.fromkeys(args.undefine)
+        for one in args.define:
+            name, is_given, value = one.partition("=")
+            options[name] = value if is_given else "1"
+        return read_transds_argument(args.url, options)
+    if args.define or args.undefine:
+        raise UsageError("-D and -U are for a transds.def; a board knows what it is built with")
+    with connect(args) as client:
+        descriptors = client.transducers.descriptors
+        if descriptors is None:
+            raise CommandFailed(client.transducers.why, REMOTE)
+        return descriptors, args.url
+
+
+def read_transds_argument(path: str, options: Mapping[str, str | None]) -> tuple[Descriptors, str]:
+    """Return the transducers of a transds.def of the command line, and its name.
+
+    Raises:
+        UsageError: it is wrong; the text tells file, line and column.
+    """
+    try:
+        return load_transds(path, options), Path(path).name
+    except j2a.SignatureError as error:
+        place = f"{error.file}:{error.line}:{error.position + 1}"
+        raise UsageError(f"{place}: {error.reason}") from None
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is no text: {error.reason}") from None
+
+
+def _files(
+    args: argparse.Namespace, descriptors: Descriptors, source: str
+) -> Iterator[tuple[Path, str]]:
+    """Yield the path and the text of each file."""
+    for folder, package in ((args.ros1_path, ros1_package), (args.ros2_path, ros2_package)):
+        if folder is not None:
+            for name, text in package(descriptors).items():
+                yield folder / name, text
+    for path, make in (
+        (args.def_path, transds_text),
+        (args.c_path, transducers_header),
+        (args.python_path, transducers_module),
+        (args.html_path, data_sheets),
+    ):
+        if path is not None:
+            yield path, make(descriptors, source)
+
+
+def _write(files: Mapping[Path, str]) -> None:
+    for path, text in files.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, "utf-8", newline="\n")
+        except OSError as error:
+            raise UsageError(f"cannot write {path}: {error.strerror}") from None
+
+
+def table(descriptors: Descriptors) -> Iterator[str]:
+    """Yield the lines of a table of transducers."""
+    rows = [_COLUMNS, *(_row(one) for one in descriptors.transducers)]
+    widths = [max(len(row[at]) for row in rows) for at in range(len(_COLUMNS))]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        yield "  ".join(cells).rstrip()
+    for definition in descriptors.types:
+        yield str(definition)
+
+
+def _row(one: Transducer) -> tuple[str, ...]:
+    more = [
+        f"{key} {value}".rstrip()
+        for key, value in one.attributes
+        if key not in ("prefix", "model") and value != "none"
+    ]
+    return (
+        *(str(one.id), one.kind, one.name, str(one.channels), str(one.type), one.model),
+        "; ".join(more),
+    )
+
+
+def facts(descriptors: Descriptors, source: str) -> dict[str, object]:
+    """Return the descriptors as JSON."""
+    return {
+        "source": source,
+        "types": [str(one) for one in descriptors.types],
+        "transducers": [_facts(one) for one in descriptors.transducers],
+    }
+
+
+def _facts(one: Transducer) -> dict[str, object]:
+    return {
+        "kind": one.kind,
+        "name": one.name,
+        "id": one.id,
+        "channels": one.channels,
+        "type": str(one.type).partition(" ")[0],
+        "unit": one.unit,
+        "doc": one.doc,
+        "model": one.model,
+        "topic": one.topic,
+        "scale": one.scale,
+        "offset": one.offset,
+        "accuracy": one.accuracy,
+        "range": one.range,
+        "na": one.na,
+        "safe": one.safe,
+        "period_us": one.period_us,
+        "queue": one.queue,
+        "enabled": one.is_enabled,
+        "attributes": dict(one.attributes),
+    }

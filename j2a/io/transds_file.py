@@ -1,0 +1,49 @@
+"""Opens a transds.def and the files that it includes.
+
+What flows in: a path. What flows out: the descriptors that firmware makes of the file. Rule: an
+include is looked for beside the file that includes, as a compiler does.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from j2a.types.transds_file import read_transds
+from j2a.types.transducers import Descriptors
+
+__all__ = ["load_transds"]
+
+_MAX_BYTES: Final = 1 << 20
+
+
+def load_transds(path: str | Path, options: Mapping[str, str | None] | None = None) -> Descriptors:
+    """Return the transducers that a transds.def lists.
+
+    Args:
+        path: of the file.
+        options: what names stand for in conditions such as `#if NAME`; None for one that the build
+            does not define.
+
+    Returns: the descriptors, as `Device` and `Transducers.descriptors` have them.
+
+    Raises:
+        SignatureError: an entry is wrong; the error tells file, line and column.
+        OSError: the file cannot be read.
+        UnicodeDecodeError: it is no text.
+
+    Source: thesis 8.1 and 9.1, listings 9.2 and 9.5.
+    """
+    return read_transds(_text(Path(path)), options, file=str(path), opener=_open)
+
+
+def _open(outer: str, name: str) -> tuple[str, str]:
+    path = Path(outer).parent / name
+    return str(path), _text(path)
+
+
+def _text(path: Path) -> str:
+    with path.open("rb") as file:
+        data = file.read(_MAX_BYTES + 1)
+    if len(data) > _MAX_BYTES:
+        raise OSError(0, f"it has more than {_MAX_BYTES} bytes")
+    return data.decode()

@@ -1,0 +1,155 @@
+"""Runs the transducers of a Python device: in time, and one function at a time.
+
+What flows in: values of drivers and requests, from any thread. What flows out: sample SIFs, and
+calls of the functions that the user has registered.
+Rules: such a function runs while no other one of the device does, as on a microcontroller; what
+waits for its time does so in a thread that `stop` ends.
+"""
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from j2a.errors import LocalError
+from j2a.protocol.transducers import Action, TransducerServer
+from j2a.types.transducers import Descriptors
+
+__all__ = ["TransducerRunner"]
+
+_logger = logging.getLogger("j2a")
+_US: Final = 1_000_000
+_NS_PER_US: Final = 1000
+_LONGEST_WAIT_S: Final = 3600.0
+
+
+class TransducerRunner:
+    """The transducers of a device.
+
+    Args:
+        descriptors: what the device says of them.
+        send: sends a SIF to each host.
+        calling: is held while a function of the device runs.
+    """
+
+    def __init__(
+        self,
+        descriptors: Descriptors,
+        send: Callable[[int, bytes], object],
+        calling: threading.Lock,
+    ) -> None:
+        self._server = TransducerServer(descriptors)
+        self._send = send
+        self._calling = calling
+        self._changed = threading.Condition()
+        self._is_due = False
+        self._start_ns = time.monotonic_ns()
+        self._thread: threading.Thread | None = None
+        self._is_stopped = False
+
+    @property
+    def content(self) -> bytes:
+        """What a2jGetTransds returns."""
+        return self._server.content
+
+    def now_us(self) -> int:
+        """Return the time of the device's clock, in microseconds from 1 on."""
+        return 1 + (time.monotonic_ns() - self._start_ns) // _NS_PER_US
+
+    # ------------------------------------------------------------------ the user's side
+
+    def on_set(self, name: str, function: Callable[[int, Any], object]) -> None:
+        """Register what moves an actuator.
+
+        Raises:
+            LocalError: the device has no such actuator.
+        """
+        codec = self._server.codecs.get(name)
+        if codec is None or codec.transducer.is_sensor:
+            raise LocalError(f"the device has no actuator {name!r}")
+        self._server.on_set[name] = function
+
+    def on_trigger(self, name: str, function: Callable[[], object]) -> None:
+        """Register what lets a sensor measure.
+
+        Raises:
+            LocalError: the device has no such sensor, or one without the key trigger.
+        """
+        codec = self._server.codecs.get(name)
+        if codec is None or not codec.transducer.has("trigger"):
+            raise LocalError(f"the device has no sensor {name!r} with the key trigger")
+        self._server.on_trigger[name] = function
+
+    def sense(self, name: str, channel: int, value: Any, *, is_raw: bool) -> None:
+        """Take a value that a sensor has measured, as of now."""
+        with self._changed:
+            self._server.sense(name, channel, value, self.now_us(), is_raw=is_raw)
+            self._wake()
+
+    # ------------------------------------------------------------------ requests
+
+    def hear(self) -> None:
+        """Notice a request of a host."""
+        with self._changed:
+            if self._server.hear(self.now_us()):
+                self._wake()
+
+    def request(self, payload: bytes) -> tuple[int, bytes]:
+        """Execute a2jTransd; the lock `calling` is held."""
+        with self._changed:
+            code, reply, actions = self._server.request(payload, self.now_us())
+            self._wake()
+        _run(actions)
+        return code, reply
+
+    # ------------------------------------------------------------------ the thread
+
+    def start(self) -> None:
+        """Begin to send and to move; may be called twice."""
+        with self._changed:
+            if self._thread is None and not self._is_stopped:
+                self._thread = threading.Thread(
+                    target=self._work, name="j2a transducers", daemon=True
+                )
+                self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; may be called twice."""
+        with self._changed:
+            self._is_stopped = True
+            self._wake()
+
+    def _wake(self) -> None:
+        self._is_due = True
+        self._changed.notify_all()
+
+    def _work(self) -> None:
+        next_us = math.inf
+        while self._wait(next_us):
+            with self._calling:
+                with self._changed:
+                    self._is_due = False
+                    sifs, actions, next_us = self._server.turn(self.now_us())
+                for opcode, payload in sifs:
+                    self._send(opcode, payload)
+                _run(actions)
+
+    def _wait(self, next_us: float) -> bool:
+        """Wait for something to do; return False at the end."""
+        with self._changed:
+            while not self._is_due and not self._is_stopped:
+                left_s = min((next_us - self.now_us()) / _US, _LONGEST_WAIT_S)
+                if left_s <= 0:
+                    break
+                self._changed.wait(left_s)
+            return not self._is_stopped
+
+
+def _run(actions: list[Action]) -> None:
+    for action in actions:
+        try:
+            action()
+        except Exception:
+            _logger.exception("a function of a transducer failed")

@@ -1,0 +1,435 @@
+"""The transducers of a device: what its drivers measure, and what hosts set.
+
+What flows in: values of drivers, requests of a2jTransd, and the time of the device's clock. What
+flows out: replies, sample SIFs, and calls of the functions that move an actuator or start a
+measurement (SPEC.md, section 22).
+Rules: no clock of its own, and no waiting: `turn` does what is due and says when to come again. No
+request raises. The functions are called after the state has changed, in the order of their times.
+"""
+
+import math
+import struct
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+from j2a_spec import constants as c
+
+from j2a.errors import LocalError
+from j2a.types.coding import PythonTypes
+from j2a.types.samples import SampleCodec
+from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Descriptors, Transducer
+
+__all__ = ["Action", "TransducerServer"]
+
+Action = Callable[[], object]
+"""A call of a function of the user."""
+
+_LOST_MODULO: Final = 0x10000
+_MS: Final = 1000
+_NEVER: Final = math.inf
+_BYTES: Final[Mapping[int, int]] = {
+    c.TRANSD_ENABLED: 1,
+    c.TRANSD_PERIOD: 4,
+    c.TRANSD_DECIMATION: 1,
+    c.TRANSD_WATCHDOG: 2,
+    c.TRANSD_TRIGGER: TIME_BYTES,
+}
+_BY_KEY: Final[Mapping[int, str]] = {
+    c.TRANSD_DECIMATION: "decimation",
+    c.TRANSD_THRESHOLD: "threshold",
+    c.TRANSD_TOPIC: "topic",
+    c.TRANSD_WATCHDOG: "watchdog",
+    c.TRANSD_TRIGGER: "trigger",
+}
+_WRITE_ONLY: Final = (c.TRANSD_SET, c.TRANSD_TRIGGER)
+_READ_ONLY: Final = (c.TRANSD_SAMPLE, c.TRANSD_TIME)
+_OF_SENSORS: Final = (
+    c.TRANSD_ENABLED, c.TRANSD_PERIOD, c.TRANSD_DECIMATION, c.TRANSD_THRESHOLD, c.TRANSD_TRIGGER,
+)  # fmt: skip
+_OF_ACTUATORS: Final = (c.TRANSD_WATCHDOG, c.TRANSD_SET)
+
+
+class TransducerServer:
+    """The transducers of a device.
+
+    Args:
+        descriptors: what the device says of them.
+
+    Attributes:
+        content: what a2jGetTransds returns.
+        codecs: what packs and unpacks the values of each transducer, by its name.
+        on_set: for each actuator what is called with a channel and a value in its unit.
+        on_trigger: for each sensor with the key trigger, what lets it measure.
+    """
+
+    def __init__(self, descriptors: Descriptors) -> None:
+        self.content = str(descriptors).encode()
+        types = PythonTypes()
+        self.codecs = {one.name: SampleCodec(one, types) for one in descriptors.transducers}
+        self.on_set: dict[str, Callable[[int, Any], object]] = {}
+        self.on_trigger: dict[str, Callable[[], object]] = {}
+        self._sensors = [
+            _Sensor(one, self.codecs[one.name]) for one in descriptors.transducers if one.is_sensor
+        ]
+        self._actuators = [
+            _Actuator(one, self.codecs[one.name])
+            for one in descriptors.transducers
+            if not one.is_sensor
+        ]
+        everything: list[_Sensor | _Actuator] = [*self._sensors, *self._actuators]
+        self._by_id = {one.transducer.id: one for one in everything}
+        self._by_name = {one.transducer.name: one for one in everything}
+        self._heard_us = 0
+
+    # ------------------------------------------------------------------ drivers
+
+    def sense(self, name: str, channel: int, value: Any, now_us: int, *, is_raw: bool) -> None:
+        """Take a value that a sensor has measured.
+
+        Args:
+            name: of the sensor.
+            channel: which of its channels.
+            value: in the unit of the descriptor; None is its N/A value.
+            now_us: the time of the device's clock, from 1 on.
+            is_raw: the value is a raw one.
+
+        Raises:
+            LocalError: there is no such sensor or channel, or the value is not of its type.
+        """
+        sensor = self._by_name.get(name)
+        if not isinstance(sensor, _Sensor):
+            known = ", ".join(one.transducer.name for one in self._sensors) or "none"
+            raise LocalError(f"the device has no sensor {name!r}, but {known}")
+        if not isinstance(channel, int) or not 0 <= channel < sensor.transducer.channels:
+            raise LocalError(
+                f"{name} has channels 0 to {sensor.transducer.channels - 1}, and none {channel!r}"
+            )
+        if value is None and not is_raw:
+            if sensor.transducer.na is None:
+                raise LocalError(f"{name} has no value for N/A: each of its values is one")
+            raw = sensor.transducer.na
+        else:
+            raw = value if is_raw else sensor.codec.raw_of(value)
+        sensor.take(channel, sensor.codec.pack_raw(raw), now_us)
+
+    # ------------------------------------------------------------------ requests
+
+    def hear(self, now_us: int) -> bool:
+        """Notice that the host has sent a request (J2A-TRANS-017).
+
+        Returns: whether an actuator had its safe value, so that a turn is due.
+        """
+        self._heard_us = now_us
+        was_safe = any(actuator.is_safe for actuator in self._actuators)
+        for actuator in self._actuators:
+            actuator.is_safe = False
+        return was_safe
+
+    def request(self, payload: bytes, now_us: int) -> tuple[int, bytes, list[Action]]:
+        """Execute a2jTransd (J2A-TRANS-008, J2A-TRANS-009).
+
+        Returns: the code and the payload of the reply, and what is to be called.
+        """
+        if len(payload) < 2:
+            return c.TRANSD_BAD_LENGTH, b"", []
+        one = self._by_id.get(payload[0])
+        if one is None:
+            return c.TRANSD_NO_ID, b"", []
+        item, value = payload[1], payload[2:]
+        if not _has_item(one.transducer, item, bool(value)):
+            return c.TRANSD_NO_ITEM, b"", []
+        actions: list[Action] = []
+        if value:
+            if len(value) not in _lengths(one, item):
+                return c.TRANSD_BAD_LENGTH, b"", []
+            if not self._write(one, item, value, now_us, actions):
+                return c.TRANSD_BAD_VALUE, b"", []
+        return c.RET_OK, b"" if item in _WRITE_ONLY else _read(one, item, now_us), actions
+
+    def _write(
+        self,
+        one: "_Sensor | _Actuator",
+        item: int,
+        value: bytes,
+        now_us: int,
+        actions: list[Action],
+    ) -> bool:
+        if item == c.TRANSD_TOPIC:
+            return one.write_topic(value)
+        if isinstance(one, _Sensor):
+            if item == c.TRANSD_TRIGGER:
+                one.trigger_us = int.from_bytes(value, "little")
+                self._start(one, now_us, actions)
+                return True
+            return one.write(item, value)
+        if item == c.TRANSD_WATCHDOG:
+            one.watchdog_ms = int.from_bytes(value, "little")
+            return True
+        if not one.schedule(value):
+            return False
+        self._move(one, now_us, actions)
+        return True
+
+    # ------------------------------------------------------------------ what is due
+
+    def turn(self, now_us: int) -> tuple[list[tuple[int, bytes]], list[Action], float]:
+        """Do what is due.
+
+        Returns: opcodes and payloads of the sample SIFs to send, what is to be called, and the time
+            of the next turn, infinity while nothing waits.
+        """
+        sifs: list[tuple[int, bytes]] = []
+        actions: list[Action] = []
+        next_us = _NEVER
+        for sensor in self._sensors:
+            next_us = min(next_us, self._start(sensor, now_us, actions))
+            payload, due_us = sensor.report(now_us)
+            if payload:
+                sifs.append((sensor.transducer.id, payload))
+            next_us = min(next_us, due_us)
+        for actuator in self._actuators:
+            next_us = min(next_us, self._watch(actuator, now_us, actions))
+            next_us = min(next_us, self._move(actuator, now_us, actions))
+        return sifs, actions, next_us
+
+    def _start(self, sensor: "_Sensor", now_us: int, actions: list[Action]) -> float:
+        due_us = sensor.trigger_us
+        if due_us is None:
+            return _NEVER
+        if due_us > now_us:
+            return due_us
+        sensor.trigger_us = None
+        function = self.on_trigger.get(sensor.transducer.name)
+        if function is not None:
+            actions.append(function)
+        return _NEVER
+
+    def _move(self, actuator: "_Actuator", now_us: int, actions: list[Action]) -> float:
+        """Set the channels whose time has come; return the time of the next one."""
+        next_us = _NEVER
+        for channel, due_us, data in sorted(
+            (channel, due_us, data) for channel, (due_us, data) in actuator.waiting.items()
+        ):
+            if due_us > now_us:
+                next_us = min(next_us, due_us)
+            else:
+                del actuator.waiting[channel]
+                self._set(actuator, channel, data, now_us, actions)
+        return next_us
+
+    def _watch(self, actuator: "_Actuator", now_us: int, actions: list[Action]) -> float:
+        """Set an actuator to its safe value when the host was silent for too long."""
+        if not actuator.watchdog_ms or actuator.is_safe:
+            return _NEVER
+        due_us = self._heard_us + actuator.watchdog_ms * _MS
+        if due_us > now_us:
+            return due_us
+        actuator.is_safe = True
+        actuator.waiting.clear()
+        for channel in range(actuator.transducer.channels):
+            self._set(actuator, channel, actuator.safe, now_us, actions)
+        return _NEVER
+
+    def _set(
+        self,
+        actuator: "_Actuator",
+        channel: int,
+        data: bytes,
+        now_us: int,
+        actions: list[Action],
+    ) -> None:
+        actuator.slots[channel] = now_us, data
+        function = self.on_set.get(actuator.transducer.name)
+        if function is not None:
+            value = actuator.codec.physical(actuator.codec.unpack_raw(data))
+            actions.append(lambda: function(channel, value))
+
+
+class _Transducer:
+    """What sensors and actuators have in common: for each channel its time and its value."""
+
+    def __init__(self, transducer: Transducer, codec: SampleCodec) -> None:
+        self.transducer = transducer
+        self.codec = codec
+        self.topic = transducer.get("topic").encode()
+        self.slots: list[tuple[int, bytes]] = [
+            (0, bytes(transducer.type.size)) for _ in range(transducer.channels)
+        ]
+
+    def sample(self) -> bytes:
+        """Return a sample of all channels (J2A-TRANS-005)."""
+        return b"".join(time.to_bytes(TIME_BYTES, "little") + data for time, data in self.slots)
+
+    def write_topic(self, value: bytes) -> bool:
+        """Keep another topic (J2A-TRANS-014)."""
+        try:
+            text = value.decode()
+        except UnicodeDecodeError:
+            return False
+        if any(ord(char) < 0x20 or ord(char) == 0x7F for char in text):
+            return False
+        self.topic = value
+        return True
+
+
+class _Sensor(_Transducer):
+    def __init__(self, transducer: Transducer, codec: SampleCodec) -> None:
+        super().__init__(transducer, codec)
+        self.is_enabled = transducer.is_enabled
+        self.period_us = transducer.period_us
+        self.decimation = int(transducer.get("decimation", "1"))
+        self.threshold = transducer.threshold
+        self.trigger_us: int | None = None
+        self._skipped = [0] * transducer.channels
+        self._last: list[Any] = [None] * transducer.channels
+        self._queue: deque[bytes] = deque()
+        self._lost = 0
+        self._is_fresh = False
+        self._sent_us: int | None = None
+
+    def take(self, channel: int, data: bytes, now_us: int) -> None:
+        """Take a value, unless decimation or threshold leave it out."""
+        self._skipped[channel] += 1
+        if self._skipped[channel] < self.decimation:
+            return
+        self._skipped[channel] = 0
+        if self.transducer.queue and not self.is_enabled:
+            return
+        if self.threshold is not None:
+            raw = self.codec.unpack_raw(data)
+            if self._last[channel] is not None and self._is_near(raw, self._last[channel]):
+                return
+            self._last[channel] = raw
+        if not self.transducer.queue:
+            self.slots[channel] = now_us, data
+            self._is_fresh = self.is_enabled
+        elif len(self._queue) >= self.transducer.queue:
+            self._lost += 1
+        else:
+            self._queue.append(bytes([channel]) + now_us.to_bytes(TIME_BYTES, "little") + data)
+
+    def _is_near(self, raw: Any, last: Any) -> bool:
+        """Whether a value differs too little from the one before (J2A-TRANS-013)."""
+        is_none = [self.codec.is_na(one) for one in (raw, last)]
+        if is_none[0] != is_none[1]:
+            return False
+        if math.isnan(raw) or math.isnan(last):
+            return math.isnan(raw) and math.isnan(last) and bool(self.threshold)
+        # Infinity less infinity is no number, though it does not differ from itself.
+        assert self.threshold is not None
+        return bool((0 if raw == last else abs(raw - last)) < self.threshold)
+
+    def report(self, now_us: int) -> tuple[bytes, float]:
+        """Return the payload of a sample SIF that is due, and when to look again."""
+        has_some = bool(self._queue) if self.transducer.queue else self._is_fresh
+        if not self.is_enabled or not has_some:
+            return b"", _NEVER
+        if self._sent_us is not None and now_us - self._sent_us < self.period_us:
+            return b"", self._sent_us + self.period_us
+        self._sent_us = now_us
+        if not self.transducer.queue:
+            self._is_fresh = False
+            return self.sample(), _NEVER
+        most = (c.MAX_PAYLOAD - LOST_BYTES) // len(self._queue[0])
+        count = min(len(self._queue), most)
+        lost = (self._lost % _LOST_MODULO).to_bytes(LOST_BYTES, "little")
+        payload = lost + b"".join(self._queue.popleft() for _ in range(count))
+        return payload, now_us + self.period_us if self._queue else _NEVER
+
+    def write(self, item: int, value: bytes) -> bool:
+        """Change a setting; return whether its value is in range."""
+        number = int.from_bytes(value, "little")
+        if item == c.TRANSD_ENABLED:
+            if number > 1:
+                return False
+            self._enable(bool(number))
+        elif item == c.TRANSD_PERIOD:
+            self.period_us = number
+        elif item == c.TRANSD_DECIMATION:
+            if number == 0:
+                return False
+            self.decimation = number
+            self._skipped = [0] * self.transducer.channels
+        else:
+            raw = self.codec.unpack_raw(value)
+            if not raw >= 0:
+                return False
+            self.threshold = raw
+        return True
+
+    def _enable(self, is_enabled: bool) -> None:
+        self.is_enabled = is_enabled
+        if not is_enabled:
+            self._is_fresh = False
+            self._lost += len(self._queue)
+            self._queue.clear()
+
+
+class _Actuator(_Transducer):
+    def __init__(self, transducer: Transducer, codec: SampleCodec) -> None:
+        super().__init__(transducer, codec)
+        self.watchdog_ms = int(transducer.get("watchdog", "0"))
+        self.is_safe = False
+        self.waiting: dict[int, tuple[int, bytes]] = {}
+        safe = transducer.safe
+        self.safe = bytes(transducer.type.size) if safe is None else codec.pack_raw(safe)
+
+    def schedule(self, value: bytes) -> bool:
+        """Take what SET writes; return whether all of it is in range (J2A-TRANS-016)."""
+        first, due_us = value[0], int.from_bytes(value[1 : 1 + TIME_BYTES], "little")
+        size = self.transducer.type.size
+        data = value[1 + TIME_BYTES :]
+        values = [data[at : at + size] for at in range(0, len(data), size)]
+        if first + len(values) > self.transducer.channels:
+            return False
+        if self.transducer.range is not None:
+            low, high = self.transducer.range
+            if not all(low <= self.codec.unpack_raw(one) <= high for one in values):
+                return False
+        for channel, one in enumerate(values, first):
+            self.waiting[channel] = due_us, one
+        return True
+
+
+def _has_item(one: Transducer, item: int, is_write: bool) -> bool:
+    """Whether a transducer has an item to write, or to read."""
+    if item > c.TRANSD_TIME or item == c.TRANSD_SAVE:
+        return False
+    if item in (_READ_ONLY if is_write else _WRITE_ONLY):
+        return False
+    if item == c.TRANSD_SAMPLE:
+        return not one.queue
+    if item in (_OF_ACTUATORS if one.is_sensor else _OF_SENSORS):
+        return False
+    key = _BY_KEY.get(item)
+    return key is None or one.has(key)
+
+
+def _lengths(one: _Sensor | _Actuator, item: int) -> Sequence[int]:
+    """Return how long an item may be that is written."""
+    size = one.transducer.type.size
+    if item == c.TRANSD_SET:
+        return range(1 + TIME_BYTES + size, c.MAX_PAYLOAD, size)
+    if item == c.TRANSD_TOPIC:
+        return range(1, c.TRANSD_MAX_TOPIC + 1)
+    return (_BYTES.get(item, size),)
+
+
+def _read(one: _Sensor | _Actuator, item: int, now_us: int) -> bytes:
+    if item == c.TRANSD_SAMPLE:
+        return one.sample()
+    if item == c.TRANSD_TOPIC:
+        return one.topic
+    if item == c.TRANSD_TIME:
+        return now_us.to_bytes(TIME_BYTES, "little")
+    if isinstance(one, _Actuator):
+        return struct.pack("<H", one.watchdog_ms)
+    if item == c.TRANSD_THRESHOLD:
+        return one.codec.pack_raw(one.threshold)
+    number = {
+        c.TRANSD_ENABLED: int(one.is_enabled),
+        c.TRANSD_PERIOD: one.period_us,
+        c.TRANSD_DECIMATION: one.decimation,
+    }[item]
+    return number.to_bytes(_BYTES[item], "little")

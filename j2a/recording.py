@@ -1,0 +1,349 @@
+"""Recordings of samples: files of the format MCAP, with messages of ROS 2.
+
+What flows in: samples of boards, or a file. What flows out: a file that stock viewers read, or the
+samples in it, bit for bit.
+Rules: what was flushed stays readable whatever happens then; a file that ends early is read up to
+there, and says so. Needs the package mcap (`pip install "j2a[record]"`).
+"""
+
+import json
+import re
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self
+
+from j2a.errors import LocalError
+from j2a.events import Sample
+from j2a.types.cdr import SampleMessage
+from j2a.types.descriptors import parse_descriptors
+from j2a.types.ros import ros2_definition
+from j2a.types.transducers import Descriptors, Transducer
+
+__all__ = ["Recorded", "RecordedBoard", "Recorder", "Recording", "topic_of"]
+
+_BOARD: Final = "j2a.board"
+_MAGIC_BYTES: Final = 8
+_CHUNK_BYTES: Final = 1 << 16
+_MAX_RECORD_BYTES: Final = 1 << 28
+_NOT_IN_TOPICS: Final = re.compile(r"[^A-Za-z0-9_/]")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedBoard:
+    """A board of a recording.
+
+    Attributes:
+        name: in the recording.
+        url: where it was.
+        descriptors: what it said of its transducers.
+        properties: its properties.
+    """
+
+    name: str
+    url: str
+    descriptors: Descriptors
+    properties: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A sample of a recording.
+
+    Attributes:
+        board: the name of the board.
+        sensor: of which it is.
+        time_ns: when it came to the host, in nanoseconds since 1970.
+        sequence: its number; see `Sample.sequence`.
+        payload: of the sample SIF.
+    """
+
+    board: str
+    sensor: Transducer
+    time_ns: int
+    sequence: int
+    payload: bytes
+
+
+def topic_of(board: str, topic: str) -> str:
+    """Return the topic of a sensor in a recording: of letters, digits, "_" and "/"."""
+    parts = [part for part in (board, topic) if part]
+    return "/" + "/".join(_NOT_IN_TOPICS.sub("_", part).strip("/") for part in parts)
+
+
+class Recorder:
+    """Writes samples into a file; a context manager that ends the file.
+
+    Any thread may call it.
+
+    Args:
+        path: of the file, which must not be there.
+        segment_bytes: when the file is so long, another one is begun: NAME-1.mcap and so on.
+
+    Attributes:
+        paths: of the files.
+        samples: how many were written.
+
+    Raises:
+        LocalError: the package mcap is missing.
+        OSError: the file cannot be made; FileExistsError when it is there.
+    """
+
+    def __init__(self, path: str | Path, *, segment_bytes: int | None = None) -> None:
+        self._first = Path(path)
+        self._segment_bytes = segment_bytes
+        self._lock = threading.Lock()
+        self._boards: list[tuple[RecordedBoard, str]] = []
+        self._channels: dict[tuple[str, str], tuple[int, SampleMessage]] = {}
+        self.paths: list[Path] = []
+        self.samples = 0
+        self._file: IO[bytes] | None = None
+        self._writer: Any = None
+        self._begin()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file that is being written, as far as they were flushed."""
+        with self._lock:
+            return 0 if self._file is None else self._file.tell()
+
+    def add_board(
+        self,
+        name: str,
+        descriptors: Descriptors,
+        *,
+        url: str = "",
+        properties: Mapping[str, str] | None = None,
+        prefix: str = "",
+    ) -> None:
+        """Announce a board before its samples.
+
+        Args:
+            name: tells it from the other boards of the file.
+            descriptors: what it says of its transducers.
+            url, properties: kept for who reads the file.
+            prefix: of its topics; needed where there are several boards.
+
+        Raises:
+            LocalError: there is a board of that name.
+        """
+        with self._lock:
+            if any(board.name == name for board, _ in self._boards):
+                raise LocalError(f"the recording has a board {name!r} already")
+            self._boards.append((RecordedBoard(name, url, descriptors, properties or {}), prefix))
+            self._announce(*self._boards[-1])
+
+    def write(self, board: str, sample: Sample, time_ns: int) -> None:
+        """Write a sample.
+
+        Args:
+            board: the name of its board.
+            sample: as a sensor gives it.
+            time_ns: when it came, in nanoseconds since 1970.
+
+        Raises:
+            LocalError: no such sensor was announced, or the recorder is closed.
+            ValueError: the sample cannot be a message.
+            OSError: it cannot be written, such as on a full disk.
+        """
+        with self._lock:
+            self._check_open()
+            channel, message = self._channel(board, sample.name)
+            data = message.pack(sample.payload)
+            self._writer.add_message(channel, time_ns, data, time_ns, sample.sequence & 0xFFFFFFFF)
+            self.samples += 1
+            if self._segment_bytes and self._file and self._file.tell() >= self._segment_bytes:
+                self._end()
+                self._begin()
+
+    def flush(self) -> None:
+        """Write all samples into the file, so that they stay even if this program is killed.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        with self._lock:
+            self._check_open()
+            self._writer.flush()
+
+    def close(self) -> None:
+        """End the file; may be called twice.
+
+        Raises:
+            OSError: its end cannot be written; what was flushed stays readable.
+        """
+        with self._lock:
+            if self._file is not None:
+                self._end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _check_open(self) -> None:
+        if self._file is None:
+            raise LocalError("the recorder is closed")
+
+    def _channel(self, board: str, sensor: str) -> tuple[int, SampleMessage]:
+        found = self._channels.get((board, sensor))
+        if found is None:
+            raise LocalError(f"the recording has no sensor {sensor!r} of a board {board!r}")
+        return found
+
+    def _begin(self) -> None:
+        writer = _mcap("writer")
+        number = len(self.paths)
+        path = self._first
+        if number:
+            path = path.with_name(f"{path.stem}-{number}{path.suffix}")
+        self._file = path.open("xb")
+        self.paths.append(path)
+        self._writer = writer.Writer(self._file, chunk_size=_CHUNK_BYTES)
+        self._writer.start(profile="ros2", library="j2a")
+        for board, prefix in self._boards:
+            self._announce(board, prefix)
+
+    def _announce(self, board: RecordedBoard, prefix: str) -> None:
+        self._writer.add_metadata(
+            _BOARD,
+            {
+                "name": board.name,
+                "url": board.url,
+                "descriptors": str(board.descriptors),
+                "properties": json.dumps(dict(board.properties)),
+            },
+        )
+        for one in board.descriptors.transducers:
+            if not one.is_sensor:
+                continue
+            kind, definition = ros2_definition(board.descriptors, one.name)
+            schema = self._writer.register_schema(kind, "ros2msg", definition.encode())
+            about = {"board": board.name, "sensor": one.name, "unit": one.unit}
+            about |= {key: one.get(key) for key in ("scale", "offset", "na") if one.has(key)}
+            topic = topic_of(prefix, one.topic)
+            channel = self._writer.register_channel(topic, "cdr", schema, about)
+            self._channels[board.name, one.name] = channel, SampleMessage(one)
+
+    def _end(self) -> None:
+        assert self._file is not None
+        file, self._file = self._file, None
+        try:
+            self._writer.finish()
+        finally:
+            file.close()
+
+
+class Recording:
+    """The samples of a file, in the order in which they were written.
+
+    Args:
+        path: of the file.
+
+    Attributes:
+        boards: by name; known once the iteration has come to a sample of theirs.
+        is_whole: the file has its end; known when the iteration is over.
+
+    Raises:
+        LocalError: the package mcap is missing.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = Path(path)
+        self._reader = _mcap("stream_reader")
+        self.boards: dict[str, RecordedBoard] = {}
+        self.is_whole = False
+
+    def __iter__(self) -> Iterator[Recorded]:
+        """Yield the samples.
+
+        Raises:
+            LocalError: the file is no recording, or it is damaged.
+            OSError: it cannot be read.
+        """
+        sensors: dict[int, tuple[str, Transducer, SampleMessage]] = {}
+        for record in self._records():
+            kind = type(record).__name__
+            if kind == "Metadata" and record.name == _BOARD:
+                self._add_board(record.metadata)
+            elif kind == "Channel":
+                found = self._sensor(record.metadata)
+                if found is not None:
+                    sensors[record.id] = *found, SampleMessage(found[1])
+            elif kind == "Message" and record.channel_id in sensors:
+                board, sensor, message = sensors[record.channel_id]
+                try:
+                    payload = message.unpack(record.data)
+                except ValueError as error:
+                    raise LocalError(f"{self._path}: {sensor.name}: {error}") from None
+                yield Recorded(board, sensor, record.log_time, record.sequence, payload)
+
+    def read_boards(self) -> dict[str, RecordedBoard]:
+        """Return the boards, without reading more samples than it takes.
+
+        Raises: as the iteration.
+        """
+        next(iter(self), None)
+        return self.boards
+
+    def _records(self) -> Iterator[Any]:
+        exceptions = _mcap("exceptions")
+        with self._path.open("rb") as file:
+            reader = self._reader.StreamReader(
+                file, validate_crcs=True, record_size_limit=_MAX_RECORD_BYTES
+            )
+            try:
+                yield from reader.records
+                self.is_whole = True
+            except OSError:
+                raise
+            except Exception as error:  # whatever the packages raise for damaged bytes
+                if isinstance(error, exceptions.InvalidMagic) and file.tell() <= _MAGIC_BYTES:
+                    raise LocalError(f"{self._path} is no MCAP file") from None
+                if not file.read(1):
+                    return  # whoever wrote it was killed
+                what = f"{type(error).__name__}: {error}"
+                raise LocalError(f"{self._path} is damaged: {what}") from error
+
+    def _add_board(self, about: Mapping[str, str]) -> None:
+        try:
+            name = about["name"]
+            descriptors = parse_descriptors(about["descriptors"])
+            properties = json.loads(about.get("properties", "{}"))
+        except (KeyError, ValueError, LocalError) as error:
+            raise LocalError(f"{self._path}: a board is not described right: {error}") from None
+        if not isinstance(properties, dict):
+            properties = {}
+        texts = {str(key): str(value) for key, value in properties.items()}
+        self.boards[name] = RecordedBoard(name, about.get("url", ""), descriptors, texts)
+
+    def _sensor(self, about: Mapping[str, str]) -> tuple[str, Transducer] | None:
+        board = self.boards.get(about.get("board", ""))
+        if board is None:
+            return None
+        try:
+            return board.name, board.descriptors[about.get("sensor", "")]
+        except KeyError:
+            return None
+
+
+def _mcap(module: str) -> Any:
+    """Return a module of the package mcap.
+
+    Raises:
+        LocalError: it is not installed.
+    """
+    from importlib import import_module  # noqa: PLC0415
+
+    try:
+        return import_module(f"mcap.{module}")
+    except ImportError:
+        raise LocalError('recordings need the package mcap: pip install "j2a[record]"') from None

@@ -1,0 +1,125 @@
+"""`j2a export`, as a user runs it."""
+
+import struct
+
+import pytest
+
+import j2a
+from j2a.cli import _export
+from j2a.recording import Recorder
+from j2a.types.transds_file import read_transds
+
+pandas = pytest.importorskip("pandas")
+parquet = pytest.importorskip("pyarrow.parquet")
+
+FILE = """
+J2A_STRUCT(motion, (array(i16, 2), rate), (bool, up))
+SENSOR(quad, 0, quad, X, 2, i16, -1, (scale, 0.5))
+SENSOR(log, 1, log, X, 2, u8, none, (queue, 4))
+SENSOR(imu, 2, imu, X, 1, motion, none)
+SENSOR(rows, 3, rows, X, 1, array(u8, 2), none)
+"""
+
+
+NOW_NS = 1_700_000_000_000_000_000
+SAMPLES = {
+    "quad": [
+        struct.pack("<QhQh", 0, 0, 5, 4),
+        struct.pack("<QhQh", 9, -1, 5, 4),
+    ],
+    "log": [struct.pack("<HBQBBQB", 0, 1, 11, 7, 0, 12, 8), struct.pack("<HBQB", 0, 1, 13, 9)],
+    "imu": [struct.pack("<Qhh?", 20, 1, -2, True)],
+    "rows": [struct.pack("<QBB", 21, 3, 4)],
+}
+
+
+@pytest.fixture
+def path(tmp_path):
+    made = tmp_path / "drive.mcap"
+    with Recorder(made) as recorder:
+        recorder.add_board("left/cart", read_transds(FILE), url="sim:x", properties={})
+        for name, payloads in SAMPLES.items():
+            for number, payload in enumerate(payloads):
+                sample = j2a.Sample("b", name, number, (), 0.0, payload=payload)
+                recorder.write("left/cart", sample, NOW_NS + number)
+    return made
+
+
+def test_csv(run, path, tmp_path):
+    out = tmp_path / "out"
+    result = run("export", path, out)
+    assert (result.code, result.err) == (0, "")
+    assert (out / "left_cart_quad.csv").read_text() == (
+        "host_time_ns,time_us,channel,value\n"
+        f"{NOW_NS},5,1,2.0\n"
+        f"{NOW_NS + 1},9,0,\n"
+        f"{NOW_NS + 1},5,1,2.0\n"
+    )
+    assert (out / "left_cart_log.csv").read_text() == (
+        "host_time_ns,time_us,channel,value\n"
+        f"{NOW_NS},11,1,7.0\n{NOW_NS},12,0,8.0\n{NOW_NS + 1},13,1,9.0\n"
+    )
+    assert (out / "left_cart_imu.csv").read_text() == (
+        f"host_time_ns,time_us,channel,rate_0,rate_1,up\n{NOW_NS},20,0,1,-2,True\n"
+    )
+    assert (out / "left_cart_rows.csv").read_text() == (
+        f"host_time_ns,time_us,channel,value_0,value_1\n{NOW_NS},21,0,3,4\n"
+    )
+    assert f"wrote {out / 'left_cart_quad.csv'}: 3 rows" in result.out
+    again = run("export", path, out)
+    assert again.code == 2
+    assert "is there already" in again.err
+
+
+def test_parquet(run, path, tmp_path):
+    out = tmp_path / "out"
+    result = run("export", path, out, "--format", "parquet")
+    assert (result.code, result.err) == (0, "")
+    quad = pandas.read_parquet(out / "left_cart_quad.parquet")
+    assert quad["channel"].tolist() == [1, 0, 1]
+    assert quad["time_us"].tolist() == [5, 9, 5]
+    assert quad["value"].isna().tolist() == [False, True, False]
+    assert parquet.read_table(out / "left_cart_imu.parquet").to_pylist() == [
+        {"host_time_ns": NOW_NS, "time_us": 20, "channel": 0, "rate_0": 1, "rate_1": -2, "up": True}
+    ]
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_a_long_recording_is_written_piece_by_piece(run, path, tmp_path, monkeypatch, form):
+    monkeypatch.setattr(_export, "_PIECE", 1)
+    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    run("export", path, pieces, "--format", form)
+    monkeypatch.setattr(_export, "_PIECE", 1000)
+    run("export", path, whole, "--format", form)
+    read = {"csv": pandas.read_csv, "parquet": pandas.read_parquet}[form]
+    for table in sorted(whole.iterdir()):
+        assert read(table).equals(read(pieces / table.name))
+    assert len(list(pieces.iterdir())) == len(SAMPLES)
+
+
+def test_what_cannot_be_exported(run, path, tmp_path):
+    result = run("export", tmp_path / "none.mcap", tmp_path / "out")
+    assert (result.code, result.out) == (2, "")
+    assert "none.mcap: No such file" in result.err
+    other = tmp_path / "other.mcap"
+    other.write_bytes(b"nothing of the sort")
+    result = run("export", other, tmp_path / "out")
+    assert result.code == 2
+    assert "is no MCAP file" in result.err
+    result = run("export", path, path)
+    assert result.code == 2
+    assert "File exists" in result.err
+    cut = tmp_path / "cut.mcap"
+    with Recorder(cut) as recorder:
+        recorder.add_board("cart", read_transds(FILE), url="sim:x", properties={})
+    result = run("export", cut, tmp_path / "empty")
+    assert result.code == 0
+    assert "has no samples" in result.err
+
+
+def test_a_recording_that_ends_early(run, path, tmp_path):
+    path.write_bytes(path.read_bytes()[:-40])
+    result = run("export", path, tmp_path / "out")
+    assert result.code == 0
+    assert "ends early" in result.err
+    assert len(list((tmp_path / "out").iterdir())) == len(SAMPLES)

@@ -1,0 +1,148 @@
+"""`j2a record` and `j2a replay`, as a user runs them."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import j2a
+from j2a.recording import Recording
+from j2a.virtual import VirtualBoard
+
+from .conftest import served
+
+FILE = Path(__file__).parents[3] / "firmware/apps/transducers/transds.def"
+
+
+@pytest.fixture
+def board():
+    device = VirtualBoard(FILE)
+    device.measure()
+    yield from served(device)
+
+
+def payloads(path, board=None):
+    return [
+        (one.sensor.name, one.payload)
+        for one in Recording(path)
+        if board is None or one.board == board
+    ]
+
+
+def record(*words):
+    command = [sys.executable, "-m", "j2a", "record", *map(str, words)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(path, count, process):
+    """Wait until so many samples are in a file."""
+    while process.poll() is None:
+        with contextlib.suppress(j2a.LocalError):  # its first bytes may be on the way
+            if path.exists() and len(payloads(path)) >= count:
+                return
+    raise AssertionError(process.communicate())
+
+
+def test_for_so_many_seconds(run, board, tmp_path):
+    path = tmp_path / "a.mcap"
+    result = run("record", board, "-o", path, "--seconds", "2.5")
+    assert (result.code, result.err) == (0, "")
+    found = payloads(path)
+    assert f"wrote {path}: {len(found)} samples, 0 lost on the way" in result.out
+    assert {name for name, _ in found} == {"plain", "queued", "tuned", "imu", "slow"}
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "is_whole"),
+    [(signal.SIGINT, 130, True), (signal.SIGTERM, 143, True), (signal.SIGKILL, -9, False)],
+)
+def test_a_program_that_is_ended_leaves_its_samples(board, tmp_path, number, code, is_whole):
+    path = tmp_path / "a.mcap"
+    process = record(board, "-o", path)
+    wait_for(path, 30, process)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == code, err
+    assert "Traceback" not in err
+    recording = Recording(path)
+    found = list(recording)
+    assert len(found) >= 30
+    assert recording.is_whole == is_whole
+    assert is_whole == (f"wrote {path}: {len(found)} samples" in out)
+
+
+def test_a_board_that_is_lost_ends_it(tmp_path):
+    device = VirtualBoard(FILE)
+    device.measure()
+    serving = served(device)
+    path = tmp_path / "a.mcap"
+    process = record(next(serving), "-o", path)
+    wait_for(path, 10, process)
+    next(serving, None)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert "lost tcp://" in err
+    assert f"wrote {path}" in out
+
+
+def test_two_boards_of_one_name_are_told_apart(run, board, tmp_path):
+    path = tmp_path / "a.mcap"
+    assert run("record", board, board, "-o", path, "--seconds", "1.5").code == 0
+    recording = Recording(path)
+    assert {one.board for one in recording} == {"J2A virtual board", "J2A virtual board_2"}
+    result = run("replay", path)
+    assert result.code == 2
+    assert "choose one: J2A virtual board, J2A virtual board_2" in result.err
+
+
+def test_there_and_back(board, run, start, tmp_path):
+    first, again = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    assert run("record", board, "-o", first, "--seconds", "2").code == 0
+    player = start("replay", str(first), "--speed", "2")
+    process = record(player.line_with("listening").split()[-1], "-o", again)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 3, err
+    assert f"replayed {len(payloads(first))} samples" in player.end().out
+    assert payloads(again) == payloads(first)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("record", "URL", "-o", "a.csv"), "ends in .mcap"),
+        (("record", "URL", "-o", "there.mcap"), "is there already"),
+        (("record", "URL", "-o", "none/a.mcap"), "cannot write"),
+        (("record", "DEMO", "-o", "a.mcap"), "has no sensors: the device describes none"),
+        (("record", "URL"), "-o"),
+        (("record", "URL", "-o", "a.mcap", "--seconds", "0"), "not above 0"),
+        (("replay", "gone.mcap"), "cannot read"),
+        (("replay", "there.mcap"), "is no MCAP file"),
+        (("replay", "there.mcap", "--speed", "0"), "not above 0"),
+    ],
+)
+def test_mistakes(run, board, demo, tmp_path, monkeypatch, words, why):
+    monkeypatch.chdir(tmp_path)
+    Path("there.mcap").write_text("this is a text, and no recording")
+    urls = {"URL": board, "DEMO": demo}
+    result = run(*(urls.get(word, word) for word in words))
+    assert result.code == 2
+    assert why in result.err
+    assert not Path("a.mcap").exists()
+
+
+def test_without_the_package(run, board, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mcap", None)
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    result = run("record", board, "-o", tmp_path / "a.mcap")
+    assert result.code == 2
+    assert 'pip install "j2a[record]"' in result.err
+
+
+def test_a_sample_has_its_payload(board):
+    with j2a.connect(board) as client:
+        sample = client.transducers["plain"].wait(30)
+    assert len(sample.payload) == 20
+    assert "payload" not in repr(sample)

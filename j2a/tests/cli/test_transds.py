@@ -1,0 +1,161 @@
+"""`j2a transds`, and `j2a serve --transds`: files and boards, what is written, what is refused."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import j2a
+from j2a.cli import main
+from j2a.tests.types.test_transds_file import DESCRIPTORS_9_2, LISTING_9_2
+
+FILE = Path(__file__).parents[3] / "firmware/apps/transducers/transds.def"
+
+
+@pytest.fixture
+def transds(tmp_path):
+    path = tmp_path / "transds.def"
+    path.write_text(LISTING_9_2)
+    return path
+
+
+@pytest.fixture
+def board():
+    """The URL of a board that `j2a serve --transds` is."""
+    command = [sys.executable, "-m", "j2a", "serve", "--listen", "tcp://127.0.0.1:0"]
+    process = subprocess.Popen(
+        [*command, "--transds", str(FILE)], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    yield process.stdout.readline().split()[-1]
+    process.terminate()
+    process.communicate()
+
+
+def failed(run, code, *words):
+    """Run a command that ends with an exit code."""
+    result = run(*words)
+    assert result.code == code
+    return result
+
+
+def test_a_table(run, transds):
+    result = run("transds", transds)
+    lines = result.out.splitlines()
+    assert lines[0].split() == ["id", "kind", "name", "channels", "type", "model", "more"]
+    assert lines[3].split() == ["2", "sensor", "dist_us", "12", "u32", "SRF02", "na", "0x00FFFFFF"]
+
+
+def test_json(run, transds):
+    found = json.loads(run("transds", transds, "--json").out)
+    quad = found["transducers"][0]
+    assert (quad["name"], quad["channels"], quad["na"], quad["range"]) == ("quad", 2, -1, None)
+    assert found["types"] == []
+
+
+def test_files_of_a_board_are_those_of_its_file(run, board, tmp_path):
+    names = {"--def": "a.def", "--c": "a.h", "--python": "a.py", "--html": "a.html"}
+    for source, folder in ((board, "board"), (FILE, "file")):
+        arguments = [
+            word for key, name in names.items() for word in (key, tmp_path / folder / name)
+        ]
+        result = run("transds", source, *arguments, "--ros1", tmp_path / folder / "ros1")
+        assert f"wrote {tmp_path / folder / 'a.def'}" in result.out
+    for name in (*names.values(), "ros1/msg/plain.msg", "ros1/package.xml"):
+        one, other = ((tmp_path / folder / name).read_text() for folder in ("board", "file"))
+        assert one.replace(board, "transds.def") == other, name
+    assert j2a.load_transds(tmp_path / "board/a.def") == j2a.load_transds(FILE)
+
+
+def test_files_are_what_they_should_be(run, transds, tmp_path, need):
+    run(
+        *("transds", transds, "--ros1", tmp_path / "ros1", "--ros2", tmp_path / "ros2"),
+        *("--html", tmp_path / "a.html", "--c", tmp_path / "a.h", "--python", tmp_path / "a.py"),
+    )
+    assert (tmp_path / "ros1/msg/quad.msg").read_bytes() == b"time[] times\nint16[] values\n"
+    assert (tmp_path / "ros2/msg/DistUs.msg").exists()
+    page = (tmp_path / "a.html").read_text()
+    assert "HEDS-6500" in page
+    assert "<script" not in page
+    assert "J2A_DIST_US_NA (0x00FFFFFF)" in (tmp_path / "a.h").read_text()
+    need("cc")
+    subprocess.run(
+        ["cc", "-fsyntax-only", "-Wall", "-Werror", "-x", "c", tmp_path / "a.h"], check=True
+    )
+
+
+def test_a_module_works(run, board, tmp_path, monkeypatch):
+    run("transds", board, "--python", tmp_path / "virtual_transducers.py")
+    pytest.importorskip("mypy")
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "mypy", "--strict", "--no-incremental"),
+            tmp_path / "virtual_transducers.py",
+        ],
+        capture_output=True, text=True, check=False, env={"PATH": ""},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    monkeypatch.syspath_prepend(tmp_path)
+    import virtual_transducers  # noqa: PLC0415
+
+    with j2a.connect(board) as client:
+        transducers = virtual_transducers.Transducers(client)
+        transducers.servo.set(10, channel=1)
+        assert transducers.servo.read()[1].value == 10
+        assert transducers.queued.wait(30).unit == "mV"
+
+
+def test_what_a_board_says_is_escaped(run, tmp_path):
+    path = tmp_path / "transds.def"
+    path.write_text('SENSOR(a, 1, a, X, 1, u8, none, (color, <b>), "<script>alert(1)</script>")\n')
+    run("transds", path, "--html", tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text()
+    assert "<script>" not in page
+    assert "&lt;b&gt;" in page
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("SENSOR(a, 1, a, X, 1, int17_t, none)", ":1:23: int17_t is no type; near it is int16_t"),
+        ("#if BIG\n#endif", ":1:1: give the value of BIG by -D BIG=1"),
+        ("\n SENSR(a)", ":2:2: SENSR is no entry of transds.def; SENSOR is"),
+    ],
+)
+def test_a_wrong_file_is_one_message(run, transds, text, message, tmp_path):
+    transds.write_text(text)
+    result = failed(run, 2, "transds", transds, "--html", tmp_path / "a.html")
+    assert f"{transds}{message}" in result.err
+    assert len(result.err.splitlines()) <= 2
+    assert not (tmp_path / "a.html").exists()
+    result = failed(run, 2, "serve", "--transds", transds, "--listen", "tcp://127.0.0.1:0")
+    assert f"{transds}{message}" in result.err
+
+
+def test_other_mistakes(run, transds, tmp_path):
+    assert "cannot read" in failed(run, 2, "transds", tmp_path / "gone.def").err
+    transds.write_bytes(b"\xff\xfe")
+    assert "is no text" in failed(run, 2, "transds", transds).err
+    assert "-D and -U" in failed(run, 2, "transds", "tcp://127.0.0.1:1", "-D", "X").err
+    transds.write_text(LISTING_9_2)
+    assert "cannot write" in failed(run, 2, "transds", transds, "--c", transds / "a.h").err
+    transds.write_text("SENSOR(a, 1, a, X, 1, u8, none, (perod, 5))")
+    assert "near it is period" in run("transds", transds).err
+
+
+def test_a_condition(run, transds):
+    transds.write_text("#if BIG\nSENSOR(a, 1, a, X, 1, u8, none)\n#endif\n")
+    assert "sensor" in run("transds", transds, "-D", "BIG").out
+    assert "sensor" not in run("transds", transds, "-U", "BIG").out
+
+
+def test_a_board_without_transducers(run, demo):
+    result = failed(run, 5, "transds", demo)
+    assert "the device describes none" in result.err
+
+
+def test_the_texts_agree(transds):
+    assert str(j2a.load_transds(transds)) == DESCRIPTORS_9_2
+    assert main(["transds", str(transds)]) == 0

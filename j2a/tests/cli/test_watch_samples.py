@@ -1,0 +1,124 @@
+"""`j2a watch` of a board with sensors: samples, and how regularly they come."""
+
+import json
+
+import pytest
+
+import j2a
+from j2a.cli._samples import Rates, rate_text, sample_text
+from j2a.events import Reading
+from j2a.types.transds_file import read_transds
+from j2a.virtual import VirtualBoard
+
+from .conftest import served
+
+FILE = """
+SENSOR(quad, 0, quad, X, 2, i16, -1, (unit, deg), (period, 20000))
+SENSOR(log, 1, log, X, 3, u8, none, (queue, 4), (period, 20000))
+ACTUATOR(lamp, 2, lamp, X, 1, bool, none)
+"""
+
+
+@pytest.fixture
+def board():
+    device = VirtualBoard(read_transds(FILE))
+    device.measure()
+    yield from served(device)
+
+
+def sample(*readings, **more):
+    made = {"board": "b", "name": "quad", "sequence": 0, "host_time": 0.0, **more}
+    return j2a.Sample(readings=tuple(Reading(*one) for one in readings), **made)
+
+
+def test_samples_are_lines(run, board):
+    result = run("watch", board, "quad", "--count", "3")
+    assert (result.code, result.err) == (0, "")
+    lines = [line.split() for line in result.out.splitlines()]
+    assert [line[1:6:2] + line[5:6] for line in lines] == [["opcode", "seq", "quad", "quad"]] * 3
+    assert all(line[7:8] == ["deg,"] and line[-1] == "deg" for line in lines)
+
+
+def test_samples_as_json(run, board):
+    result = run("watch", board, "log", "--count", "2", "--json")
+    for line in result.out.splitlines():
+        facts = json.loads(line)
+        assert (facts["sensor"], facts["opcode"], facts["lost"]) == ("log", 1, 0)
+        assert facts["is_reset"] is False
+        assert {one["channel"] for one in facts["readings"]} <= {0, 1, 2}
+        assert all(one["time_us"] > 0 and 0 <= one["value"] <= 255 for one in facts["readings"])
+
+
+def test_how_regularly_they_come(run, board):
+    result = run("watch", board, "--rates", "--duration", "2.2")
+    assert (result.code, result.err) == (0, "")
+    lines = result.out.splitlines()
+    assert lines[0].split() == ["sensor", "samples", "per", "s", "jitter", "delay", "most", "lost"]
+    assert [line.split()[0] for line in lines[:3]] == ["sensor", "quad", "log"]
+    assert sum(int(line.split()[1]) for line in lines if line.startswith("quad")) > 10
+    facts = [
+        json.loads(line)
+        for line in run("watch", board, "--rates", "--duration", "1.3", "--json").out.splitlines()
+    ]
+    assert [one["sensor"] for one in facts[:2]] == ["quad", "log"]
+    assert set(facts[0]) == {
+        *("sensor", "samples", "per_s", "jitter_ms", "delay_ms", "most_ms", "lost")
+    }
+    assert facts[0]["samples"] > 10
+
+
+def test_a_name_that_is_none(run, board, demo):
+    result = run("watch", board, "servo")
+    assert result.code == 2
+    assert "no SIF or sensor 'servo', but quad, log;" in result.err
+    result = run("watch", board, "lamp")  # which sends nothing
+    assert result.code == 2
+    result = run("watch", demo, "--rates")
+    assert result.code == 2
+    assert "has no sensors" in result.err
+
+
+@pytest.mark.parametrize(
+    ("one", "text"),
+    [
+        (sample((0, 5, 1, 1.5), (1, 6, 2, 2.0), unit="deg"), "quad  1.5 deg, 2.0 deg"),
+        (sample((0, None, 0, None), (1, 6, -1, None)), "quad  none yet, N/A"),
+        (sample((2, 5, 1, 1), (0, 6, 2, 2)), "quad  [2] 1, [0] 2"),
+        (sample((0, 5, 1, 1), lost=3), "quad  1  (3 lost)"),
+        (sample((0, 5, 1, 1), lost=3, is_reset=True), "quad  1  (3 lost, the clock went back)"),
+    ],
+)
+def test_what_a_line_says(one, text):
+    assert sample_text(one) == text
+
+
+def test_rates():
+    rates = Rates()
+    assert list(rates.take()) == []
+    # On the board each 10 ms, one 2 ms late; to the host 1 ms, then 1, 4 and 2.
+    for device_ms, host_s in ((100, 5.001), (110, 5.011), (122, 5.026), (130, 5.032)):
+        rates.add(sample((0, device_ms * 1000, 1, 1), host_time=host_s, lost=1))
+    [(name, facts)] = list(rates.take())
+    assert name == "quad"
+    assert (facts["samples"], facts["lost"]) == (4, 4)
+    assert facts["per_s"] == pytest.approx(3 / 0.031)
+    assert facts["jitter_ms"] == pytest.approx(1.632993)
+    assert facts["delay_ms"] == pytest.approx(0.5)
+    assert facts["most_ms"] == pytest.approx(3.0)
+    assert rate_text(name, facts).split() == [
+        *("quad", "4", "96.77", "1.63", "ms", "0.50", "ms", "3.00", "ms", "4")
+    ]
+    # The next span is empty, and says so.
+    [(name, facts)] = list(rates.take())
+    assert rate_text(name, facts).split() == ["quad", "0", "-", "-", "-", "-", "0"]
+
+
+def test_rates_begin_anew_when_the_clock_does():
+    rates = Rates()
+    rates.add(sample((0, 9_000_000, 1, 1), host_time=1.0))
+    rates.add(sample((0, 1_000, 1, 1), host_time=2.0, is_reset=True))
+    rates.add(sample((0, None, 0, None), host_time=2.5))
+    rates.add(sample((0, 11_000, 1, 1), host_time=2.01))
+    [(_, facts)] = list(rates.take())
+    assert facts["samples"] == 2
+    assert facts["most_ms"] == pytest.approx(0.0, abs=1e-6)

@@ -1,0 +1,88 @@
+"""Samples as arrays: the same values as one by one, and NaN where there is none."""
+
+import math
+import struct
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import j2a
+from j2a.types.arrays import Batch
+from j2a.types.coding import PythonTypes
+from j2a.types.samples import SampleCodec
+
+from .test_recording import FILE, SENSORS, payloads
+
+np = pytest.importorskip("numpy")
+
+
+def one_by_one(sensor, given):
+    codec = SampleCodec(sensor, PythonTypes())
+    for payload in given:
+        yield from codec.unpack_queued(payload)[1] if sensor.queue else codec.unpack(payload)
+
+
+@given(st.data(), st.sampled_from(["quad", "log"]))
+def test_values_are_those_of_the_samples(data, name):
+    sensor = SENSORS[name]
+    given_ = data.draw(st.lists(payloads(sensor), max_size=5))
+    batch = Batch(sensor, given_)
+    readings = list(one_by_one(sensor, given_))
+    found = zip(batch.times_us.ravel(), batch.channels.ravel(), batch.values.ravel(), strict=True)
+    for reading, (time_us, channel, value) in zip(readings, found, strict=True):
+        assert (reading.time_us or 0, reading.channel) == (time_us, channel)
+        if reading.value is None:
+            assert math.isnan(value)
+        else:
+            assert value == float(reading.value)
+    if not sensor.queue:
+        assert batch.raw.shape == (len(given_), sensor.channels)
+        assert len(batch) == len(given_)
+
+
+@given(st.data())
+def test_structures_and_arrays(data):
+    imu = data.draw(st.lists(payloads(SENSORS["imu"]), min_size=1, max_size=3))
+    batch = Batch(SENSORS["imu"], imu)
+    readings = list(one_by_one(SENSORS["imu"], imu))
+    assert [list(rate) for rate in batch.raw["rate"].reshape(-1, 3)] == [
+        list(one.raw.rate) for one in readings
+    ]
+    rows = data.draw(st.lists(payloads(SENSORS["rows"]), min_size=1, max_size=3))
+    assert [list(one) for one in Batch(SENSORS["rows"], rows).raw] == [
+        list(one.raw) for one in one_by_one(SENSORS["rows"], rows)
+    ]
+    with pytest.raises(j2a.LocalError, match="see raw"):
+        batch.values  # noqa: B018
+
+
+def test_a_table_of_pandas():
+    pytest.importorskip("pandas")
+    table = Batch(SENSORS["quad"], [struct.pack("<QhQh", 5, 7, 0, 0)]).to_pandas()
+    assert list(table.columns) == ["time_us", "channel", "value"]
+    assert list(table.time_us) == [5, 0]
+    assert list(table.channel) == [0, 1]
+    assert table.value[0] == 7.0
+    assert math.isnan(table.value[1])
+
+
+def test_a_payload_that_is_no_sample():
+    for payload in (b"x", bytes(10), bytes(30)):
+        with pytest.raises(j2a.LocalError, match="quad"):
+            Batch(SENSORS["quad"], [payload])
+    assert Batch(SENSORS["quad"], []).raw.shape == (0, 2)
+
+
+def test_samples_of_a_board():
+    sample = j2a.Sample("x:", "quad", 0, (), 0.0, payload=struct.pack("<QhQh", 5, 7, 6, -1))
+    batch = Batch.of(FILE["quad"], [sample, sample])
+    assert batch.values.shape == (2, 2)
+    assert np.isnan(batch.values[:, 1]).all()
+
+
+def test_without_numpy(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    with pytest.raises(j2a.LocalError, match=r'pip install "j2a\[arrays\]"'):
+        Batch(SENSORS["quad"], [])

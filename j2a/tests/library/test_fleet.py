@@ -1,0 +1,423 @@
+"""A fleet: boards that come, go, fall silent and share names, and the samples of all of them."""
+
+import contextlib
+import queue
+import threading
+from collections import deque
+from itertools import count
+from types import SimpleNamespace
+
+import j2a_transports
+import pytest
+
+import j2a
+from j2a.fleet import by_url
+from j2a.types.transds_file import read_transds
+
+from .support import PATIENCE_S, served
+
+FILE = """
+SENSOR(quad, 0, quad, X, 2, i16, none, (unit, deg))
+SENSOR(level, 1, level, X, 1, u8, none)
+ACTUATOR(lamp, 2, lamp, X, 1, bool, none)
+"""
+SOON_S = 0.01
+
+_names = count()
+
+
+def make_url():
+    return f"loopback:fleet-{next(_names)}"
+
+
+def make_device(serial=None):
+    properties = {} if serial is None else {"serial": serial}
+    return j2a.Device(properties, transducers=read_transds(FILE))
+
+
+@contextlib.contextmanager
+def fleet_of(*urls, **options):
+    options.setdefault("timeout", PATIENCE_S)
+    options.setdefault("boot_time", PATIENCE_S)
+    options.setdefault("retry", SOON_S)
+    options.setdefault("heartbeat", None)
+    with j2a.Fleet(*urls, **options) as fleet:
+        yield fleet
+
+
+def changes_of(fleet):
+    """Return a queue of what changes from now on."""
+    changes = queue.SimpleQueue()
+    fleet.on_change(changes.put)
+    return changes
+
+
+@contextlib.contextmanager
+def silent(url):
+    """A board at the URL that takes every host and says nothing."""
+    with contextlib.ExitStack() as stack:
+        listener = stack.enter_context(j2a_transports.listen(url))
+        stop = threading.Event()
+
+        def take():
+            while not stop.is_set():
+                with contextlib.suppress(j2a_transports.TransportError):
+                    if (link := listener.accept(SOON_S)) is not None:
+                        stack.callback(link.close)
+
+        thread = threading.Thread(target=take)
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()
+
+
+class TestBoards:
+    def test_each_is_known_by_its_serial_number(self):
+        with (
+            served(make_device("B7")) as first,
+            served(make_device("A3")) as second,
+            served(make_device()) as nameless,
+            fleet_of(first, second, nameless) as fleet,
+        ):
+            fleet.wait(3, timeout=PATIENCE_S)
+            assert set(fleet) == {"A3", "B7", nameless}
+            assert (len(fleet), "A3" in fleet, "C9" in fleet) == (3, True, False)
+            assert (fleet["B7"].url, fleet["A3"].url) == (first, second)
+            assert fleet["B7"].echo(b"hi") == b"hi"
+            assert fleet.problems == {}
+            assert repr(fleet) == "<j2a.Fleet 3 of 3 boards are here>"
+
+    def test_a_transducer_of_each(self):
+        with (
+            served(make_device("left")) as left,
+            served(make_device("right")) as right,
+            fleet_of(left, right) as fleet,
+        ):
+            fleet.wait("left", "right", timeout=PATIENCE_S)
+            found = fleet.transducers
+            names = ("quad", "level", "lamp")
+            assert set(found) == {(side, name) for side in ("left", "right") for name in names}
+            found["left", "quad"].period = 0.5
+            assert fleet["left"].transducers["quad"].period == 0.5
+            assert fleet["right"].transducers["quad"].period == 0.0
+
+    def test_one_that_comes_later_and_goes_and_comes_again(self):
+        url = make_url()
+        with fleet_of() as fleet:
+            changes = changes_of(fleet)
+            fleet.add(url)
+            gone = changes.get(timeout=PATIENCE_S)
+            assert (gone.board, gone.url, gone.is_here) == (None, url, False)
+            assert isinstance(gone.reason, j2a.LinkError)
+            assert isinstance(fleet.problems[url], j2a.LinkError)
+            for _ in range(2):
+                with served(make_device("A3"), url):
+                    here = changes.get(timeout=PATIENCE_S)
+                    assert (here.board, here.url, here.is_here) == ("A3", url, True)
+                    assert here.reason is None
+                    assert fleet["A3"].is_open
+                    assert fleet.problems == {}
+                left = changes.get(timeout=PATIENCE_S)
+                assert (left.board, left.is_here) == ("A3", False)
+                assert isinstance(left.reason, j2a.LinkLost)
+                assert len(fleet) == 0
+                # What it is tried for again in vain is told once.
+                vain = changes.get(timeout=PATIENCE_S)
+                assert (vain.board, vain.is_here) == (None, False)
+
+    def test_a_silent_one_delays_none(self):
+        url = make_url()
+        with (
+            silent(url),
+            served(make_device("A3")) as other,
+            fleet_of(url, other, boot_time=0.5) as fleet,
+        ):
+            changes = changes_of(fleet)
+            fleet.wait("A3", timeout=PATIENCE_S)
+            while url not in fleet.problems:
+                changes.get(timeout=PATIENCE_S)
+            assert isinstance(fleet.problems[url], j2a.CallTimeout)
+            assert "A3" in fleet
+
+    def test_one_that_falls_silent_is_gone_and_tried_again(self):
+        device, url = make_device("A3"), make_url()
+        mute = threading.Event()
+        echo = device._execute
+
+        def execute(opcode, payload):
+            if mute.is_set():
+                mute_over.wait(PATIENCE_S)
+            return echo(opcode, payload)
+
+        mute_over = threading.Event()
+        device._execute = execute
+        with fleet_of(timeout=0.2, heartbeat=0.05) as fleet:
+            changes = changes_of(fleet)
+            with served(device, url):
+                fleet.add(url)
+                assert changes.get(timeout=PATIENCE_S).is_here
+                mute.set()
+                gone = changes.get(timeout=PATIENCE_S)
+                assert (gone.board, gone.is_here) == ("A3", False)
+                assert isinstance(gone.reason, j2a.CallTimeout)
+                mute.clear()
+                mute_over.set()
+                assert changes.get(timeout=PATIENCE_S).is_here
+
+    def test_one_that_answers_stays(self):
+        heard = threading.Event()
+        device = make_device("A3")
+        echo = device._execute
+        asked = count()
+
+        def execute(opcode, payload):
+            if opcode == device.functions["a2jEcho"] and next(asked) == 5:
+                heard.set()
+            return echo(opcode, payload)
+
+        device._execute = execute
+        with served(device) as url, fleet_of(heartbeat=SOON_S) as fleet:
+            changes = changes_of(fleet)
+            fleet.add(url)
+            assert heard.wait(PATIENCE_S)
+            assert changes.get_nowait().is_here
+            assert changes.empty()
+
+    def test_two_with_one_identity(self):
+        with (
+            served(make_device("A3")) as first,
+            served(make_device("A3")) as second,
+            fleet_of(first) as fleet,
+        ):
+            fleet.wait("A3", timeout=PATIENCE_S)
+            changes = changes_of(fleet)
+            fleet.add(second)
+            left_out = changes.get(timeout=PATIENCE_S)
+            assert (left_out.board, left_out.is_here) == (None, False)
+            assert first in str(left_out.reason)
+            assert "identify=j2a.fleet.by_url" in str(fleet.problems[second])
+            assert fleet["A3"].url == first
+            # When the first one is out, the second one is the board of that name.
+            fleet.remove(first)
+            while not (change := changes.get(timeout=PATIENCE_S)).is_here:
+                pass
+            assert (change.board, fleet["A3"].url) == ("A3", second)
+
+    def test_identities_of_ones_own(self):
+        with (
+            served(make_device("A3")) as first,
+            served(make_device("A3")) as second,
+            fleet_of(first, second, identify=by_url) as fleet,
+        ):
+            fleet.wait(first, second, timeout=PATIENCE_S)
+        with (
+            served(make_device("A3")) as url,
+            fleet_of(identify=lambda client: 1 // 0) as fleet,
+        ):
+            changes = changes_of(fleet)
+            fleet.add(url)
+            change = changes.get(timeout=PATIENCE_S)
+            assert "identify failed: ZeroDivisionError" in str(change.reason)
+
+    def test_one_that_is_taken_out(self):
+        with served(make_device("A3")) as url, fleet_of(url) as fleet:
+            fleet.wait("A3", timeout=PATIENCE_S)
+            client = fleet["A3"]
+            changes = changes_of(fleet)
+            fleet.remove("A3")
+            with pytest.raises(j2a.UnknownBoard, match="'A3' is not here, but none"):
+                fleet["A3"]
+            change = changes.get(timeout=PATIENCE_S)
+            assert change == j2a.BoardChange("A3", url, is_here=False)
+            assert not client.is_open
+            fleet.add(url)
+            fleet.wait("A3", timeout=PATIENCE_S)
+
+    def test_what_can_be_done_in_a_handler(self):
+        done = threading.Event()
+        with (
+            served(make_device("A3")) as first,
+            served(make_device("B7")) as second,
+            fleet_of() as fleet,
+        ):
+
+            def follow(change):
+                if change.board == "A3" and change.is_here:
+                    assert fleet["A3"].echo(b"x") == b"x"
+                    fleet.add(second)
+                elif change.board == "B7" and change.is_here:
+                    fleet.remove("A3")
+                    fleet.close()
+                    done.set()
+
+            fleet.on_change(follow)
+            fleet.add(first)
+            assert done.wait(PATIENCE_S)
+
+
+class TestArguments:
+    @pytest.mark.parametrize("url", ["nothing", "no-scheme://x", ""])
+    def test_a_wrong_url(self, url):
+        with pytest.raises(j2a.BadUrl):
+            j2a.Fleet(url)
+
+    @pytest.mark.parametrize(
+        "options",
+        [{"timeout": -1}, {"boot_time": "x"}, {"retry": float("nan")}, {"heartbeat": -0.1}],
+    )
+    def test_a_wrong_option(self, options):
+        with pytest.raises(j2a.LocalError):
+            j2a.Fleet(**options)
+
+    def test_misuse(self):
+        url = make_url()
+        with fleet_of(url) as fleet:
+            with pytest.raises(j2a.LocalError, match="the fleet has loopback"):
+                fleet.add(url)
+            with pytest.raises(j2a.LocalError, match="a URL is a text"):
+                fleet.add(5)
+            with pytest.raises(j2a.UnknownBoard, match="no board 'C9'"):
+                fleet.remove("C9")
+            with pytest.raises(j2a.LocalError, match="identities, or one number"):
+                fleet.wait(1, 2)
+            with pytest.raises(j2a.LocalError, match="identities, or one number"):
+                fleet.wait(None)
+            with pytest.raises(j2a.CallTimeout, match=rf"no board C9 within 0.05 s; {url}: "):
+                while not fleet.problems:
+                    pass
+                fleet.wait("C9", timeout=0.05)
+            with pytest.raises(j2a.CallTimeout, match="0 of 2 boards"):
+                fleet.wait(2, timeout=0.01)
+        fleet.close()
+        with pytest.raises(j2a.LocalError, match="is closed"):
+            fleet.add(make_url())
+        with pytest.raises(j2a.LinkClosed):
+            fleet.wait(1)
+
+    def test_nothing_is_left_behind(self):
+        before = set(threading.enumerate())
+        with served(make_device("A3")) as url, fleet_of(url, make_url()) as fleet:
+            fleet.wait("A3", timeout=PATIENCE_S)
+            client = fleet["A3"]
+        for thread in set(threading.enumerate()) - before:
+            thread.join(PATIENCE_S)
+            assert not thread.is_alive()
+        assert not client.is_open
+
+
+class TestSamples:
+    def test_boards_are_told_apart(self):
+        left, right = make_device("left"), make_device("right")
+        with (
+            served(left) as first,
+            served(right) as second,
+            fleet_of(first, second) as fleet,
+        ):
+            fleet.wait(2, timeout=PATIENCE_S)
+            every, quads, calls = fleet.samples(), fleet.samples("quad"), queue.SimpleQueue()
+            subscription = fleet.on_sample(calls.put, "level")
+            with every, quads:
+                left.sense("quad", 1, 7)
+                right.sense("quad", 0, 9)
+                right.sense("level", 0, 3)
+                found = [every.wait(PATIENCE_S) for _ in range(3)]
+                assert {(one.board, one.name, one.values) for one in found} == {
+                    ("left", "quad", (None, 7)),
+                    ("right", "quad", (9, None)),
+                    ("right", "level", (3,)),
+                }
+                both = [quads.wait(PATIENCE_S) for _ in range(2)]
+                assert {one.board for one in both} == {"left", "right"}
+                level = calls.get(timeout=PATIENCE_S)
+                assert (level.board, level.unit) == ("right", "")
+                subscription.cancel()
+                right.sense("level", 0, 4)
+                assert every.wait(PATIENCE_S).values == (4,)
+                assert calls.empty()
+
+    def test_samples_go_on_when_the_board_is_back(self):
+        url = make_url()
+        with fleet_of(url) as fleet, fleet.samples() as samples:
+            for value in (1, 2):
+                device = make_device("A3")
+                with served(device, url):
+                    fleet.wait("A3", timeout=PATIENCE_S)
+                    device.sense("level", 0, value)
+                    sample = samples.wait(PATIENCE_S)
+                    assert (sample.board, sample.values, sample.sequence) == ("A3", (value,), 0)
+                    changes = changes_of(fleet)
+                while "A3" in fleet:
+                    changes.get(timeout=PATIENCE_S)
+            fleet.close()
+            assert list(samples) == []
+
+    def test_those_that_nobody_takes_are_counted(self):
+        device = make_device("A3")
+        with (
+            served(device) as url,
+            fleet_of(url) as fleet,
+            fleet.samples("level", max_waiting=2) as few,
+            fleet.samples("level") as all_of_them,
+        ):
+            fleet.wait("A3", timeout=PATIENCE_S)
+            for value in range(5):
+                device.sense("level", 0, value)
+                assert all_of_them.wait(PATIENCE_S).values == (value,)
+            assert few.lost == 3
+            assert [few.wait(PATIENCE_S).values for _ in range(2)] == [(3,), (4,)]
+
+    def test_a_handler_that_fails_stops_no_other(self):
+        device, errors = make_device("A3"), deque()
+        seen = queue.SimpleQueue()
+        with (
+            served(device) as url,
+            fleet_of(url, on_handler_error=lambda *what: errors.append(what)) as fleet,
+        ):
+            fleet.on_sample(lambda sample: sample.nothing)
+            fleet.on_sample(seen.put)
+            fleet.wait("A3", timeout=PATIENCE_S)
+            device.sense("level", 0, 1)
+            sample = seen.get(timeout=PATIENCE_S)
+            assert [(type(error), one) for error, one in errors] == [(AttributeError, sample)]
+
+
+class FakeWatch:
+    """Boards that come and go as a test says."""
+
+    def __init__(self):
+        self.events = queue.SimpleQueue()
+
+    def __iter__(self):
+        return iter(self.events.get, None)
+
+    def close(self):
+        self.events.put(None)
+
+
+class TestUsb:
+    def test_boards_come_and_go(self, monkeypatch):
+        watch = FakeWatch()
+        monkeypatch.setattr(j2a_transports, "watch_usb", lambda: watch)
+        with served(make_device("A3")) as url, fleet_of(usb=True) as fleet:
+            board = SimpleNamespace(url=url)
+            watch.events.put(j2a_transports.UsbArrived(board))
+            fleet.wait("A3", timeout=PATIENCE_S)
+            changes = changes_of(fleet)
+            watch.events.put(j2a_transports.UsbArrived(board))  # is in already
+            watch.events.put(j2a_transports.UsbLeft(board))
+            watch.events.put(j2a_transports.UsbLeft(board))
+            assert not changes.get(timeout=PATIENCE_S).is_here
+            assert len(fleet) == 0
+            watch.events.put(j2a_transports.UsbArrived(board))
+            fleet.wait("A3", timeout=PATIENCE_S)
+
+    def test_without_the_usb(self, monkeypatch):
+        def missing():
+            raise j2a_transports.MissingExtra("USB", "pyusb", "usb")
+
+        monkeypatch.setattr(j2a_transports, "watch_usb", missing)
+        with pytest.raises(j2a.OpenFailed, match="pyusb"):
+            j2a.Fleet(usb=True)

@@ -1,0 +1,319 @@
+"""Recordings: bit for bit, read by readers that are not ours, cut off, damaged, replayed."""
+
+import math
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import j2a
+from j2a.recording import Recorder, Recording, topic_of
+from j2a.replay import ReplayBoard
+from j2a.types.cdr import SampleMessage
+from j2a.types.ros import ros2_definition
+from j2a.types.transds_file import read_transds
+
+from .support import PATIENCE_S, linked
+
+FILE = read_transds("""
+J2A_STRUCT(xyz, (bool, ok), (array(i16, 3), rate, deg/s), (f64, level))
+SENSOR(quad, 0, quad, X, 2, int16_t, -1, (unit, deg), (topic, left/wheel-1))
+SENSOR(log, 1, log, X, 3, u64, none, (queue, 20))
+SENSOR(imu, 2, imu, X, 2, xyz, none)
+SENSOR(row, 3, row, X, 1, array(f32, 5), none)
+SENSOR(rows, 4, rows, X, 3, array(u8, 3), none, (queue, 9))
+ACTUATOR(servo, 9, servo, X, 1, i8, none)
+""")
+SENSORS = {one.name: one for one in FILE.transducers if one.is_sensor}
+TIMES = st.integers(0, (1 << 32) * 1_000_000 - 1)
+
+
+@st.composite
+def payloads(draw, sensor):
+    """A sample SIF of any times and bytes."""
+    size = sensor.type.size
+
+    def entry(channel):
+        head = bytes([channel]) if sensor.queue else b""
+        data = draw(st.binary(min_size=size, max_size=size))
+        return head + struct.pack("<Q", draw(TIMES)) + data
+
+    if not sensor.queue:
+        return b"".join(entry(channel) for channel in range(sensor.channels))
+    channels = draw(st.lists(st.integers(0, sensor.channels - 1), min_size=1, max_size=10))
+    return struct.pack("<H", draw(st.integers(0, 65535))) + b"".join(map(entry, channels))
+
+
+def sample(name, payload, sequence=0):
+    return j2a.Sample("x:", name, sequence, (), 0.0, payload=payload)
+
+
+class TestMessages:
+    @given(st.data(), st.sampled_from(sorted(SENSORS)))
+    def test_any_sample_comes_back_bit_for_bit(self, data, name):
+        message = SampleMessage(SENSORS[name])
+        payload = data.draw(payloads(SENSORS[name]))
+        assert message.unpack(message.pack(payload)) == payload
+
+    @given(st.sampled_from(sorted(SENSORS)), st.binary(max_size=200))
+    def test_damaged_messages_are_refused_or_samples(self, name, data):
+        message = SampleMessage(SENSORS[name])
+        try:
+            payload = message.unpack(b"\0\1\0\0" + data)
+        except ValueError:
+            return
+        assert len(payload) < 2000
+
+    @pytest.mark.parametrize("name", sorted(SENSORS))
+    @pytest.mark.parametrize(
+        "payload", [b"", b"\0", bytes(300), struct.pack("<Q", 1 << 63) + b"\0" * 2]
+    )
+    def test_what_is_no_sample_or_has_no_time(self, name, payload):
+        with pytest.raises(ValueError, match=r"no sample|no time|."):
+            message = SampleMessage(SENSORS[name]).pack(payload)
+            assert SampleMessage(SENSORS[name]).unpack(message) == payload
+            raise ValueError("it is a sample after all")
+
+    def test_the_definition_has_all_that_it_uses(self):
+        kind, text = ros2_definition(FILE, "imu")
+        assert kind == "j2a_msgs/msg/Imu"
+        assert text.split("=" * 80 + "\n") == [
+            "builtin_interfaces/Time[] times\nXyz[] values\n",
+            "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+            "MSG: j2a_msgs/Xyz\nbool ok\nint16[3] rate\nfloat64 level\n",
+        ]
+
+    @pytest.mark.parametrize(
+        ("board", "topic", "due"),
+        [("", "quad", "/quad"), ("", "left/wheel-1", "/left/wheel_1"), ("a b", "/x/", "/a_b/x")],
+    )
+    def test_topics(self, board, topic, due):
+        assert topic_of(board, topic) == due
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "drive.mcap"
+
+
+def write_hour(path, seconds=3600, **options):
+    """Record an hour of simulated time: two sensors, 10 and 2 times a second."""
+    start, written = 1_700_000_000_000_000_000, []
+    with Recorder(path, **options) as recorder:
+        recorder.add_board(
+            "cart", FILE, url="sim:x", properties={"name": "cart", "j2a.spec": "1.1"}
+        )
+        for n in range(10 * seconds):
+            time_us = 100_000 * n + 7
+            quad = struct.pack("<QhQh", time_us, n % 30_000, time_us + 1, -n % 3000)
+            rows = [("quad", quad)]
+            if n % 5 == 0:
+                level = math.nan if n % 50 == 0 else n / 7
+                imu = struct.pack(
+                    "<Q?hhhdQ?hhhd", time_us, True, n % 9, 2, -3, level, 0, 0, 0, 0, 0, 0
+                )
+                rows.append(("imu", imu))
+            for name, payload in rows:
+                time_ns = start + 1000 * time_us
+                recorder.write("cart", sample(name, payload, n), time_ns)
+                written.append((name, time_ns, n, payload))
+    return written
+
+
+def read(path):
+    return [(one.sensor.name, one.time_ns, one.sequence, one.payload) for one in Recording(path)]
+
+
+class TestFiles:
+    def test_an_hour_comes_back_bit_for_bit(self, path):
+        written = write_hour(path)
+        assert len(written) == 43_200
+        recording = Recording(path)
+        found = [(s.sensor.name, s.time_ns, s.sequence, s.payload) for s in recording]
+        assert found == written
+        assert recording.is_whole
+        board = recording.boards["cart"]
+        assert (board.descriptors, board.url, board.properties["name"]) == (FILE, "sim:x", "cart")
+
+    def test_readers_of_others_read_it(self, path):
+        written = write_hour(path, 60)
+        mcap_ros2 = pytest.importorskip("mcap_ros2.reader")
+        found = list(mcap_ros2.read_ros2_messages(path))
+        assert len(found) == len(written)
+        [imu] = [one for one in found if one.channel.topic == "/imu"][3:4]
+        values = imu.ros_msg.values
+        assert (values[0].ok, list(values[0].rate), values[0].level) == (True, [6, 2, -3], 15 / 7)
+        quad = next(one for one in found if one.channel.topic == "/left/wheel_1")
+        assert (quad.ros_msg.times[1].nanosec, list(quad.ros_msg.values)) == (8000, [0, 0])
+        assert quad.channel.metadata["unit"] == "deg"
+
+    def test_rosbags_reads_it(self, path):
+        highlevel = pytest.importorskip("rosbags.highlevel")
+        written = write_hour(path, 60)
+        with highlevel.AnyReader([path]) as reader:
+            assert {"/left/wheel_1", "/imu"} <= {one.topic for one in reader.connections}
+            found = [
+                reader.deserialize(data, connection.msgtype)
+                for connection, _, data in reader.messages()
+                if connection.topic == "/left/wheel_1"
+            ]
+        assert len(found) == sum(name == "quad" for name, *_ in written)
+        assert list(found[9].values) == [9, 2991]
+
+    def test_segments(self, path):
+        written = write_hour(path, 600, segment_bytes=50_000)
+        paths = [path, *(path.with_name(f"drive-{n}.mcap") for n in range(1, 99))]
+        paths = [one for one in paths if one.exists()]
+        assert len(paths) > 2
+        assert [row for one in paths for row in read(one)] == written
+        assert all(Recording(one).read_boards() for one in paths)
+
+    def test_a_writer_that_is_killed_loses_what_was_not_flushed(self, path):
+        code = f"""
+import os, signal, struct
+from pathlib import Path
+from j2a.recording import Recorder
+from j2a.tests.library.test_recording import FILE, sample
+recorder = Recorder(Path({str(path)!r}))
+recorder.add_board("cart", FILE)
+for n in range(2000):
+    recorder.write("cart", sample("quad", struct.pack("<QhQh", n + 1, n, n + 1, n), n), n)
+    if n == 1499:
+        recorder.flush()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+        done = subprocess.run([sys.executable, "-c", code], check=False)
+        assert done.returncode == -signal.SIGKILL
+        recording = Recording(path)
+        count = len(list(recording))
+        assert 1500 <= count <= 2000
+        assert not recording.is_whole
+
+    def test_each_cut_is_read_up_to_there(self, path, tmp_path):
+        written = write_hour(path, 30)
+        data = path.read_bytes()
+        cut = tmp_path / "cut.mcap"
+        for end in [0, 5, 8, 9, 100, *range(200, len(data), 211), len(data) - 1]:
+            cut.write_bytes(data[:end])
+            recording = Recording(cut)
+            found = [(s.sensor.name, s.time_ns, s.sequence, s.payload) for s in recording]
+            assert found == written[: len(found)]
+            assert not recording.is_whole
+
+    @given(st.integers(0, 2000), st.integers(0, 7))
+    def test_a_flipped_bit_is_an_error_or_changes_no_sample_silently(self, at, bit):
+        data = bytearray(small())
+        data[at % len(data)] ^= 1 << bit
+        path = write_temporary(bytes(data))
+        try:
+            rows = read(path)
+        except j2a.LocalError:
+            return
+        finally:
+            path.unlink()
+        assert len(rows) <= 60
+
+    def test_what_is_no_recording(self, path):
+        path.write_bytes(b"hello, this is a text of some length\n")
+        with pytest.raises(j2a.LocalError, match="is no MCAP file"):
+            read(path)
+        with pytest.raises(FileNotFoundError):
+            read(path.with_name("gone.mcap"))
+
+    def test_mistakes_of_the_writer(self, path):
+        with Recorder(path) as recorder:
+            recorder.add_board("a", FILE)
+            with pytest.raises(j2a.LocalError, match="has a board 'a' already"):
+                recorder.add_board("a", FILE)
+            for board, name in (("b", "quad"), ("a", "none"), ("a", "servo")):
+                with pytest.raises(j2a.LocalError, match="no sensor"):
+                    recorder.write(board, sample(name, bytes(20)), 0)
+            with pytest.raises(ValueError, match="no time"):
+                recorder.write("a", sample("quad", b"\xff" * 20), 0)
+        with pytest.raises(j2a.LocalError, match="is closed"):
+            recorder.flush()
+        recorder.close()
+        with pytest.raises(FileExistsError):
+            Recorder(path)
+
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+    def test_a_full_disk_is_an_error(self, path):
+        recorder = Recorder(path)
+        recorder.add_board("a", FILE)
+        recorder._file.flush()
+        with open("/dev/full", "wb", buffering=0) as full:  # noqa: PTH123
+            os.dup2(full.fileno(), recorder._file.fileno())
+        recorder.write("a", sample("quad", bytes(20)), 0)
+        with pytest.raises(OSError, match="No space left"):
+            recorder.flush()
+        with pytest.raises(OSError, match="No space left"):
+            recorder.close()
+
+
+def small(cache=[]):  # noqa: B006 - made once
+    """The bytes of a recording of a few seconds."""
+    if not cache:
+        path = write_temporary(b"")
+        path.unlink()
+        write_hour(path, 5)
+        cache.append(path.read_bytes())
+        path.unlink()
+    return cache[0]
+
+
+def write_temporary(data):
+    with tempfile.NamedTemporaryFile(suffix=".mcap", delete=False) as file:
+        file.write(data)
+    return Path(file.name)
+
+
+class TestReplay:
+    def test_a_board_comes_back_bit_for_bit(self, path):
+        written = write_hour(path, 20)
+        device = ReplayBoard(path)
+        found, ended = [], threading.Event()
+        with device, linked(device) as board:
+            assert board.properties["name"] == "cart"
+            board.on_sif(None, lambda sif: found.append((sif.opcode, sif.payload)))
+            assert device.play(speed=20) == len(written)
+            board.on_sif(0x50, lambda _: ended.set())
+            device.send_sif(0x50)
+            assert ended.wait(PATIENCE_S)
+            assert device.is_whole
+            assert board.transducers["quad"].latest().values == (199, 2801)
+        ids = {"quad": 0, "imu": 2}
+        assert found[:-1] == [(ids[name], payload) for name, _, _, payload in written]
+
+    def test_it_waits_for_a_host_and_stops(self, path):
+        write_hour(path, 3600)
+        device = ReplayBoard(path)
+        counts = []
+        player = threading.Thread(target=lambda: counts.append(device.play()))
+        player.start()
+        with device, linked(device) as board:
+            assert board.transducers["quad"].wait(PATIENCE_S).values
+        player.join(PATIENCE_S)
+        assert counts[0] < 1000
+
+    def test_which_board(self, path):
+        with Recorder(path) as recorder:
+            for name in ("left", "right"):
+                recorder.add_board(name, FILE, prefix=name)
+                recorder.write(name, sample("quad", bytes(20)), 0)
+        with pytest.raises(j2a.LocalError, match="choose one: left, right"):
+            ReplayBoard(path)
+        with pytest.raises(j2a.LocalError, match="no board 'up'"):
+            ReplayBoard(path, "up")
+        ReplayBoard(path, "right").stop()
+        path.unlink()
+        Recorder(path).close()
+        with pytest.raises(j2a.LocalError, match="has no board"):
+            ReplayBoard(path)

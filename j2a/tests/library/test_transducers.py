@@ -1,0 +1,533 @@
+"""Transducers on the host: samples, settings, actuators, and what a device says wrong of them."""
+
+import asyncio
+import math
+import struct
+import threading
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from j2a_spec import constants as c
+
+import j2a
+from j2a.demo import DemoDevice
+from j2a.types.transds_file import read_transds
+from j2a.virtual import VirtualBoard, wave
+
+from .support import PATIENCE_S, linked, served
+from .test_aio import in_event_loop
+
+FILE = """
+J2A_ENUM(mode, u8, (off, 0), (on, 5))
+J2A_STRUCT(motion, (array(i16, 3), rate, mdeg/s), (bool, up))
+SENSOR(quad, 0, quad, HEDS-6500, 2, int16_t, -1, (unit, deg), (scale, 0.5), (offset, 10),
+       (decimation, 1), (threshold, 0), (topic, wheels), "The wheels.")
+SENSOR(log, 1, log, X, 2, u8, none, (queue, 3))
+SENSOR(imu, 2, imu, X, 1, motion, none, (trigger))
+SENSOR(level, 3, level, X, 1, float, nan)
+SENSOR(state, 4, state, X, 1, mode, none)
+ACTUATOR(servo, 10, servo, SG90, 2, int8_t, 5, (unit, %), (range, -100, 100), (watchdog, 0))
+ACTUATOR(lamp, 11, lamp, X, 1, bool, none)
+ACTUATOR(heat, 12, heat, X, 1, u16, none, (unit, Cel), (scale, 0.1), (offset, -50),
+         (range, 0, 1500))
+"""
+
+
+def make_device(text=FILE, **options):
+    return j2a.Device(transducers=read_transds(text), **options)
+
+
+@pytest.fixture
+def device():
+    with make_device() as made:
+        yield made
+
+
+@pytest.fixture
+def board(device):
+    with linked(device) as client:
+        yield client
+
+
+def talking(content, **options):
+    """A device whose a2jGetTransds returns any bytes."""
+    made = j2a.Device({"j2a.caps": "transducers"}, **options)
+    made._table.add_content(c.GET_TRANSDS, lambda: content)
+    made._table.add_call(c.TRANSD, lambda payload: (0, payload[2:]))
+    return made
+
+
+class TestSamples:
+    def test_each_sort_of_value(self, device, board):
+        quad = board.transducers["quad"]
+        with quad.samples() as samples:
+            device.sense("quad", 1, 15)
+            sample = samples.wait(PATIENCE_S)
+        assert (sample.name, sample.board, sample.unit) == ("quad", board.url, "deg")
+        first, second = sample.readings
+        assert (first.channel, first.time_us, first.value) == (0, None, None)
+        assert (second.channel, second.raw, second.value) == (1, 10, 15.0)
+        assert sample.values == (None, 15.0)
+        assert sample.times_us[1] > 0
+        with board.transducers["imu"].samples() as samples:
+            device.sense("imu", 0, [(1, -2, 3), True], raw=True)
+            value = samples.wait(PATIENCE_S).values[0]
+        assert (tuple(value.rate), value.up) == ((1, -2, 3), True)
+        with board.transducers["state"].samples() as samples:
+            device.sense("state", 0, "on")
+            value = samples.wait(PATIENCE_S).values[0]
+        assert (value, value.name) == (5, "on")
+
+    def test_latest_handlers_and_iteration(self, device, board):
+        quad, seen, ended = board.transducers["quad"], [], threading.Event()
+        assert quad.latest() is None
+
+        @quad.on_sample
+        def keep(sample):
+            seen.append(sample.values[0])
+            if len(seen) == 3:
+                ended.set()
+
+        with quad.samples() as samples:
+            for value in (10, 11, 12):
+                device.sense("quad", 0, value)
+                assert samples.wait(PATIENCE_S).values[0] == value
+        assert ended.wait(PATIENCE_S)
+        assert seen == [10, 11, 12]
+        assert quad.latest().values[0] == 12
+        assert [quad.latest().sequence, quad.wait.__name__] == [2, "wait"]
+
+    @pytest.mark.requirement("J2A-TRANS-024")
+    def test_the_na_value_is_none(self, device, board):
+        with board.transducers["quad"].samples() as samples:
+            device.sense("quad", 0, None)
+            reading = samples.wait(PATIENCE_S).readings[0]
+        assert (reading.raw, reading.value) == (-1, None)
+        assert reading.time_us
+        with board.transducers["level"].samples() as samples:
+            device.sense("level", 0, None)
+            reading = samples.wait(PATIENCE_S).readings[0]
+        assert math.isnan(reading.raw)
+        assert reading.value is None
+
+    @pytest.mark.requirement("J2A-TRANS-026")
+    def test_losses_of_a_queue_are_counted_over_its_wrap(self, device, board):
+        lost = [65534, 65534, 1, 3]
+        with board.transducers["log"].samples() as samples:
+            for count in lost:
+                device.send_sif(1, struct.pack("<HBQB", count, 1, 7, 9))
+            found = [samples.wait(PATIENCE_S) for _ in lost]
+        assert [sample.lost for sample in found] == [0, 0, 3, 2]
+        assert [(one.channel, one.time_us, one.value) for one in found[0].readings] == [(1, 7, 9)]
+
+    @pytest.mark.requirement("J2A-TRANS-023")
+    @pytest.mark.parametrize(
+        "payload",
+        [b"", bytes(19), bytes(21), bytes(20) + b"\0"],
+    )
+    def test_a_payload_that_is_no_sample_gives_no_value(self, payload):
+        errors = []
+        with (
+            make_device() as device,
+            linked(device, on_handler_error=lambda *e: errors.append(e)) as board,
+        ):
+            quad = board.transducers["quad"]
+            with quad.samples() as samples:
+                device.send_sif(0, payload)
+                device.sense("quad", 0, 12)
+                assert samples.wait(PATIENCE_S).values[0] == 12
+        [(error, sif)] = errors
+        assert isinstance(error, j2a.ProtocolError)
+        assert "a sample of quad" in str(error)
+        assert sif.payload == payload
+
+    @pytest.mark.requirement("J2A-TRANS-023")
+    def test_a_channel_that_is_not_there_gives_no_value(self):
+        errors = []
+        with (
+            make_device() as device,
+            linked(device, on_handler_error=lambda *e: errors.append(e)) as board,
+            board.transducers["log"].samples() as samples,
+        ):
+            device.send_sif(1, struct.pack("<HBQBBQB", 0, 1, 7, 9, 2, 8, 9))
+            device.sense("log", 1, 200)
+            assert samples.wait(PATIENCE_S).values == (200,)
+        assert "channel 2 came, where there are 2" in str(errors[0][0])
+
+    @pytest.mark.requirement("J2A-TRANS-027")
+    def test_a_time_that_goes_back_is_a_reset(self, device, board):
+        times = [(5, 0), (5, 9), (4, 10), (5, 10), (6, 9)]
+        with board.transducers["quad"].samples() as samples:
+            for first, second in times:
+                device.send_sif(0, struct.pack("<QhQh", first, 1, second, 1))
+            found = [samples.wait(PATIENCE_S).is_reset for _ in times]
+        assert found == [False, False, True, False, True]
+
+    @pytest.mark.requirement("J2A-TRANS-027")
+    def test_after_a_boot_sif_nothing_is_a_sample_until_all_is_learnt_anew(self):
+        with make_device(boot=True) as device, linked(device) as board:
+            quad, marked, seen = board.transducers["quad"], threading.Event(), []
+            quad.on_sample(seen.append)
+            board.on_sif(0x50, lambda _: marked.set())
+            other = FILE.replace(
+                "SENSOR(quad, 0, quad, HEDS-6500, 2,", "SENSOR(quad, 7, quad, X, 1,"
+            )
+            device._runner._server.content = str(read_transds(other)).encode()
+            [connection] = device._connections
+            connection.send_sif(c.BOOT, struct.pack("<BHI", 0, 1, 0))
+            device.send_sif(0, struct.pack("<QhQh", 5, 1, 5, 1))
+            device.send_sif(0x50)
+            assert marked.wait(PATIENCE_S)
+            assert seen == []
+            assert board.transducers["quad"].channels == 1
+            with quad.samples() as samples:
+                device.send_sif(7, struct.pack("<Qh", 5, 4))
+                assert samples.wait(PATIENCE_S).values == (12.0,)
+
+    def test_a_stream_that_nobody_reads_loses_the_oldest_and_counts(self, device, board):
+        marked = threading.Event()
+        board.on_sif(0x50, lambda _: marked.set())
+        with board.transducers["log"].samples(max_waiting=2) as samples:
+            for n in range(5):
+                device.send_sif(1, struct.pack("<HBQB", 0, 0, n + 1, n))
+            device.send_sif(0x50)
+            assert marked.wait(PATIENCE_S)
+            assert samples.lost == 3
+            assert [samples.wait(1).values[0] for _ in range(2)] == [3, 4]
+
+    def test_a_batch(self, device, board):
+        pytest.importorskip("numpy")  # the runs on other interpreters are without
+        quad = board.transducers["quad"]
+        device.sense("quad", 1, 12)
+        with pytest.raises(j2a.CallTimeout):
+            quad.read_batch(100, timeout=0.2)
+        sender = threading.Timer(0.05, lambda: device.sense("quad", 0, 17))
+        sender.start()
+        batch = quad.read_batch(1, timeout=PATIENCE_S)
+        assert batch.values.tolist() == [[17.0, 12.0]]
+        sender.join()
+        with pytest.raises(j2a.WrongArgument, match="1 sample or more"):
+            quad.read_batch(0)
+
+    def test_sifs_go_on_beside_samples(self, device, board):
+        with board.sifs(0) as sifs, board.transducers["quad"].samples() as samples:
+            device.sense("quad", 0, 11)
+            assert samples.wait(PATIENCE_S).readings[0].raw == 2
+            assert sifs.wait(PATIENCE_S).payload[8:10] == b"\2\0"
+
+
+class TestSettings:
+    def test_each_setting(self, board):
+        quad, servo = board.transducers["quad"], board.transducers["servo"]
+        quad.enabled, quad.period, quad.decimation, quad.threshold = False, 0.25, 7, 3
+        quad.topic = "räder"
+        servo.watchdog = 0.5
+        found = (quad.enabled, quad.period, quad.decimation, quad.threshold, quad.topic)
+        assert found == (False, 0.25, 7, 3, "räder")
+        assert (servo.watchdog, board.transducers["log"].topic) == (0.5, "log")
+        quad.configure(period=0, enabled=True)
+        assert (quad.period, quad.enabled) == (0, True)
+        assert quad.time_us() > 0
+
+    @pytest.mark.requirement("J2A-TRANS-025")
+    @pytest.mark.parametrize(
+        ("name", "settings", "why"),
+        [
+            ("quad", {"period": -1}, "period is 0 to 4294.97 s"),
+            ("quad", {"period": 4295}, "period is"),
+            ("quad", {"period": math.nan}, "period is"),
+            ("quad", {"period": "fast"}, "period is"),
+            ("quad", {"decimation": 0}, "1 to 255"),
+            ("quad", {"decimation": 256}, "1 to 255"),
+            ("quad", {"decimation": 1.5}, "1 to 255"),
+            ("quad", {"threshold": -1}, "from 0 on"),
+            ("quad", {"threshold": 40000}, "i16"),
+            ("quad", {"topic": ""}, "1 to 32 bytes"),
+            ("quad", {"topic": "x" * 33}, "1 to 32 bytes"),
+            ("quad", {"topic": "ü" * 17}, "1 to 32 bytes"),
+            ("quad", {"topic": "a\nb"}, "printable"),
+            ("quad", {"topic": 5}, "printable"),
+            ("quad", {"enabled": 2}, "True or False"),
+            ("quad", {"watchdog": 1}, "has no watchdog"),
+            ("quad", {"color": 1}, "no setting"),
+            ("log", {"threshold": 1}, "has no threshold"),
+            ("log", {"decimation": 2}, "has no decimation"),
+            ("log", {"topic": "x"}, "has no topic"),
+            ("servo", {"period": 1}, "is an actuator"),
+            ("servo", {"enabled": True}, "is an actuator"),
+            ("servo", {"watchdog": 66}, "watchdog is 0 to 65.535 s"),
+            ("lamp", {"watchdog": 1}, "has no watchdog"),
+            ("quad", {"enabled": False, "period": -1}, "period is"),
+        ],
+    )
+    def test_what_is_wrong_is_refused_before_anything_is_sent(self, board, name, settings, why):
+        before = board.counters.frames_sent
+        with pytest.raises(j2a.WrongArgument, match=why):
+            board.transducers[name].configure(**settings)
+        assert board.counters.frames_sent == before
+
+    def test_what_the_device_refuses(self, board):
+        with pytest.raises(j2a.FunctionFailed, match="cannot be read or written there") as caught:
+            board.transducers["quad"].save()
+        assert caught.value.code == c.TRANSD_NO_ITEM
+
+    def test_a_device_that_answers_nonsense(self):
+        text = str(read_transds(FILE)).encode()
+        with talking(text) as device, linked(device) as board:
+            quad = board.transducers["quad"]
+            for read in (lambda: quad.period, lambda: quad.threshold, quad.read, quad.time_us):
+                with pytest.raises(j2a.ProtocolError, match="quad"):
+                    read()
+
+    def test_a_newest_sample_is_read(self, device, board):
+        device.sense("quad", 0, 12)
+        assert [one.value for one in board.transducers["quad"].read()] == [12.0, None]
+        with pytest.raises(j2a.WrongArgument, match="has a queue"):
+            board.transducers["log"].read()
+
+    def test_a_measurement_that_is_asked_for(self, device, board):
+        device.on_trigger("imu")(lambda: device.sense("imu", 0, [(9, 9, 9), False], raw=True))
+        imu = board.transducers["imu"]
+        with imu.samples() as samples:
+            imu.trigger()
+            assert tuple(samples.wait(PATIENCE_S).values[0].rate) == (9, 9, 9)
+            imu.trigger(imu.time_us() + 50_000)
+            sample = samples.wait(PATIENCE_S)
+        assert not sample.is_reset
+        with pytest.raises(j2a.WrongArgument, match="has no trigger"):
+            board.transducers["quad"].trigger()
+        for time in (-1, 1 << 64, 0.5, None):
+            with pytest.raises(j2a.WrongArgument, match="microseconds"):
+                imu.trigger(time)
+
+
+class TestActuators:
+    def test_values_are_set_in_the_unit(self, device, board):
+        moved = []
+        for name in ("servo", "lamp", "heat"):
+            device.actuator(name)(lambda *args, name=name: moved.append((name, *args)))
+        board.transducers["servo"].set(5, -100)
+        board.transducers["servo"].set(7, channel=1)
+        board.transducers["lamp"].set(True)
+        board.transducers["heat"].set(20.04)
+        board.transducers["heat"].set(3, raw=True)
+        assert moved == [
+            ("servo", 0, 5), ("servo", 1, -100), ("servo", 1, 7), ("lamp", 0, True),
+            ("heat", 0, 20.0), ("heat", 0, pytest.approx(-49.7)),
+        ]  # fmt: skip
+        assert [one.raw for one in board.transducers["servo"].read()] == [5, 7]
+
+    @pytest.mark.requirement("J2A-TRANS-025")
+    @pytest.mark.parametrize(
+        ("name", "values", "options", "why"),
+        [
+            ("servo", (), {}, "a value is missing"),
+            ("servo", (101,), {}, "is -100 % to 100 %, not 101 %"),
+            ("servo", (0, -101), {}, "is -100 %"),
+            ("servo", (128,), {}, "servo"),
+            ("servo", (0.5,), {}, "integer"),
+            ("servo", ("x",), {}, "integer"),
+            ("servo", (None,), {}, "servo"),
+            ("servo", (1, 2, 3), {}, "3 values from channel 0 on"),
+            ("servo", (1, 2), {"channel": 1}, "2 values from channel 1 on"),
+            ("servo", (1,), {"channel": 2}, "none 2"),
+            ("servo", (1,), {"channel": -1}, "none -1"),
+            ("servo", (1,), {"at_us": -1}, "microseconds"),
+            ("servo", (1,), {"at_us": 1 << 64}, "microseconds"),
+            ("lamp", (2,), {}, "lamp"),
+            ("heat", (100.1,), {}, "is -50 Cel.* to 100 Cel"),
+            ("heat", (math.nan,), {}, "takes a number"),
+            ("heat", ("warm",), {}, "takes a number"),
+        ],
+    )
+    def test_what_is_wrong_is_refused_before_anything_is_sent(
+        self, board, name, values, options, why
+    ):
+        before = board.counters.frames_sent
+        with pytest.raises(j2a.WrongArgument, match=why):
+            board.transducers[name].set(*values, **options)
+        assert board.counters.frames_sent == before
+
+    def test_a_time_ahead(self, device, board):
+        moved, times = threading.Event(), []
+        servo = board.transducers["servo"]
+        device.actuator("servo")(lambda channel, value: (times.append(value), moved.set()))
+        servo.set(50, at_us=servo.time_us() + 150_000)
+        assert times == []
+        assert moved.wait(PATIENCE_S)
+        assert times == [50]
+
+    def test_a_host_that_falls_silent(self, device, board):
+        moved = threading.Event()
+        servo = board.transducers["servo"]
+        servo.watchdog = 0.05
+        device.actuator("servo")(lambda channel, value: value == 5 and channel == 1 and moved.set())
+        assert moved.wait(PATIENCE_S)
+
+
+class TestDescriptors:
+    @pytest.mark.requirement("J2A-TRANS-021")
+    @pytest.mark.parametrize(
+        "content",
+        [
+            b"",
+            b"\xff\n",
+            b"sensor a 1 1 u8\n",
+            b"\nsensor a 1 1 u8",
+            b"\nsensor a 255 1 u8\n",
+            b"\n" * 3,
+        ],
+    )
+    def test_wrong_ones_are_not_used_and_functions_stay(self, content):
+        with talking(content) as device, linked(device) as board:
+            assert dict(board.transducers) == {}
+            assert board.transducers_problem
+            assert board.transducers.descriptors is None
+            with pytest.raises(j2a.UnknownTransducer, match="there is no transducer 'a'"):
+                board.transducers["a"]
+            assert board.functions["a2jEcho"].opcode == 4
+
+    @pytest.mark.requirement("J2A-TRANS-020", "J2A-TRANS-021")
+    def test_as_many_bytes_as_promised_and_no_more(self):
+        head = b"\nsensor a 1 1 u8\n"
+        for size, is_used in ((65536, True), (65537, False)):
+            lines = [head]
+            while (left := size - sum(map(len, lines))) > 0:
+                length = min(left, 200) if left - 200 not in range(1, 30) else left // 2
+                lines.append(b" k%05d " % len(lines) + b"x" * (length - 9) + b"\n")
+            content = b"".join(lines)
+            assert len(content) == size
+            with talking(content) as device, linked(device) as board:
+                assert list(board.transducers) == (["a"] if is_used else [])
+
+    @pytest.mark.requirement("J2A-TRANS-022")
+    def test_what_a_later_version_may_have_is_ignored(self):
+        content = (
+            b"union u (a u8)\nstruct s (a new)\n\nsensor a 1 1 u8\n color blue\nrelay b 2 1 u8\n"
+            b" x\nsensor c 3 1 s\nsensor d 4 1 u128\nactuator e 5 1 u8\n"
+        )
+        with talking(content) as device, linked(device) as board:
+            assert list(board.transducers) == ["a", "e"]
+            assert board.transducers["a"].descriptor.get("color") == "blue"
+
+    def test_a_name_that_is_near(self, board):
+        with pytest.raises(j2a.UnknownTransducer, match="near it are: quad"):
+            board.transducers["quat"]
+        with pytest.raises(KeyError):
+            board.transducers["zzz"]
+        assert "quad" in board.transducers
+
+    def test_a_device_without_the_capability(self):
+        made = j2a.Device()
+        made._table.add_content(c.GET_TRANSDS, lambda: b"\nsensor a 1 1 u8\n")
+        with made as device, linked(device) as board:
+            assert not board.transducers
+            assert "does not announce transducers" in board.transducers_problem
+        with linked(DemoDevice()) as board:
+            assert not board.transducers
+            assert board.transducers.why == "the device describes none"
+
+    def test_objects_tell_what_they_are(self, board):
+        quad = board.transducers["quad"]
+        assert repr(quad) == f"<j2a sensor quad 0 2 i16 deg # The wheels. of {board.url}>"
+        assert (quad.unit, quad.channels, quad.doc) == ("deg", 2, "The wheels.")
+        assert repr(board.transducers).startswith("<j2a transducers: quad, log")
+
+    @settings(deadline=None, max_examples=30)
+    @given(st.binary(max_size=300))
+    def test_no_bytes_raise_out_of_connect(self, content):
+        with talking(b"\n" + content) as device, linked(device) as board:
+            assert isinstance(list(board.transducers), list)
+
+
+class TestDevices:
+    def test_what_is_wrong_is_an_error_at_once(self, device):
+        for wrong in (
+            lambda: device.sense("none", 0, 1),
+            lambda: device.sense("servo", 0, 1),
+            lambda: device.sense("quad", 2, 1),
+            lambda: device.sense("quad", -1, 1),
+            lambda: device.sense("quad", 0, "x"),
+            lambda: device.sense("quad", 0, 40000, raw=True),
+            lambda: device.sense("log", 0, None),
+            lambda: device.actuator("quad")(print),
+            lambda: device.on_trigger("quad")(print),
+            lambda: j2a.Device().sense("quad", 0, 1),
+        ):
+            with pytest.raises(j2a.LocalError):
+                wrong()
+
+    def test_a_function_that_raises_is_logged_and_harms_nothing(self, device, board, caplog):
+        @device.actuator("lamp")
+        def fail(channel, value):
+            raise RuntimeError("no lamp")
+
+        board.transducers["lamp"].set(True)
+        assert "no lamp" in caplog.text
+        assert board.transducers["lamp"].read()[0].value is True
+
+    def test_a_file_that_is_not_there(self, tmp_path):
+        with pytest.raises(FileNotFoundError):
+            j2a.Device(transducers=tmp_path / "transds.def")
+
+    def test_it_ends_its_thread(self):
+        before = set(threading.enumerate())
+        with make_device() as device, linked(device) as board:
+            board.transducers["quad"].read()
+            begun = set(threading.enumerate()) - before
+            [thread] = [one for one in begun if one.name == "j2a transducers"]
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+
+
+class TestVirtualBoards:
+    def test_each_sensor_measures_within_its_range(self):
+        with VirtualBoard(read_transds(FILE)) as device:
+            device.measure()
+            with linked(device) as board:
+                sensors = [one for one in board.transducers.values() if isinstance(one, j2a.Sensor)]
+                for sensor in sensors:
+                    assert None not in sensor.wait(PATIENCE_S).values
+                board.transducers["imu"].trigger()
+
+    @given(st.floats(0, 1))
+    def test_a_wave_is_no_na_value(self, phase):
+        text = "\nsensor a 1 1 u8\n na 0\n range 0, 3\n"
+        sensor = read_transds("SENSOR(a, 1, a, X, 1, u8, 0, (range, 0, 3))").transducers[0]
+        assert str(sensor).startswith(text[1:10])
+        assert wave(sensor, phase) in (1, 2, 3)
+
+
+class TestAsyncio:
+    @in_event_loop
+    async def test_all_of_it(self):
+        device = make_device()
+        with served(device) as url:
+            async with await j2a.aconnect(url) as board:
+                quad, servo = board.transducers["quad"], board.transducers["servo"]
+                assert isinstance(quad, j2a.AsyncSensor)
+                assert isinstance(servo, j2a.AsyncActuator)
+                async with quad.samples() as samples:
+                    device.sense("quad", 0, 12)
+                    assert (await samples.wait(PATIENCE_S)).values == (12.0, None)
+                assert quad.latest().values == (12.0, None)
+                await quad.configure(period=0.5, threshold=2)
+                assert await quad.setting("period") == 0.5
+                with pytest.raises(j2a.WrongArgument, match="no setting"):
+                    await quad.setting("color")
+                assert [one.value for one in await quad.read()] == [12.0, None]
+                await servo.set(3, channel=1, at_us=await servo.time_us())
+                assert (await servo.read())[1].value == 3
+                with pytest.raises(j2a.WrongArgument):
+                    await servo.set(101)
+                with pytest.raises(j2a.FunctionFailed):
+                    await quad.save()
+                device.on_trigger("imu")(
+                    lambda: device.sense("imu", 0, [(1, 1, 1), True], raw=True)
+                )
+                imu, seen = board.transducers["imu"], asyncio.Event()
+                imu.on_sample(lambda _: seen.set())
+                await imu.trigger()
+                await asyncio.wait_for(seen.wait(), PATIENCE_S)
+                assert list(await board.transducers()) == list(board.transducers)

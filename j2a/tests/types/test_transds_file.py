@@ -1,0 +1,281 @@
+"""transds.def, read as a compiler reads it: listings of the thesis, and each mistake told."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from j2a_spec import transducers as oracle
+
+import j2a
+from j2a.errors import SignatureError
+from j2a.types.descriptors import parse_descriptors
+from j2a.types.ros import camel_case, ros1_package, ros2_messages, ros2_package
+from j2a.types.transds_file import read_transds, strange_keys, transds_text
+
+LISTING_9_2 = """\
+/* Name, ID, Prefix, Model, Number of Channels, Data Type, Value
+indicating N/A */
+SENSOR(quad, 0, quad, HEDS-6500, 2, int16_t, -1) \\
+SENSOR(dist_ir, 1, sharp, GP2Y0A02YK, 8, uint16_t, 0) \\
+SENSOR(dist_us, 2, srf02, SRF02, 12, uint32_t, 0x00FFFFFF)
+"""
+DESCRIPTORS_9_2 = """
+sensor quad 0 2 i16
+ prefix quad
+ model HEDS-6500
+ na -1
+sensor dist_ir 1 8 u16
+ prefix sharp
+ model GP2Y0A02YK
+ na 0
+sensor dist_us 2 12 u32
+ prefix srf02
+ model SRF02
+ na 0x00FFFFFF
+"""
+GOOD = "SENSOR(a, 1, a, X, 1, u8, none)\n"
+
+
+class TestReading:
+    def test_listing_9_2(self):
+        assert str(read_transds(LISTING_9_2)) == DESCRIPTORS_9_2
+
+    def test_the_macro_of_the_thesis(self):
+        lines = LISTING_9_2.partition("*/\n")[2]
+        assert str(read_transds("#define SENSORS \\\n" + lines)) == DESCRIPTORS_9_2
+        assert str(read_transds(lines.replace("\n", "\r\n"))) == DESCRIPTORS_9_2
+
+    def test_listing_9_5(self, tmp_path):
+        for number, line in enumerate(LISTING_9_2.splitlines()[2:4]):
+            folder = tmp_path / f"firmware{number}"
+            folder.mkdir()
+            (folder / "transds.def").write_text(line.rstrip("\\") + "\n")
+        both = tmp_path / "both" / "all" / "transds.def"
+        both.parent.mkdir(parents=True)
+        both.write_text(
+            '#include "../../firmware0/transds.def"\n#include "../../firmware1/transds.def"\n'
+        )
+        assert [one.name for one in j2a.load_transds(both).transducers] == ["quad", "dist_ir"]
+
+    def test_each_key(self):
+        text = """
+        #define WHEELS 2 // numbers
+        J2A_ENUM(mode, u8, (off, 0), (on, 5))
+        SENSOR_EX(a, 0x1, a, GP2 Y0A, WHEELS, mode, 5)
+        """
+        with pytest.raises(SignatureError, match="behind the id"):
+            read_transds(text)
+        text = (
+            text.replace("0x1", "1")
+            + """
+        J2A_STRUCT(xyz, (array(f32, 3), rate, deg/s), (u8, n))
+        #if BIG
+        SENSOR(b, 2, b, X, 1, xyz, none, (trigger), "Says \\"how\\" " "it is.")
+        #else
+        SENSOR(b, 2, b, X, 1, array(i16, 9), none, (unit, mV), (color, blue, /* and */ green))
+        #endif
+        ACTUATOR(c, 3, c, X, 1, float, 0.5, (range, -1.5, 1e3), (topic, a/b))
+        """
+        )
+        found = read_transds(text, {"BIG": "1"})
+        assert str(found) == (
+            "enum mode u8 (off=0, on=5)\nstruct xyz (rate f32[3] deg/s, n u8)\n\n"
+            "sensor a 1 2 mode\n prefix a\n model GP2 Y0A\n na 5\n"
+            'sensor b 2 1 xyz # Says "how" it is.\n prefix b\n model X\n na none\n trigger\n'
+            "actuator c 3 1 f32\n prefix c\n model X\n safe 0.5\n range -1.5, 1e3\n topic a/b\n"
+        )
+        oracle.parse(str(found).encode())
+        small = str(read_transds(text, {"BIG": "0"}))
+        assert "sensor b 2 1 i16[9] mV\n" in small
+        assert "\n color blue, green\n" in small
+
+    @pytest.mark.parametrize(
+        "c_type",
+        [f"{sign}int{bits}_t" for sign in ("", "u") for bits in (8, 16, 32, 64)]
+        + ["float", "double", "bool", "u8", "f64"],
+    )
+    def test_each_type(self, c_type):
+        [found] = read_transds(f"SENSOR(a, 1, a, X, 1, {c_type}, none)").transducers
+        plain = {"float": "f32", "double": "f64"}.get(c_type, c_type)
+        plain = plain.replace("uint", "u").replace("int", "i").removesuffix("_t")
+        assert str(found.type) == plain
+
+    def test_a_key_that_was_meant_otherwise(self):
+        found = read_transds("SENSOR(a, 1, a, X, 1, u8, none, (perod, 5), (color, red))")
+        assert list(strange_keys(found)) == [
+            "a: the key perod means nothing to J2A; near it is period"
+        ]
+
+
+WRONG = [
+    ("SENSOR(a, 1, a, X, 1, u8", 1, 1, 'a ")" is missing'),
+    ("SENSOR a, 1, a, X, 1, u8, none)", 1, 1, 'a "(" is expected'),
+    (GOOD + "SENSR(b, 2, b, X, 1, u8, none)", 2, 1, "SENSR is no entry of transds.def; SENSOR is"),
+    (GOOD + "b, 2, b", 2, 1, 'a "(" is expected behind b'),
+    ("SENSOR()", 1, 1, "a name is missing"),
+    ("SENSOR(a)", 1, 1, "an id is missing"),
+    ("SENSOR(a, 1, a, X, 1)", 1, 1, "a type is missing"),
+    ("SENSOR(a, 1, a, X, 1, u8)", 1, 1, "the value of N/A is missing"),
+    ("ACTUATOR(a, 1, a, X, 1, u8)", 1, 1, "a safe value is missing"),
+    ("SENSOR(9a, 1, a, X, 1, u8, none)", 1, 8, "a name is 1 to 32 letters"),
+    ("SENSOR(a-b, 1, a, X, 1, u8, none)", 1, 8, "a name is 1 to 32 letters"),
+    (f"SENSOR({'a' * 33}, 1, a, X, 1, u8, none)", 1, 8, "a name is 1 to 32 letters"),
+    ("SENSOR((a), 1, a, X, 1, u8, none)", 1, 9, "a name is expected here"),
+    ("SENSOR(a, one, a, X, 1, u8, none)", 1, 11, "an id is expected"),
+    ("SENSOR(a, 255, a, X, 1, u8, none)", 1, 8, "0 to 254"),
+    ("SENSOR(a, -1, a, X, 1, u8, none)", 1, 11, "an id is expected"),
+    ("SENSOR(a, 1, 1a, X, 1, u8, none)", 1, 14, "a prefix is 1 to 32 letters"),
+    ("SENSOR(a, 1, a, X, 0, u8, none)", 1, 8, "1 to 255 channels, not 0"),
+    ("SENSOR(a, 1, a, X, 256, u8, none)", 1, 8, "1 to 255 channels, not 256"),
+    ("SENSOR(a, 1, a, X, many, u8, none)", 1, 20, "a number of channels is expected"),
+    ("SENSOR(a, 1, a, X, 1, int17_t, none)", 1, 23, "int17_t is no type; near it is int1"),
+    ("SENSOR(a, 1, a, X, 1, text, none)", 1, 8, "any length"),
+    ("SENSOR(a, 1, a, X, 1, array(u8), none)", 1, 8, "any length"),
+    ("SENSOR(a, 1, a, X, 1, array(), none)", 1, 23, "this is no type"),
+    ("SENSOR(a, 1, a, X, 1, array(xyz, 3), none)", 1, 23, "xyz is no type"),
+    ("SENSOR(a, 1, a, X, 100, u16, none)", 1, 8, "takes 1000 bytes"),
+    ("SENSOR(a, 1, a, X, 1, array(u8, 250), none, (queue, 4))", 1, 8, "takes 261 bytes"),
+    ("SENSOR(a, 1, a, X, 1, u8, 256)", 1, 27, "256 is not 0 to 255 (u8)"),
+    ("SENSOR(a, 1, a, X, 1, u8, 0.5)", 1, 27, "0.5 is no integer"),
+    ("SENSOR(a, 1, a, X, 1, u8, NONE)", 1, 27, "na is a raw value or none"),
+    ("SENSOR(a, 1, a, X, 1, u8, 0xFFu)", 1, 27, "na is a raw value or none"),
+    ("SENSOR(a, 1, a, X, 1, array(u8, 2), 0)", 1, 37, "have no raw form"),
+    (GOOD + "SENSOR(a, 2, b, X, 1, u8, none)", 2, 8, "another transducer has the name a"),
+    (GOOD + "SENSOR(b, 1, b, X, 1, u8, none)", 2, 11, "a has the id 1, too"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, unit)", 1, 33, "write (key, value) in place of unit"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, ())", 1, 34, "a key is expected"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (3, 4))", 1, 34, "a key is expected"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (unit, m V))", 1, 40, ""),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (unit))", 1, 34, "unit is one symbol"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (period, 1.5))", 1, 42, "period is 0 to 4294967295"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (queue, 0))", 1, 41, "queue is 1 to 255"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (queue))", 1, 34, "queue is 1 to 255"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (range, 5))", 1, 41, "range is two raw values"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (range, 5, 4))", 1, 41, "the lowest value of range"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (scale, big))", 1, 41, "scale is a decimal number"),
+    ("SENSOR(a, 1, a, X, 1, i8, none, (threshold, -1))", 1, 45, "threshold is not below 0"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (queue, 2), (queue, 3))", 1, 46, "queue stands here twice"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (model, Y))", 1, 34, "model has its place"),
+    (f"SENSOR(a, 1, a, X, 1, u8, none, (topic, {'x' * 33}))", 1, 41, "topic is 1 to 32 bytes"),
+    ('SENSOR(a, 1, a, X, 1, u8, none, "One", "Two")', 1, 40, "a text already"),
+    ('SENSOR(a, 1, a, X, 1, u8, none, "One", (queue, 2), "Two")', 1, 52, "a text already"),
+    ("SENSOR(a, 1, a, X Y(2), 1, u8, none)", 1, 17, "a comma is missing"),
+    ("J2A_STRUCT(s, (new, a))\n" + GOOD, 1, 1, "this type is not defined"),
+    ("J2A_STRUCT(s)\n" + GOOD, 1, 1, ""),
+    ("J2A_ENUM(m, u8, (a, 1), (b, 1))\n", 1, 1, ""),
+    ("J2A_ENUM(m, u8, (a, 256))\n", 1, 1, ""),
+    ("#if FOO\n" + GOOD + "#endif\n", 1, 1, "-D FOO=1"),
+    ("#if 1\n" + GOOD, 2, 1, "#endif is missing"),
+    (GOOD + "#endif\n", 2, 1, "there is no #if for this"),
+    ('#include "gone.def"\n', 1, 1, "cannot read gone.def"),
+    ("#pragma once\n", 1, 1, "only a build can decide this"),
+    ("SENSOR(a, 1,\n#if 1\na, X, 1, u8, none)\n#endif\n", 1, 1, "no line with #"),
+    (GOOD + '"\n', 2, 1, "this cannot be read"),
+]  # fmt: skip
+
+
+class TestMistakes:
+    def test_so_many_kinds(self):
+        assert len({text for text, *_ in WRONG}) == len(WRONG) >= 40
+
+    @pytest.mark.parametrize(("text", "line", "column", "why"), WRONG)
+    def test_each_is_told_once_with_its_place(self, text, line, column, why, tmp_path):
+        path = tmp_path / "transds.def"
+        path.write_text(text)
+        with pytest.raises(SignatureError) as caught:
+            j2a.load_transds(path)
+        error = caught.value
+        assert why in error.reason
+        assert error.reason
+        assert (error.file, error.line, error.position + 1) == (str(path), line, column)
+
+    def test_a_mistake_in_an_included_file(self, tmp_path):
+        (tmp_path / "left.def").write_text(GOOD + "SENSOR(b, 300, b, X, 1, u8, none)\n")
+        (tmp_path / "transds.def").write_text('\n#include "left.def"\n')
+        with pytest.raises(SignatureError) as caught:
+            j2a.load_transds(tmp_path / "transds.def")
+        assert caught.value.file == str(tmp_path / "left.def")
+        assert caught.value.line == 2
+
+    def test_a_file_that_includes_itself(self, tmp_path):
+        path = tmp_path / "transds.def"
+        path.write_text('#include "transds.def"\n')
+        with pytest.raises(SignatureError, match="includes itself"):
+            j2a.load_transds(path)
+
+    def test_a_file_that_is_too_long(self, tmp_path):
+        path = tmp_path / "transds.def"
+        path.write_text(" " * (1 << 20) + "\n")
+        with pytest.raises(OSError, match="bytes"):
+            j2a.load_transds(path)
+
+    @given(st.text('SENORACTU(),_"\\\n/*# 019abxu', max_size=80))
+    def test_no_text_raises_anything_else(self, text):
+        try:
+            read_transds(GOOD + text)
+        except SignatureError as error:
+            assert error.line is not None
+            assert error.reason
+
+
+def descriptors_of(text):
+    return parse_descriptors(text)
+
+
+class TestWriting:
+    @pytest.mark.parametrize("text", [DESCRIPTORS_9_2, None])
+    def test_what_is_written_says_the_same(self, text):
+        if text is None:
+            text = (
+                "enum mode i8 (on=-5)\nstruct s (a mode[2] mV, b f64)\n\n"
+                'sensor a 1 2 s # Says "a\\b".\n prefix p\n model A (1)\n na none\n queue 3\n'
+                " trigger\n"
+                "actuator b 2 1 u16[3] mm/s\n prefix b\n model m\n safe none\n color red, green\n"
+            )
+        descriptors = parse_descriptors(text)
+        assert read_transds(transds_text(descriptors, "x */ y")) == descriptors
+
+    def test_what_a_board_does_not_say(self):
+        [found] = read_transds(
+            transds_text(parse_descriptors("\nsensor a 1 1 u8\n"), "x")
+        ).transducers
+        assert (found.prefix, found.model, found.na) == ("a", "unknown", None)
+
+    @pytest.mark.parametrize(
+        "model", ["a, b", "a)", "(a", 'a"b', "a\\", "a'b", "a//b", "a/*b", "a  b", "#a"]
+    )
+    def test_what_cannot_stand_in_a_file_is_an_error(self, model):
+        descriptors = parse_descriptors(f"\nsensor a 1 1 u8\n model {model}\n")
+        with pytest.raises(j2a.LocalError, match=r"cannot stand in a transds\.def"):
+            transds_text(descriptors, "x")
+
+
+class TestRos:
+    def test_listing_8_2_byte_for_byte(self):
+        files = ros1_package(read_transds(LISTING_9_2))
+        assert files["msg/quad.msg"] == "time[] times\nint16[] values\n"
+        assert files["msg/dist_us.msg"] == "time[] times\nuint32[] values\n"
+        assert {"package.xml", "CMakeLists.txt"} < set(files)
+
+    def test_structures_and_enumerations(self):
+        mode = "uint8 MODE_OFF=0\nuint8 MODE_ON=5\n"
+        text = """
+        J2A_ENUM(mode, u8, (off, 0), (on, 5))
+        J2A_STRUCT(imu_data, (array(f32, 3), rateX, deg/s), (mode, state), (bool, up))
+        SENSOR(imu, 1, imu, X, 1, imu_data, none)
+        SENSOR(state, 2, state, X, 1, mode, none)
+        SENSOR(ImuData, 3, ImuData, X, 1, array(i16, 9), none)
+        """
+        found = ros2_messages(read_transds(text))
+        assert found == {
+            "Imu": "builtin_interfaces/Time[] times\nImuData2[] values\n",
+            "State": f"{mode}builtin_interfaces/Time[] times\nuint8[] values\n",
+            "ImuData": "builtin_interfaces/Time[] times\nint16[] values\n",
+            "ImuData2": f"{mode}float32[3] rate_x\nuint8 state\nbool up\n",
+        }
+        assert set(ros2_package(read_transds(text))) >= {"msg/Imu.msg", "package.xml"}
+
+    @given(st.from_regex(r"\A[A-Za-z_][A-Za-z0-9_]{0,31}\Z"))
+    def test_names_are_such_as_ros_2_takes(self, name):
+        made = camel_case(name)
+        assert made[0].isupper()
+        assert made.isalnum()

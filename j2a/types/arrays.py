@@ -1,0 +1,150 @@
+"""Samples as arrays of NumPy and tables of pandas, without a loop over values.
+
+What flows in: payloads of the samples of one sensor. What flows out: times, channels and values.
+Rule: a value that the sensor does not have is NaN. Needs NumPy (`pip install "j2a[arrays]"`).
+"""
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+from j2a.errors import LocalError
+from j2a.events import Sample
+from j2a.types.model import Enumeration, Structure, Type
+from j2a.types.transducers import LOST_BYTES, Transducer, number_element
+
+__all__ = ["Batch"]
+
+_CODES: Final = {
+    "bool": "?",
+    **{f"{sign}{8 * size}": f"<{sign}{size}" for sign in "ui" for size in (1, 2, 4, 8)},
+    "f32": "<f4",
+    "f64": "<f8",
+}
+
+
+class Batch:
+    """Samples of one sensor.
+
+    Args:
+        sensor: what its descriptor says.
+        payloads: of its sample SIFs, as `Sample.payload` and `Recorded.payload` have them.
+
+    Attributes:
+        sensor: the same.
+        channels: of each value.
+        times_us: when it was measured, on the clock of the device; 0 where there is none. Without a
+            queue the shape of all three is (samples, channels), with one it is (values,).
+        raw: the values as they are on the wire; a structure is a structured type of NumPy.
+        counts: how many values each sample has.
+
+    Raises:
+        LocalError: NumPy is missing, or a payload is no sample.
+    """
+
+    def __init__(self, sensor: Transducer, payloads: Iterable[bytes]) -> None:
+        np = _module("numpy", "arrays")
+        self.sensor = sensor
+        value = _dtype(sensor.type)
+        entry = np.dtype([("time_us", "<u8"), ("raw", value)])
+        parts = list(payloads)
+        if sensor.queue:
+            entry = np.dtype([("channel", "u1"), *entry.descr])
+            parts = [payload[LOST_BYTES:] for payload in parts]
+        data = b"".join(parts)
+        self.counts: Any = np.array([len(one) // entry.itemsize for one in parts], dtype="i8")
+        try:
+            table = np.frombuffer(data, entry)
+            if not sensor.queue:
+                table = table.reshape(-1, sensor.channels)
+        except ValueError as error:
+            raise LocalError(f"{sensor.name}: {error}") from None
+        self.times_us: Any = table["time_us"]
+        self.raw: Any = table["raw"]
+        if sensor.queue:
+            self.channels: Any = table["channel"]
+        else:
+            channels = np.arange(sensor.channels, dtype="u1")
+            self.channels = np.broadcast_to(channels, table.shape)
+
+    def __len__(self) -> int:
+        return len(self.raw)
+
+    @property
+    def values(self) -> Any:
+        """The values in the unit as 64-bit floating-point numbers, NaN where there is none.
+
+        Raises:
+            LocalError: the values are structures or arrays; `raw` has them.
+        """
+        np = _module("numpy", "arrays")
+        sensor = self.sensor
+        if number_element(sensor.type) is None:
+            raise LocalError(f"{sensor.name} has values of type {sensor.type}: see raw")
+        values = self.raw.astype("f8")
+        if sensor.has("scale") or sensor.has("offset"):
+            values = values * sensor.scale + sensor.offset
+        values[self.times_us == 0] = np.nan
+        if sensor.na is not None:
+            values[self.raw == sensor.na] = np.nan
+        return values
+
+    def to_pandas(self) -> Any:
+        """Return a table with a row for each value: time_us, channel, value.
+
+        The columns of a structure are its fields, and those of an array have numbers, such as
+        rate_0, rate_1; both are raw.
+
+        Raises:
+            LocalError: pandas is missing.
+        """
+        pandas = _module("pandas", "arrays")
+        columns = {"time_us": self.times_us.ravel(), "channel": self.channels.ravel()}
+        if number_element(self.sensor.type) is not None:
+            columns["value"] = self.values.ravel()
+        else:
+            shape = self.raw.shape[self.times_us.ndim :]
+            columns |= _columns("", self.raw.reshape(-1, *shape))
+        return pandas.DataFrame(columns)
+
+    @classmethod
+    def of(cls, sensor: Transducer, samples: Iterable[Sample]) -> "Batch":
+        """Return a batch of samples that have come; raises as the class."""
+        return cls(sensor, [sample.payload for sample in samples])
+
+
+def _dtype(kind: Type) -> Any:
+    """Return the type of NumPy for values of a type."""
+    element = kind.element
+    if isinstance(element, Structure):
+        one: Any = [(field.name, *_shaped(_dtype(field.type))) for field in element.fields]
+    else:
+        one = _CODES[element.integer if isinstance(element, Enumeration) else element]
+    return one if kind.count is None else (one, (kind.count,))
+
+
+def _columns(name: str, values: Any) -> dict[str, Any]:
+    """Return the columns of values that are structures or arrays, each of numbers."""
+    if values.dtype.names is not None:
+        parts = {key: values[key] for key in values.dtype.names}
+    elif values.ndim > 1:
+        parts = {str(at): values[:, at] for at in range(values.shape[1])}
+    else:
+        return {name or "value": values}
+    found: dict[str, Any] = {}
+    for key, part in parts.items():
+        whole = f"{name}_{key}" if name else f"value_{key}" if key.isdigit() else key
+        found |= _columns(whole, part)
+    return found
+
+
+def _shaped(dtype: Any) -> tuple[Any, ...]:
+    return dtype if isinstance(dtype, tuple) else (dtype,)
+
+
+def _module(name: str, extra: str) -> Any:
+    from importlib import import_module  # noqa: PLC0415
+
+    try:
+        return import_module(name)
+    except ImportError:
+        raise LocalError(f'this needs {name}: pip install "j2a[{extra}]"') from None

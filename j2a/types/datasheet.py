@@ -1,0 +1,166 @@
+"""Data sheets of transducers, to read and to print: what `j2a transds --html` writes.
+
+What flows in: descriptors. What flows out: one HTML page without scripts and without anything from
+elsewhere, with a sheet for each transducer in the order of an IEEE 1451 TEDS: identification,
+characteristics, calibration, timing, configuration. Rule: all that a board says is escaped.
+"""
+
+from collections.abc import Iterator
+from html import escape
+from typing import Any, Final
+
+from j2a.types.model import Enumeration
+from j2a.types.transducers import (
+    KEYS,
+    LOST_BYTES,
+    TIME_BYTES,
+    Descriptors,
+    Transducer,
+    longest_sample,
+    number_element,
+)
+
+__all__ = ["data_sheets"]
+
+Rows = Iterator[tuple[str, str]]
+
+
+def data_sheets(descriptors: Descriptors, source: str) -> str:
+    """Return a page with the data sheets of all transducers.
+
+    Args:
+        descriptors: of a board, or of a transds.def.
+        source: where they come from.
+    """
+    sheets = "\n".join(_sheet(one) for one in descriptors.transducers)
+    types = ""
+    if descriptors.types:
+        lines = "\n".join(escape(str(one)) for one in descriptors.types)
+        types = f"<section><h2>Types</h2><pre>{lines}</pre></section>"
+    links = " ".join(
+        f'<a href="#{escape(one.name)}">{escape(one.name)}</a>' for one in descriptors.transducers
+    )
+    return _PAGE.format(source=escape(source), links=links, sheets=sheets, types=types)
+
+
+def _sheet(one: Transducer) -> str:
+    parts = (
+        ("Identification", _identification(one)),
+        ("Characteristics", _characteristics(one)),
+        ("Calibration", _calibration(one)),
+        ("Timing", _timing(one)),
+        ("Configuration by the host", _configuration(one)),
+        ("Other keys", ((key, value or "yes") for key, value in one.attributes if key not in KEYS)),
+    )
+    tables = []
+    for title, rows in parts:
+        lines = "".join(
+            f"<tr><th>{escape(key)}</th><td>{escape(value)}</td></tr>" for key, value in rows
+        )
+        if lines:
+            tables.append(f"<h3>{title}</h3><table>{lines}</table>")
+    doc = f"<p>{escape(one.doc)}</p>" if one.doc else ""
+    head = f"<h2>{escape(one.name)} <small>{one.kind}</small></h2>"
+    return f'<section id="{escape(one.name)}">{head}{doc}{"".join(tables)}</section>'
+
+
+def _identification(one: Transducer) -> Rows:
+    yield "Model", one.model or "not told"
+    yield "Transducer id", str(one.id)
+    if one.prefix:
+        yield "Driver in the firmware", f"{one.prefix}_…()"
+    yield "Topic", one.topic
+
+
+def _characteristics(one: Transducer) -> Rows:
+    yield "Channels", str(one.channels)
+    yield "Unit", one.unit or "none (a number)"
+    yield "Raw value", str(one.type).partition(" ")[0]
+    if isinstance(one.type.element, Enumeration):
+        yield (
+            "Raw values",
+            ", ".join(f"{number} {name}" for name, number in one.type.element.values),
+        )
+    if one.range is not None:
+        yield "Range", " to ".join(_physical(one, raw) for raw in one.range)
+    if one.accuracy is not None:
+        yield "Accuracy", f"± {one.accuracy:g}{_unit(one)}"
+    if one.is_sensor:
+        yield "No value (N/A)", one.get("na") or "each value is one"
+
+
+def _calibration(one: Transducer) -> Rows:
+    if one.has("scale") or one.has("offset"):
+        yield "Value", f"raw * {one.get('scale', '1')} + {one.get('offset', '0')}{_unit(one)}"
+        if number_element(one.type) is not None:
+            yield "Resolution", f"{abs(one.scale):g}{_unit(one)}"
+
+
+def _timing(one: Transducer) -> Rows:
+    yield "Time stamp", "64 bits, microseconds of the board's clock, at the source"
+    if not one.is_sensor:
+        yield "Settable at a given time", "yes"
+        return
+    yield "Least period of samples", f"{one.period_us} µs" if one.period_us else "as they come"
+    if one.queue:
+        entry = 1 + TIME_BYTES + one.type.size
+        yield "Kept until sent", f"{one.queue} values, {entry} bytes each, {LOST_BYTES} in front"
+    else:
+        yield "Kept until sent", f"the newest value of each channel, {longest_sample(one)} bytes"
+    yield "Sampled on request", "yes" if one.has("trigger") else "no"
+    yield "Sends when the board starts", "yes" if one.is_enabled else "no"
+
+
+def _configuration(one: Transducer) -> Rows:
+    if one.is_sensor:
+        yield "enabled, period", "yes"
+    for key in ("decimation", "threshold", "topic"):
+        if one.has(key):
+            yield key, f"yes; {one.get(key)} when the board starts"
+    if not one.is_sensor:
+        yield "Safe value", one.get("safe") or "zero"
+        if one.has("watchdog"):
+            yield "watchdog", f"yes; {one.get('watchdog')} ms when the board starts, 0 is never"
+
+
+def _physical(one: Transducer, raw: Any) -> str:
+    value = raw * one.scale + one.offset if one.has("scale") or one.has("offset") else raw
+    return f"{value:g}{_unit(one)}" if isinstance(value, float) else f"{value}{_unit(one)}"
+
+
+def _unit(one: Transducer) -> str:
+    return f" {one.unit}" if one.unit else ""
+
+
+_PAGE: Final = """\
+<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>Transducers of {source}</title>
+<style>
+:root {{ color-scheme: light dark; }}
+body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 46rem; margin: 2rem auto;
+  padding: 0 1rem; }}
+section {{ border-top: 2px solid; margin-top: 2rem; break-inside: avoid; }}
+h1, h2 {{ margin-bottom: 0; }}
+h2 small {{ font-weight: normal; opacity: .7; }}
+h3 {{ margin: 1rem 0 0; font-size: 1rem; opacity: .8; }}
+table {{ border-collapse: collapse; width: 100%; }}
+th, td {{ text-align: left; vertical-align: top; padding: .1rem .5rem .1rem 0;
+  border-bottom: 1px solid #8884; overflow-wrap: anywhere; }}
+th {{ font-weight: normal; width: 15rem; opacity: .8; }}
+pre {{ overflow-x: auto; }}
+@media print {{ nav {{ display: none; }} body {{ margin: 0; }} section {{ break-before: page; }} }}
+</style>
+</head>
+<body>
+<h1>Transducers</h1>
+<p>of {source}</p>
+<nav>{links}</nav>
+{sheets}
+{types}
+</body>
+</html>
+"""

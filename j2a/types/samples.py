@@ -1,0 +1,230 @@
+"""Payloads of samples and settings: from bytes to values and back (SPEC.md, section 22).
+
+What flows in: payloads of sample SIFs, values for actuators and settings. What flows out: readings
+in the unit of the transducer, and payloads.
+Rules: a payload that is not what the descriptor says gives no value; what cannot be sent is refused
+here, before anything is sent (J2A-TRANS-025).
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from typing import Any, Final
+
+from j2a_spec import constants as c
+
+from j2a.errors import WrongArgument
+from j2a.events import Reading
+from j2a.types.coding import NUMBER_CODES, Codec, PayloadMismatchError, PythonTypes
+from j2a.types.model import Enumeration, Field
+from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Raw, Transducer, number_element
+
+__all__ = ["SampleCodec", "pack_time"]
+
+_NO_TIME: Final = 0
+_TIME_US: Final = struct.Struct("<Q")
+_LOST: Final = struct.Struct("<H")
+_CODES: Final = {"bool": "?", **NUMBER_CODES}
+
+
+class SampleCodec:
+    """Takes the payloads of one transducer apart, and makes those that set it.
+
+    Args:
+        transducer: what its descriptor says.
+        types: where the classes of enumerations and structures come from.
+    """
+
+    def __init__(self, transducer: Transducer, types: PythonTypes) -> None:
+        self.transducer = transducer
+        self._codec = Codec((Field(transducer.name, transducer.type),), types)
+        self._size = transducer.type.size
+        self._na = transducer.na
+        self._na_is_nan = self._na is not None and math.isnan(self._na)
+        self._range = transducer.range
+        self._scale, self._offset = transducer.scale, transducer.offset
+        self._is_scaled = transducer.has("scale") or transducer.has("offset")
+        element = number_element(transducer.type)
+        self._is_number = element not in (None, "bool")
+        self._is_integer = element is not None and element[0] in "ui"
+        self._whole = None
+        if element is not None and not isinstance(transducer.type.element, Enumeration):
+            self._whole = struct.Struct("<" + f"Q{_CODES[element]}" * transducer.channels)
+
+    # ------------------------------------------------------------------ samples
+
+    def unpack(self, payload: bytes) -> tuple[Reading, ...]:
+        """Return the readings of a sample of all channels (J2A-TRANS-005).
+
+        Raises:
+            PayloadMismatchError: the payload is not as long as the descriptor says.
+        """
+        if self._whole is not None and len(payload) == self._whole.size:
+            flat = self._whole.unpack(payload)
+            return tuple(
+                self._reading(channel, flat[2 * channel], flat[2 * channel + 1])
+                for channel in range(self.transducer.channels)
+            )
+        size = TIME_BYTES + self._size
+        if len(payload) != size * self.transducer.channels:
+            raise PayloadMismatchError(
+                f"{len(payload)} bytes came, where a sample has {size * self.transducer.channels}"
+            )
+        return tuple(
+            self._one(channel, payload[channel * size : (channel + 1) * size])
+            for channel in range(self.transducer.channels)
+        )
+
+    def unpack_queued(self, payload: bytes) -> tuple[int, tuple[Reading, ...]]:
+        """Return the number of lost values, and the readings of a queue (J2A-TRANS-006).
+
+        Raises:
+            PayloadMismatchError: the payload is not what the descriptor says.
+        """
+        size = 1 + TIME_BYTES + self._size
+        count, rest = divmod(len(payload) - LOST_BYTES, size)
+        if count < 1 or rest:
+            raise PayloadMismatchError(
+                f"{len(payload)} bytes came, where a sample has {LOST_BYTES} and {size} for each "
+                "value"
+            )
+        readings = []
+        for at in range(LOST_BYTES, len(payload), size):
+            channel = payload[at]
+            if channel >= self.transducer.channels:
+                raise PayloadMismatchError(
+                    f"channel {channel} came, where there are {self.transducer.channels}"
+                )
+            readings.append(self._one(channel, payload[at + 1 : at + size]))
+        return _LOST.unpack_from(payload)[0], tuple(readings)
+
+    def _one(self, channel: int, data: bytes) -> Reading:
+        [time_us] = _TIME_US.unpack_from(data)
+        [raw] = self._codec.unpack(data[TIME_BYTES:])
+        return self._reading(channel, time_us, raw)
+
+    def _reading(self, channel: int, time_us: int, raw: Any) -> Reading:
+        if time_us == _NO_TIME:
+            return Reading(channel, None, raw, None)
+        return Reading(channel, time_us, raw, self.physical(raw))
+
+    def physical(self, raw: Any) -> Any:
+        """Return a raw value in the unit of the transducer, None for its N/A value."""
+        if self.is_na(raw):
+            return None
+        return raw * self._scale + self._offset if self._is_scaled and self._is_number else raw
+
+    def is_na(self, raw: Any) -> bool:
+        """Whether a raw value says that there is none (J2A-TRANS-024)."""
+        return self._na is not None and bool(
+            raw == self._na or (self._na_is_nan and math.isnan(raw))
+        )
+
+    # ------------------------------------------------------------------ actuators
+
+    def pack_set(
+        self, values: Sequence[Any], first: int, time_us: int, *, is_raw: bool = False
+    ) -> bytes:
+        """Return what SET writes: channels from `first` on, at a time of the device's clock.
+
+        Raises:
+            WrongArgument: a value is not of the type or out of range, or there is no such channel.
+        """
+        name, channels = self.transducer.name, self.transducer.channels
+        if not values:
+            raise WrongArgument(f"{name}: a value is missing")
+        if not isinstance(first, int) or not 0 <= first < channels:
+            raise WrongArgument(f"{name} has channels 0 to {channels - 1}, and none {first!r}")
+        if first + len(values) > channels:
+            raise WrongArgument(
+                f"{name}: {len(values)} values from channel {first} on, where there are {channels} "
+                "channels"
+            )
+        raws = [value if is_raw else self.raw_of(value) for value in values]
+        for raw in raws:
+            self.check_range(raw)
+        data = b"".join(map(self.pack_raw, raws))
+        payload = bytes([first]) + pack_time(time_us) + data
+        if len(payload) > c.MAX_PAYLOAD - 2:
+            raise WrongArgument(f"{name}: {len(values)} values do not fit into a frame")
+        return payload
+
+    def raw_of(self, value: Any) -> Any:
+        """Return the raw value that is nearest to one in the unit.
+
+        Raises:
+            WrongArgument: it is not a number where the descriptor has scale or offset.
+        """
+        if not self._is_scaled or not self._is_number:
+            return value
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
+        if self._scale == 0:
+            raise WrongArgument(f"{self.transducer.name} has the scale 0: set it by raw values")
+        raw = (value - self._offset) / self._scale
+        return round(raw) if self._is_integer else raw
+
+    def check_range(self, raw: Raw) -> None:
+        """Refuse what the device would refuse.
+
+        Raises:
+            WrongArgument: it is out of range.
+        """
+        if self._range is None:
+            return
+        low, high = self._range
+        try:
+            is_inside = low <= raw <= high
+        except TypeError:
+            is_inside = True  # the type refuses it
+        if not is_inside:
+            raise WrongArgument(
+                f"{self.transducer.name} is {self._told(low)} to {self._told(high)}, not "
+                f"{self._told(raw)}"
+            )
+
+    def _told(self, raw: Raw) -> str:
+        unit = self.transducer.unit
+        if not self._is_scaled:
+            return f"{raw}{unit and ' '}{unit}"
+        return f"{raw * self._scale + self._offset:g}{unit and ' '}{unit} (raw {raw})"
+
+    # ------------------------------------------------------------------ settings
+
+    def pack_threshold(self, raw: Any) -> bytes:
+        """Return what THRESHOLD writes.
+
+        Raises:
+            WrongArgument: it is not of the type, or below 0.
+        """
+        data = self.pack_raw(raw)
+        if not raw >= 0:
+            raise WrongArgument(f"the threshold is a raw value from 0 on, not {raw!r}")
+        return data
+
+    def pack_raw(self, raw: Any) -> bytes:
+        """Return the bytes of a raw value.
+
+        Raises:
+            WrongArgument: it is not of the type.
+        """
+        return self._codec.pack([raw])
+
+    def unpack_raw(self, payload: bytes) -> Any:
+        """Return the raw value that a payload holds, such as the threshold.
+
+        Raises:
+            PayloadMismatchError: it is none.
+        """
+        return self._codec.unpack(payload)[0]
+
+
+def pack_time(time_us: int) -> bytes:
+    """Return a time of the device's clock as a payload has it.
+
+    Raises:
+        WrongArgument: it is no number of microseconds.
+    """
+    if not isinstance(time_us, int) or not 0 <= time_us < 1 << 64:
+        raise WrongArgument(f"a time is a number of microseconds from 0 on, not {time_us!r:.40}")
+    return _TIME_US.pack(time_us)

@@ -1,0 +1,293 @@
+"""Reads and writes transds.def, the file in which firmware lists its transducers.
+
+What flows in: the text of the file (thesis, listings 9.2 and 9.5), or descriptors of a board. What
+flows out: the descriptors that firmware makes of the file, or a file that makes such descriptors.
+Rule: each mistake is one error, which tells file, line and column.
+"""
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Final
+
+from j2a.errors import LocalError, SignatureError
+from j2a.types.definition_file import DEFINITIONS, type_text
+from j2a.types.descriptors import parse_transducer
+from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
+from j2a.types.model import Enumeration, Field, Structure
+from j2a.types.parser import NAME, Scanner, read_definition
+from j2a.types.transducers import KEYS, NONE, Descriptors, Transducer
+
+__all__ = ["read_transds", "strange_keys", "transds_text"]
+
+_KINDS: Final = {"SENSOR": "sensor", "SENSOR_EX": "sensor", "ACTUATOR": "actuator"}
+_FIELDS: Final = ("a name", "an id", "a prefix", "a model", "a number of channels", "a type")
+_C_TYPES: Final = {
+    **{
+        f"{sign}int{bits}_t": f"{sign or 'i'}{bits}"
+        for sign in ("", "u")
+        for bits in (8, 16, 32, 64)
+    },
+    "float": "f32",
+    "double": "f64",
+}
+_C_NAMES: Final = {name: c_name for c_name, name in _C_TYPES.items()}
+
+
+def read_transds(
+    text: str,
+    options: Mapping[str, str | None] | None = None,
+    *,
+    file: str = "transds.def",
+    opener: Opener | None = None,
+) -> Descriptors:
+    """Return the transducers that a transds.def lists.
+
+    Args:
+        text: of the file.
+        options: what names stand for in conditions such as `#if NAME`; None for one that the build
+            does not define.
+        file: its name, for errors.
+        opener: opens the files that it includes; None includes nothing.
+
+    Raises:
+        SignatureError: an entry is wrong; the error tells file, line and column.
+    """
+    reader = MacroReader(text, options or {}, file=file, opener=opener, bodies=("SENSORS",))
+    types: dict[str, Enumeration | Structure] = {}
+    found: dict[str, Transducer] = {}
+    ids: dict[int, str] = {}
+    for macro, arguments in reader.entries():
+        if make := DEFINITIONS.get(macro):
+            try:
+                line = make(*arguments)
+            except (TypeError, ValueError, AttributeError):
+                raise reader.error(f"the arguments of {macro} cannot be read") from None
+            _define(reader, line, types)
+        elif macro in _KINDS:
+            transducer = _Entry(reader, _KINDS[macro], arguments, types).read()
+            if transducer.name in found:
+                what = f"another transducer has the name {transducer.name}"
+                raise reader.error(what, arguments[0])
+            if transducer.id in ids:
+                what = f"{ids[transducer.id]} has the id {transducer.id}, too"
+                raise reader.error(what, arguments[1])
+            ids[transducer.id] = transducer.name
+            found[transducer.name] = transducer
+        else:
+            near = get_close_matches(macro, [*_KINDS, *DEFINITIONS], n=1)
+            hint = f"; {near[0]} is" if near else ""
+            raise reader.error(f"{macro} is no entry of transds.def{hint}", macro)
+    return Descriptors(tuple(types.values()), tuple(found.values()))
+
+
+def _define(reader: MacroReader, line: str, types: dict[str, Enumeration | Structure]) -> None:
+    scanner = Scanner(line)
+    try:
+        read_definition(scanner, types, [])
+        if scanner.unknown is not None:
+            raise scanner.error("this type is not defined", scanner.unknown)
+    except SignatureError as error:
+        near = error.text[error.position :][:20]
+        raise reader.error(f"{error.reason}, at {near!r}") from None
+
+
+class _Entry:
+    """One transducer of a file: the lines of its descriptor, each with the argument it is from."""
+
+    def __init__(
+        self,
+        reader: MacroReader,
+        kind: str,
+        arguments: Arguments,
+        types: Mapping[str, Enumeration | Structure],
+    ) -> None:
+        self._reader = reader
+        self._kind = kind
+        self._arguments = arguments
+        self._types = types
+
+    def read(self) -> Transducer:
+        """Return the transducer.
+
+        Raises:
+            SignatureError: an argument is wrong.
+        """
+        fields = (*_FIELDS, "the value of N/A" if self._kind == "sensor" else "a safe value")
+        if len(self._arguments) < len(fields):
+            missing = fields[len(self._arguments)]
+            raise self._reader.error(f"{missing} is missing: {', '.join(fields)}")
+        words = self._arguments[: len(fields)]
+        for word, what in zip(words, fields, strict=True):
+            if not isinstance(word, Word) and what not in ("a model", "a type"):
+                raise self._reader.error(f"{what} is expected here", word)
+        name, number, prefix, model, channels, kind, na = words
+        unit, doc, lines = self._items(self._arguments[len(fields) :])
+        head: list[tuple[str, Node]] = [(self._kind, name), (f" {name}", name)]
+        head += [(f" {number}", number), (f" {channels}", channels), (f" {self._type(kind)}", kind)]
+        head += [(f" {unit}", unit)] if unit else []
+        head += [(f" # {bare_text(doc)}", doc)] if doc else []
+        self._check_names(name, prefix, kind)
+        key = "na" if self._kind == "sensor" else "safe"
+        lines = [
+            ("prefix", str(prefix), prefix),
+            ("model", model.text, model),
+            (key, str(na), na),
+            *lines,
+        ]
+        return self._parsed(head, lines)
+
+    def _check_names(self, name: Node, prefix: Node, kind: Node) -> None:
+        for word, what in ((name, "name"), (prefix, "prefix")):
+            if not NAME.fullmatch(str(word)):
+                raise self._reader.error(
+                    f"a {what} is 1 to 32 letters, digits and _, and begins with no digit", word
+                )
+        element = self._type(kind).partition("[")[0]
+        known = (*self._types, *_C_NAMES, "bool", "text", "bytes")
+        if element not in known:
+            near = get_close_matches(element, [*known, *_C_TYPES], n=1)
+            hint = f"; near it is {near[0]}" if near else ""
+            raise self._reader.error(f"{element} is no type{hint}", kind)
+
+    def _type(self, node: Node) -> str:
+        try:
+            text = type_text(node)
+        except (ValueError, IndexError, TypeError):
+            raise self._reader.error("this is no type", node) from None
+        return _C_TYPES.get(text, text)
+
+    def _items(
+        self, items: list[Node]
+    ) -> tuple[Word | None, Word | None, list[tuple[str, str, Node]]]:
+        """Return the unit, the text for people, and key, value and place of each attribute."""
+        unit: Word | None = None
+        doc: Word | None = None
+        lines: dict[str, tuple[str, str, Node]] = {}
+        for item in items:
+            if isinstance(item, Word):
+                if not item.startswith('"'):
+                    raise self._reader.error(f"write (key, value) in place of {item}", item)
+                if doc is not None:
+                    raise self._reader.error("there is a text already", item)
+                doc = item if len(item) > len('""') else None
+                continue
+            key = item[0] if item else None
+            if not isinstance(key, Word) or not NAME.fullmatch(key):
+                raise self._reader.error("a key is expected behind this parenthesis", item)
+            if key in lines or (key == "unit" and unit is not None):
+                raise self._reader.error(f"the key {key} stands here twice", key)
+            if key == "unit":
+                if len(item) != 2 or not isinstance(item[1], Word):
+                    raise self._reader.error("unit is one symbol of UCUM, such as (unit, mV)", item)
+                unit = item[1]
+                continue
+            if key in ("prefix", "model", "na" if self._kind == "sensor" else "safe"):
+                raise self._reader.error(f"{key} has its place in the first seven", key)
+            inner = item.text[1:-1].strip()
+            value = inner[len(key) :].lstrip().removeprefix(",").lstrip()
+            if key == "range" and len(item) == 3:
+                value = f"{item[1]}, {item[2]}"
+            lines[key] = (str(key), value, item[1] if len(item) > 1 else key)
+        return unit, doc, list(lines.values())
+
+    def _parsed(
+        self, head: list[tuple[str, Node]], lines: list[tuple[str, str, Node]]
+    ) -> Transducer:
+        """Return the transducer of the lines of a descriptor."""
+        text = "".join(piece for piece, _ in head)
+        rest = [f" {key}{value and ' '}{value}" for key, value, _ in lines]
+        try:
+            transducer = parse_transducer([text, *rest], 1, self._types)
+        except SignatureError as error:
+            number = error.line or 1
+            node = lines[number - 2][2] if number > 1 else head[0][1]
+            at = 0
+            for piece, place in head if number == 1 else ():
+                node = place
+                at += len(piece)
+                if at > error.position:
+                    break
+            raise self._reader.error(error.reason, node) from None
+        assert transducer is not None
+        if not transducer.kind:
+            raise self._reader.error("its type uses one that is not defined", head[4][1])
+        return transducer
+
+
+def strange_keys(descriptors: Descriptors) -> Iterator[str]:
+    """Yield a note for each key that has no meaning but is near one that has."""
+    for transducer in descriptors.transducers:
+        for key, _ in transducer.attributes:
+            if key not in KEYS and (near := get_close_matches(key, (*KEYS, "unit"), n=1)):
+                yield f"{transducer.name}: the key {key} means nothing to J2A; near it is {near[0]}"
+
+
+# ------------------------------------------------------------------------- writing
+
+
+def transds_text(descriptors: Descriptors, source: str) -> str:
+    """Return a transds.def that makes firmware describe these transducers.
+
+    Args:
+        descriptors: of a board.
+        source: where they come from, for the comment.
+
+    Raises:
+        LocalError: what the board says cannot stand in such a file.
+    """
+    lines = [f"/* The transducers of {_comment(source)}, written by j2a transds. */"]
+    lines += [_definition(one) for one in descriptors.types]
+    lines += [_entry(one) for one in descriptors.transducers]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _comment(text: str) -> str:
+    return text.replace("*/", "* /")
+
+
+def _definition(one: Enumeration | Structure) -> str:
+    if isinstance(one, Enumeration):
+        values = "".join(f", ({name}, {number})" for name, number in one.values)
+        return f"J2A_ENUM({one.name}, {one.integer}{values})"
+    return f"J2A_STRUCT({one.name}, {', '.join(map(_field, one.fields))})"
+
+
+def _field(field: Field) -> str:
+    unit = field.type.unit and f", {field.type.unit}"
+    return f"({_element(str(field.type).partition(' ')[0])}, {field.name}{unit})"
+
+
+def _element(text: str) -> str:
+    name, bracket, count = text.rstrip("]").partition("[")
+    return f"array({name}, {count})" if bracket else name
+
+
+def _entry(one: Transducer) -> str:
+    kind = str(one.type).partition(" ")[0]
+    key = "na" if one.is_sensor else "safe"
+    first: list[str] = [one.name, str(one.id), one.prefix or one.name]
+    first += [_argument(one, "model", one.model or "unknown"), str(one.channels)]
+    first += [_C_NAMES.get(kind, _element(kind)), one.get(key) or NONE]
+    items = [f"(unit, {one.unit})"] if one.unit else []
+    for name, value in one.attributes:
+        if name not in ("prefix", "model", key):
+            text = _argument(one, name, value, can_have_commas=True)
+            items.append(f"({name}, {text})" if text else f"({name})")
+    if one.doc:
+        text = one.doc.replace("\\", "\\\\").replace('"', '\\"')
+        items.append(f'"{text}"')
+    macro = "ACTUATOR" if not one.is_sensor else "SENSOR_EX" if items else "SENSOR"
+    return f"{macro}({', '.join([*first, *items])})"
+
+
+def _argument(one: Transducer, key: str, value: str, can_have_commas: bool = False) -> str:
+    """Return a value, unless a compiler would take it for something else."""
+    depth = 0
+    for character in value:
+        depth += (character == "(") - (character == ")")
+        if depth < 0 or character in "\"'#\\" or (character == "," and not can_have_commas):
+            depth = 1
+            break
+    if depth or "//" in value or "/*" in value or value != " ".join(value.split()):
+        raise LocalError(f"{one.name}: {key} {value!r} cannot stand in a transds.def")
+    return value

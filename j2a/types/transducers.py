@@ -1,0 +1,261 @@
+"""What the descriptors of a device say of its sensors and actuators, as immutable values.
+
+What flows in: the pieces, from the parser, or from a `transds.def`. What flows out: objects whose
+`str()` is their text on the wire (SPEC.md, section 22).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from j2a_spec.constants import MAX_PAYLOAD, TRANSD_MAX_ID
+
+from j2a.types.model import SCALARS, Enumeration, Structure, Type, integer_range
+
+__all__ = [
+    "KEYS",
+    "LOST_BYTES",
+    "MAX_CHANNELS",
+    "NONE",
+    "TIME_BYTES",
+    "Descriptors",
+    "Raw",
+    "Transducer",
+    "longest_sample",
+    "number_element",
+    "problem",
+]
+
+Raw = int | float | bool
+"""A value as it is on the wire, before scale and offset."""
+
+KEYS: Final = (
+    "prefix",
+    "model",
+    "na",
+    "scale",
+    "offset",
+    "range",
+    "accuracy",
+    "period",
+    "enabled",
+    "queue",
+    "decimation",
+    "threshold",
+    "topic",
+    "safe",
+    "watchdog",
+    "trigger",
+)
+"""What attributes have a meaning (SPEC.md, section 22)."""
+
+MAX_CHANNELS: Final = 255
+TIME_BYTES: Final = 8
+LOST_BYTES: Final = 2
+NONE: Final = "none"
+"""In place of a raw value: there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transducer:
+    """A sensor or an actuator.
+
+    Attributes:
+        kind: "sensor" or "actuator".
+        name: what hosts call it.
+        id: 0..254, for a sensor the opcode of its sample SIFs.
+        channels: how many equal values it has, 1..255.
+        type: of one value, with its unit.
+        doc: one line for people, or "".
+        attributes: what else is said, keys and values as texts, in their order.
+    """
+
+    kind: str
+    name: str
+    id: int
+    channels: int
+    type: Type
+    doc: str = ""
+    attributes: tuple[tuple[str, str], ...] = ()
+
+    def __str__(self) -> str:
+        doc = f" # {self.doc}" if self.doc else ""
+        lines = [f"{self.kind} {self.name} {self.id} {self.channels} {self.type}{doc}"]
+        lines += [f" {key}{value and ' '}{value}" for key, value in self.attributes]
+        return "\n".join(lines)
+
+    @property
+    def is_sensor(self) -> bool:
+        """It measures."""
+        return self.kind == "sensor"
+
+    def get(self, key: str, default: str = "") -> str:
+        """Return the text of an attribute."""
+        return next((value for name, value in self.attributes if name == key), default)
+
+    def has(self, key: str) -> bool:
+        """Whether it has an attribute."""
+        return any(name == key for name, _ in self.attributes)
+
+    @property
+    def unit(self) -> str:
+        """A symbol of UCUM such as "mV", or ""."""
+        return self.type.unit
+
+    @property
+    def model(self) -> str:
+        """What it is, such as the name of its data sheet, or ""."""
+        return self.get("model")
+
+    @property
+    def prefix(self) -> str:
+        """What the names of its driver's functions begin with in the firmware, or ""."""
+        return self.get("prefix")
+
+    @property
+    def topic(self) -> str:
+        """The name under which hosts publish it: its own, unless the descriptor gives another."""
+        return self.get("topic") or self.name
+
+    @property
+    def scale(self) -> float:
+        """What a raw value is multiplied by, to get one in the unit."""
+        return float(self.get("scale", "1"))
+
+    @property
+    def offset(self) -> float:
+        """What is added then."""
+        return float(self.get("offset", "0"))
+
+    @property
+    def accuracy(self) -> float | None:
+        """The largest error of a value, in the unit; None where it is not known."""
+        return float(self.get("accuracy")) if self.has("accuracy") else None
+
+    @property
+    def period_us(self) -> int:
+        """Microseconds between two sample SIFs at the least, when the device starts."""
+        return int(self.get("period", "0"))
+
+    @property
+    def is_enabled(self) -> bool:
+        """It sends sample SIFs when the device starts."""
+        return self.is_sensor and self.get("enabled", "1") != "0"
+
+    @property
+    def queue(self) -> int:
+        """So many values wait until they are sent; 0 where each channel keeps its newest one."""
+        return int(self.get("queue", "0")) if self.is_sensor else 0
+
+    @property
+    def na(self) -> Raw | None:
+        """The raw value that says that there is none, or None where each value is one."""
+        return self._raw("na") if self.is_sensor else None
+
+    @property
+    def safe(self) -> Raw | None:
+        """The raw value to which an actuator is set when the host is silent; None is zero."""
+        return self._raw("safe")
+
+    @property
+    def threshold(self) -> Raw | None:
+        """By how much a raw value must differ from the one before, when the device starts."""
+        return self._raw("threshold")
+
+    @property
+    def range(self) -> tuple[Raw, Raw] | None:
+        """The lowest and the highest raw value."""
+        if not self.has("range"):
+            return None
+        low, high = self.get("range").split(", ")
+        return self.raw(low), self.raw(high)
+
+    def _raw(self, key: str) -> Raw | None:
+        text = self.get(key)
+        return None if text in ("", NONE) else self.raw(text)
+
+    def raw(self, text: str) -> Raw:
+        """Return the raw value that a text of a descriptor stands for.
+
+        Raises:
+            ValueError: it is none of this type; the message says why.
+        """
+        element = number_element(self.type)
+        if element is None:
+            raise ValueError(f"values of type {self.type} have no raw form")
+        if element[0] == "f":
+            if text == "nan":
+                return math.nan
+            return float(int(text, 16)) if "x" in text else float(text)
+        number = int(text, 16 if "x" in text else 10)
+        if element == "bool":
+            if number not in (0, 1):
+                raise ValueError(f"{text} is neither 0 nor 1")
+            return bool(number)
+        allowed = integer_range(element)
+        if number not in allowed:
+            raise ValueError(f"{text} is not {allowed[0]} to {allowed[-1]} ({element})")
+        return number
+
+
+def number_element(kind: Type) -> str | None:
+    """Return the scalar that holds a value of a type, None for structures and arrays."""
+    element = kind.element
+    if isinstance(element, Enumeration):
+        element = element.integer
+    if kind.count is not None or isinstance(element, Structure) or element not in SCALARS:
+        return None
+    return element
+
+
+def longest_sample(transducer: Transducer) -> int:
+    """Return the bytes that a sample needs at the least, which fit into a payload."""
+    if transducer.queue:
+        return LOST_BYTES + 1 + TIME_BYTES + transducer.type.size
+    return transducer.channels * (TIME_BYTES + transducer.type.size)
+
+
+@dataclass(frozen=True, slots=True)
+class Descriptors:
+    """All that a device tells about its transducers.
+
+    Attributes:
+        types: the enumerations and structures, each behind what it uses.
+        transducers: in the order in which the device lists them.
+    """
+
+    types: tuple[Enumeration | Structure, ...] = ()
+    transducers: tuple[Transducer, ...] = ()
+
+    def __str__(self) -> str:
+        return "".join(f"{line}\n" for line in (*self.types, "", *self.transducers))
+
+    def __getitem__(self, name: str) -> Transducer:
+        for transducer in self.transducers:
+            if transducer.name == name:
+                return transducer
+        raise KeyError(name)
+
+
+def problem(transducer: Transducer, is_known: bool = True) -> str:
+    """Return what is wrong with a transducer whose lines are well formed, or "".
+
+    Args:
+        transducer: its attributes have been checked.
+        is_known: its type is, and with it the size of a sample.
+    """
+    if not 0 <= transducer.id <= TRANSD_MAX_ID:
+        return f"the id of {transducer.name} is 0 to {TRANSD_MAX_ID}, not {transducer.id}"
+    if not 1 <= transducer.channels <= MAX_CHANNELS:
+        return f"{transducer.name} has 1 to {MAX_CHANNELS} channels, not {transducer.channels}"
+    if not is_known:
+        return ""
+    if transducer.type.is_open:
+        return f"values of {transducer.name} are of any length, so no sample can hold them"
+    size = longest_sample(transducer)
+    if size > MAX_PAYLOAD:
+        return (
+            f"a sample of {transducer.name} takes {size} bytes, and a frame holds {MAX_PAYLOAD}: "
+            "give it fewer channels, smaller values, or a queue, which sends them one by one"
+        )
+    return ""
