@@ -8,6 +8,7 @@ import asyncio
 import json
 import sys
 import zlib
+from collections.abc import Callable
 from itertools import zip_longest
 from typing import Any
 
@@ -21,8 +22,9 @@ async def main(url: str) -> None:
     """Do jobs until the suite says `bye` or is gone."""
     outcome = "ready j2a.AsyncClient"
     while outcome:
-        async with await connect(url) as board:
-            host = Host(board)
+        wrong: list[BaseException] = []
+        async with await connect(url, report_to(wrong)) as board:
+            host = Host(board, wrong)
             try:
                 while outcome:
                     outcome = await host.do(await host.next_job(outcome))
@@ -30,19 +32,26 @@ async def main(url: str) -> None:
                 pass  # the same outcome is reported again over a new link
 
 
-async def connect(url: str) -> j2a.AsyncClient:
+def report_to(errors: list[BaseException]) -> Callable[[BaseException, Any], None]:
+    """Return what keeps the exceptions of handlers."""
+    return lambda error, _event: errors.append(error)
+
+
+async def connect(url: str, report: Callable[[BaseException, Any], None]) -> j2a.AsyncClient:
     """Connect; where the properties cannot be read now, without a window, which needs them."""
     try:
-        return await j2a.aconnect(url, window=8)
+        return await j2a.aconnect(url, window=8, on_handler_error=report)
     except (j2a.RemoteError, j2a.ProtocolError):
-        return await j2a.aconnect(url)
+        return await j2a.aconnect(url, on_handler_error=report)
 
 
 class Host:
     """A link to the suite, and the SIFs that came over it."""
 
-    def __init__(self, board: j2a.AsyncClient) -> None:
+    def __init__(self, board: j2a.AsyncClient, errors: list[BaseException]) -> None:
         self.board = board
+        self.errors = errors
+        self.samples: dict[str, list[j2a.Sample]] = {}
         self.held: j2a.AsyncFunction | None = None
         self.sifs: dict[str, list[j2a.Sif]] = {"all": [], "a": [], "b": []}
         self.came = asyncio.Event()
@@ -50,6 +59,20 @@ class Host:
         board.on_sif(FOR_A_AND_B, self.sifs["a"].append)
         board.on_sif(FOR_A_AND_B, self.sifs["b"].append)
         board.on_sif(None, lambda _sif: self.came.set())
+
+    @property
+    def wrong(self) -> int:
+        """How many SIFs were no samples, though they should have been."""
+        return sum(isinstance(error, j2a.ProtocolError) for error in self.errors)
+
+    async def report_samples(self, name_of: str, count: int, wait_s: float) -> str:
+        """Wait for so many samples, report their readings, and forget them."""
+        samples = self.samples[name_of]
+        deadline_s = asyncio.get_running_loop().time() + wait_s
+        while len(samples) < count and asyncio.get_running_loop().time() < deadline_s:
+            await asyncio.sleep(0.001)
+        taken, samples[:] = samples[:], []
+        return spell_samples(taken)
 
     async def next_job(self, outcome: str) -> str:
         """Report an outcome and return the next job; while the link is stalled, try again."""
@@ -98,6 +121,25 @@ class Host:
                         name(function), take(data), timeout=limit_s, total_timeout=limit_s
                     )
                     return "written"
+                case ["transducers"]:
+                    return f"transducers {','.join(await self.board.transducers()) or '-'}"
+                case ["watch", name_of]:
+                    self.samples[name_of] = []
+                    self.board.transducers[name_of].on_sample(self.samples[name_of].append)
+                    return "watching"
+                case ["samples", name_of, count, ms]:
+                    return await self.report_samples(name_of, int(count), int(ms) / 1000)
+                case ["wrong-samples"]:
+                    return f"wrong-samples {self.wrong}"
+                case ["configure", name_of, setting, value]:
+                    one = self.board.transducers[name_of]
+                    await one.configure(**{setting: json.loads(value)})
+                    return "done"
+                case ["actuate", name_of, channel, time_us, values]:
+                    one = self.board.transducers[name_of]
+                    at = {"channel": int(channel), "at_us": int(time_us)}
+                    await one.set(*json.loads(values), **at)
+                    return "done"
                 case ["sifs", handler, count, ms]:
                     return await self.report_sifs(self.sifs[handler], int(count), int(ms) / 1000)
                 case ["bye"]:
@@ -135,6 +177,17 @@ class Host:
         taken, sifs[:] = sifs[:], []
         data = b"".join(bytes((sif.opcode, len(sif.payload))) + sif.payload for sif in taken)
         return f"sifs {sum(sif.missed for sif in taken)} {spell(data)}"
+
+
+def spell_samples(samples: list[j2a.Sample]) -> str:
+    """Spell samples for an outcome: values lost, resets of the clock, and the readings."""
+    readings = [[r.channel, r.time_us, r.value] for sample in samples for r in sample.readings]
+    lost = sum(sample.lost for sample in samples)
+    resets = sum(sample.is_reset for sample in samples)
+    text = spell_values(readings)
+    if len(text) > 200:
+        text = f"{len(text)}#{zlib.crc32(text.encode()):08x}"
+    return f"samples {lost} {resets} {text}"
 
 
 def fate(error: j2a.J2AError) -> str:

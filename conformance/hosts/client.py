@@ -8,6 +8,7 @@ import json
 import sys
 import time
 import zlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import zip_longest
 from typing import Any
@@ -32,19 +33,21 @@ def main(url: str) -> None:
             host.board.close()
 
 
-def connect(url: str) -> j2a.Client:
+def connect(url: str, report: Callable[[BaseException, Any], None]) -> j2a.Client:
     """Connect; where the properties cannot be read now, without a window, which needs them."""
     try:
-        return j2a.connect(url, window=8)
+        return j2a.connect(url, window=8, on_handler_error=report)
     except (j2a.RemoteError, j2a.ProtocolError):
-        return j2a.connect(url)
+        return j2a.connect(url, on_handler_error=report)
 
 
 class Host:
     """A link to the suite, and the SIFs that came over it."""
 
     def __init__(self, url: str) -> None:
-        self.board = connect(url)
+        self.wrong = 0
+        self.board = connect(url, self.report)
+        self.samples: dict[str, list[j2a.Sample]] = {}
         self.held: j2a.Function | None = None
         self.sifs: dict[str, list[j2a.Sif]] = {"all": [], "a": [], "b": []}
         self.board.on_sif(None, self.sifs["all"].append)
@@ -98,6 +101,25 @@ class Host:
                         name(function), take(data), timeout=limit_s, total_timeout=limit_s
                     )
                     return "written"
+                case ["transducers"]:
+                    return f"transducers {','.join(self.board.transducers) or '-'}"
+                case ["watch", name_of]:
+                    self.samples[name_of] = []
+                    self.board.transducers[name_of].on_sample(self.samples[name_of].append)
+                    return "watching"
+                case ["samples", name_of, count, ms]:
+                    return self.report_samples(name_of, int(count), int(ms) / 1000)
+                case ["wrong-samples"]:
+                    return f"wrong-samples {self.wrong}"
+                case ["configure", name_of, setting, value]:
+                    one = self.board.transducers[name_of]
+                    one.configure(**{setting: json.loads(value)})
+                    return "done"
+                case ["actuate", name_of, channel, time_us, values]:
+                    one = self.board.transducers[name_of]
+                    at = {"channel": int(channel), "at_us": int(time_us)}
+                    one.set(*json.loads(values), **at)
+                    return "done"
                 case ["sifs", handler, count, ms]:
                     return self.report_sifs(self.sifs[handler], int(count), int(ms) / 1000)
                 case ["bye"]:
@@ -123,6 +145,19 @@ class Host:
         except j2a.ProtocolError as error:
             return f"failed {error}"[:32]
 
+    def report(self, error: BaseException, _event: object) -> None:
+        """Count what was no sample."""
+        self.wrong += isinstance(error, j2a.ProtocolError)
+
+    def report_samples(self, name_of: str, count: int, wait_s: float) -> str:
+        """Wait for so many samples, report their readings, and forget them."""
+        samples = self.samples[name_of]
+        deadline_s = time.monotonic() + wait_s
+        while len(samples) < count and time.monotonic() < deadline_s:
+            time.sleep(0.001)
+        taken, samples[:] = samples[:], []
+        return spell_samples(taken)
+
     def report_sifs(self, sifs: list[j2a.Sif], count: int, wait_s: float) -> str:
         """Wait for so many SIFs, report those that came, and forget them."""
         deadline_s = time.monotonic() + wait_s
@@ -131,6 +166,17 @@ class Host:
         taken, sifs[:] = sifs[:], []
         data = b"".join(bytes((sif.opcode, len(sif.payload))) + sif.payload for sif in taken)
         return f"sifs {sum(sif.missed for sif in taken)} {spell(data)}"
+
+
+def spell_samples(samples: list[j2a.Sample]) -> str:
+    """Spell samples for an outcome: values lost, resets of the clock, and the readings."""
+    readings = [[r.channel, r.time_us, r.value] for sample in samples for r in sample.readings]
+    lost = sum(sample.lost for sample in samples)
+    resets = sum(sample.is_reset for sample in samples)
+    text = spell_values(readings)
+    if len(text) > 200:
+        text = f"{len(text)}#{zlib.crc32(text.encode()):08x}"
+    return f"samples {lost} {resets} {text}"
 
 
 def fate(error: j2a.J2AError) -> str:

@@ -102,7 +102,8 @@ def variant(target: str, mutant: Mutant) -> Variant:
     if target == "core":
         return Variant(target, mutant.port, mutant.app, mutant.options)
     if target == "device":
-        return Variant(target, options=mutant.options)
+        app = "" if mutant.app == "demo" else mutant.app
+        return Variant(target, app=app, options=mutant.options)
     return Variant(target, program=mutant.program)
 
 
@@ -341,7 +342,12 @@ def _device(how: Variant, folder: Path) -> tuple[str, float]:
     """Return the URL of the device that `folder` holds, and the factor for the waits."""
     if how.target == "device":
         serve = ["-m", "j2a", "serve", "--listen", "stdio:", "--once"]
-        if how.options:
+        if how.app == "transducers":
+            testee = str(ROOT / "conformance/testees/transducers.py")
+            text = f"import runpy\n\ndevice = runpy.run_path({testee!r})['device']\n"
+            (folder / "judged.py").write_text(text, "utf-8")
+            serve += ["--device", "judged:device"]
+        elif how.options:
             text = f"from j2a.demo import DemoDevice\n\ndevice = DemoDevice({how.options})\n"
             (folder / "judged.py").write_text(text, "utf-8")
             serve += ["--device", "judged:device"]

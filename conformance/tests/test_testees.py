@@ -16,7 +16,8 @@ FOLDER = Path(__file__).parents[1] / "testees"
 NOTHING_LOST = {"limits.overrun"}
 NO_SELF_TEST = {"properties.selftest"}  # such a build is for bringing a port up
 NO_BOOT = {f"boot.{name}" for name in ("first", "payload", "once", "reserved")}
-NOT_OURS = NO_SELF_TEST | NO_BOOT | {"limits.room"}  # for devices with less room
+NO_TRANSDUCERS = {case.ID for case in load() if case.LEVEL == "transducers"}
+NOT_OURS = NO_SELF_TEST | NO_BOOT | NO_TRANSDUCERS | {"limits.room"}  # for devices with less room
 
 
 @pytest.fixture

@@ -56,6 +56,7 @@ class Device:
         mapping: code and payload of the reply of a2jGetMapping; None is the one that `names` make.
         properties: keys and values; None where a2jGetProperties is refused.
         interface: what a read of a2jGetInterface gives, or None.
+        transds: what a read of a2jGetTransds gives, or None.
         content: what a read of `fetch` gives.
         chunk: the most data that it puts into a chunk, 1..249 bytes.
         offset_mask: the bits of an offset that it honours; 0xFF is a device of 2014.
@@ -68,6 +69,7 @@ class Device:
         (c.PROP_SPEC, c.SPEC_VERSION),
     )
     interface: bytes | None = None
+    transds: bytes | None = None
     content: bytes = b"content"
     chunk: int = c.MANY_DATA
     offset_mask: int = 0xFFFFFFFF
@@ -94,12 +96,13 @@ class Device:
         return is_echo and len(payload) == _NONCE
 
     def asks_about_it(self, opcode: int, payload: bytes) -> bool:
-        """Tell whether a request asks for the mapping, the properties or the interface.
+        """Tell whether a request asks for the mapping, the properties, the interface or the
+        descriptors of transducers.
 
         A host may ask for them whenever it likes, so cases leave such requests to the device.
         """
         if c.MANY in self.names and opcode == self.names.index(c.MANY):
-            about = (c.GET_PROPERTIES, c.GET_INTERFACE)
+            about = (c.GET_PROPERTIES, c.GET_INTERFACE, c.GET_TRANSDS)
             return payload[:1] in [bytes((self.opcode(n),)) for n in about if n in self.names]
         return opcode == 0
 
@@ -136,6 +139,8 @@ class Device:
             contents[c.GET_PROPERTIES] = properties_content(self.properties)
         if self.interface is not None:
             contents[c.GET_INTERFACE] = self.interface
+        if self.transds is not None:
+            contents[c.GET_TRANSDS] = self.transds
         if name == STORE and is_write:
             return c.RET_OK, chunk_reply(c.RET_OK, c.FLAG_LAST, offset)
         if name not in contents:

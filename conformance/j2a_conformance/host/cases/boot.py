@@ -20,7 +20,7 @@ _ADD = "add(a i32, b i32) i32\n"
 _RXBUF = 4096
 
 
-def _booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
+def booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
     """Return a device with the capability, with so many functions more before those of `DEMO`."""
     device = described(functions, before=before)
     properties = dict(device.properties or ()) | {c.PROP_CAPS: f"{c.CAP_INTERFACE} {c.CAP_BOOT}"}
@@ -29,7 +29,7 @@ def _booting(functions: str = _ADD, before: int = 0, **changes: str) -> Device:
     return replace(device, properties=tuple(properties.items()))
 
 
-BOOTING: Final = _booting()
+BOOTING: Final = booting()
 
 
 def _payload(device: Device, cause: int = c.BOOT_WATCHDOG, count: int = 2) -> bytes:
@@ -43,6 +43,16 @@ def boot(host: Host, device: Device | None = None, payload: bytes | None = None)
     host.device = device or host.device
     host.reset_sifs()
     host.send(host.sif(c.BOOT, _payload(host.device) if payload is None else payload))
+
+
+def restart(host: Host, device: Device, sifs: Sifs) -> None:
+    """Restart as another device while a call waits, and send SIFs directly behind the boot SIF."""
+    host.asked(b"waits")
+    host.device = device
+    host.reset_sifs()
+    boot_sif = host.sif(c.BOOT, _payload(device))
+    host.send(boot_sif + b"".join(host.sif(*sif) for sif in sifs))
+    _restarted(host.outcome("restarted"))
 
 
 def _restarted(outcome: Outcome, was_sent: bool = True) -> None:
@@ -111,7 +121,7 @@ class EndsAll(_BootCase):
     ID = "host.boot.ends-all"
     EXPECTATION = "All calls end; those that were not sent are never sent."
     REQUIREMENTS = ("J2A-BOOT-004",)
-    DEVICE = _booting(rxbuf=str(_RXBUF))
+    DEVICE = booting(rxbuf=str(_RXBUF))
 
     def _judge(self, host: Host) -> None:
         self._end_all(host)
@@ -145,7 +155,7 @@ class Map(_BootCase):
 
     def _judge(self, host: Host) -> None:
         for before in (1, 0, 2, 7, 3, 0):
-            _end_a_call(host, _booting(before=before))
+            _end_a_call(host, booting(before=before))
             for payload in (b"", b"abc"):
                 data = payload.hex() or "-"
                 host.job(f"call {PING} {data} {host.limit_ms}")
@@ -190,11 +200,11 @@ class Signature(_BootCase):
         host.job("hold add")
         host.outcome("held")
         for number, functions in enumerate(_CHANGED):
-            _end_a_call(host, _booting(functions, before=number % 3))
+            _end_a_call(host, booting(functions, before=number % 3))
             _, requests = host.do(f"held [40,2] {host.limit_ms}", "changed")
             if requests:
                 fail(f"a request was sent, though `add` is {functions.strip() or 'gone'} now")
-            _end_a_call(host, _booting(before=number % 4))
+            _end_a_call(host, booting(before=number % 4))
             host.job(f"held [1,2] {host.limit_ms}")
             numbers = (1).to_bytes(4, "little") + (2).to_bytes(4, "little")
             request = host.request(host.device.opcode("add"), numbers)
@@ -236,11 +246,11 @@ class Room(_BootCase):
     ID = "host.boot.room"
     EXPECTATION = "The host keeps to what the properties say now."
     REQUIREMENTS = ("J2A-BOOT-005", "J2A-LIMIT-003", "J2A-LIMIT-007")
-    DEVICE = _booting(rxbuf=str(_RXBUF))
+    DEVICE = booting(rxbuf=str(_RXBUF))
 
     def _judge(self, host: Host) -> None:
         for room in (48, 64, 254):
-            _end_a_call(host, _booting(room=str(room)))
+            _end_a_call(host, booting(room=str(room)))
             opcode = host.device.opcode(PING)
             _, requests = host.do(f"call @{opcode} {room + 1}*55 {host.limit_ms}", "refused")
             if requests:

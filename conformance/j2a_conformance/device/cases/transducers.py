@@ -1,0 +1,1122 @@
+"""Transducers: descriptors, samples and settings (J2A-TRANS).
+
+What a sensor measures is caused by the demo function `stimulus`, which takes the id of a sensor and
+then values, each with its channel before, that the driver of the sensor gives at once.
+"""
+
+import math
+import random
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any, Final
+
+from j2a_spec import constants as c
+from j2a_spec import interface as types
+from j2a_spec import transducers as oracle
+from j2a_transports import TransportError
+
+from j2a_conformance._judge import Judged, fail, lack
+from j2a_conformance.device._case import Case
+from j2a_conformance.device._contents import check_end, check_offsets, check_writes
+from j2a_conformance.device._peer import Peer
+
+from .sif import frames, show
+
+STIMULUS: Final = "stimulus"
+_US: Final = struct.Struct("<Q")
+_QUIET_S: Final = 0.03
+_MOST_SIFS: Final = 10_000
+_PERIOD_S: Final = 0.12
+_DUE_US: Final = 120_000
+_LATER_US: Final = 20_000
+_SLACK_US: Final = 1_000_000  # a busy device, or a simulated one
+_TRIES: Final = 100
+_STEP: Final = 7
+_FORMATS: Final = {"f32": "<f", "f64": "<d"}
+
+
+class Board:
+    """The transducers of a device, as a case talks to them."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+        try:
+            self.descriptors = oracle.parse(peer.read_all(c.GET_TRANSDS))
+        except ValueError as error:
+            fail(f"the descriptors break a rule of their language: {error}")
+        self.all = list(self.descriptors.transducers.values())
+        self.rng = random.Random(22)
+        self._clock_us = 0
+
+    def sensors(self, *keys: str, queue: bool | None = None) -> list[oracle.Transducer]:
+        """Return the sensors that have all of these keys, with or without a queue."""
+        return [
+            one
+            for one in self.all
+            if one.kind == "sensor"
+            and all(key in one.attributes for key in keys)
+            and queue in (None, "queue" in one.attributes)
+        ]
+
+    def actuators(self, *keys: str) -> list[oracle.Transducer]:
+        """Return the actuators that have all of these keys."""
+        return [
+            one
+            for one in self.all
+            if one.kind == "actuator" and all(key in one.attributes for key in keys)
+        ]
+
+    def size(self, one: oracle.Transducer) -> int:
+        """Return the bytes of a value."""
+        return types.size((one.type,), self.descriptors.definitions)
+
+    def has(self, one: oracle.Transducer, item: int) -> bool:
+        """Whether a transducer has an item, to read or to write."""
+        if item == c.TRANSD_SAVE:  # of a device that keeps settings; which of them do is not told
+            return False
+        key = _KEYS.get(item)
+        if key is not None:
+            return key in one.attributes
+        if item in (c.TRANSD_ENABLED, c.TRANSD_PERIOD):
+            return one.kind == "sensor"
+        if item == c.TRANSD_SET:
+            return one.kind == "actuator"
+        if item == c.TRANSD_SAMPLE:
+            return "queue" not in one.attributes
+        return item == c.TRANSD_TIME
+
+    # Exchanges
+
+    def read(self, one: oracle.Transducer, item: int) -> bytes:
+        """Return an item."""
+        opcode = self.peer.opcode(c.TRANSD)
+        return self.peer.ask(self.peer.request(opcode, bytes((one.id, item)), c.RET_OK)).payload
+
+    def write(self, one: oracle.Transducer, item: int, value: bytes) -> None:
+        """Write an item, which the reply must carry."""
+        is_told = item not in (c.TRANSD_SET, c.TRANSD_TRIGGER, c.TRANSD_SAVE)
+        self.exchange(bytes((one.id, item)) + value, c.RET_OK, value if is_told else b"")
+
+    def exchange(self, payload: bytes, code: int, reply: bytes = b"") -> None:
+        """Send a request, whose reply must have this code and this payload."""
+        request = self.peer.request(self.peer.opcode(c.TRANSD), payload, code, reply)
+        self.peer.ask(request)
+
+    def time_us(self) -> int:
+        """Return the clock of the device; fail where it has gone back (J2A-TRANS-007)."""
+        before_us, self._clock_us = (
+            self._clock_us,
+            int(_US.unpack(self.read(self.all[0], c.TRANSD_TIME))[0]),
+        )
+        if self._clock_us < before_us:
+            fail(f"the clock went back, from {before_us} us to {self._clock_us} us")
+        return self._clock_us
+
+    def until(self, due_us: int) -> Iterator[None]:
+        """Yield as long as the clock of the device is before a time, which is asked each time.
+
+        Fail where it does not get there in twice the time and a second more.
+        """
+        now_us = self.time_us()
+        end_s = self.peer.link.now_s() + 2 * (due_us - now_us) / 1e6 + _SLACK_US / 1e6
+        while now_us < due_us:
+            if self.peer.link.now_s() > end_s:
+                fail(f"the clock is at {now_us} us where {due_us} us had long come", suspect=True)
+            yield
+            now_us = self.time_us()
+
+    def wait_until(self, due_us: int) -> None:
+        """Return when the clock of the device says a time."""
+        for _ in self.until(due_us):
+            pass
+
+    def stimulate(self, one: oracle.Transducer, *values: tuple[int, bytes]) -> None:
+        """Have a driver give values, each for a channel."""
+        payload = bytes((one.id,)) + b"".join(
+            bytes((channel,)) + value for channel, value in values
+        )
+        self.peer.ask(self.peer.request(self.peer.opcode(STIMULUS), payload, c.RET_OK, b""))
+
+    def sif(self, one: oracle.Transducer, since: int) -> tuple[int, bytes]:
+        """Return the index of the next sample SIF of a sensor, and its payload."""
+        index = since
+        while (frame := self.peer.next_sif(index)).opcode != one.id:
+            index += 1
+            if index == since + _MOST_SIFS:
+                fail(f"{_MOST_SIFS} SIFs came, and none of {one.name}")
+        return index, frame.payload
+
+    def no_sif(self, one: oracle.Transducer, since: int, why: str) -> None:
+        """Fail where a sample SIF of a sensor has come or comes within a while."""
+        self.peer.silence(_QUIET_S, f"while no sample of {one.name} was due")
+        self.peer.settle()
+        self.time_us()
+        for arrival, frame in zip(
+            self.peer.link.sifs[since:], frames(self.peer.link.sifs[since:]), strict=True
+        ):
+            if frame.opcode == one.id:
+                show(self.peer, arrival)
+                fail(f"a sample SIF of {one.name} came {why}")
+
+    @property
+    def seen(self) -> int:
+        """How many SIFs have come."""
+        return len(self.peer.link.sifs)
+
+    # Values
+
+    def value(self, one: oracle.Transducer) -> bytes:
+        """Return any value of the type, and another one each time."""
+        return self._of_field(one.type)
+
+    def _of_field(self, field: types.Field) -> bytes:
+        return b"".join(self._of_element(field.element) for _ in range(field.count or 1))
+
+    def _of_element(self, element: str) -> bytes:
+        definitions = self.descriptors.definitions
+        if element in definitions.structs:
+            return b"".join(self._of_field(field) for field in definitions.structs[element])
+        if element in definitions.enums:
+            integer, values = definitions.enums[element]
+            number = self.rng.choice(list(values.values()))
+            return number.to_bytes(int(integer[1:]) // 8, "little", signed=integer[0] == "i")
+        if element == "bool":
+            return bytes((self.rng.randrange(2),))
+        if element in _FORMATS:
+            return struct.pack(_FORMATS[element], self.rng.randrange(-999, 999) / 8)
+        return self.rng.randbytes(int(element[1:]) // 8)
+
+    def number(self, one: oracle.Transducer, value: bytes) -> Any:
+        """Return the number that a value stands for."""
+        element = one.type.element
+        if element in _FORMATS:
+            return struct.unpack(_FORMATS[element], value)[0]
+        return int.from_bytes(value, "little", signed=element[0] == "i")
+
+    def packed(self, one: oracle.Transducer, number: Any) -> bytes:
+        """Return the value that stands for a number, cut to the type."""
+        element = one.type.element
+        if element in _FORMATS:
+            return struct.pack(_FORMATS[element], number)
+        size = self.size(one)
+        return (int(number) % (1 << 8 * size)).to_bytes(size, "little")
+
+    # Settings
+
+    @contextmanager
+    def tuned(self, one: oracle.Transducer, **settings: bytes) -> Iterator[None]:
+        """Have a sensor send each value at once, unless the settings say otherwise."""
+        wanted = {
+            c.TRANSD_ENABLED: b"\1",
+            c.TRANSD_PERIOD: bytes(4),
+            c.TRANSD_DECIMATION: b"\1",
+            c.TRANSD_THRESHOLD: bytes(self.size(one)),
+        }
+        for name, value in settings.items():
+            wanted[getattr(c, f"TRANSD_{name.upper()}")] = value
+        wanted = {item: value for item, value in wanted.items() if self.has(one, item)}
+        before = {item: self.read(one, item) for item in wanted}
+        for item, value in wanted.items():
+            self.write(one, item, value)
+        try:
+            yield
+        except Judged:
+            with suppress(Judged, TransportError):
+                self._restore(one, before)
+            raise
+        self._restore(one, before)
+
+    def _restore(self, one: oracle.Transducer, settings: dict[int, bytes]) -> None:
+        for item, value in settings.items():
+            self.write(one, item, value)
+
+
+_KEYS: Final = {
+    c.TRANSD_DECIMATION: "decimation",
+    c.TRANSD_THRESHOLD: "threshold",
+    c.TRANSD_TOPIC: "topic",
+    c.TRANSD_WATCHDOG: "watchdog",
+    c.TRANSD_TRIGGER: "trigger",
+}
+_WRITE_ONLY: Final = (c.TRANSD_SET, c.TRANSD_TRIGGER, c.TRANSD_SAVE)
+_READ_ONLY: Final = (c.TRANSD_SAMPLE, c.TRANSD_TIME)
+
+
+def slots(board: Board, one: oracle.Transducer, payload: bytes) -> list[tuple[int, bytes]]:
+    """Return time and value of each channel of a sample."""
+    size = 8 + board.size(one)
+    if len(payload) != one.channels * size:
+        fail(f"a sample of {one.name} has {len(payload)} bytes instead of {one.channels * size}")
+    return [
+        (_US.unpack_from(payload, at)[0], payload[at + 8 : at + size])
+        for at in range(0, len(payload), size)
+    ]
+
+
+def queued(board: Board, one: oracle.Transducer, payload: bytes) -> list[tuple[int, int, bytes]]:
+    """Return channel, time and value of each entry of a sample SIF with queue."""
+    size = 9 + board.size(one)
+    if len(payload) < 2 + size or (len(payload) - 2) % size:
+        fail(f"a sample SIF of {one.name} has {len(payload)} bytes; one value takes {size}")
+    return [
+        (payload[at], _US.unpack_from(payload, at + 1)[0], payload[at + 9 : at + size])
+        for at in range(2, len(payload), size)
+    ]
+
+
+def _check_time(one: oracle.Transducer, time_us: int, begin_us: int, end_us: int) -> None:
+    if not begin_us <= time_us <= end_us or time_us == 0:
+        fail(
+            f"a value of {one.name} has the time {time_us} us, but was given between {begin_us} "
+            f"and {end_us} us on the clock of the device"
+        )
+
+
+class _TransducerCase(Case):
+    """A case for devices with the capability."""
+
+    LEVEL = "transducers"
+    NEEDS: tuple[str, ...] = (c.GET_PROPERTIES, c.GET_TRANSDS, c.TRANSD)
+
+    def _run(self, peer: Peer) -> None:
+        if not peer.announces(c.CAP_TRANSDUCERS):
+            lack(f"the device does not announce {c.CAP_TRANSDUCERS}")
+        board = Board(peer)
+        if not board.all:
+            lack("the device describes no transducers")
+        self._judge(board)
+
+    def _judge(self, board: Board) -> None:
+        raise NotImplementedError
+
+
+class Announced(Case):
+    """Compares what the device announces with what it has."""
+
+    ID = "transducers.announced"
+    EXPECTATION = "The token `transducers`, a2jGetTransds and a2jTransd, or none of them."
+    REQUIREMENTS = ("J2A-TRANS-001",)
+    LEVEL = "transducers"
+    NEEDS = (c.GET_PROPERTIES,)
+
+    def _run(self, peer: Peer) -> None:
+        has = {
+            f"the token {c.CAP_TRANSDUCERS}": peer.announces(c.CAP_TRANSDUCERS),
+            f"the function {c.GET_TRANSDS}": peer.has(c.GET_TRANSDS),
+            f"the function {c.TRANSD}": peer.has(c.TRANSD),
+        }
+        if len(set(has.values())) > 1:
+            there = [what for what, is_there in has.items() if is_there]
+            missing = [what for what, is_there in has.items() if not is_there]
+            fail(f"there is {' and '.join(there)}, but not {' and '.join(missing)}")
+        peer.opcode(c.GET_TRANSDS)
+
+
+class Language(_TransducerCase):
+    """Takes the descriptors apart."""
+
+    ID = "transducers.language"
+    EXPECTATION = "Definitions, an empty line, then the transducers, by the grammar."
+    REQUIREMENTS = ("J2A-TRANS-001", "J2A-TRANS-004")
+
+    def _judge(self, board: Board) -> None:
+        lines = board.peer.read_all(c.GET_TRANSDS).decode().split("\n")
+        kinds = ("sensor ", "actuator ")
+        names = [line.split(" ")[1] for line in lines if line.startswith(kinds)]
+        if strange := [name for name in names if name not in board.descriptors.transducers]:
+            fail(f"the type of {strange[0]} is not defined")
+
+
+class Chunks(_TransducerCase):
+    """Reads the descriptors again from many offsets."""
+
+    ID = "transducers.chunks"
+    EXPECTATION = "The bytes of the first read from there on, with isLast in the last chunk only."
+    REQUIREMENTS = ("J2A-TRANS-001", "J2A-MANY-008")
+
+    def _judge(self, board: Board) -> None:
+        whole = board.peer.read_all(c.GET_TRANSDS)
+        lines = [at + 1 for at, byte in enumerate(whole[:-1]) if byte == ord("\n")]
+        around = {at + n for at in (*lines, 249, 256, 498, 512) for n in (-1, 0, 1)}
+        spread = {*range(64), *range(0, len(whole), _STEP), len(whole) - 1}
+        offsets = sorted(at for at in spread | around if 0 <= at < len(whole))
+        check_offsets(board.peer, c.GET_TRANSDS, whole, offsets)
+
+
+class Written(_TransducerCase):
+    """Writes to a2jGetTransds, with data and without."""
+
+    ID = "transducers.written"
+    EXPECTATION = "0xFF inside the reply of a2jMany, and the descriptors as before."
+    REQUIREMENTS = ("J2A-TRANS-002",)
+
+    def _judge(self, board: Board) -> None:
+        check_writes(board.peer, c.GET_TRANSDS, "descriptors", b"\nsensor evil 9 1 u8\n")
+
+
+class BehindEnd(_TransducerCase):
+    """Reads the descriptors at their end and at many offsets behind it."""
+
+    ID = "transducers.behind-end"
+    EXPECTATION = "An empty chunk with isLast, at the offset that was asked for."
+    REQUIREMENTS = ("J2A-TRANS-003",)
+
+    def _judge(self, board: Board) -> None:
+        check_end(board.peer, c.GET_TRANSDS)
+
+
+class Refused(_TransducerCase):
+    """Asks for transducers that there are not, for items that they do not have, and writes values
+    of other lengths and out of range.
+    """
+
+    ID = "transducers.refused"
+    EXPECTATION = "The code of the first thing that is wrong, no payload, and nothing has changed."
+    REQUIREMENTS = ("J2A-TRANS-008", "J2A-TRANS-014", "J2A-TRANS-016")
+
+    def _judge(self, board: Board) -> None:
+        for payload in (b"", *(bytes((one.id,)) for one in board.all), b"\xff"):
+            board.exchange(payload, c.TRANSD_BAD_LENGTH)
+        self._ids(board)
+        for one in board.all:
+            self._items(board, one)
+            self._values(board, one)
+
+    @staticmethod
+    def _ids(board: Board) -> None:
+        known = {one.id for one in board.all}
+        for number in range(256):
+            if number not in known:
+                board.exchange(bytes((number, number % 11)), c.TRANSD_NO_ID)
+        strange = next(number for number in range(255, -1, -1) if number not in known)
+        for item in (*range(12), 255):
+            board.exchange(bytes((strange, item)) + bytes(item % 3), c.TRANSD_NO_ID)
+
+    @staticmethod
+    def _items(board: Board, one: oracle.Transducer) -> None:
+        for item in range(256):
+            if item == c.TRANSD_SAVE:
+                continue
+            if item in _WRITE_ONLY or not board.has(one, item):
+                board.exchange(bytes((one.id, item)), c.TRANSD_NO_ITEM)
+            if item in _READ_ONLY or not board.has(one, item):
+                for length in (1, 2, 4, 8, 9) if item < 12 else (1,):
+                    board.exchange(bytes((one.id, item)) + bytes(length), c.TRANSD_NO_ITEM)
+
+    def _values(self, board: Board, one: oracle.Transducer) -> None:
+        readable = [item for item in range(11) if item not in (*_WRITE_ONLY, c.TRANSD_TIME)]
+        before = {item: board.read(one, item) for item in readable if board.has(one, item)}
+        longest = board.peer.longest - 2
+        for item in range(11):
+            if item in _READ_ONLY or not board.has(one, item):
+                continue
+            for length in range(1, longest + 1):
+                if not self._fits(board, one, item, length):
+                    payload = bytes((one.id, item)) + bytes(length)
+                    board.exchange(payload, c.TRANSD_BAD_LENGTH)
+            for value in self._wrong(board, one, item):
+                board.exchange(bytes((one.id, item)) + value, c.TRANSD_BAD_VALUE)
+        for item, value in before.items():
+            if board.read(one, item) != value:
+                fail(f"item {item} of {one.name} has changed by what was refused")
+
+    @staticmethod
+    def _fits(board: Board, one: oracle.Transducer, item: int, length: int) -> bool:
+        size = board.size(one)
+        if item == c.TRANSD_TOPIC:
+            return length <= c.TRANSD_MAX_TOPIC
+        if item == c.TRANSD_SET:
+            return length > 9 and (length - 9) % size == 0
+        sizes = {c.TRANSD_PERIOD: 4, c.TRANSD_THRESHOLD: size, c.TRANSD_WATCHDOG: 2}
+        return length == {**sizes, c.TRANSD_TRIGGER: 8}.get(item, 1)
+
+    @staticmethod
+    def _wrong(board: Board, one: oracle.Transducer, item: int) -> Iterator[bytes]:
+        """Yield values of the right length that are out of range."""
+        if item == c.TRANSD_ENABLED:
+            yield from (b"\2", b"\x12", b"\x80", b"\xff")
+        if item == c.TRANSD_DECIMATION:
+            yield b"\0"
+        if item == c.TRANSD_THRESHOLD and one.type.element in ("f32", "f64"):
+            yield from (board.packed(one, number) for number in (-0.5, float("nan"), -1e30))
+        if item == c.TRANSD_THRESHOLD and one.type.element[0] == "i":
+            lowest = -(1 << 8 * board.size(one) - 1)
+            yield from (board.packed(one, number) for number in (-1, lowest, lowest // 2))
+        if item == c.TRANSD_TOPIC:
+            yield from _WRONG_TOPICS
+        if item == c.TRANSD_SET:
+            yield from _wrong_sets(board, one)
+
+
+_WRONG_TOPICS: Final = (
+    *(bytes((byte,)) for byte in (*range(0x20), *range(0x7F, 0x100))),
+    *(b"a" + bytes((byte,)) + b"b" for byte in (0, 9, 10, 31, 127, 128, 0xBF, 0xC0, 0xFE, 0xFF)),
+    *(text + b"\x80" for text in (b"\xc0", b"\xc1", b"\xe0\x80", b"\xe0\x9f", b"\xed\xa0")),
+    *(b"a" * 20 + text for text in (b"\xc3", b"\xe2\x82", b"\xf0\x9f\xa4", b"\xc3a", b"\xe2\x82a")),
+    *(text + b"\x80\x80" for text in (b"\xf0\x80", b"\xf0\x8f", b"\xf4\x90", b"\xf5\x80")),
+    b"\xff\x80\x80\x80",
+    "\u00e4".encode() + b"\x84",
+    b"\xe2\x28\xa1",
+)  # fmt: skip
+_RIGHT_TOPICS: Final = (
+    b"a", b"left/wheel", bytes(range(0x20, 0x40)), bytes(range(0x5F, 0x7F)), b"~" * 32,
+    "\u00e4".encode(), "\u07ff".encode(), "\u0800".encode(), "\ud7ff\ue000".encode(),
+    "\uffff".encode(), "\U00010000\U0010ffff".encode(), ("\u00e4" * 16).encode(),
+    ("\U0001f916" * 8).encode(), b"x",
+)  # fmt: skip
+
+
+def _numbers(board: Board, one: oracle.Transducer) -> tuple[Any, Any] | None:
+    """Return the range of an actuator as numbers, if it has one."""
+    if "range" not in one.attributes:
+        return None
+    texts = one.attributes["range"].split(", ")
+    low, high = (oracle.raw(one, text, board.descriptors.definitions) for text in texts)
+    return low, high
+
+
+def _wrong_sets(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
+    size, times = board.size(one), (0, 1 << 62)
+    good = board.packed(one, _numbers(board, one)[0]) if _numbers(board, one) else bytes(size)  # type: ignore[index]
+    room = (board.peer.longest - 11) // size
+    for at in times:
+        for first in sorted({one.channels, one.channels + 1, 255}):
+            yield bytes((first,)) + _US.pack(at) + good
+        for first in range(one.channels):
+            if one.channels - first + 1 <= room:
+                yield bytes((first,)) + _US.pack(at) + good * (one.channels - first + 1)
+    limits = _numbers(board, one)
+    if limits is None:
+        return
+    low, high = limits
+    step = 0.5 if one.type.element[0] == "f" else 1
+    bad = [board.packed(one, number) for number in (low - step, high + step)]
+    bad = [value for value in bad if not low <= board.number(one, value) <= high]
+    if one.type.element in _FORMATS:
+        bad.append(board.packed(one, float("nan")))
+    for value in bad:
+        for count in range(1, one.channels + 1):
+            for at in range(count):
+                values = [good] * count
+                values[at] = value
+                yield b"\0" + _US.pack(times[at % 2]) + b"".join(values)
+
+
+class Settings(_TransducerCase):
+    """Writes each setting that there is, many times, and reads it."""
+
+    ID = "transducers.settings"
+    EXPECTATION = "The reply to a write and to a read is what was written last; no other changes."
+    REQUIREMENTS = ("J2A-TRANS-009", "J2A-TRANS-014")
+
+    def _judge(self, board: Board) -> None:
+        for one in board.all:
+            items = [item for item in range(1, 7) if board.has(one, item)]
+            before = {item: board.read(one, item) for item in items}
+            now = dict(before)
+            for item in items:
+                for value in self._values(board, one, item):
+                    board.write(one, item, value)
+                    now[item] = value
+                    if board.read(one, item) != value:
+                        fail(f"item {item} of {one.name} is not what was written")
+                for other in items:
+                    if board.read(one, other) != now[other]:
+                        fail(f"item {other} of {one.name} has changed with item {item}")
+            for item, value in before.items():
+                board.write(one, item, value)
+        self._apart(board)
+
+    @staticmethod
+    def _apart(board: Board) -> None:
+        """Look whether a setting of one sensor is that of another one, too."""
+        sensors = board.sensors()
+        before = [board.read(one, c.TRANSD_PERIOD) for one in sensors]
+        for number, one in enumerate(sensors):
+            board.write(one, c.TRANSD_PERIOD, struct.pack("<I", 1000 + number))
+        for number, one in enumerate(sensors):
+            if board.read(one, c.TRANSD_PERIOD) != struct.pack("<I", 1000 + number):
+                fail(f"the period of {one.name} is that of another sensor")
+        for one, value in zip(sensors, before, strict=True):
+            board.write(one, c.TRANSD_PERIOD, value)
+
+    @staticmethod
+    def _values(board: Board, one: oracle.Transducer, item: int) -> Sequence[bytes]:
+        if item == c.TRANSD_ENABLED:
+            return (b"\0", b"\1", b"\0")
+        if item == c.TRANSD_PERIOD:
+            numbers = (0, 1, 255, 256, 0x12ED7D, 1 << 31, 0xFFFFFFFF)
+            return [struct.pack("<I", number) for number in numbers]
+        if item == c.TRANSD_DECIMATION:
+            return [bytes((number,)) for number in (1, 2, 0x7D, 128, 255)]
+        if item == c.TRANSD_WATCHDOG:
+            return [struct.pack("<H", number) for number in (65535, 0x12ED, 60000, 0)]
+        if item == c.TRANSD_TOPIC:
+            return _RIGHT_TOPICS
+        size = board.size(one)
+        if one.type.element in _FORMATS:
+            return [board.packed(one, number) for number in (0.0, 0.5, 1e30, 3.0)]
+        most = (1 << 8 * size - (one.type.element[0] == "i")) - 1
+        return [number.to_bytes(size, "little") for number in (0, 1, most, most // 3)]
+
+
+class Samples(_TransducerCase):
+    """Gives values to some and to all channels of sensors without a queue."""
+
+    ID = "transducers.samples"
+    EXPECTATION = (
+        "One SIF with time and newest value of each channel, the same as SAMPLE; the time is that "
+        "at which the value was given."
+    )
+    REQUIREMENTS = ("J2A-TRANS-005", "J2A-TRANS-007", "J2A-TRANS-009", "J2A-TRANS-011")
+    NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors(queue=False):
+            with board.tuned(one):
+                self._sensor(board, one)
+
+    @staticmethod
+    def _sensor(board: Board, one: oracle.Transducer) -> None:
+        now = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+        fit = max(1, (board.peer.longest - 1) // (1 + board.size(one)))
+        groups = [[channel] for channel in range(one.channels)]
+        groups += [[*range(one.channels)][:fit], [one.channels - 1, 0][:fit], [0, 0][:fit]]
+        for group in groups:
+            given = [(channel, board.value(one)) for channel in group]
+            since, begin_us = board.seen, board.time_us()
+            board.stimulate(one, *given)
+            end_us = board.time_us()
+            index, payload = board.sif(one, since)
+            found = slots(board, one, payload)
+            for channel, value in dict(given).items():
+                time_us, raw = found[channel]
+                if raw != value:
+                    show(board.peer, board.peer.link.sifs[index])
+                    fail(f"channel {channel} of {one.name} is {raw.hex()}, given {value.hex()}")
+                _check_time(one, time_us, begin_us, end_us)
+            ids = [frame.opcode for frame in frames(board.peer.link.sifs[since:])]
+            if len(group) == 1 and ids.count(one.id) > 1:
+                fail(f"{one.name} has sent {ids.count(one.id)} samples for one value")
+            for channel in set(range(one.channels)) - set(group):
+                if found[channel] != now[channel]:
+                    fail(f"channel {channel} of {one.name} has changed, and got no value")
+            if board.read(one, c.TRANSD_SAMPLE) != payload:
+                fail(f"SAMPLE of {one.name} is not what its SIF was")
+            now = found
+        board.no_sif(one, board.seen, "without a new value")
+        board.stimulate(one, (one.channels, board.value(one)), (255, board.value(one)))
+        if one.channels < 255 and board.read(one, c.TRANSD_SAMPLE) != payload:
+            fail(f"a value of a channel that {one.name} does not have has changed its sample")
+
+
+class Untouched(_TransducerCase):
+    """Reads samples of sensors and actuators that have no value yet."""
+
+    ID = "transducers.untouched"
+    EXPECTATION = "The time 0 for each channel that was never given a value or set."
+    REQUIREMENTS = ("J2A-TRANS-005", "J2A-TRANS-015")
+
+    def _judge(self, board: Board) -> None:
+        if not board.peer.claims.fresh or board.peer.has(STIMULUS):
+            board.peer.link.note("other cases may have given values")
+        for one in board.all:
+            if board.has(one, c.TRANSD_SAMPLE):
+                now_us = board.time_us()
+                for time_us, _ in slots(board, one, board.read(one, c.TRANSD_SAMPLE)):
+                    if time_us > now_us + _SLACK_US:
+                        fail(f"a value of {one.name} has the time {time_us}, it is {now_us}")
+
+
+class Queue(_TransducerCase):
+    """Gives sensors with a queue one value, as many as fit, and more."""
+
+    ID = "transducers.queue"
+    EXPECTATION = "SIFs with the values in their order; what did not fit is counted."
+    REQUIREMENTS = ("J2A-TRANS-006", "J2A-TRANS-007")
+    NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors(queue=True):
+            with board.tuned(one):
+                self._sensor(board, one)
+
+    def _sensor(self, board: Board, one: oracle.Transducer) -> None:
+        depth = int(one.attributes["queue"])
+        fit = (board.peer.longest - 1) // (1 + board.size(one))
+        lost = None
+        counts = (1, 2, depth - 1, depth, depth + 1, depth + 3, 1, depth + 7, 2)
+        for count in (*counts, *counts, *reversed(counts)):
+            if not 1 <= count <= fit:
+                continue
+            channels = [board.rng.randrange(one.channels) for _ in range(count)]
+            given = [(channel, board.value(one)) for channel in channels]
+            since, begin_us = board.seen, board.time_us()
+            board.stimulate(one, *given)
+            end_us = board.time_us()
+            kept = given[: min(count, depth)]
+            found: list[tuple[int, int, bytes]] = []
+            index = since
+            while len(found) < len(kept):
+                index, payload = board.sif(one, index)
+                found += queued(board, one, payload)
+                index += 1
+            if [(channel, value) for channel, _, value in found] != kept:
+                show(board.peer, board.peer.link.sifs[index - 1])
+                fail(f"{one.name} was given {kept}, and sent {found}")
+            for _, time_us, _ in found:
+                _check_time(one, time_us, begin_us, end_us)
+            if sorted(time_us for _, time_us, _ in found) != [t for _, t, _ in found]:
+                fail(f"the times of {one.name} go back")
+            now = int.from_bytes(payload[:2], "little")
+            if lost is not None and (now - lost) % 65536 != count - len(kept):
+                fail(f"{one.name} says that {now - lost} values were lost, not {count - len(kept)}")
+            if lost is None and count > depth:
+                fail(f"{one.name}: no room for one value before")
+            lost = now
+            board.no_sif(one, board.seen, "without a new value")
+
+
+class Enabled(_TransducerCase):
+    """Gives values to sensors while they are disabled, and enables them."""
+
+    ID = "transducers.enabled"
+    EXPECTATION = "No SIF meanwhile or for them later; SAMPLE has them where there is no queue."
+    REQUIREMENTS = ("J2A-TRANS-010", "J2A-TRANS-006")
+    NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors():
+            with board.tuned(one, enabled=b"\0"):
+                self._sensor(board, one)
+
+    @staticmethod
+    def _sensor(board: Board, one: oracle.Transducer) -> None:
+        for _ in range(2):
+            since, value = board.seen, board.value(one)
+            board.stimulate(one, (0, value))
+            board.no_sif(one, since, "while it was disabled")
+            if "queue" not in one.attributes:
+                found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+                if found[0][1] != value:
+                    fail(f"{one.name}, which was disabled, has not taken a value for SAMPLE")
+            board.write(one, c.TRANSD_ENABLED, b"\1")
+            board.no_sif(one, since, "of a value from when it was disabled")
+            other = board.value(one)
+            board.stimulate(one, (0, other))
+            payload = board.sif(one, since)[1]
+            if not payload.endswith(other) and one.channels == 1:
+                fail(f"{one.name} sent {payload.hex()} after it was enabled, given {other.hex()}")
+            board.write(one, c.TRANSD_ENABLED, b"\1")  # again, which changes nothing
+            board.write(one, c.TRANSD_ENABLED, b"\0")
+
+
+class Waiting(_TransducerCase):
+    """Disables sensors with a queue whose values wait for the end of the period."""
+
+    ID = "transducers.waiting"
+    EXPECTATION = "What waits is dropped and counts as lost."
+    REQUIREMENTS = ("J2A-TRANS-006", "J2A-TRANS-010")
+    NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors(queue=True):
+            with board.tuned(one):
+                for count in range(1, min(int(one.attributes["queue"]), 5) + 1):
+                    self._drop(board, one, count)
+
+    @staticmethod
+    def _drop(board: Board, one: oracle.Transducer, count: int) -> None:
+        since = board.seen
+        board.stimulate(one, (0, board.value(one)))
+        _, payload = board.sif(one, since)
+        before = int.from_bytes(payload[:2], "little")
+        board.write(one, c.TRANSD_PERIOD, struct.pack("<I", 0xFFFFFFFF))
+        since = board.seen
+        for _ in range(count):
+            board.stimulate(one, (0, board.value(one)))
+        board.no_sif(one, since, "before the period was over")
+        board.write(one, c.TRANSD_ENABLED, b"\0")
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        board.write(one, c.TRANSD_ENABLED, b"\1")
+        board.no_sif(one, since, "of values that were dropped")
+        value = board.value(one)
+        board.stimulate(one, (0, value))
+        _, payload = board.sif(one, since)
+        if [entry[2] for entry in queued(board, one, payload)] != [value]:
+            fail(f"{one.name} sent {payload.hex()}, which is not the one value that it has")
+        lost = (int.from_bytes(payload[:2], "little") - before) % 65536
+        if lost != count:
+            fail(f"{one.name} says that {lost} values were lost; {count} were dropped")
+
+
+class Period(_TransducerCase):
+    """Gives sensors a second value directly behind a first one, with a period and without."""
+
+    ID = "transducers.period"
+    EXPECTATION = "The second SIF comes when the period is over, with the newest value."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+    NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors():
+            period = struct.pack("<I", round(_PERIOD_S * 1e6))
+            with board.tuned(one, period=period):
+                board.peer.attempts(lambda one=one: self._sensor(board, one))  # type: ignore[misc]
+
+    @staticmethod
+    def _sensor(board: Board, one: oracle.Transducer) -> None:
+        link = board.peer.link
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        since = board.seen
+        board.stimulate(one, (0, board.value(one)))
+        first, _ = board.sif(one, since)
+        board.write(one, c.TRANSD_PERIOD, struct.pack("<I", round(_PERIOD_S * 1e6)))
+        sent_s = link.sifs[first].at_s
+        for _ in range(2):
+            since, value = board.seen, board.value(one)
+            board.stimulate(one, (0, board.value(one)))
+            board.peer.silence(_PERIOD_S * 0.6, "within the period of a sensor")
+            board.stimulate(one, (0, value))
+            second, payload = board.sif(one, since)
+            passed_s = link.sifs[second].at_s - sent_s
+            if passed_s < _PERIOD_S * 0.9 - 0.004:
+                show(board.peer, link.sifs[second])
+                fail(
+                    f"two sample SIFs of {one.name} came within {passed_s * 1e3:.1f} ms, the "
+                    f"period is {_PERIOD_S * 1e3:.0f} ms",
+                    suspect=True,
+                )
+            if value not in payload:
+                fail(f"a sample of {one.name} lacks the newest value {value.hex()}")
+            sent_s = link.sifs[second].at_s
+
+
+class _Taken(_TransducerCase):
+    """Gives values one by one; whether each is taken is known before."""
+
+    NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
+
+    @staticmethod
+    def _give(board: Board, one: oracle.Transducer, channel: int, value: bytes, due: bool) -> None:
+        since = board.seen
+        before = b"" if "queue" in one.attributes else board.read(one, c.TRANSD_SAMPLE)
+        board.stimulate(one, (channel, value))
+        if due:
+            _, payload = board.sif(one, since)
+            if value not in payload:
+                fail(f"{one.name} was given {value.hex()}, and sent {payload.hex()}")
+            return
+        if before and board.read(one, c.TRANSD_SAMPLE) != before:
+            fail(f"{one.name} has taken {value.hex()} on channel {channel}, which was not due")
+        if not before:
+            board.no_sif(one, since, f"for {value.hex()}, which was not to be taken")
+
+
+class Decimation(_Taken):
+    """Gives values to each channel of sensors with decimation, in turn and one after the other."""
+
+    ID = "transducers.decimation"
+    EXPECTATION = "Every n-th value of each channel is taken, counted from the write of n."
+    REQUIREMENTS = ("J2A-TRANS-012",)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors("decimation"):
+            with board.tuned(one):
+                self._sensor(board, one)
+
+    def _sensor(self, board: Board, one: oracle.Transducer) -> None:
+        channels = sorted({0, one.channels - 1})
+        for every in (1, 2, 3, 5):
+            for begun in (0, 1, every - 1):
+                board.write(one, c.TRANSD_DECIMATION, bytes((every,)))
+                for number in range(begun):  # the count begins anew with each write
+                    self._give(board, one, 0, board.value(one), (number + 1) % every == 0)
+                board.write(one, c.TRANSD_DECIMATION, bytes((every,)))
+                for number in range(2 * every + 1):
+                    for channel in channels:
+                        is_due = (number + 1) % every == 0
+                        self._give(board, one, channel, board.value(one), is_due)
+        board.write(one, c.TRANSD_DECIMATION, b"\xff")
+        for number in range(255):
+            board.stimulate(one, (0, board.value(one))) if number < 253 else self._give(
+                board, one, 0, board.value(one), number == 254
+            )
+
+
+class Threshold(_Taken):
+    """Gives values to sensors with threshold that differ from the last one by less, as much and
+    more, up and down, across the whole range, and the value na.
+    """
+
+    ID = "transducers.threshold"
+    EXPECTATION = "The first, those that differ by as much, and from and to na are taken."
+    REQUIREMENTS = ("J2A-TRANS-013",)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors("threshold"):
+            with board.tuned(one):
+                for channel in sorted({0, one.channels - 1}):
+                    self._sensor(board, one, channel)
+                if "decimation" in one.attributes:
+                    self._decimated(board, one)
+
+    def _sensor(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        is_float = one.type.element in _FORMATS
+        na = one.attributes.get("na", "none")
+        definitions = board.descriptors.definitions
+        na_number = None if na == "none" else oracle.raw(one, na, definitions)
+        most = 1 << 8 * board.size(one)
+        low = 0 if is_float or one.type.element[0] == "u" else -(most // 2)
+        high = 1 << 20 if is_float else low + most - 1
+        limits: tuple[Any, ...] = (
+            (0.5, 3.0, 100.0) if is_float else (1, 2, min(100, high), high // 2 + 1, high)
+        )
+        start = (low + high) // 2
+        for limit in limits:
+            board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+            self._give(board, one, channel, board.packed(one, start), due=True)
+            board.write(one, c.TRANSD_THRESHOLD, board.packed(one, limit))
+            last: Any = start
+            step = 0.25 if is_float else 1
+            walk = [last, last + limit - step, last - limit + step, last + limit]
+            walk += [last, low, high, high - limit + step, low, low + limit, high, low]
+            for number in walk:
+                if (not is_float and not low <= number <= high) or number == na_number:
+                    continue
+                is_due = abs(number - last) >= limit
+                self._give(board, one, channel, board.packed(one, number), is_due)
+                last = number if is_due else last
+            if na_number is None:
+                continue
+            near = na_number if is_float else na_number - 1 if na_number > low else na_number + 1
+            numbers = (na_number, na_number, last, last, na_number, near, near, na_number, start)
+            for number in numbers:
+                is_now, was = _is_na(number, na_number), _is_na(last, na_number)
+                is_due = is_now != was or (not is_now and abs(number - last) >= limit)
+                self._give(board, one, channel, board.packed(one, number), is_due)
+                last = number if is_due else last
+
+    def _decimated(self, board: Board, one: oracle.Transducer) -> None:
+        """Leave the values that decimation leaves to the threshold."""
+        board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+        board.write(one, c.TRANSD_DECIMATION, b"\1")
+        self._give(board, one, 0, board.packed(one, 10), due=True)
+        board.write(one, c.TRANSD_THRESHOLD, board.packed(one, 5))
+        board.write(one, c.TRANSD_DECIMATION, b"\2")
+        numbers = ((12, False), (30, True), (31, False), (32, False), (50, False), (60, True))
+        for number, is_due in numbers:
+            self._give(board, one, 0, board.packed(one, number), is_due)
+
+
+def _is_na(number: Any, na: Any) -> bool:
+    return bool(number == na) or (math.isnan(number) and math.isnan(na))
+
+
+class Set(_TransducerCase):
+    """Sets channels of actuators at once and at times ahead."""
+
+    ID = "transducers.set"
+    EXPECTATION = "The channels have the values, from the time on; others stay as they were."
+    REQUIREMENTS = ("J2A-TRANS-015", "J2A-TRANS-016")
+
+    def _judge(self, board: Board) -> None:
+        for one in board.actuators():
+            guarded = board.has(one, c.TRANSD_WATCHDOG)
+            before = board.read(one, c.TRANSD_WATCHDOG) if guarded else b""
+            if guarded:
+                board.write(one, c.TRANSD_WATCHDOG, bytes(2))
+            self._at_once(board, one)
+            self._ahead(board, one)
+            self._replaced(board, one)
+            if guarded:
+                board.write(one, c.TRANSD_WATCHDOG, before)
+
+    @staticmethod
+    def _value(board: Board, one: oracle.Transducer) -> bytes:
+        limits = _numbers(board, one)
+        if limits is None:
+            return board.value(one)
+        low, high = limits
+        if one.type.element in _FORMATS:
+            return board.packed(one, board.rng.uniform(low, high))
+        return board.packed(one, board.rng.choice([low, high, board.rng.randint(low, high)]))
+
+    def _at_once(self, board: Board, one: oracle.Transducer) -> None:
+        room = (board.peer.longest - 11) // board.size(one)
+        now = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+        for at_us in (0, 1, None):
+            for first in range(one.channels):
+                for count in sorted({1, min(room, one.channels - first)}):
+                    values = [self._value(board, one) for _ in range(count)]
+                    begin_us = board.time_us()
+                    at = _US.pack(begin_us if at_us is None else at_us)
+                    board.write(one, c.TRANSD_SET, bytes((first,)) + at + b"".join(values))
+                    end_us = board.time_us()
+                    found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+                    for channel in range(one.channels):
+                        if not first <= channel < first + count:
+                            if found[channel] != now[channel]:
+                                fail(f"channel {channel} of {one.name} has changed")
+                            continue
+                        if found[channel][1] != values[channel - first]:
+                            fail(
+                                f"channel {channel} of {one.name} is {found[channel][1].hex()}, it "
+                                f"was set to {values[channel - first].hex()}"
+                            )
+                        _check_time(one, found[channel][0], begin_us, end_us)
+                    now = found
+        limits = _numbers(board, one)
+        for number in limits or ():
+            board.write(one, c.TRANSD_SET, bytes(9) + board.packed(one, number))
+
+    def _ahead(self, board: Board, one: oracle.Transducer) -> None:
+        channels = sorted({0, one.channels - 1})
+        for channel in channels:
+            before = board.read(one, c.TRANSD_SAMPLE)
+            value = self._value(board, one)
+            due_us = board.time_us() + _DUE_US
+            board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(due_us) + value)
+            for _ in board.until(due_us):
+                sample = board.read(one, c.TRANSD_SAMPLE)
+                if sample == before:
+                    continue
+                if slots(board, one, sample)[channel][0] < due_us:
+                    fail(f"channel {channel} of {one.name} has changed before its time")
+                break
+            board.wait_until(due_us + _LATER_US)
+            found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+            time_us, raw = found[channel]
+            if raw != value or not due_us <= time_us <= due_us + _SLACK_US:
+                fail(
+                    f"channel {channel} of {one.name} is {raw.hex()} since {time_us} us; it was to "
+                    f"be {value.hex()} from {due_us} us on"
+                )
+            others = slots(board, one, before)
+            for other in range(one.channels):
+                if other != channel and found[other] != others[other]:
+                    fail(f"channel {other} of {one.name} has changed")
+
+    def _replaced(self, board: Board, one: oracle.Transducer) -> None:
+        """Set a channel for a time, and then anew before that."""
+        for second_us in (0, _DUE_US // 2, 2 * _DUE_US):
+            first, second = self._value(board, one), self._value(board, one)
+            begin_us = board.time_us()
+            due_us = begin_us + _DUE_US
+            later_us = begin_us + second_us if second_us else 0
+            board.write(one, c.TRANSD_SET, b"\0" + _US.pack(due_us) + first)
+            board.write(one, c.TRANSD_SET, b"\0" + _US.pack(later_us) + second)
+            board.wait_until(max(due_us, later_us) + _LATER_US)
+            time_us, raw = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[0]
+            if raw != second or not max(later_us, begin_us) <= time_us:
+                fail(f"{one.name} is {raw.hex()} since {time_us} us, not {second.hex()}")
+            if second_us < _DUE_US and time_us >= due_us:
+                fail(f"{one.name} was set at {due_us} us, though a later SET had replaced that")
+
+
+class Watchdog(_TransducerCase):
+    """Is silent for shorter and longer than the watchdog of an actuator."""
+
+    ID = "transducers.watchdog"
+    EXPECTATION = "Behind a longer silence each channel is safe, once, and what waited is dropped."
+    REQUIREMENTS = ("J2A-TRANS-017",)
+    LIMIT_MS: Final = 150
+
+    def _judge(self, board: Board) -> None:
+        for one in board.actuators("watchdog"):
+            before = board.read(one, c.TRANSD_WATCHDOG)
+            try:
+                board.peer.attempts(lambda one=one: self._actuator(board, one))  # type: ignore[misc]
+            finally:
+                with suppress(Judged, TransportError):
+                    board.write(one, c.TRANSD_WATCHDOG, before)
+
+    def _actuator(self, board: Board, one: oracle.Transducer) -> None:
+        safe = bytes(board.size(one))
+        if one.attributes.get("safe", "none") != "none":
+            number = oracle.raw(one, one.attributes["safe"], board.descriptors.definitions)
+            safe = board.packed(one, number)
+        others = (value for _ in range(_TRIES) if (value := Set._value(board, one)) != safe)
+        value = next(others, safe)
+        if value == safe:  # it has one value only
+            return
+        fit = min(one.channels, (board.peer.longest - 11) // board.size(one))
+        board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
+        board.write(one, c.TRANSD_SET, bytes(9) + value * fit)
+        board.write(one, c.TRANSD_WATCHDOG, bytes(2))
+        self._silence(board, self.LIMIT_MS * 2)  # 0 is never
+        self._same(board, one, board.read(one, c.TRANSD_SAMPLE), value, fit)
+        board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
+        for _ in range(5):
+            self._silence(board, self.LIMIT_MS * 0.4)
+            sample = board.read(one, c.TRANSD_SAMPLE)
+        if slots(board, one, sample)[0][1] != value:
+            fail(f"{one.name} was made safe within the time of its watchdog", suspect=True)
+        due_us = board.time_us() + self.LIMIT_MS * 4000
+        board.write(one, c.TRANSD_SET, b"\0" + _US.pack(due_us) + value)
+        begin_us = board.time_us()
+        self._silence(board, self.LIMIT_MS * 2.6)
+        found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+        end_us = board.time_us()
+        for channel, (time_us, raw) in enumerate(found):
+            if raw != safe:
+                fail(f"channel {channel} of {one.name} is {raw.hex()} after the silence, not safe")
+            if not begin_us + self.LIMIT_MS * 900 <= time_us <= end_us:
+                fail(f"{one.name} was made safe at {time_us} us, the silence began at {begin_us}")
+            if time_us > begin_us + self.LIMIT_MS * 1600:
+                fail(f"{one.name} was made safe at {time_us} us, or again then", suspect=True)
+        for _ in board.until(due_us + _LATER_US):
+            self._silence(board, self.LIMIT_MS * 0.2)
+        if slots(board, one, board.read(one, c.TRANSD_SAMPLE)) != found:
+            fail(f"{one.name} has changed after it was made safe")
+
+    @staticmethod
+    def _silence(board: Board, time_ms: float) -> None:
+        board.peer.silence(time_ms / 1e3, "while nothing was asked")
+
+    @staticmethod
+    def _same(
+        board: Board, one: oracle.Transducer, sample: bytes, value: bytes, count: int
+    ) -> None:
+        for time_us, raw in slots(board, one, sample)[:count]:
+            if raw != value or not time_us:
+                fail(f"{one.name} is {raw.hex()}, though its watchdog is off")
+
+
+class Trigger(_TransducerCase):
+    """Triggers sensors at once, at a time ahead, and anew before that."""
+
+    ID = "transducers.trigger"
+    EXPECTATION = "One sample each, not measured before its time; the later request replaces one."
+    REQUIREMENTS = ("J2A-TRANS-018",)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors("trigger"):
+            with board.tuned(one):
+                for at_us in (0, 1):
+                    begin_us, since = board.time_us(), board.seen
+                    board.write(one, c.TRANSD_TRIGGER, _US.pack(at_us))
+                    self._measured(board, one, since, begin_us)
+                for later_us in (None, _DUE_US // 2, 2 * _DUE_US):
+                    since, now_us = board.seen, board.time_us()
+                    board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + _DUE_US))
+                    if later_us is not None:
+                        board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + later_us))
+                    due_us = now_us + (_DUE_US if later_us is None else later_us)
+                    self._measured(board, one, since, due_us)
+                    board.wait_until(now_us + _DUE_US + _LATER_US)
+                    board.no_sif(one, board.seen, "for a trigger that was replaced")
+
+    @staticmethod
+    def _measured(board: Board, one: oracle.Transducer, since: int, due_us: int) -> None:
+        board.wait_until(due_us)
+        index, payload = board.sif(one, since)
+        if "queue" in one.attributes:
+            times = [time_us for _, time_us, _ in queued(board, one, payload)]
+        else:
+            times = [time_us for time_us, _ in slots(board, one, payload)]
+        if not due_us <= max(times) <= due_us + _SLACK_US:
+            show(board.peer, board.peer.link.sifs[index])
+            fail(f"{one.name} has measured at {max(times)} us, due was {due_us} us")
+        board.no_sif(one, index + 1, "behind that of the trigger")

@@ -1,0 +1,50 @@
+"""The Python device with the transducers of firmware/apps/transducers, for the conformance suite.
+
+What flows in: calls of the suite; `stimulus` says what the sensors measure. What flows out: a
+device that does what that firmware does.
+"""
+
+import struct
+from pathlib import Path
+
+from j2a.demo import DemoDevice
+from j2a.errors import Fail
+
+_FILE = Path(__file__).parents[2] / "firmware/apps/transducers/transds.def"
+_SENSORS = {
+    0: ("plain", 2, "<h"),
+    1: ("queued", 3, "<H"),
+    2: ("tuned", 2, "<i"),
+    3: ("imu", 1, "<9h"),
+    4: ("level", 1, "<f"),
+    5: ("slow", 1, "<B"),
+}
+
+
+def device() -> DemoDevice:
+    """Return the device."""
+    made = DemoDevice(transducers=_FILE)
+    count = 0
+
+    @made.function
+    def stimulus(payload: bytes) -> None:
+        """Have a sensor report values: an id, then values, each with its channel before."""
+        if not payload or payload[0] not in _SENSORS:
+            raise Fail(0xFF)
+        name, channels, form = _SENSORS[payload[0]]
+        size = 1 + struct.calcsize(form)
+        for at in range(1, len(payload) - size + 1, size):
+            numbers = struct.unpack_from(form, payload, at + 1)
+            value = numbers[0] if len(numbers) == 1 else [numbers[n : n + 3] for n in (0, 3, 6)]
+            if payload[at] < channels:  # firmware drops what is of no channel
+                made.sense(name, payload[at], value, raw=True)
+        if (len(payload) - 1) % size:
+            raise Fail(0xFF)
+
+    @made.on_trigger("imu")
+    def measure() -> None:
+        nonlocal count
+        count += 1
+        made.sense("imu", 0, [(count, 0, 0), (0, 0, 0), (0, 0, 0)], raw=True)
+
+    return made
