@@ -4,7 +4,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test exhaustive lint conformance mutants trace docs bench firmware flash venv constraints clean distclean
+.PHONY: help demo test exhaustive lint conformance mutants trace docs bench demo-servo firmware flash venv constraints clean distclean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -18,6 +18,10 @@ help:  ## list the tasks
 demo: $(INSTALLED)  ## a host program, firmware in the AVR simulator, a conformance run
 	@sh tools/system.sh demo
 	@$(BIN)/python tools/demo.py
+
+demo-servo: $(INSTALLED)  ## an encoder turns a servo through the host, in the AVR simulator (chapter 9)
+	@sh tools/system.sh demo
+	@$(BIN)/python tools/demo_servo.py
 
 test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these steps
 	@sh tools/system.sh test
