@@ -8,6 +8,7 @@ shared with other programs; a write is therefore done in pieces that fit once th
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import sys
@@ -57,7 +58,8 @@ class StandardStreams:
         """Undo everything."""
         sys.stdout.flush()
         if sys.platform != "win32" and self._terminal is not None:
-            termios.tcsetattr(self.read_fd, termios.TCSADRAIN, self._terminal)
+            with contextlib.suppress(termios.error):  # the terminal has hung up
+                termios.tcsetattr(self.read_fd, termios.TCSADRAIN, self._terminal)
         for own, standard in ((self.read_fd, 0), (self.write_fd, 1)):
             os.dup2(own, standard)
             os.close(own)

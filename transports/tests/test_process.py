@@ -283,3 +283,27 @@ def test_ctrl_c_while_it_starts_leaves_no_child(
     assert transport.closed
     assert isinstance(transport, ProcessTransport)
     assert transport.child.process.returncode is not None
+
+
+@pytest.mark.skipif(os.name != "posix", reason="there are no terminals")
+def test_a_terminal_that_hangs_up_is_given_back_without_a_traceback(tmp_path: Path) -> None:
+    script = tmp_path / "testee.py"
+    script.write_text(
+        "import j2a_transports\n"
+        "with j2a_transports.listen('stdio:') as listener:\n"
+        "    peer = listener.accept(None)\n"
+        "    peer.write(b'!')\n"
+        "    try:\n"
+        "        peer.read(None)\n"
+        "    except j2a_transports.LinkLost:\n"
+        "        peer.close()\n"
+    )
+    master, slave = os.openpty()
+    with subprocess.Popen(
+        [sys.executable, str(script)], stdin=slave, stdout=slave, stderr=subprocess.PIPE
+    ) as process:
+        os.close(slave)
+        assert os.read(master, 1) == b"!"
+        os.close(master)
+        _, error = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, error) == (0, b"")
