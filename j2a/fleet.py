@@ -451,10 +451,9 @@ class _Member:
             self.problem = reason
             if is_new:
                 self._fleet._leave(self, board, None if self.is_stopped else reason)
+            self._wake.clear()  # the end of that client has set it
             if not self.is_stopped:
                 self._wake.wait(min(self._fleet._retry_s, threading.TIMEOUT_MAX))
-                if not self.is_stopped:
-                    self._wake.clear()
 
     def _connect(self) -> Client:
         client = connect(self.url, timeout=self._fleet._timeout, boot_time=self._fleet._boot_time)

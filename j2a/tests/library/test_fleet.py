@@ -206,6 +206,26 @@ class TestBoards:
                 pass
             assert (change.board, fleet["A3"].url) == ("A3", second)
 
+    def test_one_that_is_left_out_is_not_tried_without_a_pause(self):
+        asked = queue.SimpleQueue()
+
+        def identify(client):
+            asked.put(client.url)
+            return "A3"
+
+        with (
+            served(make_device()) as first,
+            served(make_device()) as second,
+            fleet_of(first, identify=identify, retry=PATIENCE_S) as fleet,
+        ):
+            fleet.wait("A3", timeout=PATIENCE_S)
+            changes = changes_of(fleet)
+            fleet.add(second)
+            changes.get(timeout=PATIENCE_S)
+            assert [asked.get_nowait(), asked.get_nowait()] == [first, second]
+            with pytest.raises(queue.Empty):
+                asked.get(timeout=0.3)
+
     def test_identities_of_ones_own(self):
         with (
             served(make_device("A3")) as first,
