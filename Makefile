@@ -49,10 +49,13 @@ docs: $(INSTALLED)  ## the documentation, into docs/_build/html
 	@$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-bench: $(INSTALLED)  ## speed as ratios: frames, calls, and costs that must not grow
+bench: $(INSTALLED)  ## speed as ratios: frames, calls, costs that must not grow, and samples
 	@$(BIN)/python -m j2a.tests.benchmarks.ratios
 	@$(BIN)/python -m j2a.tests.benchmarks.calls
 	@$(BIN)/python -m j2a.tests.benchmarks.growth
+	@$(BIN)/python -m j2a.tests.benchmarks.samples
+	@sh tools/system.sh demo
+	@$(BIN)/python tools/robot_load.py
 
 firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo

@@ -1,0 +1,200 @@
+"""What samples cost on their way to a host: `python -m j2a.tests.benchmarks.samples`.
+
+What flows in: nothing. What flows out: how long a sample takes from a board to the callback of a
+host over a pseudo terminal, as a distribution; and, over TCP, the CPU time of the host for many
+boards and for one that sends as much as a LIDAR, and whether a sample was lost.
+Rules: the boards are a process of their own, whose time does not count. A sample bears the time at
+which it was sent on the clock that both processes share.
+"""
+
+import asyncio
+import math
+import shlex
+import statistics
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import j2a_transports
+
+import j2a
+from j2a.types.transds_file import read_transds
+
+STAMPS = 3000
+STAMP_S = 0.002
+BOARDS, BOARD_HZ, BOARD_S = 64, 100, 5.0
+LIDAR_BITS, LIDAR_S = 10e6, 5.0
+POINTS = 120
+
+STAMP, EIGHT, LIDAR = 0, 1, 2
+FILE = f"""
+SENSOR(stamp, {STAMP}, stamp, X, 1, u64, none, (unit, ns))
+SENSOR(eight, {EIGHT}, eight, X, 8, i16, none)
+SENSOR(lidar, {LIDAR}, lidar, X, 1, array(u16, {POINTS}), none)
+"""
+_LIDAR_BYTES = 8 + 2 * POINTS
+_FRAME_BITS = 8 * (_LIDAR_BYTES + 5)
+
+
+def send(device: j2a.Device, opcode: int, payload: bytes, period_s: float, count: int) -> None:
+    """Send samples at even times; the first bytes of each are its number, from 1 on."""
+    start = time.monotonic()
+    for number in range(1, count + 1):
+        time.sleep(max(0.0, start + number * period_s - time.monotonic()))
+        if opcode == STAMP:
+            payload = struct.pack("<QQ", number, time.monotonic_ns())
+        device.send_sif(opcode, struct.pack("<Q", number) + payload[8:])
+
+
+def make(opcode: int, payload: bytes, period_s: float, count: int) -> j2a.Device:
+    """Return a board whose function `begin` lets it send."""
+    device = j2a.Device(transducers=read_transds(FILE))
+
+    @device.function
+    def begin() -> None:
+        """Let it send."""
+        job = (device, opcode, payload, period_s, count)
+        threading.Thread(target=send, args=job, daemon=True).start()
+
+    return device
+
+
+def serve(kind: str) -> None:
+    """Be the boards of a kind, until the standard input ends."""
+    if kind == "stamps":
+        with j2a_transports.listen("stdio:") as stdio:
+            host = stdio.accept(None)
+            assert host is not None
+            make(STAMP, bytes(16), STAMP_S, STAMPS).serve(host)
+        return
+    if kind == "boards":
+        device = make(EIGHT, b"".join([struct.pack("<Qh", 1, 5)] * 8), 1 / BOARD_HZ, _count(kind))
+    else:
+        device = make(LIDAR, bytes(_LIDAR_BYTES), _FRAME_BITS / LIDAR_BITS, _count(kind))
+    with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+        threading.Thread(target=device.serve_forever, args=(listener,), daemon=True).start()
+        print(listener.url, flush=True)
+        sys.stdin.read()
+        device.stop()
+
+
+def _count(kind: str) -> int:
+    seconds, period_s = (
+        (BOARD_S, 1 / BOARD_HZ) if kind == "boards" else (LIDAR_S, _FRAME_BITS / LIDAR_BITS)
+    )
+    return round(seconds / period_s)
+
+
+@contextmanager
+def boards(kind: str) -> Iterator[str]:
+    """Start the process of the boards; yields their URL."""
+    command = [sys.executable, "-m", __spec__.name, kind]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        yield child.stdout.readline().strip()
+        child.communicate()
+
+
+def latency() -> list[float]:
+    """Return the milliseconds that samples took from the board to the callback, over a pty."""
+    found: list[float] = []
+    done = threading.Event()
+
+    def take(sample: j2a.Sample) -> None:
+        found.append((time.monotonic_ns() - sample.readings[0].raw) / 1e6)
+        if len(found) == STAMPS:
+            done.set()
+
+    command = shlex.join([sys.executable, "-m", __spec__.name, "stamps"])
+    with j2a.connect(f"pty:{command}", boot_time=30.0) as board:
+        board.transducers["stamp"].on_sample(take)
+        board.functions.begin()
+        if not done.wait(60):
+            raise SystemExit(f"{len(found)} of {STAMPS} samples came")
+    return found
+
+
+async def many(url: str) -> tuple[int, float]:
+    """Return how many samples of all boards came to one event loop, and its CPU seconds."""
+    came = 0
+
+    def take(_sample: j2a.Sample) -> None:
+        nonlocal came
+        came += 1
+
+    clients = await asyncio.gather(*(j2a.aconnect(url, boot_time=30.0) for _ in range(BOARDS)))
+    for client in clients:
+        client.transducers["eight"].on_sample(take)
+    begin = time.process_time()
+    # One board in all but name: it sends each sample to every host.
+    await clients[0].functions.begin()
+    due = BOARDS * _count("boards")
+    end = time.monotonic() + 60
+    while came < due and time.monotonic() < end:
+        await asyncio.sleep(0.05)
+    cpu_s = time.process_time() - begin
+    await asyncio.gather(*(client.close() for client in clients))
+    return came, cpu_s
+
+
+def lidar(url: str) -> tuple[int, float, float]:
+    """Return the samples that came, the CPU seconds of the host and the seconds it took."""
+    came, due = 0, _count("lidar")
+    done = threading.Event()
+
+    def take(_sample: j2a.Sample) -> None:
+        nonlocal came
+        came += 1
+        if came == due:
+            done.set()
+
+    with j2a.connect(url, boot_time=30.0) as board:
+        board.transducers["lidar"].on_sample(take)
+        cpu_s, start = time.process_time(), time.monotonic()
+        board.functions.begin()
+        done.wait(60)
+        return came, time.process_time() - cpu_s, time.monotonic() - start
+
+
+def quantile(ordered: Sequence[float], part: float) -> float:
+    """Return the value below which that part of all is."""
+    return ordered[min(len(ordered) - 1, math.floor(part * len(ordered)))]
+
+
+def main() -> int:
+    """Print all figures; return the exit code, 1 where a sample was lost."""
+    if len(sys.argv) > 1:
+        serve(sys.argv[1])
+        return 0
+    found = sorted(latency())
+    print(f"board to callback over a pty, {len(found)} samples, {1 / STAMP_S:g} a second, ms:")
+    parts = (("median", 0.5), ("90 %", 0.9), ("99 %", 0.99), ("99.9 %", 0.999), ("most", 1.0))
+    print("  " + ", ".join(f"{name} {quantile(found, part):.3f}" for name, part in parts))
+    print(f"  mean {statistics.fmean(found):.3f}, least {found[0]:.3f}")
+    with boards("boards") as url:
+        came, cpu_s = asyncio.run(many(url))
+    due = BOARDS * _count("boards")
+    is_whole = came == due
+    print(
+        f"{BOARDS} boards of 8 channels at {BOARD_HZ} Hz on one loop: {came} of {due} samples, "
+        f"{100 * cpu_s / BOARD_S:.0f} % of a processor, {1e6 * cpu_s / max(1, came):.0f} us each"
+    )
+    with boards("lidar") as url:
+        came, cpu_s, seconds = lidar(url)
+    due = _count("lidar")
+    rate = came * _FRAME_BITS / seconds / 1e6
+    print(
+        f"{POINTS} points a sample over TCP, {rate:.1f} Mbit/s: {came} of {due} samples, "
+        f"{100 * cpu_s / seconds:.0f} % of a processor, {1e6 * cpu_s / max(1, came):.0f} us each"
+    )
+    return 0 if is_whole and came == due else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
