@@ -51,7 +51,6 @@ from j2a.events import (
     Sample,
     Sif,
 )
-from j2a.fleet import BoardChange, Fleet
 from j2a.io.functions import ManyReply, ManyRequest, read_chunk
 from j2a.io.handlers import Subscription
 from j2a.io.streams import SifStream
@@ -71,6 +70,7 @@ if TYPE_CHECKING:
         AsyncSifStream,
         aconnect,
     )
+    from j2a.fleet import BoardChange, Fleet
 
     __version__: str
 
@@ -152,18 +152,29 @@ __all__ = [
 ]
 
 
-_OF_AIO = (
-    *("AsyncActuator", "AsyncClient", "AsyncFunction", "AsyncSensor", "AsyncSifStream"),
-    "aconnect",
-)
+# Who uses none of these does not pay for loading them: asyncio takes longer than all of this
+# package.
+_LAZY = {
+    "aio": (
+        "AsyncActuator",
+        "AsyncClient",
+        "AsyncFunction",
+        "AsyncSensor",
+        "AsyncSifStream",
+        "aconnect",
+    ),
+    "fleet": ("BoardChange", "Fleet"),
+}
 
 
 def __getattr__(name: str) -> object:
-    # asyncio takes longer to load than all of this package: who does not use it does not pay.
-    if name in _OF_AIO:
-        from j2a import aio  # noqa: PLC0415
+    from importlib import import_module  # noqa: PLC0415
 
-        return getattr(aio, name)
+    for module, names in _LAZY.items():
+        if name in names:
+            return getattr(import_module(f"j2a.{module}"), name)
+    if name == "fleet":  # for j2a.fleet.by_url
+        return import_module("j2a.fleet")
     if name == "__version__":
         from importlib import metadata  # noqa: PLC0415 - slow to load, rarely used
 
