@@ -104,6 +104,35 @@ def add_json_argument(parser: argparse._ActionsContainer, what: str) -> None:
     )
 
 
+def add_condition_arguments(parser: argparse.ArgumentParser, file: str) -> None:
+    """Add `-D` and `-U`, which decide the conditions of a file of macros."""
+    parser.add_argument(
+        "-D",
+        "--define",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help=f"what a name stands for in the conditions of a {file}; without VALUE 1",
+    )
+    parser.add_argument(
+        "-U",
+        "--undefine",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="this name stands for nothing there",
+    )
+
+
+def conditions_of(args: argparse.Namespace) -> dict[str, str | None]:
+    """Return what `-D` and `-U` say names stand for, None for nothing."""
+    options: dict[str, str | None] = dict.fromkeys(args.undefine)
+    for one in args.define:
+        name, is_given, value = one.partition("=")
+        options[name] = value if is_given else "1"
+    return options
+
+
 def add_progress_argument(parser: argparse.ArgumentParser) -> None:
     """Add `--no-progress`."""
     parser.add_argument(

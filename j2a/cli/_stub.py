@@ -14,7 +14,7 @@ from typing import Final
 
 from j2a.cli._exit import OK, UsageError
 from j2a.cli._info import interface_facts
-from j2a.cli._link import add_link_arguments, connect
+from j2a.cli._link import add_condition_arguments, add_link_arguments, conditions_of, connect
 from j2a.cli._output import show, show_text
 from j2a.types.definition_file import interface_text, read_definition_file
 from j2a.types.header import c_header
@@ -45,22 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="what to write: .py, .json or .h; without it Python goes to standard output",
     )
-    parser.add_argument(
-        "-D",
-        "--define",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="what a name stands for in the conditions of a functions.def; without VALUE 1",
-    )
-    parser.add_argument(
-        "-U",
-        "--undefine",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="this name stands for nothing there",
-    )
+    add_condition_arguments(parser, "functions.def")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -96,10 +81,7 @@ def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
             text = path.read_text("utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"cannot read {path}: {error}") from None
-        options: dict[str, str | None] = dict.fromkeys(args.undefine)
-        for one in args.define:
-            name, is_given, value = one.partition("=")
-            options[name] = value if is_given else "1"
+        options = conditions_of(args)
         is_off = options.get("J2A_WITH_TRANSDUCERS") == "0"
         has_transducers = not is_off and path.with_name("transds.def").exists()
         own = interface_text(text, options, has_transducers=has_transducers)

@@ -13,7 +13,13 @@ from typing import Final
 
 import j2a
 from j2a.cli._exit import OK, REMOTE, CommandFailed, UsageError
-from j2a.cli._link import add_json_argument, add_link_arguments, connect
+from j2a.cli._link import (
+    add_condition_arguments,
+    add_json_argument,
+    add_link_arguments,
+    conditions_of,
+    connect,
+)
 from j2a.cli._output import note, show, show_json
 from j2a.io.transds_file import load_transds
 from j2a.types.datasheet import data_sheets
@@ -51,22 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         files.add_argument(
             option, type=Path, metavar=metavar, help=what, dest=f"{option.strip('-')}_path"
         )
-    parser.add_argument(
-        "-D",
-        "--define",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="what a name stands for in the conditions of a transds.def; without VALUE 1",
-    )
-    parser.add_argument(
-        "-U",
-        "--undefine",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="this name stands for nothing there",
-    )
+    add_condition_arguments(parser, "transds.def")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -90,11 +81,7 @@ def run(args: argparse.Namespace) -> int:
 def _read(args: argparse.Namespace) -> tuple[Descriptors, str]:
     """Return the descriptors and what to call their source."""
     if args.url.endswith(".def"):
-        options: dict[str, str | None] = dict.fromkeys(args.undefine)
-        for one in args.define:
-            name, is_given, value = one.partition("=")
-            options[name] = value if is_given else "1"
-        return read_transds_argument(args.url, options)
+        return read_transds_argument(args.url, conditions_of(args))
     if args.define or args.undefine:
         raise UsageError("-D and -U are for a transds.def; a board knows what it is built with")
     with connect(args) as client:

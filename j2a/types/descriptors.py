@@ -13,9 +13,8 @@ from typing import Final
 
 from j2a_spec.constants import TRANSD_MAX_TOPIC
 
-from j2a.errors import SignatureError
 from j2a.types.model import Enumeration, Structure
-from j2a.types.parser import DOC, NAME, REST, Scanner, Types, read_definition, read_type
+from j2a.types.parser import DOC, NAME, REST, Scanner, Types, read_definitions, read_type
 from j2a.types.transducers import Descriptors, Transducer, problem
 
 __all__ = ["parse_descriptors", "parse_transducer"]
@@ -34,15 +33,8 @@ def parse_descriptors(text: str) -> Descriptors:
     Raises:
         SignatureError: they break a rule; the error tells the line and the character.
     """
-    if not text.endswith("\n"):
-        raise SignatureError.at("the descriptors do not end with a line feed", text, len(text))
-    lines = text[:-1].split("\n")
-    if "" not in lines:
-        raise SignatureError.at("no empty line ends the definitions", text, 0)
-    split = lines.index("")
     types: dict[str, Enumeration | Structure] = {}
-    for number, line in enumerate(lines[:split], 1):
-        read_definition(Scanner(line, number), types, [])
+    lines, split = read_definitions(text, "the descriptors do", types, [])
     found: dict[str, Transducer] = {}
     ids: set[int] = set()
     number = split + 1

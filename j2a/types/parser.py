@@ -40,6 +40,7 @@ __all__ = [
     "parse_interface",
     "parse_signature",
     "read_definition",
+    "read_definitions",
     "read_type",
 ]
 
@@ -85,16 +86,9 @@ def parse_interface(text: str) -> Interface:
         SignatureError: it breaks a rule of SPEC.md, sections 19 and 20; the error tells the line
             and the character.
     """
-    if not text.endswith("\n"):
-        raise SignatureError.at("the interface does not end with a line feed", text, len(text))
-    lines = text[:-1].split("\n")
-    if "" not in lines:
-        raise SignatureError.at("no empty line ends the definitions", text, 0)
-    split = lines.index("")
     types: dict[str, Enumeration | Structure] = {}
     sifs: list[SifShape] = []
-    for number, line in enumerate(lines[:split], 1):
-        read_definition(Scanner(line, number), types, sifs)
+    lines, split = read_definitions(text, "the interface does", types, sifs)
     functions: dict[str, Described] = {}
     for number, line in enumerate(lines[split + 1 :], split + 2):
         scanner = Scanner(line, number)
@@ -105,6 +99,32 @@ def parse_interface(text: str) -> Interface:
             raise scanner.error("there are more functions than opcodes", 0)
         functions[function.name] = function
     return Interface(tuple(types.values()), tuple(sifs), tuple(functions.values()))
+
+
+def read_definitions(
+    text: str, what: str, types: dict[str, Enumeration | Structure], sifs: list[SifShape]
+) -> tuple[list[str], int]:
+    """Add the definitions at the head of a text, which an empty line ends, to those there are.
+
+    Args:
+        text: of lines, each with a line feed.
+        what: the text and its verb, for errors, such as "the interface does".
+        types, sifs: get what is defined.
+
+    Returns: the lines, and the index of the empty one.
+
+    Raises:
+        SignatureError: a definition is wrong, or a line feed or the empty line is missing.
+    """
+    if not text.endswith("\n"):
+        raise SignatureError.at(f"{what} not end with a line feed", text, len(text))
+    lines = text[:-1].split("\n")
+    if "" not in lines:
+        raise SignatureError.at("no empty line ends the definitions", text, 0)
+    split = lines.index("")
+    for number, line in enumerate(lines[:split], 1):
+        read_definition(Scanner(line, number), types, sifs)
+    return lines, split
 
 
 def parse_definitions(text: str) -> tuple[Enumeration | Structure, ...]:

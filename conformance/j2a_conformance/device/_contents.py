@@ -4,7 +4,7 @@ What flows in: the name of the function, and offsets. What flows out: nothing, o
 properties and the interface are such contents.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from j2a_spec import constants as c
 
@@ -12,7 +12,15 @@ from j2a_conformance._judge import fail
 
 from ._peer import Peer
 
-__all__ = ["check_end", "check_offsets", "check_writes"]
+__all__ = ["check_all_or_none", "check_end", "check_offsets", "check_writes"]
+
+
+def check_all_or_none(has: Mapping[str, bool]) -> None:
+    """Fail where a device has one thing that belongs together with others, and not these."""
+    if len(set(has.values())) > 1:
+        there = [what for what, is_there in has.items() if is_there]
+        missing = [what for what, is_there in has.items() if not is_there]
+        fail(f"there is {' and '.join(there)}, but not {' and '.join(missing)}")
 
 
 def check_offsets(peer: Peer, name: str, whole: bytes, offsets: Iterable[int]) -> None:

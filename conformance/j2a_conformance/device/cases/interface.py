@@ -5,7 +5,12 @@ from j2a_spec import interface as oracle
 
 from j2a_conformance._judge import fail
 from j2a_conformance.device._case import Case
-from j2a_conformance.device._contents import check_end, check_offsets, check_writes
+from j2a_conformance.device._contents import (
+    check_all_or_none,
+    check_end,
+    check_offsets,
+    check_writes,
+)
 from j2a_conformance.device._peer import Peer
 
 _EACH_UP_TO = 64
@@ -38,10 +43,7 @@ class Announced(Case):
             f"the function {c.GET_INTERFACE}": peer.has(c.GET_INTERFACE),
             f"the property {c.PROP_INTERFACE}": c.PROP_INTERFACE in peer.claims.properties,
         }
-        if len(set(has.values())) > 1:
-            there = [what for what, is_there in has.items() if is_there]
-            missing = [what for what, is_there in has.items() if not is_there]
-            fail(f"there is {' and '.join(there)}, but not {' and '.join(missing)}")
+        check_all_or_none(has)
         peer.opcode(c.GET_INTERFACE)
 
 

@@ -18,7 +18,12 @@ from j2a_transports import TransportError
 
 from j2a_conformance._judge import Judged, fail, lack
 from j2a_conformance.device._case import Case
-from j2a_conformance.device._contents import check_end, check_offsets, check_writes
+from j2a_conformance.device._contents import (
+    check_all_or_none,
+    check_end,
+    check_offsets,
+    check_writes,
+)
 from j2a_conformance.device._peer import Peer
 
 from .sif import frames, show
@@ -306,10 +311,7 @@ class Announced(Case):
             f"the function {c.GET_TRANSDS}": peer.has(c.GET_TRANSDS),
             f"the function {c.TRANSD}": peer.has(c.TRANSD),
         }
-        if len(set(has.values())) > 1:
-            there = [what for what, is_there in has.items() if is_there]
-            missing = [what for what, is_there in has.items() if not is_there]
-            fail(f"there is {' and '.join(there)}, but not {' and '.join(missing)}")
+        check_all_or_none(has)
         peer.opcode(c.GET_TRANSDS)
 
 
