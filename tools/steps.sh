@@ -10,17 +10,33 @@ export PATH
 unset MAKEFLAGS MAKEOVERRIDES MFLAGS MAKELEVEL PYTHON
 
 mkdir -p build
+times=build/step-times
+: >"$times"
 failed=()
 
 chosen() { [[ -z "${CHECK:-}" || ",$CHECK," == *",$1,"* ]]; }
+
+# timed NAME COMMAND...: runs the command and notes its time by the clock, and that of the processors,
+# which says more on a machine that does other things, too.
+timed() {
+    local name=$1 status=0 LC_NUMERIC=C TIMEFORMAT="$1 %R %U %S"
+    shift
+    { time "$@" 2>&3 3>&- || status=$?; } 3>&2 2>>"$times"
+    return "$status"
+}
+
+said_time() {
+    awk -v name="$1" '$1 == name { s = $2; cpu = $3 + $4 }
+        END { printf "==> %s: %.0f s, %.0f s of the processors\n", name, s, cpu }' "$times"
+}
 
 step() {
     local name=$1 title=$2 status=0
     shift 2
     chosen "$name" || return
     printf '\n==> %s: %s\n' "$name" "$title"
-    TIMEFORMAT="==> $name: %0R s, and %0U + %0S s of the processors"
-    time "$@" </dev/null || status=$?
+    timed "$name" "$@" </dev/null || status=$?
+    said_time "$name"
     if ((status)); then
         failed+=("$name")
         printf '==> %s FAILED with status %d\n' "$name" "$status"
@@ -28,6 +44,10 @@ step() {
 }
 
 end_steps() {
+    local row='%-18s %8.0f %8.0f\n'
+    printf '\n==> seconds of each step by the clock and of the processors, the most expensive first\n'
+    awk '{ print $3 + $4, $2, $1 }' "$times" | sort -rn | awk -v row="$row" '{ printf row, $3, $2, $1 }'
+    awk -v row="$row" -v s="$SECONDS" '{ cpu += $3 + $4 } END { printf row, "all", s, cpu }' "$times"
     if ((${#failed[@]})); then
         printf '\n==> FAILED steps: %s\n' "${failed[*]}"
         exit 1
