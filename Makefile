@@ -38,9 +38,9 @@ conformance: $(INSTALLED)  ## the suite against every testee, with reports in bu
 	@sh tools/system.sh test
 	@$(BIN)/python tools/conformance.py
 
-mutants: $(INSTALLED)  ## each mutant against the cases of the rule that it breaks
+mutants: $(INSTALLED)  ## the mutants whose verdict may have changed, and renew conformance/mutants/judged.json
 	@sh tools/system.sh demo
-	@$(BIN)/python conformance/mutants/kill.py
+	@$(BIN)/python conformance/mutants/kill.py --changed --record
 
 trace: conformance  ## renew conformance/trace.json, after make conformance
 	@$(BIN)/python -m tools.trace

@@ -8,6 +8,8 @@ mutant or exception, are each a failure; so is a run in which there was nothing 
 time a mutant that `matrix.json` knows is judged first by the cases that kill it there, the quickest
 first, and one is enough. Only when none of them fails, all cases of the rule are done, twice if
 need be: a stall of this machine may hide one kill, so a kill that does not come is a mere note.
+With `--changed` a mutant is left out as long as nothing that its verdict depends on has changed
+since it was killed, see `judged`; a sample of these is judged nevertheless.
 """
 
 import argparse
@@ -18,7 +20,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 
-from conformance.mutants import dimensional, matrix
+from conformance.mutants import dimensional, judged, matrix
 from conformance.mutants.matrix import Row
 from conformance.mutants.tables import TARGETS, Mutant, Table, TableError, load
 from conformance.mutants.targets import Job, Outcome, Variant, cases, judge, prepare, variant
@@ -44,12 +46,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.dimensions:
             return _dimensions(args)
         tables = [load(target) for target in TARGETS]
-        chosen = _chosen(tables, args.target, args.only)
+        every = _chosen(tables, args.target, args.only)
     except TableError as error:
         print(f"kill.py: {error}", file=sys.stderr)
         return 1
     known = matrix.MATRIX.exists()
     kept = matrix.read(matrix.MATRIX) if known else {}
+    kills = judged.read(judged.JUDGED)
+    judged.freeze()
+    chosen = [
+        (target, mutant)
+        for target, mutant in every
+        if not args.changed or judged.is_due(target, mutant, kills, cases(target))
+    ]
     found = _judge_all(chosen, kept, args)
     problems = found.problems
     rows = {
@@ -64,6 +73,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         kept = kept | rows
         matrix.write(tables, kept, matrix.MATRIX)
         known = True
+    if (args.write or args.record) and not found.problems:
+        for target, mutant in chosen:
+            if killed_by := rows[mutant.id].killed_by:
+                kills[mutant.id] = killed_by[0], judged.digest(target, mutant, killed_by[0])
+        judged.write(judged.JUDGED, kills, (m.id for table in tables for m in table.mutants))
     if not args.only:
         exceptions = matrix.exceptions(matrix.MATRIX) if known else []
         for table in tables:
@@ -76,7 +90,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     for problem in problems:
         print(problem)
     print(f"{len(chosen)} mutants, {len(killed)} killed")
-    return 1 if problems or not killed or len(killed) != len(chosen) else 0
+    if args.changed:
+        print(f"{len(every) - len(chosen)} more are as they were when they were killed")
+    return 1 if problems or not every or len(killed) != len(chosen) else 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -92,6 +108,14 @@ def _parser() -> argparse.ArgumentParser:
         "--write",
         action="store_true",
         help="write matrix.json: every case, and again those that fail",
+    )
+    parser.add_argument(
+        "--changed",
+        action="store_true",
+        help="only mutants whose verdict may have changed since judged.json, and a sample",
+    )
+    parser.add_argument(
+        "--record", action="store_true", help="write judged.json: what was killed by these sources"
     )
     parser.add_argument(
         "-j", "--jobs", type=_count, default=_JOBS, metavar="N", help=f"mutants at a time ({_JOBS})"

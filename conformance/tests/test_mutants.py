@@ -169,7 +169,7 @@ RX = "firmware/core/j2a_rx.c"
 
 
 def test_a_mutant_that_is_noticed_is_killed(judge):
-    assert judge(*EXAMPLE.edits) == (0, "1 mutants, 1 killed\n")
+    assert judge(*QUICK.edits, like=QUICK) == (0, "1 mutants, 1 killed\n")
 
 
 def test_a_mutant_that_breaks_nothing_survives(judge):

@@ -1,0 +1,156 @@
+"""What was judged before holds until something changes that the verdict depends on."""
+
+import shutil
+from contextlib import contextmanager
+
+import pytest
+
+from conformance.mutants import judged, kill, matrix, targets
+from conformance.mutants.tables import ROOT, TARGETS, Table, find
+
+CORE, _ = find("core-stuff-004")
+KILLER = "stuff.escape-ff"
+
+
+def forget():
+    for cached in (judged._hash_of, judged._hashes_behind, judged._versions):
+        cached.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory):
+    """A copy of everything that verdicts depend on."""
+    copied = tmp_path_factory.mktemp("checkout")
+    for name in {*judged._JUDGES, judged._SIMULATOR, *TARGETS["core"], *TARGETS["host"]}:
+        (copied / name).parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / name).is_dir():
+            ignored = shutil.ignore_patterns("__pycache__", "build")
+            shutil.copytree(ROOT / name, copied / name, ignore=ignored)
+        else:
+            shutil.copy(ROOT / name, copied / name)
+    return copied
+
+
+@pytest.fixture
+def hashed(checkout, monkeypatch):
+    """Return the hash of a mutant, from the files of the copy as they are now."""
+    monkeypatch.setattr(judged, "ROOT", checkout)
+
+    def of(mutant=CORE, target="core", case=KILLER):
+        forget()
+        return judged.digest(target, mutant, case)
+
+    yield of
+    forget()
+
+
+@contextmanager
+def changed(path):
+    """Append a line to a file, or make it; then all is as before."""
+    kept = path.read_bytes() if path.exists() else None
+    path.write_bytes((kept or b"") + b"\n")
+    try:
+        yield
+    finally:
+        if kept is None:
+            path.unlink()
+        else:
+            path.write_bytes(kept)
+
+
+DEVICE_CASES = "conformance/j2a_conformance/device/cases"
+
+
+@pytest.mark.parametrize(
+    "file",
+    [
+        *("firmware/core/j2a_tx.c", "firmware/core/ext/j2a_sif.c", "firmware/Makefile"),
+        *("firmware/ports/posix/port.mk", "firmware/apps/demo/functions.def"),
+        *(f"{DEVICE_CASES}/stuffing.py", f"{DEVICE_CASES}/__init__.py"),
+        "conformance/j2a_conformance/_runner.py",
+        *("conformance/mutants/targets.py", "conformance/hosts/client.py"),
+        *("spec/j2a_spec/oracle.py", "spec/j2a_spec/vectors/scenario.json"),
+        *("transports/j2a_transports/_registry.py", "constraints.txt"),
+    ],
+)
+def test_a_change_of_what_the_verdict_depends_on_counts(checkout, hashed, file):
+    assert (checkout / file).is_file()
+    before = hashed()
+    with changed(checkout / file):
+        assert hashed() != before
+    assert hashed() == before
+
+
+def test_a_new_file_counts(checkout, hashed):
+    before = hashed()
+    with changed(checkout / "firmware/core/ext/j2a_new.c"):
+        assert hashed() != before
+
+
+def test_a_module_counts_if_the_module_of_the_case_imports_it(checkout, hashed):
+    assert "from .many import" in (checkout / DEVICE_CASES / "transfers.py").read_text("utf-8")
+    of_transfers = next(n for n, m in judged._modules("core").items() if m.endswith(".transfers"))
+    before = hashed(case=of_transfers), hashed()
+    with changed(checkout / DEVICE_CASES / "many.py"):
+        assert hashed(case=of_transfers) != before[0]
+        assert hashed() == before[1]
+
+
+@pytest.mark.parametrize("file", ["conformance/mutants/host.toml", "conformance/testees/new.toml"])
+def test_other_mutants_and_testees_do_not_count(checkout, hashed, file):
+    before = hashed()
+    with changed(checkout / file):
+        assert hashed() == before
+
+
+def test_the_simulator_counts_for_what_runs_in_it(checkout, hashed):
+    simulated, _ = find("core-limit-002")
+    assert simulated.port == "avr-serial"
+    before = hashed(), hashed(simulated)
+    with changed(checkout / "firmware/sim/j2a_sim/chip/usart.c"):
+        assert hashed() == before[0]
+        assert hashed(simulated) != before[1]
+
+
+def test_the_entry_of_the_mutant_counts(hashed):
+    other, _ = find("core-stuff-003")
+    assert hashed(other) != hashed()
+
+
+def test_what_is_not_known_is_judged(monkeypatch):
+    monkeypatch.setattr(judged, "digest", lambda *_: "1")
+    known, cases = {CORE.id: (KILLER, "1")}, targets.cases("core")
+    assert not judged.is_due("core", CORE, known, cases)
+    assert judged.is_due("core", CORE, {}, cases)
+    assert judged.is_due("core", CORE, {CORE.id: (KILLER, "2")}, cases)
+    assert judged.is_due("core", CORE, {CORE.id: ("stuff.no-such-case", "1")}, cases)
+    renamed = {**cases, KILLER: ("J2A-FRAME-001",)}  # it names the rule no longer
+    assert judged.is_due("core", CORE, known, renamed)
+
+
+def test_some_are_judged_nevertheless(monkeypatch):
+    monkeypatch.setattr(judged, "digest", lambda *_: "01")
+    assert judged.is_due("core", CORE, {CORE.id: (KILLER, "01")}, targets.cases("core"))
+
+
+def test_only_kills_are_kept(monkeypatch, tmp_path, need, capsys):
+    need("cc")
+    monkeypatch.setattr(matrix, "MATRIX", tmp_path / "matrix.json")
+    monkeypatch.setattr(judged, "JUDGED", tmp_path / "judged.json")
+    monkeypatch.setattr(kill, "TARGETS", ("core",))
+    monkeypatch.setattr(kill, "load", lambda _: Table("core", (CORE,), ()))
+    found = targets.Outcome(())
+    monkeypatch.setattr(
+        kill,
+        "_all",
+        lambda _pool, jobs, into, _verbose: into.outcomes.update(
+            {job.mutant.id: found for job in jobs if job.mutant}
+        ),
+    )
+    run = ["--changed", "--record", "--only", CORE.id, "-j", "1"]
+    assert kill.main(run) == 1
+    assert judged.read(judged.JUDGED) == {}
+    found = targets.Outcome((KILLER,), frozenset((KILLER,)))
+    assert kill.main(run) == 0
+    ((case, of),) = judged.read(judged.JUDGED).values()
+    assert (case, of) == (KILLER, judged.digest("core", CORE, KILLER))
