@@ -4,7 +4,8 @@ What flows in: conformance/testees/*.toml and conformance/hosts/*.py. What flows
 each in build/conformance, a matrix page over all of them, one line a testee, and exit status 0 when
 all conform. Rules: three runs at a time, of different kinds as long as there are some: an emulator
 needs a core, on this machine a run waits most of the time, and simulated time is disturbed by
-nothing; a testee that cannot be built here fails.
+nothing; a testee that cannot be built here fails. With `--sample` only the testees of COMPLETE, and
+the hosts, do every case; the others leave out SWEEPS.
 """
 
 import argparse
@@ -18,11 +19,23 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import j2a_transports
+from j2a_conformance import load
 from j2a_conformance.device._testee import load_testee
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "conformance"
 CONFORM = [sys.executable, "-m", "j2a_conformance"]
+# One testee of each kind of code, clock and link. The others run the same sources, with another
+# compiler, chip, port or option, so that they can differ in a kind of frame, a time or a limit, but
+# hardly in one of the thousand lengths and places that a sweep tries; what each sweep is about has
+# a shorter case, too, which all of them run.
+COMPLETE = ("posix", "avr", "avr-usb", "python", "transducers")
+SWEEPS = (
+    *("frame.interrupted-anywhere", "frame.lengths", "frame.pieces", "stuff.escape-ff-anywhere"),
+    *("stuff.needless", "sum.every-length", "sif.every-length", "many.echo-lengths"),
+    *("types.bools", "types.lengths"),
+    *("timing.gives-up-long", "timing.pause-in-long-frame", "timing.trickle-long"),
+)
 KINDS = ("simulated", "machine", "emulator")
 
 
@@ -34,6 +47,16 @@ def commands() -> dict[str, list[str]]:
     for path in sorted(ROOT.glob("conformance/hosts/*.py")):
         found[f"host-{path.stem}"] = ["host", "--", sys.executable, str(path)]
     return found
+
+
+def sampled(name: str, arguments: list[str]) -> list[str]:
+    """Return the arguments for a testee, without the sweeps where it is not one of COMPLETE."""
+    if arguments[0] != "run" or name in COMPLETE:
+        return arguments
+    every = [case.ID for case in load() if not case.ON_DEMAND]
+    if unknown := {*SWEEPS} - {*every}:
+        raise SystemExit(f"there is no case {', '.join(sorted(unknown))}")
+    return [*arguments, "--case", *(case for case in every if case not in SWEEPS)]
 
 
 def kind(arguments: list[str]) -> str:
@@ -69,11 +92,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these testees")
     parser.add_argument("--build", action="store_true", help="build the testees, and run nothing")
+    parser.add_argument("--sample", action="store_true", help="most testees without the sweeps")
     args = parser.parse_args()
     every = commands()
     if unknown := set(args.names) - set(every):
         parser.error(f"no testee {', '.join(sorted(unknown))}; there are {', '.join(every)}")
     chosen = {name: every[name] for name in args.names} or every
+    if args.sample:
+        chosen = {name: sampled(name, arguments) for name, arguments in chosen.items()}
     if args.build:
         for _, *files in chosen.values():
             if files[0].endswith(".toml"):
@@ -82,7 +108,7 @@ def main() -> int:
         return 0
     OUT.mkdir(parents=True, exist_ok=True)
     for old in OUT.iterdir():
-        if chosen is every or old.stem in chosen:
+        if not args.names or old.stem in chosen:
             old.unlink()
     left: dict[str, deque[str]] = {name: deque() for name in KINDS}
     for name, arguments in chosen.items():

@@ -12,6 +12,10 @@ fuzz_deframer() {
 }
 
 step programs "the programs that the suite runs against" python tools/conformance.py --build
+step conformance "the suite, every case of it, against every testee and every host of ours" \
+    python tools/conformance.py
+step trace "each requirement, from clause to last result of every testee, as the summary says" \
+    python -m tools.trace --check
 step pytest "tests on more links, seeds and defects, and every job in a guest" \
     python -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'exhaustive or guest'
 step interpreters "the tests of the library and of the transports on every Python of this machine" \
