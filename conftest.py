@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import threading
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -64,10 +65,20 @@ def _file(item: pytest.Item) -> str:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of the longest files, and sort them to the front; all others stay in order."""
+    """Mark the tests of the longest files, and sort them to the front; all others stay in order.
+
+    Of the parameters of a test that is `sampled(n)` the first, the n-th behind it and so on are the
+    sample; all others are `exhaustive`.
+    """
     rank = {name: number for number, name in enumerate(LONGEST)}
     items.sort(key=lambda item: rank.get(_file(item), len(rank)))
+    seen: Counter[str] = Counter()
     for item in items:
+        if sampled := item.get_closest_marker("sampled"):
+            test = item.nodeid.partition("[")[0]
+            if seen[test] % sampled.args[0]:
+                item.add_marker("exhaustive")
+            seen[test] += 1
         if _file(item) in rank:
             item.add_marker("slow")
         if item.get_closest_marker("guest"):  # an emulated processor waits for a busy machine

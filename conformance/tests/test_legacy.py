@@ -75,6 +75,7 @@ NOT_SHOWN = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("build", [name for name in BUILDS if name != "all"])
 def test_every_build_conforms(build):
     found = judge(build, lambda case: not case.ID.startswith(SLOW))

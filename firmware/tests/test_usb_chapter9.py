@@ -38,6 +38,7 @@ def test_suspend_asleep(build, mcu, check):
         check.run(device)
 
 
+@pytest.mark.sampled(4)  # of each chip, of each way to count, and of each check in turn
 @pytest.mark.parametrize(
     "check",
     [
@@ -54,6 +55,7 @@ def test_however_the_chip_counts_bytes(chip, counting, check):
         check.run(device)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "check", [pytest.param(check, id=check.name) for check in CHECKS if check.name[:4] == "bus."]
 )
