@@ -1,10 +1,11 @@
-"""Run the tests of the library on the oldest and the newest Python from 3.11 on of this machine.
+"""Run tests of the library on the oldest and the newest Python from 3.11 on of this machine.
 
 What flows in: the interpreters in PATH, in /usr/bin, and those of pyenv; constraints.txt. What
 flows out: what pytest says on each, and an exit code. Rules: of each minor version the newest one
-is taken, that of .venv is left to the other tests; `--all` adds those in between, and the tests of
-the transports; each has an environment of its own in build/python, with the pinned packages that
-the tests import, renewed when these change.
+is taken, that of .venv is left to the other tests; each imports every module of the packages, and
+runs the tests in which a Python can make a difference; `--all` adds the versions in between, and
+the other tests of the library and of the transports; each has an environment of its own in
+build/python, with the pinned packages that the tests import, renewed when these change.
 """
 
 import argparse
@@ -27,8 +28,22 @@ ROOT = Path(__file__).resolve().parent.parent
 OLDEST = (3, 11)
 EXTRAS = ("serial", "usb", "conformance", "build", "record")
 TOOLS = ("pytest", "pytest-timeout", "pytest-xdist", "hypothesis")
-TESTS = ("j2a/tests/library",)
-MORE_TESTS = ("transports/tests", "--ignore=transports/tests/guest")
+# What the event loop, threads, sockets, annotations or copies of objects have a part in.
+TESTS = tuple(
+    f"j2a/tests/library/test_{name}.py"
+    for name in (
+        *("aio", "async_engine", "client", "device", "interface", "outcomes", "threads"),
+        *("typed_device", "typed_host"),
+    )
+)
+ALL_TESTS = ("j2a/tests/library", "transports/tests", "--ignore=transports/tests/guest")
+IMPORTS = """
+import importlib, pkgutil
+for name in ("j2a", "j2a_spec", "j2a_transports", "j2a_conformance", "j2a_sim"):
+    for found in pkgutil.walk_packages(importlib.import_module(name).__path__, f"{name}."):
+        if not found.name.startswith("j2a.tests") and not found.name.endswith("__main__"):
+            importlib.import_module(found.name)
+"""
 WORKERS = "2"
 LIMIT_S = 1800
 Version = tuple[int, int, int]
@@ -133,7 +148,18 @@ def environment(program: Path, version: Version) -> Path:
 
 
 def run_tests(python: Path, tests: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
-    """Run the tests; return what pytest said, and its exit code."""
+    """Import all, then run the tests; return what was said, and the exit code."""
+    imported = subprocess.run(
+        [python, "-W", "error", "-c", IMPORTS],
+        cwd=ROOT / "build",
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+        timeout=LIMIT_S,
+    )
+    if imported.returncode:
+        return imported
     options = ["-q", "-n", WORKERS, "-m", "not slow and not exhaustive", "-p", "no:cacheprovider"]
     return subprocess.run(
         [python, "-m", "pytest", *options, *tests],
@@ -152,7 +178,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--all", action="store_true", help="all versions, more tests")
     is_all = parser.parse_args().all
-    tests = (*TESTS, *MORE_TESTS) if is_all else TESTS
+    tests = ALL_TESTS if is_all else TESTS
     found = interpreters(between=is_all)
     if not found:
         print("there is no other Python from 3.11 on here")
