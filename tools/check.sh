@@ -14,7 +14,7 @@ tests=
 begin_tests() {
     set -m
     # The benchmarks only prove that they run. conftest.py says which files come first.
-    python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable \
+    timed pytest python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable \
         -m 'not exhaustive' </dev/null >build/pytest.log 2>&1 &
     tests=$!
     set +m
@@ -26,6 +26,7 @@ show_tests() {
     tail -n +1 -f --pid="$tests" build/pytest.log
     wait "$tests" || failed+=(pytest)
     tests=
+    said_time pytest
 }
 
 step generate "generated files are up to date" python -m j2a_spec.generate --check
@@ -43,9 +44,10 @@ fi
 # The tests need some of the programs, too, and two must not build the same at once.
 step programs "the programs that the suite runs against" python tools/conformance.py --build
 chosen pytest && begin_tests
-step conformance "the suite against every testee and every host of ours" python tools/conformance.py
-step mutants "each mutant is killed by a case of the rule that it breaks" \
-    python conformance/mutants/kill.py
+step conformance "the suite against every host of ours and every testee, some of them without the sweeps" \
+    python tools/conformance.py --sample
+step mutants "each mutant is killed by a case of the rule that it breaks, or nothing changed since it was" \
+    python conformance/mutants/kill.py --changed
 step generated-mutants "a sample of the generated mutants is killed: dimensions, and mechanical changes" bash -c \
     'python conformance/mutants/kill.py --dimensions --sample 12 &&
     python conformance/mutants/random_mutants.py --target core --count 12'
