@@ -71,3 +71,16 @@ def test_a_run_of_some_cases_is_a_sample(tmp_path):
     for name, not_run in (("avr", {}), ("posix", {"frame.pieces": "frame"})):
         (tmp_path / f"{name}.json").write_text(json.dumps({"not_run": not_run}), "utf-8")
     assert tool.sampled(tmp_path) == {"posix"}
+
+
+def test_no_summary_is_made_of_a_sample(tmp_path, monkeypatch, capsys):
+    report = {"results": [], "not_run": {"frame.pieces": "frame"}}
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results/avr.json").write_text(json.dumps(report), "utf-8")
+    monkeypatch.setattr(tool, "SUMMARY", tmp_path / "trace.json")
+    monkeypatch.setattr(tool, "TRACE", tmp_path / "traceability.json")
+    monkeypatch.setattr("sys.argv", ["trace", "--results", str(tmp_path / "results")])
+    with pytest.raises(SystemExit, match="2"):
+        tool.main()
+    assert "avr ran a sample" in capsys.readouterr().err
+    assert not (tmp_path / "trace.json").exists()
