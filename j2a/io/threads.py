@@ -248,7 +248,7 @@ class LinkThreads:
             return True
         return self._transport.wait(limit_s) or self._asked != self._answered
 
-    def stop_leading(self, *, is_awaited: bool) -> None:
+    def stop_leading(self, is_awaited: bool) -> None:
         """Leave reading to others; at once to the reading thread, where somebody waits."""
         self._led_at = time.monotonic()
         self._reading.release()

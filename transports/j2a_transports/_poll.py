@@ -236,7 +236,7 @@ class PolledTransport(Transport):
 
     def try_write(self, data: bytes) -> int:
         """See `Transport.try_write`."""
-        if not self._writing.acquire(blocking=False):
+        if not self._writing.acquire(False):
             return 0
         try:
             if self._closed or self._end is not None:
