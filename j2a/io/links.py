@@ -139,7 +139,7 @@ class WatchedLink(AsyncLink):
             self._step()
 
     def _step(self) -> None:
-        now = self._now() if self._is_asked else -math.inf
+        now = self._now() if self._is_asked else 0.0
         try:
             data = self._unread or self._transport.read(0)
         except Exception as error:
