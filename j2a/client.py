@@ -127,11 +127,12 @@ class Client(ClientBase):
             LinkError: the link is lost, closed or stalled.
         """
         data = check_payload(payload)
-        limit_s = self._limit_s(timeout)
+        limit_s = self._timeout if timeout is None else check_timeout(timeout)
         generation = self._session.generation
         known = self._known(function, data)
         if known is not None:
-            reply = self._engine.call(*known, data, limit_s, generation)
+            what, opcode = known
+            reply = self._engine.call(what, opcode, data, limit_s, generation)
         else:
             limits = self._call_limits(limit_s, self.now())
             reply = self._drive(self._call(function, data), limits)

@@ -44,6 +44,7 @@ _Restarted = Callable[[Restart], tuple[Restart, Handlers[RestartHandler]]]
 _LEAVE_S: Final = 0.1
 """How long a dispatcher whose handler has not ended in time has left to do so."""
 
+_new_lock: Final = threading.Lock
 _logger = logging.getLogger("j2a")
 
 
@@ -80,7 +81,8 @@ class Engine:
         self._drops_sifs = False
         # Whoever takes the second holds the first while it waits, except for the reader, which only
         # passes through: it would take the second again at once and keep all others waiting.
-        # A signal handler may find its own thread holding it, which only an RLock can tell.
+        # A signal handler may find its own thread holding it, which only an RLock can tell. A caller
+        # that leads needs only the first: nobody else is the reader then.
         self._turn = threading.RLock()
         self._state = threading.Lock()
         self._closing = threading.RLock()
@@ -106,21 +108,32 @@ class Engine:
         self.check_process()
         if self._turn._is_owned():  # type: ignore[attr-defined]
             self._refuse_nested(what)
-        waiter = threading.Lock()
+        waiter = _new_lock()
         waiter.acquire()
+        session = self._session
         try:
-            with self._turn, self._state:
-                call = self._session.start_call(
-                    what,
-                    opcode,
-                    payload,
-                    now=self._clock(),
-                    timeout_s=limit_s,
-                    waiter=waiter,
-                    generation=generation,
-                )
-                self._send()
-            self._wait(call, waiter)
+            if session.waiting or not self._link.start_leading():
+                with self._turn, self._state:
+                    now = self._clock()
+                    call = session.start_call(
+                        what, opcode, payload, now, limit_s, waiter, generation
+                    )
+                    self._send()
+                self._wait(call, waiter)
+            else:
+                # Nobody else calls or reads, so what follows needs no other thread.
+                try:
+                    with self._turn:
+                        now = self._clock()
+                        call = session.start_call(
+                            what, opcode, payload, now, limit_s, waiter, generation
+                        )
+                        self._send()
+                    self._lead(call, now, now + LEAD_S)
+                finally:
+                    self._link.stop_leading(session.waiting > 0)
+                if not call.has_ended:
+                    self._wait_for_others(call, waiter)
         except BaseException:
             with self._turn, self._state:
                 self._settle(self._session.cancel(waiter))
@@ -151,13 +164,7 @@ class Engine:
                     waiter.acquire()
                     calls.append(
                         self._session.start_call(
-                            what,
-                            opcode,
-                            payload,
-                            now=now,
-                            timeout_s=limit_s,
-                            waiter=waiter,
-                            generation=generation,
+                            what, opcode, payload, now, limit_s, waiter, generation
                         )
                     )
                 self._send()
@@ -214,11 +221,17 @@ class Engine:
     def _wait(self, call: Call, waiter: threading.Lock) -> None:
         # Where several wait, one of them would wake others all the time. In a signal handler the
         # thread that leads is the one that was interrupted, so nobody else can.
-        if self._session.waiting == 1:
-            if self._link.start_leading():
-                self._lead(call, self._clock() + LEAD_S)
-        elif self._link.is_leading and self._link.start_leading():
-            self._lead(call, math.inf)
+        is_alone = self._session.waiting == 1
+        if (is_alone or self._link.is_leading) and self._link.start_leading():
+            now = self._clock()
+            try:
+                self._lead(call, now, now + LEAD_S if is_alone else math.inf)
+            finally:
+                self._link.stop_leading(self._session.waiting > 0)
+        self._wait_for_others(call, waiter)
+
+    def _wait_for_others(self, call: Call, waiter: threading.Lock) -> None:
+        """Wait until another thread has ended a call, or until its time is over."""
         while not call.has_ended:
             left_s = WAIT_S
             if self._is_simulated:
@@ -230,31 +243,30 @@ class Engine:
             elif not waiter.acquire(timeout=self._link.look()):
                 self._judge(self._clock())
 
-    def _lead(self, call: Call, end: float) -> None:
+    def _lead(self, call: Call, now: float, end: float) -> None:
         """Read for a call that waits, in its own thread, until it has ended or until `end`."""
         if call.deadline is not None and call.deadline < end:
             end = call.deadline
-        clock, wait, step = self._clock, self._link.wait, self._link.step
+        link = self._link
         try:
-            while not call.has_ended:
-                left_s = end - clock()
-                if left_s <= 0:
-                    break
-                if wait(left_s if left_s < WAIT_S else WAIT_S):
+            while not call.has_ended and now < end:
+                left_s = end - now
+                if link.wait(left_s if left_s < WAIT_S else WAIT_S):
                     # Not before now: a signal handler that interrupts the wait may call as well.
                     with self._turn:
                         try:
-                            step()
+                            link.step()
                         except TransportError:
                             break  # the reading thread meets it again
                         except BaseException:  # of a signal handler
                             with self._state:
                                 self._settle(self._session.recover())
                             raise
+                    if call.has_ended:
+                        break
+                now = self._clock()
         except TransportError:
             pass  # as above
-        finally:
-            self._link.stop_leading(is_awaited=self._session.waiting > 0)
 
     def _judge(self, now: float) -> None:
         """End the calls whose time was over at `now`; what had arrived by then was taken."""
@@ -267,12 +279,13 @@ class Engine:
         The state lock is held, so requests keep their order.
         """
         for event in events:
-            if isinstance(event, Sif):
+            if isinstance(event, Call):
+                if event.has_ended and event.waiter.locked():
+                    event.waiter.release()
+            elif isinstance(event, Sif):
                 self._queue_sif(event)
-            elif isinstance(event, Restart):
+            else:
                 self._queue_restart(event)
-            elif event.has_ended and event.waiter.locked():
-                event.waiter.release()
         self._send()
 
     def _send(self) -> None:
@@ -283,6 +296,10 @@ class Engine:
             self._link.due = self._session.next_timeout() or math.inf
 
     def _receive(self, piece: bytes) -> None:
+        if self._turn._is_owned():  # type: ignore[attr-defined]
+            # Of a caller that leads.
+            self._settle(self._session.receive(piece, self._clock()))
+            return
         with self._turn:
             pass
         with self._state:

@@ -427,6 +427,11 @@ class ClientBase:
     def _known(self, function: str | int, payload: bytes) -> tuple[str, int] | None:
         """Return what to call, and its opcode, if nothing has to be asked before; else None."""
         device = self._device
+        if type(function) is str and self._learnt == self._session.epoch:
+            # What the rest says of a name that the device is known to have.
+            opcode = None if device.functions is None else device.functions.get(function)
+            if opcode is not None and len(payload) <= device.room:
+                return function, opcode
         is_plain = not isinstance(function, str | RemoteFunction)
         if self._is_stale:
             if not is_plain or len(payload) > MIN_ROOM:

@@ -11,7 +11,6 @@ taken, so a flood stays in the transport.
 import asyncio
 import contextlib
 import math
-import os
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from j2a.errors import LinkClosed, LinkError, LocalError
 from j2a.io.opening import WAIT_S, link_error
-from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of, refuse_process
+from j2a.io.threads import PIECE, LinkThreads, Writer, clock_of, process, refuse_process
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -64,17 +63,17 @@ class AsyncLink:
         self._receive = receive
         self._looked = looked
         self._ended = ended
-        self._process = os.getpid()
+        self._process = process.pid
         self.threads: list[threading.Thread] = []
 
     @property
     def is_inherited(self) -> bool:
         """This process is a child of that which opened the link, which is not its own."""
-        return os.getpid() != self._process
+        return process.pid != self._process
 
     def check_process(self) -> None:
         """Refuse to work in a child process; see `threads.refuse_process`."""
-        if os.getpid() != self._process:
+        if process.pid != self._process:
             refuse_process(self._transport.url)
 
 
@@ -140,7 +139,7 @@ class WatchedLink(AsyncLink):
             self._step()
 
     def _step(self) -> None:
-        now = self._now() if self._is_asked else -math.inf
+        now = self._now() if self._is_asked else 0.0
         try:
             data = self._unread or self._transport.read(0)
         except Exception as error:

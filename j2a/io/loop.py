@@ -23,7 +23,7 @@ from j2a.io.handlers import ErrorHook, Handlers, Reporter, Wanted
 from j2a.io.links import ThreadedLink, WatchedLink
 from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, LOOK_S, clock_of, join_threads, start_thread
-from j2a.protocol.session import Event, Session
+from j2a.protocol.session import Call, Event, Session
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
@@ -118,13 +118,7 @@ class AsyncEngine:
         done: asyncio.Future[None] = asyncio.Future(loop=self._loop)
         try:
             call = self._session.start_call(
-                what,
-                opcode,
-                payload,
-                now=self.now(),
-                timeout_s=limit_s,
-                waiter=done,
-                generation=generation,
+                what, opcode, payload, self.now(), limit_s, done, generation
             )
         except J2AError:
             # Repeated attempts must not block the event loop.
@@ -132,7 +126,7 @@ class AsyncEngine:
             raise
         finally:
             self._send()  # where the link is stalled, a barrier
-        if call.deadline is not None:
+        if call.deadline is not None and call.deadline < self._timer_due:
             self._judge_at(call.deadline)
         try:
             await done
@@ -214,15 +208,16 @@ class AsyncEngine:
     def _settle(self, events: Iterable[Event]) -> None:
         """Wake the callers whose call has ended, queue SIFs, and send what is to be sent."""
         for event in events:
-            if isinstance(event, Sif):
+            if isinstance(event, Call):
+                if event.has_ended and not event.waiter.done():
+                    event.waiter.set_result(None)
+            elif isinstance(event, Sif):
                 if self._takes_sifs and self._sifs.qsize() < MAX_SIFS_WAITING:
                     self._sifs.put_nowait(event)
                 else:
                     self._session.count("sifs_dropped")
-            elif isinstance(event, Restart):
+            else:
                 self._queue_restart(event)
-            elif event.has_ended and not event.waiter.done():
-                event.waiter.set_result(None)
         self._send()
 
     def _send(self) -> None:

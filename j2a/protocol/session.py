@@ -8,6 +8,7 @@ answers the call that is on the wire with its seq and no other; anything else is
 counted. Every call ends.
 """
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any, Final, Literal
@@ -99,7 +100,7 @@ class Session:
         self._queue: OrderedDict[Call, None] = OrderedDict()
         self._sent: dict[int, Call] = {}
         self._sent_bytes = 0
-        self._waiters: dict[int, Call] = {}
+        self._waiters: dict[Any, Call] = {}
         self._deadlines = Deadlines()
         # Seqs of attempts that ended while their reply may still come, and the attempts' numbers.
         self._owed: dict[int, int] = {}
@@ -126,7 +127,6 @@ class Session:
         what: str,
         opcode: int,
         payload: bytes,
-        *,
         now: float,
         timeout_s: float,
         waiter: Any,
@@ -140,7 +140,7 @@ class Session:
             payload: 0..255 bytes.
             now: the time, in seconds.
             timeout_s: when the call ends if no reply has come, from now on; may be infinite.
-            waiter: kept in the call for the client.
+            waiter: kept in the call for the client, whose other calls have other ones.
             generation: in which the opcode meant what the call is for; None means it always does.
 
         Raises:
@@ -154,9 +154,9 @@ class Session:
             text = f"{what} was not sent: the device has restarted meanwhile; try again"
             raise DeviceRestarted(text, outcome=Outcome.NOT_SENT)
         self._now = now
-        deadline = now + timeout_s if timeout_s != float("inf") else None
+        deadline = now + timeout_s if timeout_s != math.inf else None
         call = Call(what, opcode, payload, deadline, timeout_s, waiter)
-        self._waiters[id(waiter)] = call
+        self._waiters[waiter] = call
         self._deadlines.add(call, len(self._waiters))
         if self._queue or not self._send_call(call):
             self._queue[call] = None
@@ -172,7 +172,7 @@ class Session:
 
         Returns: calls sent instead, or failed because the link is stalled.
         """
-        call = self._waiters.get(id(waiter))
+        call = self._waiters.get(waiter)
         if call is not None:
             text = f"{call.what} was cancelled; it {call.fate}"
             self._give_up(call, J2AError(text, outcome=call.outcome))
@@ -286,7 +286,6 @@ class Session:
     def _send(self, wire: bytes, seq: int, opcode: int, payload: bytes) -> None:
         self._next_number += 1
         self._out.append(wire)
-        self._counts["frames_sent"] += 1
         if self._tracer.is_on:
             self._tracer.note("tx", Frame(SOF, seq, opcode, payload))
 
@@ -302,10 +301,10 @@ class Session:
         return seq
 
     def _end(
-        self, call: Call, *, reply: Reply | None = None, error: J2AError | None = None
+        self, call: Call, reply: Reply | None = None, error: J2AError | None = None
     ) -> None:
         call.reply, call.error, call.has_ended = reply, error, True
-        self._waiters.pop(id(call.waiter), None)
+        self._waiters.pop(call.waiter, None)
         if self._hinted:
             self._hinted.pop(call, None)
         if call.number >= 0:
@@ -422,7 +421,7 @@ class Session:
         self._sent = {call.seq: call for call in live if call.was_sent}
         self._sent_bytes = sum(call.size for call in self._sent.values())
         self._queue = OrderedDict.fromkeys(call for call in live if not call.was_sent)
-        self._waiters = {id(call.waiter): call for call in live}
+        self._waiters = {call.waiter: call for call in live}
         self._hinted = {call: None for call in self._hinted if not call.has_ended}
         if self._closed is not None:
             return events + self._end_all(self._closed)
@@ -468,7 +467,7 @@ class Session:
         if code in _DAMAGE:
             return self._take_hint(call, code, payload)
         if code in _OK:
-            self._end(call, reply=_new_reply(Reply, (code, payload)))
+            self._end(call, _new_reply(Reply, (code, payload)))
         elif code == ERR_OPCODE:
             self._counts["error_replies"] += 1
             self._end(call, error=remote_error(call.what, code, payload))
@@ -479,7 +478,8 @@ class Session:
         if self._owed or self._hinted:
             return [*self._exclude(call.number), call]
         # `_exclude`, with nothing to exclude.
-        self._proven = max(self._proven, call.number)
+        if call.number > self._proven:
+            self._proven = call.number
         return [call]
 
     def _take_hint(self, call: Call, code: int, payload: bytes) -> list[Call]:
@@ -533,7 +533,8 @@ class Session:
     @property
     def counters(self) -> Counters:
         """The counters as they are now."""
-        return Counters(**{**self._counts, "bytes_skipped": self._deframer.skipped})
+        known = {"frames_sent": self._next_number, "bytes_skipped": self._deframer.skipped}
+        return Counters(**{**self._counts, **known})
 
 
 def _is_proof(code: int) -> bool:

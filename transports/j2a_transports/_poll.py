@@ -23,6 +23,7 @@ CHUNK: Final = 65536
 READY: Final = 1
 BROKEN: Final = 2
 WOKEN: Final = 4
+_INPUT: Final = READY | BROKEN
 
 
 class Waker:
@@ -169,7 +170,7 @@ class PolledTransport(Transport):
                     state = self._await_input(timeout_s)
                     if self._closed:
                         raise LinkClosed(f"{self.url} was closed during a read")
-                    if not state & (READY | BROKEN):
+                    if not state & _INPUT:
                         return b""
                 try:
                     data = self._receive()
@@ -200,7 +201,8 @@ class PolledTransport(Transport):
                 return True
             if self._reader_waker is None:
                 self._add_reader_waker()
-            return bool(self._await_input(timeout_s) & (READY | BROKEN)) or self._closed
+            state = self._await_input(timeout_s)
+            return bool(state & _INPUT) or self._closed
 
     def _await_input(self, timeout_s: float | None) -> int:
         """Wait until there is something to read, or until woken; return what `Readiness` says."""
@@ -208,7 +210,7 @@ class PolledTransport(Transport):
         if timeout_s is None and self._reader_waker is None:
             self._add_reader_waker()
         state = self._readable.wait(0 if self._reader_woken else timeout_s)
-        if not self._closed:
+        if (state != READY or self._reader_woken) and not self._closed:
             self._reader_woken = False
             if state & WOKEN and self._reader_waker is not None:
                 self._reader_waker.reset()
@@ -236,7 +238,7 @@ class PolledTransport(Transport):
 
     def try_write(self, data: bytes) -> int:
         """See `Transport.try_write`."""
-        if not self._writing.acquire(blocking=False):
+        if not self._writing.acquire(False):
             return 0
         try:
             if self._closed or self._end is not None:

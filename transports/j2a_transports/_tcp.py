@@ -83,7 +83,8 @@ class TcpTransport(PolledTransport):
 
     def _receive(self) -> bytes:
         data = self._sock.recv(CHUNK)
-        self._has_received = self._has_received or bool(data)
+        if not self._has_received:
+            self._has_received = bool(data)
         return data
 
     def _lost(self, error: OSError | None) -> LinkLost:
