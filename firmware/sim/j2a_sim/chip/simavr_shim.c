@@ -18,6 +18,7 @@
 #include "sim_core.h"
 #include "adc.h"
 #include "board.h"
+#include "eeprom.h"
 #include "growing_array.h"
 #include "interrupts.h"
 #include "mcu.h"
@@ -235,6 +236,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     avr_init(avr);
     if (memory_widen(avr))
         return failed(s, error, error_size, "out of memory");
+    eeprom_attach(avr);
     mcu_mend(&s->mcu, avr);
     s->signature.avr = avr;
     avr->custom.data = s;
@@ -315,6 +317,10 @@ uint8_t *sim_data(const sim_t *s) { return s->avr->data; }
 uint32_t sim_flash_size(const sim_t *s) { return s->avr->flashend + 1; }
 uint32_t sim_data_size(const sim_t *s) { return s->avr->ramend + 1u; }
 const char *sim_log(const sim_t *s) { return s->log; }
+
+uint8_t *sim_eeprom(const sim_t *s) { return eeprom_bytes(s->avr); }
+
+uint32_t sim_eeprom_size(const sim_t *s) { return sim_eeprom(s) ? s->avr->e2end + 1u : 0; }
 
 usb_host_t *sim_usb(sim_t *s) { return s->usb ? &s->host : NULL; }
 

@@ -26,6 +26,9 @@ uint8_t *sim_data(const sim_t *);
 uint32_t sim_flash_size(const sim_t *);
 uint32_t sim_data_size(const sim_t *);
 const char *sim_log(const sim_t *);
+/* The EEPROM, which a reset leaves as it is; NULL and 0 on a chip without one. */
+uint8_t *sim_eeprom(const sim_t *);
+uint32_t sim_eeprom_size(const sim_t *);
 
 usb_host_t *sim_usb(sim_t *); /* NULL: the chip has none */
 
