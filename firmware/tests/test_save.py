@@ -1,7 +1,6 @@
-"""Settings that stay without power: over resets, other firmware, damage, and a reset at any byte."""
+"""Settings that stay without power: over resets, other firmware, damage, a reset at any byte."""
 
-import re
-import subprocess
+import itertools
 from pathlib import Path
 
 import pytest
@@ -185,7 +184,7 @@ def test_a_reset_at_each_byte_leaves_the_old_settings_or_the_new_ones(chip):
     assert chip.ask(c.TRANSD_SAVE).payload == bytes((c.TRANSD_SAVED,))
     assert len(steps) > 20
     found = []
-    for before, after in zip(steps, steps[1:], strict=False):
+    for before, after in itertools.pairwise(steps):
         [place] = [at for at in range(chip.size) if before[at] != after[at]]
         halves = {after[place], 0xFF, before[place] & after[place], before[place] | after[place]}
         for half in halves:
@@ -220,8 +219,11 @@ def test_only_bytes_that_differ_are_written(chip):
         chip.sim.run(chip.sim.cycles(0.001))
         writes += chip.eeprom != seen
     # The other record has those of SECOND: settings but decimation, the CRC, and the mark twice.
-    differ = sum(a != b for one, two in zip(SECOND, THIRD, strict=True)
-                 for a, b in zip(one.ljust(32, b"\0"), two.ljust(32, b"\0"), strict=True))
+    differ = sum(
+        a != b
+        for one, two in zip(SECOND, THIRD, strict=True)
+        for a, b in zip(one.ljust(32, b"\0"), two.ljust(32, b"\0"), strict=True)
+    )
     assert writes <= differ + 1 + 4 + 2
 
 
@@ -288,9 +290,11 @@ class TestPosix:
             assert board.transducers["tuned"].topic == "first"
 
     def test_a_device_without_it_refuses(self, image):
-        with j2a.connect(f"exec:{image('posix', options='')}") as board:
-            with pytest.raises(FunctionFailed, match="cannot be read or written"):
-                board.transducers["tuned"].save()
+        with (
+            j2a.connect(f"exec:{image('posix', options='')}") as board,
+            pytest.raises(FunctionFailed, match="cannot be read or written"),
+        ):
+            board.transducers["tuned"].save()
 
 
 def test_a_port_without_memory_says_so(image, make, need, tmp_path):
