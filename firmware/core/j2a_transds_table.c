@@ -241,7 +241,8 @@ enum {
 #undef J2A_TRANSD
 #endif
 
-void transds_process(void) {
+/* Its sample is not to lie on the stack while a request is executed. */
+J2A_NOINLINE void transds_process(void) {
     j2a_longest_sample payload;
     j2a_turn(&payload.none);
 }

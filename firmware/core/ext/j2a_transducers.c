@@ -285,15 +285,15 @@ static void set_due(const j2a_transducer *t) {
 }
 
 static void set_safe(const j2a_transducer *t) {
-    uint8_t value[J2A_MAX_PAYLOAD - J2A_TIME_BYTES];
     uint8_t channel;
-    uint8_t i;
-    for (i = 0; i < t->size; i++)
-        value[i] = 0;
-    if (t->raw)
-        (void)t->raw(J2A_RAW_NA, value);
     for (channel = 0; channel < t->channels; channel++) {
+        uint8_t *const value = t->values + channel * t->size; /* nothing waits for it any more */
+        uint8_t i;
         t->waiting[channel].waits = false;
+        for (i = 0; i < t->size; i++)
+            value[i] = 0;
+        if (t->raw)
+            (void)t->raw(J2A_RAW_NA, value);
         set(t, channel, value);
     }
 }

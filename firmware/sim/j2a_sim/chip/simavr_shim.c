@@ -24,6 +24,7 @@
 #include "mcu.h"
 #include "memory.h"
 #include "signature.h"
+#include "twi.h"
 #include "usart.h"
 
 enum { STOP_OUTPUT = 1, STOP_SPAN = 2, STOP_USB = 4 };       /* what sim_run may stop for */
@@ -39,6 +40,7 @@ struct sim {
     interrupts_t interrupts;
     adc_t adc;
     board_t board;
+    twi_t twi;
     signature_t signature;
     usb_device_t *usb; /* NULL: the chip has none */
     usb_host_t host;
@@ -254,6 +256,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     s->ram_end = ram_end;
     adc_attach(&s->adc, avr);
     board_attach(&s->board, avr, &s->adc);
+    twi_attach(&s->twi, avr);
     s->usart.host_bit = host_bit;
     s->usart.on_byte = on_byte;
     s->usart.on_reset = on_reset;
@@ -402,3 +405,16 @@ void sim_set_references(sim_t *s, double avcc, double aref)
     s->adc.avcc = avcc;
     s->adc.aref = aref;
 }
+
+/* ---- the wires of the TWI ---- */
+
+int sim_has_twi(const sim_t *s) { return s->twi.port != NULL; }
+
+void sim_set_srf02(sim_t *s, int address, int kind, uint32_t cm)
+{
+    s->twi.sensors[address].kind = kind;
+    s->twi.sensors[address].cm = cm;
+}
+
+uint32_t sim_srf02_measurements(const sim_t *s, int address) { return s->twi.sensors[address].measurements; }
+void sim_hang_twi(sim_t *s, int on) { s->twi.stuck = on; }

@@ -62,4 +62,11 @@ uint64_t sim_conversions(const sim_t *);
 void sim_set_volts(sim_t *, uint64_t cycle, int channel, double volts);
 void sim_set_references(sim_t *, double avcc, double aref);
 
+/* ---- the wires of the TWI; see twi.h ---- */
+int sim_has_twi(const sim_t *);
+/* address: 0 to 127. kind: TWI_ABSENT and so on. */
+void sim_set_srf02(sim_t *, int address, int kind, uint32_t cm);
+uint32_t sim_srf02_measurements(const sim_t *, int address);
+void sim_hang_twi(sim_t *, int on);
+
 #endif
