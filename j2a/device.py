@@ -87,6 +87,8 @@ class Device(FunctionRegistry):
             0xFF are not for the application then.
         transducers: its sensors and actuators: a transds.def, or what `load_transds` returns. See
             `sense` and `actuator` (J2A-TRANS-001).
+        settings: a file in which settings of transducers stay that a host saves (J2A-TRANS-019);
+            it is made when there is something to keep. Without it SAVE is refused.
         room: the longest payload of a request that it accepts, 32..255 bytes; it answers longer
             ones by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). Use it to test hosts with a small device.
         byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
@@ -97,8 +99,9 @@ class Device(FunctionRegistry):
         trace: the trace of links that begin from now on; None traces nothing.
 
     Raises:
-        LocalError: `room` or `byte_timeout_s` is out of range, or `boot` lacks `interface`; a
-            transds.def is wrong (`SignatureError`).
+        LocalError: `room` or `byte_timeout_s` is out of range, `boot` lacks `interface`, or
+            `settings` lacks `transducers`; a transds.def is wrong (`SignatureError`).
+        OSError: the file of the settings cannot be read.
         RegistrationError: a property is empty or holds NUL.
     """
 
@@ -109,6 +112,7 @@ class Device(FunctionRegistry):
         interface: bool = True,
         boot: bool = False,
         transducers: str | Path | Descriptors | None = None,
+        settings: str | Path | None = None,
         room: int = MAX_PAYLOAD,
         byte_timeout_s: float = BYTE_TIMEOUT_MS / 1000,
         trace: Trace | None = None,
@@ -139,7 +143,11 @@ class Device(FunctionRegistry):
         self._calling = threading.Lock()
         self._runner: TransducerRunner | None = None
         if transducers is not None:
-            self._runner = self._add_transducers(transducers)
+            self._runner = self._add_transducers(transducers, settings)
+        elif settings is not None:
+            raise LocalError(
+                "settings= is the file for those of transducers: give transducers=, too"
+            )
         self._lock = threading.Lock()
         self._debug_lock = threading.Lock()
         # In the order in which they came.
@@ -211,9 +219,12 @@ class Device(FunctionRegistry):
 
     # ------------------------------------------------------------------ transducers
 
-    def _add_transducers(self, source: str | Path | Descriptors) -> TransducerRunner:
+    def _add_transducers(
+        self, source: str | Path | Descriptors, settings: str | Path | None
+    ) -> TransducerRunner:
         known = source if isinstance(source, Descriptors) else load_transds(source)
-        runner = TransducerRunner(known, self.send_sif, self._calling)
+        path = Path(settings) if settings is not None else None
+        runner = TransducerRunner(known, self.send_sif, self._calling, path)
         self._table.add_content(GET_TRANSDS, self._tell_descriptors)
         self._table.add_call(TRANSD, runner.request)
         return runner

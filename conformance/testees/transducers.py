@@ -4,8 +4,10 @@ What flows in: calls of the suite; `stimulus` says what the sensors measure. Wha
 device that does what that firmware does.
 """
 
+import atexit
 import struct
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from j2a.demo import DemoDevice
 from j2a.errors import Fail
@@ -23,7 +25,9 @@ _SENSORS = {
 
 def device() -> DemoDevice:
     """Return the device."""
-    made = DemoDevice(transducers=_FILE)
+    folder = TemporaryDirectory(prefix="j2a-settings-")
+    atexit.register(folder.cleanup)
+    made = DemoDevice(transducers=_FILE, settings=Path(folder.name) / "settings.json")
     count = 0
 
     @made.function

@@ -58,7 +58,7 @@
 #define J2A_TRANSD_WATCHDOG 0x06u /* silence until an actuator is set to safe, `u16 ms` */
 #define J2A_TRANSD_SET 0x07u /* first channel `u8`, time `u64 us`, a value for each channel */
 #define J2A_TRANSD_TRIGGER 0x08u /* time at which a sensor measures, `u64 us` */
-#define J2A_TRANSD_SAVE 0x09u /* keeps the settings without power; nothing */
+#define J2A_TRANSD_SAVE 0x09u /* settings that stay without power, `u8`: a state of SAVE */
 #define J2A_TRANSD_TIME 0x0Au /* the device's clock, `u64 us` */
 
 /* Failures of a2jTransd */
@@ -66,6 +66,12 @@
 #define J2A_TRANSD_NO_ITEM 0x02u /* NO_ITEM: it has no such item to read, or to write */
 #define J2A_TRANSD_BAD_LENGTH 0x03u /* BAD_LENGTH: what is written has another length */
 #define J2A_TRANSD_BAD_VALUE 0x04u /* BAD_VALUE: what is written is out of range */
+#define J2A_TRANSD_BUSY 0x05u /* BUSY: the settings of a transducer are being saved */
+
+/* States of SAVE */
+#define J2A_TRANSD_NOT_SAVED 0x00u /* NOT_SAVED: a reset brings the descriptors' back */
+#define J2A_TRANSD_SAVED 0x01u /* SAVED: a reset brings those of the last write back */
+#define J2A_TRANSD_SAVING 0x02u /* SAVING: those of the last write are being kept */
 
 /* Bounds of transducers */
 #define J2A_TRANSD_MAX_ID 0xFEu /* largest id of a transducer */

@@ -84,8 +84,18 @@
 #error "J2A_WITH_TRANSDUCERS=1 needs J2A_WITH_PROPERTIES=1, because samples are SIFs and hosts find them by both"
 #endif
 
+/* Settings of transducers that stay without power, SAVE. Off: each reset brings the settings of the
+ * descriptors back. */
+#ifndef J2A_WITH_SAVE
+#define J2A_WITH_SAVE 0
+#endif
+#if J2A_WITH_SAVE && !J2A_WITH_TRANSDUCERS
+#error "J2A_WITH_SAVE=1 needs J2A_WITH_TRANSDUCERS=1, whose settings it keeps"
+#endif
+
 #if ((J2A_WITH_MAPPING | J2A_WITH_MANY | J2A_WITH_PROPERTIES | J2A_WITH_DEBUG | J2A_WITH_SIF | \
-     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE | J2A_WITH_BOOT | J2A_WITH_TRANSDUCERS) & ~1) != 0
+     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE | J2A_WITH_BOOT | J2A_WITH_TRANSDUCERS | J2A_WITH_SAVE) & ~1) != \
+     0
 #error "J2A_WITH_... must be 0 or 1"
 #endif
 

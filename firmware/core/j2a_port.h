@@ -71,6 +71,14 @@ uint64_t j2a_port_time_us(void);
 /* Times that received bytes were lost because the device was too slow, since the start. */
 uint16_t j2a_port_overruns(void);
 
+/* Bytes that stay without power, for J2A_WITH_SAVE: J2A_PORT_KEPT_BYTES of them, a number that a port with such memory
+ * defines in its j2a_port_config.h. j2a_port_kept() returns one. j2a_port_keep() returns true if it is `byte`;
+ * otherwise it begins to write it, unless it is writing one already, and returns false: it is called again later. */
+#if J2A_WITH_SAVE
+uint8_t j2a_port_kept(uint16_t at);
+bool j2a_port_keep(uint16_t at, uint8_t byte);
+#endif
+
 /* Called in each turn of the main loop: may sleep for about a millisecond when nothing has been
  * received, may end the program where programs end. */
 void j2a_port_idle(void);

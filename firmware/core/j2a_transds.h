@@ -70,6 +70,25 @@ void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value);
 /* The body of transds_process(). payload: room for the longest sample SIF. */
 void j2a_turn(uint8_t *payload);
 
+/* The part J2A_WITH_SAVE, in ext/j2a_save.c. */
+#if J2A_WITH_SAVE
+enum { J2A_SAVED_HEADER = 5 }; /* bytes of a record before the settings */
+
+/* A read and a write of an item, as by a2jTransd. Return 0 bytes for one that is not there, and the code. */
+uint8_t j2a_read_item(const j2a_transducer *t, uint8_t item, uint8_t *payload);
+uint8_t j2a_write_item(const j2a_transducer *t, uint8_t item, const uint8_t *value, uint8_t length);
+
+/* Brings the settings back that were saved. Called once, at the start. */
+void j2a_save_start(void);
+
+/* Goes on with what is being saved. */
+void j2a_save_turn(void);
+
+/* A write of SAVE, which returns the code, and a read. */
+uint8_t j2a_save(const j2a_transducer *t, const uint8_t *value, uint8_t length);
+uint8_t j2a_save_state(const j2a_transducer *t);
+#endif
+
 /* Compare two values: less than 0, 0, or more, and 2 where one is not a number. */
 int8_t j2a_compare_unsigned(const uint8_t *a, const uint8_t *b, uint8_t size);
 int8_t j2a_compare_signed(const uint8_t *a, const uint8_t *b, uint8_t size);

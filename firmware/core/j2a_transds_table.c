@@ -223,7 +223,26 @@ typedef union {
 } j2a_longest_sample;
 #undef J2A_TRANSD
 
-void transds_process(void) {
+/* What the port must keep: two records for each, with the length and the bytes of each setting. */
+#if J2A_WITH_SAVE
+#define J2A_HAS_KEY(which, ...) ((0 J2A_SAY(which, __VA_ARGS__)) != 0)
+#define J2A_TRANSD(KIND, name, id, prefix, model, channels, type, na, ...) \
+    + 2 * (J2A_SAVED_HEADER + J2A_SAVED_##KIND + 2 * J2A_HAS_KEY(decimation, __VA_ARGS__) + \
+           (1 + j2a_bytes_of_##name) * J2A_HAS_KEY(threshold, __VA_ARGS__) + \
+           (1 + J2A_TRANSD_MAX_TOPIC) * J2A_HAS_KEY(topic, __VA_ARGS__) + 3 * J2A_HAS_KEY(guarded, __VA_ARGS__))
+#define J2A_SAVED_SENSOR (2 + 5)
+#define J2A_SAVED_ACTUATOR 0
+enum {
+    j2a_saved_bytes = 0
+#include "j2a_transds_list.h"
+    ,
+    the_settings_fit_into_what_the_port_keeps = 1 / (j2a_saved_bytes <= J2A_PORT_KEPT_BYTES)
+};
+#undef J2A_TRANSD
+#endif
+
+/* Its sample is not to lie on the stack while a request is executed. */
+J2A_NOINLINE void transds_process(void) {
     j2a_longest_sample payload;
     j2a_turn(&payload.none);
 }
@@ -245,6 +264,9 @@ void transds_init(void) {
         (void)j2a_raw_of_##name(J2A_RAW_THRESHOLD, j2a_threshold_of_##name + 1);
 #include "j2a_transds_list.h"
 #undef J2A_TRANSD
+#if J2A_WITH_SAVE
+    j2a_save_start();
+#endif
 /* An id that comes twice is a case that comes twice. */
 #define J2A_TRANSD(KIND, name, id, prefix, model, channels, type, na, ...) case id:
     switch (j2a_transducer_count) {

@@ -8,9 +8,13 @@ waits for its time does so in a thread that `stop` ends.
 
 import logging
 import math
+import os
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any, Final
 
 from j2a.errors import LocalError
@@ -32,6 +36,7 @@ class TransducerRunner:
         descriptors: what the device says of them.
         send: sends a SIF to each host.
         calling: is held while a function of the device runs.
+        settings: the file that keeps settings; None keeps none.
     """
 
     def __init__(
@@ -39,8 +44,13 @@ class TransducerRunner:
         descriptors: Descriptors,
         send: Callable[[int, bytes], object],
         calling: threading.Lock,
+        settings: Path | None = None,
     ) -> None:
         self._server = TransducerServer(descriptors)
+        if settings is not None:
+            if settings.exists():
+                self._server.restore(settings.read_bytes())
+            self._server.keep = partial(_keep, settings)
         self._send = send
         self._calling = calling
         self._changed = threading.Condition()
@@ -145,6 +155,20 @@ class TransducerRunner:
                     break
                 self._changed.wait(left_s)
             return not self._is_stopped
+
+
+def _keep(path: Path, content: bytes) -> bool:
+    """Replace a file at once, so that it is whole at any time; return whether that went well."""
+    try:
+        with NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(file.name).replace(path)
+    except OSError:
+        _logger.exception("the settings cannot be kept in %s", path)
+        return False
+    return True
 
 
 def _run(actions: list[Action]) -> None:

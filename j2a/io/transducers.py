@@ -5,7 +5,9 @@ Rules: values and settings are checked before anything is sent (J2A-TRANS-025); 
 found by its name, so that it stays the same when the device restarts.
 """
 
+import asyncio
 import struct
+import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
@@ -44,6 +46,7 @@ _FAILURES: Final = {
     c.TRANSD_NO_ITEM: "it cannot be read or written there",
     c.TRANSD_BAD_LENGTH: "it has another length there",
     c.TRANSD_BAD_VALUE: "it is out of range there",
+    c.TRANSD_BUSY: "the settings of another transducer are being saved there",
 }
 _NEEDS: Final = {
     c.TRANSD_DECIMATION: "decimation",
@@ -52,6 +55,9 @@ _NEEDS: Final = {
     c.TRANSD_WATCHDOG: "watchdog",
     c.TRANSD_TRIGGER: "trigger",
 }
+_SAVE: Final = bytes((c.TRANSD_SAVED,))
+_SAVE_S: Final = 20.0
+_SAVE_POLL_S: Final = 0.02
 _SETTINGS: Final = {
     "enabled": c.TRANSD_ENABLED,
     "period": c.TRANSD_PERIOD,
@@ -200,6 +206,25 @@ class RemoteTransducer:
         except (struct.error, PayloadMismatchError, UnicodeDecodeError) as error:
             raise ProtocolError(f"{self.name}: {setting} came as {data!r:.60}: {error}") from None
 
+    def _next_save(self, request: bytes, reply: Reply, end: float) -> bytes | None:
+        """Return the request that follows one of SAVE, None when the settings are kept.
+
+        Raises:
+            FunctionFailed: the device keeps none, or does not get ready in time.
+        """
+        if reply.code == c.TRANSD_BUSY and time.monotonic() < end:
+            return request
+        state = self._answer(reply)
+        if state == _SAVE:
+            return None
+        if state != bytes((c.TRANSD_SAVING,)) or time.monotonic() >= end:
+            raise FunctionFailed(
+                f"{self.name}: its settings are not saved, SAVE is {state!r:.20}",
+                code=reply.code,
+                payload=state,
+            )
+        return self._request(c.TRANSD_SAVE)
+
     def _time(self, data: bytes) -> int:
         if len(data) != TIME_BYTES:
             raise ProtocolError(f"{self.name}: a time came as {data!r:.60}")
@@ -266,12 +291,28 @@ class _Blocking(RemoteTransducer):
         """
         return self._time(self._ask(self._request(c.TRANSD_TIME)))
 
-    def save(self) -> None:
-        """Have the device keep the settings without power (J2A-TRANS-019).
+    def save(self, timeout: float = _SAVE_S) -> None:
+        """Have the device keep the settings of now without power; return when it does.
+
+        Args:
+            timeout: seconds; a device needs up to 10 (J2A-TRANS-028), and as long before for what
+                it is saving already.
+
+        Raises: as `Client.call`; FunctionFailed when the device keeps none, or is still busy.
+        """
+        end = time.monotonic() + timeout
+        request: bytes | None = self._request(c.TRANSD_SAVE, _SAVE)
+        while request is not None:
+            request = self._next_save(request, self._client.call(c.TRANSD, request), end)
+            if request is not None:
+                time.sleep(_SAVE_POLL_S)
+
+    def is_saved(self) -> bool:
+        """Ask whether a reset brings settings back that were saved (J2A-TRANS-019).
 
         Raises: as `Client.call`; FunctionFailed when the device keeps none.
         """
-        self._ask(self._request(c.TRANSD_SAVE))
+        return self._ask(self._request(c.TRANSD_SAVE)) == _SAVE
 
     @property
     def topic(self) -> str:
@@ -450,9 +491,18 @@ class _Async(RemoteTransducer):
         """Ask the device for the time of its clock, in microseconds."""
         return self._time(await self._ask(self._request(c.TRANSD_TIME)))
 
-    async def save(self) -> None:
-        """Have the device keep the settings without power."""
-        await self._ask(self._request(c.TRANSD_SAVE))
+    async def save(self, timeout: float = _SAVE_S) -> None:
+        """Have the device keep the settings of now without power; `Sensor.save` for asyncio."""
+        end = time.monotonic() + timeout
+        request: bytes | None = self._request(c.TRANSD_SAVE, _SAVE)
+        while request is not None:
+            request = self._next_save(request, await self._client.call(c.TRANSD, request), end)
+            if request is not None:
+                await asyncio.sleep(_SAVE_POLL_S)
+
+    async def is_saved(self) -> bool:
+        """Ask whether a reset brings settings back that were saved."""
+        return await self._ask(self._request(c.TRANSD_SAVE)) == _SAVE
 
 
 class AsyncSensor(_Async):

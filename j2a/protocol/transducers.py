@@ -16,6 +16,7 @@ from typing import Any, Final
 from j2a_spec import constants as c
 
 from j2a.errors import LocalError
+from j2a.protocol import saved_settings
 from j2a.types.coding import PythonTypes
 from j2a.types.samples import SampleCodec
 from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Descriptors, Transducer
@@ -61,6 +62,8 @@ class TransducerServer:
         codecs: what packs and unpacks the values of each transducer, by its name.
         on_set: for each actuator what is called with a channel and a value in its unit.
         on_trigger: for each sensor with the key trigger, what lets it measure.
+        keep: takes what is to stay while the device is off, and returns whether it does; None for a
+            device that keeps nothing, which has no SAVE.
     """
 
     def __init__(self, descriptors: Descriptors) -> None:
@@ -81,6 +84,8 @@ class TransducerServer:
         self._by_id = {one.transducer.id: one for one in everything}
         self._by_name = {one.transducer.name: one for one in everything}
         self._heard_us = 0
+        self.keep: Callable[[bytes], bool] | None = None
+        self._saved: saved_settings.SavedSettings = {}
 
     # ------------------------------------------------------------------ drivers
 
@@ -137,6 +142,10 @@ class TransducerServer:
         if one is None:
             return c.TRANSD_NO_ID, b"", []
         item, value = payload[1], payload[2:]
+        if item == c.TRANSD_SAVE and self.keep is not None:
+            code = self._save(one, value) if value else c.RET_OK
+            state = c.TRANSD_SAVED if one.transducer.name in self._saved else c.TRANSD_NOT_SAVED
+            return code, b"" if code else bytes((state,)), []
         if not _has_item(one.transducer, item, bool(value)):
             return c.TRANSD_NO_ITEM, b"", []
         actions: list[Action] = []
@@ -170,6 +179,37 @@ class TransducerServer:
             return False
         self._move(one, now_us, actions)
         return True
+
+    # ------------------------------------------------------------------ what is kept
+
+    def restore(self, content: bytes) -> None:
+        """Bring the settings back that `keep` was given; others are left out (J2A-TRANS-019)."""
+        for name, items in saved_settings.load(content, self.content).items():
+            one = self._by_name.get(name)
+            if one is None:
+                continue
+            self._saved[name] = items
+            for item, value in items.items():
+                if _has_item(one.transducer, item, True) and len(value) in _lengths(one, item):
+                    self._write(one, item, value, 0, [])
+
+    def _save(self, one: "_Sensor | _Actuator", value: bytes) -> int:
+        """Execute a write of SAVE (J2A-TRANS-028); return the code."""
+        if len(value) != 1:
+            return c.TRANSD_BAD_LENGTH
+        if value[0] != c.TRANSD_SAVED:
+            return c.TRANSD_BAD_VALUE
+        settings = {
+            item: _read(one, item, 0)
+            for item in saved_settings.ITEMS.values()
+            if _has_item(one.transducer, item, False)
+        }
+        saved = {**self._saved, one.transducer.name: settings}
+        assert self.keep is not None
+        if not self.keep(saved_settings.dump(saved, self.content)):
+            return c.RET_FAILED
+        self._saved = saved
+        return c.RET_OK
 
     # ------------------------------------------------------------------ what is due
 

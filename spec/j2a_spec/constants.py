@@ -118,8 +118,12 @@ TRANSD_NO_ID: Final = 1
 TRANSD_NO_ITEM: Final = 2
 TRANSD_BAD_LENGTH: Final = 3
 TRANSD_BAD_VALUE: Final = 4
+TRANSD_BUSY: Final = 5
 TRANSD_MAX_ID: Final = 254
 TRANSD_MAX_TOPIC: Final = 32
+TRANSD_NOT_SAVED: Final = 0
+TRANSD_SAVED: Final = 1
+TRANSD_SAVING: Final = 2
 
 # USB: the interface for frames, and SyncUSB, the one for the time (LINKS.md, thesis 6.3).
 USB_VENDOR: Final = 0x6666
@@ -227,7 +231,7 @@ TABLE: Final = (
         ("TRANSD_WATCHDOG", TRANSD_WATCHDOG, "silence until an actuator is set to safe, `u16 ms`"),
         ("TRANSD_SET", TRANSD_SET, "first channel `u8`, time `u64 us`, a value for each channel"),
         ("TRANSD_TRIGGER", TRANSD_TRIGGER, "time at which a sensor measures, `u64 us`"),
-        ("TRANSD_SAVE", TRANSD_SAVE, "keeps the settings without power; nothing"),
+        ("TRANSD_SAVE", TRANSD_SAVE, "settings that stay without power, `u8`: a state of SAVE"),
         ("TRANSD_TIME", TRANSD_TIME, "the device's clock, `u64 us`"),
     ),
     *_rows(
@@ -236,6 +240,13 @@ TABLE: Final = (
         ("TRANSD_NO_ITEM", TRANSD_NO_ITEM, "NO_ITEM: it has no such item to read, or to write"),
         ("TRANSD_BAD_LENGTH", TRANSD_BAD_LENGTH, "BAD_LENGTH: what is written has another length"),
         ("TRANSD_BAD_VALUE", TRANSD_BAD_VALUE, "BAD_VALUE: what is written is out of range"),
+        ("TRANSD_BUSY", TRANSD_BUSY, "BUSY: the settings of a transducer are being saved"),
+    ),
+    *_rows(
+        "States of SAVE",
+        ("TRANSD_NOT_SAVED", TRANSD_NOT_SAVED, "NOT_SAVED: a reset brings the descriptors' back"),
+        ("TRANSD_SAVED", TRANSD_SAVED, "SAVED: a reset brings those of the last write back"),
+        ("TRANSD_SAVING", TRANSD_SAVING, "SAVING: those of the last write are being kept"),
     ),
     *_rows(
         "Bounds of transducers",

@@ -285,15 +285,15 @@ static void set_due(const j2a_transducer *t) {
 }
 
 static void set_safe(const j2a_transducer *t) {
-    uint8_t value[J2A_MAX_PAYLOAD - J2A_TIME_BYTES];
     uint8_t channel;
-    uint8_t i;
-    for (i = 0; i < t->size; i++)
-        value[i] = 0;
-    if (t->raw)
-        (void)t->raw(J2A_RAW_NA, value);
     for (channel = 0; channel < t->channels; channel++) {
+        uint8_t *const value = t->values + channel * t->size; /* nothing waits for it any more */
+        uint8_t i;
         t->waiting[channel].waits = false;
+        for (i = 0; i < t->size; i++)
+            value[i] = 0;
+        if (t->raw)
+            (void)t->raw(J2A_RAW_NA, value);
         set(t, channel, value);
     }
 }
@@ -368,6 +368,9 @@ void j2a_turn(uint8_t *payload) {
         if (t.waiting)
             set_due(&t);
     }
+#if J2A_WITH_SAVE
+    j2a_save_turn();
+#endif
     for (left = j2a_transducer_count; left != 0; left--) {
         if (next >= j2a_transducer_count)
             next = 0;
@@ -504,6 +507,10 @@ static bool has_item(const j2a_transducer *t, uint8_t item, bool is_write) {
         return is_write && t->trigger;
     case J2A_TRANSD_TIME:
         return !is_write;
+#if J2A_WITH_SAVE
+    case J2A_TRANSD_SAVE:
+        return true;
+#endif
     default:
         return false;
     }
@@ -512,7 +519,12 @@ static bool has_item(const j2a_transducer *t, uint8_t item, bool is_write) {
 /* Writes an item that the transducer has; returns the code of the reply. */
 static uint8_t write_item(const j2a_transducer *t, uint8_t item, const uint8_t *value, uint8_t length) {
     static const uint8_t J2A_FLASH sizes[] = {0, 1, 4, 1, 0, 0, 2, 0, J2A_TIME_BYTES};
-    const uint8_t size = item == J2A_TRANSD_THRESHOLD ? t->size : j2a_flash_u8(&sizes[item]);
+    uint8_t size;
+#if J2A_WITH_SAVE
+    if (item == J2A_TRANSD_SAVE)
+        return j2a_save(t, value, length);
+#endif
+    size = item == J2A_TRANSD_THRESHOLD ? t->size : j2a_flash_u8(&sizes[item]);
     if (size != 0 && length != size)
         return J2A_TRANSD_BAD_LENGTH;
     switch (item) {
@@ -578,10 +590,25 @@ static uint8_t read_item(const j2a_transducer *t, uint8_t item, uint8_t *payload
     case J2A_TRANSD_TIME:
         j2a_put_u64(payload, now_us());
         return J2A_TIME_BYTES;
+#if J2A_WITH_SAVE
+    case J2A_TRANSD_SAVE:
+        payload[0] = j2a_save_state(t);
+        return 1;
+#endif
     default: /* SET, TRIGGER */
         return 0;
     }
 }
+
+#if J2A_WITH_SAVE
+uint8_t j2a_read_item(const j2a_transducer *t, uint8_t item, uint8_t *payload) {
+    return has_item(t, item, false) ? read_item(t, item, payload) : 0;
+}
+
+uint8_t j2a_write_item(const j2a_transducer *t, uint8_t item, const uint8_t *value, uint8_t length) {
+    return has_item(t, item, true) ? write_item(t, item, value, length) : J2A_TRANSD_NO_ITEM;
+}
+#endif
 
 uint8_t j2a_transd(uint8_t *const length, uint8_t **const payload) {
     uint8_t *const bytes = *payload;

@@ -1,4 +1,5 @@
 #include "avr_clock.h"
+#include "avr_eeprom.h"
 #include "avr_reset.h"
 
 #define J2A_TICKS_PER_MS AVR_CLOCK_TICKS_PER_MS

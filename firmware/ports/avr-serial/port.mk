@@ -9,7 +9,7 @@ MACHINE := -mmcu=$(MCU) -DF_CPU=$(FREQ)UL -DBAUD=$(BAUD)UL \
 LINK := -Wl,--gc-sections -mrelax
 SUFFIX := .elf
 SIZE := avr-size
-PORT_SOURCES := ports/common/avr_clock.c ports/common/avr_reset.c
+PORT_SOURCES := ports/common/avr_clock.c ports/common/avr_eeprom.c ports/common/avr_reset.c
 PORT_RXBUF := 16
 SMALL := 1
 FLASHER := avrdude

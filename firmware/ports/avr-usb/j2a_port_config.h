@@ -5,6 +5,7 @@
 #include <stdint.h>
 
 #include "avr_clock.h"
+#include "avr_eeprom.h"
 #include "avr_reset.h"
 
 #define J2A_TICKS_PER_MS AVR_CLOCK_TICKS_PER_MS

@@ -24,7 +24,7 @@ MACHINE := -mmcu=$(MCU) -DF_CPU=$(FREQ)UL -DUSB_VENDOR=$(USB_VENDOR) -DUSB_PRODU
 LINK := -Wl,--gc-sections -mrelax
 SUFFIX := .elf
 SIZE := avr-size
-PORT_SOURCES := ports/common/avr_clock.c ports/common/avr_reset.c
+PORT_SOURCES := ports/common/avr_clock.c ports/common/avr_eeprom.c ports/common/avr_reset.c
 # Only a promise, which costs no memory: the host keeps what the chip has no room for.
 PORT_RXBUF := 1024
 RXBUF ?= $(PORT_RXBUF)

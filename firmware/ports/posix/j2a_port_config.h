@@ -1,2 +1,3 @@
 #define J2A_TICKS_PER_MS 10u
 #define J2A_PORT_NAME "posix"
+#define J2A_PORT_KEPT_BYTES 4096

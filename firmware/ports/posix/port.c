@@ -1,5 +1,7 @@
 /* A POSIX process as a device: the link is stdin and stdout, or with --pty a new pseudo-terminal
- * whose name is printed. Ends at the end of input, after all replies, and on SIGTERM and SIGINT. */
+ * whose name is printed. Ends at the end of input, after all replies, and on SIGTERM and SIGINT.
+ * With J2A_WITH_SAVE the file that the environment variable J2A_KEPT names holds what stays without power; without it
+ * nothing does. */
 #define _XOPEN_SOURCE 600
 
 #include <errno.h>
@@ -54,6 +56,34 @@ static void open_pty(void) {
     fflush(stdout);
 }
 
+#if J2A_WITH_SAVE
+static uint8_t kept[J2A_PORT_KEPT_BYTES];
+static int kept_fd = -1;
+
+static void open_kept(void) {
+    const char *const name = getenv("J2A_KEPT");
+    memset(kept, 0xFF, sizeof kept); /* as an EEPROM that nobody has written to */
+    if (!name)
+        return;
+    kept_fd = open(name, O_RDWR | O_CREAT, 0666);
+    if (kept_fd < 0 || pread(kept_fd, kept, sizeof kept, 0) < 0 || pwrite(kept_fd, kept, sizeof kept, 0) < 0)
+        fail(name);
+}
+
+uint8_t j2a_port_kept(uint16_t at) {
+    return kept[at];
+}
+
+bool j2a_port_keep(uint16_t at, uint8_t byte) {
+    if (kept[at] == byte)
+        return true;
+    kept[at] = byte;
+    if (kept_fd >= 0 && pwrite(kept_fd, &byte, 1, at) != 1)
+        fail("writing the file of J2A_KEPT");
+    return false;
+}
+#endif
+
 void j2a_port_init(int argc, char **argv) {
     struct sigaction action;
     memset(&action, 0, sizeof action);
@@ -63,6 +93,9 @@ void j2a_port_init(int argc, char **argv) {
     action.sa_handler = SIG_IGN; /* a reader that went away is seen by write() */
     sigaction(SIGPIPE, &action, NULL);
     clock_gettime(CLOCK_MONOTONIC, &start);
+#if J2A_WITH_SAVE
+    open_kept();
+#endif
     if (argc == 2 && strcmp(argv[1], "--pty") == 0) {
         open_pty();
     } else if (argc > 1) {

@@ -19,6 +19,7 @@ from j2a_sim._core import AvrCore
 from j2a_sim._errors import SimError
 from j2a_sim._pins import Adc, Pins
 from j2a_sim._records import Counters, Interrupts, OutByte, Span
+from j2a_sim._twi import Twi
 from j2a_sim._usb_bus.bus import UsbBus
 
 SERIAL_BYTES: Final = 10
@@ -204,6 +205,17 @@ class AvrSim(AvrCore):
             SimError: the MCU has no ADC.
         """
         return Adc(self._lib, self._lock, lambda: self._handle, self.mcu)
+
+    # -- TWI ----------------------------------------------------------------------------------
+
+    @property
+    def twi(self) -> Twi:
+        """The two wires of the TWI (I2C): sensors on them.
+
+        Raises:
+            SimError: the MCU has no TWI.
+        """
+        return Twi(self._lib, self._lock, lambda: self._handle, self.mcu)
 
     # -- USB ----------------------------------------------------------------------------------
 

@@ -233,6 +233,28 @@ class AvrCore:
         with self._lock:
             ctypes.memmove(self._memory(address, len(data)), bytes(data), len(data))
 
+    def _eeprom(self, address: int, length: int) -> int:
+        """The place of a piece of the EEPROM in our own address space."""
+        size = int(self._lib.sim_eeprom_size(self._handle))
+        if not 0 <= address <= address + length <= size:
+            raise SimError(f"EEPROM address 0x{address:x}+{length} is outside 0..0x{size:x}")
+        place = self._lib.sim_eeprom(self._handle)
+        return (ctypes.cast(place, ctypes.c_void_p).value or 0) + address
+
+    def read_eeprom(self, address: int, length: int) -> bytes:
+        """Read the EEPROM; a byte that the firmware writes is there at once, though it takes time.
+
+        Raises:
+            SimError: no such address.
+        """
+        with self._lock:
+            return ctypes.string_at(self._eeprom(address, length), length)
+
+    def write_eeprom(self, address: int, data: bytes) -> None:
+        """Write to the EEPROM from outside; it stays across resets. Errors as for read_eeprom()."""
+        with self._lock:
+            ctypes.memmove(self._eeprom(address, len(data)), bytes(data), len(data))
+
     @property
     def stack_pointer(self) -> int:
         """The stack pointer (a data address)."""

@@ -4,8 +4,12 @@ In: a linked ELF file. Out: the most bytes that the main context and one interru
 have on the stack: return addresses, saved registers and frames, along the deepest chain of calls.
 Rules: all code counts, also what no input reaches, so the bound may be above what is ever measured
 but not below. A call through a pointer is one into the function table of J2A: from j2a_many a
-function of kind many, else one of kind call; a program with other pointers to functions,
-recursion, a jump through a register, or interrupts that let others in, is refused.
+function of kind many, else one of kind call. In a program with transducers it may also be one to
+what the table of transducers names, or to a callback that transds_init() has given a driver:
+nothing else of it may keep pointers to functions. Whatever a callback calls so compares values; what
+the table starts or sets calls callbacks, as interrupts do; the rest of the core calls no callback. A jump through a register is
+one by a table of the compiler, within its function. A program with other pointers to functions,
+recursion, or interrupts that let others in, is refused.
 """
 
 import re
@@ -28,6 +32,16 @@ _KIND_CALL, _KIND_MANY = 0, 1
 _VECTOR = "__vector_"
 # What calls a function of the table, once; link-time optimisation moves the first into the next.
 _ROUTERS = {"j2a_process", "j2a_task", "main", "j2a_many"}
+_CALLBACK = "j2a_callback_of_"
+_SENSE = "j2a_sense"
+# Functions of core/ext/j2a_transducers.c that are left when others have become part of them; only
+# drivers call callbacks.
+_ENGINE = {"j2a_transd", "transds_process", "j2a_turn", "set"}
+_TABLE_JUMP = "__tablejump2__"
+# Where the pointers of an entry of j2a_transducers are, as core/j2a_transds.h has them.
+_TRANSDUCER_BYTES = 34
+_DRIVERS = (24, 26)  # start, set
+_VALUES = (28, 30, 32)  # raw, compare, is_near
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +86,12 @@ class _Code:
         self._instructions: dict[int, _Instruction] = {}
         self.entries: dict[str, int] = {}
         self._names: dict[int, str] = {}
-        self._depths: dict[int, int] = {}
+        self._depths: dict[tuple[int, frozenset[int]], int] = {}
         self._open: list[int] = []
         self._indirect: dict[str, set[int]] = {}
         self._table = function_table(elf, build)
         self._disassemble()
+        self._drivers, self._values, self._callbacks = self._transducers()
 
     def _fail(self, text: str) -> BudgetError:
         return BudgetError(f"{self._elf}: no bound for the stack: {text}")
@@ -103,19 +118,54 @@ class _Code:
                     int(target[1], 16) if target else None,
                 )
 
+    def _transducers(self) -> tuple[set[int], set[int], set[int]]:
+        """What a program with transducers calls through pointers: of drivers, of values, callbacks."""
+        at, size = symbols(self._elf).get("j2a_transducers", (0, 0))
+        if size % _TRANSDUCER_BYTES:
+            raise self._fail(f"j2a_transducers has no entries of {_TRANSDUCER_BYTES} bytes")
+        flash = self._program.flash
+
+        def named(offsets: tuple[int, ...]) -> set[int]:
+            places = (
+                entry + offset
+                for entry in range(at, at + size, _TRANSDUCER_BYTES)
+                for offset in offsets
+            )
+            return {2 * int.from_bytes(flash[n : n + 2], "little") for n in places} - {0}
+
+        callbacks = {n for name, n in self.entries.items() if name.startswith(_CALLBACK)}
+        return named(_DRIVERS), named(_VALUES), callbacks
+
+    def _pointed(self, name: str) -> set[int]:
+        """What a call through a pointer may reach, besides the function table."""
+        if self._callbacks & set(self._open) or name.startswith(_SENSE):
+            return self._values
+        if name.startswith(_VECTOR):
+            return self._callbacks
+        if self._drivers & set(self._open):
+            return self._callbacks
+        if name.partition(".")[0] in _ENGINE:
+            return self._drivers | self._values
+        return self._drivers | self._values | self._callbacks
+
     def depth(self, start: int) -> int:
         """The most bytes that a function puts on the stack, beyond its return address."""
-        if start in self._depths:
-            return self._depths[start]
+        key = start, self._context()
+        if key in self._depths:
+            return self._depths[key]
         name = self._names.get(start, hex(start))
         if start in self._open:
             raise self._fail(f"{name} calls itself")
         self._open.append(start)
         try:
-            self._depths[start] = self._walk(start, name)
+            self._depths[key] = self._walk(start, name)
         finally:
             self._open.pop()
-        return self._depths[start]
+        return self._depths[key]
+
+    def _context(self) -> frozenset[int]:
+        """What decides, of the functions that are open, where a pointer leads."""
+        return frozenset((self._callbacks | self._drivers) & set(self._open))
 
     def _walk(self, start: int, name: str) -> int:
         """Follow every path through a function, with the depth at each place."""
@@ -134,7 +184,7 @@ class _Code:
                 raise self._fail(f"{name} runs into 0x{at:x}, which is no code")
             after, frame, called = self._step(instruction, depth, frame, name)
             worst = max(worst, depth, after, called)
-            for successor in self._successors(instruction, name):
+            for successor in self._successors(instruction, name, start):
                 if instruction.target == successor and self._leaves(instruction, successor, start):
                     worst = max(worst, depth + self.depth(successor))
                 else:
@@ -168,10 +218,12 @@ class _Code:
             case "icall" | "eicall":
                 calls = self._indirect.setdefault(name, set())
                 calls.add(instruction.address)
-                if name not in _ROUTERS or len(calls) > 1:
+                targets = self._pointed(name)
+                if not targets and (name not in _ROUTERS or len(calls) > 1):
                     raise self._fail(f"{name} calls through a pointer that is none of J2A's table")
-                kind = _KIND_MANY if name == "j2a_many" else _KIND_CALL
-                targets = [at for at, which in self._table if which == kind and at]
+                if name in _ROUTERS:
+                    kind = _KIND_MANY if name == "j2a_many" else _KIND_CALL
+                    targets = targets | {at for at, which in self._table if which == kind and at}
                 called = depth + self._return_bytes + max(map(self.depth, targets))
             case "in" if operands == ("r28", "0x3d"):
                 frame = depth
@@ -199,7 +251,27 @@ class _Code:
                 raise self._fail(f"{name} lets other interrupts in")
         return depth, frame, called
 
-    def _successors(self, instruction: _Instruction, name: str) -> list[int]:
+    def _table_jump(self, address: int, start: int, name: str) -> list[int]:
+        """Where a jump by a table of the compiler may lead: all that it holds of this function."""
+        high, low = self._instructions.get(address - 2), self._instructions.get(address - 4)
+        if (
+            high is None
+            or low is None
+            or (high.name, high.operands[0]) != ("sbci", "r31")
+            or (low.name, low.operands[0]) != ("subi", "r30")
+        ):
+            raise self._fail(f"{name} jumps by a table that is not found")
+        at = 2 * (-(int(high.operands[1], 0) << 8 | int(low.operands[1], 0)) & 0xFFFF)
+        end = min((n for n in self._names if n > start), default=len(self._program.flash))
+        found: list[int] = []
+        while start <= (to := 2 * int.from_bytes(self._program.flash[at : at + 2], "little")) < end:
+            found.append(to)
+            at += 2
+        if not found:
+            raise self._fail(f"{name} jumps by a table that is empty")
+        return found
+
+    def _successors(self, instruction: _Instruction, name: str, start: int) -> list[int]:
         following = instruction.address + instruction.size
         if instruction.name in {"ret", "reti"}:
             return []
@@ -207,6 +279,8 @@ class _Code:
             raise self._fail(f"{name} jumps through a pointer")
         if instruction.name in {"rjmp", "jmp"}:
             assert instruction.target is not None
+            if self._names.get(instruction.target) == _TABLE_JUMP:
+                return self._table_jump(instruction.address, start, name)
             return [instruction.target]
         if instruction.name in _SKIPS:
             skipped = self._instructions[following]

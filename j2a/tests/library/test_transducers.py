@@ -34,6 +34,9 @@ ACTUATOR(heat, 12, heat, X, 1, u16, none, (unit, Cel), (scale, 0.1), (offset, -5
 """
 
 
+ONE_SENSOR = b"\nsensor a 1 1 u8\n"
+
+
 def make_device(text=FILE, **options):
     return j2a.Device(transducers=read_transds(text), **options)
 
@@ -50,11 +53,11 @@ def board(device):
         yield client
 
 
-def talking(content, **options):
-    """A device whose a2jGetTransds returns any bytes."""
+def talking(content, answer=lambda payload: (0, payload[2:]), **options):
+    """A device whose a2jGetTransds returns any bytes, and a2jTransd what `answer` says."""
     made = j2a.Device({"j2a.caps": "transducers"}, **options)
     made._table.add_content(c.GET_TRANSDS, lambda: content)
-    made._table.add_call(c.TRANSD, lambda payload: (0, payload[2:]))
+    made._table.add_call(c.TRANSD, answer)
     return made
 
 
@@ -531,3 +534,106 @@ class TestAsyncio:
                 await imu.trigger()
                 await asyncio.wait_for(seen.wait(), PATIENCE_S)
                 assert list(await board.transducers()) == list(board.transducers)
+
+
+class TestSaving:
+    """Settings that stay in a file (J2A-TRANS-019, J2A-TRANS-028)."""
+
+    @pytest.fixture
+    def path(self, tmp_path):
+        return tmp_path / "settings.json"
+
+    def saved(self, path, text=FILE, **options):
+        with make_device(text, settings=path, **options) as made, linked(made) as client:
+            quad = client.transducers["quad"]
+            quad.configure(period=0.5, topic="other", threshold=7, decimation=3, enabled=False)
+            quad.save()
+            quad.period = 0.25  # not saved
+            client.transducers["servo"].watchdog = 1.5
+            assert quad.is_saved()
+            assert not client.transducers["servo"].is_saved()
+
+    def settings_of(self, path, text=FILE):
+        with make_device(text, settings=path) as made, linked(made) as client:
+            quad = client.transducers["quad"]
+            watchdog = client.transducers["servo"].watchdog
+            return quad.period, quad.topic, quad.threshold, quad.decimation, quad.enabled, watchdog
+
+    def test_they_are_there_after_a_restart(self, path):
+        assert self.settings_of(path) == (0, "wheels", 0, 1, True, 0)
+        assert not path.exists()  # nothing was saved
+        self.saved(path)
+        assert self.settings_of(path) == (0.5, "other", 7, 3, False, 0)
+
+    def test_those_of_other_descriptors_are_not_used(self, path):
+        self.saved(path)
+        assert self.settings_of(path, FILE.replace("HEDS", "HEDX"))[:2] == (0, "wheels")
+
+    def test_no_cut_or_damaged_file_is_an_error(self, path):
+        self.saved(path)
+        content = path.read_bytes()
+        for end in range(0, len(content) - 1, 5):
+            path.write_bytes(content[:end])
+            assert self.settings_of(path)[0] in (0, 0.5)
+        for text in (b"[]", b"null", b'{"descriptors": 1}', b"\xff\xfe", b"[" * 100_000):
+            path.write_bytes(text)
+            assert self.settings_of(path)[0] == 0
+
+    def test_wrong_values_in_the_file_are_left_out(self, path):
+        self.saved(path)
+        text = path.read_text().replace('"decimation": "03"', '"decimation": "00"')
+        path.write_text(text.replace('"threshold": "0700"', '"threshold": "070000"'))
+        assert self.settings_of(path) == (0.5, "other", 0, 1, False, 0)
+
+    def test_a_file_that_cannot_be_written(self, path, caplog):
+        with make_device(settings=path / "no folder") as made, linked(made) as client:
+            with pytest.raises(j2a.FunctionFailed):
+                client.transducers["quad"].save()
+            assert not client.transducers["quad"].is_saved()
+        assert "cannot be kept" in caplog.text
+
+    def test_without_a_file_it_is_refused(self, board):
+        with pytest.raises(j2a.FunctionFailed, match="cannot be read or written"):
+            board.transducers["quad"].save()
+        with pytest.raises(j2a.LocalError, match="transducers"):
+            j2a.Device(settings="x")
+
+    def test_a_board_that_is_busy_is_asked_again(self):
+        left = [(c.TRANSD_BUSY, b""), (0, b"\2"), (0, b"\2"), (0, b"\1")]
+        asked = []
+
+        def answer(payload):
+            asked.append(payload)
+            return left.pop(0)
+
+        with talking(ONE_SENSOR, answer) as made, linked(made) as client:
+            client.transducers["a"].save()
+        assert asked == [b"\1\x09\1", b"\1\x09\1", b"\1\x09", b"\1\x09"]
+
+    @pytest.mark.parametrize("states", [[b""], [b"\0"], [b"\3"], [b"\2", b"\0"]])
+    def test_a_wrong_state_is_a_failure(self, states):
+        left = list(states)
+        with (
+            talking(ONE_SENSOR, lambda _: (0, left.pop(0))) as made,
+            linked(made) as client,
+            pytest.raises(j2a.FunctionFailed),
+        ):
+            client.transducers["a"].save()
+
+    def test_it_waits_only_so_long(self):
+        with (
+            talking(ONE_SENSOR, lambda _: (0, b"\2")) as made,
+            linked(made) as client,
+            pytest.raises(j2a.FunctionFailed, match="not saved"),
+        ):
+            client.transducers["a"].save(timeout=0.1)
+
+    @in_event_loop
+    async def test_asyncio(self, path):
+        with served(make_device(settings=path)) as url:
+            async with await j2a.aconnect(url) as board:
+                quad = board.transducers["quad"]
+                await quad.configure(topic="x")
+                await quad.save()
+                assert await quad.is_saved()
+        assert self.settings_of(path)[1] == "x"

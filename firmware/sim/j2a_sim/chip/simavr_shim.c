@@ -18,11 +18,13 @@
 #include "sim_core.h"
 #include "adc.h"
 #include "board.h"
+#include "eeprom.h"
 #include "growing_array.h"
 #include "interrupts.h"
 #include "mcu.h"
 #include "memory.h"
 #include "signature.h"
+#include "twi.h"
 #include "usart.h"
 
 enum { STOP_OUTPUT = 1, STOP_SPAN = 2, STOP_USB = 4 };       /* what sim_run may stop for */
@@ -38,6 +40,7 @@ struct sim {
     interrupts_t interrupts;
     adc_t adc;
     board_t board;
+    twi_t twi;
     signature_t signature;
     usb_device_t *usb; /* NULL: the chip has none */
     usb_host_t host;
@@ -235,6 +238,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     avr_init(avr);
     if (memory_widen(avr))
         return failed(s, error, error_size, "out of memory");
+    eeprom_attach(avr);
     mcu_mend(&s->mcu, avr);
     s->signature.avr = avr;
     avr->custom.data = s;
@@ -252,6 +256,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     s->ram_end = ram_end;
     adc_attach(&s->adc, avr);
     board_attach(&s->board, avr, &s->adc);
+    twi_attach(&s->twi, avr);
     s->usart.host_bit = host_bit;
     s->usart.on_byte = on_byte;
     s->usart.on_reset = on_reset;
@@ -315,6 +320,10 @@ uint8_t *sim_data(const sim_t *s) { return s->avr->data; }
 uint32_t sim_flash_size(const sim_t *s) { return s->avr->flashend + 1; }
 uint32_t sim_data_size(const sim_t *s) { return s->avr->ramend + 1u; }
 const char *sim_log(const sim_t *s) { return s->log; }
+
+uint8_t *sim_eeprom(const sim_t *s) { return eeprom_bytes(s->avr); }
+
+uint32_t sim_eeprom_size(const sim_t *s) { return sim_eeprom(s) ? s->avr->e2end + 1u : 0; }
 
 usb_host_t *sim_usb(sim_t *s) { return s->usb ? &s->host : NULL; }
 
@@ -396,3 +405,16 @@ void sim_set_references(sim_t *s, double avcc, double aref)
     s->adc.avcc = avcc;
     s->adc.aref = aref;
 }
+
+/* ---- the wires of the TWI ---- */
+
+int sim_has_twi(const sim_t *s) { return s->twi.port != NULL; }
+
+void sim_set_srf02(sim_t *s, int address, int kind, uint32_t cm)
+{
+    s->twi.sensors[address].kind = kind;
+    s->twi.sensors[address].cm = cm;
+}
+
+uint32_t sim_srf02_measurements(const sim_t *s, int address) { return s->twi.sensors[address].measurements; }
+void sim_hang_twi(sim_t *s, int on) { s->twi.stuck = on; }

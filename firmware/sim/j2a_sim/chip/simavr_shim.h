@@ -26,6 +26,9 @@ uint8_t *sim_data(const sim_t *);
 uint32_t sim_flash_size(const sim_t *);
 uint32_t sim_data_size(const sim_t *);
 const char *sim_log(const sim_t *);
+/* The EEPROM, which a reset leaves as it is; NULL and 0 on a chip without one. */
+uint8_t *sim_eeprom(const sim_t *);
+uint32_t sim_eeprom_size(const sim_t *);
 
 usb_host_t *sim_usb(sim_t *); /* NULL: the chip has none */
 
@@ -58,5 +61,12 @@ int sim_has_adc(const sim_t *);
 uint64_t sim_conversions(const sim_t *);
 void sim_set_volts(sim_t *, uint64_t cycle, int channel, double volts);
 void sim_set_references(sim_t *, double avcc, double aref);
+
+/* ---- the wires of the TWI; see twi.h ---- */
+int sim_has_twi(const sim_t *);
+/* address: 0 to 127. kind: TWI_ABSENT and so on. */
+void sim_set_srf02(sim_t *, int address, int kind, uint32_t cm);
+uint32_t sim_srf02_measurements(const sim_t *, int address);
+void sim_hang_twi(sim_t *, int on);
 
 #endif

@@ -1,0 +1,91 @@
+"""Settings of transducers that stay without power: SAVE and its states (J2A-TRANS-028)."""
+
+from typing import Final
+
+from j2a_spec import constants as c
+from j2a_spec import transducers as oracle
+from j2a_spec.oracle import Frame
+
+from j2a_conformance._judge import fail, skip
+
+from .transducers import Board, _TransducerCase
+
+_STATES: Final = (c.TRANSD_NOT_SAVED, c.TRANSD_SAVED, c.TRANSD_SAVING)
+_LONGEST_US: Final = 10_000_000
+_SETTINGS: Final = range(c.TRANSD_ENABLED, c.TRANSD_WATCHDOG + 1)
+
+
+class Saving(_TransducerCase):
+    """Saves the settings of each transducer, with right values and wrong ones, and asks for SAVE
+    until it is SAVED.
+    """
+
+    ID = "transducers.saving"
+    EXPECTATION = "SAVING, BUSY for a write meanwhile, and SAVED; the settings stay as they are."
+    REQUIREMENTS = ("J2A-TRANS-028", "J2A-TRANS-009")
+
+    def _judge(self, board: Board) -> None:
+        having = [one for one in board.all if self._has(board, one)]
+        if not having:
+            skip("the device keeps no settings without power")
+        if len(having) < len(board.all):
+            fail(f"{having[0].name} has SAVE, others do not")
+        for one in board.all:
+            before = self._settings(board, one)
+            self._refused(board, one)
+            self._saved(board, one)
+            if self._settings(board, one) != before:
+                fail(f"settings of {one.name} have changed when they were saved")
+
+    @staticmethod
+    def _ask(board: Board, one: oracle.Transducer, value: bytes = b"") -> Frame:
+        payload = bytes((one.id, c.TRANSD_SAVE)) + value
+        return board.peer.ask(board.peer.request(board.peer.opcode(c.TRANSD), payload))
+
+    def _has(self, board: Board, one: oracle.Transducer) -> bool:
+        for value in (b"", b"\0"):
+            reply = self._ask(board, one, value)
+            if (reply.opcode, reply.payload) == (c.TRANSD_NO_ITEM, b""):
+                return False
+        return True
+
+    def _state(self, reply: Frame, one: oracle.Transducer, *states: int) -> int:
+        if reply.opcode != c.RET_OK or len(reply.payload) != 1 or reply.payload[0] not in states:
+            fail(f"SAVE of {one.name} is {reply.payload.hex()}, with the code {reply.opcode}")
+        return reply.payload[0]
+
+    def _refused(self, board: Board, one: oracle.Transducer) -> None:
+        before = self._state(self._ask(board, one), one, c.TRANSD_NOT_SAVED, c.TRANSD_SAVED)
+        item = bytes((one.id, c.TRANSD_SAVE))
+        for value in (0, 2, 3, 0x81, 0xFF):
+            board.exchange(item + bytes((value,)), c.TRANSD_BAD_VALUE)
+        for length in (2, 3, 4, 8, 30):
+            board.exchange(item + bytes((1,)) * length, c.TRANSD_BAD_LENGTH)
+        if self._state(self._ask(board, one), one, *_STATES) != before:
+            fail(f"SAVE of {one.name} has changed by what was refused")
+
+    def _saved(self, board: Board, one: oracle.Transducer) -> None:
+        begin_us = board.time_us()
+        states = (c.TRANSD_SAVING, c.TRANSD_SAVED)
+        state = self._state(self._ask(board, one, b"\1"), one, *states)
+        others = [other for other in board.all if other.id != one.id] or [one]
+        while state == c.TRANSD_SAVING:
+            again = self._ask(board, others[-1], b"\1")
+            state = self._state(self._ask(board, one), one, *states)
+            is_busy = (again.opcode, again.payload) == (c.TRANSD_BUSY, b"")
+            if state == c.TRANSD_SAVING and not is_busy:
+                fail(f"{others[-1].name} is saved with the code {again.opcode}, not BUSY")
+            if not is_busy:  # the first one was ready by then
+                self._wait(board, others[-1], board.time_us())
+            if board.time_us() - begin_us > _LONGEST_US:
+                fail(f"SAVE of {one.name} is SAVING for more than 10 s", suspect=True)
+        self._state(self._ask(board, one), one, c.TRANSD_SAVED)
+
+    def _wait(self, board: Board, one: oracle.Transducer, begin_us: int) -> None:
+        while self._state(self._ask(board, one), one, *_STATES) == c.TRANSD_SAVING:
+            if board.time_us() - begin_us > _LONGEST_US:
+                fail(f"SAVE of {one.name} is SAVING for more than 10 s", suspect=True)
+
+    @staticmethod
+    def _settings(board: Board, one: oracle.Transducer) -> list[bytes]:
+        return [board.read(one, item) for item in _SETTINGS if board.has(one, item)]

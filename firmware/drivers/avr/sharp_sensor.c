@@ -1,0 +1,41 @@
+/* See sharp_sensor.h. Empty on chips without an ADC. */
+#include "sharp_sensor.h"
+
+#include "adc.h"
+#include "j2a_port.h"
+#include "pins.h"
+#include "sharp.h"
+
+#ifdef ADC_INPUTS
+static void (*callback)(uint8_t channel, uint16_t mm);
+static volatile uint16_t counts[ADC_COUNT]; /* written while a scan runs, read when it is over */
+static uint16_t since;
+static bool is_scanning;
+
+static void take(uint8_t channel, uint16_t value) {
+    counts[channel] = value;
+}
+
+void sharp_set_cb(void (*new_value)(uint8_t channel, uint16_t mm)) {
+    callback = new_value;
+    adc_set_cb(take);
+}
+
+void sharp_task(void) {
+    uint8_t channel;
+    if (is_scanning) {
+        if (adc_busy())
+            return;
+        is_scanning = false;
+        for (channel = 0; channel < ADC_COUNT; channel++)
+            if (callback)
+                callback(channel, sharp_mm(counts[channel]));
+    } else if ((uint16_t)(j2a_port_ticks() - since) >= SHARP_PERIOD_MS * J2A_TICKS_PER_MS) {
+        since = j2a_port_ticks();
+        is_scanning = true;
+        adc_start();
+    }
+}
+#else
+typedef int sharp_sensor_is_missing; /* C has no empty files */
+#endif

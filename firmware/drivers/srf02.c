@@ -1,0 +1,70 @@
+/* See srf02.h. Registers: 0 takes commands, 2 and 3 hold the range, the higher byte first. */
+#include "srf02.h"
+
+#include <stdbool.h>
+
+#include "j2a_port.h"
+#include "twi.h"
+
+enum { COMMAND, RANGE = 2, MEASURE_CM = 0x51 };
+enum { TELLING, MEASURING, READING };
+
+static void (*callback)(uint8_t channel, uint32_t cm);
+static uint8_t phase;
+static uint8_t channel;
+static bool is_under_way; /* the transfer of this channel */
+static uint16_t since;    /* tick at which it began, or the measurement */
+static uint8_t bytes[2];
+
+void srf02_set_cb(void (*new_value)(uint8_t channel, uint32_t cm)) {
+    callback = new_value;
+}
+
+static bool is_over(uint16_t limit_ms) {
+    return (uint16_t)(j2a_port_ticks() - since) >= limit_ms * J2A_TICKS_PER_MS;
+}
+
+static void begin(void) {
+    bytes[0] = phase == TELLING ? COMMAND : RANGE;
+    bytes[1] = MEASURE_CM;
+    if (phase == TELLING)
+        twi_transfer((uint8_t)(SRF02_ADDRESS + channel), bytes, 2, 0);
+    else
+        twi_transfer((uint8_t)(SRF02_ADDRESS + channel), bytes, 1, 2);
+    since = j2a_port_ticks();
+    is_under_way = true;
+}
+
+static void report(bool is_read) {
+    const uint16_t cm = (uint16_t)(bytes[0] << 8 | bytes[1]);
+    if (callback)
+        callback(channel, is_read && cm != 0 ? cm : SRF02_NA);
+}
+
+void srf02_task(void) {
+    uint8_t state;
+    if (phase == MEASURING) {
+        if (!is_over(SRF02_MEASURES_MS))
+            return;
+        phase = READING;
+    }
+    if (!is_under_way) {
+        begin();
+        return;
+    }
+    state = twi_state();
+    if (state == TWI_BUSY) {
+        if (!is_over(SRF02_LIMIT_MS))
+            return;
+        twi_stop();
+    }
+    is_under_way = false;
+    if (phase == READING)
+        report(state == TWI_DONE);
+    if (++channel < SRF02_COUNT)
+        return;
+    channel = 0;
+    if (phase == TELLING)
+        since = j2a_port_ticks();
+    phase = phase == TELLING ? MEASURING : TELLING;
+}

@@ -1,0 +1,57 @@
+"""Settings of transducers that stay while a device is off, as the content of a file.
+
+What flows in and out: for each transducer, by its name, the bytes of each item of a2jTransd that is
+a setting; and the content, which is JSON. Rules: the hash of the descriptors stands in it, so that
+settings of a device with others are never used; nothing in it raises (J2A-TRANS-019).
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Final
+
+from j2a_spec import constants as c
+
+__all__ = ["ITEMS", "SavedSettings", "dump", "load"]
+
+ITEMS: Final[Mapping[str, int]] = {
+    "enabled": c.TRANSD_ENABLED,
+    "period": c.TRANSD_PERIOD,
+    "decimation": c.TRANSD_DECIMATION,
+    "threshold": c.TRANSD_THRESHOLD,
+    "topic": c.TRANSD_TOPIC,
+    "watchdog": c.TRANSD_WATCHDOG,
+}
+"""The items that SAVE keeps."""
+
+SavedSettings = dict[str, dict[int, bytes]]
+
+
+def dump(settings: SavedSettings, descriptors: bytes) -> bytes:
+    """Return the content of the file.
+
+    Args:
+        settings: by the name of a transducer the bytes of each item.
+        descriptors: what a2jGetTransds returns.
+    """
+    names = {item: name for name, item in ITEMS.items()}
+    table = {
+        transducer: {names[item]: value.hex() for item, value in items.items()}
+        for transducer, items in settings.items()
+    }
+    known = {"descriptors": hashlib.sha256(descriptors).hexdigest(), "settings": table}
+    return json.dumps(known, indent=1).encode() + b"\n"
+
+
+def load(content: bytes, descriptors: bytes) -> SavedSettings:
+    """Return the settings of a file; none where it is damaged or belongs to other descriptors."""
+    try:
+        known = json.loads(content)
+        if known["descriptors"] != hashlib.sha256(descriptors).hexdigest():
+            return {}
+        return {
+            transducer: {ITEMS[name]: bytes.fromhex(value) for name, value in items.items()}
+            for transducer, items in known["settings"].items()
+        }
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return {}
