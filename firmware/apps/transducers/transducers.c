@@ -2,6 +2,9 @@
  * actuators that only take. */
 #include "transds.h"
 
+/* The id of the last sensor. */
+enum { WIDE = 254 };
+
 #define DRIVER(prefix, type) \
     static void (*prefix##_cb) J2A_VALUE_OF(type); \
     void prefix##_set_cb(void (*callback) J2A_VALUE_OF(type)) { \
@@ -13,6 +16,7 @@ DRIVER(tuned, i32)
 DRIVER(imu, motion)
 DRIVER(level, f32)
 DRIVER(slow, u8)
+DRIVER(wide, u16)
 
 /* Each measurement is one more than the one before. */
 void imu_trigger(void) {
@@ -37,16 +41,27 @@ void pose_set(uint8_t channel, const motion *value) {
     (void)value;
 }
 
+void lights_set(uint8_t channel, uint16_t value) {
+    (void)channel;
+    (void)value;
+}
+
+void valve_set(uint8_t channel, float value) {
+    (void)channel;
+    (void)value;
+}
+
 /* Takes an id, and then values, each with its channel before; the driver of the sensor reports them at once. */
 uint8_t transducers_stimulus(uint8_t *const length, uint8_t **const payload) {
     const uint8_t *at = *payload;
     const uint8_t *const end = at + *length;
     const uint8_t id = *at++;
     static const uint8_t sizes[] = {2, 2, 4, 18, 4, 1};
+    const uint8_t size = id < sizeof sizes ? sizes[id] : sizeof(uint16_t);
     *length = 0;
-    if (at > end || id >= sizeof sizes)
+    if (at > end || (id >= sizeof sizes && id != WIDE))
         return J2A_RET_FAILED;
-    for (; end - at > sizes[id]; at += 1 + sizes[id]) {
+    for (; end - at > size; at += 1 + size) {
         motion value;
         if (id == 0)
             plain_cb(at[0], j2a_get_i16(at + 1));
@@ -59,6 +74,8 @@ uint8_t transducers_stimulus(uint8_t *const length, uint8_t **const payload) {
             imu_cb(at[0], &value);
         } else if (id == 4)
             level_cb(at[0], j2a_get_f32(at + 1));
+        else if (id == WIDE)
+            wide_cb(at[0], j2a_get_u16(at + 1));
         else
             slow_cb(at[0], at[1]);
     }

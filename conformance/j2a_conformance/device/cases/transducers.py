@@ -32,11 +32,16 @@ STIMULUS: Final = "stimulus"
 _US: Final = struct.Struct("<Q")
 _QUIET_S: Final = 0.03
 _MOST_SIFS: Final = 10_000
-_PERIOD_S: Final = 0.12
+_PERIODS_S: Final = (0.12, 0.06)
 _DUE_US: Final = 120_000
 _LATER_US: Final = 20_000
 _SLACK_US: Final = 1_000_000  # a busy device, or a simulated one
+_BYTES: Final = (0x00, 0x01, 0x11, 0x12, 0x7C, 0x7D, 0x7F, 0x80, 0xEC, 0xED, 0xFF)
 _TRIES: Final = 100
+_WRAP: Final = 65536
+_MANY: Final = 600  # a number of one byte has wrapped
+_WRAP_US: Final = 20_000_000
+_TURNS: Final = 90  # of three values: more than counters of one byte hold
 _STEP: Final = 7
 _FORMATS: Final = {"f32": "<f", "f64": "<d"}
 
@@ -192,6 +197,12 @@ class Board:
             return struct.pack(_FORMATS[element], self.rng.randrange(-999, 999) / 8)
         return self.rng.randbytes(int(element[1:]) // 8)
 
+    def special(self, one: oracle.Transducer) -> list[bytes]:
+        """Return integers all of whose bytes are the same one of those that matter to links."""
+        if one.type.element[0] not in "ui" or one.type.element in self.descriptors.definitions.enums:
+            return []
+        return [bytes((byte,)) * self.size(one) for byte in _BYTES]
+
     def number(self, one: oracle.Transducer, value: bytes) -> Any:
         """Return the number that a value stands for."""
         element = one.type.element
@@ -246,6 +257,11 @@ _KEYS: Final = {
 }
 _WRITE_ONLY: Final = (c.TRANSD_SET, c.TRANSD_TRIGGER, c.TRANSD_SAVE)
 _READ_ONLY: Final = (c.TRANSD_SAMPLE, c.TRANSD_TIME)
+
+
+def spread(one: oracle.Transducer) -> list[int]:
+    """Return the first channel, one in the middle and the last one."""
+    return sorted({0, one.channels // 2, one.channels - 1})
 
 
 def slots(board: Board, one: oracle.Transducer, payload: bytes) -> list[tuple[int, bytes]]:
@@ -341,8 +357,9 @@ class Chunks(_TransducerCase):
         whole = board.peer.read_all(c.GET_TRANSDS)
         lines = [at + 1 for at, byte in enumerate(whole[:-1]) if byte == ord("\n")]
         around = {at + n for at in (*lines, 249, 256, 498, 512) for n in (-1, 0, 1)}
-        spread = {*range(64), *range(0, len(whole), _STEP), len(whole) - 1}
-        offsets = sorted(at for at in spread | around if 0 <= at < len(whole))
+        # So that a last chunk has each length.
+        chosen = {*range(64), *range(0, len(whole), _STEP), *range(len(whole) - 250, len(whole))}
+        offsets = sorted(at for at in chosen | around if 0 <= at < len(whole))
         check_offsets(board.peer, c.GET_TRANSDS, whole, offsets)
 
 
@@ -394,6 +411,8 @@ class Refused(_TransducerCase):
         strange = next(number for number in range(255, -1, -1) if number not in known)
         for item in (*range(12), 255):
             board.exchange(bytes((strange, item)) + bytes(item % 3), c.TRANSD_NO_ID)
+        for length in range(board.peer.longest - 1):
+            board.exchange(bytes((strange, length % 11)) + bytes(length), c.TRANSD_NO_ID)
 
     @staticmethod
     def _items(board: Board, one: oracle.Transducer) -> None:
@@ -403,7 +422,7 @@ class Refused(_TransducerCase):
             if item in _WRITE_ONLY or not board.has(one, item):
                 board.exchange(bytes((one.id, item)), c.TRANSD_NO_ITEM)
             if item in _READ_ONLY or not board.has(one, item):
-                for length in (1, 2, 4, 8, 9) if item < 12 else (1,):
+                for length in (1, 2, 4, 8, 9, board.peer.longest - 2) if item < 12 else (1,):
                     board.exchange(bytes((one.id, item)) + bytes(length), c.TRANSD_NO_ITEM)
 
     def _values(self, board: Board, one: oracle.Transducer) -> None:
@@ -585,8 +604,10 @@ class Samples(_TransducerCase):
         fit = max(1, (board.peer.longest - 1) // (1 + board.size(one)))
         groups = [[channel] for channel in range(one.channels)]
         groups += [[*range(one.channels)][:fit], [one.channels - 1, 0][:fit], [0, 0][:fit]]
-        for group in groups:
-            given = [(channel, board.value(one)) for channel in group]
+        plain = [[(channel, board.value(one)) for channel in group] for group in groups]
+        special = [[(number % one.channels, v)] for number, v in enumerate(board.special(one))]
+        for given in (*plain, *special):
+            group = [channel for channel, _ in given]
             since, begin_us = board.seen, board.time_us()
             board.stimulate(one, *given)
             end_us = board.time_us()
@@ -678,6 +699,41 @@ class Queue(_TransducerCase):
                 fail(f"{one.name}: no room for one value before")
             lost = now
             board.no_sif(one, board.seen, "without a new value")
+        self._wrap(board, one, fit)
+
+    @staticmethod
+    def _wrap(board: Board, one: oracle.Transducer, fit: int) -> None:
+        """Keep values until counters of one byte have wrapped with values waiting, and lose some
+        until the number of them is beyond one byte, and where it is quick, beyond two.
+        """
+        depth, lost = int(one.attributes["queue"]), 0
+        for _ in range(_TURNS):
+            entries = [(0, board.value(one)) for _ in range(min(depth, 3))]
+            since, found = board.seen, []
+            board.stimulate(one, *entries)
+            while len(found) < len(entries):
+                since, payload = board.sif(one, since)
+                found += [(channel, value) for channel, _, value in queued(board, one, payload)]
+                since += 1
+            if found != entries:
+                fail(f"{one.name} was given {entries}, and sent {found}")
+        given, begin_us = 0, board.time_us()
+        while given <= _WRAP:
+            since = board.seen
+            board.stimulate(one, *((0, board.value(one)) for _ in range(fit)))
+            index = since
+            kept = 0
+            while kept < min(fit, depth):
+                index, payload = board.sif(one, index)
+                kept += len(queued(board, one, payload))
+                index += 1
+            now = int.from_bytes(payload[:2], "little")
+            if given and (now - lost) % 65536 != fit - kept:
+                fail(f"{one.name} says {now} behind {lost}, where {fit - kept} values were lost")
+            lost, given = now, given + fit - kept
+            rest = (_WRAP - given) / max(given, 1)
+            if given > _MANY and (board.time_us() - begin_us) * rest > _WRAP_US:
+                return
 
 
 class Enabled(_TransducerCase):
@@ -695,20 +751,20 @@ class Enabled(_TransducerCase):
 
     @staticmethod
     def _sensor(board: Board, one: oracle.Transducer) -> None:
-        for _ in range(2):
+        for channel in (0, *reversed(spread(one))):
             since, value = board.seen, board.value(one)
-            board.stimulate(one, (0, value))
+            board.stimulate(one, (channel, value))
             board.no_sif(one, since, "while it was disabled")
             if "queue" not in one.attributes:
                 found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
-                if found[0][1] != value:
+                if found[channel][1] != value:
                     fail(f"{one.name}, which was disabled, has not taken a value for SAMPLE")
             board.write(one, c.TRANSD_ENABLED, b"\1")
             board.no_sif(one, since, "of a value from when it was disabled")
             other = board.value(one)
-            board.stimulate(one, (0, other))
+            board.stimulate(one, (channel, other))
             payload = board.sif(one, since)[1]
-            if not payload.endswith(other) and one.channels == 1:
+            if other not in payload or (one.channels == 1 and not payload.endswith(other)):
                 fail(f"{one.name} sent {payload.hex()} after it was enabled, given {other.hex()}")
             board.write(one, c.TRANSD_ENABLED, b"\1")  # again, which changes nothing
             board.write(one, c.TRANSD_ENABLED, b"\0")
@@ -736,8 +792,8 @@ class Waiting(_TransducerCase):
         before = int.from_bytes(payload[:2], "little")
         board.write(one, c.TRANSD_PERIOD, struct.pack("<I", 0xFFFFFFFF))
         since = board.seen
-        for _ in range(count):
-            board.stimulate(one, (0, board.value(one)))
+        for number in range(count):
+            board.stimulate(one, (number % one.channels, board.value(one)))
         board.no_sif(one, since, "before the period was over")
         board.write(one, c.TRANSD_ENABLED, b"\0")
         board.write(one, c.TRANSD_PERIOD, bytes(4))
@@ -763,35 +819,45 @@ class Period(_TransducerCase):
 
     def _judge(self, board: Board) -> None:
         for one in board.sensors():
-            period = struct.pack("<I", round(_PERIOD_S * 1e6))
-            with board.tuned(one, period=period):
-                board.peer.attempts(lambda one=one: self._sensor(board, one))  # type: ignore[misc]
+            with board.tuned(one):
+                for number, period_s in enumerate(_PERIODS_S):
+                    channel = spread(one)[-number]
+                    board.peer.attempts(
+                        lambda one=one, period_s=period_s, channel=channel: self._sensor(  # type: ignore[misc]
+                            board, one, channel, period_s
+                        )
+                    )
 
     @staticmethod
-    def _sensor(board: Board, one: oracle.Transducer) -> None:
+    def _sensor(board: Board, one: oracle.Transducer, channel: int, period_s: float) -> None:
         link = board.peer.link
         board.write(one, c.TRANSD_PERIOD, bytes(4))
         since = board.seen
-        board.stimulate(one, (0, board.value(one)))
+        board.stimulate(one, (channel, board.value(one)))
         first, _ = board.sif(one, since)
-        board.write(one, c.TRANSD_PERIOD, struct.pack("<I", round(_PERIOD_S * 1e6)))
+        board.write(one, c.TRANSD_PERIOD, struct.pack("<I", round(period_s * 1e6)))
         sent_s = link.sifs[first].at_s
         for _ in range(2):
             since, value = board.seen, board.value(one)
-            board.stimulate(one, (0, board.value(one)))
-            board.peer.silence(_PERIOD_S * 0.6, "within the period of a sensor")
-            board.stimulate(one, (0, value))
+            board.stimulate(one, (channel, board.value(one)))
+            board.peer.silence(period_s * 0.6, "within the period of a sensor")
+            is_late = any(frame.opcode == one.id for frame in frames(link.sifs[since:]))
+            board.stimulate(one, (channel, value))
             second, payload = board.sif(one, since)
             passed_s = link.sifs[second].at_s - sent_s
-            if passed_s < _PERIOD_S * 0.9 - 0.004:
+            if passed_s < period_s * 0.9 - 0.004:
                 show(board.peer, link.sifs[second])
                 fail(
                     f"two sample SIFs of {one.name} came within {passed_s * 1e3:.1f} ms, the "
-                    f"period is {_PERIOD_S * 1e3:.0f} ms",
+                    f"period is {period_s * 1e3:.0f} ms",
                     suspect=True,
                 )
             if value not in payload:
-                fail(f"a sample of {one.name} lacks the newest value {value.hex()}")
+                if is_late:  # the suite was, not the device
+                    second, payload = board.sif(one, second + 1)
+                if value not in payload:
+                    why = f"a sample of {one.name} lacks the newest value {value.hex()}"
+                    fail(why, suspect=True)
             sent_s = link.sifs[second].at_s
 
 
@@ -829,12 +895,14 @@ class Decimation(_Taken):
                 self._sensor(board, one)
 
     def _sensor(self, board: Board, one: oracle.Transducer) -> None:
-        channels = sorted({0, one.channels - 1})
+        channels = spread(one)
         for every in (1, 2, 3, 5):
             for begun in (0, 1, every - 1):
                 board.write(one, c.TRANSD_DECIMATION, bytes((every,)))
                 for number in range(begun):  # the count begins anew with each write
-                    self._give(board, one, 0, board.value(one), (number + 1) % every == 0)
+                    for channel in channels:
+                        is_due = (number + 1) % every == 0
+                        self._give(board, one, channel, board.value(one), is_due)
                 board.write(one, c.TRANSD_DECIMATION, bytes((every,)))
                 for number in range(2 * every + 1):
                     for channel in channels:
@@ -859,7 +927,9 @@ class Threshold(_Taken):
     def _judge(self, board: Board) -> None:
         for one in board.sensors("threshold"):
             with board.tuned(one):
-                for channel in sorted({0, one.channels - 1}):
+                for channel in spread(one):
+                    if "queue" not in one.attributes:
+                        self._first(board, one, channel)
                     self._sensor(board, one, channel)
                 if "decimation" in one.attributes:
                     self._decimated(board, one)
@@ -900,6 +970,15 @@ class Threshold(_Taken):
                 self._give(board, one, channel, board.packed(one, number), is_due)
                 last = number if is_due else last
 
+    def _first(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        """Give a channel without a value one that is no different from nothing."""
+        if slots(board, one, board.read(one, c.TRANSD_SAMPLE))[channel][0]:
+            return
+        size = board.size(one)
+        most = board.packed(one, 1e30 if one.type.element in _FORMATS else (1 << 8 * size - 1) - 1)
+        board.write(one, c.TRANSD_THRESHOLD, most)
+        self._give(board, one, channel, bytes(size), due=True)
+
     def _decimated(self, board: Board, one: oracle.Transducer) -> None:
         """Leave the values that decimation leaves to the threshold."""
         board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
@@ -931,7 +1010,8 @@ class Set(_TransducerCase):
                 board.write(one, c.TRANSD_WATCHDOG, bytes(2))
             self._at_once(board, one)
             self._ahead(board, one)
-            self._replaced(board, one)
+            for channel in spread(one):
+                self._replaced(board, one, channel)
             if guarded:
                 board.write(one, c.TRANSD_WATCHDOG, before)
 
@@ -974,8 +1054,7 @@ class Set(_TransducerCase):
             board.write(one, c.TRANSD_SET, bytes(9) + board.packed(one, number))
 
     def _ahead(self, board: Board, one: oracle.Transducer) -> None:
-        channels = sorted({0, one.channels - 1})
-        for channel in channels:
+        for channel in spread(one):
             before = board.read(one, c.TRANSD_SAMPLE)
             value = self._value(board, one)
             due_us = board.time_us() + _DUE_US
@@ -1000,17 +1079,17 @@ class Set(_TransducerCase):
                 if other != channel and found[other] != others[other]:
                     fail(f"channel {other} of {one.name} has changed")
 
-    def _replaced(self, board: Board, one: oracle.Transducer) -> None:
+    def _replaced(self, board: Board, one: oracle.Transducer, channel: int) -> None:
         """Set a channel for a time, and then anew before that."""
         for second_us in (0, _DUE_US // 2, 2 * _DUE_US):
             first, second = self._value(board, one), self._value(board, one)
             begin_us = board.time_us()
             due_us = begin_us + _DUE_US
             later_us = begin_us + second_us if second_us else 0
-            board.write(one, c.TRANSD_SET, b"\0" + _US.pack(due_us) + first)
-            board.write(one, c.TRANSD_SET, b"\0" + _US.pack(later_us) + second)
+            board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(due_us) + first)
+            board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(later_us) + second)
             board.wait_until(max(due_us, later_us) + _LATER_US)
-            time_us, raw = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[0]
+            time_us, raw = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[channel]
             if raw != second or not max(later_us, begin_us) <= time_us:
                 fail(f"{one.name} is {raw.hex()} since {time_us} us, not {second.hex()}")
             if second_us < _DUE_US and time_us >= due_us:
@@ -1056,7 +1135,7 @@ class Watchdog(_TransducerCase):
         if slots(board, one, sample)[0][1] != value:
             fail(f"{one.name} was made safe within the time of its watchdog", suspect=True)
         due_us = board.time_us() + self.LIMIT_MS * 4000
-        board.write(one, c.TRANSD_SET, b"\0" + _US.pack(due_us) + value)
+        board.write(one, c.TRANSD_SET, b"\0" + _US.pack(due_us) + value * fit)
         begin_us = board.time_us()
         self._silence(board, self.LIMIT_MS * 2.6)
         found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
