@@ -68,9 +68,9 @@ class Recorded:
 
 
 def topic_of(board: str, topic: str) -> str:
-    """Return the topic of a sensor in a recording: of letters, digits, "_" and "/"."""
-    parts = [part for part in (board, topic) if part]
-    return "/" + "/".join(_NOT_IN_TOPICS.sub("_", part).strip("/") for part in parts)
+    """Return the topic of a sensor in a recording, of names of letters, digits and "_"."""
+    names = [name for name in _NOT_IN_TOPICS.sub("_", f"{board}/{topic}").split("/") if name]
+    return "".join(f"/_{name}" if name[0].isdigit() else f"/{name}" for name in names) or "/_"
 
 
 class Recorder:

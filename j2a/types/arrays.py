@@ -83,23 +83,35 @@ class Batch:
         values = self.raw.astype("f8")
         if sensor.has("scale") or sensor.has("offset"):
             values = values * sensor.scale + sensor.offset
-        values[self.times_us == 0] = np.nan
-        if sensor.na is not None:
-            values[self.raw == sensor.na] = np.nan
+        values[self._is_none()] = np.nan
         return values
+
+    def _is_none(self) -> Any:
+        """Return where there is no value; N/A that is NaN is NaN anyway."""
+        is_none = self.times_us == 0
+        na = self.sensor.na
+        return is_none if na is None else is_none | (self.raw == na)
 
     def to_pandas(self) -> Any:
         """Return a table with a row for each value: time_us, channel, value.
 
-        The columns of a structure are its fields, and those of an array have numbers, such as
-        rate_0, rate_1; both are raw.
+        Values are 64-bit floating-point numbers, NaN where there is none; integers of 64 bits
+        without scale and offset stay integers, `pandas.NA` where there is none. The columns of a
+        structure are its fields, and those of an array have numbers, such as rate_0, rate_1; both
+        are raw.
 
         Raises:
             LocalError: pandas is missing.
         """
         pandas = _module("pandas", "arrays")
         columns = {"time_us": self.times_us.ravel(), "channel": self.channels.ravel()}
-        if number_element(self.sensor.type) is not None:
+        sensor = self.sensor
+        element = number_element(sensor.type)
+        if element in ("i64", "u64") and not (sensor.has("scale") or sensor.has("offset")):
+            value = pandas.Series(self.raw.ravel(), dtype="Int64" if element == "i64" else "UInt64")
+            value[self._is_none().ravel()] = pandas.NA
+            columns["value"] = value
+        elif element is not None:
             columns["value"] = self.values.ravel()
         else:
             shape = self.raw.shape[self.times_us.ndim :]

@@ -44,7 +44,7 @@ class SampleCodec:
         self._range = transducer.range
         self._scale, self._offset = transducer.scale, transducer.offset
         self._is_scaled = transducer.has("scale") or transducer.has("offset")
-        element = number_element(transducer.type)
+        element = self._element = number_element(transducer.type)
         self._is_number = element not in (None, "bool")
         self._is_integer = element is not None and element[0] in "ui"
         self._whole = None
@@ -174,6 +174,8 @@ class SampleCodec:
             return
         low, high = self._range
         try:
+            if self._element == "f32":  # the device compares what is left of it there
+                raw = self.unpack_raw(self.pack_raw(raw))
             is_inside = low <= raw <= high
         except TypeError:
             is_inside = True  # the type refuses it
@@ -186,7 +188,8 @@ class SampleCodec:
     def _told(self, raw: Raw) -> str:
         unit = self.transducer.unit
         if not self._is_scaled:
-            return f"{raw}{unit and ' '}{unit}"
+            number = f"{raw:g}" if isinstance(raw, float) else f"{raw}"
+            return f"{number}{unit and ' '}{unit}"
         return f"{raw * self._scale + self._offset:g}{unit and ' '}{unit} (raw {raw})"
 
     # ------------------------------------------------------------------ settings
