@@ -22,7 +22,7 @@ from j2a.types.descriptors import parse_descriptors
 from j2a.types.ros import ros2_definition
 from j2a.types.transducers import Descriptors, Transducer
 
-__all__ = ["Recorded", "RecordedBoard", "Recorder", "Recording", "topic_of"]
+__all__ = ["Recorded", "RecordedBoard", "Recorder", "Recording", "check_package", "topic_of"]
 
 _BOARD: Final = "j2a.board"
 _MAGIC_BYTES: Final = 8
@@ -333,6 +333,15 @@ class Recording:
             return board.name, board.descriptors[about.get("sensor", "")]
         except KeyError:
             return None
+
+
+def check_package() -> None:
+    """Load the package mcap, which takes a moment.
+
+    Raises:
+        LocalError: it is not installed.
+    """
+    _mcap("writer")
 
 
 def _mcap(module: str) -> Any:

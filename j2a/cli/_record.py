@@ -21,7 +21,7 @@ from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_si
 from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._progress import size_text
-from j2a.recording import Recorder
+from j2a.recording import Recorder, check_package
 
 NOTES: Final = """\
 examples:
@@ -97,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
     """Record until the end; returns the exit code."""
     if args.output.suffix != ".mcap":
         raise UsageError(f"{args.output}: the name ends in .mcap")
+    check_package()  # now, as samples come as soon as the boards are there
     end_on_sigterm()
     with contextlib.ExitStack() as stack:
         boards = [stack.enter_context(connect_to(args, url)) for url in args.urls]

@@ -36,6 +36,8 @@ class Batch:
             queue the shape of all three is (samples, channels), with one it is (values,).
         raw: the values as they are on the wire; a structure is a structured type of NumPy.
         counts: how many values each sample has.
+        lost, missed: values and SIFs that were lost meanwhile, as the samples told.
+        is_reset: the board was reset meanwhile, so that the times went back.
 
     Raises:
         LocalError: NumPy is missing, or a payload is no sample.
@@ -44,6 +46,8 @@ class Batch:
     def __init__(self, sensor: Transducer, payloads: Iterable[bytes]) -> None:
         np = _module("numpy", "arrays")
         self.sensor = sensor
+        self.lost = self.missed = 0
+        self.is_reset = False
         value = _dtype(sensor.type)
         entry = np.dtype([("time_us", "<u8"), ("raw", value)])
         parts = list(payloads)
@@ -121,7 +125,12 @@ class Batch:
     @classmethod
     def of(cls, sensor: Transducer, samples: Iterable[Sample]) -> "Batch":
         """Return a batch of samples that have come; raises as the class."""
-        return cls(sensor, [sample.payload for sample in samples])
+        found = list(samples)
+        batch = cls(sensor, [sample.payload for sample in found])
+        batch.lost = sum(sample.lost for sample in found)
+        batch.missed = sum(sample.missed for sample in found)
+        batch.is_reset = any(sample.is_reset for sample in found)
+        return batch
 
 
 def _dtype(kind: Type) -> Any:
