@@ -21,7 +21,7 @@ from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_si
 from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._progress import size_text
-from j2a.recording import Recorder
+from j2a.recording import Recorder, check_package
 
 NOTES: Final = """\
 examples:
@@ -61,18 +61,29 @@ class _Session:
         self.recorder = recorder
         self.lost = 0
         self.refused = 0
+        self.changed: set[str] = set()
         self.failure: OSError | None = None
         self.ended = threading.Event()
 
-    def keep(self, board: str) -> Callable[[j2a.Sample], None]:
-        """Return the handler of the samples of a board."""
+    def keep(self, board: str, sensor: j2a.Sensor) -> Callable[[j2a.Sample], None]:
+        """Return the handler of the samples of a sensor."""
+        announced = sensor.descriptor
 
         def write(sample: j2a.Sample) -> None:
-            self.lost += sample.lost + sample.missed
-            if self.failure is not None:
+            nonlocal announced
+            if self.failure is not None or self.ended.is_set():
                 return
+            self.lost += sample.lost + sample.missed
+            descriptor = sensor.descriptor
+            if descriptor is not announced:
+                if descriptor != announced:
+                    self.changed.add(f"{sensor.name} of {board}")
+                    return
+                announced = descriptor
             try:
                 self.recorder.write(board, sample, time.time_ns())
+            except j2a.LocalError:
+                return  # it has ended meanwhile
             except ValueError:
                 self.refused += 1
             except OSError as error:
@@ -86,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
     """Record until the end; returns the exit code."""
     if args.output.suffix != ".mcap":
         raise UsageError(f"{args.output}: the name ends in .mcap")
+    check_package()  # now, as samples come as soon as the boards are there
     end_on_sigterm()
     with contextlib.ExitStack() as stack:
         boards = [stack.enter_context(connect_to(args, url)) for url in args.urls]
@@ -136,7 +148,7 @@ def _begin(session: _Session, board: j2a.Client, name: str, *, is_alone: bool) -
     )
     for sensor in board.transducers.values():
         if isinstance(sensor, j2a.Sensor):
-            sensor.on_sample(session.keep(name))
+            sensor.on_sample(session.keep(name, sensor))
 
 
 def _record(session: _Session, boards: list[j2a.Client], seconds: float | None) -> int:
@@ -177,6 +189,7 @@ def _finish(session: _Session) -> None:
         sys.stderr.write("\r\x1b[K")
     recorder = session.recorder
     failure = session.failure
+    session.ended.set()
     try:
         recorder.close()
     except OSError as error:
@@ -188,3 +201,5 @@ def _finish(session: _Session) -> None:
     show(f"wrote {paths}: {recorder.samples} samples, {session.lost} lost on the way")
     if session.refused:
         note(f"j2a: {session.refused} samples were left out: their times fit into no message")
+    for what in sorted(session.changed):
+        note(f"j2a: {what} is another one since the board restarted: its samples were left out")

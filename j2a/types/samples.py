@@ -6,10 +6,11 @@ Rules: a payload that is not what the descriptor says gives no value; what canno
 here, before anything is sent (J2A-TRANS-025).
 """
 
+import contextlib
 import math
 import struct
 from collections.abc import Sequence
-from contextlib import suppress
+from numbers import Integral, Real
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -159,12 +160,12 @@ class SampleCodec:
         """
         if not self._is_scaled or not self._is_number:
             return value
-        if not isinstance(value, int | float):
+        if not isinstance(value, Real):
             raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
         if self._scale == 0:
             raise WrongArgument(f"{self.transducer.name} has the scale 0: set it by raw values")
-        with suppress(OverflowError):
-            raw = (value - self._offset) / self._scale
+        with contextlib.suppress(OverflowError):
+            raw = (float(value) - self._offset) / self._scale
             if math.isfinite(raw):
                 return round(raw) if self._is_integer else raw
         raise WrongArgument(f"{self.transducer.name} cannot be set to {value!r:.60}")
@@ -235,6 +236,6 @@ def pack_time(time_us: int) -> bytes:
     Raises:
         WrongArgument: it is no number of microseconds.
     """
-    if not isinstance(time_us, int) or not 0 <= time_us < 1 << 64:
+    if not isinstance(time_us, Integral) or not 0 <= time_us < 1 << 64:
         raise WrongArgument(f"a time is a number of microseconds from 0 on, not {time_us!r:.40}")
-    return _TIME_US.pack(time_us)
+    return _TIME_US.pack(int(time_us))

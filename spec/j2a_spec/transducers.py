@@ -188,7 +188,7 @@ def _is_decimal(text: str) -> bool:
 
 
 def _is_raw(text: str) -> bool:
-    return text == "nan" or _is_decimal(text) or _HEX.fullmatch(text) is not None
+    return text == "nan" or _NUMBER.fullmatch(text) is not None or _HEX.fullmatch(text) is not None
 
 
 def _is_raw_or_none(text: str) -> bool:
