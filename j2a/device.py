@@ -232,7 +232,12 @@ class Device(FunctionRegistry):
     def _add_transducers(self, source: str | Path | Descriptors) -> TransducerRunner:
         known = source if isinstance(source, Descriptors) else load_transds(source)
         runner = TransducerRunner(
-            known, self.send_sif, self._calling, self._local_us, lambda: self.clock_us
+            known,
+            self.send_sif,
+            self._calling,
+            local_us=self._local_us,
+            clock_us=lambda: self.clock_us,
+            pace=self._us_per_ns * 1000,
         )
         self._table.add_content(GET_TRANSDS, self._tell_descriptors)
         self._table.add_call(TRANSD, runner.request)

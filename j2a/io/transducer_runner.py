@@ -21,7 +21,7 @@ __all__ = ["TransducerRunner"]
 _logger = logging.getLogger("j2a")
 _US: Final = 1_000_000
 _SLOWEST: Final = 0.98
-"""A wait is so much shorter: the clock may run so much faster than that of the machine."""
+"""A wait is so much shorter, because the clock may run faster than the local time."""
 _LONGEST_WAIT_S: Final = 3600.0
 
 
@@ -34,6 +34,7 @@ class TransducerRunner:
         calling: is held while a function of the device runs.
         local_us: returns the local time of the device, in microseconds.
         clock_us: returns the time of its clock.
+        pace: how many local microseconds pass in one.
     """
 
     def __init__(
@@ -41,8 +42,10 @@ class TransducerRunner:
         descriptors: Descriptors,
         send: Callable[[int, bytes], object],
         calling: threading.Lock,
+        *,
         local_us: Callable[[], int],
         clock_us: Callable[[], int],
+        pace: float,
     ) -> None:
         self._server = TransducerServer(descriptors)
         self._send = send
@@ -51,6 +54,7 @@ class TransducerRunner:
         self._is_due = False
         self._local_us = local_us
         self._clock_us = clock_us
+        self._seconds = _SLOWEST / (_US * pace)
         self._thread: threading.Thread | None = None
         self._is_stopped = False
 
@@ -151,7 +155,7 @@ class TransducerRunner:
         """Wait for something to do, about so long at most; return False at the end."""
         with self._changed:
             if not self._is_due and not self._is_stopped:
-                self._changed.wait(min(left_us / _US * _SLOWEST, _LONGEST_WAIT_S))
+                self._changed.wait(min(left_us * self._seconds, _LONGEST_WAIT_S))
             return not self._is_stopped
 
 
