@@ -203,9 +203,10 @@ class Free(ClockCase):
     REQUIREMENTS = ("J2A-CLOCK-002", "J2A-CLOCK-007", "J2A-CLOCK-008")
 
     def _judge(self, board: Board) -> None:
-        if board.status().state != c.CLOCK_FREE:
-            if board.peer.claims.fresh and not board.peer.link.lossy:
-                fail("the device is not FREE, though nothing has adjusted it since its start")
+        status = board.status()
+        if (status.state == c.CLOCK_FREE) != (status.epoch == 0):
+            fail(f"the state is {status.state} in the epoch {status.epoch}")
+        if status.state != c.CLOCK_FREE:
             board.peer.link.note("the device was adjusted before")
             return
         board.oracle = Clock()
