@@ -216,19 +216,18 @@ def test_an_adjustment_that_is_refused_begins_anew(board, device):
 
 def test_a_device_in_python_is_disciplined_and_so_are_its_samples():
     device = j2a.Device(clock=-300, transducers=read_transds(SENSORS))
-    with device, linked(device) as board:
-        with board.clock.discipline(0.02) as keeper:
-            until(lambda: keeper.rounds > 20)
-            assert keeper.failures == 0
-            assert board.clock.epoch == 1
-            with board.transducers["quad"].samples() as samples:
-                before = time.time_ns() // 1000
-                device.sense("quad", 0, 5)
-                after = time.time_ns() // 1000
-                sample = samples.wait(PATIENCE_S)
-            bound = board.clock.uncertainty_us + 1000
-            assert before - bound <= sample.host_us <= after + bound
-            assert before - 2 * bound <= sample.time_us <= after + 2 * bound
+    with device, linked(device) as board, board.clock.discipline(0.02) as keeper:
+        until(lambda: keeper.rounds > 20)
+        assert keeper.failures == 0
+        assert board.clock.epoch == 1
+        with board.transducers["quad"].samples() as samples:
+            before = time.time_ns() // 1000
+            device.sense("quad", 0, 5)
+            after = time.time_ns() // 1000
+            sample = samples.wait(PATIENCE_S)
+        bound = board.clock.uncertainty_us + 1000
+        assert before - bound <= sample.host_us <= after + bound
+        assert before - 2 * bound <= sample.time_us <= after + 2 * bound
 
 
 # ---------------------------------------------------------------------------- boards without it
