@@ -11,7 +11,7 @@ import inspect
 import logging
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from j2a.aio import AsyncClient, aconnect
 from j2a.errors import J2AError, LocalError, OpenFailed, Outcome
@@ -24,6 +24,9 @@ from j2a.io.streams import MAX_SIFS, slice_of
 from j2a.io.threads import JOIN_S
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
+
+if TYPE_CHECKING:
+    from j2a.timed import AsyncFleetAt
 
 __all__ = ["AsyncFleet", "by_serial", "by_url"]
 
@@ -108,6 +111,16 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
     def transducers(self) -> dict[tuple[str, str], AsyncSensor | AsyncActuator]:
         """The transducers of all boards that are here, by the board's identity and their name."""
         return self._transducers()
+
+    def at(self, time_us: int) -> "AsyncFleetAt":
+        """Return what gives orders to several boards for a time, such as `at(t).set("lamp", True)`.
+
+        Args:
+            time_us: when, in microseconds since 1970 on the clock of this computer.
+        """
+        from j2a.timed import AsyncFleetAt  # noqa: PLC0415 - few programs need it
+
+        return AsyncFleetAt(self, time_us)
 
     async def wait(self, *boards: str | int, timeout: float = 10.0) -> None:
         """Wait until boards are here; args and raises as of `j2a.Fleet.wait`."""

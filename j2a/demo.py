@@ -83,7 +83,7 @@ class DemoDevice(Device):
 
     Args:
         properties: in addition to, or instead of, the demo's own.
-        interface, boot, transducers, settings, room, trace: see `Device`.
+        interface, boot, transducers, settings, clock, room, trace: see `Device`.
     """
 
     def __init__(
@@ -94,6 +94,7 @@ class DemoDevice(Device):
         boot: bool = False,
         transducers: str | Path | Descriptors | None = None,
         settings: str | Path | None = None,
+        clock: float | None = None,
         room: int = MAX_PAYLOAD,
         trace: Trace | None = None,
     ) -> None:
@@ -105,6 +106,7 @@ class DemoDevice(Device):
             boot=boot,
             transducers=transducers,
             settings=settings,
+            clock=clock,
             room=room,
             trace=trace,
         )

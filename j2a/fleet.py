@@ -10,7 +10,7 @@ left out, and `problems` says why.
 import threading
 from collections.abc import Callable
 from time import monotonic
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from j2a.client import Client, connect
 from j2a.errors import J2AError, LocalError, OpenFailed, Outcome
@@ -22,6 +22,9 @@ from j2a.io.streams import MAX_SIFS, SifStream, slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
+
+if TYPE_CHECKING:
+    from j2a.timed import FleetAt
 
 __all__ = ["BoardChange", "Fleet", "by_serial", "by_url"]
 
@@ -105,6 +108,16 @@ class Fleet(FleetBase[Client, "_Member"]):
     def transducers(self) -> dict[tuple[str, str], Sensor | Actuator]:
         """The transducers of all boards that are here, by the board's identity and their name."""
         return self._transducers()
+
+    def at(self, time_us: int) -> "FleetAt":
+        """Return what gives orders to several boards for a time, such as `at(t).set("lamp", True)`.
+
+        Args:
+            time_us: when, in microseconds since 1970 on the clock of this computer.
+        """
+        from j2a.timed import FleetAt  # noqa: PLC0415 - few programs need it
+
+        return FleetAt(self, time_us)
 
     def wait(self, *boards: str | int, timeout: float = 10.0) -> None:
         """Wait until boards are here.
