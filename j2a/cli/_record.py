@@ -124,15 +124,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _names(boards: list[j2a.Client]) -> list[str]:
-    """Return a name for each board: its own, or with a number where another one has it."""
+    """Return a name for each board: its own, with its serial number or a number where need be."""
+    own = [board.properties.get("name") or "board" for board in boards]
     names: list[str] = []
-    for board in boards:
-        first = name = board.properties.get("name") or "board"
-        number = 1
-        while name in names:
+    for board, first in zip(boards, own, strict=True):
+        serial = board.properties.get("serial")
+        name = f"{first}_{serial}" if serial and own.count(first) > 1 else first
+        made, number = name, 1
+        while made in names:
             number += 1
-            name = f"{first}_{number}"
-        names.append(name)
+            made = f"{name}_{number}"
+        names.append(made)
     return names
 
 

@@ -4,12 +4,13 @@ What flows in: payloads of the samples of one sensor. What flows out: times, cha
 Rule: a value that the sensor does not have is NaN. Needs NumPy (`pip install "j2a[arrays]"`).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
 from j2a.errors import LocalError
 from j2a.events import Sample
 from j2a.types.model import Enumeration, Structure, Type
+from j2a.types.naming import free_name
 from j2a.types.transducers import LOST_BYTES, Transducer, number_element
 
 __all__ = ["Batch"]
@@ -20,6 +21,9 @@ _CODES: Final = {
     "f32": "<f4",
     "f64": "<f8",
 }
+
+_OTHER_COLUMNS: Final = ("host_time_ns",)
+"""What recordings add to tables."""
 
 
 class Batch:
@@ -102,7 +106,7 @@ class Batch:
         Values are 64-bit floating-point numbers, NaN where there is none; integers of 64 bits
         without scale and offset stay integers, `pandas.NA` where there is none. The columns of a
         structure are its fields, and those of an array have numbers, such as rate_0, rate_1; both
-        are raw.
+        are raw. A name that is there already gets a number, such as time_us2.
 
         Raises:
             LocalError: pandas is missing.
@@ -119,7 +123,8 @@ class Batch:
             columns["value"] = self.values.ravel()
         else:
             shape = self.raw.shape[self.times_us.ndim :]
-            columns |= _columns("", self.raw.reshape(-1, *shape))
+            for name, part in _columns("", self.raw.reshape(-1, *shape)):
+                columns[free_name(name, {*columns, *_OTHER_COLUMNS})] = part
         return pandas.DataFrame(columns)
 
     @classmethod
@@ -143,19 +148,19 @@ def _dtype(kind: Type) -> Any:
     return one if kind.count is None else (one, (kind.count,))
 
 
-def _columns(name: str, values: Any) -> dict[str, Any]:
-    """Return the columns of values that are structures or arrays, each of numbers."""
+def _columns(name: str, values: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the columns of values that are structures or arrays, each of numbers."""
     if values.dtype.names is not None:
         parts = {key: values[key] for key in values.dtype.names}
     elif values.ndim > 1:
         parts = {str(at): values[:, at] for at in range(values.shape[1])}
     else:
-        return {name or "value": values}
-    found: dict[str, Any] = {}
+        yield name or "value", values
+        return
     for key, part in parts.items():
-        whole = f"{name}_{key}" if name else f"value_{key}" if key.isdigit() else key
-        found |= _columns(whole, part)
-    return found
+        yield from _columns(
+            f"{name}_{key}" if name else f"value_{key}" if key.isdigit() else key, part
+        )
 
 
 def _shaped(dtype: Any) -> tuple[Any, ...]:

@@ -147,6 +147,20 @@ def test_two_boards_of_one_name_are_told_apart(run, board, tmp_path):
     assert "choose one: J2A virtual board, J2A virtual board_2" in result.err
 
 
+def test_boards_of_one_name_are_told_apart_by_their_serial_numbers(run, tmp_path):
+    path = tmp_path / "a.mcap"
+    with contextlib.ExitStack() as stack:
+        urls = []
+        for serial in ("B7", "A3"):
+            device = VirtualBoard(FILE, {"serial": serial, "name": "cart"})
+            device.measure()
+            serving = served(device)
+            urls.append(next(serving))
+            stack.callback(next, serving, None)
+        assert run("record", *urls, "-o", path, "--seconds", "1.5").code == 0
+    assert {one.board for one in Recording(path)} == {"cart_B7", "cart_A3"}
+
+
 def test_there_and_back(board, run, start, tmp_path):
     first, again = tmp_path / "a.mcap", tmp_path / "b.mcap"
     assert run("record", board, "-o", first, "--seconds", "2").code == 0

@@ -150,6 +150,15 @@ def test_other_mistakes(run, transds, tmp_path):
     assert "near it is period" in run("transds", transds).err
 
 
+def test_a_board_of_a_file_with_conditions_and_a_serial_number(start, run, transds):
+    transds.write_text("#if BIG\nSENSOR(a, 1, a, X, 1, u8, none)\n#endif\n")
+    server = start("serve", "--transds", str(transds), "-D", "BIG", "--serial", "cart-1")
+    with j2a.Fleet(server.line_with("listening on ").split()[-1], timeout=30) as fleet:
+        fleet.wait("cart-1", timeout=60)
+        assert list(fleet["cart-1"].transducers) == ["a"]
+    assert "are for --transds" in failed(run, 2, "serve", "--serial", "x").err
+
+
 def test_a_condition(run, transds):
     transds.write_text("#if BIG\nSENSOR(a, 1, a, X, 1, u8, none)\n#endif\n")
     assert "sensor" in run("transds", transds, "-D", "BIG").out

@@ -13,11 +13,14 @@ from hypothesis import strategies as st
 import j2a
 from j2a.errors import LocalError
 from j2a.recording import topic_of
+from j2a.types.arrays import Batch
+from j2a.types.coding import PythonTypes
 from j2a.types.datasheet import data_sheets
 from j2a.types.descriptors import parse_descriptors
 from j2a.types.header import c_header
 from j2a.types.model import Described, Enumeration, Interface, Structure, integer_range
 from j2a.types.ros import ros1_package, ros2_definition, ros2_package
+from j2a.types.samples import SampleCodec
 from j2a.types.transds_file import read_transds, transds_text
 from j2a.types.transds_header import transducers_header
 from j2a.types.transds_module import transducers_module
@@ -28,7 +31,8 @@ from .strategies import closed_types, enumerations, field_lists
 _HOSTILE = """
 class None True self client j2a isinstance IntEnum Transducers transducers __class__ __init__ _ __
 latest int double struct template uint8_t INT8_MAX __LINE__ linux bool mro time Header float32 a A
-value values times lost channels J2A_A_ID J2A_TRANSDUCERS_H j2a_a_reading main NULL lambda
+value values times lost channels time_us channel host_time_ns value_0 value_1 a_0
+J2A_A_ID J2A_TRANSDUCERS_H j2a_a_reading main NULL lambda
 """
 HOSTILE = _HOSTILE.split()
 NAMES = st.one_of(
@@ -182,6 +186,29 @@ def test_a_file_for_firmware_means_the_same_or_is_refused(board):
         )  # fmt: skip
         assert {**dict(one.attributes), **dict(other.attributes)} == dict(other.attributes)
     assert again.types == board.types
+
+
+@many
+@given(descriptors(), st.data())
+def test_samples_are_taken_apart(board, data):
+    pytest.importorskip("pandas")
+    for one in board.transducers:
+        size = one.channels * (8 + one.type.size)
+        payload = data.draw(st.binary(min_size=size, max_size=size))
+        readings = SampleCodec(one, PythonTypes()).unpack(payload)
+        assert [reading.channel for reading in readings] == list(range(one.channels))
+        table = Batch(one, [payload, payload]).to_pandas()
+        assert len(table) == 2 * one.channels
+        assert len(set(table.columns)) == len(table.columns) == 2 + numbers(one.type)
+        table.insert(0, "host_time_ns", 0)
+
+
+def numbers(kind):
+    """Of how many numbers a value is."""
+    one = 1
+    if isinstance(kind.element, Structure):
+        one = sum(numbers(field.type) for field in kind.element.fields)
+    return one * (kind.count or 1)
 
 
 @many
