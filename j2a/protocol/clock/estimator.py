@@ -36,6 +36,8 @@ _LEAST_WANDER: Final = 2e-8
 _MOST_WANDER: Final = 1e-6
 """Changes of the rate in a second that one window may hold."""
 _CALMING: Final = 0.98
+_NARROW: Final = 0.1
+"""A strip narrower than this part of the fastest exchange is about to contradict itself."""
 _US: Final = 1e6
 
 
@@ -230,13 +232,14 @@ class Estimator:
             self.byte_us = 0.0
         self._wander = max(self._wander * _CALMING, _LEAST_WANDER)
         strip = self._fit()
-        while strip.width < 0 and len(self._exchanges) > 1:
+        while strip.width < self._least_width() and len(self._exchanges) > 1:
             # The rate changed within the window: somewhat, or else what is old is of no use.
             if self._wander < _MOST_WANDER:
                 self._wander = min(2 * self._wander, _MOST_WANDER)
             else:
                 for _ in range((len(self._exchanges) + 1) // 2):
                     self._exchanges.popleft()
+                self._wander = _LEAST_WANDER
             strip = self._fit()
         newest = self._exchanges[-1]
         span = newest.received_us - self._exchanges[0].received_us
@@ -252,6 +255,11 @@ class Estimator:
             max(most - strip.slope, strip.slope - least) + self._wander * span / _US,
             self._wander,
         )
+
+    def _least_width(self) -> float:
+        """Return the width of a strip that is too narrow to be true."""
+        slacks = [high - low for low, high in map(self._bounds, self._exchanges)]
+        return _NARROW * min(slacks)
 
     def _fit(self) -> Strip:
         """Return the line through the intervals; those of old exchanges are widened.

@@ -126,11 +126,14 @@ class Board:
         self.target, self.rate, self.state, self.epoch = None, 0.0, ClockState.FREE, 0
 
 
-def exchanges(board: Board, seconds: float, period_s: float = 1.0) -> Iterator[Exchange]:
-    """Make exchanges: a burst, then one each period."""
+def exchanges(
+    board: Board, seconds: float, period_s: float = 1.0
+) -> Iterator[tuple[Exchange, float]]:
+    """Make exchanges, a burst and then one each period; yield each with the time until the next."""
     end = board.host_us + seconds * US
     count = 0
     while board.host_us < end:
-        yield board.exchange(bytes_out=12, bytes_in=25)
-        board.run(min(period_s * US, 50_000 * 2 ** max(count - 8, 0)))
+        pause = min(period_s * US, 50_000.0 * 2 ** max(count - 8, 0))
+        yield board.exchange(bytes_out=12, bytes_in=25), pause
+        board.run(pause)
         count += 1
