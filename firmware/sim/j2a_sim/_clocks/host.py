@@ -55,6 +55,9 @@ class Board(Protocol):
     def run(self, until_s: float) -> None:
         """Let true time pass."""
 
+    def restart(self, off_s: float, on_s: float) -> None:
+        """Lose the power, and get it back."""
+
 
 @dataclass(slots=True)
 class _Member:
@@ -94,6 +97,7 @@ class Host:
             _Member(board, Discipline(self._reference, Estimator(self._byte_us)))
             for board in boards
         ]
+        self._replugged = False
         self.lost = 0
 
     @property
@@ -122,18 +126,22 @@ class Host:
 
     # ------------------------------------------------------------------ a round
 
-    def _is_away(self, number: int, now_s: float) -> bool:
+    def _is_away(self, member: _Member, now_s: float) -> bool:
+        """Whether the host cannot call a board now; one that has been plugged in is new to it."""
         s = self._settings
-        gone = number == 0 and s.unplug_at is not None
-        if gone and s.unplug_at <= now_s < s.unplug_at + s.unplug_for:  # type: ignore[operator]
-            return True
+        if s.unplug_at is not None and member is self._members[0] and now_s >= s.unplug_at:
+            back_s = s.unplug_at + s.unplug_for
+            if now_s < back_s:
+                return True
+            if not self._replugged:
+                self._replugged = True
+                member.board.restart(s.unplug_at, back_s)
+                member.discipline.reset()
         return s.suspend_at is not None and s.suspend_at <= now_s < s.suspend_at + s.suspend_for
 
     def _round(self, now_s: float) -> float:
         """Ask all boards and tell them the time; returns when that is done."""
-        present = [
-            member for i, member in enumerate(self._members) if not self._is_away(i, now_s)
-        ]
+        present = [member for member in self._members if not self._is_away(member, now_s)]
         for member in present:
             now_s = self._observe(member, now_s) + APART_S
         self._reference.observe(self._monotonic_us(now_s), self._unix_us(now_s))
