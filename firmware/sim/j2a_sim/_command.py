@@ -1,4 +1,4 @@
-"""The command line of the simulator: `j2a sim avr ELF --listen URL`, `j2a sim usb ELF`, `j2a sim clocks`.
+"""The command line of the simulator: `j2a sim avr`, `usb` and `clocks`.
 
 In: arguments. Out: the exit code, of the table in `j2a.cli._exit`.
 """

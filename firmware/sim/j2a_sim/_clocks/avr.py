@@ -1,9 +1,9 @@
 """Boards in simavr: the real firmware, cycle by cycle.
 
 In: truth, bytes of the host with true times. Out: bytes of the board with true times, readings.
-Rules: a board's cycles are what its crystal counts, so true times become cycles and cycles true times
-by the oscillator alone; starts of frames come at the cycles that belong to their true times. Readings
-are of the memory that the firmware's clock is made of, and disturb nothing.
+Rules: a board's cycles are what its crystal counts, so true times become cycles and cycles true
+times by the oscillator alone; starts of frames come at the cycles that belong to their true times.
+Readings are of the memory that the firmware's clock is made of, and disturb nothing.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ class AvrBoard:
     def __init__(
         self,
         firmware: Path,
+        *,
         rng: Generator,
         oscillator: Oscillator,
         frames: BoardFrames | None,
@@ -155,9 +156,9 @@ class AvrBoard:
             if left > 0:
                 if not stop:
                     sim.run(left)
-                elif self._is_usb and sim.run_until_usb(left):
-                    return
-                elif not self._is_usb and sim.run_until_output(left):
+                elif (self._is_usb and sim.run_until_usb(left)) or (
+                    not self._is_usb and sim.run_until_output(left)
+                ):
                     return
             elif is_due and reading <= cycle:
                 self._read(reading)

@@ -1,6 +1,8 @@
-"""Delays as distributions: of the host's scheduler, of links, of a board's interrupts and main loop.
+"""Delays as distributions: of the host's scheduler, of links, of a board's interrupts and main
+loop.
 
-In: quantiles, from the data files beside this module or by a formula. Out: random delays in seconds.
+In: quantiles, from the data files beside this module or by a formula. Out: random delays in
+seconds.
 Rules: a distribution is a list of pairs (share, microseconds), linear between them, so the extremes
 that were recorded are the extremes that are drawn; what one delay is does not depend on the last.
 """
@@ -92,7 +94,7 @@ def board_delay(kind: str) -> Delay:
 
 
 def tcp() -> Delay:
-    """One way over a local network: 80 us, and a queue that takes 30 us on average and rarely 2 ms."""
+    """One way over a local network: 80 us, and a queue of 30 us on average and rarely 2 ms."""
     shares = np.linspace(0, 0.9995, 200)
     return Delay([*shares, 1.0], [*(80 - 30 * np.log1p(-shares)), 2000.0])
 

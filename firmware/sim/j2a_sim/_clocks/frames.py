@@ -1,7 +1,7 @@
 """Starts of frames (SOF) on a USB, as each board sees them.
 
-In: a random generator, the controller's crystal. Out: for each board the true times at which a start
-of frame reaches it, the frame numbers, and which ones it loses.
+In: a random generator, the controller's crystal. Out: for each board the true times at which a
+start of frame reaches it, the frame numbers, and which ones it loses.
 Rules: what the controller does is common to all boards of a bus; hubs and losses are each board's.
 Source: USB 2.0, 7.1.12 (frame interval 1.000 ms +- 500 ns), 7.1.14 and 7.1.19 (70 ns for a hub and
 its cable), 8.4.3 (frame numbers have 11 bits).
@@ -69,7 +69,8 @@ class Bus:
     ) -> None:
         first, phase = int(rng.integers(NUMBERS)), rng.uniform(0, FRAME_S)
         count = int(seconds / FRAME_S) + 2
-        exact = oscillator.true_s(phase + np.arange(count) * FRAME_S)
+        counted = phase + FRAME_S * np.arange(count, dtype=np.float64)
+        exact = oscillator.true_s(counted)
         starts = exact + rng.uniform(-jitter_s, jitter_s, count)
         numbers = (first + np.arange(count)) % NUMBERS
         awake = np.ones(count, dtype=np.bool_)

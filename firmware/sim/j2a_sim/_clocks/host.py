@@ -2,9 +2,9 @@
 
 In: boards that can be called at true times, the host's clocks, recorded delays. Out: disciplined
 boards. The estimator, the bus and the messages are those of the library.
-Rules: the host sees its own clocks only: it stamps when it begins to send, and when the program has
-the reply, which is as late as its scheduler was on the machine that was recorded. One board is asked after the
-other, as by one thread.
+Rules: the host sees its own clocks only: it stamps when it begins to send, and when the program
+has the reply, which is as late as its scheduler was on the machine that was recorded. One board is
+asked after the other, as by one thread.
 """
 
 from __future__ import annotations

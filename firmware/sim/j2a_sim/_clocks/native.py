@@ -1,8 +1,8 @@
 """Boards whose firmware is compiled for this machine: an hour of eight boards takes minutes.
 
 In: truth, bytes of the host with true times. Out: bytes of the board with true times, readings.
-Rules: the firmware is the core and all its parts, built by the project's Makefile with the port in the
-folder board; each board is a copy of that library, because the core has no instances. How late
+Rules: the firmware is the core and all its parts, built by the project's Makefile with the port in
+the folder board; each board is a copy of that library, because the core has no instances. How late
 interrupts and the main loop are is drawn from what the AVR engine has measured.
 """
 
@@ -117,6 +117,7 @@ class NativeBoard:
     def __init__(
         self,
         library: Path,
+        *,
         rng: Generator,
         oscillator: Oscillator,
         frames: BoardFrames | None,

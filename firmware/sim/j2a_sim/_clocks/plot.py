@@ -27,7 +27,9 @@ MOST_POINTS: Final = 1500
 class _Panel:
     """A plot with its axes: values of any size in, parts of SVG out."""
 
-    def __init__(self, number: int, title: str, x: tuple[float, float], y: tuple[float, float]):
+    def __init__(
+        self, number: int, title: str, x: tuple[float, float], y: tuple[float, float]
+    ) -> None:
         self.top = 40 + number * (HEIGHT + GAP)
         self._x, self._y = _wide(x), _wide(y)
         self.parts = [

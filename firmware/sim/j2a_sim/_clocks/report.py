@@ -2,9 +2,10 @@
 
 In: what the clocks of the boards showed at known true times, and what the host's clock showed.
 Out: figures in microseconds and shares.
-Rules: an error is exact: the difference of what a board shows, whole microseconds, to what the host's
-clock shows then, or to what another board shows at the same instant. Only readings count that are
-behind the time to settle, at the start and behind each disturbance that the settings name.
+Rules: an error is exact: the difference of what a board shows, whole microseconds, to what the
+host's clock shows then, or to what another board shows at the same instant. Only readings count
+that are behind the time to settle, at the start and behind each disturbance that the settings
+name.
 """
 
 from __future__ import annotations
@@ -114,6 +115,7 @@ def make_report(
     times_s: Floats,
     boards: list[Readings],
     host: HostClock,
+    *,
     more: dict[str, Any],
     slack_us: float,
 ) -> Report:
@@ -165,9 +167,7 @@ def _pairs(errors: Floats) -> dict[str, Any]:
     }
 
 
-def _uncertainty(
-    boards: list[Readings], errors: Floats, good: NDArray[np.bool_]
-) -> dict[str, Any]:
+def _uncertainty(boards: list[Readings], errors: Floats, good: NDArray[np.bool_]) -> dict[str, Any]:
     """How honest the announced uncertainties are; also in holdover."""
     told = np.array([board.uncertainty_us for board in boards])[:, good]
     known = told != UNKNOWN

@@ -25,7 +25,7 @@ CONTROLLER_PPM: Final = 100.0
 
 
 def reading_times(settings: Settings, rng: Generator) -> Floats:
-    """When all clocks are read: evenly, but for up to half a step, so that nothing beats with it."""
+    """When all clocks are read: evenly, but for up to half a step, against beats."""
     count = max(10, settings.readings // settings.boards)
     step = (settings.seconds - START_S) / count
     times: Floats = START_S + (np.arange(count) + rng.uniform(0, 0.5, count)) * step
@@ -34,8 +34,10 @@ def reading_times(settings: Settings, rng: Generator) -> Floats:
 
 def host_clock(settings: Settings, rng: Generator) -> HostClock:
     """The clock of the host with what the settings do to it."""
-    steps = () if settings.step_at is None else (Step(settings.step_at, settings.step_by),)
-    slews = ()
+    steps: tuple[Step, ...] = (
+        () if settings.step_at is None else (Step(settings.step_at, settings.step_by),)
+    )
+    slews: tuple[Slew, ...] = ()
     if settings.slew_at is not None:
         slews = (Slew(settings.slew_at, SLEW_S, settings.slew_ppm),)
     return HostClock(rng, settings.seconds, steps=steps, slews=slews)
@@ -45,15 +47,13 @@ def frames_of(settings: Settings, rng: Generator) -> list[BoardFrames | None]:
     """The starts of frames at each board; None on other links."""
     if settings.link != "usb":
         return [None] * settings.boards
-    sleeps = ()
+    sleeps: tuple[tuple[float, float], ...] = ()
     if settings.suspend_at is not None:
         sleeps = ((settings.suspend_at, settings.suspend_at + settings.suspend_for),)
     controller = crystal(rng, settings.seconds, CONTROLLER_PPM)
     jitter_s = settings.sof_jitter_ns * 1e-9
     bus = Bus(rng, settings.seconds, controller, jitter_s, sleeps)
-    return [
-        bus.at_board(rng, hub_delay_s(rng), settings.lost_sof) for _ in range(settings.boards)
-    ]
+    return [bus.at_board(rng, hub_delay_s(rng), settings.lost_sof) for _ in range(settings.boards)]
 
 
 def oscillators(settings: Settings, rng: Generator) -> list[Oscillator]:
@@ -81,7 +81,14 @@ def run(settings: Settings) -> Report:
     if settings.chosen_engine == "avr":
         firmware = build_firmware(settings.link)
         boards = [
-            AvrBoard(firmware, rng, crystal_, seen, settings.link, times_s)
+            AvrBoard(
+                firmware,
+                rng=rng,
+                oscillator=crystal_,
+                frames=seen,
+                link=settings.link,
+                times_s=times_s,
+            )
             for rng, crystal_, seen in zip(
                 for_boards.spawn(settings.boards), crystals, frames, strict=True
             )
@@ -89,7 +96,14 @@ def run(settings: Settings) -> Report:
     else:
         library = build_board()
         boards = [
-            NativeBoard(library, rng, crystal_, seen, settings.link, times_s)
+            NativeBoard(
+                library,
+                rng=rng,
+                oscillator=crystal_,
+                frames=seen,
+                link=settings.link,
+                times_s=times_s,
+            )
             for rng, crystal_, seen in zip(
                 for_boards.spawn(settings.boards), crystals, frames, strict=True
             )
@@ -103,4 +117,4 @@ def run(settings: Settings) -> Report:
         "lost_calls": host.lost,
     }
     readings = [board.readings for board in boards]
-    return make_report(settings, times_s, readings, clock, more, host.slack_us)
+    return make_report(settings, times_s, readings, clock, more=more, slack_us=host.slack_us)

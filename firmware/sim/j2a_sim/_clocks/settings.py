@@ -82,9 +82,10 @@ class Settings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise SimError(f"{name} {value:g} is out of range {low:g}..{high:g}")
-        for name, known in (("link", LINKS), ("load", LOADS), ("engine", (None, *ENGINES))):
-            if getattr(self, name) not in known:
-                raise SimError(f"{name} {getattr(self, name)!r} is none of {', '.join(known[-4:])}")
+        for name, known in (("link", LINKS), ("load", LOADS), ("engine", ENGINES)):
+            value = getattr(self, name)
+            if value not in known and (name != "engine" or value is not None):
+                raise SimError(f"{name} {value!r} is none of {', '.join(known)}")
         if self.engine == "avr" and self.link not in {"usb", "serial"}:
             raise SimError(f"the AVR engine has no link {self.link!r}: choose the engine native")
         if self.suspend_at is not None and self.link != "usb":

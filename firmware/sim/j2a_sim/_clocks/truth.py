@@ -1,6 +1,7 @@
 """What the simulated oscillators and clocks show at each instant of true time.
 
-In: a random generator, parts per million, kelvin. Out: functions of true time, exact to the rounding
+In: a random generator, parts per million, kelvin. Out: functions of true time, exact to the
+rounding
 of a double: an hour in seconds is told to less than a picosecond.
 Rules: true time is in seconds from the start of a run; all randomness comes from the generator that
 is given, so that a seed names a run.
@@ -26,7 +27,7 @@ UNIX_US: Final = 1_767_225_600_000_000
 
 
 class Oscillator:
-    """An oscillator, by its relative error of frequency at points of time; between them it is linear.
+    """An oscillator, by its relative error of frequency at points of time, linear between them.
 
     Args:
         rates: relative errors, 1e-6 for 1 ppm fast, at true times 0, step_s, 2 * step_s ...; after
@@ -47,7 +48,8 @@ class Oscillator:
     def elapsed_s(self, true_s: Floats | float) -> Floats:
         """What it counts from 0 to a true time, in its own seconds."""
         at, past = self._place(np.asarray(true_s, dtype=np.float64))
-        return self.phases[at] + past * (1 + self.rates[at]) + self._slope(at) * past**2 / 2
+        linear = self.phases[at] + past * (1 + self.rates[at])
+        return np.asarray(linear + self._slope(at) * past**2 / 2)
 
     def true_s(self, elapsed_s: Floats | float) -> Floats:
         """The true time at which it has counted so many seconds, to less than a nanosecond."""
@@ -59,12 +61,12 @@ class Oscillator:
             slope = self._slope(at)
             wrong = past * (1 + self.rates[at]) + slope * past**2 / 2 - rest
             past = past - wrong / (1 + self.rates[at] + slope * past)
-        return at * self.step_s + past
+        return np.asarray(at * self.step_s + past)
 
     def rate(self, true_s: Floats | float) -> Floats:
         """The relative error of its frequency at a true time."""
         at, past = self._place(np.asarray(true_s, dtype=np.float64))
-        return self.rates[at] + self._slope(at) * past
+        return np.asarray(self.rates[at] + self._slope(at) * past)
 
     def _place(self, true_s: Floats) -> tuple[NDArray[np.int64], Floats]:
         at = np.clip((true_s / self.step_s).astype(np.int64), 0, len(self.rates) - 1)
@@ -72,15 +74,15 @@ class Oscillator:
 
     def _slope(self, at: NDArray[np.int64]) -> Floats:
         after = np.minimum(at + 1, len(self.rates) - 1)
-        return (self.rates[after] - self.rates[at]) / self.step_s
+        return np.asarray((self.rates[after] - self.rates[at]) / self.step_s)
 
 
 def temperature(rng: Generator, seconds: float) -> Floats:
     """How far a board's temperature is from that at its start, in kelvin, at each second.
 
-    The board warms up by 5 to 15 K with a time constant of 2 to 10 minutes; the room swings by up to
-    1 K within 10 to 40 minutes, as heating and air conditioning make it; draughts are a random walk
-    of 0.3 K that forgets itself within a minute.
+    The board warms up by 5 to 15 K with a time constant of 2 to 10 minutes; the room swings by up
+    to 1 K within 10 to 40 minutes, as heating and air conditioning make it; draughts are a random
+    walk of 0.3 K that forgets itself within a minute.
     """
     times = np.arange(0.0, seconds + 2 * GRID_S, GRID_S)
     warm = rng.uniform(5, 15) * -np.expm1(-times / rng.uniform(120, 600))
@@ -91,7 +93,7 @@ def temperature(rng: Generator, seconds: float) -> Floats:
     draught = np.zeros(len(times))
     for i in range(1, len(times)):
         draught[i] = draught[i - 1] * keep + kicks[i]
-    return warm + rng.uniform(0, 1) * swing + draught
+    return np.asarray(warm + rng.uniform(0, 1) * swing + draught)
 
 
 def crystal(rng: Generator, seconds: float, ppm: float, kelvin: Floats | None = None) -> Oscillator:
@@ -117,7 +119,7 @@ def crystal(rng: Generator, seconds: float, ppm: float, kelvin: Floats | None = 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """The host's clock is set: at `at_s` true seconds it goes forward by `by_s`, back if negative."""
+    """The host's clock is set: at `at_s` it goes forward by `by_s`, back if that is negative."""
 
     at_s: float
     by_s: float
@@ -125,7 +127,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Slew:
-    """From `at_s` on the host's clock runs `ppm` faster for `seconds`, as NTP corrects an offset."""
+    """From `at_s` on the host's clock runs `ppm` faster for `seconds`, as under NTP."""
 
     at_s: float
     seconds: float
@@ -135,8 +137,9 @@ class Slew:
 class HostClock:
     """The clocks of the host: real time, and monotonic.
 
-    Both run by one crystal. Real time follows NTP: each 64 s the offset is measured with an error of
-    0.2 ms rms, and the rate changes so that it would be gone within 256 s, as the kernel's loop does.
+    Both run by one crystal. Real time follows NTP: each 64 s the offset is measured with an error
+    of 0.2 ms rms, and the rate changes so that it would be gone within 256 s, as the kernel's loop
+    does.
 
     Args:
         rng: the source of all that is random.

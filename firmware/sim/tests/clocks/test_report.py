@@ -37,7 +37,7 @@ def report(times, clock, errors, **more):
     settings = Settings(boards=len(errors), seconds=100, **more)
     host = clock.unix_us(times)
     boards = [readings(host, error) for error in errors]
-    return make_report(settings, times, boards, clock, {"backwards": 0}, 30.0)
+    return make_report(settings, times, boards, clock, more={"backwards": 0}, slack_us=30.0)
 
 
 def test_errors_between_boards_and_to_the_host(times, clock):
@@ -66,7 +66,8 @@ def test_disturbances_and_the_start_are_left_out(times, clock):
 def test_an_unknown_uncertainty_is_told_as_such(times, clock):
     host = clock.unix_us(times)
     boards = [readings(host, np.zeros(len(times)), UNKNOWN)]
-    found = make_report(Settings(boards=1, seconds=100), times, boards, clock, {}, 30.0).figures
+    settings = Settings(boards=1, seconds=100)
+    found = make_report(settings, times, boards, clock, more={}, slack_us=30.0).figures
     assert found["known_uncertainty"] == 0 and found["inside_uncertainty"] == 0
 
 
