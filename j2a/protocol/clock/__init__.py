@@ -1,4 +1,4 @@
-"""One time for host and boards, without waiting (SPEC.md, section 25).
+"""One time for host and boards, without waiting (SPEC.md, section 23).
 
 What flows in: times of the host as numbers, replies of boards. What flows out: estimates with a
 bound of their error, and requests.
