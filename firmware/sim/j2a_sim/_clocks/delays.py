@@ -20,13 +20,29 @@ from numpy.random import Generator
 
 from j2a_sim._clocks.truth import Floats
 
-__all__ = ["SHARES", "Delay", "board_delay", "host_delay", "quantiles", "rfcomm", "tcp"]
+__all__ = [
+    "BAUD",
+    "BOARD_BYTE_S",
+    "HOST_BYTE_S",
+    "SHARES",
+    "Delay",
+    "board_delay",
+    "host_delay",
+    "quantiles",
+    "rfcomm",
+    "tcp",
+]
 
 # Dense at the upper end, for rare long delays are what disturbs a clock.
 SHARES: Final = (
     *(round(i / 20, 2) for i in range(20)),
     *(0.96, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9999, 1.0),
 )
+BAUD: Final = 115_200
+_BITS: Final = 10
+HOST_BYTE_S: Final = _BITS / BAUD
+# An ATmega328P at 16 MHz makes its 115200 bit/s of 16 MHz / 8 / 17, as the port avr-serial does.
+BOARD_BYTE_S: Final = _BITS * 8 * 17 / 16e6
 _FOLDER: Final = Path(__file__).parent
 
 

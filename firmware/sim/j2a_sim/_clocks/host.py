@@ -29,10 +29,10 @@ from j2a.protocol.clock import (
     unpack_exchange,
     unpack_status,
 )
+from j2a_spec.constants import CLOCK_STATUS
 from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
-from j2a_sim._clocks.delays import host_delay
-from j2a_sim._clocks.native import HOST_BYTE_S
+from j2a_sim._clocks.delays import HOST_BYTE_S, host_delay
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import UNIX_US, HostClock
 from j2a_sim._errors import SimError
@@ -149,7 +149,9 @@ class Host:
         if self._bus is not None:
             frame = self._bus.frame_at(self._monotonic_us(now_s))
         for member in present:
-            adjust = member.discipline.next_adjust()
+            if member.discipline.status is None:
+                now_s = self._ask(member, now_s)
+            adjust = member.discipline.next_adjust(self._monotonic_us(now_s))
             if adjust is None:
                 continue
             if frame is None or adjust.is_step:
@@ -164,6 +166,14 @@ class Host:
             if code == 0:
                 member.discipline.take_status(unpack_status(data), adjust)
         return now_s
+
+    def _ask(self, member: _Member, now_s: float) -> float:
+        """Ask for the status; returns when it was there."""
+        reply = self._call(member, now_s, bytes((CLOCK_STATUS,)))
+        if reply is None:
+            return now_s
+        member.discipline.take_status(unpack_status(reply[1]))
+        return reply[3]
 
     def _observe(self, member: _Member, now_s: float) -> float:
         """Make an exchange; returns when it was over."""

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from j2a_sim import _prototypes
 from j2a_sim._build import cache_directory
-from j2a_sim._clocks.delays import Delay, board_delay, rfcomm, tcp
+from j2a_sim._clocks.delays import BOARD_BYTE_S, HOST_BYTE_S, Delay, board_delay, rfcomm, tcp
 from j2a_sim._clocks.frames import BoardFrames
 from j2a_sim._clocks.report import UNKNOWN, Readings
 from j2a_sim._clocks.truth import Floats, Oscillator
@@ -32,15 +32,11 @@ from j2a_sim._errors import SimError, ToolMissing
 
 __all__ = ["NativeBoard", "build_board", "firmware_folder"]
 
-BAUD: Final = 115_200
-BITS: Final = 10
-# An ATmega328P at 16 MHz makes 115200 bit/s of 16 MHz / 8 / 17: as the port avr-serial does.
-BOARD_BYTE_S: Final = BITS * 8 * 17 / 16e6
-HOST_BYTE_S: Final = BITS / BAUD
 DRAWN: Final = 65_521  # a prime, so that its cycle meets no other
 REPLY_S: Final = 0.2
 SLICE_S: Final = 0.0002
 ROOM: Final = 4096
+LOST: Final = 0x8000
 _HERE: Final = Path(__file__).parent
 
 
@@ -157,10 +153,10 @@ class NativeBoard:
         )
         if self._frames is not None:
             first = int(np.searchsorted(self._frames.starts_s, at_s))
+            numbers = self._frames.numbers[first:] + LOST * self._frames.lost[first:]
             lib.board_frames(
                 self._doubles(self._frames.starts_s[first:]),
-                self._array(self._frames.numbers[first:], np.uint16, ctypes.c_uint16),
-                self._array(self._frames.lost[first:], np.uint8, ctypes.c_uint8),
+                self._array(numbers, np.uint16, ctypes.c_uint16),
                 len(self._frames.starts_s) - first,
             )
         first = int(np.searchsorted(self._times_s, at_s))

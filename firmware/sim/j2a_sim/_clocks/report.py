@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from j2a_sim._clocks.delays import BOARD_BYTE_S, HOST_BYTE_S
 from j2a_sim._clocks.frames import CABLE_S, HUB_S, TIERS
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import UNIX_US, Floats, HostClock
@@ -25,6 +26,9 @@ from j2a_sim._clocks.truth import UNIX_US, Floats, HostClock
 __all__ = ["UNKNOWN", "Readings", "Report", "allan", "make_report"]
 
 UNKNOWN: Final = 0xFFFFFFFF
+REPLY_BYTES: Final = 20  # of an exchange
+HOST_BYTE_US: Final = 1e6 * HOST_BYTE_S
+BOARD_BYTE_US: Final = 1e6 * BOARD_BYTE_S
 STATES: Final = ("free", "settling", "locked", "holdover")
 
 
@@ -118,6 +122,7 @@ def make_report(
     *,
     more: dict[str, Any],
     slack_us: float,
+    drift_us: float = 0.0,
 ) -> Report:
     """Work the figures out.
 
@@ -127,7 +132,8 @@ def make_report(
         boards: what they showed.
         host: the host's clock.
         more: figures that were counted elsewhere, such as backwards.
-        slack_us: the median of what the exchanges' round trips left unexplained.
+        slack_us: the least of what the exchanges' round trips left unexplained.
+        drift_us: how far the oscillators take the clocks from the host's in holdover, at most.
     """
     host_us = host.unix_us(times_s)
     errors = np.array([board.error_us(host_us) for board in boards])
@@ -147,7 +153,7 @@ def make_report(
     return Report(
         settings,
         figures,
-        bounds(settings, slack_us),
+        bounds(settings, slack_us, drift_us),
         times_s[::step],
         errors[:, ::step],
         good[::step],
@@ -180,24 +186,31 @@ def _uncertainty(boards: list[Readings], errors: Floats, good: NDArray[np.bool_]
     }
 
 
-def bounds(settings: Settings, slack_us: float) -> dict[str, float]:
+def bounds(settings: Settings, slack_us: float, drift_us: float = 0.0) -> dict[str, float]:
     """What analysis gives.
 
     Between two boards on a USB: both show whole microseconds, which differ by 1/sqrt(6) rms and by
     1 at most when the clocks behind them agree; the counter ticks each half microsecond, which the
     filter hardly lets through; a hub and its cable take up to 70 ns, and an interrupt is up to four
     cycles late, 0.25 us at 16 MHz, behind the instruction that it met.
-    To the host: half of what a round trip leaves unexplained, and half a microsecond of rounding.
+    To the host: half of what a round trip leaves unexplained, and half a microsecond of rounding; by
+    UART also half of what the board's bit rate, which is not the nominal one, takes off the reply.
+    In holdover: what the oscillators do, and the error at its begin, twice.
     Elsewhere two boards differ by no more than the sum of their errors to the host.
     """
     host = slack_us / 2 + 0.5
+    if settings.link == "serial":
+        host += REPLY_BYTES * abs(HOST_BYTE_US - BOARD_BYTE_US) / 2
+    found = {"host_rms_us": host}
+    if settings.holdover_at is not None:
+        found["holdover_end_us"] = drift_us + 2 * host
     if settings.link != "usb":
-        return {"host_rms_us": host, "pair_rms_us": host * math.sqrt(2), "pair_peak_us": 4 * host}
+        return {**found, "pair_rms_us": host * math.sqrt(2), "pair_peak_us": 4 * host}
     hubs = 1e6 * (TIERS * HUB_S[1] + CABLE_S)
     latency = 0.25 / math.sqrt(12)
     counter = 0.5 / math.sqrt(12)
     rms = math.sqrt(1 / 6 + 2 * latency**2 + 2 * counter**2 + hubs**2)
-    return {"host_rms_us": host, "pair_rms_us": rms, "pair_peak_us": 1 + hubs + 2 * 0.25 + 0.5}
+    return {**found, "pair_rms_us": rms, "pair_peak_us": 1 + hubs + 2 * 0.25 + 0.5}
 
 
 def allan(errors_us: Floats, interval_s: float) -> tuple[Floats, Floats]:

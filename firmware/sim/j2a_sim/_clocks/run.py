@@ -65,6 +65,22 @@ def oscillators(settings: Settings, rng: Generator) -> list[Oscillator]:
     return made
 
 
+def drift_us(settings: Settings, clock: HostClock, crystals: list[Oscillator]) -> float:
+    """How far a clock that runs on at the rate of the begin of holdover is off at its end."""
+    if settings.holdover_at is None:
+        return 0.0
+    # The rate that a host knows is that of the last exchanges.
+    before_s, begin_s, end_s = settings.holdover_at - 16, settings.holdover_at, settings.seconds
+    worst = 0.0
+    for crystal_ in crystals:
+        at = np.array([before_s, begin_s, end_s])
+        counted, shown = crystal_.elapsed_s(at), clock.unix_us(at) * 1e-6
+        rate = (shown[1] - shown[0]) / (counted[1] - counted[0])
+        told = shown[1] + rate * (counted[2] - counted[1])
+        worst = max(worst, abs(float(told - shown[2])))
+    return 1e6 * worst
+
+
 def run(settings: Settings) -> Report:
     """Do a run.
 
@@ -117,4 +133,12 @@ def run(settings: Settings) -> Report:
         "lost_calls": host.lost,
     }
     readings = [board.readings for board in boards]
-    return make_report(settings, times_s, readings, clock, more=more, slack_us=host.slack_us)
+    return make_report(
+        settings,
+        times_s,
+        readings,
+        clock,
+        more=more,
+        slack_us=host.slack_us,
+        drift_us=drift_us(settings, clock, crystals),
+    )

@@ -15,7 +15,7 @@ __all__ = ["ENGINES", "LINKS", "LOADS", "Settings"]
 LINKS: Final = ("usb", "serial", "tcp", "rfcomm")
 ENGINES: Final = ("avr", "native")
 LOADS: Final = ("light", "heavy")
-# The AVR engine takes about a second for each second of a board.
+# The AVR engine takes about a quarter of a second for each second of a board.
 AVR_BOARD_SECONDS: Final = 160
 SETTLE_S: Final = {"usb": 10.0, "serial": 30.0, "tcp": 30.0, "rfcomm": 30.0}
 READINGS: Final = 1_000_000

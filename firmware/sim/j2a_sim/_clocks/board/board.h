@@ -16,8 +16,9 @@
 /* The relative error of the oscillator at 0, step, 2 * step ..., and what it has counted by then in its own
  * seconds. All arrays that are given here stay with the caller, who keeps them. */
 void board_oscillator(const double *rates, const double *phases, uint32_t count, double step);
-/* Starts of frames: when they reach the board, their numbers, and whether they are lost (1) on the way. */
-void board_frames(const double *starts, const uint16_t *numbers, const uint8_t *lost, uint32_t count);
+enum { BOARD_LOST = 0x8000 };
+/* Starts of frames: when they reach the board, and their numbers, plus BOARD_LOST for those that do not. */
+void board_frames(const double *starts, const uint16_t *numbers, uint32_t count);
 /* Delays, used one after the other, over and over: of the interrupt of a frame, and of the turn of the main loop behind
  * an interrupt. cpu: seconds that pass with each reading of the counter. byte: of one byte sent; 0: none. */
 void board_delays(const double *frame, const double *turn, uint32_t count, double cpu, double byte);
@@ -26,8 +27,6 @@ void board_readings(const double *times, uint32_t count, uint64_t *clock, uint8_
                     uint32_t *uncertainty);
 /* Bytes that arrive, the first one after `first` seconds, the others `gap` apart. Returns 0, or -1: no room. */
 int board_receive(double first, double gap, const uint8_t *bytes, uint32_t count);
-/* A SyncUSB packet of 10 bytes that arrives then. Returns 0, or -1: no room. */
-int board_sync(double time, const uint8_t *packet);
 /* Switches the board on, after all of the above; frames and readings before that time are not given. */
 void board_start(double time);
 /* Runs until then. */

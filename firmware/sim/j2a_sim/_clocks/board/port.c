@@ -4,8 +4,10 @@
 #include <string.h>
 
 #include "j2a.h"
+uint64_t j2a_clock_us(void); uint8_t j2a_clock_state(void); uint8_t j2a_clock_epoch(void); uint32_t j2a_clock_uncertainty_us(void);
+void j2a_clock_on_frame(uint64_t local, uint16_t number);
 
-enum { ROOM = 8192, SYNC_ROOM = 16, SYNC_SIZE = 10 };
+enum { ROOM = 8192 };
 
 /* A turn takes less than this: readings within it are taken before it, with the state before it. */
 static const double TURN_S = 200e-6;
@@ -25,7 +27,6 @@ static struct {
 static struct {
     const double *starts;
     const uint16_t *numbers;
-    const uint8_t *lost;
     uint32_t count, next;
     uint64_t seen;
     double late; /* when the interrupt of the next one comes */
@@ -46,11 +47,6 @@ static struct {
 } readings;
 static timed_byte coming[ROOM], sent[ROOM];
 static uint32_t coming_from, coming_to, arrived_to, sent_from, sent_to;
-static struct {
-    double time;
-    uint8_t packet[SYNC_SIZE];
-} syncs[SYNC_ROOM];
-static uint32_t sync_from, sync_to;
 static double now, turn_at, wire_free;
 static uint64_t turns;
 
@@ -127,7 +123,7 @@ static void wake_main_loop(double time) {
 
 /* The time of the interrupt of the next start of frame that is seen. */
 static void find_frame(void) {
-    while (frames.next < frames.count && frames.lost[frames.next])
+    while (frames.next < frames.count && (frames.numbers[frames.next] & BOARD_LOST))
         frames.next++;
     frames.late = NEVER;
     if (frames.next < frames.count)
@@ -135,7 +131,7 @@ static void find_frame(void) {
 }
 
 static void take_frame(void) {
-    on_frame(elapsed(frames.late), frames.numbers[frames.next]);
+    j2a_clock_on_frame((uint64_t)(elapsed(frames.late) * 1e6), frames.numbers[frames.next]);
     frames.seen++;
     wake_main_loop(frames.late);
     frames.next++;
@@ -146,8 +142,6 @@ static void take_turn(void) {
     now = turn_at > now ? turn_at : now;
     turn_at = now + IDLE_S;
     turns++;
-    while (sync_from != sync_to && syncs[sync_from % SYNC_ROOM].time <= now)
-        take_sync(syncs[sync_from++ % SYNC_ROOM].packet);
     j2a_task();
     j2a_port_idle();
 }
@@ -183,4 +177,73 @@ void board_run(double until) {
             take_turn();
         }
     }
+}
+
+/* ---- what the bench gives and takes ---- */
+
+void board_oscillator(const double *rates, const double *phases, uint32_t count, double step) {
+    oscillator.rates = rates;
+    oscillator.phases = phases;
+    oscillator.count = count;
+    oscillator.step = step;
+}
+
+void board_frames(const double *starts, const uint16_t *numbers, uint32_t count) {
+    frames.starts = starts;
+    frames.numbers = numbers;
+    frames.count = count;
+}
+
+void board_delays(const double *frame, const double *turn, uint32_t count, double cpu, double byte) {
+    delays.frame = frame;
+    delays.turn = turn;
+    delays.count = count;
+    delays.cpu = cpu;
+    delays.byte = byte;
+}
+
+void board_readings(const double *times, uint32_t count, uint64_t *clock, uint8_t *state, uint8_t *epoch,
+                    uint32_t *uncertainty) {
+    readings.times = times;
+    readings.count = count;
+    readings.clock = clock;
+    readings.state = state;
+    readings.epoch = epoch;
+    readings.uncertainty = uncertainty;
+}
+
+void board_start(double time) {
+    now = turn_at = wire_free = time;
+    j2a_port_init(0, NULL);
+    find_frame();
+}
+
+int board_receive(double first, double gap, const uint8_t *bytes, uint32_t count) {
+    uint32_t i;
+    if (coming_to - coming_from + count > ROOM)
+        return -1;
+    for (i = 0; i < count; i++)
+        coming[coming_to++ % ROOM] = (timed_byte){first + gap * i, bytes[i]};
+    return 0;
+}
+
+uint32_t board_sent(uint8_t *bytes, double *times, uint32_t room) {
+    uint32_t n;
+    for (n = 0; n < room && sent_from != sent_to; n++, sent_from++) {
+        bytes[n] = sent[sent_from % ROOM].byte;
+        times[n] = sent[sent_from % ROOM].time;
+    }
+    return n;
+}
+
+uint64_t board_backwards(void) {
+    return readings.backwards;
+}
+
+uint64_t board_frames_seen(void) {
+    return frames.seen;
+}
+
+uint64_t board_turns(void) {
+    return turns;
 }
