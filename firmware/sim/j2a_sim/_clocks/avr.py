@@ -16,9 +16,9 @@ from numpy.random import Generator
 
 from j2a_sim._avr import AvrSim, chip_serial
 from j2a_sim._build import cache_directory
+from j2a_sim._clocks.delays import BAUD
 from j2a_sim._clocks.frames import BoardFrames
 from j2a_sim._clocks.memory import ClockMemory
-from j2a_sim._clocks.delays import BAUD
 from j2a_sim._clocks.native import REPLY_S, make
 from j2a_sim._clocks.report import UNKNOWN, Readings
 from j2a_sim._clocks.truth import Floats, Oscillator

@@ -13,7 +13,7 @@ import statistics
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from j2a_spec.constants import SOF
+from j2a_spec.constants import CLOCK_STATUS, SOF
 from numpy.random import Generator
 
 from j2a.errors import ProtocolError
@@ -29,7 +29,6 @@ from j2a.protocol.clock import (
     unpack_exchange,
     unpack_status,
 )
-from j2a_spec.constants import CLOCK_STATUS
 from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a_sim._clocks.delays import HOST_BYTE_S, host_delay

@@ -146,6 +146,7 @@ def make_report(
     figures.update(_uncertainty(boards, errors, counted(settings, times_s)))
     states = np.concatenate([board.state[good] for board in boards])
     figures["locked"] = float(np.mean(states == STATES.index("locked"))) if states.size else 0.0
+    figures["epochs"] = [int(board.epoch[-1]) for board in boards]
     if settings.holdover_at is not None:
         figures["holdover_end_us"] = float(np.abs(errors[:, -1]).max())
     figures.update(more)
@@ -191,12 +192,12 @@ def bounds(settings: Settings, slack_us: float, drift_us: float = 0.0) -> dict[s
 
     Between two boards on a USB: both show whole microseconds, which differ by 1/sqrt(6) rms and by
     1 at most when the clocks behind them agree; the counter ticks each half microsecond, which the
-    filter hardly lets through; a hub and its cable take up to 70 ns, and an interrupt is up to four
-    cycles late, 0.25 us at 16 MHz, behind the instruction that it met.
-    To the host: half of what a round trip leaves unexplained, and half a microsecond of rounding; by
-    UART also half of what the board's bit rate, which is not the nominal one, takes off the reply.
-    In holdover: what the oscillators do, and the error at its begin, twice.
-    Elsewhere two boards differ by no more than the sum of their errors to the host.
+    filter hardly lets through; a hub and its cable take up to 70 ns, and an interrupt is up to
+    four cycles late, 0.25 us at 16 MHz, behind the instruction that it met. To the host: half of
+    what a round trip leaves unexplained, and half a microsecond of rounding; by UART also half of
+    what the board's bit rate, which is not the nominal one, takes off the reply. In holdover: what
+    the oscillators do, and the error at its begin, twice. Elsewhere two boards differ by no more
+    than the sum of their errors to the host.
     """
     host = slack_us / 2 + 0.5
     if settings.link == "serial":
