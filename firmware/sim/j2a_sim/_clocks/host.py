@@ -10,6 +10,7 @@ asked after the other, as by one thread.
 from __future__ import annotations
 
 import statistics
+import time
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
@@ -97,6 +98,7 @@ class Host:
             for board in boards
         ]
         self._replugged = False
+        self._cpu_ns = self._taken = 0
         self.lost = 0
 
     @property
@@ -109,6 +111,11 @@ class Host:
         """Its least value within a window of exchanges is what counts: the lower tenth."""
         slacks = sorted(self.slacks_us)
         return statistics.mean(slacks[: max(1, len(slacks) // 10)]) if slacks else 0.0
+
+    @property
+    def cpu_us(self) -> float:
+        """Processor time of the estimators for each exchange; this alone depends on the machine."""
+        return self._cpu_ns / 1000 / max(1, self._taken)
 
     def run(self) -> None:
         """Do the whole run."""
@@ -197,9 +204,12 @@ class Host:
         return done_s
 
     def _take(self, member: _Member, exchange: Exchange) -> None:
+        began_ns = time.process_time_ns()
         verdict = member.discipline.add(exchange)
         if self._bus is not None and exchange.frame is not None:
             self._bus.add(exchange)
+        self._cpu_ns += time.process_time_ns() - began_ns
+        self._taken += 1
         if verdict is Verdict.TAKEN:
             wire_us = self._byte_us * (exchange.bytes_out + exchange.bytes_in)
             trip_us = exchange.came_us - exchange.sent_us

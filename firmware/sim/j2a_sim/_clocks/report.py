@@ -11,7 +11,7 @@ name.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Final
 
@@ -63,6 +63,7 @@ class Report:
         bounds: name of a figure -> what analysis gives for it.
         times_s, errors_us: for plots: true times, and for each board its error to the host.
         counted: which of these times are in the figures.
+        cpu_us: processor time of the host for each exchange, on this machine.
     """
 
     settings: Settings
@@ -71,7 +72,7 @@ class Report:
     times_s: Floats
     errors_us: Floats
     counted: NDArray[np.bool_]
-    notes: list[str] = field(default_factory=list)
+    cpu_us: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """For `--json`."""
@@ -81,7 +82,7 @@ class Report:
             "settings": self.settings.as_dict(),
             "engine": self.settings.chosen_engine,
             "seed": self.settings.seed,
-            "notes": self.notes,
+            "host_cpu_us": self.cpu_us,
         }
 
     def as_text(self) -> str:
@@ -96,7 +97,8 @@ class Report:
             bound = f"{self.bounds[name]:.6g}" if name in self.bounds else ""
             text = f"{value:.6g}" if isinstance(value, float) else str(value)
             lines.append(f"{name:24}{text:>14}{bound:>14}".rstrip())
-        return "\n".join([*lines, *self.notes])
+        lines.append(f"the host took {self.cpu_us:.0f} us of processor time for each exchange")
+        return "\n".join(lines)
 
 
 def counted(settings: Settings, times_s: Floats) -> NDArray[np.bool_]:
@@ -123,6 +125,7 @@ def make_report(
     more: dict[str, Any],
     slack_us: float,
     drift_us: float = 0.0,
+    cpu_us: float = 0.0,
 ) -> Report:
     """Work the figures out.
 
@@ -133,6 +136,7 @@ def make_report(
         host: the host's clock.
         more: figures that were counted elsewhere, such as backwards.
         slack_us: the least of what the exchanges' round trips left unexplained.
+        cpu_us: processor time of the host for each exchange.
         drift_us: how far the oscillators take the clocks from the host's in holdover, at most.
     """
     host_us = host.unix_us(times_s)
@@ -158,6 +162,7 @@ def make_report(
         times_s[::step],
         errors[:, ::step],
         good[::step],
+        cpu_us,
     )
 
 

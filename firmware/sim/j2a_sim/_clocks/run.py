@@ -141,4 +141,5 @@ def run(settings: Settings) -> Report:
         more=more,
         slack_us=host.slack_us,
         drift_us=drift_us(settings, clock, crystals),
+        cpu_us=host.cpu_us,
     )
