@@ -20,6 +20,7 @@ from j2a.protocol.clock.messages import (
     Frame,
     Status,
     pack_exchange,
+    pack_status,
     unpack_exchange,
     unpack_status,
 )
@@ -38,6 +39,7 @@ __all__ = [
     "Status",
     "Verdict",
     "pack_exchange",
+    "pack_status",
     "unpack_exchange",
     "unpack_status",
 ]
