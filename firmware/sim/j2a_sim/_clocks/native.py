@@ -69,10 +69,12 @@ def make(folder: Path, *arguments: str) -> None:
         raise SimError(f"cannot build the firmware:\n{result.stderr.strip()}")
 
 
-def build_board() -> Path:
+def build_board(link: str) -> Path:
     """Build the library of a board; make does nothing when it is up to date."""
-    folder = cache_directory() / "clocks"
-    make(folder, f"PORT_DIR={_HERE / 'board'}", "APP=builtins", "OPTIONS=-DJ2A_WITH_SYNC=1")
+    frames = int(link == "usb")
+    folder = cache_directory() / f"clocks-{frames}"
+    port = (f"PORT_DIR={_HERE / 'board'}", f"FRAMES={frames}")
+    make(folder, *port, "APP=builtins", "OPTIONS=-DJ2A_WITH_SYNC=1")
     return folder / "builtins.so"
 
 

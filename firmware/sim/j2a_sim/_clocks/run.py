@@ -110,7 +110,7 @@ def run(settings: Settings) -> Report:
             )
         ]
     else:
-        library = build_board()
+        library = build_board(settings.link)
         boards = [
             NativeBoard(
                 library,

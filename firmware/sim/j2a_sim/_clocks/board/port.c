@@ -3,9 +3,7 @@
 
 #include <string.h>
 
-#include "j2a.h"
-uint64_t j2a_clock_us(void); uint8_t j2a_clock_state(void); uint8_t j2a_clock_epoch(void); uint32_t j2a_clock_uncertainty_us(void);
-void j2a_clock_on_frame(uint64_t local, uint16_t number);
+#include "j2a_clock.h"
 
 enum { ROOM = 8192 };
 
@@ -30,6 +28,8 @@ static struct {
     uint32_t count, next;
     uint64_t seen;
     double late; /* when the interrupt of the next one comes */
+    double captured; /* what the chip had counted at that of the last one, in its seconds */
+    uint16_t number;
 } frames;
 static struct {
     const double *frame, *turn;
@@ -72,6 +72,15 @@ uint64_t j2a_port_time_us(void) {
 uint16_t j2a_port_ticks(void) {
     return (uint16_t)(uint64_t)(elapsed(now) * 1e4);
 }
+
+#if J2A_PORT_FRAMES
+/* Timer 1 of the chip ticks each half microsecond. */
+bool j2a_port_frame(j2a_frame *last) {
+    last->number = frames.number;
+    last->began = (uint32_t)((uint64_t)(frames.captured * 2e6) << 3);
+    return frames.seen != 0 && elapsed(now) - frames.captured < 0.1;
+}
+#endif
 
 uint16_t j2a_port_overruns(void) {
     return 0;
@@ -131,7 +140,8 @@ static void find_frame(void) {
 }
 
 static void take_frame(void) {
-    j2a_clock_on_frame((uint64_t)(elapsed(frames.late) * 1e6), frames.numbers[frames.next]);
+    frames.captured = elapsed(frames.late);
+    frames.number = frames.numbers[frames.next];
     frames.seen++;
     wake_main_loop(frames.late);
     frames.next++;
@@ -142,6 +152,8 @@ static void take_turn(void) {
     now = turn_at > now ? turn_at : now;
     turn_at = now + IDLE_S;
     turns++;
+    j2a_received_us = j2a_port_time_us();
+    j2a_clock_turn();
     j2a_task();
     j2a_port_idle();
 }
