@@ -43,7 +43,6 @@ CLOCK: Final = b"a2jClock"
 MAPPING_OPCODE: Final = 0
 START_S: Final = 1.0
 APART_S: Final = 0.002
-BURST_PERIOD_S: Final = 0.1
 
 
 class Board(Protocol):
@@ -121,12 +120,11 @@ class Host:
         """Do the whole run."""
         settings, now_s = self._settings, START_S
         end_s = settings.seconds if settings.holdover_at is None else settings.holdover_at
-        rounds = 0
         while now_s < end_s:
             done_s = self._round(now_s)
-            rounds += 1
-            period_s = BURST_PERIOD_S if rounds < 10 else settings.period_s
-            now_s = max(now_s + min(period_s, settings.period_s), done_s + APART_S)
+            present = [member for member in self._members if not self._is_away(member, now_s)]
+            delays_s = [member.discipline.delay_s(settings.period_s) for member in present]
+            now_s = max(now_s + min(delays_s, default=settings.period_s), done_s + APART_S)
         for member in self._members:
             member.board.run(settings.seconds)
 
