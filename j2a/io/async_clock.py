@@ -159,6 +159,11 @@ class AsyncClockKeeper:
         self._task: asyncio.Task[None] | None = None
         self._forget: Callable[[], None] = lambda: None
 
+    def _note(self, error: J2AError) -> None:
+        self.failures += 1
+        # Without the traceback, whose frames keep the client alive.
+        self.error = error.copy(str(error), error.outcome)
+
     @property
     def is_running(self) -> bool:
         """It goes on: it was started, neither was it stopped nor has the link ended."""
@@ -202,14 +207,12 @@ class AsyncClockKeeper:
                 self.rounds += 1
                 delay_s = clock._discipline.delay_s(self._period_s)
             except LinkError as error:
-                self.failures += 1
-                self.error = error
+                self._note(error)
                 client = clock._client_ref()
                 if client is None or not client.is_open:
                     return
             except J2AError as error:
-                self.failures += 1
-                self.error = error
+                self._note(error)
             except Exception:
                 self.failures += 1
                 _logger.exception("the clock of %s could not be asked", clock._url)

@@ -228,6 +228,11 @@ class ClockKeeper:
         self._forget = clock._client._handlers.at_end(lambda _reason: ended.set())
         self._thread = start_thread(self._work, f"j2a clock {clock._url}")
 
+    def _note(self, error: J2AError) -> None:
+        self.failures += 1
+        # Without the traceback, whose frames keep the client alive.
+        self.error = error.copy(str(error), error.outcome)
+
     @property
     def is_running(self) -> bool:
         """It goes on: neither was it stopped nor has the link ended."""
@@ -263,14 +268,12 @@ class ClockKeeper:
                 self.rounds += 1
                 delay_s = clock._discipline.delay_s(self._period_s)
             except LinkError as error:
-                self.failures += 1
-                self.error = error
+                self._note(error)
                 client = clock._client_ref()
                 if client is None or not client.is_open:
                     break
             except J2AError as error:
-                self.failures += 1
-                self.error = error
+                self._note(error)
             except Exception:
                 self.failures += 1
                 _logger.exception("the clock of %s could not be asked", clock._url)
