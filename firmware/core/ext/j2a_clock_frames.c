@@ -173,7 +173,7 @@ bool j2a_frames_told(uint64_t time_us, uint16_t number) {
  * (1 + p) / (1 + q) - 1 = (p - q) * (1 - q + q * q) is exact to 0.1 ppb for a q of 0.3 %. */
 void j2a_frames_target(j2a_line *target, uint32_t now) {
     const int32_t q = (int32_t)(((int64_t)(int32_t)(period - PERIOD) * 1024 + 500) / FRAME_US);
-    const uint32_t seen_us = now - (((now << 4) - began) >> 4);
+    const uint32_t seen_us = now - (uint32_t)((int32_t)((now << 4) - began) >> 4); /* the start may be after now */
     const int32_t ahead = (int32_t)(phase - (seen_us << 22)); /* of the start by the loop, in 2^-22 us */
     int32_t rate;
     int64_t part;
