@@ -78,12 +78,12 @@ class AvrBoard:
             np.full(count, UNKNOWN, np.uint32),
         )
         self.backwards = 0
+        self._memory = ClockMemory(self.sim)
         if frames is not None:
             self._plan(frames)
             self._plug_in()
         else:
             self.sim.boot()
-        self._memory = ClockMemory(self.sim)
 
     # ------------------------------------------------------------------ time
 
@@ -184,6 +184,7 @@ class AvrBoard:
         while self._next < len(self._cycles) and self._cycles[self._next] <= self.sim.cycle:
             self._next += 1
         self.sim.reset()
+        self._memory.start()
         if self._is_usb:
             self.sim.usb.completed()
             self._plug_in()

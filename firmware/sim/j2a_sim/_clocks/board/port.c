@@ -70,12 +70,17 @@ uint64_t j2a_port_time_us(void) {
 }
 
 uint16_t j2a_port_ticks(void) {
-    return (uint16_t)(uint64_t)(elapsed(now) * 1e4);
+    return (uint16_t)(uint64_t)(elapsed(now) * 2e6);
 }
 
 #if J2A_PORT_FRAMES
-/* Timer 1 of the chip ticks each half microsecond. */
+static void take_frame(void);
+
+/* Timer 1 of the chip ticks each half microsecond. A frame that began since the turn has interrupted it. */
 bool j2a_port_frame(j2a_frame *last) {
+    now += delays.cpu;
+    while (frames.late <= now)
+        take_frame();
     last->number = frames.number;
     last->began = (uint32_t)((uint64_t)(frames.captured * 2e6) << 3);
     return frames.seen != 0 && elapsed(now) - frames.captured < 0.1;
@@ -152,8 +157,6 @@ static void take_turn(void) {
     now = turn_at > now ? turn_at : now;
     turn_at = now + IDLE_S;
     turns++;
-    j2a_received_us = j2a_port_time_us();
-    j2a_clock_turn();
     j2a_task();
     j2a_port_idle();
 }
