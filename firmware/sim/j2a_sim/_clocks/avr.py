@@ -8,6 +8,7 @@ Readings are of the memory that the firmware's clock is made of, and disturb not
 
 from __future__ import annotations
 
+from collections import deque
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +33,7 @@ CHIPS: Final = {"usb": ("avr-usb", "atmega32u4"), "serial": ("avr-serial", "atme
 QUIET_S: Final = 0.0005
 IN_BYTES: Final = 512
 WAITING: Final = 2
+KEPT: Final = 64
 LATEST_START_S: Final = 0.2
 
 
@@ -49,6 +51,9 @@ class AvrBoard:
     Attributes:
         sim: the simulator.
         readings: what the clock showed.
+        memory: of the clock.
+        ends: cycles at which transfers and bytes from the board ended, with how many bytes came.
+        out_address: the endpoint to the board.
     """
 
     def __init__(
@@ -78,7 +83,9 @@ class AvrBoard:
             np.full(count, UNKNOWN, np.uint32),
         )
         self.backwards = 0
-        self._memory = ClockMemory(self.sim)
+        self.ends: deque[tuple[int, int]] = deque(maxlen=KEPT)
+        self.out_address = 0
+        self.memory = ClockMemory(self.sim)
         if frames is not None:
             self._plan(frames)
             self._plug_in()
@@ -108,6 +115,7 @@ class AvrBoard:
         bus = self.sim.usb
         found = bus.enumerate()
         self._in, self._out = find_endpoints(parse_configuration(found.configuration))
+        self.out_address = self._out.address
         for _ in range(WAITING):
             bus.submit_in(self._in.address, IN_BYTES, packet=self._in.packet)
 
@@ -123,20 +131,22 @@ class AvrBoard:
         while self.sim.cycle < end:
             quiet = self.sim.cycle + QUIET_S * FREQUENCY_HZ
             self._advance(min(quiet, end), True)
-            more, cycle = self._take()
+            more, cycle = self.take()
             if more:
                 data, came = data + more, cycle
             elif data:
                 break
         return (data, self.true_s(came)) if data else None
 
-    def _take(self) -> tuple[bytes, int]:
+    def take(self) -> tuple[bytes, int]:
         """Take what the board has sent; returns it, and the cycle at which the last of it came."""
         if not self._is_usb:
             got = self.sim.uart_read_stamped()
+            self.ends.extend((byte.cycle, 1) for byte in got)
             return bytes(byte.value for byte in got), got[-1].cycle if got else 0
         data, cycle = b"", 0
         for done in self.sim.usb.completed():
+            self.ends.append((done.cycle, len(done.data)))
             if not done.data:
                 continue
             data, cycle = data + done.data, done.cycle
@@ -169,7 +179,7 @@ class AvrBoard:
     def _read(self, cycle: float) -> None:
         at, shown = self._next, self.readings
         self._next += 1
-        clock, state, epoch, uncertainty = self._memory.read(cycle)
+        clock, state, epoch, uncertainty = self.memory.read(cycle)
         shown.clock_us[at], shown.state[at] = clock, state
         shown.epoch[at], shown.uncertainty_us[at] = epoch, uncertainty
         if at and shown.epoch[at - 1] == epoch and shown.clock_us[at - 1] > clock:
@@ -184,7 +194,7 @@ class AvrBoard:
         while self._next < len(self._cycles) and self._cycles[self._next] <= self.sim.cycle:
             self._next += 1
         self.sim.reset()
-        self._memory.start()
+        self.memory.start()
         if self._is_usb:
             self.sim.usb.completed()
             self._plug_in()

@@ -33,6 +33,7 @@ from j2a.protocol.clock import (
 from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a_sim._clocks.delays import HOST_BYTE_S, host_delay
+from j2a_sim._clocks.native import REPLY_S
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import UNIX_US, HostClock
 from j2a_sim._errors import SimError
@@ -67,6 +68,22 @@ class _Member:
     opcode: int = -1
     seq: int = 0
     slacks_us: list[float] = field(default_factory=list)
+
+
+def clock_opcode(board: Board, at_s: float) -> int:
+    """Ask a board for its functions; returns the opcode of a2jClock.
+
+    Raises:
+        SimError: it does not answer, or has no clock.
+    """
+    answer = board.call(at_s, encode(SOF, 0, MAPPING_OPCODE, b""))
+    replies = [] if answer is None else Deframer().feed(answer[0])
+    names: list[bytes] = []
+    if replies and isinstance(replies[-1], WireFrame):
+        names = replies[-1].payload.rstrip(b"\0").split(b"\0")
+    if CLOCK not in names:
+        raise SimError(f"the firmware has no {CLOCK.decode()}: was it built with a clock?")
+    return names.index(CLOCK)
 
 
 class Host:
@@ -182,7 +199,8 @@ class Host:
     def _observe(self, member: _Member, now_s: float) -> float:
         """Make an exchange; returns when it was over."""
         if member.opcode < 0:
-            member.opcode, now_s = self._find_clock(member, now_s)
+            member.opcode = clock_opcode(member.board, now_s)
+            now_s += REPLY_S
         nonce = int(self._rng.integers(1 << 32))
         sent_us = self._monotonic_us(now_s)
         self._reference.observe(sent_us, self._unix_us(now_s))
@@ -214,14 +232,6 @@ class Host:
             member.slacks_us.append(trip_us - exchange.turnaround_us - wire_us)
 
     # ------------------------------------------------------------------ calls
-
-    def _find_clock(self, member: _Member, now_s: float) -> tuple[int, float]:
-        member.opcode = MAPPING_OPCODE
-        reply = self._call(member, now_s, b"")
-        names = reply[1].rstrip(b"\0").split(b"\0") if reply else []
-        if reply is None or CLOCK not in names:
-            raise SimError(f"the firmware has no {CLOCK.decode()}: was it built with a clock?")
-        return names.index(CLOCK), reply[3] + APART_S
 
     def _call(
         self, member: _Member, now_s: float, payload: bytes

@@ -1,6 +1,7 @@
 """What the clock of a board in simavr shows, from the memory of its firmware.
 
-In: a simulator, a cycle. Out: what j2a_clock_us(), j2a_clock_state() and the like would return then.
+In: a simulator, a cycle. Out: what j2a_clock_us(), j2a_clock_state() and the like would return
+then.
 Rules: the formulas are those of firmware/core/ext/j2a_clock.c, which a test compares by the replies
 of the firmware itself; only memory is read, so the board runs as if nobody looked.
 """
@@ -91,6 +92,16 @@ class ClockMemory:
         """The local time at a cycle."""
         ticks = int((cycle - self._started) // _DIVIDER)
         return ticks * _DIVIDER * _US // self._sim.frequency_hz
+
+    def cycle(self, local_us: int) -> float:
+        """The middle of the cycles at which the local time was that."""
+        return self._started + (local_us + 0.5) * self._sim.frequency_hz / _US
+
+    def captured(self) -> int:
+        """The cycle of the tick at which the firmware noted the last start of a frame."""
+        at = self._find("last")
+        _, ticks, overflows = struct.unpack("<HHH", self._sim.read_memory(at, 6))
+        return self._started + int(overflows << 16 | ticks) * _DIVIDER
 
     def read(self, cycle: float) -> tuple[int, int, int, int]:
         """What the clock shows at a cycle that has just been.

@@ -151,6 +151,7 @@ class NativeBoard:
             self._doubles(board_delay(f"{self._kind}_turn").draw_s(rng, DRAWN)),
             DRAWN,
             board_delay("reading").mean_us * 1e-6,
+            board_delay("serial_reply").mean_us * 1e-6 if self._wire.byte_s else 0.0,
             self._wire.byte_s / (1 + float(oscillator.rates[0])),
         )
         if self._frames is not None:

@@ -20,8 +20,9 @@ enum { BOARD_LOST = 0x8000 };
 /* Starts of frames: when they reach the board, and their numbers, plus BOARD_LOST for those that do not. */
 void board_frames(const double *starts, const uint16_t *numbers, uint32_t count);
 /* Delays, used one after the other, over and over: of the interrupt of a frame, and of the turn of the main loop behind
- * an interrupt. cpu: seconds that pass with each reading of the counter. byte: of one byte sent; 0: none. */
-void board_delays(const double *frame, const double *turn, uint32_t count, double cpu, double byte);
+ * an interrupt. cpu: seconds that pass with each reading of the counter. reply: until the first byte of a frame is
+ * on its way. byte: of one byte sent; 0: none. */
+void board_delays(const double *frame, const double *turn, uint32_t count, double cpu, double reply, double byte);
 /* Times at which to read the clock, rising, and where to put what it shows. */
 void board_readings(const double *times, uint32_t count, uint64_t *clock, uint8_t *state, uint8_t *epoch,
                     uint32_t *uncertainty);

@@ -8,7 +8,7 @@
 enum { ROOM = 8192 };
 
 /* A turn takes less than this: readings within it are taken before it, with the state before it. */
-static const double TURN_S = 200e-6;
+static const double TURN_S = 600e-6;
 static const double IDLE_S = 0.001;
 static const double NEVER = 1e300;
 
@@ -34,7 +34,7 @@ static struct {
 static struct {
     const double *frame, *turn;
     uint32_t count, frame_next, turn_next;
-    double cpu, byte;
+    double cpu, reply, byte;
 } delays;
 static struct {
     const double *times;
@@ -101,7 +101,7 @@ int16_t j2a_port_rx(void) {
 }
 
 void j2a_port_tx(uint8_t byte) {
-    wire_free = (wire_free > now ? wire_free : now) + delays.byte;
+    wire_free = (wire_free > now ? wire_free : now + delays.reply) + delays.byte;
     sent[sent_to++ % ROOM] = (timed_byte){wire_free, byte};
     if (sent_to - sent_from > ROOM)
         sent_from++;
@@ -209,11 +209,12 @@ void board_frames(const double *starts, const uint16_t *numbers, uint32_t count)
     frames.count = count;
 }
 
-void board_delays(const double *frame, const double *turn, uint32_t count, double cpu, double byte) {
+void board_delays(const double *frame, const double *turn, uint32_t count, double cpu, double reply, double byte) {
     delays.frame = frame;
     delays.turn = turn;
     delays.count = count;
     delays.cpu = cpu;
+    delays.reply = reply;
     delays.byte = byte;
 }
 
