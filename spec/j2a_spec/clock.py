@@ -6,7 +6,7 @@ leads its time to the target. Rules: fractions only, nothing is rounded before t
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import construct as cs
@@ -18,6 +18,7 @@ __all__ = ["Bounds", "Clock"]
 
 _PPB = 10**9
 _SLEW = Fraction(c.CLOCK_MAX_SLEW_PPM, 10**6)
+_HOLDOVER_US = c.CLOCK_HOLDOVER_S * 10**6
 _LAG_US = c.CLOCK_MAX_START_MS * 1000
 _REQUESTS = {
     c.CLOCK_EXCHANGE: CLOCK_EXCHANGE,
@@ -39,7 +40,7 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True)
 class _Adjustment:
-    """The target: it has `time` at `local`; `at` is when the device was told."""
+    """The target: it has `time` at `local`; `at` is when the device was told, or `early` before."""
 
     at: int
     local: int
@@ -48,6 +49,7 @@ class _Adjustment:
     uncertainty: int
     wander: Fraction
     is_step: bool
+    early: int
     low: Fraction = Fraction(0)
     high: Fraction = Fraction(0)
     """Bounds of target less time, in microseconds, at `at`."""
@@ -58,32 +60,38 @@ class _Adjustment:
         return self.time + (local - self.local) * (1 + self.rate)
 
     def is_reached(self, local: int) -> bool:
-        return self.is_step or local - self.at >= 2_000_000 + 1000 * max(abs(self.low), abs(self.high))
+        most = max(abs(self.low), abs(self.high))
+        return self.is_step or local - self.at >= 2_000_000 + 1000 * most
 
     def distance(self, local: int) -> tuple[Fraction, Fraction]:
         """Return the bounds of target less time at a later local time (J2A-CLOCK-012, 013)."""
         most = 1 + Fraction(local - self.local, _PPB)
         if self.is_reached(local):
             return -most, most
-        removed = (local - self.at) * _SLEW
+        removed = (local - self.at + self.early) * _SLEW
         low = max(self.low - removed, Fraction(0)) if self.low > 0 else self.low
         high = min(self.high + removed, Fraction(0)) if self.high < 0 else self.high
         return low - most, high + most
 
 
 class Clock:
-    """A device without frames that keeps the rules of section 23; the local time only grows."""
+    """A device without frames that keeps the rules of section 23; the local time only grows.
 
-    def __init__(self) -> None:
+    Args:
+        epoch: the epoch before the first adjustment.
+    """
+
+    def __init__(self, epoch: int = 0) -> None:
         self._last: _Adjustment | None = None
-        self._epoch = 0
+        self._epoch = epoch
 
-    def code(self, request: bytes, local: int) -> int:
+    def code(self, request: bytes, local: int, early: int = 0) -> int:
         """Return the code of the reply to a request, and take an adjustment (J2A-CLOCK-003).
 
         Args:
             request: the payload.
             local: the local time of the device at which it executes the request, in us.
+            early: so many us earlier it may have been.
         """
         if not request:
             return c.CLOCK_BAD_LENGTH
@@ -96,24 +104,23 @@ class Clock:
         if request[0] == c.CLOCK_ADJUST:
             if not _is_in_range(fields, local):
                 return c.CLOCK_BAD_VALUE
-            self._adjust(fields, local)
+            self._adjust(fields, local, early)
         return 0
 
-    def _adjust(self, adjust: cs.Container, local: int) -> None:
+    def _adjust(self, adjust: cs.Container, local: int, early: int) -> None:
         is_step = self._last is None or adjust.mode == c.CLOCK_STEP
         rate, wander = Fraction(adjust.rate, _PPB), Fraction(adjust.wander, _PPB)
         told = (local, adjust.local, adjust.time, rate, adjust.uncertainty, wander)
         if is_step or self._last is None:
             self._epoch = self._epoch % 255 + 1
-            self._last = _Adjustment(*told, is_step=True)
+            self._last = _Adjustment(*told, is_step=True, early=early)
             return
-        moved = _Adjustment(*told, is_step=False).target(local) - self._last.target(local)
+        new = _Adjustment(*told, is_step=False, early=early)
+        moved = new.target(local) - self._last.target(local)
         low, high = self._last.distance(local)
-        lag = (abs(rate - self._last.rate) + _SLEW) * _LAG_US
+        lag = (abs(rate - self._last.rate) + _SLEW) * (_LAG_US + early)
         before = self._rate(local)
-        self._last = _Adjustment(
-            *told, is_step=False, low=low + moved - lag, high=high + moved + lag, before=before
-        )
+        self._last = replace(new, low=low + moved - lag, high=high + moved + lag, before=before)
 
     def bounds(self, local: int) -> Bounds:
         """Return what STATUS may say at a local time, in us."""
@@ -125,12 +132,13 @@ class Clock:
         least = Fraction(0) if low <= 0 <= high else min(abs(low), abs(high))
         most = max(abs(low), abs(high))
         grown = last.uncertainty + (local - last.at) * last.wander
+        late = grown + last.early * last.wander
         return Bounds(
             (math.floor(target - high), math.ceil(target - low)),
             self._states(local, least, most),
             self._epoch,
             self._rate(local),
-            _uncertainty(last.uncertainty, math.floor(grown + least), math.ceil(grown + most) + 1),
+            _uncertainty(last.uncertainty, math.floor(grown + least), math.ceil(late + most) + 1),
         )
 
     def _rate(self, local: int) -> tuple[int, int]:
@@ -145,8 +153,11 @@ class Clock:
     def _states(self, local: int, least: Fraction, most: Fraction) -> tuple[int, ...]:
         last = self._last
         assert last is not None
-        if local - last.at >= c.CLOCK_HOLDOVER_S * 10**6:
+        passed = local - last.at
+        if passed >= _HOLDOVER_US:
             return (c.CLOCK_HOLDOVER,)
+        if passed + last.early >= _HOLDOVER_US:
+            return (c.CLOCK_HOLDOVER, c.CLOCK_SETTLING, c.CLOCK_LOCKED)
         if last.is_step:
             return (c.CLOCK_SETTLING,)
         known = 0 if last.uncertainty == c.CLOCK_UNKNOWN else last.uncertainty

@@ -278,6 +278,17 @@ def _check_time(one: oracle.Transducer, time_us: int, begin_us: int, end_us: int
         )
 
 
+def settable(board: Board, one: oracle.Transducer) -> bytes:
+    """Return any value that an actuator takes."""
+    limits = _numbers(board, one)
+    if limits is None:
+        return board.value(one)
+    low, high = limits
+    if one.type.element in _FORMATS:
+        return board.packed(one, board.rng.uniform(low, high))
+    return board.packed(one, board.rng.choice([low, high, board.rng.randint(low, high)]))
+
+
 class _TransducerCase(Case):
     """A case for devices with the capability."""
 
@@ -935,23 +946,13 @@ class Set(_TransducerCase):
             if guarded:
                 board.write(one, c.TRANSD_WATCHDOG, before)
 
-    @staticmethod
-    def _value(board: Board, one: oracle.Transducer) -> bytes:
-        limits = _numbers(board, one)
-        if limits is None:
-            return board.value(one)
-        low, high = limits
-        if one.type.element in _FORMATS:
-            return board.packed(one, board.rng.uniform(low, high))
-        return board.packed(one, board.rng.choice([low, high, board.rng.randint(low, high)]))
-
     def _at_once(self, board: Board, one: oracle.Transducer) -> None:
         room = (board.peer.longest - 11) // board.size(one)
         now = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
         for at_us in (0, 1, None):
             for first in range(one.channels):
                 for count in sorted({1, min(room, one.channels - first)}):
-                    values = [self._value(board, one) for _ in range(count)]
+                    values = [settable(board, one) for _ in range(count)]
                     begin_us = board.time_us()
                     at = _US.pack(begin_us if at_us is None else at_us)
                     board.write(one, c.TRANSD_SET, bytes((first,)) + at + b"".join(values))
@@ -977,7 +978,7 @@ class Set(_TransducerCase):
         channels = sorted({0, one.channels - 1})
         for channel in channels:
             before = board.read(one, c.TRANSD_SAMPLE)
-            value = self._value(board, one)
+            value = settable(board, one)
             due_us = board.time_us() + _DUE_US
             board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(due_us) + value)
             for _ in board.until(due_us):
@@ -1003,7 +1004,7 @@ class Set(_TransducerCase):
     def _replaced(self, board: Board, one: oracle.Transducer) -> None:
         """Set a channel for a time, and then anew before that."""
         for second_us in (0, _DUE_US // 2, 2 * _DUE_US):
-            first, second = self._value(board, one), self._value(board, one)
+            first, second = settable(board, one), settable(board, one)
             begin_us = board.time_us()
             due_us = begin_us + _DUE_US
             later_us = begin_us + second_us if second_us else 0
@@ -1039,7 +1040,7 @@ class Watchdog(_TransducerCase):
         if one.attributes.get("safe", "none") != "none":
             number = oracle.raw(one, one.attributes["safe"], board.descriptors.definitions)
             safe = board.packed(one, number)
-        others = (value for _ in range(_TRIES) if (value := Set._value(board, one)) != safe)
+        others = (value for _ in range(_TRIES) if (value := settable(board, one)) != safe)
         value = next(others, safe)
         if value == safe:  # it has one value only
             return
