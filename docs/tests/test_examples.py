@@ -19,6 +19,7 @@ from j2a_spec.oracle import Frame, decode
 import j2a
 from docs.tests.repeat import EXAMPLES, LIMIT_S, ROOT, SHOWN_URL, shown
 from j2a.demo import DemoDevice
+from j2a.tests.library.clocked import ClockedDevice
 from transports.tests.fake_gadget import Host, installed  # noqa: TID251 - not installed
 
 
@@ -110,6 +111,14 @@ def test_tour(url):
     assert "40 + 2 = 42" in printed
     assert "stored 240 bytes" in printed
     assert printed.endswith("the board counts [0, 1, 2]\n")
+
+
+def test_clock():
+    with served(ClockedDevice(ppm=30)) as found:
+        printed = run(EXAMPLES / "clock.py", found).splitlines()
+    assert len(printed) == 3
+    for line in printed:
+        assert re.fullmatch(r"(settling|locked|free): off by [+-]\d+ us, known to \d+ us", line)
 
 
 def test_asynchronous(url):

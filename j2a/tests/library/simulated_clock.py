@@ -41,6 +41,28 @@ def latency_timer(draw: random.Random) -> tuple[float, float]:
     return 60 + draw.uniform(0, 1000), 60 + draw.uniform(0, 16_000)
 
 
+def latency_timer_1(draw: random.Random) -> tuple[float, float]:
+    """Such an adapter whose timer was set to 1 ms."""
+    return 60 + draw.uniform(0, 1000), 60 + draw.uniform(0, 1000)
+
+
+def usb(draw: random.Random) -> tuple[float, float]:
+    """Bulk transfers of full speed: the host controller asks for a reply every so often."""
+    return 30 + draw.uniform(0, 125), 40 + draw.uniform(0, 250)
+
+
+def ethernet(draw: random.Random) -> tuple[float, float]:
+    late = 2_000 * draw.random() if draw.random() < 0.02 else 0.0
+    return 60 + draw.expovariate(1 / 40), 80 + draw.expovariate(1 / 60) + late
+
+
+def rfcomm(draw: random.Random) -> tuple[float, float]:
+    """Slots of 625 us; a radio that was asleep takes longer, and some packets are sent again."""
+    there = 1250 * draw.randint(1, 4) + 5_000 * (draw.random() < 0.2)
+    back = 1250 * draw.randint(2, 12) + 10_000 * (draw.random() < 0.2)
+    return there + draw.uniform(0, 625), back + draw.uniform(0, 625)
+
+
 @dataclass
 class Board:
     """A counter that runs wrong by some ppm, which wander, and a clock as SPEC.md has it.
