@@ -24,12 +24,14 @@ from j2a.protocol.clock import (
     Discipline,
     Estimator,
     Exchange,
+    Frame,
     ReferenceClock,
     Verdict,
     pack_exchange,
     unpack_exchange,
     unpack_status,
 )
+from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a_sim._clocks.delays import HOST_BYTE_S, host_delay
@@ -44,6 +46,7 @@ CLOCK: Final = b"a2jClock"
 MAPPING_OPCODE: Final = 0
 START_S: Final = 1.0
 APART_S: Final = 0.002
+FRAME_AGE_S: Final = 0.3  # SYNC-005: a frame has to be told within 500 ms
 
 
 class Board(Protocol):
@@ -97,6 +100,7 @@ class Host:
 
     Attributes:
         lost: calls without a reply that could be used.
+        refused: adjustments that a board did not take.
         slacks_us: for each exchange, what its round trip leaves unexplained.
     """
 
@@ -113,6 +117,7 @@ class Host:
             _Member(board, Discipline(self._reference, Estimator(self._byte_us)))
             for board in boards
         ]
+        self.refused = 0
         self._replugged = False
         self._cpu_ns = self._taken = 0
         self.lost = 0
@@ -166,27 +171,43 @@ class Host:
         for member in present:
             now_s = self._observe(member, now_s) + APART_S
         self._reference.observe(self._monotonic_us(now_s), self._unix_us(now_s))
-        frame = None
-        if self._bus is not None:
-            frame = self._bus.frame_at(self._monotonic_us(now_s))
+        frame, of_s = self._frame(now_s), now_s
         for member in present:
             if member.discipline.status is None:
                 now_s = self._ask(member, now_s)
-            adjust = member.discipline.next_adjust(self._monotonic_us(now_s))
-            if adjust is None:
-                continue
-            if frame is None or adjust.is_step:
-                payload = adjust.pack()
-            else:
-                payload = frame.pack()
-                adjust = None
-            reply = self._call(member, now_s, payload)
-            if reply is None:
-                continue
-            code, data, _, now_s = reply
-            if code == 0:
-                member.discipline.take_status(unpack_status(data), adjust)
+            if now_s > of_s + FRAME_AGE_S:
+                frame, of_s = self._frame(now_s), now_s
+            now_s = self._tell(member, now_s, frame)
         return now_s
+
+    def _frame(self, now_s: float) -> Frame | None:
+        """The time of a frame, for all boards of the bus; None until it is known well enough."""
+        if self._bus is None or self._bus.estimator.taken < BURST:
+            return None
+        return self._bus.frame_at(self._monotonic_us(now_s))
+
+    def _tell(self, member: _Member, now_s: float, frame: Frame | None) -> float:
+        """Tell a board the time; returns when it has it.
+
+        A frame is told even if the exchanges with this board are doubted just now: boards of a bus
+        agree as long as all are told the same.
+        """
+        adjust = member.discipline.next_adjust(self._monotonic_us(now_s))
+        if frame is not None and (adjust is None or not adjust.is_step):
+            adjust, payload = None, frame.pack()
+        elif adjust is not None:
+            payload = adjust.pack()
+        else:
+            return now_s
+        reply = self._call(member, now_s, payload)
+        if reply is None:
+            return now_s
+        code, data, _, done_s = reply
+        if code:
+            self.refused += 1
+        else:
+            member.discipline.take_status(unpack_status(data), adjust)
+        return done_s
 
     def _ask(self, member: _Member, now_s: float) -> float:
         """Ask for the status; returns when it was there."""

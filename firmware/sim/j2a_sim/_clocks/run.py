@@ -131,6 +131,7 @@ def run(settings: Settings) -> Report:
         "backwards": sum(board.backwards for board in boards),
         "slack_us": host.slack_us,
         "lost_calls": host.lost,
+        "refused": host.refused,
     }
     readings = [board.readings for board in boards]
     return make_report(
