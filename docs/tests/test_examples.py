@@ -19,7 +19,6 @@ from j2a_spec.oracle import Frame, decode
 import j2a
 from docs.tests.repeat import EXAMPLES, LIMIT_S, ROOT, SHOWN_URL, shown
 from j2a.demo import DemoDevice
-from j2a.tests.library.clocked import ClockedDevice
 from transports.tests.fake_gadget import Host, installed  # noqa: TID251 - not installed
 
 
@@ -114,7 +113,7 @@ def test_tour(url):
 
 
 def test_clock():
-    with served(ClockedDevice(ppm=30)) as found:
+    with served(j2a.Device(clock=30)) as found:
         printed = run(EXAMPLES / "clock.py", found).splitlines()
     assert len(printed) == 3
     for line in printed:

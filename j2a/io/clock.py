@@ -186,7 +186,10 @@ class Clock(ClockBase):
 
     @contextlib.contextmanager
     def _turn(self, limit_s: float) -> Iterator[None]:
-        if not self._busy.acquire(timeout=min(limit_s, threading.TIMEOUT_MAX)):
+        end = self._now() + limit_s
+        while not self._busy.acquire(timeout=slice_of(self._is_simulated)):
+            if self._now() < end:
+                continue
             raise CallTimeout(
                 f"the clock of {self._url} was not asked: another thread asks it for longer than "
                 f"{limit_s:g} s",

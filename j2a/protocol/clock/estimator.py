@@ -52,7 +52,8 @@ class Exchange:
         came_us: when it had the reply.
         received_us: when the request had arrived, on the counter far away.
         turnaround_us: from then until the reply was made.
-        bytes_out, bytes_in: length of the frames on the wire; for links of a known speed.
+        bytes_out: length of the request on the wire; for links of a known speed.
+        bytes_in: that of the reply.
         frame: number of the USB frame in which the request arrived; None where it is not known.
         age_us: from the begin of this frame until the request had arrived.
     """
