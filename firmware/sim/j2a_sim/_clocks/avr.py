@@ -116,8 +116,13 @@ class AvrBoard:
         found = bus.enumerate()
         self._in, self._out = find_endpoints(parse_configuration(found.configuration))
         self.out_address = self._out.address
+        self._waiting: set[int] = set()
         for _ in range(WAITING):
-            bus.submit_in(self._in.address, IN_BYTES, packet=self._in.packet)
+            self._listen()
+
+    def _listen(self) -> None:
+        bus = self.sim.usb
+        self._waiting.add(bus.submit_in(self._in.address, IN_BYTES, packet=self._in.packet))
 
     def call(self, at_s: float, frame: bytes) -> tuple[bytes, float] | None:
         """Send a frame to the board, and wait for what comes back; see NativeBoard.call()."""
@@ -126,10 +131,10 @@ class AvrBoard:
             self.sim.usb.submit_out(self._out.address, frame, packet=self._out.packet)
         else:
             self.sim.uart_write(frame)
-        end = float(self._cycle_of(at_s + REPLY_S))
+        end = int(self._cycle_of(at_s + REPLY_S))
         data, came = b"", 0
         while self.sim.cycle < end:
-            quiet = self.sim.cycle + QUIET_S * FREQUENCY_HZ
+            quiet = self.sim.cycle + int(QUIET_S * FREQUENCY_HZ)
             self._advance(min(quiet, end), True)
             more, cycle = self.take()
             if more:
@@ -147,10 +152,12 @@ class AvrBoard:
         data, cycle = b"", 0
         for done in self.sim.usb.completed():
             self.ends.append((done.cycle, len(done.data)))
-            if not done.data:
+            if done.id not in self._waiting:
                 continue
-            data, cycle = data + done.data, done.cycle
-            self.sim.usb.submit_in(self._in.address, IN_BYTES, packet=self._in.packet)
+            self._waiting.discard(done.id)
+            self._listen()
+            if done.data:
+                data, cycle = data + done.data, done.cycle
         return data, cycle
 
     def run(self, until_s: float) -> None:
