@@ -76,7 +76,8 @@ class Mutant:
         what: what it does, as a sentence without a full stop.
         edits: what makes it.
         port: for the C core, the port that it is built for.
-        app: for the C core, the application; for the Python Device "demo", or "transducers".
+        app: for the C core, the application; for the Python Device "demo", "transducers" or
+            "clock".
         options: for the C core, build options such as "-DJ2A_WITH_MAPPING=0"; for the
             Python Device, arguments of its demo such as "room=119".
         program: for the host library, the host program, "client" or "aio", in conformance/hosts.

@@ -45,6 +45,8 @@ _AnyCase = TypeVar("_AnyCase", Case, host.HostCase)
 _SEEDED: Final = (
     "import random, runpy, sys; random.seed(0); runpy.run_path(sys.argv[1], None, '__main__')"
 )
+# Applications of the Python Device besides its demo: functions of testees/transducers.py.
+_TESTEES: Final = {"transducers": "device", "clock": "clocked"}
 _DIED: Final = ("the link ended", "the host program ended")
 
 
@@ -342,9 +344,9 @@ def _device(how: Variant, folder: Path) -> tuple[str, float]:
     """Return the URL of the device that `folder` holds, and the factor for the waits."""
     if how.target == "device":
         serve = ["-m", "j2a", "serve", "--listen", "stdio:", "--once"]
-        if how.app == "transducers":
+        if how.app in _TESTEES:
             testee = str(ROOT / "conformance/testees/transducers.py")
-            text = f"import runpy\n\ndevice = runpy.run_path({testee!r})['device']\n"
+            text = f"import runpy\n\ndevice = runpy.run_path({testee!r})[{_TESTEES[how.app]!r}]\n"
             (folder / "judged.py").write_text(text, "utf-8")
             serve += ["--device", "judged:device"]
         elif how.options:
@@ -352,9 +354,12 @@ def _device(how: Variant, folder: Path) -> tuple[str, float]:
             (folder / "judged.py").write_text(text, "utf-8")
             serve += ["--device", "judged:device"]
         return "exec:" + shlex.join(_python(folder, *serve)), _SCALE
+    if how.port == "posix" and "J2A_WITH_SYNC=1" in how.options:  # fast, as testees/clock.toml
+        return f"exec:env J2A_DRIFT_PPM=3000040 {shlex.quote(f'{folder}/out/{how.app}')}", _SCALE
     if how.port == "posix":
         return f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", _SCALE
-    return f"sim:{folder}/out/{how.app}.elf", 1.0
+    usb = "?mcu=atmega32u4&link=usb" if how.port == "avr-usb" else ""
+    return f"sim:{folder}/out/{how.app}.elf{usb}", 1.0
 
 
 def _claimed(how: Variant) -> Collection[Level]:

@@ -38,6 +38,16 @@ uint32_t j2a_clock_uncertainty_us(void);
 
 /* ------------------------------------------------------------------ for ports ---------------- */
 
+/* A port that has a counter for it waits more exactly: J2A_PORT_WAIT 1 in its j2a_port_config.h. From the main context;
+ * interrupts may be off for the last 20 us.
+ * local_us: the lower 32 bits of a local time that is at most a millisecond ahead. */
+#ifndef J2A_PORT_WAIT
+#define J2A_PORT_WAIT 0
+#endif
+#if J2A_PORT_WAIT
+void j2a_port_wait(uint32_t local_us);
+#endif
+
 #if J2A_PORT_FRAMES
 /* The start of a USB frame. */
 typedef struct {
@@ -60,6 +70,10 @@ extern uint64_t j2a_received_us;
 
 /* Leads the time to its target; about each millisecond. */
 void j2a_clock_turn(void);
+
+/* Returns whether a time has come. If that is a little ahead waits for it, so that what then happens does so on
+ * several boards at once, however long their main loops take. */
+bool j2a_clock_is_due(uint64_t due_us);
 
 /* The function a2jClock. */
 J2A_DECLARE_CALL(j2a_clock);

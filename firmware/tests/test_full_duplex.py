@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import pytest
 from j2a_sim import AvrSim
 from j2a_spec import constants as c
-from j2a_spec.grammar import PROPERTIES
+from j2a_spec.grammar import CLOCK_ADJUST, PROPERTIES
 from j2a_spec.oracle import Frame, decode, encode
 
 pytestmark = pytest.mark.avr
@@ -158,11 +158,22 @@ def ask(sim: AvrSim, function: str, payload: bytes = b"") -> Frame:
 
 
 @pytest.fixture
-def sim(build):
-    with AvrSim(build(port="avr-serial", BAUD=str(BAUD))) as sim:
+def sim(request, monkeypatch, build):
+    """The demo, by indirect parametrization also with a clock that is being slewed."""
+    has_clock = getattr(request, "param", False)
+    options = {"OPTIONS": "-DJ2A_WITH_SYNC=1"} if has_clock else {}
+    with AvrSim(build(port="avr-serial", BAUD=str(BAUD), **options)) as sim:
         sim.boot()
         sim.run(sim.cycles(0.001))
         assert sim.baud == BAUD
+        if has_clock:  # a2jClock stands before the functions of the demo
+            monkeypatch.setitem(OPCODE, c.CLOCK, OPCODE[DEMO[0]])
+            for name in DEMO:
+                monkeypatch.setitem(OPCODE, name, OPCODE[name] + 1)
+            for time in (1_700_000_000_000_000, 1_700_000_000_500_000):
+                line = {"local": 0, "time": time, "rate": 70_000, "uncertainty": 9, "wander": 100}
+                adjust = CLOCK_ADJUST.build({"mode": c.CLOCK_SLEW, **line})
+                assert ask(sim, c.CLOCK, adjust).opcode == 0
         yield sim
 
 
@@ -183,12 +194,14 @@ def rxbuf(sim: AvrSim) -> int:
     ],
     ids=lambda value: getattr(value, "__name__", str(value)),
 )
+@pytest.mark.parametrize("sim", [False, True], ids=["plain", "clock"], indirect=True)
 def test_nothing_is_lost(sim, payloads, seconds, share):
     limit = rxbuf(sim)
     assert ask(sim, "sifPeriod", bytes((SIF_MS, 0))) == Frame(c.SOF, 0xAA, 0)
     host = Host(sim, payloads(), limit)
     seen = host.run(seconds)
     assert seen.wrong == []
+    share *= 0.8 if c.CLOCK in OPCODE else 1  # the clock takes its time, too
     assert min(seen.up, seen.down) > share, (seen.up, seen.down)
     host.limit = 0  # the last replies
     host.run(0.02)

@@ -14,6 +14,7 @@
 enum {
     LEAD_US = 1024,       /* from the plan of a line to its begin */
     MARGIN_US = 512,      /* so much earlier it holds; interrupts are shorter */
+    WAIT_US = 1000,       /* a turn of the main loop is shorter */
     DISTANCE_BITS = 12,   /* a correction of n / 2^32 over a segment removes n / 2^12 us */
     STATUS_BYTES = 26
 };
@@ -73,6 +74,36 @@ uint64_t j2a_clock_us(void) {
         return local_us;
     load(&line, (uint32_t)local_us);
     return time_on(&line, (uint32_t)local_us, &part);
+}
+
+#if !J2A_PORT_WAIT
+static void j2a_port_wait(uint32_t local_us) {
+    while ((int32_t)((uint32_t)j2a_port_time_us() - local_us) < 0) {
+    }
+}
+#endif
+
+bool j2a_clock_is_due(uint64_t due_us) {
+    const uint64_t local_us = j2a_port_time_us();
+    const uint32_t now = (uint32_t)local_us;
+    uint64_t time_us = local_us;
+    int32_t rate = 0;
+    j2a_line line;
+    uint32_t part;
+    uint32_t left_us;
+
+    if (epoch != 0) {
+        load(&line, now);
+        time_us = time_on(&line, now, &part);
+        rate = line.rate + line.correction;
+    }
+    if (due_us <= time_us)
+        return true;
+    if (due_us - time_us > WAIT_US)
+        return false;
+    left_us = (uint32_t)(due_us - time_us);
+    j2a_port_wait(now + left_us - (uint32_t)(int32_t)((int64_t)rate * (int32_t)left_us >> 32));
+    return true;
 }
 
 /* Returns target less time at a local time, in 2^-12 us; moves the target there. */

@@ -23,9 +23,11 @@ static void load(j2a_transducer *to, uint8_t index) {
 #if J2A_WITH_SYNC
 #define clock_us j2a_clock_us
 #define local_us j2a_port_time_us
+#define is_due j2a_clock_is_due
 #else
 #define clock_us j2a_port_time_us
 #define local_us now_us
+#define is_due(due_us) ((due_us) <= clock_us())
 #endif
 
 static uint64_t now_us(void) {
@@ -286,7 +288,7 @@ static void set_due(const j2a_transducer *t) {
     uint8_t channel;
     for (channel = 0; channel < t->channels; channel++) {
         j2a_due *const waiting = &t->waiting[channel];
-        if (waiting->waits && waiting->due_us <= clock_us()) {
+        if (waiting->waits && is_due(waiting->due_us)) {
             waiting->waits = false;
             set(t, channel, t->values + channel * t->size);
         }
@@ -389,7 +391,7 @@ void j2a_turn(uint8_t *payload) {
     }
     for (left = 0; left < j2a_transducer_count; left++) {
         load(&t, left);
-        if (t.trigger && t.trigger->waits && t.trigger->due_us <= clock_us()) {
+        if (t.trigger && t.trigger->waits && is_due(t.trigger->due_us)) {
             t.trigger->waits = false;
             t.start();
         }

@@ -6,7 +6,7 @@
 #include <avr/io.h>
 #include <util/atomic.h>
 
-#include "j2a_port.h"
+#include "j2a_clock.h"
 
 void avr_clock_start(void) {
     /* All of it: a boot loader may leave other values than a reset does. */
@@ -24,6 +24,22 @@ uint16_t j2a_port_ticks(void) {
     }
     return now;
 }
+
+#if J2A_PORT_WAIT
+void j2a_port_wait(uint32_t local_us) {
+    enum { TICKS_PER_US = F_CPU / 1000000 / AVR_CLOCK_DIVIDER, LAST_TICKS = 20 * TICKS_PER_US };
+    const uint16_t due = (uint16_t)(local_us * TICKS_PER_US);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        while ((int16_t)(due - TCNT1) > 0) {
+            if ((int16_t)(due - TCNT1) > LAST_TICKS) {
+                NONATOMIC_BLOCK(NONATOMIC_FORCEOFF) {
+                    __asm__ volatile("nop"); /* an interrupt that is due is taken here */
+                }
+            }
+        }
+    }
+}
+#endif
 
 #if J2A_WITH_CLOCK
 uint32_t avr_clock_overflows; /* each 262 ms at 16 MHz, 33 ms with J2A_WITH_SYNC */

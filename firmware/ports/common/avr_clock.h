@@ -23,6 +23,9 @@
 extern uint32_t avr_clock_overflows;
 #endif
 
+/* The clock waits by this timer, see j2a_clock.h. */
+#define J2A_PORT_WAIT (J2A_WITH_SYNC && F_CPU % 8000000 == 0)
+
 /* Starts it; called once. */
 void avr_clock_start(void);
 
