@@ -29,9 +29,9 @@ from j2a.io.clock_base import ClockReading
 
 NOTES: Final = """\
 examples:
-  j2a clock usb://
+  j2a clock tcp://127.0.0.1:5000
   j2a clock tcp://127.0.0.1:5000 tcp://127.0.0.1:5001 --discipline --watch
-  j2a clock /dev/ttyUSB0 --json
+  j2a clock tcp://127.0.0.1:5000 --watch --json
 
 offset is the time of the board less that of this computer; rate is by how much the counter of the
 board runs too fast; uncertainty bounds the error of the offset, whatever the link did. A board with

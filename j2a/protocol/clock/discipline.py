@@ -78,15 +78,15 @@ class Discipline:
 
         Args:
             status: this.
-            adjust: the request that it answers, which the board has taken.
+            adjust: the request that it answers, which the board has taken; None for another one.
         """
         before = self.status
         if before is not None and status.epoch != before.epoch:
             self.epoch_local_us = status.local_us
-            self._target = None
             self.steps += adjust is not None
+        # Nobody knows what line another request has told it, such as one about a USB frame.
+        self._target = adjust
         if adjust is not None:
-            self._target = adjust
             self._host_steps = self.reference.steps
         self.status = status
 

@@ -11,6 +11,7 @@ half of the least slack is uncertainty at least (SPEC.md, section 23; J2A-CLOCK-
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -139,6 +140,8 @@ class Estimator:
         self.restarts = 0
         self._max_rate = max_rate
         self._exchanges: deque[Exchange] = deque(maxlen=window)
+        # Of the exchanges, in the same order.
+        self._intervals: deque[tuple[float, float]] = deque(maxlen=window)
         self._wander = _LEAST_WANDER
         self._doubted: Exchange | None = None
         self._estimate: Estimate | None = None
@@ -158,7 +161,7 @@ class Estimator:
 
     def reset(self) -> None:
         """Forget all exchanges: the counter has begun anew."""
-        self._exchanges.clear()
+        self._keep([])
         self._doubted = self._estimate = None
         self._wander = _LEAST_WANDER
 
@@ -174,7 +177,7 @@ class Estimator:
                 return Verdict.DOUBTED
             self.reset()
             self.restarts += 1
-            self._exchanges.append(doubted)
+            self._keep([doubted])
             self._take(exchange)
             return Verdict.RESTARTED
         self._doubted = None
@@ -220,28 +223,34 @@ class Estimator:
 
     # ------------------------------------------------------------------ all of them
 
+    def _keep(self, exchanges: Iterable[Exchange]) -> None:
+        """Keep these exchanges and no others."""
+        ordered = sorted(exchanges, key=lambda one: one.received_us)
+        self._exchanges.clear()
+        self._exchanges.extend(ordered)
+        self._intervals.clear()
+        self._intervals.extend(map(self._bounds, ordered))
+
     def _take(self, exchange: Exchange) -> None:
         self.taken += 1
+        wire = (exchange.bytes_out + exchange.bytes_in) * self.byte_us
+        used = exchange.came_us - exchange.sent_us - exchange.turnaround_us
         is_late = self._exchanges and exchange.received_us < self._exchanges[-1].received_us
         self._exchanges.append(exchange)
-        if is_late:  # one of several boards on a bus
-            ordered = sorted(self._exchanges, key=lambda one: one.received_us)
-            self._exchanges.clear()
-            self._exchanges.extend(ordered)
-        wire = (exchange.bytes_out + exchange.bytes_in) * self.byte_us
-        if exchange.came_us - exchange.sent_us - exchange.turnaround_us < wire * (
-            1 - BAUD_TOLERANCE
-        ):
+        self._intervals.append(self._bounds(exchange))
+        if used < wire * (1 - BAUD_TOLERANCE):
             self.byte_us = 0.0
+            self._keep(list(self._exchanges))
+        elif is_late:  # of another board on a bus
+            self._keep(list(self._exchanges))
         self._wander = max(self._wander * _CALMING, _LEAST_WANDER)
         strip = self._fit()
-        while strip.width < _NARROW * self._least_slack() and len(self._exchanges) > 1:
+        while strip.width < _NARROW * self._least_slack() and len(self) > 1:
             # The rate changed within the window: somewhat, or else what is old is of no use.
             if self._wander < _MOST_WANDER:
                 self._wander = min(2 * self._wander, _MOST_WANDER)
             else:
-                for _ in range((len(self._exchanges) + 1) // 2):
-                    self._exchanges.popleft()
+                self._keep(list(self._exchanges)[(len(self) + 1) // 2 :])
                 self._wander = _LEAST_WANDER
             strip = self._fit()
         newest = self._exchanges[-1]
@@ -261,7 +270,7 @@ class Estimator:
 
     def _least_slack(self) -> float:
         """Return the part of the fastest round trip of which nobody knows in which direction."""
-        return min(high - low for low, high in map(self._bounds, self._exchanges))
+        return min(high - low for low, high in self._intervals)
 
     def _fit(self) -> Strip:
         """Return the line through the intervals; those of old exchanges are widened.
@@ -271,9 +280,8 @@ class Estimator:
         """
         newest = self._exchanges[-1]
         points = []
-        for one in self._exchanges:
+        for one, (low, high) in zip(self._exchanges, self._intervals, strict=True):
             x = one.received_us - newest.received_us
-            low, high = self._bounds(one)
             widened = 0.5 * self._wander * x * x / _US
             y = newest.sent_us + x
             points.append(Bounds(x, low - y - widened, high - y + widened))

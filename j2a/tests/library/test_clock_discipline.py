@@ -3,6 +3,11 @@
 import random
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from j2a_spec import constants as c
+from j2a_spec import grammar
+from j2a_spec.clock import Clock
 
 from j2a.errors import ProtocolError
 from j2a.protocol.clock import (
@@ -291,3 +296,67 @@ def test_what_is_told_is_packed_and_cut_to_its_fields() -> None:
     frame = Frame(0x0102030405060708, 0x0201, 9)
     assert frame.pack() == bytes.fromhex("03 0807060504030201 0102 09000000")
     assert frame.packet() == bytes.fromhex("0807060504030201 0102")
+
+
+@given(
+    st.builds(
+        Adjust,
+        st.booleans(),
+        st.integers(0, 2**64 - 1),
+        st.integers(0, 2**63 - 1),
+        st.integers(-(10**10), 10**10),
+        st.none() | st.integers(0, 2**40),
+        st.integers(0, 2**40),
+    )
+)
+def test_an_adjustment_is_one_of_the_grammar(adjust: Adjust) -> None:
+    parsed = grammar.CLOCK_ADJUST.parse(adjust.pack())
+    assert (parsed.mode, parsed.local, parsed.time) == (
+        adjust.is_step,
+        adjust.local_us,
+        adjust.time_us,
+    )
+    assert parsed.rate == max(-c.CLOCK_MAX_RATE, min(adjust.rate_ppb, c.CLOCK_MAX_RATE))
+    unknown = c.CLOCK_UNKNOWN
+    assert parsed.uncertainty == min(
+        unknown if adjust.uncertainty_us is None else adjust.uncertainty_us, unknown
+    )
+    oracle = Clock()
+    assert oracle.code(adjust.pack(), adjust.local_us + 5) == 0
+
+
+@given(st.integers(0, 2**63 - 1), st.integers(0, 2047), st.none() | st.integers(0, 2**40))
+def test_a_frame_is_one_of_the_grammar(time_us: int, number: int, bound: int | None) -> None:
+    frame = Frame(time_us, number, bound)
+    parsed = grammar.CLOCK_FRAME.parse(frame.pack())
+    assert (parsed.time, parsed.frame) == (time_us, number)
+    assert frame.packet() == frame.pack()[1:11]
+
+
+def test_what_the_oracle_bounds_is_read_as_it_was_meant() -> None:
+    """A device that keeps section 23 is where `to_time` says, while it slews and after that."""
+    told = Adjust(False, 10_000_000, EPOCH_US + 5_000_000, 20_000, 10, 100)
+    oracle, discipline = Clock(), Discipline(ReferenceClock())
+    assert oracle.code(Adjust(True, 5_000_000, EPOCH_US, 0, 10, 100).pack(), 5_000_000) == 0
+    assert oracle.code(told.pack(), 10_000_300) == 0
+    for local in range(10_005_300, 14_000_000, 97_000):
+        bounds = oracle.bounds(local)
+        # In the middle of what a device may do: it is at the target, which it has not left far.
+        status = Status(local, bounds.time[0], ClockState.LOCKED, 1, bounds.rate[0], None)
+        discipline.take_status(status, told)
+        assert discipline.to_time(local) == bounds.time[0]
+        assert discipline.to_local(bounds.time[0]) == pytest.approx(local, abs=1)
+        later = oracle.bounds(local + 500_000)
+        assert later.time[0] - 1000 <= discipline.to_time(local + 500_000) <= later.time[1] + 1000
+
+
+def test_a_board_told_by_frames_is_read_by_its_status_alone() -> None:
+    board = Board(random.Random(9), ppm=20)
+    host = Host(board)
+    host.run(20)
+    status = board.status()
+    frames = Status(status.local_us, status.time_us - 700, ClockState.LOCKED, 1, 50_000, 30)
+    host.discipline.take_status(frames)
+    later = status.local_us + 1_000_000
+    assert host.discipline.to_time(later) == pytest.approx(frames.time_us + 1_000_050, abs=1)
+    assert host.discipline.to_local(frames.time_us + 1_000_050) == pytest.approx(later, abs=1)
