@@ -33,14 +33,22 @@ static uint32_t period = PERIOD;
 
 /* The second loop: `at` is 1000 * frame, so the rate is that of the host's time over an ideal frame clock. */
 static j2a_line host;
-static uint8_t told;           /* times that the host told since the line began, up to 255 */
-static uint32_t told_frame;
+static bool told;              /* there is such a line */
+static uint32_t told_frame;    /* of the last time that the host told */
+static uint32_t told_span;     /* frames over which the line remembers what was told */
+
+/* The line through n times at equal distances with the least squares of errors: of the error of the last one it takes
+ * 2 * (2n - 1) / n / (n + 1) into the phase, and 6 / n / (n + 1) over the distance into the rate. In 1/64, for n from 2
+ * on; n is how many such distances the line remembers, so a longer one counts for more than many short ones before. */
+enum { MEMORY = 8 };
+static const uint8_t J2A_FLASH phase_gain[MEMORY - 1] = {64, 53, 45, 38, 34, 30, 27};
+static const uint8_t J2A_FLASH rate_gain[MEMORY - 1] = {64, 32, 19, 13, 9, 7, 5};
 
 /* ------------------------------------------------------------------------- starts of frames ------ */
 
 static void lock(const j2a_frame *seen) {
     has_phase = true;
-    told = 0; /* the line is over frames that are not counted any more */
+    told = false; /* the line is over frames that are not counted any more */
     gear = in_gear = 0;
     runaway = 0;
     frame = seen->number;
@@ -113,19 +121,21 @@ void j2a_frames_turn(void) {
 /* ------------------------------------------------------------------------- times of the host ------ */
 
 void j2a_frames_forget(void) {
-    told = 0;
+    told = false;
 }
 
 /* Leads the line to a time that the host told, which is `error` sixteenths of a microsecond from it, `frames` frames
- * after the one before. The second time gives the rate; later ones take 2^-bits of the error into the phase, and
- * into the rate what makes the loop a critically damped one. An error of 1/16 us in a frame is a rate of 268435. */
+ * after the one before. An error of 1/16 us in a frame is a rate of 268435. */
 static void lead(int32_t error, uint32_t frames) {
-    const uint8_t bits = told == 2 ? 0 : told < 8 ? 1 : 2;
-    const int64_t part = (int64_t)error * (1L << (28 - bits)) + host.part;
-    int64_t rate = (int64_t)error * (int32_t)(268435UL / frames);
-    if (bits != 0)
-        rate >>= 2 * bits + 2;
-    rate += host.rate;
+    uint32_t left = told_span;
+    uint8_t times = 0; /* beyond the second one */
+    int64_t part, rate;
+
+    for (; times != MEMORY - 2 && left >= frames; times++)
+        left -= frames;
+    told_span = told_span + frames < MEMORY * frames ? told_span + frames : MEMORY * frames;
+    part = (int64_t)error * ((int32_t)j2a_flash_u8(&phase_gain[times]) << 22) + host.part;
+    rate = ((int64_t)error * (int32_t)(268435UL / frames) * j2a_flash_u8(&rate_gain[times]) >> 6) + host.rate;
     host.rate = (int32_t)(rate > MAX_RATE ? MAX_RATE : rate < -MAX_RATE ? -MAX_RATE : rate);
     host.part = (uint32_t)part;
     host.time_us += (uint64_t)(part >> 32);
@@ -143,19 +153,18 @@ bool j2a_frames_told(uint64_t time_us, uint16_t number) {
     of = frame - ((frame - number) & (J2A_CLOCK_FRAME_NUMBERS / 2 - 1));
     j2a_line_move(&host, (int32_t)(of * FRAME_US - host.at));
     error_us = (int64_t)(time_us - host.time_us);
-    if (told == 0 || error_us >= far_us || error_us <= -far_us) {
+    if (!told || error_us >= far_us || error_us <= -far_us) {
         host.time_us = time_us;
         host.part = 0;
-        told = 1;
+        told = true;
         told_frame = of;
+        told_span = 0;
         return true;
     }
     frames = of - told_frame;
     if (frames == 0 || frames > 0x80000000UL) /* the same one again, or an older one */
         return true;
     told_frame = of;
-    if (told != 255)
-        told++;
     lead((int32_t)error_us * 16 - (int32_t)(host.part >> 28), frames);
     return true;
 }
@@ -169,7 +178,7 @@ void j2a_frames_target(j2a_line *target, uint32_t now) {
     int32_t rate;
     int64_t part;
 
-    if (!has_phase || told == 0)
+    if (!has_phase || !told)
         return;
     j2a_line_move(&host, (int32_t)(frame * FRAME_US - host.at));
     rate = host.rate - q;
