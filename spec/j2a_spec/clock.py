@@ -85,13 +85,14 @@ class Clock:
         self._last: _Adjustment | None = None
         self._epoch = epoch
 
-    def code(self, request: bytes, local: int, early: int = 0) -> int:
+    def code(self, request: bytes, local: int, early: int = 0, off: int | None = None) -> int:
         """Return the code of the reply to a request, and take an adjustment (J2A-CLOCK-003).
 
         Args:
             request: the payload.
             local: the local time of the device at which it executes the request, in us.
             early: so many us earlier it may have been.
+            off: target less time at the local time of the adjustment in us, where it is known.
         """
         if not request:
             return c.CLOCK_BAD_LENGTH
@@ -104,10 +105,10 @@ class Clock:
         if request[0] == c.CLOCK_ADJUST:
             if not _is_in_range(fields, local):
                 return c.CLOCK_BAD_VALUE
-            self._adjust(fields, local, early)
+            self._adjust(fields, local, early, off)
         return 0
 
-    def _adjust(self, adjust: cs.Container, local: int, early: int) -> None:
+    def _adjust(self, adjust: cs.Container, local: int, early: int, off: int | None) -> None:
         is_step = self._last is None or adjust.mode == c.CLOCK_STEP
         rate, wander = Fraction(adjust.rate, _PPB), Fraction(adjust.wander, _PPB)
         told = (local, adjust.local, adjust.time, rate, adjust.uncertainty, wander)
@@ -117,10 +118,12 @@ class Clock:
             return
         new = _Adjustment(*told, is_step=False, early=early)
         moved = new.target(local) - self._last.target(local)
-        low, high = self._last.distance(local)
+        low, high = (bound + moved for bound in self._last.distance(local))
+        if off is not None:
+            low, high = Fraction(off - 1), Fraction(off + 1)
         lag = (abs(rate - self._last.rate) + _SLEW) * (_LAG_US + early)
         before = self._rate(local)
-        self._last = replace(new, low=low + moved - lag, high=high + moved + lag, before=before)
+        self._last = replace(new, low=low - lag, high=high + lag, before=before)
 
     def bounds(self, local: int) -> Bounds:
         """Return what STATUS may say at a local time, in us."""

@@ -82,7 +82,7 @@ class Board:
         local = CLOCK_STATUS.parse(payload).local
         if local < before.local:
             fail(f"the local time went back, from {before.local} us to {local} us")
-        self.oracle.code(request, local, local - before.local)
+        self.oracle.code(request, local, local - before.local, time - before.time)
         return self._check(payload)
 
     def step(self, base: int = UNIX, **fields: int) -> cs.Container:
@@ -273,6 +273,7 @@ class Exchanges(ClockCase):
             for byte in (0, 1, 0x7F, 0x80, 0xFF, *c.STUFFED)
         ]
         has_frames = board.has_frames
+        board.step()  # local time and time differ
         for nonce in (*range(256), *places, 0, 0xFFFFFFFF):
             before = board.status().local
             self._exchange(board, nonce, before, has_frames=has_frames)

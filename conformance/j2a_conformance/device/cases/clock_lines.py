@@ -66,6 +66,7 @@ class Slews(ClockCase):
     REQUIREMENTS = (
         "J2A-CLOCK-007",
         "J2A-CLOCK-010",
+        "J2A-CLOCK-011",
         "J2A-CLOCK-012",
         "J2A-CLOCK-013",
         "J2A-CLOCK-014",
@@ -79,7 +80,7 @@ class Slews(ClockCase):
             board.adjust(off)
             board.wait(20_000)
             self._check_rates(list(board.watch(600_000)))
-        for off in (400, -400, 7, -7):
+        for off in (400, -400, 7, -7, 4, -3):
             board.adjust(off, uncertainty=3)
             board.wait(_REACHED_US + 1000 * abs(off))
         board.adjust(300)
