@@ -52,11 +52,11 @@ from j2a.events import (
     Sample,
     Sif,
 )
+from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.functions import ManyReply, ManyRequest, read_chunk
 from j2a.io.handlers import Subscription
 from j2a.io.streams import SifStream
 from j2a.io.transds_file import load_transds
-from j2a.io.transducers import Actuator, Sensor
 from j2a.protocol.roster import BoardChange
 from j2a.protocol.trace import Trace
 from j2a.types.annotations import Length, f32, f64, i8, i16, i32, i64, u8, u16, u32, u64

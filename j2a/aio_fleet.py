@@ -17,11 +17,11 @@ from j2a.aio import AsyncClient, aconnect
 from j2a.errors import J2AError, LocalError, OpenFailed, Outcome
 from j2a.events import Sample
 from j2a.io.async_streams import AsyncSifStream
+from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.fleet_base import FleetBase, by_url
 from j2a.io.handlers import ErrorHook, Handlers, Subscription
 from j2a.io.streams import MAX_SIFS, slice_of
 from j2a.io.threads import JOIN_S
-from j2a.io.transducers import AsyncActuator, AsyncSensor
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
 

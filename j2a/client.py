@@ -15,12 +15,13 @@ from j2a_spec.constants import GET_ECHO
 from j2a.errors import J2AError
 from j2a.events import Reply, Restart, Sif
 from j2a.io.blocking import Engine, Handler, RestartHandler
+from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.client_base import ClientBase, check_echo, checked
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
 from j2a.io.streams import MAX_SIFS, SifStream
-from j2a.io.transducers import Actuator, Sensor, Transducers
+from j2a.io.transducers import Transducers
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Self
 from j2a.client import Client, connect
 from j2a.errors import J2AError, LocalError, OpenFailed, Outcome
 from j2a.events import Sample
+from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.fleet_base import FleetBase, by_url
 from j2a.io.handlers import ErrorHook, Handlers, Subscription
 from j2a.io.streams import MAX_SIFS, SifStream, slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
-from j2a.io.transducers import Actuator, Sensor
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
 

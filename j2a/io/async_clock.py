@@ -8,7 +8,7 @@ from typing import Any, Self, TypeVar
 
 from j2a.errors import J2AError, LinkError, LocalError
 from j2a.io.clock import ROUNDS, check_period, check_rounds
-from j2a.io.clock_base import ClockBase, ClockReading
+from j2a.io.clock_base import LOOK_S, ClockBase, ClockReading
 from j2a.io.streams import slice_of
 from j2a.protocol.clock import Exchange, Status
 from j2a.protocol.transfer import Transfer
@@ -196,11 +196,20 @@ class AsyncClockKeeper:
     async def __aexit__(self, *exc_info: object) -> None:
         await self.stop()
 
+    async def _wait(self, seconds: float) -> None:
+        """Wait for the next round: less, where the clock of this computer was set or slewed."""
+        clock = self._clock
+        while seconds > 0:
+            await clock._pause(min(seconds, LOOK_S))
+            seconds -= LOOK_S
+            if self._is_setting and clock._is_outdated():
+                break
+
     async def _work(self) -> None:
         clock = self._clock
         turn = clock._adjust if self._is_setting else clock._measure
+        steps = clock._host.reference.steps
         while True:
-            steps = clock._host.reference.steps
             delay_s = self._period_s
             try:
                 await clock._run(turn, None)
@@ -208,16 +217,15 @@ class AsyncClockKeeper:
                 delay_s = clock._discipline.delay_s(self._period_s)
             except LinkError as error:
                 self._note(error)
-                client = clock._client_ref()
-                if client is None or not client.is_open:
+                if clock._is_over():
                     return
             except J2AError as error:
                 self._note(error)
             except Exception:
                 self.failures += 1
                 _logger.exception("the clock of %s could not be asked", clock._url)
-            clock._note_step(steps)
-            await clock._pause(delay_s)
+            steps = clock._note_step(steps)
+            await self._wait(delay_s)
 
 
 def _cancel(task: asyncio.Task[None]) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final, Self, TypeVar
 
 from j2a.errors import CallTimeout, J2AError, LinkError, LocalError, Outcome
-from j2a.io.clock_base import ClockBase, ClockReading
+from j2a.io.clock_base import LOOK_S, ClockBase, ClockReading
 from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 from j2a.protocol.arguments import check_timeout
@@ -260,11 +260,20 @@ class ClockKeeper:
             f"<j2a {what} {self._clock._url}: {self.rounds} rounds, {self.failures} failed{state}>"
         )
 
+    def _wait(self, seconds: float) -> None:
+        """Wait for the next round: less, where the clock of this computer was set or slewed."""
+        clock = self._clock
+        while seconds > 0 and not self._ended.is_set():
+            clock._pause(min(seconds, LOOK_S), self._ended)
+            seconds -= LOOK_S
+            if self._is_setting and clock._is_outdated():
+                break
+
     def _work(self) -> None:
         clock = self._clock
         turn = clock._adjust if self._is_setting else clock._measure
+        steps = clock._host.reference.steps
         while not self._ended.is_set():
-            steps = clock._host.reference.steps
             delay_s = self._period_s
             try:
                 clock._run(turn, None)
@@ -272,16 +281,15 @@ class ClockKeeper:
                 delay_s = clock._discipline.delay_s(self._period_s)
             except LinkError as error:
                 self._note(error)
-                client = clock._client_ref()
-                if client is None or not client.is_open:
+                if clock._is_over():
                     break
             except J2AError as error:
                 self._note(error)
             except Exception:
                 self.failures += 1
                 _logger.exception("the clock of %s could not be asked", clock._url)
-            clock._note_step(steps)
-            clock._pause(delay_s, self._ended)
+            steps = clock._note_step(steps)
+            self._wait(delay_s)
         self._ended.set()
 
 

@@ -37,7 +37,10 @@ from j2a.types.transducers import TIME_BYTES
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["ClockBase", "ClockReading"]
+__all__ = ["LOOK_S", "ClockBase", "ClockReading"]
+
+LOOK_S: Final = 0.1
+"""Who disciplines a clock looks so often whether that of this computer was set or slewed."""
 
 _US: Final = 1e6
 _PPB: Final = 1e9
@@ -289,8 +292,21 @@ class ClockBase:
             if len(stuff(data)) == len(data):
                 return nonce
 
-    def _note_step(self, before: int) -> None:
-        """Log that the clock of this computer was set since there were so many steps."""
+    def _is_outdated(self) -> bool:
+        """Whether the board should hear now that the clock of this computer was set or slewed."""
+        self._host.observe()
+        return self._discipline.is_outdated
+
+    def _is_over(self) -> bool:
+        """Whether the client is gone or closed, or the link lost."""
+        client = self._client_ref()
+        return client is None or not client.is_open
+
+    def _note_step(self, before: int) -> int:
+        """Log that the clock of this computer was set since there were so many steps.
+
+        Returns: how many there are now.
+        """
         reference = self._host.reference
         if reference.steps != before:
             _logger.warning(
@@ -298,3 +314,4 @@ class ClockBase:
                 reference.last_step_us / _US,
                 self._url,
             )
+        return reference.steps

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 __all__ = ["HostTime", "host_time_of"]
 
 _US: Final = 1e6
-_TRIES: Final = 3
+_TRIES: Final = 10
 _QUICK_US: Final = 2.0
+_SLOW_US: Final = 10.0
 _Readings = Callable[[], tuple[float, int]]
 
 
@@ -41,6 +42,7 @@ class HostTime:
         self.counter_us = counter_us
         self.reference = ReferenceClock()
         self._unix_us = unix_us
+        self._is_known = False
         self.renew_lock()
 
     def renew_lock(self) -> None:
@@ -48,7 +50,10 @@ class HostTime:
         self._lock = threading.Lock()
 
     def observe(self) -> float:
-        """Let the reference know the time of now; return it on the counter, in microseconds."""
+        """Let the reference know the time of now; return it on the counter, in microseconds.
+
+        A reading that was interrupted again and again is left out, unless it is the first one.
+        """
         with self._lock:
             best = (float("inf"), 0.0, 0)
             for _ in range(_TRIES):
@@ -57,8 +62,10 @@ class HostTime:
                 best = min(best, (after - before, (before + after) / 2, unix_us))
                 if best[0] < _QUICK_US:
                     break
-            _, counter_us, unix_us = best
-            self.reference.observe(counter_us, unix_us)
+            took_us, counter_us, unix_us = best
+            if took_us <= _SLOW_US or not self._is_known:
+                self.reference.observe(counter_us, unix_us)
+                self._is_known = True
         return counter_us
 
 

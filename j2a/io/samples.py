@@ -17,9 +17,13 @@ from j2a.types.coding import PayloadMismatchError
 from j2a.types.samples import SampleCodec
 from j2a.types.transducers import Descriptors, Transducer
 
-__all__ = ["SampleSource", "WantedSamples"]
+__all__ = ["BadPayload", "SampleSource", "WantedSamples"]
 
 _LOST_MODULO = 0x10000
+
+
+class BadPayload(ProtocolError):  # noqa: N818 - named as those of j2a.errors
+    """A SIF is not what the device says of it."""
 
 
 class _State:
@@ -74,6 +78,11 @@ class SampleSource:
         self._learnt = descriptors
         found = descriptors.transducers if descriptors is not None else ()
         states = [_State(one, SampleCodec(one, self._device.types)) for one in found]
+        for state in states:
+            # Where the device was reset in between, its times go back.
+            before = self._by_name.get(state.transducer.name)
+            if before is not None:
+                state.times_us, state.count = before.times_us, before.count
         self._by_name = {one.transducer.name: one for one in states}
         self._by_id = {one.transducer.id: one for one in states if one.transducer.is_sensor}
 
@@ -110,7 +119,7 @@ class SampleSource:
         try:
             self.current = state.latest = self._sample(state, sif)
         except PayloadMismatchError as error:
-            raise ProtocolError(f"a sample of {state.transducer.name}: {error}") from None
+            raise BadPayload(f"a sample of {state.transducer.name}: {error}") from None
 
     def _sample(self, state: _State, sif: Sif) -> Sample:
         lost = 0

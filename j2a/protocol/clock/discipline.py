@@ -22,6 +22,7 @@ BURST: Final = 8
 BURST_S: Final = 0.05
 _FOREIGN_US: Final = CLOCK_FRAME_STEP_S * 1_000_000
 """A board that is off by more when the discipline begins was set by another clock."""
+_RATE_CHANGE: Final = 2e-5
 _PPB: Final = 1e9
 
 
@@ -47,6 +48,7 @@ class Discipline:
         self.steps = 0
         self._target: Adjust | None = None
         self._host_steps = reference.steps
+        self._host_rate = reference.rate
         self._since_reset = 0
 
     # ------------------------------------------------------------------ what happens
@@ -88,6 +90,7 @@ class Discipline:
         self._target = adjust
         if adjust is not None:
             self._host_steps = self.reference.steps
+            self._host_rate = self.reference.rate
         self.status = status
 
     # ------------------------------------------------------------------ what to do
@@ -98,6 +101,15 @@ class Discipline:
             return min(BURST_S, period_s)
         doublings = min(max(self._since_reset - BURST, 0), 16)
         return min(BURST_S * 2.0**doublings, period_s)
+
+    @property
+    def is_outdated(self) -> bool:
+        """The clock of the host was set or slewed since the board was told; it is worth a round."""
+        reference = self.reference
+        return self._target is not None and (
+            self._host_steps != reference.steps
+            or abs(self._host_rate - reference.rate) > _RATE_CHANGE
+        )
 
     def next_adjust(self, now_us: float) -> Adjust | None:
         """Return what to tell the board now.

@@ -15,6 +15,9 @@ STEP_US: Final = 1000
 """A change by so much is a step of the host's clock, and a smaller one part of its rate."""
 MAX_SLEW: Final = 1e-3
 """Twice as fast as NTP slews a clock."""
+BEND_US: Final = 20
+"""A reading that is off by more shows that the rate has changed; what was before tells nothing."""
+_BASE_US: Final = 90_000
 _APART_US: Final = 250_000
 _KEPT: Final = 9
 _US: Final = 1e6
@@ -48,13 +51,16 @@ class ReferenceClock:
                 self.last_step_us = round(off)
                 # The rate stays: it is that of the counter, and NTP has not changed it.
                 self._kept.clear()
+            elif abs(off) > BEND_US:
+                self._kept.clear()
+                self._kept.append(self._anchor)
         self._anchor = counter_us, unix_us
         if not self._kept or counter_us - self._kept[-1][0] >= _APART_US:
             self._kept.append(self._anchor)
-            first_us, first_unix = self._kept[0]
-            passed = counter_us - first_us
-            if passed >= 2 * _APART_US:
-                self.rate = (unix_us - first_unix - passed) / passed
+        first_us, first_unix = self._kept[0]
+        passed = counter_us - first_us
+        if passed >= _BASE_US:
+            self.rate = (unix_us - first_unix - passed) / passed
         return is_step
 
     def to_unix(self, counter_us: float) -> int:

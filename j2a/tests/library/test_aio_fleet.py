@@ -2,6 +2,8 @@
 
 import asyncio
 import contextlib
+import random
+import socket
 import threading
 from types import SimpleNamespace
 
@@ -29,6 +31,39 @@ async def fleet_of(*urls, **options):
 def changes_of(fleet):
     changes = fleet.changes()
     return lambda: changes.wait(PATIENCE_S)
+
+
+@contextlib.contextmanager
+def harmful(kind):
+    """A TCP server that is no board: it hangs up, or sends noise or zeros without end."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        links, threads = [], []
+
+        def harm(link):
+            with contextlib.suppress(OSError), link:
+                while kind != "hangs up":
+                    link.sendall(random.randbytes(4096) if kind == "noise" else bytes(4096))
+
+        def accept():
+            with contextlib.suppress(OSError):
+                while True:
+                    links.append(listener.accept()[0])
+                    threads.append(threading.Thread(target=harm, args=(links[-1],)))
+                    threads[-1].start()
+
+        accepting = threading.Thread(target=accept)
+        accepting.start()
+        try:
+            yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            listener.shutdown(socket.SHUT_RDWR)
+            accepting.join(PATIENCE_S)
+            for link in links:
+                with contextlib.suppress(OSError):
+                    link.shutdown(socket.SHUT_RDWR)
+            for thread in threads:
+                thread.join(PATIENCE_S)
+                assert not thread.is_alive()
 
 
 class TestBoards:
@@ -85,6 +120,23 @@ class TestBoards:
                     await change()
                 assert isinstance(fleet.problems[url], j2a.CallTimeout)
                 assert "A3" in fleet
+
+    @in_event_loop
+    async def test_ones_that_mean_harm_keep_no_other_from_its_samples(self):
+        device = make_device("A3")
+        with contextlib.ExitStack() as stack:
+            bad = [stack.enter_context(harmful(kind)) for kind in ("hangs up", "noise", "zeros")]
+            good = stack.enter_context(served(device))
+            async with fleet_of(*bad, good, boot_time=0.5, retry=0.1) as fleet:
+                await fleet.wait("A3", timeout=PATIENCE_S)
+                with contextlib.closing(fleet.samples()) as samples:
+                    value = 0
+                    while value < 20 or len(fleet.problems) < len(bad):
+                        value += 1
+                        device.sense("level", 0, value % 256)
+                        assert (await samples.wait(PATIENCE_S)).values == (value % 256,)
+                assert set(fleet.problems) == set(bad)
+                assert list(fleet) == ["A3"]
 
     @in_event_loop
     async def test_one_that_falls_silent_is_gone_and_tried_again(self):
