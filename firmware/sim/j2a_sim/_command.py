@@ -1,4 +1,4 @@
-"""The command line of the simulator: `j2a sim avr ELF --listen URL`, `j2a sim usb ELF`.
+"""The command line of the simulator: `j2a sim avr`, `usb` and `clocks`.
 
 In: arguments. Out: the exit code, of the table in `j2a.cli._exit`.
 """
@@ -15,6 +15,7 @@ from j2a_transports import BadUrl, TransportError
 from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE, UsageError
 from j2a.cli._link import add_listen_argument, check_listen_url
 from j2a.cli._output import note
+from j2a_sim._clocks.command import add_clocks, run_clocks
 from j2a_sim._errors import FirmwareStopped, SimError
 from j2a_sim._options import frequency, rate, speed
 from j2a_sim._runner import run as serve
@@ -78,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="read commands from standard input: unplug BUSID, plug BUSID",
     )
+    add_clocks(kinds)
 
 
 def _add_chip(parser: argparse.ArgumentParser, mcu: str) -> None:
@@ -121,6 +123,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _simulate(args: argparse.Namespace) -> int | None:
     """Run the simulator that was chosen; returns the number of the signal that ended it."""
+    if args.sim_kind == "clocks":
+        run_clocks(args)
+        return None
     if args.sim_kind == "usb":
         return run_usbip(
             args.elfs,

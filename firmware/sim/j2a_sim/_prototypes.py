@@ -26,7 +26,12 @@ _VALUES: Final[dict[str, Any]] = {
 _POINTERS: Final[dict[str, Any]] = {
     "char": ctypes.c_char_p,
     "const char": ctypes.c_char_p,
+    "const double": ctypes.POINTER(ctypes.c_double),
+    "const uint16_t": ctypes.POINTER(ctypes.c_uint16),
+    "const uint32_t": ctypes.POINTER(ctypes.c_uint32),
     "const uint8_t": ctypes.c_char_p,
+    "double": ctypes.POINTER(ctypes.c_double),
+    "uint32_t": ctypes.POINTER(ctypes.c_uint32),
     "uint8_t": ctypes.POINTER(ctypes.c_uint8),
     "uint64_t": ctypes.POINTER(ctypes.c_uint64),
 }

@@ -1,6 +1,7 @@
 """The USB device controller: control transfers, address, bus events, interrupts."""
 
 import pytest
+from j2a_sim import SimError
 from j2a_sim._usb_bus.port import UsbPort
 
 from firmware.sim.tests.usb_chip import (
@@ -314,6 +315,39 @@ def test_frame_numbers(chip):
     before = chip.bus.frame
     chip.ms(2048)
     assert chip.bus.frame == before
+
+
+def test_frames_start_when_they_are_planned(chip):
+    first = chip.bus.frame_start + 16_500
+    starts = [first + 16_000.25 * i + (-1) ** i * 8.5 for i in range(30)]
+    numbers = [(2040 + i) % 2048 for i in range(30)]
+    chip.bus.plan_frames(starts, numbers, [i == 20 for i in range(30)])
+    for i, (start, number) in enumerate(zip(starts, numbers, strict=True)):
+        chip.sim.run(int(start) + 100 - chip.sim.cycle)
+        assert (chip.bus.frame, chip.bus.frame_start) == (number, start)
+        seen = chip.get(UDFNUML) | chip.get(UDFNUMH) << 8
+        assert seen == (numbers[19] if i == 20 else number)
+    chip.ms(2)
+    assert chip.bus.frame == numbers[-1] + 2
+    assert chip.bus.frame_start == starts[-1] + 2 * chip.bus.frame_cycles
+
+
+def test_planned_frames_that_a_suspend_passes_over_are_left_out(chip):
+    first = chip.bus.frame_start + 16_000
+    chip.bus.plan_frames([first + 16_000 * i for i in range(100)], range(100))
+    chip.ms(3)
+    chip.bus.suspend()
+    chip.ms(10)
+    chip.bus.resume()
+    chip.ms(5)
+    assert chip.bus.frame_start == first + 16_000 * chip.bus.frame
+
+
+def test_frames_must_be_planned_in_order(chip):
+    with pytest.raises(SimError, match="do not rise"):
+        chip.bus.plan_frames([2.0, 2.0], [1, 2])
+    with pytest.raises(SimError, match="1 numbers"):
+        chip.bus.plan_frames([1.0, 2.0], [1])
 
 
 # -- interrupts -----------------------------------------------------------------------------------

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final
 
 from j2a_sim import _build
@@ -17,6 +19,7 @@ from j2a_sim._usb_bus.records import Completion, UsbCounters, UsbError
 
 _CONTROL, _OUT, _IN, BY_HAND = 0, 1, 2, 3
 _STATUS = ("ok", "stall", "no_answer", "cancelled", "overflow", "nak")
+_FRAMES, _LOST = 2048, 0x10000
 _OFF, _IDLE, _RESET, _ACTIVE, _SUSPENDED, _RESUMING = range(6)
 PACKET: Final = 64
 # Why a chip is not attached, in the order of usb_device_lacks().
@@ -189,6 +192,38 @@ class UsbPort:
         if not 0.5 <= cycles * 1000 / self._sim.frequency_hz <= 2:
             raise SimError(f"frame_cycles {cycles} is not about a millisecond")
         self._lib.usb_host_set_frame_cycles(self._host, cycles)
+
+    def plan_frames(
+        self, starts: Sequence[float], numbers: Sequence[int], lost: Sequence[bool] | None = None
+    ) -> None:
+        """Say when the next frames start, such as those of a bus that several chips are on.
+
+        Takes the place of what was planned. Behind the last start frames go on every
+        `frame_cycles`, and starts that have passed when a reset or a resume ends are left out.
+
+        Args:
+            starts: the cycles, rising; the first one behind `frame_start`.
+            numbers: of the frames, 0..2047.
+            lost: which starts the chip does not see; None: it sees all.
+
+        Raises:
+            SimError: the lengths differ, or starts do not rise.
+        """
+        count = len(starts)
+        losses = [False] * count if lost is None else lost
+        if len(numbers) != count or len(losses) != count:
+            raise SimError(f"{count} frames start, and there are {len(numbers)} numbers")
+        if any(later <= start for start, later in pairwise(starts)):
+            raise SimError("the starts of frames do not rise")
+        packed = [n % _FRAMES + _LOST * bool(x) for n, x in zip(numbers, losses, strict=True)]
+        with self._lock:
+            if self._lib.usb_host_plan_frames(
+                self._host,
+                (ctypes.c_double * count)(*starts),
+                (ctypes.c_uint32 * count)(*packed),
+                count,
+            ):
+                raise SimError("out of memory for the starts of frames")
 
     @property
     def address(self) -> int:

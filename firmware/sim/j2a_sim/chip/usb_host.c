@@ -34,10 +34,18 @@ static void stop_frames(usb_host_t *h)
     h->barren = 0;
 }
 
+/* The end of the frame that starts at `start`: the next start that is planned. */
+static double end_of_frame(usb_host_t *h, double start)
+{
+    while (h->plan.next < h->plan.count && h->plan.starts[h->plan.next] <= start)
+        h->plan.next++;
+    return h->plan.next < h->plan.count ? h->plan.starts[h->plan.next] : start + h->next_frame_cycles;
+}
+
 static void start_frames(usb_host_t *h)
 {
     h->state = HOST_ACTIVE;
-    h->frame_end = h->avr->cycle;
+    h->frame_end = h->plan.next < h->plan.count ? end_of_frame(h, h->avr->cycle) : h->avr->cycle;
     usb_at(h, &h->frame_due, h->frame_end + usb_bits(h, SOF_BITS), on_frame);
 }
 
@@ -78,11 +86,17 @@ static avr_cycle_count_t on_frame(avr_t *avr, avr_cycle_count_t when, void *para
     if (h->wire == WIRE_BARREN)
         usb_catch_up(h, h->frame_end);
     h->frame = (h->frame + 1) & 2047;
+    int lost = 0;
+    if (h->plan.next < h->plan.count) {
+        h->frame = h->plan.numbers[h->plan.next] & 2047;
+        lost = (h->plan.numbers[h->plan.next] & USB_LOST) != 0;
+    }
     h->frame_start = h->frame_end;
+    h->frame_end = end_of_frame(h, h->frame_start);
     h->frame_cycles = h->next_frame_cycles;
-    h->frame_end += h->frame_cycles;
     h->counters.sofs++;
-    usb_device_sof(h->device, h->frame);
+    if (!lost)
+        usb_device_sof(h->device, h->frame);
     usb_at(h, &h->frame_due, h->frame_end + usb_bits(h, SOF_BITS), on_frame);
     h->wire_free = h->frame_start + usb_bits(h, FIRST_BITS);
     h->barren = 0;
@@ -169,6 +183,32 @@ unsigned usb_host_frame(const usb_host_t *h) { return h->frame; }
 double usb_host_frame_start(const usb_host_t *h) { return h->frame_start; }
 double usb_host_frame_cycles(const usb_host_t *h) { return h->next_frame_cycles; }
 void usb_host_set_frame_cycles(usb_host_t *h, double cycles) { h->next_frame_cycles = cycles; }
+
+int usb_host_plan_frames(usb_host_t *h, const double *starts, const uint32_t *numbers, uint32_t count)
+{
+    double *own_starts = malloc(count * sizeof *starts + 1);
+    uint32_t *own_numbers = malloc(count * sizeof *numbers + 1);
+    if (!own_starts || !own_numbers) {
+        free(own_starts);
+        free(own_numbers);
+        return -1;
+    }
+    memcpy(own_starts, starts, count * sizeof *starts);
+    memcpy(own_numbers, numbers, count * sizeof *numbers);
+    free(h->plan.starts);
+    free(h->plan.numbers);
+    h->plan.starts = own_starts;
+    h->plan.numbers = own_numbers;
+    h->plan.count = count;
+    h->plan.next = 0;
+    if (h->state == HOST_ACTIVE) {
+        h->frame_end = end_of_frame(h, h->frame_start);
+        usb_not_at(h, &h->frame_due, on_frame);
+        usb_at(h, &h->frame_due, h->frame_end + usb_bits(h, SOF_BITS), on_frame);
+    }
+    return 0;
+}
+
 int usb_host_address(const usb_host_t *h) { return h->address; }
 void usb_host_set_address(usb_host_t *h, int address) { h->address = address; }
 
@@ -312,6 +352,8 @@ void usb_host_attach(usb_host_t *h, avr_t *avr, usb_device_t *device)
 
 void usb_host_free(usb_host_t *h)
 {
+    free(h->plan.starts);
+    free(h->plan.numbers);
     for (int p = 0; p < PIPES; p++)
         while (h->queue[p])
             usb_complete(h, p, h->queue[p], DONE_CANCELLED);

@@ -19,6 +19,7 @@
 enum { HOST_CONTROL, HOST_OUT, HOST_IN, HOST_BY_HAND }; /* by hand: one transaction, kind + its token */
 enum { DONE_OK, DONE_STALL, DONE_NO_ANSWER, DONE_CANCELLED, DONE_OVERFLOW, DONE_NAK };
 enum { HOST_OFF, HOST_IDLE, HOST_RESET, HOST_ACTIVE, HOST_SUSPENDED, HOST_RESUMING };
+enum { USB_LOST = 0x10000 };
 enum { PIPES = 33, BY_HAND = 32 }; /* pipes: 0 control, 1..15 OUT, 17..31 IN */
 
 typedef struct usb_transfer {
@@ -43,6 +44,7 @@ typedef struct {
     int state, address;
     unsigned frame;
     double frame_cycles, next_frame_cycles, frame_start, frame_end; /* cycles, by the host's clock */
+    struct { double *starts; uint32_t *numbers; uint32_t count, next; } plan;
     uint64_t frame_due, step_due, signal_due, gap_due; /* 0: not waited for */
     uint8_t toggles[PIPES];
     usb_transfer_t *queue[PIPES], *completed, **completed_end;
@@ -83,6 +85,10 @@ unsigned usb_host_frame(const usb_host_t *);
 double usb_host_frame_start(const usb_host_t *);
 double usb_host_frame_cycles(const usb_host_t *);
 void usb_host_set_frame_cycles(usb_host_t *, double);
+/* Takes the place of what is planned: frames start at these cycles, which rise. Numbers are those of the frames, with
+ * USB_LOST added if the device does not see the start. The first start may not be nearer than the frame that is
+ * running; behind the last one frames go on as before. Returns 0, or -1: no memory. */
+int usb_host_plan_frames(usb_host_t *, const double *starts, const uint32_t *numbers, uint32_t count);
 int usb_host_address(const usb_host_t *);
 void usb_host_set_address(usb_host_t *, int);
 /* Endpoint address, with 0x80 for IN; -1: all. */

@@ -1,0 +1,109 @@
+"""What a run of the bench is told, checked.
+
+In: options of `j2a sim clocks`. Out: one immutable value that names a run completely.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from j2a_sim._errors import SimError
+
+__all__ = ["ENGINES", "LINKS", "LOADS", "Settings"]
+
+LINKS: Final = ("usb", "serial", "tcp", "rfcomm")
+ENGINES: Final = ("avr", "native")
+LOADS: Final = ("light", "heavy")
+# The AVR engine takes about a quarter of a second for each second of a board.
+AVR_BOARD_SECONDS: Final = 160
+SETTLE_S: Final = {"usb": 10.0, "serial": 30.0, "tcp": 30.0, "rfcomm": 30.0}
+READINGS: Final = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """A run. Times are true seconds from its start; None: it does not happen.
+
+    Attributes:
+        boards: how many.
+        seconds: how long.
+        seed: names all that is random.
+        link: one of LINKS.
+        ppm: the most that a board's crystal is off at the start.
+        wander: whether temperature changes the crystals.
+        lost_sof: share of the starts of frames that a board does not see.
+        sof_jitter_ns: the most that a start of frame is early or late.
+        load: of the host, "light" or "heavy": which recorded delays are drawn.
+        period_s: between two rounds of the host.
+        step_at, step_by: when the host's clock is set, and by how many seconds.
+        slew_at, slew_ppm: when the host's clock begins to run faster for 60 s, and by how much.
+        suspend_at, suspend_for: when the bus sleeps, and how long.
+        unplug_at, unplug_for: when board 0 is unplugged, and how long; it starts anew.
+        holdover_at: when the host stops for good.
+        readings: how often all clocks are read, in total.
+        engine: "avr", "native", or None: avr for short runs.
+    """
+
+    boards: int = 8
+    seconds: float = 20.0
+    seed: int = 1
+    link: str = "usb"
+    ppm: float = 100.0
+    wander: bool = True
+    lost_sof: float = 0.0
+    sof_jitter_ns: float = 500.0
+    load: str = "light"
+    period_s: float = 1.0
+    step_at: float | None = None
+    step_by: float = 3600.0
+    slew_at: float | None = None
+    slew_ppm: float = 500.0
+    suspend_at: float | None = None
+    suspend_for: float = 5.0
+    unplug_at: float | None = None
+    unplug_for: float = 5.0
+    holdover_at: float | None = None
+    readings: int = READINGS
+    engine: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("boards", 1, 64),
+            ("seconds", 1, 86_400),
+            ("ppm", 0, 10_000),
+            ("lost_sof", 0, 0.5),
+            ("sof_jitter_ns", 0, 100_000),
+            ("period_s", 0.1, 60),
+            ("slew_ppm", -10_000, 10_000),
+            ("step_by", -1e9, 1e9),
+            ("readings", 100, 100_000_000),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise SimError(f"{name} {value:g} is out of range {low:g}..{high:g}")
+        for name, known in (("link", LINKS), ("load", LOADS), ("engine", ENGINES)):
+            value = getattr(self, name)
+            if value not in known and (name != "engine" or value is not None):
+                raise SimError(f"{name} {value!r} is none of {', '.join(known)}")
+        if self.engine == "avr" and self.link not in {"usb", "serial"}:
+            raise SimError(f"the AVR engine has no link {self.link!r}: choose the engine native")
+        if self.suspend_at is not None and self.link != "usb":
+            raise SimError("only a USB can be suspended")
+
+    @property
+    def chosen_engine(self) -> str:
+        """The engine that runs it."""
+        if self.engine is not None:
+            return self.engine
+        short = self.boards * self.seconds <= AVR_BOARD_SECONDS
+        return "avr" if short and self.link in {"usb", "serial"} else "native"
+
+    @property
+    def settle_s(self) -> float:
+        """After how long figures begin: that of the link, or half of the run if that is shorter."""
+        return min(SETTLE_S[self.link], self.seconds / 2)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a report."""
+        return {**asdict(self), "engine": self.chosen_engine, "settle_s": self.settle_s}

@@ -1,0 +1,196 @@
+"""`j2a sim clocks`: the clocks of boards agree as well as they promise, in exact simulated time."""
+
+import json
+import sys
+
+import pytest
+from j2a_sim._clocks.run import run
+from j2a_sim._clocks.settings import Settings
+
+from j2a.cli import main
+from j2a.cli._exit import USAGE
+
+READINGS = 40_000
+SEEDS = range(1, 21)
+
+
+def figures(**settings):
+    return run(Settings(**{"readings": READINGS, **settings})).figures
+
+
+def assert_honest(found):
+    assert found["backwards"] == 0
+    assert found["known_uncertainty"] > 0.99
+    assert found["inside_uncertainty"] >= 0.997
+
+
+def assert_pairs(found):
+    assert found["pair_rms_us"] <= 1
+    assert found["pair_peak_us"] <= 3
+
+
+# -- boards compiled for this machine -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_any_two_of_eight_boards_on_a_usb_agree_to_a_microsecond(seed):
+    found = figures(seconds=20, seed=seed, engine="native")
+    assert_pairs(found)
+    assert_honest(found)
+    assert found["locked"] > 0.999
+
+
+def test_lost_starts_of_frames_and_a_busy_host_change_little():
+    found = figures(seconds=30, seed=3, engine="native", lost_sof=0.01, load="heavy")
+    assert_pairs(found)
+    assert_honest(found)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_board_at_115200_baud_follows_its_host(seed):
+    found = figures(seconds=60, seed=seed, link="serial", boards=4, engine="native")
+    assert found["host_rms_us"] <= 20
+    assert_honest(found)
+
+
+@pytest.mark.parametrize("link", ["tcp", "rfcomm"])
+def test_asymmetry_of_networks_is_in_the_uncertainty(link):
+    report = run(Settings(seconds=60, link=link, boards=4, readings=READINGS))
+    assert_honest(report.figures)
+    assert report.figures["host_rms_us"] <= report.bounds["host_rms_us"]
+
+
+@pytest.mark.parametrize("link", ["usb", "serial"])
+@pytest.mark.parametrize("hours", [1, -1])
+def test_boards_follow_a_step_of_the_hosts_clock(link, hours):
+    settings = Settings(
+        boards=3, seconds=100, link=link, engine="native", readings=READINGS,
+        step_at=35.0, step_by=3600.0 * hours,
+    )  # fmt: skip
+    report = run(settings)
+    assert_honest(report.figures)
+    assert report.figures["host_peak_us"] < 1000
+    jumps = abs(report.errors_us) > 1e6
+    late = report.times_s > 35.0 + 2 * settings.period_s
+    assert not jumps[:, late & (report.times_s > 35.0)].any(), "told within two rounds"
+    assert report.figures["epochs"] == [2, 2, 2], "one step at the start, and one for the host's"
+
+
+def test_a_slew_of_the_hosts_clock_is_no_step():
+    report = run(Settings(boards=3, seconds=60, engine="native", slew_at=20.0, readings=READINGS))
+    assert report.figures["epochs"] == [1, 1, 1]
+    assert report.figures["backwards"] == 0
+
+
+def test_boards_find_back_after_suspend_and_unplugging():
+    found = figures(
+        boards=4, seconds=70, engine="native", suspend_at=15.0, suspend_for=12.0, unplug_at=40.0
+    )
+    assert_pairs(found)
+    assert_honest(found)
+    assert found["epochs"] == [1, 1, 1, 1], "and the one that began anew is in its first epoch"
+
+
+def test_holdover_drifts_as_the_crystal_does():
+    report = run(Settings(boards=3, seconds=300, link="serial", holdover_at=100.0))
+    assert report.figures["holdover_end_us"] <= report.bounds["holdover_end_us"]
+    assert_honest(report.figures)
+
+
+def test_the_same_seed_gives_the_same_run():
+    one, two, other = (figures(boards=2, seconds=12, engine="native", seed=s) for s in (7, 7, 8))
+    assert one == two
+    assert one != other
+
+
+# -- the real firmware ----------------------------------------------------------------------------
+
+
+@pytest.mark.avr
+@pytest.mark.slow
+def test_the_real_firmware_on_a_usb():
+    found = figures(boards=3, seconds=14, engine="avr", lost_sof=0.001)
+    assert_pairs(found)
+    assert_honest(found)
+
+
+@pytest.mark.avr
+@pytest.mark.slow
+def test_the_real_firmware_at_115200_baud():
+    found = figures(boards=1, seconds=40, link="serial", engine="avr")
+    assert found["host_rms_us"] <= 20
+    assert_honest(found)
+
+
+# -- the command ----------------------------------------------------------------------------------
+
+
+def test_the_command_prints_its_figures_as_json(capsys, tmp_path):
+    words = "sim clocks --boards 2 --seconds 4 --seed 5 --link usb --engine native --readings 2000"
+    picture = tmp_path / "clocks.svg"
+    assert main([*words.split(), "--json", "--svg", str(picture)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    for name in ("pair_rms_us", "pair_peak_us", "host_rms_us", "inside_uncertainty", "backwards"):
+        assert name in told
+    assert told["seed"] == 5 and told["engine"] == "native" and told["settings"]["settle_s"] == 2
+    assert picture.read_text().startswith("<svg")
+
+
+def test_the_command_says_what_is_wrong(capsys, monkeypatch):
+    assert main(["sim", "clocks", "--boards", "0"]) == USAGE
+    assert "boards 0 is out of range" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    for name in [name for name in sys.modules if name.startswith("j2a_sim._clocks.")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert main(["sim", "clocks", "--seconds", "2"]) == USAGE
+    assert "pip install numpy" in capsys.readouterr().err
+
+
+# -- hours ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_hour_on_a_usb_with_lost_frames(seed):
+    found = figures(seconds=3600, seed=seed, lost_sof=0.001, readings=1_000_000)
+    assert_pairs(found)
+    assert_honest(found)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_hour_at_115200_baud(seed):
+    found = figures(seconds=3600, seed=seed, link="serial", readings=1_000_000)
+    assert found["host_rms_us"] <= 20
+    assert_honest(found)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+def test_time_never_goes_back_in_ten_million_readings():
+    assert figures(seconds=1200, readings=10_000_000)["backwards"] == 0
+
+
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_hour_of_holdover(seed):
+    settings = Settings(boards=4, seconds=3900, link="serial", holdover_at=300.0, seed=seed)
+    report = run(settings)
+    assert report.figures["holdover_end_us"] <= report.bounds["holdover_end_us"]
+    assert_honest(report.figures)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("link", ["usb", "serial"])
+def test_twenty_seeds_of_a_minute(link, seed):
+    found = figures(seconds=60, seed=seed, link=link, engine="native")
+    if link == "usb":
+        assert_pairs(found)
+    else:
+        assert found["host_rms_us"] <= 20
+    assert_honest(found)

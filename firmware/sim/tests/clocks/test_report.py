@@ -1,0 +1,117 @@
+"""The figures of the bench, from readings whose errors are known."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+from j2a_sim import SimError
+from j2a_sim._clocks.plot import picture
+from j2a_sim._clocks.report import UNKNOWN, Readings, allan, make_report
+from j2a_sim._clocks.settings import Settings
+from j2a_sim._clocks.truth import UNIX_US, HostClock
+
+
+def readings(host_us, errors_us, uncertainty=20, state=2):
+    count = len(host_us)
+    shown = (UNIX_US + np.round(host_us + errors_us)).astype(np.uint64)
+    return Readings(
+        shown,
+        np.full(count, state, np.uint8),
+        np.full(count, 1, np.uint8),
+        np.full(count, uncertainty, np.uint32),
+    )
+
+
+@pytest.fixture
+def times():
+    return np.linspace(1, 100, 10_000)
+
+
+@pytest.fixture
+def clock():
+    return HostClock(np.random.default_rng(1), 100, ntp=False, ppm=0)
+
+
+def report(times, clock, errors, **more):
+    settings = Settings(boards=len(errors), seconds=100, **more)
+    host = clock.unix_us(times)
+    boards = [readings(host, error) for error in errors]
+    return make_report(settings, times, boards, clock, more={"backwards": 0}, slack_us=30.0)
+
+
+def test_errors_between_boards_and_to_the_host(times, clock):
+    zero = np.zeros(len(times))
+    found = report(times, clock, [zero + 5, zero + 7, zero - 1]).figures
+    assert found["pair_rms_us"] == pytest.approx(8, abs=0.1), "the worst pair"
+    assert found["pair_peak_us"] == pytest.approx(8, abs=1.1)
+    assert found["host_rms_us"] == pytest.approx(np.sqrt((25 + 49 + 1) / 3), abs=0.1)
+    assert found["inside_uncertainty"] == 1.0 and found["known_uncertainty"] == 1.0
+    assert found["locked"] == 1.0
+
+
+def test_what_is_outside_its_uncertainty_is_counted(times, clock):
+    error = np.where(times > 90, 30.0, 0.0)
+    found = report(times, clock, [error, np.zeros(len(times))]).figures
+    assert found["inside_uncertainty"] == pytest.approx(1 - 0.5 * 10 / 90, abs=0.001)
+
+
+def test_disturbances_and_the_start_are_left_out(times, clock):
+    error = np.where((times < 10) | ((times >= 50) & (times < 60)), 1e6, 0.0)
+    settled = report(times, clock, [error, error], step_at=50.0).figures
+    assert settled["host_rms_us"] < 1
+    assert report(times, clock, [error, error]).figures["host_rms_us"] > 1e5
+
+
+def test_an_unknown_uncertainty_is_told_as_such(times, clock):
+    host = clock.unix_us(times)
+    boards = [readings(host, np.zeros(len(times)), UNKNOWN)]
+    settings = Settings(boards=1, seconds=100)
+    found = make_report(settings, times, boards, clock, more={}, slack_us=30.0).figures
+    assert found["known_uncertainty"] == 0 and found["inside_uncertainty"] == 0
+
+
+def test_allan_deviations_of_known_noises():
+    rng = np.random.default_rng(3)
+    white_phase = rng.normal(0, 1, 2**14)  # us
+    taus, values = allan(white_phase, 1.0)
+    assert values[0] == pytest.approx(np.sqrt(3) * 1e-6, rel=0.05)
+    assert values[4] / values[0] == pytest.approx(1 / 16, rel=0.1), "falls with tau"
+    steady = 1e-6 * 1e6 * np.arange(1000.0)  # 1 ppm off, which is no instability
+    assert allan(steady, 1.0)[1].max() < 1e-12
+    assert list(taus[:3]) == [1.0, 2.0, 4.0]
+    assert len(allan(np.zeros(2), 1.0)[0]) == 0
+
+
+def test_a_report_is_json_text_and_a_picture(times, clock):
+    rng = np.random.default_rng(1)
+    made = report(times, clock, [rng.normal(0, 1, len(times)) for _ in range(3)])
+    told = json.loads(json.dumps(made.as_dict()))
+    for name in ("pair_rms_us", "pair_peak_us", "host_rms_us", "inside_uncertainty", "backwards"):
+        assert name in told
+        assert name in made.as_text()
+    assert told["settings"]["settle_s"] == 10 and told["engine"] == "native"
+    assert "pair_rms_us" in told["bounds"]
+    root = ElementTree.fromstring(picture(made))
+    assert len(root.findall("{*}polyline")) == 1 + 3 + 3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"boards": 0}, "boards 0 is out of range"),
+        ({"link": "can"}, "none of usb"),
+        ({"engine": "avr", "link": "tcp"}, "choose the engine native"),
+        ({"link": "serial", "suspend_at": 1.0}, "suspended"),
+        ({"lost_sof": 0.9}, "lost_sof"),
+    ],
+)
+def test_settings_are_checked(wrong, said):
+    with pytest.raises(SimError, match=said):
+        Settings(**wrong)
+
+
+def test_long_runs_choose_the_fast_engine():
+    assert Settings(boards=8, seconds=20).chosen_engine == "avr"
+    assert Settings(boards=8, seconds=21).chosen_engine == "native"
+    assert Settings(boards=1, seconds=2, link="rfcomm").chosen_engine == "native"
