@@ -40,7 +40,8 @@ class Batch:
             queue the shape of all three is (samples, channels), with one it is (values,).
         raw: the values as they are on the wire; a structure is a structured type of NumPy.
         counts: how many values each sample has.
-        lost, missed: values and SIFs that were lost meanwhile, as the samples told.
+        lost: so many values found no room in the queue of the device meanwhile.
+        missed: so many SIFs were lost on the way meanwhile.
         is_reset: the board was reset meanwhile, so that the times went back.
 
     Raises:
