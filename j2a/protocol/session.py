@@ -270,7 +270,9 @@ class Session:
         """Send a call if time, window, seqs and the device's buffer allow it; say whether."""
         if len(self._sent) >= self._window or self._is_late(call):
             return False
-        seq = self._free_seq()
+        seq: int | None = self._next_seq
+        if seq in self._sent or seq in self._owed:
+            seq = self._free_seq()
         if seq is None:
             return False
         wire = encode(SOF, seq, call.opcode, call.payload)
