@@ -302,9 +302,7 @@ class Session:
             seq = (seq + 1) % _SEQS
         return seq
 
-    def _end(
-        self, call: Call, reply: Reply | None = None, error: J2AError | None = None
-    ) -> None:
+    def _end(self, call: Call, reply: Reply | None = None, error: J2AError | None = None) -> None:
         call.reply, call.error, call.has_ended = reply, error, True
         self._waiters.pop(call.waiter, None)
         if self._hinted:
