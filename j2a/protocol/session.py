@@ -122,7 +122,7 @@ class Session:
 
     # ------------------------------------------------------------------ calls
 
-    def start_call(
+    def start_call(  # noqa: PLR0917 - arguments by name cost time with each call
         self,
         what: str,
         opcode: int,
@@ -478,7 +478,7 @@ class Session:
         if self._owed or self._hinted:
             return [*self._exclude(call.number), call]
         # `_exclude`, with nothing to exclude.
-        if call.number > self._proven:
+        if call.number > self._proven:  # noqa: PLR1730 - max() costs more than all of this
             self._proven = call.number
         return [call]
 
