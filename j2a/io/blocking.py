@@ -81,8 +81,8 @@ class Engine:
         self._drops_sifs = False
         # Whoever takes the second holds the first while it waits, except for the reader, which only
         # passes through: it would take the second again at once and keep all others waiting.
-        # A signal handler may find its own thread holding it, which only an RLock can tell. A caller
-        # that leads needs only the first: nobody else is the reader then.
+        # A signal handler may find its own thread holding it, which only an RLock can tell.
+        # A caller that leads needs only the first: nobody else is the reader then.
         self._turn = threading.RLock()
         self._state = threading.Lock()
         self._closing = threading.RLock()

@@ -58,7 +58,7 @@ class Deframer:
     def feed(self, data: bytes) -> list[Frame | FrameError]:
         """Take the next bytes of the stream and return the events that they complete."""
         if self._start is None and data.rfind(SOF_BYTE) == 0 and SOS not in data:
-            # One frame or its beginning, as after a request: what follows does this to all pieces.
+            # One frame or its beginning, as after a request: the same as below without splitting.
             piece = data[1:]
             if (event := _whole_frame(piece) or self._begin(piece)) is not None:
                 return [event]

@@ -13,7 +13,7 @@ from j2a.events import Frame, FrameError
 from j2a.protocol.codec import encode, fold, stuff, unstuff
 from j2a.protocol.deframer import Deframer
 
-from .support import TRICKY, by_the_oracle, chunked, frames, streams
+from .support import TRICKY, by_the_oracle, chunked, frames, streams, tricky_bytes, wires
 
 FRAMES = {test["id"]: test for test in vectors.load("frame")}
 STREAMS = {test["id"]: test for test in vectors.load("stream")}
@@ -124,6 +124,30 @@ def test_decoding_equals_the_oracle_for_marker_soup(stream, cuts):
     events, skipped, rest = by_the_oracle(stream)
     open_frame = FrameError("lost", *rest) if rest else None
     assert read(chunked(stream, cuts)) == (events, skipped, open_frame)
+
+
+@property_test
+@given(st.lists(st.one_of(wires, streams, tricky_bytes), max_size=6))
+def test_a_frame_that_comes_alone_is_taken_as_one_among_others(chunks):
+    stream = b"".join(chunks)
+    alone, among_others = Deframer(), Deframer()
+    for chunk in chunks:
+        # A byte outside frames before it keeps the other one from the short way.
+        noise = b"" if among_others.in_frame else b"\0"
+        among_others.skipped -= len(noise)
+        assert alone.feed(chunk) == among_others.feed(noise + chunk)
+        assert alone.skipped == among_others.skipped
+        assert alone.in_frame == among_others.in_frame
+    events, skipped, rest = by_the_oracle(stream)
+    open_frame = FrameError("lost", *rest) if rest else None
+    assert read(chunks) == (events, skipped, open_frame)
+
+
+@property_test
+@given(st.one_of(tricky_bytes, st.binary(max_size=300)))
+def test_stuffing_escapes_each_marker_and_nothing_else(data):
+    each = (bytes((ESC, byte - 1)) if byte in (SOF, SOS, ESC) else bytes((byte,)) for byte in data)
+    assert stuff(data) == b"".join(each)
 
 
 @pytest.mark.parametrize("size", [*range(1, 20), 63, 64, 65, 127, 128, 129, 255, 256, 257, 259])
