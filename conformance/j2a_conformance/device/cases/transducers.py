@@ -199,7 +199,10 @@ class Board:
 
     def special(self, one: oracle.Transducer) -> list[bytes]:
         """Return integers all of whose bytes are the same one of those that matter to links."""
-        if one.type.element[0] not in "ui" or one.type.element in self.descriptors.definitions.enums:
+        if (
+            one.type.element[0] not in "ui"
+            or one.type.element in self.descriptors.definitions.enums
+        ):
             return []
         return [bytes((byte,)) * self.size(one) for byte in _BYTES]
 
@@ -718,16 +721,19 @@ class Queue(_TransducerCase):
         until the number of them is beyond one byte, and where it is quick, beyond two.
         """
         depth, lost = int(one.attributes["queue"]), 0
+        found: list[tuple[int, int, bytes]]
         for _ in range(_TURNS):
             entries = [(0, board.value(one)) for _ in range(min(depth, 3))]
-            since, found = board.seen, []
+            since, found, begin_us = board.seen, [], board.time_us()
             board.stimulate(one, *entries)
             while len(found) < len(entries):
                 since, payload = board.sif(one, since)
-                found += [(channel, value) for channel, _, value in queued(board, one, payload)]
+                found += queued(board, one, payload)
                 since += 1
-            if found != entries:
+            if [(channel, value) for channel, _, value in found] != entries:
                 fail(f"{one.name} was given {entries}, and sent {found}")
+            for _, time_us, _ in found:
+                _check_time(one, time_us, begin_us, board.time_us())
         given, begin_us = 0, board.time_us()
         while given <= _WRAP:
             since = board.seen
@@ -1089,11 +1095,12 @@ class Set(_TransducerCase):
             later_us = begin_us + second_us if second_us else 0
             board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(due_us) + first)
             board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(later_us) + second)
+            is_in_time = board.time_us() < due_us
             board.wait_until(max(due_us, later_us) + _LATER_US)
             time_us, raw = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[channel]
             if raw != second or not max(later_us, begin_us) <= time_us:
                 fail(f"{one.name} is {raw.hex()} since {time_us} us, not {second.hex()}")
-            if second_us < _DUE_US and time_us >= due_us:
+            if second_us < _DUE_US and time_us >= due_us and is_in_time:
                 fail(f"{one.name} was set at {due_us} us, though a later SET had replaced that")
 
 
@@ -1151,7 +1158,7 @@ class Watchdog(_TransducerCase):
         for _ in board.until(due_us + _LATER_US):
             self._silence(board, self.LIMIT_MS * 0.2)
         if slots(board, one, board.read(one, c.TRANSD_SAMPLE)) != found:
-            fail(f"{one.name} has changed after it was made safe")
+            fail(f"{one.name} has changed after it was made safe", suspect=True)
 
     @staticmethod
     def _silence(board: Board, time_ms: float) -> None:
