@@ -31,6 +31,7 @@ LIMIT_S: Final = 5.0
 """For so long whoever asks waits."""
 _SERVE_S: Final = 1.0
 """For so long a connection may take the daemon's time, in each direction."""
+_RETRY_S: Final = 0.05
 _BACKLOG: Final = 16
 _SYSTEM: Final = Path("/run/j2a")
 _ACCEPT_S: Final = 0.5
@@ -163,7 +164,7 @@ def ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
             connection.settimeout(LIMIT_S)
-            connection.connect(os.fspath(path))
+            _connect(connection, os.fspath(path))
             connection.sendall(json.dumps(request).encode() + b"\n")
             reply = json.loads(_line(connection, MAX_REPLY, LIMIT_S))
     except (OSError, ValueError) as error:
@@ -172,6 +173,18 @@ def ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(reply, dict):
         raise NotRunning(f"what answers at {path} is no j2a syncd")
     return reply
+
+
+def _connect(connection: socket.socket, path: str) -> None:
+    """Connect to a daemon that may have more to do: its queue being full is an error at once."""
+    deadline = time.monotonic() + LIMIT_S
+    while True:
+        try:
+            return connection.connect(path)
+        except BlockingIOError:
+            if time.monotonic() >= deadline:
+                raise
+            time.sleep(_RETRY_S)
 
 
 def _line(connection: socket.socket, limit: int, limit_s: float) -> bytes:
