@@ -71,6 +71,42 @@
 #define J2A_TRANSD_MAX_ID 0xFEu /* largest id of a transducer */
 #define J2A_TRANSD_MAX_TOPIC 0x20u /* bytes of the longest topic */
 
+/* Items of a2jClock */
+#define J2A_CLOCK_EXCHANGE 0x00u /* the local time at which the request was received */
+#define J2A_CLOCK_STATUS 0x01u /* the time, and how good it is; no data */
+#define J2A_CLOCK_ADJUST 0x02u /* sets the target at a local time */
+#define J2A_CLOCK_FRAME 0x03u /* sets the target at a USB frame; devices with frames only */
+
+/* Failures of a2jClock */
+#define J2A_CLOCK_NO_ITEM 0x01u /* NO_ITEM: there is no such item */
+#define J2A_CLOCK_BAD_LENGTH 0x02u /* BAD_LENGTH: the request has another length */
+#define J2A_CLOCK_BAD_VALUE 0x03u /* BAD_VALUE: a field is out of range */
+
+/* States of a clock */
+#define J2A_CLOCK_FREE 0x00u /* FREE: not adjusted yet, the time is the local time */
+#define J2A_CLOCK_SETTLING 0x01u /* SETTLING: after a step, or still far from the target */
+#define J2A_CLOCK_LOCKED 0x02u /* LOCKED: at the target */
+#define J2A_CLOCK_HOLDOVER 0x03u /* HOLDOVER: not adjusted for 10 s */
+
+/* Modes of ADJUST */
+#define J2A_CLOCK_SLEW 0x00u /* SLEW: leads to the target without a jump */
+#define J2A_CLOCK_STEP 0x01u /* STEP: sets the time to the target at once */
+
+/* Bounds of clocks */
+#define J2A_CLOCK_MAX_RATE 0x989680u /* largest rate and largest wander, in ppb */
+#define J2A_CLOCK_MAX_BEHIND 0x80000000u /* oldest local time of ADJUST, in us before now */
+#define J2A_CLOCK_MAX_SLEW_PPM 0x3E8u /* largest correction, in ppm */
+#define J2A_CLOCK_MAX_START_MS 0x05u /* until a correction begins, in ms */
+#define J2A_CLOCK_SETTLED_US 0x0Au /* distance from the target that still is LOCKED, in us */
+#define J2A_CLOCK_HOLDOVER_S 0x0Au /* without an adjustment until HOLDOVER, in s */
+#define J2A_CLOCK_FRAME_WANDER 0x3E8u /* wander of FRAME, in ppb */
+#define J2A_CLOCK_FRAME_STEP_S 0x02u /* distance at which FRAME steps, in s */
+#define J2A_CLOCK_FRAMES_MS 0x64u /* without a frame until the device has none, in ms */
+#define J2A_CLOCK_FRAME_NUMBERS 0x800u /* numbers of USB frames */
+#define J2A_CLOCK_NO_FRAME 0xFFFFu /* in place of a frame number: none was seen */
+#define J2A_CLOCK_MAX_TURNAROUND 0xFFFFu /* turnaround of so many us or more */
+#define J2A_CLOCK_UNKNOWN 0xFFFFFFFFu /* in place of an uncertainty: it is unknown */
+
 /* USB */
 #define J2A_USB_VENDOR 0x6666u /* vendor id of boards that have none of their own */
 #define J2A_USB_PRODUCT 0xCAFEu /* product id of such boards */
@@ -84,6 +120,9 @@
 #define J2A_SYNCUSB_PROTOCOL 0x01u /* its protocol */
 #define J2A_SYNCUSB_OUT 0x03u /* its interrupt endpoint to the board */
 #define J2A_SYNCUSB_SIZE 10u /* bytes of a packet of SyncUSB */
+#define J2A_SYNCUSB_REQUEST_TYPE 0xC1u /* bmRequestType of its request */
+#define J2A_SYNCUSB_SEEN 0x01u /* bRequest: which frame the board saw last */
+#define J2A_SYNCUSB_SEEN_SIZE 0x06u /* bytes of the answer */
 
 /* Site ids of error payloads */
 #define J2A_SITE_OPCODE 1u /* opcode or function index out of range */

@@ -84,8 +84,20 @@
 #error "J2A_WITH_TRANSDUCERS=1 needs J2A_WITH_PROPERTIES=1, because samples are SIFs and hosts find them by both"
 #endif
 
+/* A clock that the host disciplines, j2a_clock_us(). Off: the device has its local time only. */
+#ifndef J2A_WITH_SYNC
+#define J2A_WITH_SYNC 0
+#endif
+#if J2A_WITH_SYNC && !J2A_WITH_MAPPING
+#error "J2A_WITH_SYNC=1 needs J2A_WITH_MAPPING=1, because hosts find it by both"
+#endif
+#if J2A_WITH_SYNC && !J2A_WITH_PROPERTIES
+#error "J2A_WITH_SYNC=1 needs J2A_WITH_PROPERTIES=1, because hosts find it by both"
+#endif
+
 #if ((J2A_WITH_MAPPING | J2A_WITH_MANY | J2A_WITH_PROPERTIES | J2A_WITH_DEBUG | J2A_WITH_SIF | \
-     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE | J2A_WITH_BOOT | J2A_WITH_TRANSDUCERS) & ~1) != 0
+     J2A_WITH_SELFTEST | J2A_WITH_INTERFACE | J2A_WITH_BOOT | J2A_WITH_TRANSDUCERS | J2A_WITH_SYNC) & ~1) != \
+     0
 #error "J2A_WITH_... must be 0 or 1"
 #endif
 

@@ -108,6 +108,11 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
 #else
 #define J2A_IF_TRANSDUCERS(text)
 #endif
+#if J2A_WITH_SYNC
+#define J2A_IF_CLOCK(text) text
+#else
+#define J2A_IF_CLOCK(text)
+#endif
 #define J2A_BUILTINS(CALL, MANY) \
     J2A_IF_MAPPING(CALL(a2jGetMapping, j2a_get_mapping)) \
     J2A_IF_MANY(CALL(a2jMany, j2a_many)) \
@@ -117,7 +122,8 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
     J2A_IF_MANY(MANY(a2jEchoMany, j2a_echo_many)) \
     J2A_IF_INTERFACE(MANY(a2jGetInterface, j2a_get_interface)) \
     J2A_IF_TRANSDUCERS(MANY(a2jGetTransds, j2a_get_transds)) \
-    J2A_IF_TRANSDUCERS(CALL(a2jTransd, j2a_transd))
+    J2A_IF_TRANSDUCERS(CALL(a2jTransd, j2a_transd)) \
+    J2A_IF_CLOCK(CALL(a2jClock, j2a_clock))
 /* End of what is generated. */
 
 #define J2A_DECLARED_CALL(name, function) J2A_DECLARE_CALL(function);

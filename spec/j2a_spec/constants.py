@@ -77,6 +77,7 @@ GET_ECHO_MANY: Final = "a2jEchoMany"
 GET_INTERFACE: Final = "a2jGetInterface"
 GET_TRANSDS: Final = "a2jGetTransds"
 TRANSD: Final = "a2jTransd"
+CLOCK: Final = "a2jClock"
 # Built-in functions in opcode order: all, and those of a device that announces nothing (j2a.caps).
 KNOWN_BUILTINS: Final = tuple(function.name for function in FUNCTIONS)
 BUILTINS: Final = tuple(
@@ -91,6 +92,8 @@ CAP_BOOT: Final = "boot"
 
 CAP_TRANSDUCERS: Final = "transducers"
 """The token of j2a.caps for sensors and actuators (J2A-TRANS-001)."""
+CAP_CLOCK: Final = "clock"
+"""The token of j2a.caps for a clock that the host disciplines (J2A-CLOCK-001)."""
 
 # The boot SIF: its opcode, the bytes of its payload, and why a device began anew.
 BOOT: Final = 0xFF
@@ -121,6 +124,34 @@ TRANSD_BAD_VALUE: Final = 4
 TRANSD_MAX_ID: Final = 254
 TRANSD_MAX_TOPIC: Final = 32
 
+# The clock: the items of a2jClock, why it refuses one, states, modes and bounds.
+CLOCK_EXCHANGE: Final = 0
+CLOCK_STATUS: Final = 1
+CLOCK_ADJUST: Final = 2
+CLOCK_FRAME: Final = 3
+CLOCK_NO_ITEM: Final = 1
+CLOCK_BAD_LENGTH: Final = 2
+CLOCK_BAD_VALUE: Final = 3
+CLOCK_FREE: Final = 0
+CLOCK_SETTLING: Final = 1
+CLOCK_LOCKED: Final = 2
+CLOCK_HOLDOVER: Final = 3
+CLOCK_SLEW: Final = 0
+CLOCK_STEP: Final = 1
+CLOCK_MAX_RATE: Final = 10_000_000
+CLOCK_MAX_BEHIND: Final = 1 << 31
+CLOCK_MAX_SLEW_PPM: Final = 1000
+CLOCK_MAX_START_MS: Final = 5
+CLOCK_FRAME_WANDER: Final = 1000
+CLOCK_FRAME_STEP_S: Final = 2
+CLOCK_SETTLED_US: Final = 10
+CLOCK_HOLDOVER_S: Final = 10
+CLOCK_FRAMES_MS: Final = 100
+CLOCK_FRAME_NUMBERS: Final = 2048
+CLOCK_NO_FRAME: Final = 0xFFFF
+CLOCK_MAX_TURNAROUND: Final = 0xFFFF
+CLOCK_UNKNOWN: Final = 0xFFFFFFFF
+
 # USB: the interface for frames, and SyncUSB, the one for the time (LINKS.md, thesis 6.3).
 USB_VENDOR: Final = 0x6666
 USB_PRODUCT: Final = 0xCAFE
@@ -135,6 +166,9 @@ SYNCUSB_PROTOCOL: Final = 0x01
 SYNCUSB_OUT: Final = 0x03
 SYNCUSB_SIZE: Final = 10
 SYNCUSB_NAME: Final = "SyncUSB"
+SYNCUSB_REQUEST_TYPE: Final = 0xC1
+SYNCUSB_SEEN: Final = 0x01
+SYNCUSB_SEEN_SIZE: Final = 6
 
 # Property keys that the specification gives a meaning.
 PROP_SPEC: Final = "j2a.spec"
@@ -243,6 +277,51 @@ TABLE: Final = (
         ("TRANSD_MAX_TOPIC", TRANSD_MAX_TOPIC, "bytes of the longest topic"),
     ),
     *_rows(
+        "Items of a2jClock",
+        ("CLOCK_EXCHANGE", CLOCK_EXCHANGE, "the local time at which the request was received"),
+        ("CLOCK_STATUS", CLOCK_STATUS, "the time, and how good it is; no data"),
+        ("CLOCK_ADJUST", CLOCK_ADJUST, "sets the target at a local time"),
+        ("CLOCK_FRAME", CLOCK_FRAME, "sets the target at a USB frame; devices with frames only"),
+    ),
+    *_rows(
+        "Failures of a2jClock",
+        ("CLOCK_NO_ITEM", CLOCK_NO_ITEM, "NO_ITEM: there is no such item"),
+        ("CLOCK_BAD_LENGTH", CLOCK_BAD_LENGTH, "BAD_LENGTH: the request has another length"),
+        ("CLOCK_BAD_VALUE", CLOCK_BAD_VALUE, "BAD_VALUE: a field is out of range"),
+    ),
+    *_rows(
+        "States of a clock",
+        ("CLOCK_FREE", CLOCK_FREE, "FREE: not adjusted yet, the time is the local time"),
+        ("CLOCK_SETTLING", CLOCK_SETTLING, "SETTLING: after a step, or still far from the target"),
+        ("CLOCK_LOCKED", CLOCK_LOCKED, "LOCKED: at the target"),
+        ("CLOCK_HOLDOVER", CLOCK_HOLDOVER, "HOLDOVER: not adjusted for 10 s"),
+    ),
+    *_rows(
+        "Modes of ADJUST",
+        ("CLOCK_SLEW", CLOCK_SLEW, "SLEW: leads to the target without a jump"),
+        ("CLOCK_STEP", CLOCK_STEP, "STEP: sets the time to the target at once"),
+    ),
+    *_rows(
+        "Bounds of clocks",
+        ("CLOCK_MAX_RATE", CLOCK_MAX_RATE, "largest rate and largest wander, in ppb"),
+        ("CLOCK_MAX_BEHIND", CLOCK_MAX_BEHIND, "oldest local time of ADJUST, in us before now"),
+        ("CLOCK_MAX_SLEW_PPM", CLOCK_MAX_SLEW_PPM, "largest correction, in ppm"),
+        ("CLOCK_MAX_START_MS", CLOCK_MAX_START_MS, "until a correction begins, in ms"),
+        (
+            "CLOCK_SETTLED_US",
+            CLOCK_SETTLED_US,
+            "distance from the target that still is LOCKED, in us",
+        ),
+        ("CLOCK_HOLDOVER_S", CLOCK_HOLDOVER_S, "without an adjustment until HOLDOVER, in s"),
+        ("CLOCK_FRAME_WANDER", CLOCK_FRAME_WANDER, "wander of FRAME, in ppb"),
+        ("CLOCK_FRAME_STEP_S", CLOCK_FRAME_STEP_S, "distance at which FRAME steps, in s"),
+        ("CLOCK_FRAMES_MS", CLOCK_FRAMES_MS, "without a frame until the device has none, in ms"),
+        ("CLOCK_FRAME_NUMBERS", CLOCK_FRAME_NUMBERS, "numbers of USB frames"),
+        ("CLOCK_NO_FRAME", CLOCK_NO_FRAME, "in place of a frame number: none was seen"),
+        ("CLOCK_MAX_TURNAROUND", CLOCK_MAX_TURNAROUND, "turnaround of so many us or more"),
+        ("CLOCK_UNKNOWN", CLOCK_UNKNOWN, "in place of an uncertainty: it is unknown"),
+    ),
+    *_rows(
         "USB",
         ("USB_VENDOR", USB_VENDOR, "vendor id of boards that have none of their own"),
         ("USB_PRODUCT", USB_PRODUCT, "product id of such boards"),
@@ -256,6 +335,9 @@ TABLE: Final = (
         ("SYNCUSB_PROTOCOL", SYNCUSB_PROTOCOL, "its protocol"),
         ("SYNCUSB_OUT", SYNCUSB_OUT, "its interrupt endpoint to the board"),
         ("SYNCUSB_SIZE", SYNCUSB_SIZE, "bytes of a packet of SyncUSB"),
+        ("SYNCUSB_REQUEST_TYPE", SYNCUSB_REQUEST_TYPE, "bmRequestType of its request"),
+        ("SYNCUSB_SEEN", SYNCUSB_SEEN, "bRequest: which frame the board saw last"),
+        ("SYNCUSB_SEEN_SIZE", SYNCUSB_SEEN_SIZE, "bytes of the answer"),
     ),
     *_rows(
         "Site ids of error payloads",

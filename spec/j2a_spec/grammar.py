@@ -151,6 +151,57 @@ TRANSD = cs.Struct(
 )
 """The payload of a request to a2jTransd (J2A-TRANS-008)."""
 
+CLOCK_EXCHANGE = cs.Struct(
+    "item" / cs.Const(c.CLOCK_EXCHANGE, cs.Byte) * "EXCHANGE",
+    "nonce" / cs.Int32ul * "a number that no other request has",
+    cs.Terminated,
+)
+"""The payload of a request EXCHANGE (J2A-CLOCK-004)."""
+
+CLOCK_EXCHANGED = cs.Struct(
+    "nonce" / cs.Int32ul * "that of the request",
+    "received" / cs.Int64ul * "local time at which the request was received, in us",
+    "turnaround" / cs.Int16ul * "from then until the reply was made, in us; 65535 is more",
+)
+"""The payload of the reply to EXCHANGE (J2A-CLOCK-005); CLOCK_SEEN_FRAME may follow."""
+
+CLOCK_SEEN_FRAME = cs.Struct(
+    "frame" / cs.Int16ul * "number of the last USB frame, 0 to 2047; 0xFFFF: none was seen",
+    "age" / cs.Int16ul * "from its begin to the received time, in us; 65535 is more",
+)
+"""What a device with frames appends to the reply to EXCHANGE (J2A-CLOCK-006)."""
+
+CLOCK_STATUS = cs.Struct(
+    "local" / cs.Int64ul * "local time, in us",
+    "time" / cs.Int64ul * "time at the same instant, in us",
+    "state" / cs.Byte * "FREE, SETTLING, LOCKED or HOLDOVER",
+    "epoch" / cs.Byte * "0 while FREE; each step adds 1, after 255 follows 1",
+    "rate" / cs.Int32sl * "by which the time runs faster than the local time, in ppb",
+    "uncertainty" / cs.Int32ul * "bound of the error, in us; 0xFFFFFFFF: unknown",
+)
+"""The payload of the reply to STATUS and to an adjustment (J2A-CLOCK-007)."""
+
+CLOCK_ADJUST = cs.Struct(
+    "item" / cs.Const(c.CLOCK_ADJUST, cs.Byte) * "ADJUST",
+    "mode" / cs.Byte * "SLEW or STEP",
+    "local" / cs.Int64ul * "local time, in us",
+    "time" / cs.Int64ul * "the time at that local time, in us",
+    "rate" / cs.Int32sl * "by which the time is to run faster than the local time, in ppb",
+    "uncertainty" / cs.Int32ul * "bound of the error at that local time, in us",
+    "wander" / cs.Int32ul * "by which the uncertainty grows from the adjustment on, in ppb",
+    cs.Terminated,
+)
+"""The payload of a request ADJUST (J2A-CLOCK-009)."""
+
+CLOCK_FRAME = cs.Struct(
+    "item" / cs.Const(c.CLOCK_FRAME, cs.Byte) * "FRAME",
+    "time" / cs.Int64ul * "the time at which the frame began, in us",
+    "frame" / cs.Int16ul * "its number, 0 to 2047, or modulo 1024",
+    "uncertainty" / cs.Int32ul * "bound of the error, in us",
+    cs.Terminated,
+)
+"""The payload of a request FRAME (J2A-CLOCK-021)."""
+
 GRAMMARS = {
     "packet": PACKET,
     "error-payload": ERROR_PAYLOAD,
@@ -162,5 +213,11 @@ GRAMMARS = {
     "sample": SAMPLE,
     "queued": QUEUED,
     "transd": TRANSD,
+    "clock-exchange": CLOCK_EXCHANGE,
+    "clock-exchanged": CLOCK_EXCHANGED,
+    "clock-seen-frame": CLOCK_SEEN_FRAME,
+    "clock-status": CLOCK_STATUS,
+    "clock-adjust": CLOCK_ADJUST,
+    "clock-frame": CLOCK_FRAME,
 }
 """Every grammar by the name that the documentation uses."""

@@ -100,3 +100,11 @@ sync = cs.Struct(
     cs.Terminated,
 )
 """A packet of SyncUSB (SYNC-002): microseconds since the Unix epoch, number of the USB frame."""
+
+seen = cs.Struct(
+    "nonce" / cs.Int16ul,
+    "frame" / cs.Int16ul,
+    "age_us" / cs.Int16ul,
+    cs.Terminated,
+)
+"""The answer to the request of SyncUSB (SYNC-008): wValue, number of the last frame, its age."""

@@ -4,6 +4,7 @@ import json
 from typing import Any
 
 from j2a_spec import constants as c
+from j2a_spec.generate.clocks import clock_tests
 from j2a_spec.generate.frames import frame_vectors
 from j2a_spec.generate.interfaces import interface_tests, value_tests
 from j2a_spec.generate.payloads import payload_vectors
@@ -73,6 +74,7 @@ def tests() -> dict[str, list[dict[str, Any]]]:
         "value": value_tests(),
         "transducers": transducer_tests(),
         "sample": sample_tests(),
+        "clock": clock_tests(),
     }
 
 

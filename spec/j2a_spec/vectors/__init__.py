@@ -11,10 +11,11 @@ from typing import Any, Literal
 __all__ = ["KINDS", "Kind", "load", "schema"]
 
 Kind = Literal[
-    "frame", "stream", "payload", "scenario", "interface", "value", "transducers", "sample"
+    "frame", "stream", "payload", "scenario", "interface", "value", "transducers", "sample", "clock"
 ]
 KINDS: tuple[Kind, ...] = (
     "frame", "stream", "payload", "scenario", "interface", "value", "transducers", "sample",
+    "clock",
 )  # fmt: skip
 
 

@@ -1,0 +1,164 @@
+"""The oracle of section 23: what a device with a disciplined clock answers, and when.
+
+What flows in: payloads of requests to a2jClock, each with the local time of the device. What flows
+out: the code of the reply, and bounds for the fields of STATUS, because a device may choose how it
+leads its time to the target. Rules: fractions only, nothing is rounded before the end.
+"""
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import construct as cs
+
+from j2a_spec import constants as c
+from j2a_spec.grammar import CLOCK_ADJUST, CLOCK_EXCHANGE
+
+__all__ = ["Bounds", "Clock"]
+
+_PPB = 10**9
+_SLEW = Fraction(c.CLOCK_MAX_SLEW_PPM, 10**6)
+_LAG_US = c.CLOCK_MAX_START_MS * 1000
+_REQUESTS = {
+    c.CLOCK_EXCHANGE: CLOCK_EXCHANGE,
+    c.CLOCK_STATUS: cs.Struct("item" / cs.Byte, cs.Terminated),
+    c.CLOCK_ADJUST: CLOCK_ADJUST,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What STATUS may say: pairs are the smallest and the largest value."""
+
+    time: tuple[int, int]
+    states: tuple[int, ...]
+    epoch: int
+    rate: tuple[int, int]
+    uncertainty: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Adjustment:
+    """The target: it has `time` at `local`; `at` is when the device was told."""
+
+    at: int
+    local: int
+    time: int
+    rate: Fraction
+    uncertainty: int
+    wander: Fraction
+    is_step: bool
+    low: Fraction = Fraction(0)
+    high: Fraction = Fraction(0)
+    """Bounds of target less time, in microseconds, at `at`."""
+
+    def target(self, local: int) -> Fraction:
+        return self.time + (local - self.local) * (1 + self.rate)
+
+    def is_reached(self, local: int) -> bool:
+        return local - self.at >= 2_000_000 + 1000 * max(abs(self.low), abs(self.high))
+
+    def distance(self, local: int) -> tuple[Fraction, Fraction]:
+        """Return the bounds of target less time at a later local time (J2A-CLOCK-012, 013)."""
+        passed = local - self.at
+        if self.is_reached(local):
+            most = 1 + Fraction(passed, _PPB)
+            return -most, most
+        removed = passed * _SLEW
+        low = max(self.low - removed, Fraction(0)) if self.low > 0 else self.low
+        high = min(self.high + removed, Fraction(0)) if self.high < 0 else self.high
+        return (low, high) if self.is_step else (low - 1, high + 1)
+
+
+class Clock:
+    """A device without frames that keeps the rules of section 23; the local time only grows."""
+
+    def __init__(self) -> None:
+        self._last: _Adjustment | None = None
+        self._epoch = 0
+
+    def code(self, request: bytes, local: int) -> int:
+        """Return the code of the reply to a request, and take an adjustment (J2A-CLOCK-003).
+
+        Args:
+            request: the payload.
+            local: the local time of the device at which it executes the request, in us.
+        """
+        if not request:
+            return c.CLOCK_BAD_LENGTH
+        if request[0] not in _REQUESTS:
+            return c.CLOCK_NO_ITEM
+        try:
+            fields = _REQUESTS[request[0]].parse(request)
+        except cs.ConstructError:  # no field has a wrong form but by its length
+            return c.CLOCK_BAD_LENGTH
+        if request[0] == c.CLOCK_ADJUST:
+            if not _is_in_range(fields, local):
+                return c.CLOCK_BAD_VALUE
+            self._adjust(fields, local)
+        return 0
+
+    def _adjust(self, adjust: cs.Container, local: int) -> None:
+        is_step = self._last is None or adjust.mode == c.CLOCK_STEP
+        rate, wander = Fraction(adjust.rate, _PPB), Fraction(adjust.wander, _PPB)
+        told = (local, adjust.local, adjust.time, rate, adjust.uncertainty, wander)
+        if is_step or self._last is None:
+            self._epoch = self._epoch % 255 + 1
+            self._last = _Adjustment(*told, is_step=True)
+            return
+        moved = _Adjustment(*told, is_step=False).target(local) - self._last.target(local)
+        low, high = self._last.distance(local)
+        lag = (abs(rate - self._last.rate) + _SLEW) * _LAG_US
+        self._last = _Adjustment(
+            *told, is_step=False, low=low + moved - lag, high=high + moved + lag
+        )
+
+    def bounds(self, local: int) -> Bounds:
+        """Return what STATUS may say at a local time, in us."""
+        last = self._last
+        if last is None:
+            return Bounds((local,) * 2, (c.CLOCK_FREE,), 0, (0, 0), (c.CLOCK_UNKNOWN,) * 2)
+        low, high = last.distance(local)
+        target = last.target(local)
+        least = Fraction(0) if low <= 0 <= high else min(abs(low), abs(high))
+        most = max(abs(low), abs(high))
+        is_led = not last.is_step and not last.is_reached(local)
+        correction = c.CLOCK_MAX_SLEW_PPM * 1000 if is_led else 0
+        rate = int(last.rate * _PPB)
+        grown = last.uncertainty + (local - last.at) * last.wander
+        return Bounds(
+            (math.floor(target - high), math.ceil(target - low)),
+            self._states(local, least, most),
+            self._epoch,
+            (rate - correction - 1, rate + correction + 1),
+            _uncertainty(last.uncertainty, math.floor(grown + least), math.ceil(grown + most) + 1),
+        )
+
+    def _states(self, local: int, least: Fraction, most: Fraction) -> tuple[int, ...]:
+        last = self._last
+        assert last is not None
+        if local - last.at >= c.CLOCK_HOLDOVER_S * 10**6:
+            return (c.CLOCK_HOLDOVER,)
+        if last.is_step:
+            return (c.CLOCK_SETTLING,)
+        known = 0 if last.uncertainty == c.CLOCK_UNKNOWN else last.uncertainty
+        limit = max(c.CLOCK_SETTLED_US, known)
+        if least > limit:
+            return (c.CLOCK_SETTLING,)
+        return (c.CLOCK_LOCKED,) if most <= limit else (c.CLOCK_SETTLING, c.CLOCK_LOCKED)
+
+
+def _uncertainty(given: int, low: int, high: int) -> tuple[int, int]:
+    if given == c.CLOCK_UNKNOWN:
+        return c.CLOCK_UNKNOWN, c.CLOCK_UNKNOWN
+    return min(low, c.CLOCK_UNKNOWN), min(high, c.CLOCK_UNKNOWN)
+
+
+def _is_in_range(adjust: cs.Container, local: int) -> bool:
+    return (
+        adjust.mode in (c.CLOCK_SLEW, c.CLOCK_STEP)
+        and local - c.CLOCK_MAX_BEHIND <= adjust.local <= local
+        and adjust.time < 1 << 63
+        and abs(adjust.rate) <= c.CLOCK_MAX_RATE
+        and adjust.wander <= c.CLOCK_MAX_RATE
+    )
