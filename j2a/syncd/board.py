@@ -30,7 +30,6 @@ class SyncBoard:
     Args:
         port: see `j2a_transports.SyncPort`; belongs to the thread.
         bus: that it is on.
-        interval_s: seconds between two packets.
 
     Attributes:
         name: bus and ports, such as "usb 1-2.3".
@@ -38,12 +37,11 @@ class SyncBoard:
         problem: why the board gets no time; None where it does.
     """
 
-    def __init__(self, port: Any, bus: Bus, interval_s: float) -> None:
+    def __init__(self, port: Any, bus: Bus) -> None:
         self.name = f"usb {port.name}"
         self.problem: str | None = "no packet yet"
         self._port = port
         self._bus = bus
-        self._interval_s = interval_s
         self._stop = threading.Event()
         self._packets = 0
         self._lost = 0
@@ -72,24 +70,27 @@ class SyncBoard:
     def _run(self) -> None:
         try:
             self._port.open()
-            _logger.info("%s: sends the time each %g s", self.name, self._interval_s)
+            _logger.info("%s: gets the time", self.name)
             while not self._stop.is_set():
-                self._round()
-                self._stop.wait(self._interval_s)
+                self._ask()
+                if not self._stop.wait(self._bus.until_next_round_s()):
+                    self._tell()
         except j2a_transports.TransportError as error:
             self.problem = str(error)
         finally:
             self._port.close()
 
-    def _round(self) -> None:
+    def _ask(self) -> None:
         for _ in range(_EXCHANGES):
-            asked_s = self._bus.now()
+            sent_us = self._bus.now_us()
             seen = self._port.frame(random.randrange(1 << 16))
             if seen is not None:
                 self._tells_frames = True
-                self._bus.add(asked_s, self._bus.now(), seen.frame, seen.age_us)
+                self._bus.add(sent_us, self._bus.now_us(), seen.frame, seen.age_us)
             elif self._tells_frames is None:
                 self._tells_frames = False
+
+    def _tell(self) -> None:
         packet = self._bus.packet()
         if packet is None:
             self.problem = (
@@ -99,7 +100,7 @@ class SyncBoard:
             )
             return
         try:
-            self._port.send(*packet)
+            self._port.send(packet.time_us, packet.frame)
         except j2a_transports.WriteTimeout as error:
             self._lost += 1
             self.problem = str(error)

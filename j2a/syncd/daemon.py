@@ -162,8 +162,8 @@ class Daemon:
         return bus in (None, key[0]) and address in (None, key[1])
 
     def _start(self, port: Any) -> SyncBoard:
-        bus = self._buses.setdefault(port.bus, Bus(port.bus, self._history))
-        return SyncBoard(port, bus, self._interval_s)
+        bus = self._buses.setdefault(port.bus, Bus(port.bus, self._interval_s, self._history))
+        return SyncBoard(port, bus)
 
 
 def start(daemon: Daemon) -> threading.Thread:
