@@ -195,11 +195,11 @@ def _become(user: _User) -> None:
 
 def _go_to_background() -> None:
     """Leave the terminal and its session; who started it gets its prompt back."""
-    for _ in range(2):
-        if os.fork() != 0:
-            os._exit(OK)
-        with contextlib.suppress(OSError):  # the second one leads no session any more
-            os.setsid()
+    if os.fork() != 0:
+        os._exit(OK)
+    os.setsid()
+    if os.fork() != 0:  # who leads a session could get a terminal again
+        os._exit(OK)
     os.chdir("/")
     null = os.open(os.devnull, os.O_RDWR)
     for descriptor in range(3):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import os
 import struct
 import sys
@@ -43,11 +44,26 @@ def realtime() -> Iterator[list[str]]:
 
 
 def _lock_memory() -> Callable[[], object]:
+    import resource  # noqa: PLC0415 - not on every system
+
+    # With a limit, what is allocated later fails: a thread, say.
+    before = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    without = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    try:
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, without)
+    except ValueError as error:
+        raise PermissionError(errno.EPERM, "the limit of locked memory cannot be raised") from error
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT_FUTURE) != 0:
         number = ctypes.get_errno()
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, before)
         raise OSError(number, os.strerror(number))
-    return libc.munlockall  # type: ignore[no-any-return]
+
+    def undo() -> None:
+        libc.munlockall()
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, before)
+
+    return undo
 
 
 def _run_first() -> Callable[[], object]:
