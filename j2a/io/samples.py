@@ -42,6 +42,7 @@ class SampleSource:
         device: what the device told about itself.
         now: the time of the link, in seconds.
         is_doubted: what the device has may be wrong, because it has or may have restarted.
+        host_us: the time of this computer at one of the device, None where it is not known.
 
     Attributes:
         board: what samples name as their board.
@@ -54,12 +55,14 @@ class SampleSource:
         device: DeviceInfo,
         now: Callable[[], float],
         is_doubted: Callable[[], bool],
+        host_us: Callable[[int], int | None] = lambda _time_us: None,
     ) -> None:
         self.current: Sample | None = None
         self.board = url
         self._device = device
         self._now = now
         self._is_doubted = is_doubted
+        self._host_us = host_us
         self._learnt: Descriptors | None = None
         self._by_name: dict[str, _State] = {}
         self._by_id: dict[int, _State] = {}
@@ -123,6 +126,7 @@ class SampleSource:
             if reading.time_us is not None:
                 is_reset |= reading.time_us < state.times_us.get(reading.channel, 0)
                 state.times_us[reading.channel] = reading.time_us
+        newest_us = max((one.time_us for one in readings if one.time_us is not None), default=None)
         sequence = state.count
         state.count += 1
         return Sample(
@@ -136,6 +140,7 @@ class SampleSource:
             sif.missed,
             is_reset,
             sif.payload,
+            None if newest_us is None else self._host_us(newest_us),
         )
 
 

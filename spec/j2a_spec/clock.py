@@ -51,23 +51,24 @@ class _Adjustment:
     low: Fraction = Fraction(0)
     high: Fraction = Fraction(0)
     """Bounds of target less time, in microseconds, at `at`."""
+    before: tuple[int, int] = (0, 0)
+    """Bounds of the rate at `at`, which may hold a little longer."""
 
     def target(self, local: int) -> Fraction:
         return self.time + (local - self.local) * (1 + self.rate)
 
     def is_reached(self, local: int) -> bool:
-        return local - self.at >= 2_000_000 + 1000 * max(abs(self.low), abs(self.high))
+        return self.is_step or local - self.at >= 2_000_000 + 1000 * max(abs(self.low), abs(self.high))
 
     def distance(self, local: int) -> tuple[Fraction, Fraction]:
         """Return the bounds of target less time at a later local time (J2A-CLOCK-012, 013)."""
-        passed = local - self.at
+        most = 1 + Fraction(local - self.local, _PPB)
         if self.is_reached(local):
-            most = 1 + Fraction(passed, _PPB)
             return -most, most
-        removed = passed * _SLEW
+        removed = (local - self.at) * _SLEW
         low = max(self.low - removed, Fraction(0)) if self.low > 0 else self.low
         high = min(self.high + removed, Fraction(0)) if self.high < 0 else self.high
-        return (low, high) if self.is_step else (low - 1, high + 1)
+        return low - most, high + most
 
 
 class Clock:
@@ -109,8 +110,9 @@ class Clock:
         moved = _Adjustment(*told, is_step=False).target(local) - self._last.target(local)
         low, high = self._last.distance(local)
         lag = (abs(rate - self._last.rate) + _SLEW) * _LAG_US
+        before = self._rate(local)
         self._last = _Adjustment(
-            *told, is_step=False, low=low + moved - lag, high=high + moved + lag
+            *told, is_step=False, low=low + moved - lag, high=high + moved + lag, before=before
         )
 
     def bounds(self, local: int) -> Bounds:
@@ -122,17 +124,23 @@ class Clock:
         target = last.target(local)
         least = Fraction(0) if low <= 0 <= high else min(abs(low), abs(high))
         most = max(abs(low), abs(high))
-        is_led = not last.is_step and not last.is_reached(local)
-        correction = c.CLOCK_MAX_SLEW_PPM * 1000 if is_led else 0
-        rate = int(last.rate * _PPB)
         grown = last.uncertainty + (local - last.at) * last.wander
         return Bounds(
             (math.floor(target - high), math.ceil(target - low)),
             self._states(local, least, most),
             self._epoch,
-            (rate - correction - 1, rate + correction + 1),
+            self._rate(local),
             _uncertainty(last.uncertainty, math.floor(grown + least), math.ceil(grown + most) + 1),
         )
+
+    def _rate(self, local: int) -> tuple[int, int]:
+        last = self._last
+        assert last is not None
+        rate = int(last.rate * _PPB)
+        most = 1 if last.is_reached(local) else c.CLOCK_MAX_SLEW_PPM * 1000 + 1
+        if last.is_step or local - last.at > _LAG_US:
+            return rate - most, rate + most
+        return min(rate - most, last.before[0]), max(rate + most, last.before[1])
 
     def _states(self, local: int, least: Fraction, most: Fraction) -> tuple[int, ...]:
         last = self._last

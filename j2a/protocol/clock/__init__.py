@@ -1,4 +1,4 @@
-"""One time for host and boards, without waiting (SPEC.md, section 25).
+"""One time for host and boards, without waiting (SPEC.md, section 23).
 
 What flows in: times of the host as numbers, replies of boards. What flows out: estimates with a
 bound of their error, and requests.
@@ -20,6 +20,7 @@ from j2a.protocol.clock.messages import (
     Frame,
     Status,
     pack_exchange,
+    pack_status,
     unpack_exchange,
     unpack_status,
 )
@@ -38,6 +39,7 @@ __all__ = [
     "Status",
     "Verdict",
     "pack_exchange",
+    "pack_status",
     "unpack_exchange",
     "unpack_status",
 ]

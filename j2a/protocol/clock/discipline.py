@@ -1,14 +1,17 @@
 """What a host tells the clock of a board, and when.
 
-What flows in: the estimate of the board's counter, the time of the host, and what the board says of
-its clock. What flows out: the next request, and how long to wait before the next exchange.
+What flows in: exchanges with the board, the time of the host, and what the board says of its clock.
+What flows out: the next request, how long to wait before the next exchange, and times of the board
+as times of its counter.
 Rules: the clock of a board is set once, and then only slewed, unless the host's clock was set or
-the board began anew (SPEC.md, section 25). Nothing here waits or sends.
+the board began anew (J2A-CLOCK-026, J2A-CLOCK-028). Nothing here waits or sends.
 """
 
 from typing import Final
 
-from j2a.protocol.clock.estimator import Estimate, Estimator, Exchange, Verdict
+from j2a_spec.constants import CLOCK_FRAME_STEP_S
+
+from j2a.protocol.clock.estimator import Estimator, Exchange, Verdict
 from j2a.protocol.clock.messages import Adjust, ClockState, Status
 from j2a.protocol.clock.reference import ReferenceClock
 
@@ -17,8 +20,8 @@ __all__ = ["BURST", "Discipline"]
 BURST: Final = 8
 """So many exchanges in quick succession give the first estimate."""
 BURST_S: Final = 0.05
-STEP_LIMIT_US: Final = 100_000
-"""A greater error takes minutes to slew."""
+_FOREIGN_US: Final = CLOCK_FRAME_STEP_S * 1_000_000
+"""A board that is off by more when the discipline begins was set by another clock."""
 _PPB: Final = 1e9
 
 
@@ -31,13 +34,16 @@ class Discipline:
 
     Attributes:
         status: what the board said last; None before.
-        steps: how often the board's clock was set.
+        epoch_local_us: since when the epoch of `status` lasts, at the latest, on the board's
+            counter; None where nobody knows how long.
+        steps: how often the board's clock was set by this host.
     """
 
     def __init__(self, reference: ReferenceClock, estimator: Estimator | None = None) -> None:
         self.reference = reference
         self.estimator = Estimator() if estimator is None else estimator
         self.status: Status | None = None
+        self.epoch_local_us: int | None = None
         self.steps = 0
         self._target: Adjust | None = None
         self._host_steps = reference.steps
@@ -46,13 +52,17 @@ class Discipline:
     # ------------------------------------------------------------------ what happens
 
     def add(self, exchange: Exchange) -> Verdict:
-        """Take an exchange."""
+        """Take an exchange that was made after all others."""
+        newest = self.estimator.newest
+        is_reset = newest is not None and exchange.received_us < newest.received_us
+        if is_reset:
+            self.reset()
         verdict = self.estimator.add(exchange)
         if verdict is Verdict.RESTARTED:
             self._begin_anew()
         if verdict in (Verdict.TAKEN, Verdict.RESTARTED):
             self._since_reset += 1
-        return verdict
+        return Verdict.RESTARTED if is_reset and verdict is Verdict.TAKEN else verdict
 
     def reset(self) -> None:
         """Begin anew: the board has restarted."""
@@ -60,7 +70,7 @@ class Discipline:
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self.status = self._target = None
+        self.status = self._target = self.epoch_local_us = None
         self._since_reset = 0
 
     def take_status(self, status: Status, adjust: Adjust | None = None) -> None:
@@ -70,9 +80,12 @@ class Discipline:
             status: this.
             adjust: the request that it answers, which the board has taken.
         """
+        before = self.status
+        if before is not None and status.epoch != before.epoch:
+            self.epoch_local_us = status.local_us
+            self._target = None
+            self.steps += adjust is not None
         if adjust is not None:
-            is_set = self.status is not None and status.epoch != self.status.epoch
-            self.steps += is_set or adjust.is_step
             self._target = adjust
             self._host_steps = self.reference.steps
         self.status = status
@@ -86,36 +99,31 @@ class Discipline:
         doublings = min(max(self._since_reset - BURST, 0), 16)
         return min(BURST_S * 2.0**doublings, period_s)
 
-    def next_adjust(self) -> Adjust | None:
-        """Return what to tell the board now; None while too little is known."""
-        estimate = self.estimator.estimate
-        if estimate is None or self._since_reset < BURST:
-            return None
-        return self.adjust_of(estimate)
+    def next_adjust(self, now_us: float) -> Adjust | None:
+        """Return what to tell the board now.
 
-    def adjust_of(self, estimate: Estimate) -> Adjust:
-        """Return what an estimate tells the board."""
-        reference, status = self.reference, self.status
-        local_us = estimate.counter_us
-        target_us = reference.to_unix(estimate.host_us)
-        error_us = self.error_us
-        is_step = (
-            status is None
-            or status.state is ClockState.FREE
-            or self._host_steps != reference.steps
-            or error_us is None
-            or abs(error_us) > STEP_LIMIT_US
-        )
+        The status must be known before (`take_status`).
+
+        Args:
+            now_us: the time of the host's counter.
+
+        Returns: the request; None while too little is known.
+        """
+        estimate, status = self.estimator.estimate, self.status
+        if estimate is None or status is None or self._since_reset < BURST:
+            return None
+        reference, error_us = self.reference, self.error_us
+        is_foreign = self._target is None and abs(error_us or 0.0) >= _FOREIGN_US
+        is_set = self._host_steps != reference.steps
         rate = (1 + reference.rate) * (1 + estimate.rate) - 1
-        # Until the next round, at the latest when the board says that it is alone.
-        wander = estimate.rate_error + estimate.wander
+        uncertainty = estimate.uncertainty_us(estimate.to_counter(now_us))
         return Adjust(
-            is_step,
-            local_us,
-            target_us,
+            status.state is not ClockState.FREE and (is_set or is_foreign),
+            estimate.counter_us,
+            reference.to_unix(estimate.host_us),
             round(rate * _PPB),
-            round(estimate.error_us + 0.5),
-            round(wander * _PPB),
+            round(uncertainty + 0.5),
+            round((estimate.rate_error + estimate.wander) * _PPB),
         )
 
     # ------------------------------------------------------------------ the board's clock
@@ -128,39 +136,39 @@ class Discipline:
             return None
         return status.time_us - self.reference.to_unix(estimate.to_host(status.local_us))
 
-    def to_local(self, time_us: int) -> float:
+    def to_local(self, time_us: float) -> float:
         """Return the counter of the board at a time of its clock.
 
         While it slews, its clock is on the line of the last status until that meets the line that
         it was told, and then on the latter.
         """
-        status = self.status
+        status, target = self.status, self._target
         if status is None or status.state is ClockState.FREE:
             return time_us
         local = status.local_us + (time_us - status.time_us) / (1 + status.rate_ppb / _PPB)
-        target = self._target
         if target is None or local <= status.local_us:
             return local
         told = target.local_us + (time_us - target.time_us) / (1 + target.rate_ppb / _PPB)
         # A clock that is ahead reaches a time earlier than it was told to.
-        is_ahead = self._told_at(target, status.local_us) <= status.time_us
-        return min(local, told) if is_ahead else max(local, told)
+        return min(local, told) if self._is_ahead(status, target) else max(local, told)
 
     def to_time(self, local_us: float) -> float:
         """Return the clock of the board at a time of its counter."""
-        status = self.status
+        status, target = self.status, self._target
         if status is None or status.state is ClockState.FREE:
             return local_us
         passed = local_us - status.local_us
         time = status.time_us + passed + passed * status.rate_ppb / _PPB
-        target = self._target
         if target is None or passed <= 0:
             return time
-        told = self._told_at(target, local_us)
-        is_ahead = self._told_at(target, status.local_us) <= status.time_us
-        return max(time, told) if is_ahead else min(time, told)
+        told = _told_at(target, local_us)
+        return max(time, told) if self._is_ahead(status, target) else min(time, told)
 
     @staticmethod
-    def _told_at(target: Adjust, local_us: float) -> float:
-        passed = local_us - target.local_us
-        return target.time_us + passed + passed * target.rate_ppb / _PPB
+    def _is_ahead(status: Status, target: Adjust) -> bool:
+        return _told_at(target, status.local_us) <= status.time_us
+
+
+def _told_at(target: Adjust, local_us: float) -> float:
+    passed = local_us - target.local_us
+    return target.time_us + passed + passed * target.rate_ppb / _PPB

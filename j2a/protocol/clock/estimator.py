@@ -6,7 +6,7 @@ Rules: the host's times are those of one steady counter, in microseconds, never 
 that is set. A request cannot arrive before it was sent, nor a reply before it was made, so each
 exchange gives an interval that holds the truth, however slow it was; the estimate is the middle of
 what all of them leave. Nothing is assumed about how a round trip divides into there and back:
-half of what the fastest ones leave is uncertainty (SPEC.md, section 25).
+half of the least slack is uncertainty at least (SPEC.md, section 23; J2A-CLOCK-025).
 """
 
 import math
@@ -14,6 +14,8 @@ from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
+
+from j2a_spec.constants import CLOCK_MAX_TURNAROUND
 
 from j2a.protocol.clock.strip import Bounds, Strip, fit_strip
 
@@ -27,8 +29,8 @@ RESOLUTION_US: Final = 1.0
 """Times of the counter are whole microseconds."""
 BAUD_TOLERANCE: Final = 0.025
 """By so much a UART may be faster or slower than its nominal speed."""
-MAX_ROUND_TRIP_US: Final = 10_000_000
-_SATURATED_US: Final = 0xFFFF
+MAX_ROUND_TRIP_US: Final = 1_000_000
+"""A slower exchange tells nothing (J2A-CLOCK-023)."""
 _JUMP_US: Final = 500.0
 """A counter that is off by more has begun anew, unless its rate can have changed so much."""
 _MAX_RATE_CHANGE: Final = 2e-3
@@ -186,8 +188,8 @@ class Estimator:
         return (
             not 0 <= round_trip <= MAX_ROUND_TRIP_US  # and no NaN
             or not math.isfinite(exchange.came_us)
-            or turnaround >= _SATURATED_US
-            or turnaround > round_trip * (1 + self._max_rate) + 2 * RESOLUTION_US
+            or turnaround >= CLOCK_MAX_TURNAROUND
+            or turnaround > round_trip
         )
 
     def _bounds(self, exchange: Exchange) -> tuple[float, float]:
@@ -232,7 +234,7 @@ class Estimator:
             self.byte_us = 0.0
         self._wander = max(self._wander * _CALMING, _LEAST_WANDER)
         strip = self._fit()
-        while strip.width < self._least_width() and len(self._exchanges) > 1:
+        while strip.width < _NARROW * self._least_slack() and len(self._exchanges) > 1:
             # The rate changed within the window: somewhat, or else what is old is of no use.
             if self._wander < _MOST_WANDER:
                 self._wander = min(2 * self._wander, _MOST_WANDER)
@@ -245,7 +247,7 @@ class Estimator:
         span = newest.received_us - self._exchanges[0].received_us
         wires = [max(one.bytes_out, one.bytes_in) for one in self._exchanges]
         middle = strip.middle
-        error = max(strip.high - middle, middle - strip.low, 0.0)
+        error = max(strip.high - middle, middle - strip.low, self._least_slack() / 2)
         least, most = strip.slopes
         self._estimate = Estimate(
             newest.received_us,
@@ -256,10 +258,9 @@ class Estimator:
             self._wander,
         )
 
-    def _least_width(self) -> float:
-        """Return the width of a strip that is too narrow to be true."""
-        slacks = [high - low for low, high in map(self._bounds, self._exchanges)]
-        return _NARROW * min(slacks)
+    def _least_slack(self) -> float:
+        """Return the part of the fastest round trip of which nobody knows in which direction."""
+        return min(high - low for low, high in map(self._bounds, self._exchanges))
 
     def _fit(self) -> Strip:
         """Return the line through the intervals; those of old exchanges are widened.

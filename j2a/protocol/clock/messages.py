@@ -1,4 +1,4 @@
-"""The bytes of a2jClock: requests, replies, and the packets of SyncUSB (SPEC.md, section 25).
+"""The bytes of a2jClock: requests, replies, and the packets of SyncUSB (SPEC.md, section 23).
 
 What flows in and out: payloads, and what they mean.
 Rules: bytes that are not what the specification says are refused by one error; what cannot be sent
@@ -10,46 +10,26 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+from j2a_spec import constants as c
+
 from j2a.errors import ProtocolError
 from j2a.protocol.clock.estimator import Exchange
 
 __all__ = [
-    "ADJUST",
-    "BAD_LENGTH",
-    "BAD_VALUE",
-    "CAP_CLOCK",
-    "CLOCK",
-    "EXCHANGE",
-    "FRAME",
-    "MAX_RATE_PPB",
-    "NO_ITEM",
-    "STATUS",
-    "UNKNOWN_US",
     "Adjust",
     "ClockState",
     "Frame",
     "Status",
+    "pack_exchange",
+    "pack_status",
     "unpack_exchange",
     "unpack_status",
 ]
 
-CLOCK: Final = "a2jClock"
-CAP_CLOCK: Final = "clock"
-EXCHANGE: Final = 0
-STATUS: Final = 1
-ADJUST: Final = 2
-FRAME: Final = 3
-NO_ITEM: Final = 1
-BAD_LENGTH: Final = 2
-BAD_VALUE: Final = 3
-UNKNOWN_US: Final = 0xFFFFFFFF
-MAX_RATE_PPB: Final = 10_000_000
-NO_FRAME: Final = 0xFFFF
-
-_U32_MAX: Final = 0xFFFFFFFF
 _U64: Final = 1 << 64
-_EXCHANGE: Final = struct.Struct("<IQH")
-_USB_FRAME: Final = struct.Struct("<HH")
+_EXCHANGE: Final = struct.Struct("<BI")
+_EXCHANGED: Final = struct.Struct("<IQH")
+_SEEN_FRAME: Final = struct.Struct("<HH")
 _STATUS: Final = struct.Struct("<QQBBiI")
 _ADJUST: Final = struct.Struct("<BBQQiII")
 _FRAME: Final = struct.Struct("<BQHI")
@@ -59,13 +39,13 @@ _PACKET: Final = struct.Struct("<QH")
 class ClockState(IntEnum):
     """What the clock of a device is set by."""
 
-    FREE = 0
+    FREE = c.CLOCK_FREE
     """Nothing: it counts microseconds from the start of the device on."""
-    SETTLING = 1
+    SETTLING = c.CLOCK_SETTLING
     """It was set, and still runs faster or slower until its error is gone."""
-    LOCKED = 2
+    LOCKED = c.CLOCK_LOCKED
     """It is set, and follows the host."""
-    HOLDOVER = 3
+    HOLDOVER = c.CLOCK_HOLDOVER
     """It was set, and runs on at its last rate since the host has fallen silent."""
 
 
@@ -111,13 +91,13 @@ class Adjust:
     def pack(self) -> bytes:
         """Return the payload of the request."""
         return _ADJUST.pack(
-            ADJUST,
-            self.is_step,
+            c.CLOCK_ADJUST,
+            c.CLOCK_STEP if self.is_step else c.CLOCK_SLEW,
             self.local_us % _U64,
             self.time_us % _U64,
-            max(-MAX_RATE_PPB, min(self.rate_ppb, MAX_RATE_PPB)),
+            max(-c.CLOCK_MAX_RATE, min(self.rate_ppb, c.CLOCK_MAX_RATE)),
             _limited(self.uncertainty_us),
-            _limited(self.wander_ppb),
+            max(0, min(self.wander_ppb, c.CLOCK_MAX_RATE)),
         )
 
 
@@ -137,7 +117,9 @@ class Frame:
 
     def pack(self) -> bytes:
         """Return the payload of the request."""
-        return _FRAME.pack(FRAME, self.time_us % _U64, self.frame, _limited(self.uncertainty_us))
+        return _FRAME.pack(
+            c.CLOCK_FRAME, self.time_us % _U64, self.frame, _limited(self.uncertainty_us)
+        )
 
     def packet(self) -> bytes:
         """Return the 10 bytes for the interface SyncUSB (thesis, section 6.2)."""
@@ -146,7 +128,12 @@ class Frame:
 
 def pack_exchange(nonce: int) -> bytes:
     """Return the payload of the request for the time of the counter."""
-    return struct.pack("<BI", EXCHANGE, nonce)
+    return _EXCHANGE.pack(c.CLOCK_EXCHANGE, nonce)
+
+
+def pack_status() -> bytes:
+    """Return the payload of the request for a status."""
+    return bytes([c.CLOCK_STATUS])
 
 
 def unpack_exchange(
@@ -163,15 +150,15 @@ def unpack_exchange(
     Raises:
         ProtocolError: it is no such reply, or that to another request.
     """
-    if len(reply) < _EXCHANGE.size:
-        raise ProtocolError(f"{CLOCK}: an exchange came as {reply!r:.60}")
-    returned, received_us, turnaround_us = _EXCHANGE.unpack_from(reply)
+    if len(reply) < _EXCHANGED.size:
+        raise ProtocolError(f"{c.CLOCK}: an exchange came as {reply!r:.60}")
+    returned, received_us, turnaround_us = _EXCHANGED.unpack_from(reply)
     if returned != nonce:
-        raise ProtocolError(f"{CLOCK}: the nonce {nonce:#x} came back as {returned:#x}")
-    frame, age_us = NO_FRAME, 0
-    if len(reply) >= _EXCHANGE.size + _USB_FRAME.size:
-        frame, age_us = _USB_FRAME.unpack_from(reply, _EXCHANGE.size)
-    is_known = frame <= 0x7FF and age_us < 0xFFFF
+        raise ProtocolError(f"{c.CLOCK}: the nonce {nonce:#x} came back as {returned:#x}")
+    frame, age_us = c.CLOCK_NO_FRAME, 0
+    if len(reply) >= _EXCHANGED.size + _SEEN_FRAME.size:
+        frame, age_us = _SEEN_FRAME.unpack_from(reply, _EXCHANGED.size)
+    is_known = frame < c.CLOCK_FRAME_NUMBERS and age_us < c.CLOCK_MAX_TURNAROUND
     return Exchange(
         sent_us,
         came_us,
@@ -190,16 +177,16 @@ def unpack_status(reply: bytes) -> Status:
         ProtocolError: it is no status.
     """
     if len(reply) < _STATUS.size:
-        raise ProtocolError(f"{CLOCK}: a status came as {reply!r:.60}")
+        raise ProtocolError(f"{c.CLOCK}: a status came as {reply!r:.60}")
     local, time, state, epoch, rate, uncertainty = _STATUS.unpack_from(reply)
     try:
         known = ClockState(state)
     except ValueError:
-        raise ProtocolError(f"{CLOCK}: the state {state} has no meaning") from None
+        raise ProtocolError(f"{c.CLOCK}: the state {state} has no meaning") from None
     return Status(
-        local, time, known, epoch, rate, None if uncertainty == UNKNOWN_US else uncertainty
+        local, time, known, epoch, rate, None if uncertainty == c.CLOCK_UNKNOWN else uncertainty
     )
 
 
 def _limited(value: int | None) -> int:
-    return UNKNOWN_US if value is None else max(0, min(value, _U32_MAX))
+    return c.CLOCK_UNKNOWN if value is None else max(0, min(value, c.CLOCK_UNKNOWN))

@@ -2,8 +2,8 @@
 
 What flows in: readings of the counter and of the clock that people and NTP set, both in
 microseconds. What flows out: times of the one as times of the other, and whether the clock was set.
-Rules: a clock that runs a little faster or slower is followed; one that jumps by more than 1 ms was
-set, which is counted and told (SPEC.md, section 25).
+Rules: a clock that runs a little faster or slower is followed; one that jumps by 1 ms or more was
+set, which is counted and told (J2A-CLOCK-028).
 """
 
 from collections import deque
@@ -12,7 +12,7 @@ from typing import Final
 __all__ = ["STEP_US", "ReferenceClock"]
 
 STEP_US: Final = 1000
-"""A change by more is a step of the host's clock, and a smaller one part of its rate."""
+"""A change by so much is a step of the host's clock, and a smaller one part of its rate."""
 MAX_SLEW: Final = 1e-3
 """Twice as fast as NTP slews a clock."""
 _APART_US: Final = 250_000
@@ -42,7 +42,7 @@ class ReferenceClock:
         if self._kept:
             passed = counter_us - self._anchor[0]
             off = unix_us - self.to_unix(counter_us)
-            is_step = abs(off) > STEP_US + MAX_SLEW * abs(passed)
+            is_step = abs(off) >= STEP_US + MAX_SLEW * abs(passed)
             if is_step:
                 self.steps += 1
                 self.last_step_us = round(off)

@@ -102,12 +102,12 @@ def _maximum(function: Callable[[float], _Tangent], low: float, high: float) -> 
     argument. Where the maximum is a level piece, its middle is returned.
     """
     left, right = function(low), function(high)
-    if left[1] <= 0:
+    if left[1] < 0:
         return low, left[0]
-    if right[1] >= 0:
+    if right[1] > 0:
         return high, right[0]
-    at, found = low, left
-    for _ in range(_PASSES):
+    at, found = (low, left) if left[1] == 0 else (high, right)
+    for _ in range(_PASSES if found[1] else 0):
         at = low + (right[0] - left[0] - right[1] * (high - low)) / (left[1] - right[1])
         ceiling = left[0] + left[1] * (at - low)
         found = function(at)
@@ -119,9 +119,8 @@ def _maximum(function: Callable[[float], _Tangent], low: float, high: float) -> 
             high, right = at, found
     if found[1] == 0:
         level = found[0] - _CLOSE
-        return (
-            _crossing(function, low, at, level) + _crossing(function, high, at, level)
-        ) / 2, found[0]
+        ends = _crossing(function, low, at, level), _crossing(function, high, at, level)
+        return sum(ends) / 2, found[0]
     return at, found[0]
 
 

@@ -49,7 +49,9 @@ class Host:
         """Make an exchange, and tell the board what follows from it."""
         verdict = self.discipline.add(self.board.exchange())
         self.reference.observe(self.board.host_us, round(self.unix_us()))
-        adjust = self.discipline.next_adjust()
+        if self.discipline.status is None:
+            self.discipline.take_status(self.board.status())
+        adjust = self.discipline.next_adjust(self.board.host_us)
         if adjust is not None:
             self.told.append(adjust)
             self.discipline.take_status(self.board.adjust(adjust), adjust)
@@ -77,7 +79,7 @@ def test_a_board_is_stepped_once_and_then_follows() -> None:
         errors = host.run(60)
         assert max(abs(one) for one, _ in errors) < 60
         assert max(abs(one) for _, one in errors) < 10
-        assert [one.is_step for one in host.told].count(True) == 1
+        assert not any(one.is_step for one in host.told)  # the first one steps by itself
         assert board.state is ClockState.LOCKED
         assert (board.epoch, board.jumps_back, host.discipline.steps) == (1, 0, 1)
 
@@ -113,8 +115,8 @@ def test_a_board_that_begins_anew_is_set_anew() -> None:
     host = Host(board)
     host.run(30)
     board.reset()
-    assert host.round() is Verdict.DOUBTED
-    assert host.discipline.next_adjust() is None
+    assert host.round() is Verdict.RESTARTED
+    assert host.told[-1].local_us > board.counter_us
     host.run(20)
     assert board.epoch == 1
     assert max(abs(one) for one, _ in host.run(10)) < 60
@@ -166,8 +168,8 @@ def test_the_host_is_followed_through_noise_and_slews() -> None:
     assert reference.steps == 0
 
 
-@pytest.mark.parametrize(("step_us", "steps"), [(800, 0), (-800, 0), (1600, 1), (-1600, 1)])
-def test_more_than_1_ms_is_a_step(step_us: int, steps: int) -> None:
+@pytest.mark.parametrize(("step_us", "steps"), [(900, 0), (-900, 0), (1200, 1), (-1200, 1)])
+def test_1_ms_is_a_step(step_us: int, steps: int) -> None:
     reference = ReferenceClock()
     for second in range(20):
         reference.observe(second * 0.1 * US, round(EPOCH_US + second * 0.1 * US))
@@ -283,7 +285,9 @@ def test_what_is_told_is_packed_and_cut_to_its_fields() -> None:
         "02 01 0100000000000000 0200000000000000 fdffffff 04000000 05000000"
     )
     huge = Adjust(False, -1, 1 << 64, 10**12, None, 10**12).pack()
-    assert huge == bytes.fromhex("02 00 ffffffffffffffff 0000000000000000 80969800" + "ff" * 8)
+    assert huge == bytes.fromhex(
+        "02 00 ffffffffffffffff 0000000000000000 80969800" + "ffffffff 80969800"
+    )
     frame = Frame(0x0102030405060708, 0x0201, 9)
     assert frame.pack() == bytes.fromhex("03 0807060504030201 0102 09000000")
     assert frame.packet() == bytes.fromhex("0807060504030201 0102")

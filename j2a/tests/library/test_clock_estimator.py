@@ -153,7 +153,7 @@ def test_what_contradicts_itself_is_rejected(exchange: Exchange) -> None:
 _any_us = st.floats(allow_nan=True, allow_infinity=True) | st.floats(0, 1e9)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     st.lists(
         st.builds(

@@ -1,0 +1,333 @@
+/* The clock: time = time at an anchor + local time since then * (1 + rate), in fixed point (SPEC.md, section 23).
+ * In: adjustments of the host, which set a target line, and the local time. Out: j2a_clock_us(), a2jClock.
+ * Rules: integers only, no division. Readers may be interrupts and take no lock: there are two lines, the main
+ * context writes the one that is not in use, with its begin a little ahead, and then says by one byte that it
+ * holds. Until its begin readers use the old one, so the two meet there, and the time never goes back. */
+#include "j2a_clock.h"
+
+#if J2A_WITH_SYNC
+
+#if !J2A_WITH_CLOCK
+#error "J2A_WITH_SYNC=1 needs J2A_WITH_CLOCK=1, the local time"
+#endif
+
+enum {
+    LEAD_US = 1024,       /* from the plan of a line to its begin */
+    MARGIN_US = 512,      /* so much earlier it holds; interrupts are shorter */
+    DISTANCE_BITS = 12,   /* a correction of n / 2^32 over a segment removes n / 2^12 us */
+    MAX_CORRECTION = 4294967, /* 1000 ppm, in 2^-32 */
+    STATUS_BYTES = 26
+};
+#define SEGMENT_US 1048576L /* 2^20: a correction removes the distance in so long */
+#define FAR_US (1LL << 40)  /* larger distances count as this one, so that none overflows */
+
+static volatile j2a_line lines[2];
+static volatile uint8_t current; /* the line that holds from its begin on; before, the other one */
+static volatile uint8_t epoch;
+static j2a_line target;
+static bool is_told;        /* the target is another one since the last plan */
+static bool was_step;       /* the last adjustment was one */
+static uint64_t adjusted_us; /* local time of the last adjustment */
+static uint32_t given_us;   /* its uncertainty */
+static uint32_t wander;     /* its wander in 2^-38 */
+#if J2A_PORT_FRAMES
+static uint32_t frame_us = J2A_CLOCK_UNKNOWN; /* the uncertainty of packets: that of the last FRAME */
+#endif
+uint64_t j2a_received_us;
+
+/* ------------------------------------------------------------------------- lines ------ */
+
+/* Returns the time on a line. *part: what is left, in 2^-32 us. */
+static uint64_t time_on(const j2a_line *line, uint32_t now, uint32_t *part) {
+    const uint32_t passed = now - line->at;
+    int64_t gained;
+    if (passed < SEGMENT_US)
+        gained = (int64_t)(line->rate + line->correction) * (int32_t)passed;
+    else
+        gained = (int64_t)line->rate * (int32_t)passed + (int64_t)line->correction * SEGMENT_US;
+    gained += line->part;
+    *part = (uint32_t)gained;
+    return line->time_us + passed + (uint64_t)(gained >> 32);
+}
+
+void j2a_line_move(j2a_line *line, int32_t by_us) {
+    const int64_t gained = (int64_t)line->rate * by_us + line->part;
+    line->part = (uint32_t)gained;
+    line->time_us += (uint64_t)(by_us + (gained >> 32));
+    line->at += (uint32_t)by_us;
+}
+
+/* Copies the line that holds at a local time, which is now or later. */
+static void load(j2a_line *line, uint32_t now) {
+    const uint8_t which = current;
+    *line = lines[which];
+    if ((int32_t)(now - line->at) < 0)
+        *line = lines[which ^ 1];
+}
+
+uint64_t j2a_clock_us(void) {
+    const uint64_t local_us = j2a_port_time_us();
+    j2a_line line;
+    uint32_t part;
+    if (epoch == 0)
+        return local_us;
+    load(&line, (uint32_t)local_us);
+    return time_on(&line, (uint32_t)local_us, &part);
+}
+
+/* Returns target less time at a local time, in 2^-12 us; moves the target there. */
+static int64_t distance(uint32_t now, const j2a_line *line) {
+    uint32_t part;
+    int64_t whole_us;
+    j2a_line_move(&target, (int32_t)(now - target.at));
+    whole_us = (int64_t)(target.time_us - time_on(line, now, &part));
+    if (whole_us > FAR_US)
+        whole_us = FAR_US;
+    if (whole_us < -FAR_US)
+        whole_us = -FAR_US;
+    return whole_us * (1 << DISTANCE_BITS) + (int32_t)(target.part >> (32 - DISTANCE_BITS))
+           - (int32_t)(part >> (32 - DISTANCE_BITS));
+}
+
+/* Plans the next line: from a little ahead on, and to the target in a segment or at 1000 ppm. */
+static void plan(uint32_t now) {
+    const uint8_t next = current ^ 1;
+    const uint32_t begin = now + LEAD_US;
+    j2a_line line;
+    int64_t off;
+
+    load(&line, begin);
+#if J2A_PORT_FRAMES
+    j2a_frames_target(&target, now);
+#endif
+    off = distance(begin, &line);
+    line.time_us = time_on(&line, begin, &line.part);
+    line.at = begin;
+    line.rate = target.rate;
+    line.correction = (int32_t)(off > MAX_CORRECTION ? MAX_CORRECTION : off < -MAX_CORRECTION ? -MAX_CORRECTION : off);
+    lines[next] = line;
+    if ((int32_t)(begin - MARGIN_US - (uint32_t)j2a_port_time_us()) < 0)
+        return; /* too late, something took long: the next turn plans anew */
+    current = next;
+    is_told = false;
+}
+
+void j2a_clock_turn(void) {
+    uint32_t now;
+    int32_t passed;
+#if J2A_PORT_FRAMES
+    j2a_frames_turn();
+#endif
+    if (epoch == 0)
+        return;
+    now = (uint32_t)j2a_port_time_us();
+    passed = (int32_t)(now - lines[current].at);
+    if (passed >= 0 && (is_told || passed >= SEGMENT_US - LEAD_US))
+        plan(now);
+}
+
+/* Sets the time to the target at once. A line whose begin is ahead was not used by any reader. */
+static void step(uint64_t now_us) {
+    const uint32_t now = (uint32_t)now_us;
+    uint64_t before_us = now_us;
+    uint32_t part;
+    j2a_line line;
+
+    if (epoch != 0) {
+        load(&line, now);
+        before_us = time_on(&line, now, &part);
+        if ((int32_t)(now - lines[current].at) < 0)
+            current ^= 1;
+    }
+    line = target;
+    line.correction = 0;
+    lines[current ^ 1] = line;
+    current ^= 1;
+    epoch = (uint8_t)(epoch == 255 ? 1 : epoch + 1);
+    is_told = false;
+#if J2A_WITH_TRANSDUCERS
+    j2a_transds_move(line.time_us - before_us);
+#else
+    (void)before_us;
+#endif
+}
+
+/* ------------------------------------------------------------------------- what is known ------ */
+
+/* Returns |target less time|, rounded up to microseconds. */
+static uint64_t error_us(uint32_t now) {
+    j2a_line line;
+    int64_t off;
+    load(&line, now);
+    off = distance(now, &line);
+    return (uint64_t)((off < 0 ? -off : off) + (1 << DISTANCE_BITS) - 1) >> DISTANCE_BITS;
+}
+
+static uint8_t state_at(uint64_t now_us) {
+    const uint32_t known_us = given_us == J2A_CLOCK_UNKNOWN ? 0 : given_us;
+    if (epoch == 0)
+        return J2A_CLOCK_FREE;
+    if (now_us - adjusted_us >= J2A_CLOCK_HOLDOVER_S * 1000000UL)
+        return J2A_CLOCK_HOLDOVER;
+    if (was_step || error_us((uint32_t)now_us) > (known_us > J2A_CLOCK_SETTLED_US ? known_us : J2A_CLOCK_SETTLED_US))
+        return J2A_CLOCK_SETTLING;
+    return J2A_CLOCK_LOCKED;
+}
+
+static uint32_t uncertainty_at(uint64_t now_us) {
+    const uint64_t passed_us = now_us - adjusted_us;
+    uint64_t sum_us;
+    if (epoch == 0 || given_us == J2A_CLOCK_UNKNOWN)
+        return J2A_CLOCK_UNKNOWN;
+    sum_us = ((passed_us >> 32) * wander >> 6) + ((uint64_t)(uint32_t)passed_us * wander >> 38) + (wander != 0);
+    sum_us += given_us + error_us((uint32_t)now_us);
+    return sum_us < J2A_CLOCK_UNKNOWN ? (uint32_t)sum_us : J2A_CLOCK_UNKNOWN;
+}
+
+uint8_t j2a_clock_state(void) {
+    return state_at(j2a_port_time_us());
+}
+
+uint8_t j2a_clock_epoch(void) {
+    return epoch;
+}
+
+uint32_t j2a_clock_uncertainty_us(void) {
+    return uncertainty_at(j2a_port_time_us());
+}
+
+static void put_status(uint8_t *bytes) {
+    const uint64_t now_us = j2a_port_time_us();
+    const uint32_t now = (uint32_t)now_us;
+    uint64_t time_us = now_us;
+    int32_t rate = 0;
+    uint32_t part;
+    j2a_line line;
+
+    if (epoch != 0) {
+        load(&line, now);
+        time_us = time_on(&line, now, &part);
+        rate = line.rate + (now - line.at < SEGMENT_US ? line.correction : 0);
+    }
+    j2a_put_u64(bytes, now_us);
+    j2a_put_u64(bytes + 8, time_us);
+    bytes[16] = state_at(now_us);
+    bytes[17] = epoch;
+    j2a_put_i32(bytes + 18, (int32_t)(((int64_t)rate * 1000000000 + 0x80000000LL) >> 32));
+    j2a_put_u32(bytes + 22, uncertainty_at(now_us));
+}
+
+/* ------------------------------------------------------------------------- what the host says ------ */
+
+/* The target has been set, at now_us. */
+static void adjust(uint64_t now_us, uint32_t uncertainty_us, uint32_t wander_ppb, bool is_step) {
+    adjusted_us = now_us;
+    given_us = uncertainty_us;
+    wander = (uint32_t)(((uint64_t)wander_ppb * 288230377 + 0xFFFFF) >> 20);
+    was_step = is_step || epoch == 0;
+    if (was_step) {
+        step(now_us);
+    } else {
+        is_told = true;
+        j2a_clock_turn();
+    }
+}
+
+static uint8_t adjust_line(const uint8_t *bytes) {
+    const uint64_t now_us = j2a_port_time_us();
+    const uint64_t local_us = j2a_get_u64(bytes + 2);
+    const uint64_t time_us = j2a_get_u64(bytes + 10);
+    const int32_t rate = j2a_get_i32(bytes + 18);
+    const uint32_t wander_ppb = j2a_get_u32(bytes + 26);
+    const uint32_t behind_us = (uint32_t)(now_us - local_us);
+
+    if (bytes[1] > J2A_CLOCK_STEP || local_us > now_us || now_us - local_us > J2A_CLOCK_MAX_BEHIND || time_us >> 63 != 0
+        || rate > (int32_t)J2A_CLOCK_MAX_RATE || rate < -(int32_t)J2A_CLOCK_MAX_RATE || wander_ppb > J2A_CLOCK_MAX_RATE)
+        return J2A_CLOCK_BAD_VALUE;
+#if J2A_PORT_FRAMES
+    j2a_frames_forget();
+    frame_us = J2A_CLOCK_UNKNOWN;
+#endif
+    target.at = (uint32_t)local_us;
+    target.time_us = time_us;
+    target.part = 0;
+    target.rate = (int32_t)(((int64_t)rate * 1152921505 + 0x8000000) >> 28);
+    j2a_line_move(&target, (int32_t)(behind_us / 2)); /* in two steps, because 2^31 us are too many for one */
+    j2a_line_move(&target, (int32_t)(behind_us - behind_us / 2));
+    adjust(now_us, j2a_get_u32(bytes + 22), wander_ppb, bytes[1] == J2A_CLOCK_STEP);
+    return 0;
+}
+
+#if J2A_PORT_FRAMES
+static uint8_t adjust_frame(uint64_t time_us, uint16_t number, uint32_t uncertainty_us) {
+    const uint64_t now_us = j2a_port_time_us();
+    const int64_t limit = (int64_t)J2A_CLOCK_FRAME_STEP_S * 1000000 << DISTANCE_BITS;
+    j2a_line line;
+    int64_t off;
+
+    if (number >= J2A_CLOCK_FRAME_NUMBERS || time_us >> 63 != 0 || !j2a_frames_told(time_us, number))
+        return J2A_CLOCK_BAD_VALUE;
+    j2a_frames_target(&target, (uint32_t)now_us);
+    if (epoch != 0)
+        load(&line, (uint32_t)now_us);
+    else
+        line = target;
+    off = distance((uint32_t)now_us, &line);
+    frame_us = uncertainty_us;
+    adjust(now_us, uncertainty_us, J2A_CLOCK_FRAME_WANDER, off >= limit || off <= -limit);
+    return 0;
+}
+
+void j2a_clock_packet(const uint8_t *packet) {
+    (void)adjust_frame(j2a_get_u64(packet), j2a_get_u16(packet + 8), frame_us);
+}
+#endif
+
+static uint8_t exchange(uint8_t *bytes) {
+    const uint32_t received = (uint32_t)j2a_received_us;
+    uint32_t turnaround_us;
+    uint8_t i;
+    for (i = 0; i < 4; i++)
+        bytes[i] = bytes[i + 1];
+    j2a_put_u64(bytes + 4, j2a_received_us);
+#if J2A_PORT_FRAMES
+    j2a_frames_put(bytes + 14, received);
+#endif
+    turnaround_us = (uint32_t)j2a_port_time_us() - received;
+    j2a_put_u16(bytes + 12, (uint16_t)(turnaround_us < J2A_CLOCK_MAX_TURNAROUND ? turnaround_us
+                                                                               : J2A_CLOCK_MAX_TURNAROUND));
+    return 14 + 4 * J2A_PORT_FRAMES;
+}
+
+uint8_t j2a_clock(uint8_t *const length, uint8_t **const payload) {
+    static const uint8_t J2A_FLASH sizes[] = {5, 1, 30, 15};
+    uint8_t *const bytes = *payload;
+    const uint8_t count = *length;
+    const uint8_t item = bytes[0];
+    uint8_t code = 0;
+
+    *length = 0;
+    if (count == 0)
+        return J2A_CLOCK_BAD_LENGTH;
+    if (item > (J2A_PORT_FRAMES ? J2A_CLOCK_FRAME : J2A_CLOCK_ADJUST))
+        return J2A_CLOCK_NO_ITEM;
+    if (count != j2a_flash_u8(&sizes[item]))
+        return J2A_CLOCK_BAD_LENGTH;
+    if (item == J2A_CLOCK_EXCHANGE) {
+        *length = exchange(bytes);
+        return 0;
+    }
+    if (item == J2A_CLOCK_ADJUST)
+        code = adjust_line(bytes);
+#if J2A_PORT_FRAMES
+    if (item == J2A_CLOCK_FRAME)
+        code = adjust_frame(j2a_get_u64(bytes + 1), j2a_get_u16(bytes + 9), j2a_get_u32(bytes + 11));
+#endif
+    if (code != 0)
+        return code;
+    put_status(bytes);
+    *length = STATUS_BYTES;
+    return 0;
+}
+
+#endif
