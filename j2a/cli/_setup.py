@@ -45,7 +45,7 @@ udev: the rule that lets users open USB boards goes to {PLACE}:
 
 syncd: the service j2a-syncd, which starts with the first board that has SyncUSB:
   j2a setup syncd --print                             looks at its files
-  sudo "$(command -v j2a)" setup syncd                puts them there and reloads udev and systemd"""
+  sudo "$(command -v j2a)" setup syncd                puts them there, reloads udev, systemd"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,10 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print or install the files; returns the exit code."""
-    if args.what == "udev":
-        files = [SystemFile(PLACE, RULES)]
-    else:
-        files = system_files(_program(), GROUP)
+    is_udev = args.what == "udev"
+    files = [SystemFile(PLACE, RULES)] if is_udev else system_files(_program(), GROUP)
     if args.print:
         for one in files:
             if len(files) > 1:

@@ -68,7 +68,9 @@ def _ask(request: dict[str, object]) -> dict[str, object]:
 
 
 def _show(status: dict[str, object]) -> None:
-    show(f"daemon {status.get('pid')}, for {status.get('uptime_s')} s, steps: {status.get('steps')}")
+    show(
+        f"daemon {status.get('pid')}, for {status.get('uptime_s')} s, steps: {status.get('steps')}"
+    )
     boards = status.get("boards")
     if not isinstance(boards, list) or not boards:
         show("no boards")

@@ -126,9 +126,7 @@ def run(args: argparse.Namespace) -> int:
         server.close()
 
 
-def _serve(
-    args: argparse.Namespace, daemon: Daemon, server: Server, user: _User | None
-) -> int:
+def _serve(args: argparse.Namespace, daemon: Daemon, server: Server, user: _User | None) -> int:
     ended_by: list[int] = []
 
     def end(number: int, _frame: object) -> None:
@@ -137,9 +135,8 @@ def _serve(
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end)
-    measures = realtime() if args.realtime else contextlib.nullcontext([])
-    with measures as refused:
-        for what in refused:
+    with contextlib.ExitStack() as undo:
+        for what in undo.enter_context(realtime()) if args.realtime else ():
             _logger.warning("the system refuses: %s", what)
         if user is not None:
             _become(user)

@@ -104,7 +104,7 @@ class Bus:
                     unix_us / 1e6,
                     self._offset_us,
                     1e9 * estimate.rate,
-                    self._told.uncertainty_us,
+                    self._told.uncertainty_us or 0,
                 ),
             )
 

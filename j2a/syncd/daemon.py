@@ -24,7 +24,7 @@ from j2a.syncd.bus import Bus
 from j2a.syncd.history import History
 from j2a.syncd.links import LinkBoards
 
-__all__ = ["Daemon", "Options"]
+__all__ = ["Daemon", "start"]
 
 _logger = logging.getLogger("j2a.syncd")
 _LOOK_S: Final = 1.0
@@ -79,6 +79,7 @@ class Daemon:
             while not self._is_stopped:
                 self._wake.clear()
                 self._look()
+                self._links.look()
                 self._wake.wait(_LOOK_S)
         finally:
             self._links.close()
@@ -115,7 +116,7 @@ class Daemon:
         return {
             "pid": os.getpid(),
             "uptime_s": round(time.monotonic() - self._began_s),
-            "steps": steps + self._links.steps,
+            "steps": steps,
             "problem": self._problem,
             "boards": boards + links,
         }

@@ -6,7 +6,7 @@ In: numbers. Out: a text that browsers and viewers show, readable on light and d
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Final
@@ -39,7 +39,7 @@ class Panel:
 
     title: str
     x_title: str
-    series: dict[str, Points]
+    series: Mapping[str, Points]
     is_log: bool = False
 
 
@@ -47,7 +47,7 @@ def panels_of(boards: dict[str, list[Round]]) -> list[Panel]:
     """Return the panels of a history: offset, rate, uncertainty, and Allan deviation."""
     start_s = min((r.time_s for rounds in boards.values() for r in rounds[:1]), default=0.0)
 
-    def over_time(name: str) -> dict[str, Points]:
+    def over_time(name: str) -> Mapping[str, Points]:
         return {
             board: [(r.time_s - start_s, getattr(r, name)) for r in rounds]
             for board, rounds in boards.items()
@@ -122,8 +122,7 @@ def _panel(panel: Panel, top: float, colours: dict[str, str]) -> list[str]:
         )
     for name, points in lines.items():
         path = " ".join(
-            f"{_LEFT + WIDTH * x_axis.place(x):.1f},"
-            f"{top + 20 + HEIGHT * (1 - y_axis.place(y)):.1f}"
+            f"{_LEFT + WIDTH * x_axis.place(x):.1f},{top + 20 + HEIGHT * (1 - y_axis.place(y)):.1f}"
             for x, y in points
         )
         parts.append(
@@ -157,8 +156,8 @@ class _Axis:
         self._is_log = is_log
         low, high = min(values), max(values)
         if is_log:
-            self._low = math.floor(math.log10(low))
-            self._high = max(math.ceil(math.log10(high)), self._low + 1)
+            self._low = float(math.floor(math.log10(low)))
+            self._high = max(float(math.ceil(math.log10(high))), self._low + 1)
             return
         spread = high - low or abs(high) or 1.0
         self._step = 10.0 ** math.floor(math.log10(spread / 4))

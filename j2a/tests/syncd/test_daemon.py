@@ -1,4 +1,4 @@
-"""The daemon with boards of the tests: all of them get the same times, and none disturbs another."""
+"""The daemon with boards of the tests: all get the same times, and none disturbs another."""
 
 import importlib.util
 import pathlib

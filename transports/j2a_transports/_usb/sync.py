@@ -17,8 +17,16 @@ from j2a_transports._base import LinkLost, OpenFailed, WriteTimeout
 
 from .board import SYNC_CLASS
 from .claim import dispose, explained
-from .find import SPEEDS, class_of, devices, is_libusb, libusb, strings_of_device, strings_of_sysfs
-from .find import SYSFS as _SYSFS
+from .find import (
+    SPEEDS,
+    SYSFS,
+    class_of,
+    devices,
+    is_libusb,
+    libusb,
+    strings_of_device,
+    strings_of_sysfs,
+)
 
 __all__ = ["FrameSeen", "SyncPort", "sync_ports"]
 
@@ -69,7 +77,9 @@ class SyncPort:
         self.serial = _serial(device, self.name)
         self._device = device
         self._number: int = interface.bInterfaceNumber
-        self._out: int = next(e.bEndpointAddress for e in interface if not e.bEndpointAddress & 0x80)
+        self._out: int = next(
+            one.bEndpointAddress for one in interface if not one.bEndpointAddress & 0x80
+        )
         self._undo = contextlib.ExitStack()
 
     def open(self) -> None:
@@ -170,5 +180,5 @@ def _interface(device: Any) -> Any:
 
 def _serial(device: Any, name: str) -> str | None:
     if is_libusb(device.backend):
-        return strings_of_sysfs(_SYSFS / name)[2]
+        return strings_of_sysfs(SYSFS / name)[2]
     return strings_of_device(device)[0][2]
