@@ -4,6 +4,7 @@
 
 #include <stddef.h>
 
+#include "j2a_clock.h"
 #include "j2a_state.h"
 #include "j2a_table.h"
 

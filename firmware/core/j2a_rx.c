@@ -29,6 +29,9 @@ static void field(j2a_rx_t *rx, uint8_t state, uint8_t byte) {
             abandon(IDLE, J2A_ERR_CHECKSUM, J2A_SITE_CHECKSUM);
         } else {
             rx->state = IDLE;
+#if J2A_WITH_SYNC
+            j2a_received_us = j2a_port_time_us();
+#endif
             rx->event = J2A_EVENT_FRAME;
         }
         return;

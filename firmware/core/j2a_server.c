@@ -15,7 +15,14 @@ void j2a_poll(void) {
     const uint16_t now_ticks = j2a_port_ticks();
     uint8_t left = MAX_BYTES_PER_POLL;
     int16_t byte;
+#if J2A_WITH_SYNC
+    static uint16_t turned_ticks;
 
+    if ((uint16_t)(now_ticks - turned_ticks) >= J2A_TICKS_PER_MS) {
+        turned_ticks = now_ticks;
+        j2a_clock_turn();
+    }
+#endif
     for (; left != 0 && rx->event == J2A_EVENT_NONE && (byte = j2a_port_rx()) >= 0; left--)
         j2a_rx_parse((uint8_t)byte);
     if (left != MAX_BYTES_PER_POLL)

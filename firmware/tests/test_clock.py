@@ -1,5 +1,6 @@
 """The disciplined clock of the core, natively: vectors, and any sequence of adjustments."""
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -84,13 +85,13 @@ def test_any_adjustments_keep_the_rules(
     clock, oracle = NativeClock(library), Clock()
     clock.local = start
     readings: list[tuple[int, int]] = []
-    for after, fields in told:
+    for after, drawn in told:
         every = data.draw(st.sampled_from((700, 1000, 9000, 300_000)))
         for _ in range(3):
             clock.run(clock.local + after // 3, every)
             readings.append((clock.local, clock.time))
             check_status(clock.call(STATUS)[1], clock.local, vars_of(oracle, clock.local))
-        fields = dict(fields)
+        fields = dict(drawn)
         local = max(clock.local - fields.pop("behind"), 0)
         time = min(max(clock.time - (clock.local - local) + fields.pop("off"), 0), 2**63 - 1)
         request = adjust(local, time, **fields)
@@ -111,7 +112,7 @@ def vars_of(oracle: Clock, local: int) -> dict[str, Any]:
 
 def check_order(readings: list[tuple[int, int]]) -> None:
     """Of one epoch: the time passes as the local time does, up to 1.1 %."""
-    for (before, first), (after, second) in zip(readings, readings[1:], strict=False):
+    for (before, first), (after, second) in itertools.pairwise(readings):
         passed = after - before
         assert passed * 0.988 - 1 <= second - first <= passed * 1.012 + 1
 

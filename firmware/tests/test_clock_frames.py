@@ -1,5 +1,6 @@
 """The clock of the core led by USB frames, natively: boards on one bus, and what frames may do."""
 
+import itertools
 import random
 from pathlib import Path
 
@@ -118,7 +119,7 @@ def test_the_time_goes_on_without_frames(library: Path, renumbered: bool) -> Non
         bus.tell()
     bus.next(3000)
     assert abs(bus.errors()[0]) < 30
-    passed = [(b[0] - a[0], b[1] - a[1]) for a, b in zip(readings, readings[1:], strict=False)]
+    passed = [(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(readings)]
     assert all(abs(time - local) <= local * 0.0015 + 2 for local, time in passed)
     assert CLOCK_STATUS.parse(board.call(STATUS)[1]).epoch == 1
 

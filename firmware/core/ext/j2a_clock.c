@@ -15,9 +15,9 @@ enum {
     LEAD_US = 1024,       /* from the plan of a line to its begin */
     MARGIN_US = 512,      /* so much earlier it holds; interrupts are shorter */
     DISTANCE_BITS = 12,   /* a correction of n / 2^32 over a segment removes n / 2^12 us */
-    MAX_CORRECTION = 4294967, /* 1000 ppm, in 2^-32 */
     STATUS_BYTES = 26
 };
+#define MAX_CORRECTION 4294967L /* 1000 ppm, in 2^-32 */
 #define SEGMENT_US 1048576L /* 2^20: a correction removes the distance in so long */
 #define FAR_US (1LL << 40)  /* larger distances count as this one, so that none overflows */
 
@@ -38,7 +38,7 @@ uint64_t j2a_received_us;
 /* ------------------------------------------------------------------------- lines ------ */
 
 /* Returns the time on a line. *part: what is left, in 2^-32 us. */
-static uint64_t time_on(const j2a_line *line, uint32_t now, uint32_t *part) {
+static J2A_NOINLINE uint64_t time_on(const j2a_line *line, uint32_t now, uint32_t *part) {
     const uint32_t passed = now - line->at;
     int64_t gained;
     if (passed < SEGMENT_US)
@@ -50,7 +50,7 @@ static uint64_t time_on(const j2a_line *line, uint32_t now, uint32_t *part) {
     return line->time_us + passed + (uint64_t)(gained >> 32);
 }
 
-void j2a_line_move(j2a_line *line, int32_t by_us) {
+J2A_NOINLINE void j2a_line_move(j2a_line *line, int32_t by_us) {
     const int64_t gained = (int64_t)line->rate * by_us + line->part;
     line->part = (uint32_t)gained;
     line->time_us += (uint64_t)(by_us + (gained >> 32));
@@ -58,7 +58,7 @@ void j2a_line_move(j2a_line *line, int32_t by_us) {
 }
 
 /* Copies the line that holds at a local time, which is now or later. */
-static void load(j2a_line *line, uint32_t now) {
+static J2A_NOINLINE void load(j2a_line *line, uint32_t now) {
     const uint8_t which = current;
     *line = lines[which];
     if ((int32_t)(now - line->at) < 0)
@@ -76,7 +76,7 @@ uint64_t j2a_clock_us(void) {
 }
 
 /* Returns target less time at a local time, in 2^-12 us; moves the target there. */
-static int64_t distance(uint32_t now, const j2a_line *line) {
+static J2A_NOINLINE int64_t distance(uint32_t now, const j2a_line *line) {
     uint32_t part;
     int64_t whole_us;
     j2a_line_move(&target, (int32_t)(now - target.at));
@@ -90,7 +90,7 @@ static int64_t distance(uint32_t now, const j2a_line *line) {
 }
 
 /* Plans the next line: from a little ahead on, and to the target in a segment or at 1000 ppm. */
-static void plan(uint32_t now) {
+static J2A_NOINLINE void plan(uint32_t now) {
     const uint8_t next = current ^ 1;
     const uint32_t begin = now + LEAD_US;
     j2a_line line;
@@ -127,7 +127,7 @@ void j2a_clock_turn(void) {
 }
 
 /* Sets the time to the target at once. A line whose begin is ahead was not used by any reader. */
-static void step(uint64_t now_us) {
+static J2A_NOINLINE void step(uint64_t now_us) {
     const uint32_t now = (uint32_t)now_us;
     uint64_t before_us = now_us;
     uint32_t part;
@@ -155,7 +155,7 @@ static void step(uint64_t now_us) {
 /* ------------------------------------------------------------------------- what is known ------ */
 
 /* Returns |target less time|, rounded up to microseconds. */
-static uint64_t error_us(uint32_t now) {
+static J2A_NOINLINE uint64_t error_us(uint32_t now) {
     j2a_line line;
     int64_t off;
     load(&line, now);
@@ -163,7 +163,7 @@ static uint64_t error_us(uint32_t now) {
     return (uint64_t)((off < 0 ? -off : off) + (1 << DISTANCE_BITS) - 1) >> DISTANCE_BITS;
 }
 
-static uint8_t state_at(uint64_t now_us) {
+static J2A_NOINLINE uint8_t state_at(uint64_t now_us) {
     const uint32_t known_us = given_us == J2A_CLOCK_UNKNOWN ? 0 : given_us;
     if (epoch == 0)
         return J2A_CLOCK_FREE;
@@ -174,7 +174,7 @@ static uint8_t state_at(uint64_t now_us) {
     return J2A_CLOCK_LOCKED;
 }
 
-static uint32_t uncertainty_at(uint64_t now_us) {
+static J2A_NOINLINE uint32_t uncertainty_at(uint64_t now_us) {
     const uint64_t passed_us = now_us - adjusted_us;
     uint64_t sum_us;
     if (epoch == 0 || given_us == J2A_CLOCK_UNKNOWN)
@@ -196,7 +196,7 @@ uint32_t j2a_clock_uncertainty_us(void) {
     return uncertainty_at(j2a_port_time_us());
 }
 
-static void put_status(uint8_t *bytes) {
+static J2A_NOINLINE void put_status(uint8_t *bytes) {
     const uint64_t now_us = j2a_port_time_us();
     const uint32_t now = (uint32_t)now_us;
     uint64_t time_us = now_us;
@@ -220,7 +220,7 @@ static void put_status(uint8_t *bytes) {
 /* ------------------------------------------------------------------------- what the host says ------ */
 
 /* The target has been set, at now_us. */
-static void adjust(uint64_t now_us, uint32_t uncertainty_us, uint32_t wander_ppb, bool is_step) {
+static J2A_NOINLINE void adjust(uint64_t now_us, uint32_t uncertainty_us, uint32_t wander_ppb, bool is_step) {
     adjusted_us = now_us;
     given_us = uncertainty_us;
     wander = (uint32_t)(((uint64_t)wander_ppb * 288230377 + 0xFFFFF) >> 20);

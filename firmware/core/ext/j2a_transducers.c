@@ -19,8 +19,17 @@ static void load(j2a_transducer *to, uint8_t index) {
     j2a_flash_load(to, &j2a_transducers[index], sizeof *to);
 }
 
+/* The clock of values, SET and TRIGGER; intervals are measured in local time (J2A-CLOCK-019). */
+#if J2A_WITH_SYNC
+#define clock_us j2a_clock_us
+#define local_us j2a_port_time_us
+#else
+#define clock_us j2a_port_time_us
+#define local_us now_us
+#endif
+
 static uint64_t now_us(void) {
-    const uint64_t time_us = j2a_port_time_us();
+    const uint64_t time_us = clock_us();
     return time_us != 0 ? time_us : 1; /* 0 says that there is no value */
 }
 
@@ -244,7 +253,7 @@ static uint8_t move_queued(const j2a_transducer *t, uint8_t *payload) {
 /* Sends a sample SIF of a sensor, if it is due; returns whether it was. */
 static bool report(const j2a_transducer *t, uint8_t *payload) {
     j2a_sensor *const sensor = t->sensor;
-    const uint64_t time_us = now_us();
+    const uint64_t time_us = local_us();
     uint8_t length;
     if (!sensor->is_enabled || (sensor->sent_us != 0 && time_us - sensor->sent_us < sensor->period_us))
         return false;
@@ -277,7 +286,7 @@ static void set_due(const j2a_transducer *t) {
     uint8_t channel;
     for (channel = 0; channel < t->channels; channel++) {
         j2a_due *const waiting = &t->waiting[channel];
-        if (waiting->waits && waiting->due_us <= j2a_port_time_us()) {
+        if (waiting->waits && waiting->due_us <= clock_us()) {
             waiting->waits = false;
             set(t, channel, t->values + channel * t->size);
         }
@@ -307,6 +316,27 @@ static void watch(const j2a_transducer *t, uint32_t silence_ms) {
     }
 }
 
+#if J2A_WITH_SYNC
+static void move_due(j2a_due *due, uint64_t by_us) {
+    const uint64_t sum_us = due->due_us + by_us;
+    const bool is_back = by_us >> 63 != 0;
+    due->due_us = (sum_us > due->due_us) != is_back || by_us == 0 ? sum_us : is_back ? 0 : UINT64_MAX;
+}
+
+void j2a_transds_move(uint64_t by_us) {
+    j2a_transducer t;
+    uint8_t index;
+    uint8_t channel;
+    for (index = 0; index < j2a_transducer_count; index++) {
+        load(&t, index);
+        if (t.trigger)
+            move_due(t.trigger, by_us);
+        for (channel = 0; t.waiting && channel < t.channels; channel++)
+            move_due(&t.waiting[channel], by_us);
+    }
+}
+#endif
+
 /* Whether the values of SET are such that none is out of range. */
 static bool are_in_range(const j2a_transducer *t, const uint8_t *values, uint8_t count) {
     uint8_t low[8];
@@ -335,7 +365,7 @@ static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8
     for (; count != 0; count--, value += t->size) {
         const uint8_t channel = (uint8_t)(first + (length - 1 - J2A_TIME_BYTES) / t->size - count);
         j2a_due *const waiting = &t->waiting[channel];
-        waiting->waits = due_us > j2a_port_time_us();
+        waiting->waits = due_us > clock_us();
         waiting->due_us = due_us;
         if (waiting->waits)
             write_value(t->values + channel * t->size, value, t->size);
@@ -359,7 +389,7 @@ void j2a_turn(uint8_t *payload) {
     }
     for (left = 0; left < j2a_transducer_count; left++) {
         load(&t, left);
-        if (t.trigger && t.trigger->waits && t.trigger->due_us <= j2a_port_time_us()) {
+        if (t.trigger && t.trigger->waits && t.trigger->due_us <= clock_us()) {
             t.trigger->waits = false;
             t.start();
         }
@@ -543,7 +573,7 @@ static uint8_t write_item(const j2a_transducer *t, uint8_t item, const uint8_t *
         return set_channels(t, value, length);
     default: /* TRIGGER */
         t->trigger->due_us = j2a_get_u64(value);
-        t->trigger->waits = t->trigger->due_us > j2a_port_time_us();
+        t->trigger->waits = t->trigger->due_us > clock_us();
         if (!t->trigger->waits)
             t->start();
         return 0;

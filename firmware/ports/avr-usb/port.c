@@ -8,6 +8,7 @@
 #include <util/atomic.h>
 
 #include "usb.h"
+#include "j2a_clock.h"
 #include "j2a_port.h"
 
 #if J2A_TXBUF > 0
@@ -122,8 +123,12 @@ static void receive_sync(void) {
             UEINTX = USB_RELEASE;
         }
     }
-    if (complete)
-        j2a_app_sync_usb(packet);
+    if (!complete)
+        return;
+#if J2A_PORT_FRAMES
+    j2a_clock_packet(packet);
+#endif
+    j2a_app_sync_usb(packet);
 }
 #endif
 

@@ -1,7 +1,7 @@
 /* The USB device driver of this port: the controller of an ATmega8U2 to 32U4 or AT90USB162. In: the requests
  * of the host at endpoint 0, and what the bus does. Out: answers by chapter 9 of the USB 2.0 specification,
  * endpoints as configured, and what the main loop must know of the link (usb_trouble).
- * usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what
+ * usb_frames.c are the starts of frames, usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what
  * they ask for, usb_descriptors.c is what the board says of itself, usb_endpoints.c are the endpoints that
  * port.c moves the bytes through.
  * Rules: endpoint 0 belongs to the interrupts, so that enumeration works while the application computes.
@@ -66,6 +66,16 @@ void usb_events(void);
 void usb_sleep(void);
 #endif
 
+/* ------------------------------------------------------------------ usb_frames.c ------------- */
+
+#if J2A_PORT_FRAMES
+/* Notes a start of frame; called with interrupts off. */
+void usb_frame_started(void);
+
+/* Returns the answer to the request of SyncUSB, in RAM; called with interrupts off. value, value_high: of wValue. */
+const uint8_t *usb_frame_answer(uint8_t value, uint8_t value_high);
+#endif
+
 /* ------------------------------------------------------------------ usb_descriptors.c -------- */
 
 enum { USB_INTERFACES = 1 + J2A_WITH_SYNCUSB, USB_ENDPOINTS = 2 + J2A_WITH_SYNCUSB };
@@ -117,6 +127,11 @@ typedef struct {
 /* Does what a request asks for. Returns how many bytes are to be sent, 0 where the request is all there
  * is, or USB_STALL; *source is where they are, as usb_descriptor() gives it. UENUM is any afterwards. */
 uint8_t usb_answer(const usb_setup *setup, const uint8_t **source);
+
+/* Where they are instead if they are in RAM, else NULL. */
+#if J2A_PORT_FRAMES
+extern const uint8_t *usb_in_ram;
+#endif
 enum { USB_STALL = 0xFF };
 
 #endif

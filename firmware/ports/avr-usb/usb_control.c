@@ -17,6 +17,12 @@ uint8_t usb_new_address;
  * more. One that has to wait is due again when this interrupt has ended. */
 static void send_packet(void) {
     uint8_t room = USB_PACKET0;
+#if J2A_PORT_FRAMES
+    if (usb_in_ram) {
+        for (; room != 0 && sent != size; room--, sent++)
+            UEDATX = usb_in_ram[sent];
+    } else
+#endif
     if (!source && usb_descriptor_waits())
         return;
     for (; room != 0 && sent != size; room--, sent++)

@@ -38,7 +38,7 @@ static void wake(void) {
 #endif
     USBCON = USB_ON;
     UDINT = (uint8_t)~(_BV(WAKEUPI) | _BV(SUSPI));
-    UDIEN = _BV(EORSTE) | _BV(SUSPE) | _BV(EORSME);
+    UDIEN = _BV(EORSTE) | _BV(SUSPE) | _BV(EORSME) | (J2A_PORT_FRAMES ? _BV(SOFE) : 0);
     usb_trouble &= (uint8_t)~USB_SUSPENDED;
 }
 
@@ -115,6 +115,10 @@ void usb_events(void) {
 }
 
 ISR(USB_GEN_vect) {
+#if J2A_PORT_FRAMES
+    if (UDINT & UDIEN & _BV(SOFI)) /* first, because it is about time */
+        usb_frame_started();
+#endif
     usb_events();
 }
 

@@ -19,6 +19,9 @@ enum { /* bmRequestType << 4 | bRequest: both are this small in standard request
     GET_INTERFACE = 0x5A,
     SET_INTERFACE = 0x1B
 };
+#if J2A_PORT_FRAMES
+const uint8_t *usb_in_ram;
+#endif
 static const uint8_t answers[] PROGMEM = {0, 0, 1, 0};
 #define ANSWER_0 (answers)
 #define ANSWER_1 (answers + 2)
@@ -62,6 +65,15 @@ uint8_t usb_answer(const usb_setup *setup, const uint8_t **source) {
     uint8_t request = (uint8_t)((setup->type & 0x0F) << 4 | setup->request);
     uint8_t length = 0; /* what wLength has to be */
 
+#if J2A_PORT_FRAMES
+    usb_in_ram = 0;
+    if (setup->type == J2A_SYNCUSB_REQUEST_TYPE && setup->request == J2A_SYNCUSB_SEEN) {
+        if (index != USB_INTERFACES - 1 || setup->index_high != 0 || !is_configured())
+            return USB_STALL;
+        usb_in_ram = usb_frame_answer(value, setup->value_high);
+        return J2A_SYNCUSB_SEEN_SIZE;
+    }
+#endif
     if ((setup->type & 0x7C) != 0 || setup->request > 0x0F)
         return USB_STALL;
     if (setup->type & 0x80)

@@ -14,7 +14,7 @@ void avr_clock_start(void) {
     TIMSK1 = _BV(TOIE1);
 #endif
     TCCR1A = 0;
-    TCCR1B = _BV(CS11) | _BV(CS10); /* F_CPU / 64 */
+    TCCR1B = AVR_CLOCK_DIVIDER == 8 ? _BV(CS11) : _BV(CS11) | _BV(CS10);
 }
 
 uint16_t j2a_port_ticks(void) {
@@ -26,10 +26,10 @@ uint16_t j2a_port_ticks(void) {
 }
 
 #if J2A_WITH_CLOCK
-static uint32_t timer_overflows; /* each 262 ms at 16 MHz */
+uint32_t avr_clock_overflows; /* each 262 ms at 16 MHz, 33 ms with J2A_WITH_SYNC */
 
 ISR(TIMER1_OVF_vect) {
-    timer_overflows++;
+    avr_clock_overflows++;
 }
 
 uint64_t j2a_port_time_us(void) {
@@ -38,11 +38,11 @@ uint64_t j2a_port_time_us(void) {
     uint16_t low;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         low = TCNT1;
-        high = timer_overflows;
+        high = avr_clock_overflows;
         if ((TIFR1 & _BV(TOV1)) && low < 0x8000) /* wrapped, but its interrupt has not run yet */
             high++;
     }
-    cycles = ((uint64_t)high << 16 | low) * 64;
+    cycles = ((uint64_t)high << 16 | low) * AVR_CLOCK_DIVIDER;
 #if F_CPU % 1000000 == 0
     return cycles / (F_CPU / 1000000);
 #else /* exact, too, and in two steps nothing overflows */

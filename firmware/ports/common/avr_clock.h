@@ -1,11 +1,27 @@
 /* Timer 1 of an AVR as the clock of a port, for chips that have TIMSK1. In: F_CPU. Out: j2a_port_ticks() and
  * j2a_port_time_us(), which avr_clock.c implements.
- * Rule: timer 1 belongs to this clock; it runs freely at F_CPU / 64 and interrupts each 65536 ticks. */
+ * Rule: timer 1 belongs to this clock; it runs freely at F_CPU / AVR_CLOCK_DIVIDER and interrupts each 65536 ticks. */
 #ifndef AVR_CLOCK_H
 #define AVR_CLOCK_H
 
+#include <stdint.h>
+
+#include "j2a_options.h"
+
+/* Of the processor's clock. A clock that is disciplined has a tick of 0.5 us at 16 MHz. */
+#if J2A_WITH_SYNC
+#define AVR_CLOCK_DIVIDER 8
+#else
+#define AVR_CLOCK_DIVIDER 64
+#endif
+
 /* For J2A_TICKS_PER_MS: rounded up. */
-#define AVR_CLOCK_TICKS_PER_MS ((F_CPU + 63999) / 64000)
+#define AVR_CLOCK_TICKS_PER_MS ((F_CPU + AVR_CLOCK_DIVIDER * 1000UL - 1) / (AVR_CLOCK_DIVIDER * 1000UL))
+
+/* The overflows of timer 1, see avr_clock.c; with interrupts off. */
+#if J2A_WITH_CLOCK
+extern uint32_t avr_clock_overflows;
+#endif
 
 /* Starts it; called once. */
 void avr_clock_start(void);

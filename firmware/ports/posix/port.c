@@ -122,12 +122,41 @@ void j2a_port_idle(void) {
     }
 }
 
-static uint64_t time_us(void) {
+static uint64_t elapsed_us(void) {
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
     return (uint64_t)((int64_t)(now.tv_sec - start.tv_sec) * 1000000
                       + (now.tv_nsec - start.tv_nsec) / 1000);
 }
+
+#if J2A_WITH_SYNC
+/* A crystal that is off by J2A_DRIFT_PPM and wanders around that by up to J2A_WANDER_PPM, as a triangle of
+ * WANDER_S seconds; both are of the environment, for tests of hosts that discipline this clock. */
+enum { WANDER_S = 64 };
+
+static double ppm_of(const char *name) {
+    const char *const text = getenv(name);
+    const double ppm = text ? strtod(text, NULL) : 0;
+    return ppm > -10000 && ppm < 10000 ? ppm : 0;
+}
+
+static uint64_t time_us(void) {
+    static bool is_known;
+    static double drift, wander;
+    const uint64_t us = elapsed_us();
+    /* The part of a period that passed, and what the triangle has gathered in it: a quarter up and half down. */
+    const double part = (double)(us % (WANDER_S * 1000000ULL)) / (WANDER_S * 1000000.0);
+    const double gathered = part < 0.5 ? part * (0.5 - part) * 2 : (part - 0.5) * (part - 1) * 2;
+    if (!is_known) {
+        drift = ppm_of("J2A_DRIFT_PPM");
+        wander = ppm_of("J2A_WANDER_PPM");
+        is_known = true;
+    }
+    return us + (uint64_t)(int64_t)((double)us * drift / 1000000 + gathered * wander * WANDER_S);
+}
+#else
+#define time_us elapsed_us
+#endif
 
 #if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void) {
