@@ -12,6 +12,8 @@ import weakref
 
 import pytest
 from j2a_spec import constants as c
+from j2a_spec import oracle
+from j2a_spec.constants import SOF
 
 import j2a
 from j2a.io import host_time
@@ -21,6 +23,7 @@ from j2a.virtual import VirtualBoard
 from .clocked import ClockedDevice
 from .support import PATIENCE_S, linked, served
 from .test_aio import in_event_loop
+from .test_simulated_time import SlowDevice
 
 SENSORS = "SENSOR(quad, 0, quad, X, 1, int16_t, none, (period, 5000))"
 
@@ -414,3 +417,45 @@ def test_importing_the_library_loads_no_clock():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
     assert found.stdout.strip() == "[]"
+
+
+# ---------------------------------------------------------------------------- simulated time
+
+
+class SimulatedLink(SlowDevice):
+    """Carries requests to a device; its bytes take simulated time."""
+
+    def __init__(self, device, byte_us=10.0):
+        super().__init__(0.0)
+        self.device = device
+        self.byte_time_s = byte_us / 1e6
+
+    def write(self, data):
+        with self._lock:
+            for request in oracle.decode(bytes(data)):
+                arrives_s = self.now_s + len(data) * self.byte_time_s
+                code, reply = self.device._table.execute(request.opcode, request.payload)
+                wire = oracle.encode(oracle.Frame(SOF, request.seq, code, reply))
+                self.due.append((arrives_s + len(wire) * self.byte_time_s, wire))
+
+
+def test_a_clock_is_disciplined_in_simulated_time():
+    now = [0.0]
+    with ClockedDevice(ppm=2000, now_s=lambda: now[0]) as device:
+        link = SimulatedLink(device)
+        now_s = link.clock
+        device._now_s = now_s
+        device._began_s = now_s() - 3.0
+        with j2a.Client(link, timeout=10.0) as board:
+            with board.clock.discipline(1.0) as keeper:
+                begun_s = now_s()
+                until(lambda: keeper.rounds > 30)
+                assert now_s() - begun_s > 15  # periods are those of the link
+            assert keeper.failures == 0
+            reading = board.clock.read()
+            assert reading.epoch == 1
+            estimate = board.clock._discipline.estimator.estimate
+            counter = device.local_us
+            error_us = estimate.to_host(counter) - now_s() * 1e6
+            assert abs(error_us) <= estimate.uncertainty_us(counter) + 20_000  # it went on
+            assert abs(board.clock.to_host(int(device.time_us())) - now_s() * 1e6) < 100_000
