@@ -83,7 +83,7 @@ class DemoDevice(Device):
 
     Args:
         properties: in addition to, or instead of, the demo's own.
-        interface, boot, room, trace: see `Device`.
+        interface, boot, transducers, clock, room, trace: see `Device`.
     """
 
     def __init__(
@@ -93,6 +93,7 @@ class DemoDevice(Device):
         interface: bool = True,
         boot: bool = False,
         transducers: str | Path | Descriptors | None = None,
+        clock: float | None = None,
         room: int = MAX_PAYLOAD,
         trace: Trace | None = None,
     ) -> None:
@@ -103,6 +104,7 @@ class DemoDevice(Device):
             interface=interface,
             boot=boot,
             transducers=transducers,
+            clock=clock,
             room=room,
             trace=trace,
         )

@@ -9,6 +9,7 @@ functions.
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,9 @@ from j2a_spec.constants import (
     BOOT,
     BYTE_TIMEOUT_MS,
     CAP_BOOT,
+    CAP_CLOCK,
     CAP_TRANSDUCERS,
+    CLOCK,
     GET_TRANSDS,
     MAX_PAYLOAD,
     MIN_ROOM,
@@ -40,6 +43,7 @@ from j2a.io.transds_file import load_transds
 from j2a.io.transducer_runner import TransducerRunner
 from j2a.protocol.arguments import check_opcode, check_payload
 from j2a.protocol.boot import pack_boot
+from j2a.protocol.device_clock import DeviceClock
 from j2a.protocol.server import Server
 from j2a.protocol.trace import Trace
 from j2a.types.transducers import Descriptors
@@ -54,6 +58,7 @@ _Member = TypeVar("_Member")
 _Moved = TypeVar("_Moved", bound=Callable[[int, Any], object])
 _Started = TypeVar("_Started", bound=Callable[[], object])
 _RXBUF: Final = 4096
+_MOST_PPM: Final = 1e9
 MAX_HOSTS: Final = 64
 IDLE_S: Final = 60.0
 FILES_PER_HOST: Final = 3
@@ -87,6 +92,8 @@ class Device(FunctionRegistry):
             0xFF are not for the application then.
         transducers: its sensors and actuators: a transds.def, or what `load_transds` returns. See
             `sense` and `actuator` (J2A-TRANS-001).
+        clock: it has a clock that hosts discipline (J2A-CLOCK-001), whose crystal is off by so many
+            ppm, such as 0 or -40.5; None: it has none.
         room: the longest payload of a request that it accepts, 32..255 bytes; it answers longer
             ones by 0xFF (J2A-LIMIT-005, J2A-LIMIT-006). Use it to test hosts with a small device.
         byte_timeout_s: the longest pause between two bytes of a request, 0.009 to 0.02 seconds
@@ -97,8 +104,8 @@ class Device(FunctionRegistry):
         trace: the trace of links that begin from now on; None traces nothing.
 
     Raises:
-        LocalError: `room` or `byte_timeout_s` is out of range, or `boot` lacks `interface`; a
-            transds.def is wrong (`SignatureError`).
+        LocalError: `clock`, `room` or `byte_timeout_s` is out of range, or `boot` lacks
+            `interface`; a transds.def is wrong (`SignatureError`).
         RegistrationError: a property is empty or holds NUL.
     """
 
@@ -109,6 +116,7 @@ class Device(FunctionRegistry):
         interface: bool = True,
         boot: bool = False,
         transducers: str | Path | Descriptors | None = None,
+        clock: float | None = None,
         room: int = MAX_PAYLOAD,
         byte_timeout_s: float = BYTE_TIMEOUT_MS / 1000,
         trace: Trace | None = None,
@@ -121,6 +129,8 @@ class Device(FunctionRegistry):
             raise LocalError(
                 f"room is a number of bytes from {MIN_ROOM} to {MAX_PAYLOAD}, not {room!r}"
             )
+        if clock is not None and not (isinstance(clock, int | float) and -1e6 < clock < _MOST_PPM):
+            raise LocalError(f"clock is a number of ppm above -1000000, not {clock!r}")
         if boot and not interface:
             raise LocalError("boot=True needs interface=True, whose hash the boot SIF tells")
         self._debug_text = DebugText()
@@ -129,6 +139,8 @@ class Device(FunctionRegistry):
         if room < MAX_PAYLOAD:
             known[PROP_ROOM] = str(room)
         known |= properties or {}
+        if clock is not None:
+            known[PROP_CAPS] = f"{CAP_CLOCK} {known.get(PROP_CAPS, '')}".rstrip()
         if transducers is not None:
             known[PROP_CAPS] = f"{CAP_TRANSDUCERS} {known.get(PROP_CAPS, '')}".rstrip()
         if boot:
@@ -137,9 +149,15 @@ class Device(FunctionRegistry):
         self._byte_timeout_s = byte_timeout_s
         self.trace = trace
         self._calling = threading.Lock()
+        self._clock = DeviceClock()
+        self._start_ns = time.monotonic_ns()
+        self._us_per_ns = (1 + (clock or 0) / 1e6) / 1000
+        self._received_us = 0
         self._runner: TransducerRunner | None = None
         if transducers is not None:
             self._runner = self._add_transducers(transducers)
+        if clock is not None:
+            self._table.add_call(CLOCK, self._ask_clock)
         self._lock = threading.Lock()
         self._debug_lock = threading.Lock()
         # In the order in which they came.
@@ -213,7 +231,9 @@ class Device(FunctionRegistry):
 
     def _add_transducers(self, source: str | Path | Descriptors) -> TransducerRunner:
         known = source if isinstance(source, Descriptors) else load_transds(source)
-        runner = TransducerRunner(known, self.send_sif, self._calling)
+        runner = TransducerRunner(
+            known, self.send_sif, self._calling, self._local_us, lambda: self.clock_us
+        )
         self._table.add_content(GET_TRANSDS, self._tell_descriptors)
         self._table.add_call(TRANSD, runner.request)
         return runner
@@ -282,6 +302,25 @@ class Device(FunctionRegistry):
 
     def _is_reserved(self, opcode: int) -> bool:
         return self._has_boot and opcode == BOOT
+
+    # ------------------------------------------------------------------ the clock
+
+    @property
+    def clock_us(self) -> int:
+        """The time: microseconds since 1970 once a host has set the clock, since the start before.
+
+        Source: SPEC.md, section 23.
+        """
+        return self._clock.time_us(self._local_us())
+
+    def _local_us(self) -> int:
+        return int((time.monotonic_ns() - self._start_ns) * self._us_per_ns)
+
+    def _ask_clock(self, payload: bytes) -> tuple[int, bytes]:
+        code, reply, moved_us = self._clock.request(payload, self._received_us, self._local_us())
+        if moved_us and self._runner is not None:
+            self._runner.move(moved_us)
+        return code, reply
 
     def debug(self, text: str) -> None:
         """Append text to what hosts read through a2jDebug; the oldest is lost beyond 4 KiB.
@@ -418,9 +457,11 @@ class Device(FunctionRegistry):
             self._runner.start()
 
     def _execute(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
+        received_us = self._local_us()
         if self._runner is not None:
             self._runner.hear()
         with self._calling:
+            self._received_us = received_us
             return self._table.execute(opcode, payload)
 
 

@@ -9,7 +9,6 @@ waits for its time does so in a thread that `stop` ends.
 import logging
 import math
 import threading
-import time
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -21,7 +20,8 @@ __all__ = ["TransducerRunner"]
 
 _logger = logging.getLogger("j2a")
 _US: Final = 1_000_000
-_NS_PER_US: Final = 1000
+_SLOWEST: Final = 0.98
+"""A wait is so much shorter: the clock may run so much faster than that of the machine."""
 _LONGEST_WAIT_S: Final = 3600.0
 
 
@@ -32,6 +32,8 @@ class TransducerRunner:
         descriptors: what the device says of them.
         send: sends a SIF to each host.
         calling: is held while a function of the device runs.
+        local_us: returns the local time of the device, in microseconds.
+        clock_us: returns the time of its clock.
     """
 
     def __init__(
@@ -39,13 +41,16 @@ class TransducerRunner:
         descriptors: Descriptors,
         send: Callable[[int, bytes], object],
         calling: threading.Lock,
+        local_us: Callable[[], int],
+        clock_us: Callable[[], int],
     ) -> None:
         self._server = TransducerServer(descriptors)
         self._send = send
         self._calling = calling
         self._changed = threading.Condition()
         self._is_due = False
-        self._start_ns = time.monotonic_ns()
+        self._local_us = local_us
+        self._clock_us = clock_us
         self._thread: threading.Thread | None = None
         self._is_stopped = False
 
@@ -56,7 +61,7 @@ class TransducerRunner:
 
     def now_us(self) -> int:
         """Return the time of the device's clock, in microseconds from 1 on."""
-        return 1 + (time.monotonic_ns() - self._start_ns) // _NS_PER_US
+        return max(1, self._clock_us())
 
     # ------------------------------------------------------------------ the user's side
 
@@ -93,7 +98,7 @@ class TransducerRunner:
     def hear(self) -> None:
         """Notice a request of a host."""
         with self._changed:
-            if self._server.hear(self.now_us()):
+            if self._server.hear(self._local_us()):
                 self._wake()
 
     def request(self, payload: bytes) -> tuple[int, bytes]:
@@ -103,6 +108,12 @@ class TransducerRunner:
             self._wake()
         _run(actions)
         return code, reply
+
+    def move(self, by_us: int) -> None:
+        """Notice that the clock was adjusted, and stepped by so much."""
+        with self._changed:
+            self._server.move(by_us)
+            self._wake()
 
     # ------------------------------------------------------------------ the thread
 
@@ -126,24 +137,21 @@ class TransducerRunner:
         self._changed.notify_all()
 
     def _work(self) -> None:
-        next_us = math.inf
-        while self._wait(next_us):
+        left_us = math.inf
+        while self._wait(left_us):
             with self._calling:
                 with self._changed:
                     self._is_due = False
-                    sifs, actions, next_us = self._server.turn(self.now_us())
+                    sifs, actions, left_us = self._server.turn(self.now_us(), self._local_us())
                 for opcode, payload in sifs:
                     self._send(opcode, payload)
                 _run(actions)
 
-    def _wait(self, next_us: float) -> bool:
-        """Wait for something to do; return False at the end."""
+    def _wait(self, left_us: float) -> bool:
+        """Wait for something to do, about so long at most; return False at the end."""
         with self._changed:
-            while not self._is_due and not self._is_stopped:
-                left_s = min((next_us - self.now_us()) / _US, _LONGEST_WAIT_S)
-                if left_s <= 0:
-                    break
-                self._changed.wait(left_s)
+            if not self._is_due and not self._is_stopped:
+                self._changed.wait(min(left_us / _US * _SLOWEST, _LONGEST_WAIT_S))
             return not self._is_stopped
 
 

@@ -115,12 +115,15 @@ class TransducerServer:
 
     # ------------------------------------------------------------------ requests
 
-    def hear(self, now_us: int) -> bool:
+    def hear(self, local_us: int) -> bool:
         """Notice that the host has sent a request (J2A-TRANS-017).
+
+        Args:
+            local_us: the local time, by which intervals are measured (J2A-CLOCK-019).
 
         Returns: whether an actuator had its safe value, so that a turn is due.
         """
-        self._heard_us = now_us
+        self._heard_us = local_us
         was_safe = any(actuator.is_safe for actuator in self._actuators)
         for actuator in self._actuators:
             actuator.is_safe = False
@@ -173,25 +176,42 @@ class TransducerServer:
 
     # ------------------------------------------------------------------ what is due
 
-    def turn(self, now_us: int) -> tuple[list[tuple[int, bytes]], list[Action], float]:
+    def move(self, by_us: int) -> None:
+        """Move what waits for its time, because the clock was stepped (J2A-CLOCK-020)."""
+        for sensor in self._sensors:
+            if sensor.trigger_us is not None:
+                sensor.trigger_us += by_us
+        for actuator in self._actuators:
+            for channel, (due_us, data) in actuator.waiting.items():
+                actuator.waiting[channel] = due_us + by_us, data
+
+    def turn(
+        self, now_us: int, local_us: int
+    ) -> tuple[list[tuple[int, bytes]], list[Action], float]:
         """Do what is due.
 
-        Returns: opcodes and payloads of the sample SIFs to send, what is to be called, and the time
-            of the next turn, infinity while nothing waits.
+        Args:
+            now_us: the time of the device's clock.
+            local_us: the local time, by which intervals are measured (J2A-CLOCK-019).
+
+        Returns: opcodes and payloads of the sample SIFs to send, what is to be called, and the
+            microseconds until the next turn, infinity while nothing waits.
         """
         sifs: list[tuple[int, bytes]] = []
         actions: list[Action] = []
         next_us = _NEVER
+        next_local_us = _NEVER
         for sensor in self._sensors:
             next_us = min(next_us, self._start(sensor, now_us, actions))
-            payload, due_us = sensor.report(now_us)
+            payload, due_us = sensor.report(local_us)
             if payload:
                 sifs.append((sensor.transducer.id, payload))
-            next_us = min(next_us, due_us)
+            next_local_us = min(next_local_us, due_us)
         for actuator in self._actuators:
-            next_us = min(next_us, self._watch(actuator, now_us, actions))
+            watch_us = self._watch(actuator, now_us, local_us, actions)
+            next_local_us = min(next_local_us, watch_us)
             next_us = min(next_us, self._move(actuator, now_us, actions))
-        return sifs, actions, next_us
+        return sifs, actions, min(next_us - now_us, next_local_us - local_us)
 
     def _start(self, sensor: "_Sensor", now_us: int, actions: list[Action]) -> float:
         due_us = sensor.trigger_us
@@ -218,12 +238,14 @@ class TransducerServer:
                 self._set(actuator, channel, data, now_us, actions)
         return next_us
 
-    def _watch(self, actuator: "_Actuator", now_us: int, actions: list[Action]) -> float:
+    def _watch(
+        self, actuator: "_Actuator", now_us: int, local_us: int, actions: list[Action]
+    ) -> float:
         """Set an actuator to its safe value when the host was silent for too long."""
         if not actuator.watchdog_ms or actuator.is_safe:
             return _NEVER
         due_us = self._heard_us + actuator.watchdog_ms * _MS
-        if due_us > now_us:
+        if due_us > local_us:
             return due_us
         actuator.is_safe = True
         actuator.waiting.clear()
@@ -320,14 +342,14 @@ class _Sensor(_Transducer):
         assert self.threshold is not None
         return bool((0 if raw == last else abs(raw - last)) < self.threshold)
 
-    def report(self, now_us: int) -> tuple[bytes, float]:
+    def report(self, local_us: int) -> tuple[bytes, float]:
         """Return the payload of a sample SIF that is due, and when to look again."""
         has_some = bool(self._queue) if self.transducer.queue else self._is_fresh
         if not self.is_enabled or not has_some:
             return b"", _NEVER
-        if self._sent_us is not None and now_us - self._sent_us < self.period_us:
+        if self._sent_us is not None and local_us - self._sent_us < self.period_us:
             return b"", self._sent_us + self.period_us
-        self._sent_us = now_us
+        self._sent_us = local_us
         if not self.transducer.queue:
             self._is_fresh = False
             return self.sample(), _NEVER
@@ -335,7 +357,7 @@ class _Sensor(_Transducer):
         count = min(len(self._queue), most)
         lost = (self._lost % _LOST_MODULO).to_bytes(LOST_BYTES, "little")
         payload = lost + b"".join(self._queue.popleft() for _ in range(count))
-        return payload, now_us + self.period_us if self._queue else _NEVER
+        return payload, local_us + self.period_us if self._queue else _NEVER
 
     def write(self, item: int, value: bytes) -> bool:
         """Change a setting; return whether its value is in range."""

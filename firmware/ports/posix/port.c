@@ -137,7 +137,7 @@ enum { WANDER_S = 64 };
 static double ppm_of(const char *name) {
     const char *const text = getenv(name);
     const double ppm = text ? strtod(text, NULL) : 0;
-    return ppm > -10000 && ppm < 10000 ? ppm : 0;
+    return ppm > -1e6 && ppm < 1e9 ? ppm : 0;
 }
 
 static uint64_t time_us(void) {
