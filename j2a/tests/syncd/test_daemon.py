@@ -2,14 +2,19 @@
 
 import importlib.util
 import pathlib
+import socket
 import threading
 import time
 
 import j2a_transports
 import pytest
 
+import j2a
+from j2a.syncd import bus as bus_module
 from j2a.syncd import daemon as daemon_module
+from j2a.syncd.bus import Bus
 from j2a.syncd.daemon import Daemon
+from j2a.syncd.history import History
 
 _spec = importlib.util.spec_from_file_location(
     "fake_port", pathlib.Path(__file__).with_name("fake_port.py")
@@ -65,8 +70,26 @@ def test_boards_of_a_bus_are_told_the_same(running):
     running(ports)
     for port in ports:
         port.wait_for(5)
-    told = [{packet[:2] for packet in port.packets[:5]} for port in ports]
-    assert len(told[0] & told[1] & told[2] & told[3]) >= 2
+    packets = [packet for port in ports for packet in port.packets]
+    # Frames begin at least 1 ms apart, so packets about one frame are equal.
+    assert len({packet[:2] for packet in packets}) == len({packet[0] // 900 for packet in packets})
+
+
+def test_a_round_has_one_packet(monkeypatch):
+    now_us = 5e6
+    monkeypatch.setattr(bus_module, "host_time", lambda: (now_us, round(1.7e15 + now_us)))
+    one = Bus(1, 1.0, History())
+    for number in range(bus_module.LEAST):
+        assert one.packet() is None
+        now_us += 1e6
+        one.add(now_us, now_us + 100, number * 1000 % 2048, 40)
+    first = one.packet()
+    assert first is not None
+    now_us += 0.2e6
+    assert one.packet() is first
+    now_us += 0.8e6
+    second = one.packet()
+    assert (second.time_us - first.time_us) // 1000 == (second.frame - first.frame) % 2048
 
 
 def test_a_board_of_2014_gets_the_time_by_the_others_of_its_bus(running):
@@ -173,3 +196,43 @@ def test_requests(running):
     assert "only the user of the daemon" in refused["error"]
     assert one.answer({"command": "look"}, False)["added"] == 0
     assert "error" in one.answer({"command": "look", "urls": ["nonsense"]}, True)
+
+
+@pytest.fixture
+def board():
+    """The URL of a device with a clock that is 80 ppm fast, and the device."""
+    device = j2a.Device(clock=80.0)
+    listener = j2a_transports.listen("tcp://127.0.0.1:0")
+    thread = threading.Thread(target=device.serve_forever, args=(listener,))
+    thread.start()
+    yield listener.url, device
+    device.stop()
+    thread.join(60)
+
+
+def test_a_board_by_url_is_disciplined(running, board):
+    url, device = board
+    one = running([], urls=[url])
+    until(lambda: one.status()["boards"][0]["state"] in ("settling", "locked"))
+    assert abs(device.clock_us - time.time_ns() // 1000) < 60e6
+    until(lambda: url in one.answer({"command": "history"}, True)["boards"])
+    assert one.answer({"command": "look", "urls": [url]}, True)["added"] == 1
+    assert len(one.status()["boards"]) == 1
+
+
+def test_a_board_by_url_that_has_no_clock_is_told(running):
+    device = j2a.Device()
+    listener = j2a_transports.listen("tcp://127.0.0.1:0")
+    thread = threading.Thread(target=device.serve_forever, args=(listener,))
+    thread.start()
+    one = running([], urls=[listener.url])
+    until(lambda: "capability clock" in (one.status()["boards"][0]["problem"] or ""))
+    device.stop()
+    thread.join(60)
+
+
+def test_a_board_by_url_that_is_not_there_is_told(running):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        number = free.getsockname()[1]
+    one = running([], urls=[f"tcp://127.0.0.1:{number}"])
+    until(lambda: "nothing listens there" in (one.status()["boards"][0]["problem"] or ""))
