@@ -24,7 +24,7 @@ ENTRY_POINT_GROUP: Final = "j2a.commands"
 BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
     {
         "list": "USB boards and serial ports of this computer",
-        "setup": "prepare this computer for USB boards: a rule for udev",
+        "setup": "prepare this computer for USB boards: a rule for udev, and syncd",
         "info": "what a device is and can do",
         "call": "call a function",
         "read": "read from a function that transfers data of any size (a2jMany)",
@@ -39,6 +39,8 @@ BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
         "debug": "print the debug text of a device",
         "transds": "the sensors and actuators of a board, or of a transds.def",
         "stub": "write a typed Python module for the functions of a board",
+        "syncd": "give the boards of this computer one time, as a daemon",
+        "sync": "what the daemon syncd does, and plots of it",
         "completion": "a script that lets bash, zsh or fish complete j2a",
         "serve": "be a device: the demo, one written in Python, or virtual sensors",
     }

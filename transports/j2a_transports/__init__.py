@@ -36,11 +36,13 @@ if TYPE_CHECKING:
     from ._usb.board import UsbBoard
     from ._usb.find import usb_boards
     from ._usb.link import open_usb_device
+    from ._usb.sync import FrameSeen, SyncPort, sync_ports
     from ._usb.watch import UsbArrived, UsbLeft, UsbWatch, watch_usb
 
 __all__ = [
     "COMMON_OPTIONS",
     "BadUrl",
+    "FrameSeen",
     "LinkClosed",
     "LinkLost",
     "Listener",
@@ -48,6 +50,7 @@ __all__ = [
     "OpenFailed",
     "Option",
     "Scheme",
+    "SyncPort",
     "Transport",
     "TransportError",
     "Url",
@@ -65,18 +68,22 @@ __all__ = [
     "open_usb_device",
     "pair",
     "schemes",
+    "sync_ports",
     "usb_boards",
     "watch_usb",
 ]
 
 # Names of drivers, which are loaded when they are first used.
 _LATER = {
+    "FrameSeen": "._usb.sync",
+    "SyncPort": "._usb.sync",
     "UsbArrived": "._usb.watch",
     "UsbBoard": "._usb.board",
     "UsbGadget": "._gadget.gadget",
     "UsbLeft": "._usb.watch",
     "UsbWatch": "._usb.watch",
     "open_usb_device": "._usb.link",
+    "sync_ports": "._usb.sync",
     "usb_boards": "._usb.find",
     "watch_usb": "._usb.watch",
 }

@@ -1,0 +1,220 @@
+"""`j2a syncd`: give the boards of this computer one time, as a daemon (thesis section 6.2).
+
+In: options. Out: log lines on standard error, or in syslog for a daemon.
+Rules: only one daemon runs; each later one tells the first to look for boards, and ends. SIGTERM
+and Ctrl-C end it in order.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import logging.handlers
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import j2a_transports
+
+from j2a.cli._exit import INTERRUPTED, OK, UsageError
+from j2a.cli._link import finite_seconds
+from j2a.cli._output import note, show
+from j2a.cli._setup import GROUP
+from j2a.syncd.daemon import Daemon
+from j2a.syncd.realtime import realtime
+from j2a.syncd.singleton import NotRunning, Server, Taken, ask, folders
+
+NOTES = """\
+examples:
+  j2a syncd                                  all boards with SyncUSB, also those that come later
+  j2a syncd serial:///dev/ttyACM0            that board too, whose link then belongs to the daemon
+  sudo "$(command -v j2a)" setup syncd       start it with the first board, as a service
+  j2a sync status                            what it does
+
+Programs may use the link of a board with SyncUSB meanwhile. A second daemon tells the first one
+to look for boards, hands its URLs over, and ends."""
+
+SHORTEST_S: Final = 0.05
+_SYSLOG: Final = Path("/dev/log")
+_ROOT_BECOMES: Final = "nobody"
+
+_logger = logging.getLogger("j2a.syncd")
+
+
+class _User(NamedTuple):
+    """Numbers of a user and its group."""
+
+    number: int
+    group: int
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command; the short ones are those of the thesis (listing 6.3)."""
+    parser.add_argument("urls", nargs="*", metavar="URL", help="a board without SyncUSB")
+    parser.add_argument(
+        "-i",
+        "--interval",
+        type=finite_seconds,
+        default=1.0,
+        metavar="S",
+        help=f"seconds between two packets to a board, at least {SHORTEST_S:g} (1)",
+    )
+    parser.add_argument("-b", "--busnum", type=int, metavar="BUS", help="only boards of this bus")
+    parser.add_argument(
+        "-d", "--device", type=int, metavar="ADDRESS", help="only the one of this address there"
+    )
+    parser.add_argument("--no-usb", action="store_true", help="only the boards of the URLs")
+    parser.add_argument("-D", "--daemon", action="store_true", help="go to the background")
+    parser.add_argument(
+        "-u",
+        "--user",
+        metavar="NAME",
+        help=f"become this user, if started by root ({_ROOT_BECOMES})",
+    )
+    parser.add_argument(
+        "--realtime",
+        action="store_true",
+        help="lock memory, run before other programs on one processor, and keep it awake",
+    )
+    parser.add_argument(
+        "-v", "--verbose", action="count", default=0, help="log boards that come and go; -vv: all"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Be the daemon, or tell the one that runs; returns the exit code."""
+    if sys.platform == "win32":
+        raise UsageError("syncd needs Unix sockets: it runs on Linux and macOS")
+    if args.interval < SHORTEST_S:
+        raise UsageError(f"--interval is at least {SHORTEST_S:g} seconds")
+    if args.device is not None and args.busnum is None:
+        raise UsageError("--device needs --busnum: addresses are those of a bus")
+    if args.user is not None and os.geteuid() != 0:
+        raise UsageError("--user needs root, who alone may become somebody else")
+    for url in args.urls:
+        j2a_transports.innermost(url)
+    user = _user(args.user or _ROOT_BECOMES) if os.geteuid() == 0 else None
+    if (told := _tell(args.urls)) is not None:
+        show(told)
+        return OK
+    daemon = Daemon(
+        interval_s=args.interval,
+        urls=args.urls,
+        ports=None if args.no_usb else _ports(),
+        only=(args.busnum, args.device),
+    )
+    try:
+        server = Server(folders()[0], daemon.answer)
+    except Taken:  # since it was asked
+        show(_tell(args.urls) or "another daemon has just begun")
+        return OK
+    except OSError as error:
+        raise UsageError(
+            f"cannot make the socket in {folders()[0]}: {error.strerror or error}; "
+            "the variable J2A_RUNTIME_DIR names another folder"
+        ) from None
+    try:
+        if args.daemon:
+            _go_to_background()
+        _log(verbose=args.verbose, is_daemon=args.daemon)
+        return _serve(args, daemon, server, user)
+    finally:
+        server.close()
+
+
+def _serve(args: argparse.Namespace, daemon: Daemon, server: Server, user: _User | None) -> int:
+    ended_by: list[int] = []
+
+    def end(number: int, _frame: object) -> None:
+        ended_by.append(number)
+        daemon.stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, end)
+    with contextlib.ExitStack() as undo:
+        for what in undo.enter_context(realtime()) if args.realtime else ():
+            _logger.warning("the system refuses: %s", what)
+        if user is not None:
+            _become(user)
+        server.start()
+        _logger.info("runs, socket %s", server.path)
+        daemon.run()
+    return INTERRUPTED if ended_by[:1] == [signal.SIGINT] else OK
+
+
+def _ports() -> Callable[[], list[Any]] | None:
+    """Return what looks for boards with SyncUSB; None, with a note, where there is no USB."""
+    try:
+        sync_ports = j2a_transports.sync_ports
+        sync_ports()
+    except j2a_transports.TransportError as error:
+        note(f"j2a: no boards with SyncUSB: {error}")
+        return None
+    return sync_ports
+
+
+def _tell(urls: Sequence[str]) -> str | None:
+    """Tell a daemon that runs to look for boards; return what came of it, None without one."""
+    for folder in folders():
+        with contextlib.suppress(NotRunning):
+            reply = ask(folder, {"command": "look", "urls": list(urls)})
+            if "error" in reply:
+                raise UsageError(f"the daemon that runs already says: {reply['error']}")
+            return f"a daemon runs already (process {reply.get('pid')}) and looks for boards"
+    return None
+
+
+def _user(name: str) -> _User:
+    import pwd  # noqa: PLC0415 - not on every system
+
+    try:
+        entry = pwd.getpwnam(name)
+    except KeyError:
+        raise UsageError(f"there is no user {name!r}; --user takes another one") from None
+    return _User(entry.pw_uid, entry.pw_gid)
+
+
+def _become(user: _User) -> None:
+    """Give root's rights away, but for the group that may use USB boards."""
+    import grp  # noqa: PLC0415 - not on every system
+
+    groups = []
+    with contextlib.suppress(KeyError):
+        groups = [grp.getgrnam(GROUP).gr_gid]
+    os.setgroups(groups)
+    os.setgid(user.group)
+    os.setuid(user.number)
+
+
+def _go_to_background() -> None:
+    """Leave the terminal and its session; who started it gets its prompt back."""
+    if os.fork() != 0:
+        os._exit(OK)
+    os.setsid()
+    if os.fork() != 0:  # who leads a session could get a terminal again
+        os._exit(OK)
+    os.chdir("/")
+    null = os.open(os.devnull, os.O_RDWR)
+    for descriptor in range(3):
+        os.dup2(null, descriptor)
+    os.close(null)
+
+
+def _log(*, verbose: int, is_daemon: bool) -> None:
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    handler: logging.Handler = logging.StreamHandler()
+    if is_daemon and not _SYSLOG.exists():
+        handler = logging.NullHandler()
+    elif is_daemon:
+        handler = logging.handlers.SysLogHandler(
+            address=os.fspath(_SYSLOG),
+            facility=logging.handlers.SysLogHandler.LOG_DAEMON,
+        )
+        handler.setFormatter(logging.Formatter("j2a-syncd[%(process)d]: %(message)s"))
+    _logger.addHandler(handler)
+    _logger.setLevel(level)
+    _logger.propagate = False

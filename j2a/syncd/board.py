@@ -1,0 +1,109 @@
+"""One board with SyncUSB: its thread asks it for frames and gives it times.
+
+In: its port, and the line of its bus. Out: exchanges for the line, packets for the board.
+Rules: each transfer has a limit; an error ends the thread, and the daemon begins anew when it sees
+the board again.
+"""
+
+from __future__ import annotations
+
+import logging
+import random
+import threading
+from typing import Any, Final
+
+import j2a_transports
+
+from j2a.io.threads import start_thread
+from j2a.syncd.bus import Bus
+
+__all__ = ["SyncBoard"]
+
+_logger = logging.getLogger("j2a.syncd")
+_EXCHANGES: Final = 4
+"""Of a round; the quickest one counts most."""
+
+
+class SyncBoard:
+    """A board and its thread.
+
+    Args:
+        port: see `j2a_transports.SyncPort`; belongs to the thread.
+        bus: that it is on.
+
+    Attributes:
+        name: bus and ports, such as "usb 1-2.3".
+        thread: has ended when the board is gone or refuses.
+        problem: why the board gets no time; None where it does.
+    """
+
+    def __init__(self, port: Any, bus: Bus) -> None:
+        self.name = f"usb {port.name}"
+        self.problem: str | None = "no packet yet"
+        self._port = port
+        self._bus = bus
+        self._stop = threading.Event()
+        self._packets = 0
+        self._lost = 0
+        self._tells_frames: bool | None = None
+        self.thread = start_thread(self._run, f"j2a syncd {port.name}")
+
+    def stop(self) -> None:
+        """Let the thread end."""
+        self._stop.set()
+
+    def facts(self) -> dict[str, Any]:
+        """Return the row of this board in the status."""
+        line = self._bus.facts()
+        state = "syncing" if self.problem is None else "waiting"
+        return {
+            "board": self._port.serial or self.name,
+            "place": self.name,
+            "state": state,
+            "packets": self._packets,
+            "lost": self._lost,
+            "tells_frames": self._tells_frames,
+            "problem": self.problem,
+            **line,
+        }
+
+    def _run(self) -> None:
+        try:
+            self._port.open()
+            _logger.info("%s: gets the time", self.name)
+            while not self._stop.is_set():
+                self._ask()
+                if not self._stop.wait(self._bus.until_next_round_s()):
+                    self._tell()
+        except j2a_transports.TransportError as error:
+            self.problem = str(error)
+        finally:
+            self._port.close()
+
+    def _ask(self) -> None:
+        for _ in range(_EXCHANGES):
+            sent_us = self._bus.now_us()
+            seen = self._port.frame(random.randrange(1 << 16))
+            if seen is not None:
+                self._tells_frames = True
+                self._bus.add(sent_us, self._bus.now_us(), seen.frame, seen.age_us)
+            elif self._tells_frames is None:
+                self._tells_frames = False
+
+    def _tell(self) -> None:
+        packet = self._bus.packet()
+        if packet is None:
+            self.problem = (
+                "no board on this bus says which frame it is, so nothing can be told"
+                if self._tells_frames is False
+                else "the frames of the bus are being measured"
+            )
+            return
+        try:
+            self._port.send(packet.time_us, packet.frame)
+        except j2a_transports.WriteTimeout as error:
+            self._lost += 1
+            self.problem = str(error)
+        else:
+            self._packets += 1
+            self.problem = None

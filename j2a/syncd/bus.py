@@ -1,0 +1,121 @@
+"""One USB bus: when its frames begin, by the boards on it.
+
+In: what boards say of frames. Out: the time of a frame, the same for all boards of a round.
+Rules: the host's counter is `time.monotonic`, which nobody sets; several threads use a bus.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, Final
+
+from j2a.protocol.clock import BusClock, Exchange, Frame, ReferenceClock
+from j2a.syncd.history import History, Round
+
+__all__ = ["Bus", "host_time"]
+
+FRESH_US: Final = 300_000
+"""A packet about an older frame may come too late for a board (SYNC-005)."""
+LEAST: Final = 8
+"""So many exchanges come before the first packet."""
+
+
+def host_time() -> tuple[float, int]:
+    """Return the host's counter and its Unix time at the same instant, in microseconds.
+
+    Of three readings the quickest one counts, because the program may be interrupted in one.
+    """
+    readings = []
+    for _ in range(3):
+        before_ns = time.monotonic_ns()
+        unix_ns = time.time_ns()
+        after_ns = time.monotonic_ns()
+        readings.append((after_ns - before_ns, (before_ns + after_ns) / 2000, unix_ns // 1000))
+    _, counter_us, unix_us = min(readings)
+    return counter_us, unix_us
+
+
+class Bus:
+    """The frames of one bus.
+
+    Args:
+        number: of the bus.
+        interval_s: between two rounds.
+        history: gets a record of each round.
+
+    Attributes:
+        steps: how often the clock of the host was set.
+    """
+
+    def __init__(self, number: int, interval_s: float, history: History) -> None:
+        self.name = f"usb bus {number}"
+        self._interval_us = interval_s * 1e6
+        self._history = history
+        self._lock = threading.Lock()
+        self._reference = ReferenceClock()
+        self._clock = BusClock(self._reference)
+        self._told: Frame | None = None
+        self._told_at_us = float("-inf")
+        self._offset_us = 0.0
+
+    @property
+    def steps(self) -> int:
+        """How often the clock of the host was set since the first packet."""
+        return self._reference.steps
+
+    def now_us(self) -> float:
+        """Return the host's counter, in microseconds."""
+        return time.monotonic_ns() / 1000
+
+    def until_next_round_s(self) -> float:
+        """Return the seconds until a round begins; rounds of all boards begin at the same time."""
+        return (self._interval_us - self.now_us() % self._interval_us) / 1e6
+
+    def add(self, sent_us: float, came_us: float, frame: int, age_us: int) -> None:
+        """Take what a board has said: in which frame a request came."""
+        with self._lock:
+            estimate = self._clock.estimate
+            self._clock.add(Exchange(sent_us, came_us, 0, frame=frame, age_us=age_us))
+            newest = self._clock.estimator.newest
+            if estimate is not None and newest is not None:
+                expected_us = estimate.to_host(newest.received_us)
+                self._offset_us = (newest.sent_us + newest.came_us) / 2 - expected_us
+
+    def packet(self) -> Frame | None:
+        """Return what all boards are told in this round; None while too little is known."""
+        with self._lock:
+            now_us, unix_us = host_time()
+            is_new = now_us - self._told_at_us > min(FRESH_US, 0.9 * self._interval_us)
+            if is_new:
+                self._reference.observe(now_us, unix_us)
+                ready = len(self._clock.estimator) >= LEAST
+                self._told = self._clock.frame_at(now_us) if ready else None
+                self._told_at_us = now_us
+                self._note(unix_us)
+            return self._told
+
+    def _note(self, unix_us: int) -> None:
+        estimate = self._clock.estimate
+        if self._told is not None and estimate is not None:
+            self._history.add(
+                self.name,
+                Round(
+                    unix_us / 1e6,
+                    self._offset_us,
+                    1e9 * estimate.rate,
+                    self._told.uncertainty_us or 0,
+                ),
+            )
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the status says of the bus, for each of its boards."""
+        with self._lock:
+            estimate, told = self._clock.estimate, self._told
+            if estimate is None or told is None:
+                return {"offset_us": None, "rate_ppb": None, "uncertainty_us": None}
+            return {
+                "offset_us": round(self._offset_us, 1),
+                "rate_ppb": round(1e9 * estimate.rate),
+                "uncertainty_us": told.uncertainty_us,
+            }

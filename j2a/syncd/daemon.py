@@ -1,0 +1,172 @@
+"""The daemon: every board with SyncUSB gets the time, and so do boards whose URL is given.
+
+In: what the USB tells about boards, and requests of other programs. Out: packets with times, and
+the status. Rules: a board has a thread of its own, so that none waits for another; the boards of
+one bus share one line from frame numbers to times, so that the error of the host is the same for
+all of them (thesis section 6.1).
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Final, Protocol
+
+import j2a_transports
+
+import j2a
+from j2a.io.threads import JOIN_S, join_threads, start_thread
+from j2a.syncd.board import SyncBoard
+from j2a.syncd.bus import Bus
+from j2a.syncd.history import History
+from j2a.syncd.links import LinkBoards
+
+__all__ = ["Daemon", "start"]
+
+_logger = logging.getLogger("j2a.syncd")
+_LOOK_S: Final = 1.0
+"""How often it looks for boards that nobody has told of."""
+MAX_BOARDS: Final = 127
+"""With SyncUSB; a bus has no more addresses."""
+
+
+class Port(Protocol):
+    """What `j2a_transports` gives for a board with SyncUSB."""
+
+    key: tuple[int, int, str]
+    name: str
+    bus: int
+    serial: str | None
+
+
+class Daemon:
+    """Gives boards the time until it is told to stop.
+
+    Args:
+        interval_s: seconds between two packets to a board.
+        urls: of boards without SyncUSB, whose links belong to the daemon.
+        ports: returns the boards with SyncUSB; None where there is no USB to look at.
+        only: bus and address of the one board that is meant; None for what may be any.
+    """
+
+    def __init__(
+        self,
+        *,
+        interval_s: float,
+        urls: Sequence[str] = (),
+        ports: Callable[[], list[Any]] | None,
+        only: tuple[int | None, int | None] = (None, None),
+    ) -> None:
+        self._interval_s = interval_s
+        self._ports = ports
+        self._only = only
+        self._history = History()
+        self._boards: dict[tuple[int, int, str], SyncBoard] = {}
+        self._buses: dict[int, Bus] = {}
+        self._lock = threading.Lock()
+        self._wake = threading.Event()
+        self._is_stopped = False
+        self._began_s = time.monotonic()
+        self._problem: str | None = None
+        self._links = LinkBoards(urls, interval_s, self._history)
+
+    def run(self) -> None:
+        """Look for boards until `stop` is called; then give all of them back."""
+        try:
+            while not self._is_stopped:
+                self._wake.clear()
+                self._look()
+                self._links.look()
+                self._wake.wait(_LOOK_S)
+        finally:
+            self._links.close()
+            with self._lock:
+                boards = list(self._boards.values())
+                self._boards.clear()
+            for one in boards:
+                one.stop()
+            join_threads([one.thread for one in boards], JOIN_S)
+
+    def stop(self) -> None:
+        """End `run`; may be called from a signal handler."""
+        self._is_stopped = True
+        self._wake.set()
+
+    def answer(self, request: dict[str, Any], is_trusted: bool) -> dict[str, Any]:
+        """Return the reply to a request; see `singleton.Server`."""
+        command = request.get("command")
+        if command == "status":
+            return self.status()
+        if command == "history":
+            return {"boards": self._history.facts()}
+        if command == "look":
+            self._wake.set()
+            return self._add(request.get("urls", []), is_trusted)
+        return {"error": f"there is no command {command!r:.40}"}
+
+    def status(self) -> dict[str, Any]:
+        """Return what `j2a sync status --json` prints."""
+        with self._lock:
+            boards = [one.facts() for one in self._boards.values()]
+            steps = sum(one.steps for one in self._buses.values())
+        links = self._links.facts()
+        return {
+            "pid": os.getpid(),
+            "uptime_s": round(time.monotonic() - self._began_s),
+            "steps": steps,
+            "problem": self._problem,
+            "boards": boards + links,
+        }
+
+    def _add(self, urls: object, is_trusted: bool) -> dict[str, Any]:
+        if not isinstance(urls, list) or not all(isinstance(url, str) for url in urls):
+            return {"error": "urls is a list of texts"}
+        if urls and not is_trusted:
+            return {"error": "only the user of the daemon, and root, may give it URLs"}
+        try:
+            for url in urls:
+                self._links.add(url)
+        except j2a.J2AError as error:
+            return {"error": str(error)}
+        return {"pid": os.getpid(), "added": len(urls)}
+
+    def _look(self) -> None:
+        """Compare the boards that are there with those that were."""
+        if self._ports is None:
+            return
+        try:
+            found = self._ports()
+            self._problem = None
+        except j2a_transports.TransportError as error:
+            # A moment in which devices come and go; the next look will tell.
+            if self._problem != str(error):
+                self._problem = str(error)
+                _logger.warning("%s", error)
+            return
+        there = {one.key: one for one in found if self._is_meant(one.key)}
+        with self._lock:
+            ended = [key for key, one in self._boards.items() if not one.thread.is_alive()]
+            for key in ended:  # the next look begins anew with a board that is still there
+                one = self._boards.pop(key)
+                _logger.info("%s: %s", one.name, one.problem or "gone")
+            for key in self._boards.keys() - there.keys():
+                self._boards[key].stop()
+            for key in there.keys() - self._boards.keys() - set(ended):
+                if len(self._boards) < MAX_BOARDS:
+                    self._boards[key] = self._start(there[key])
+
+    def _is_meant(self, key: tuple[int, int, str]) -> bool:
+        bus, address = self._only
+        return bus in (None, key[0]) and address in (None, key[1])
+
+    def _start(self, port: Any) -> SyncBoard:
+        bus = self._buses.setdefault(port.bus, Bus(port.bus, self._interval_s, self._history))
+        return SyncBoard(port, bus)
+
+
+def start(daemon: Daemon) -> threading.Thread:
+    """Run a daemon in a thread, for programs that do more."""
+    return start_thread(daemon.run, "j2a syncd")

@@ -1,0 +1,148 @@
+"""`j2a syncd` and `j2a sync` as processes: one daemon, which later ones tell and signals end."""
+
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from j2a.cli import _setup
+from j2a.syncd import system
+
+WAIT_S = 60
+
+
+@pytest.fixture(autouse=True)
+def folder(monkeypatch, tmp_path):
+    """Where the daemon of the test has its socket."""
+    monkeypatch.setenv("J2A_RUNTIME_DIR", str(tmp_path / "run"))
+    return tmp_path / "run"
+
+
+@pytest.fixture
+def daemon(start, folder):
+    started = start("syncd", "--no-usb", "-v")
+    started.line_with("runs, socket", "err")
+    return started
+
+
+def test_without_a_daemon(run, folder):
+    result = run("sync", "status")
+    assert result.code == 3
+    assert f"no daemon answers at {folder}/syncd.sock" in result.err
+    assert json.loads(run("sync", "status", "--json").out)["error"]["exit_code"] == 3
+
+
+def test_status_and_plot(run, daemon, tmp_path):
+    status = json.loads(run("sync", "status", "--json").out)
+    assert status["pid"] == daemon.process.pid
+    assert status["boards"] == []
+    assert "no boards" in run("sync", "status").out
+    assert run("sync", "plot", "-o", tmp_path / "p.svg").code == 0
+    assert ET.parse(tmp_path / "p.svg").getroot().tag.endswith("svg")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_end_it_in_order(run, daemon, number):
+    daemon.process.send_signal(number)
+    assert daemon.process.wait(WAIT_S) == (130 if number == signal.SIGINT else 0)
+    assert run("sync", "status").code == 3
+
+
+def test_a_second_one_tells_the_first_and_ends(run, daemon):
+    result = run("syncd", "--no-usb")
+    assert (result.code, result.err) == (0, "")
+    assert f"a daemon runs already (process {daemon.process.pid})" in result.out
+
+
+def test_after_kill_9_the_next_one_begins(daemon, start):
+    daemon.process.kill()
+    daemon.process.wait(WAIT_S)
+    start("syncd", "--no-usb", "-v").line_with("runs, socket", "err")
+
+
+def test_in_the_background(run, folder):
+    done = subprocess.run(
+        [sys.executable, "-m", "j2a", "syncd", "--no-usb", "--daemon"], check=False, timeout=WAIT_S
+    )
+    assert done.returncode == 0
+    end = time.monotonic() + WAIT_S
+    while run("sync", "status").code != 0:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    number = json.loads(run("sync", "status", "--json").out)["pid"]
+    assert os.getsid(number) != os.getsid(0)
+    os.kill(number, signal.SIGTERM)
+    while run("sync", "status").code == 0:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["-i", "0.01"], "at least 0.05"),
+        (["-i", "nan"], "nan"),
+        (["-d", "3"], "--device needs --busnum"),
+        (["--user", "no-such-user"], "user"),
+        (["nonsense"], "nonsense"),
+    ],
+)
+def test_arguments_that_make_no_sense(run, words, text):
+    result = run("syncd", "--no-usb", *words)
+    assert result.code == 2
+    assert text in result.err
+
+
+@pytest.mark.parametrize("words", [["plot"], ["status", "-o", "x.svg"]])
+def test_sync_needs_a_file_for_plots_only(run, words):
+    assert run("sync", *words).code == 2
+
+
+def test_a_plot_that_cannot_be_written(run, daemon, tmp_path):
+    result = run("sync", "plot", "-o", tmp_path / "no" / "p.svg")
+    assert result.code == 2
+    assert "cannot write" in result.err
+
+
+def test_a_folder_that_cannot_be_made(run, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("J2A_RUNTIME_DIR", str(tmp_path / "file"))
+    result = run("syncd", "--no-usb")
+    assert result.code == 2
+    assert "cannot make the socket" in result.err
+
+
+def test_setup_writes_rule_wrapper_and_unit(run, monkeypatch, tmp_path):
+    for name in ("RULE_PLACE", "WRAPPER_PLACE", "UNIT_PLACE"):
+        monkeypatch.setattr(system, name, tmp_path / getattr(system, name).name)
+    monkeypatch.setattr(_setup, "PLACE", tmp_path / "70-j2a.rules")
+    monkeypatch.setattr(_setup, "SYSTEMD", tmp_path / "none")
+    monkeypatch.setattr("sys.argv", ["/usr/bin/true"])
+    monkeypatch.setenv("PATH", str(tmp_path))
+    result = run("setup", "syncd")
+    assert result.code == 0
+    wrapper = tmp_path / system.WRAPPER_PLACE.name
+    assert stat.S_IMODE(wrapper.stat().st_mode) == 0o755
+    assert f'RUN+="{wrapper}"' in (tmp_path / system.RULE_PLACE.name).read_text()
+    unit = (tmp_path / system.UNIT_PLACE.name).read_text()
+    assert "ExecStart=/usr/bin/true syncd\n" in unit
+    assert subprocess.run(["/bin/sh", "-n", wrapper], check=False, timeout=WAIT_S).returncode == 0
+    printed = run("setup", "syncd", "--print").out
+    assert unit in printed
+
+
+def test_setup_of_a_program_whose_path_cannot_stand_in_a_unit(run, monkeypatch, tmp_path):
+    strange = tmp_path / "a b"
+    strange.mkdir()
+    (strange / "j2a").write_text("#!/bin/sh\n")
+    (strange / "j2a").chmod(0o755)
+    monkeypatch.setattr("sys.argv", [str(strange / "j2a")])
+    result = run("setup", "syncd", "--print")
+    assert result.code == 2
+    assert "cannot stand in a unit" in result.err

@@ -1,0 +1,238 @@
+"""The daemon with boards of the tests: all get the same times, and none disturbs another."""
+
+import importlib.util
+import pathlib
+import socket
+import threading
+import time
+
+import j2a_transports
+import pytest
+
+import j2a
+from j2a.syncd import bus as bus_module
+from j2a.syncd import daemon as daemon_module
+from j2a.syncd.bus import Bus
+from j2a.syncd.daemon import Daemon
+from j2a.syncd.history import History
+
+_spec = importlib.util.spec_from_file_location(
+    "fake_port", pathlib.Path(__file__).with_name("fake_port.py")
+)
+fake_port = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(fake_port)
+FakeBus, FakePort = fake_port.FakeBus, fake_port.FakePort
+
+
+@pytest.fixture
+def running(monkeypatch):
+    """A function that runs a daemon over ports in a list, which the test may change."""
+    monkeypatch.setattr(daemon_module, "_LOOK_S", 0.02)
+    started = []
+
+    def run(ports, **options):
+        one = Daemon(interval_s=0.05, ports=lambda: list(ports), **options)
+        started.append((one, daemon_module.start(one)))
+        return one
+
+    yield run
+    for one, thread in started:
+        one.stop()
+        thread.join(60)
+        assert not thread.is_alive()
+
+
+def until(condition):
+    end = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_board_gets_the_time_at_which_its_frames_began(running):
+    bus = FakeBus(ppm=300)
+    port = FakePort(bus)
+    running([port])
+    port.wait_for(5)
+    now = time.time_ns() // 1000
+    for time_us, frame, arrived in port.packets:
+        assert abs(now - time_us) < 60e6
+        assert (arrived - frame) % 2048 < 500, "too late for the board"
+    # Frames are 1 ms of the bus apart, so what was told of the first tells when the last began.
+    (first_us, first, began), (last_us, last, ended) = port.packets[0], port.packets[-1]
+    frames = (last - first) % 2048 + 2048 * ((ended - began) // 2048)
+    assert last_us - first_us == pytest.approx(frames * 1000, abs=2000)
+
+
+def test_boards_of_a_bus_are_told_the_same(running):
+    bus = FakeBus()
+    ports = [FakePort(bus, f"1-{n}", address=n) for n in range(1, 5)]
+    running(ports)
+    for port in ports:
+        port.wait_for(5)
+    packets = [packet for port in ports for packet in port.packets]
+    # Frames begin at least 1 ms apart, so packets about one frame are equal.
+    assert len({packet[:2] for packet in packets}) == len({packet[0] // 900 for packet in packets})
+
+
+def test_a_round_has_one_packet(monkeypatch):
+    now_us = 5e6
+    monkeypatch.setattr(bus_module, "host_time", lambda: (now_us, round(1.7e15 + now_us)))
+    one = Bus(1, 1.0, History())
+    for number in range(bus_module.LEAST):
+        assert one.packet() is None
+        now_us += 1e6
+        one.add(now_us, now_us + 100, number * 1000 % 2048, 40)
+    first = one.packet()
+    assert first is not None
+    now_us += 0.2e6
+    assert one.packet() is first
+    now_us += 0.8e6
+    second = one.packet()
+    assert (second.time_us - first.time_us) // 1000 == (second.frame - first.frame) % 2048
+
+
+def test_a_board_of_2014_gets_the_time_by_the_others_of_its_bus(running):
+    bus = FakeBus()
+    old, young = FakePort(bus, "1-1"), FakePort(bus, "1-2", address=3)
+    old.tells = False
+    one = running([old, young])
+    old.wait_for(3)
+    rows = {row["place"]: row for row in one.status()["boards"]}
+    assert rows["usb 1-1"]["tells_frames"] is False
+    assert rows["usb 1-2"]["tells_frames"] is True
+
+
+def test_a_bus_without_a_board_that_tells_frames_gets_nothing(running):
+    old = FakePort(FakeBus())
+    old.tells = False
+    one = running([old])
+    until(lambda: "which frame" in (one.status()["boards"] or [{"problem": ""}])[0]["problem"])
+    assert old.packets == []
+
+
+def test_a_board_that_hangs_delays_no_other(running):
+    bus = FakeBus()
+    stuck, well = FakePort(bus, "1-1"), FakePort(bus, "1-2", address=3)
+    stuck.blocks = threading.Event()
+    running([stuck, well])
+    well.wait_for(20)
+    assert stuck.packets == []
+    stuck.blocks.set()
+    stuck.wait_for(1)
+
+
+def test_a_board_that_takes_no_packet_is_counted_and_tried_again(running):
+    port = FakePort(FakeBus())
+    one = running([port])
+    port.wait_for(1)
+    port.send = lambda *packet: (_ for _ in ()).throw(j2a_transports.WriteTimeout("takes none"))
+    until(lambda: one.status()["boards"][0]["lost"] >= 2)
+    assert one.status()["boards"][0]["problem"] == "takes none"
+
+
+def test_boards_come_and_go(running):
+    bus = FakeBus()
+    first, second = FakePort(bus, "1-1"), FakePort(bus, "1-2", address=3)
+    ports = [first]
+    one = running(ports)
+    first.wait_for(1)
+    ports.append(second)
+    second.wait_for(1)
+    assert len(one.status()["boards"]) == 2
+    ports.remove(first)
+    until(lambda: len(one.status()["boards"]) == 1)
+    assert (first.opened, first.closed) == (1, 1)
+
+
+def test_a_lost_board_is_opened_anew_when_it_is_there(running):
+    port = FakePort(FakeBus())
+    running([port])
+    port.wait_for(1)
+    port.fails = j2a_transports.LinkLost("gone")
+    until(lambda: port.closed >= 3)
+    port.fails = None
+    count = len(port.packets)
+    port.wait_for(count + 1)
+
+
+def test_a_usb_that_cannot_be_listed_is_told_and_tried_again(running, monkeypatch):
+    monkeypatch.setattr(daemon_module, "_LOOK_S", 0.02)
+    port = FakePort(FakeBus())
+    answers = [j2a_transports.OpenFailed("no list"), [port]]
+
+    class Ports(list):
+        def __iter__(self):
+            answer = answers[0] if len(answers) > 1 else answers[-1]
+            if isinstance(answer, Exception):
+                raise answer
+            return iter(answer)
+
+    one = running(Ports())
+    until(lambda: one.status()["problem"] == "no list")
+    answers.pop(0)
+    port.wait_for(1)
+    assert one.status()["problem"] is None
+
+
+def test_only_the_board_that_is_meant(running):
+    bus = FakeBus()
+    mine, other = FakePort(bus, "1-1", address=4), FakePort(bus, "1-2", address=5)
+    one = running([other, mine], only=(1, 4))
+    mine.wait_for(2)
+    assert [row["place"] for row in one.status()["boards"]] == ["usb 1-1"]
+
+
+def test_requests(running):
+    port = FakePort(FakeBus())
+    one = running([port])
+    port.wait_for(3)
+    rounds = one.answer({"command": "history"}, False)["boards"]["usb bus 1"]
+    assert rounds and all(len(one) == 4 for one in rounds)
+    assert "no command 'x'" in one.answer({"command": "x"}, True)["error"]
+    assert "list of texts" in one.answer({"command": "look", "urls": [1]}, True)["error"]
+    # A daemon opens programs (exec:) with its own rights, so not everybody may give it URLs.
+    refused = one.answer({"command": "look", "urls": ["exec:true"]}, False)
+    assert "only the user of the daemon" in refused["error"]
+    assert one.answer({"command": "look"}, False)["added"] == 0
+    assert "error" in one.answer({"command": "look", "urls": ["nonsense"]}, True)
+
+
+@pytest.fixture
+def board():
+    """The URL of a device with a clock that is 80 ppm fast, and the device."""
+    device = j2a.Device(clock=80.0)
+    listener = j2a_transports.listen("tcp://127.0.0.1:0")
+    thread = threading.Thread(target=device.serve_forever, args=(listener,))
+    thread.start()
+    yield listener.url, device
+    device.stop()
+    thread.join(60)
+
+
+def test_a_board_by_url_is_disciplined(running, board):
+    url, device = board
+    one = running([], urls=[url])
+    until(lambda: one.status()["boards"][0]["state"] in ("settling", "locked"))
+    assert abs(device.clock_us - time.time_ns() // 1000) < 60e6
+    until(lambda: url in one.answer({"command": "history"}, True)["boards"])
+    assert one.answer({"command": "look", "urls": [url]}, True)["added"] == 1
+    assert len(one.status()["boards"]) == 1
+
+
+def test_a_board_by_url_that_has_no_clock_is_told(running):
+    device = j2a.Device()
+    listener = j2a_transports.listen("tcp://127.0.0.1:0")
+    thread = threading.Thread(target=device.serve_forever, args=(listener,))
+    thread.start()
+    one = running([], urls=[listener.url])
+    until(lambda: "capability clock" in (one.status()["boards"][0]["problem"] or ""))
+    device.stop()
+    thread.join(60)
+
+
+def test_a_board_by_url_that_is_not_there_is_told(running):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        number = free.getsockname()[1]
+    one = running([], urls=[f"tcp://127.0.0.1:{number}"])
+    until(lambda: "nothing listens there" in (one.status()["boards"][0]["problem"] or ""))

@@ -1,0 +1,99 @@
+"""What the daemon remembers, and the plots of it."""
+
+import itertools
+import math
+import random
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from j2a.syncd import history
+from j2a.syncd.history import History, Round, allan_deviation, rounds_of
+from j2a.syncd.plot import Panel, draw, panels_of
+
+
+def some(count, seed=1):
+    noise = random.Random(seed)
+    return [Round(1e9 + t, noise.gauss(0, 3), 1e4, 5.0) for t in range(count)]
+
+
+def test_rounds_come_back_from_json():
+    kept = History()
+    for one in some(5):
+        kept.add("left", one)
+    assert rounds_of(kept.facts()) == {"left": some(5)}
+
+
+def test_memory_is_bounded(monkeypatch):
+    monkeypatch.setattr(history, "MAX_BOARDS", 3)
+    monkeypatch.setattr(history, "MAX_ROUNDS", 4)
+    kept = History()
+    for number in range(10):
+        for one in some(9):
+            kept.add("first", one)
+            kept.add(f"board {number}", one)
+    found = kept.facts()
+    assert list(found) == ["board 8", "first", "board 9"]
+    assert all(len(rounds) == 4 for rounds in found.values())
+
+
+@pytest.mark.parametrize("facts", [None, [], {"a": 1}, {"a": [1]}, {"a": [[1, 2, 3]]}])
+def test_what_is_no_history_is_refused(facts):
+    with pytest.raises(ValueError, match="no history"):
+        rounds_of(facts)
+
+
+def test_allan_deviation_of_a_drift_is_nothing_and_of_white_noise_falls_with_time():
+    line = allan_deviation([3.0 * t for t in range(100)], 1.0)
+    assert [tau for tau, _ in line] == [1, 2, 4, 8, 16, 32]
+    assert all(deviation < 1e-9 for _, deviation in line)
+    # A ramp of frequency of D us/s each second: D * tau / sqrt(2).
+    for tau, deviation in allan_deviation([t * t / 2 for t in range(100)], 1.0):
+        assert deviation == pytest.approx(tau / math.sqrt(2))
+    noise = allan_deviation([one.offset_us for one in some(4096)], 0.5)
+    for (tau, deviation), (_, later) in itertools.pairwise(noise[:7]):
+        assert deviation == pytest.approx(3 * math.sqrt(3) / tau, rel=0.2)
+        assert later < deviation
+    assert allan_deviation([1.0, 2.0], 1.0) == []
+
+
+def texts(svg):
+    return [element.text for element in ET.fromstring(svg).iter() if element.text]
+
+
+def test_a_plot_shows_each_board_in_each_panel():
+    svg = draw("Clocks", panels_of({"left <1>": some(50), "right": some(50, 2)}))
+    root = ET.fromstring(svg)
+    lines = root.findall(".//{http://www.w3.org/2000/svg}polyline")
+    assert len(lines) == 8
+    assert len(lines[0].get("points").split()) == 50
+    assert {"left <1>", "right", "offset (µs)", "Allan deviation (ppm)"} <= set(texts(svg))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_a_plot_of_next_to_nothing(count):
+    assert "nothing yet" in texts(draw("Clocks", panels_of({"left": some(count)})))
+
+
+def test_a_long_series_keeps_its_extremes_and_stays_small():
+    points = [(float(t), 1.0) for t in range(100_000)]
+    points[777], points[99_000] = (777.0, 50.0), (99_000.0, -50.0)
+    svg = draw("x", [Panel("y", "x", {"a": points})])
+    assert len(svg) < 60_000
+    ys = [float(p.split(",")[1]) for p in svg.split('points="')[1].split('"')[0].split()]
+    # 200 pixels from 60 on stand for 60 to -60.
+    assert (min(ys), max(ys)) == pytest.approx((60 + 10 / 0.6, 260 - 10 / 0.6), abs=0.1)
+
+
+def test_values_that_cannot_be_drawn_are_left_out():
+    points = [(0.0, math.nan), (1.0, math.inf), (2.0, 5.0), (3.0, 6.0)]
+    svg = draw("x", [Panel("y", "x", {"a": points}), Panel("z", "x", {"a": points}, is_log=True)])
+    assert svg.count("<polyline") == 2
+    assert "nan" not in svg and "inf" not in svg
+
+
+def test_flat_lines_and_huge_ranges_have_axes():
+    for points in ([(0.0, 0.0)], [(0.0, 7e15), (1.0, 7e15)], [(1e-9, 1e-12), (1e9, 1e12)]):
+        for is_log in (False, True):
+            shown = [(x + 1, y + 1) for x, y in points] if is_log else points
+            assert "<polyline" in draw("x", [Panel("y", "x", {"a": shown}, is_log=is_log)])
