@@ -37,9 +37,7 @@ def device(clock: float | None = None) -> DemoDevice:
     """
     folder = TemporaryDirectory(prefix="j2a-settings-")
     atexit.register(folder.cleanup)
-    made = DemoDevice(
-        transducers=_FILE, settings=Path(folder.name) / "settings.json", clock=clock
-    )
+    made = DemoDevice(transducers=_FILE, settings=Path(folder.name) / "settings.json", clock=clock)
     count = 0
 
     @made.function

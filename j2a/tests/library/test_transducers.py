@@ -647,6 +647,7 @@ class TestAsyncio:
                 with pytest.raises(j2a.CallTimeout):
                     await quad.read_batch(9, timeout=0.05)
 
+
 class TestSaving:
     """Settings that stay in a file (J2A-TRANS-019, J2A-TRANS-028)."""
 

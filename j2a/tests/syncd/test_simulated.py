@@ -1,5 +1,6 @@
 """SyncUSB of a board with the firmware of avr-usb, beside a program that has its link."""
 
+import itertools
 import time
 
 import j2a_transports
@@ -30,7 +31,7 @@ def test_a_board_tells_the_frame_of_each_request(backend):
     port.close()
     assert None not in seen
     assert all(0 <= one.frame < 2048 and one.age_us < 2000 for one in seen)
-    steps = [(b.frame - a.frame) % 2048 for a, b in zip(seen, seen[1:], strict=False)]
+    steps = [(b.frame - a.frame) % 2048 for a, b in itertools.pairwise(seen)]
     assert all(step < 500 for step in steps)
 
 
