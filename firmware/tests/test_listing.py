@@ -152,9 +152,8 @@ def test_the_bus_has_limits(board):
 
 def test_all_of_it_over_usb_in_1_kb(build):
     elf = build("listing", "avr-usb", MCU="atmega32u2")
-    with AvrSim(elf, "atmega32u2") as sim:
-        with pytest.raises(SimError, match="no TWI"):
-            sim.twi  # noqa: B018
+    with AvrSim(elf, "atmega32u2") as sim, pytest.raises(SimError, match="no TWI"):
+        sim.twi  # noqa: B018
     with j2a.connect(f"sim:{elf}?mcu=atmega32u2&link=usb", timeout=10) as board:
         assert board.properties["name"] == "J2A listing 9.2"
         assert [
