@@ -15,6 +15,7 @@ static uint8_t channel;
 static bool is_under_way; /* the transfer of this channel */
 static uint16_t since;    /* tick at which it began, or the measurement */
 static uint8_t bytes[2];
+static uint16_t found[SRF02_COUNT]; /* centimetres, 0 for none */
 
 void srf02_set_cb(void (*new_value)(uint8_t channel, uint32_t cm)) {
     callback = new_value;
@@ -35,10 +36,12 @@ static void begin(void) {
     is_under_way = true;
 }
 
-static void report(bool is_read) {
-    const uint16_t cm = (uint16_t)(bytes[0] << 8 | bytes[1]);
-    if (callback)
-        callback(channel, is_read && cm != 0 ? cm : SRF02_NA);
+/* All at once, so that they make one sample. */
+static void report(void) {
+    uint8_t i;
+    for (i = 0; i < SRF02_COUNT; i++)
+        if (callback)
+            callback(i, found[i] != 0 ? found[i] : SRF02_NA);
 }
 
 void srf02_task(void) {
@@ -60,11 +63,15 @@ void srf02_task(void) {
     }
     is_under_way = false;
     if (phase == READING)
-        report(state == TWI_DONE);
+        found[channel] = state == TWI_DONE ? (uint16_t)(bytes[0] << 8 | bytes[1]) : 0;
     if (++channel < SRF02_COUNT)
         return;
     channel = 0;
-    if (phase == TELLING)
+    if (phase == TELLING) {
         since = j2a_port_ticks();
-    phase = phase == TELLING ? MEASURING : TELLING;
+        phase = MEASURING;
+    } else {
+        report();
+        phase = TELLING;
+    }
 }

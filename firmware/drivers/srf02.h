@@ -1,7 +1,8 @@
 /* Ultrasonic sensors SRF02 on an I2C bus. In: nothing but the sensors. Out: a call for each measurement with its
  * centimetres.
- * All of them measure at once, which takes 65 ms, and are read after 70 ms; then they measure again. A sensor sees nothing
- * nearer than about 16 cm. One that is not there, that does not answer, or that sees nothing gives SRF02_NA.
+ * All of them measure at once, which takes 65 ms, and are read after 70 ms; then the values of all are given one after the
+ * other, and they measure again. A sensor sees nothing nearer than about 16 cm. One that is not there, that does not
+ * answer, or that sees nothing gives SRF02_NA.
  * Rules: srf02_task() never waits, and is called in each turn of the main loop, at least each 100 ms; the callback runs
  * in it. A transfer that takes longer than SRF02_LIMIT_MS is given up, so a bus that hangs delays nothing else.
  * Sensor 0 has the address 0x70 (0xE0 in its documentation), sensor 1 0x71, and so on. */

@@ -29,6 +29,7 @@ from j2a_sim._link import SimLink
 from j2a_sim._pins import Adc, Pins
 from j2a_sim._records import Counters, Edge, Interrupts, OutByte, Pulse, Span, pulses
 from j2a_sim._runner import Runner, run
+from j2a_sim._twi import Twi
 from j2a_sim._usb.link import UsbLink
 from j2a_sim._usb_bus.bus import UsbBus
 from j2a_sim._usb_bus.records import (
@@ -64,6 +65,7 @@ __all__ = [
     "SimLink",
     "Span",
     "ToolMissing",
+    "Twi",
     "UsbBus",
     "UsbCounters",
     "UsbDescriptors",

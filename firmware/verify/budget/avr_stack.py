@@ -6,10 +6,10 @@ Rules: all code counts, also what no input reaches, so the bound may be above wh
 but not below. A call through a pointer is one into the function table of J2A: from j2a_many a
 function of kind many, else one of kind call. In a program with transducers it may also be one to
 what the table of transducers names, or to a callback that transds_init() has given a driver:
-nothing else of it may keep pointers to functions. What a callback calls so compares values; what
-the table starts or sets calls callbacks, as interrupts do; the rest of the core calls none. A jump
-through a register is one by a table of the compiler, within its function. A program with other
-pointers to functions, recursion, or interrupts that let others in, is refused.
+nothing else of it may keep pointers to functions. Whatever a callback calls so compares values;
+what the table starts or sets calls callbacks, as interrupts do; the rest of the core calls no
+callback. A jump through a register is one by a table of the compiler, within its function. A
+program with other pointers to functions, recursion, or interrupts that let others in, is refused.
 """
 
 import re
@@ -119,7 +119,7 @@ class _Code:
                 )
 
     def _transducers(self) -> tuple[set[int], set[int], set[int]]:
-        """Calls through pointers of a program with transducers: drivers, values, callbacks."""
+        """What transducers call through pointers: functions of drivers, of values, callbacks."""
         at, size = symbols(self._elf).get("j2a_transducers", (0, 0))
         if size % _TRANSDUCER_BYTES:
             raise self._fail(f"j2a_transducers has no entries of {_TRANSDUCER_BYTES} bytes")
