@@ -26,6 +26,7 @@ from j2a.errors import (
     LinkLost,
     LinkStalled,
     LocalError,
+    NoClock,
     OpcodeRefused,
     OpenFailed,
     Outcome,
@@ -51,11 +52,12 @@ from j2a.events import (
     Sample,
     Sif,
 )
+from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.functions import ManyReply, ManyRequest, read_chunk
 from j2a.io.handlers import Subscription
 from j2a.io.streams import SifStream
 from j2a.io.transds_file import load_transds
-from j2a.io.transducers import Actuator, Sensor
+from j2a.protocol.roster import BoardChange
 from j2a.protocol.trace import Trace
 from j2a.types.annotations import Length, f32, f64, i8, i16, i32, i64, u8, u16, u32, u64
 from j2a.types.arrays import Batch
@@ -70,7 +72,8 @@ if TYPE_CHECKING:
         AsyncSifStream,
         aconnect,
     )
-    from j2a.fleet import BoardChange, Fleet
+    from j2a.aio_fleet import AsyncFleet
+    from j2a.fleet import Fleet
 
     __version__: str
 
@@ -78,6 +81,7 @@ __all__ = [
     "Actuator",
     "AsyncActuator",
     "AsyncClient",
+    "AsyncFleet",
     "AsyncFunction",
     "AsyncSensor",
     "AsyncSifStream",
@@ -111,6 +115,7 @@ __all__ = [
     "LocalError",
     "ManyReply",
     "ManyRequest",
+    "NoClock",
     "OpcodeRefused",
     "OpenFailed",
     "Outcome",
@@ -163,7 +168,8 @@ _LAZY = {
         "AsyncSifStream",
         "aconnect",
     ),
-    "fleet": ("BoardChange", "Fleet"),
+    "aio_fleet": ("AsyncFleet",),
+    "fleet": ("Fleet",),
 }
 
 
@@ -173,8 +179,8 @@ def __getattr__(name: str) -> object:
     for module, names in _LAZY.items():
         if name in names:
             return getattr(import_module(f"j2a.{module}"), name)
-    if name == "fleet":  # for j2a.fleet.by_url
-        return import_module("j2a.fleet")
+    if name in ("aio_fleet", "fleet"):  # for j2a.fleet.by_url
+        return import_module(f"j2a.{name}")
     if name == "__version__":
         from importlib import metadata  # noqa: PLC0415 - slow to load, rarely used
 

@@ -10,20 +10,21 @@ import contextlib
 import weakref
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
 from j2a_spec.constants import GET_ECHO
 
 from j2a.errors import J2AError, LinkClosed, OpenFailed
 from j2a.events import Reply, Restart, Sif
 from j2a.io.async_streams import AsyncSifStream
+from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.client_base import ClientBase, check_echo, checked
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.loop import AsyncEngine, AsyncHandler, AsyncRestartHandler
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
 from j2a.io.streams import MAX_SIFS
-from j2a.io.transducers import AsyncActuator, AsyncSensor, Transducers
+from j2a.io.transducers import Transducers
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits
@@ -32,6 +33,8 @@ from j2a.protocol.transfer import Progress, Transfer
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
+
+    from j2a.io.async_clock import AsyncClock
 
 __all__ = [
     "AsyncActuator",
@@ -279,6 +282,18 @@ class AsyncClient(ClientBase):
         """
         known = self._make_transducers(AsyncSensor, AsyncActuator)
         return AsyncTransducers(known, weakref.ref(self))
+
+    @property
+    def clock(self) -> "AsyncClock":
+        """The clock of the device: its time as that of this computer, and the orders to set it.
+
+        Source: J2A-CLOCK-001; a device with transducers, but without that, tells its time only.
+        """
+        if self._clock is None:
+            from j2a.io.async_clock import AsyncClock  # noqa: PLC0415 - few programs need it
+
+            self._clock = AsyncClock(weakref.ref(self), self._engine._transport)
+        return cast("AsyncClock", self._clock)
 
     def function(self, function: str | int, signature: str, definitions: str = "") -> AsyncFunction:
         """Return a function with a signature; `j2a.Client.function` for asyncio.

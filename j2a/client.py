@@ -8,19 +8,20 @@ Rules: arguments are checked before anything is sent; waiting and bytes are the 
 import weakref
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
 from j2a_spec.constants import GET_ECHO
 
 from j2a.errors import J2AError
 from j2a.events import Reply, Restart, Sif
 from j2a.io.blocking import Engine, Handler, RestartHandler
+from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.client_base import ClientBase, check_echo, checked
 from j2a.io.handlers import ErrorHook, Handlers, Opcodes, Subscription
 from j2a.io.opening import open_transport
 from j2a.io.remote import RemoteFunction, RemoteFunctions
 from j2a.io.streams import MAX_SIFS, SifStream
-from j2a.io.transducers import Actuator, Sensor, Transducers
+from j2a.io.transducers import Transducers
 from j2a.protocol.arguments import check_payload, check_timeout
 from j2a.protocol.device_info import DEFAULT_MAX_BYTES
 from j2a.protocol.limits import Limits
@@ -29,6 +30,8 @@ from j2a.protocol.transfer import Progress, Transfer
 
 if TYPE_CHECKING:
     from j2a_transports import Transport
+
+    from j2a.io.clock import Clock
 
 __all__ = ["Client", "Function", "Handler", "connect"]
 
@@ -270,6 +273,18 @@ class Client(ClientBase):
         if self._transducers is None or self._transducers[0] is not learnt:
             self._transducers = learnt, self._make_transducers(Sensor, Actuator)
         return self._transducers[1]
+
+    @property
+    def clock(self) -> "Clock":
+        """The clock of the device: its time as that of this computer, and the orders to set it.
+
+        Source: J2A-CLOCK-001; a device with transducers, but without that, tells its time only.
+        """
+        if self._clock is None:
+            from j2a.io.clock import Clock  # noqa: PLC0415 - few programs need it
+
+            self._clock = Clock(weakref.ref(self), self._transport)
+        return cast("Clock", self._clock)
 
     def function(self, function: str | int, signature: str, definitions: str = "") -> Function:
         """Return a function that the device does not describe, with the signature given here.

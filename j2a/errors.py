@@ -39,6 +39,7 @@ __all__ = [
     "LinkLost",
     "LinkStalled",
     "LocalError",
+    "NoClock",
     "OpcodeRefused",
     "OpenFailed",
     "Outcome",
@@ -116,6 +117,10 @@ class UnknownTransducer(LocalError, KeyError):
 
 class UnknownBoard(LocalError, KeyError):
     """The fleet has no board of that name, or it is not here now."""
+
+
+class NoClock(LocalError):
+    """The device tells no time, or has no clock that a host can set (J2A-CLOCK-001)."""
 
 
 class PayloadTooLong(LocalError):

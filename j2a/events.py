@@ -151,6 +151,8 @@ class Sample:
         missed: SIFs of any kind that the link lost just before this one; see `Sif.missed`.
         is_reset: the clock of the device went back since the sample before (J2A-TRANS-027).
         payload: of the SIF.
+        host_us: when the newest reading was taken, on the clock of this computer, in microseconds
+            since 1970; None where the clock of the board was not asked yet, see `Client.clock`.
     """
 
     board: str
@@ -163,6 +165,7 @@ class Sample:
     missed: int = 0
     is_reset: bool = False
     payload: bytes = field(default=b"", repr=False)
+    host_us: int | None = None
 
     @property
     def values(self) -> tuple[Any, ...]:

@@ -22,7 +22,7 @@ from j2a.types.descriptors import parse_descriptors
 from j2a.types.ros import ros2_definition
 from j2a.types.transducers import Descriptors, Transducer
 
-__all__ = ["Recorded", "RecordedBoard", "Recorder", "Recording", "topic_of"]
+__all__ = ["Recorded", "RecordedBoard", "Recorder", "Recording", "check_package", "topic_of"]
 
 _BOARD: Final = "j2a.board"
 _MAGIC_BYTES: Final = 8
@@ -68,9 +68,9 @@ class Recorded:
 
 
 def topic_of(board: str, topic: str) -> str:
-    """Return the topic of a sensor in a recording: of letters, digits, "_" and "/"."""
-    parts = [part for part in (board, topic) if part]
-    return "/" + "/".join(_NOT_IN_TOPICS.sub("_", part).strip("/") for part in parts)
+    """Return the topic of a sensor in a recording, of names of letters, digits and "_"."""
+    names = [name for name in _NOT_IN_TOPICS.sub("_", f"{board}/{topic}").split("/") if name]
+    return "".join(f"/_{name}" if name[0].isdigit() else f"/{name}" for name in names) or "/_"
 
 
 class Recorder:
@@ -333,6 +333,15 @@ class Recording:
             return board.name, board.descriptors[about.get("sensor", "")]
         except KeyError:
             return None
+
+
+def check_package() -> None:
+    """Load the package mcap, which takes a moment.
+
+    Raises:
+        LocalError: it is not installed.
+    """
+    _mcap("writer")
 
 
 def _mcap(module: str) -> Any:

@@ -16,7 +16,7 @@ from j2a.recording import RecordedBoard, Recording
 __all__ = ["ReplayBoard"]
 
 _NS: Final = 1_000_000_000
-_BEGIN_S: Final = 0.2
+_BEGIN_S: Final = 0.5
 _OWN: Final = "j2a."
 
 

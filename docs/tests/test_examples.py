@@ -112,6 +112,14 @@ def test_tour(url):
     assert printed.endswith("the board counts [0, 1, 2]\n")
 
 
+def test_clock():
+    with served(j2a.Device(clock=30)) as found:
+        printed = run(EXAMPLES / "clock.py", found).splitlines()
+    assert len(printed) == 3
+    for line in printed:
+        assert re.fullmatch(r"(settling|locked|free): off by [+-]\d+ us, known to \d+ us", line)
+
+
 def test_asynchronous(url):
     assert run(EXAMPLES / "asynchronous.py", url) == "[None, 42]\n"
 

@@ -32,6 +32,7 @@ BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
         "props": "the properties of a device, or one of them",
         "echo": "test a link: send bytes there and back, verify and time them",
         "watch": "print the frames that a device sends unasked (SIFs)",
+        "clock": "the clocks of boards beside that of this computer; keep them right",
         "record": "write what the sensors of boards measure into a file",
         "replay": "be the board of a recording",
         "export": "write the samples of a recording as tables",

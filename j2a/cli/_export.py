@@ -20,6 +20,7 @@ from j2a.cli._output import note, show
 from j2a.cli._progress import Progress
 from j2a.recording import Recorded, Recording
 from j2a.types.arrays import Batch
+from j2a.types.naming import free_name
 from j2a.types.transducers import Transducer
 
 NOTES: Final = """\
@@ -31,6 +32,7 @@ The columns: host_time_ns (since 1970), time_us (on the clock of the board), cha
 the unit of the sensor, or the raw fields of a structure. No value (N/A) is an empty cell. It needs
 NumPy and pandas: pip install "j2a[arrays]"; for Parquet: pip install "j2a[parquet]"."""
 _PIECE: Final = 20_000
+_MOST_OF_NAME: Final = 50
 _Frame = Any
 
 
@@ -59,7 +61,9 @@ def run(args: argparse.Namespace) -> int:
             for one in recording:
                 key = one.board, one.sensor.name
                 if key not in tables:
-                    path = args.folder / f"{_plain(one.board)}_{one.sensor.name}.{args.format}"
+                    name = f"{_plain(one.board)}_{one.sensor.name}"
+                    taken = {table.path.stem for table in tables.values()}
+                    path = args.folder / f"{free_name(name, taken)}.{args.format}"
                     tables[key] = stack.enter_context(_Table(path, one.sensor, args.format))
                 tables[key].add(one)
                 done += len(one.payload)
@@ -80,7 +84,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _plain(name: str) -> str:
-    return "".join(char if char.isalnum() or char in "-." else "_" for char in name) or "board"
+    """Return a name as a part of that of a file; it stays in the folder, and is not too long."""
+    made = "".join(char if char.isalnum() or char in "-." else "_" for char in name)
+    return made[:_MOST_OF_NAME] or "board"
 
 
 class _Table:

@@ -11,16 +11,19 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from j2a_spec.constants import PROP_RXBUF, PROP_SPEC
+from j2a_spec.constants import CLOCK, PROP_RXBUF, PROP_SPEC
 from j2a_spec.printable import printable
 
 import j2a
+from j2a.cli._clock import offset_text, time_text
 from j2a.cli._exit import OK, REMOTE, error_facts, exit_code
 from j2a.cli._link import add_json_argument, add_link_arguments, connect
 from j2a.cli._output import note, show, show_json
+from j2a.io.clock_base import ClockReading
 from j2a.types.model import Interface
 
 MAX_DIGITS: Final = 10
+_ROUNDS: Final = 3
 WIDEST_KEY: Final = 40  # a longer key moves only its own value to the right
 
 
@@ -36,10 +39,11 @@ def run(args: argparse.Namespace) -> int:
         functions = client.functions
         interface, problem = client.interface, client.interface_problem
         properties: dict[str, str] = {}
-        room, unreadable = None, None
+        room, clock, unreadable = None, None, None
         try:
             properties = client.properties
             room = client.room
+            clock = _clock(client)
         except j2a.J2AError as error:
             unreadable = error
         counters = client.counters
@@ -52,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
         "room": room,
         "functions": {name: int(opcode) for name, opcode in functions.items()},
         "interface": interface and interface_facts(interface),
+        "clock": clock and dataclasses.asdict(clock),
         "properties": None if unreadable else properties,
         "counters": dataclasses.asdict(counters),
     }
@@ -63,6 +68,8 @@ def run(args: argparse.Namespace) -> int:
         show_json(facts)
     else:
         _print_head(facts, PROP_SPEC in properties)
+        if clock is not None:
+            show(f"clock     {_clock_text(clock)}")
         show("functions" if functions else "functions (no map; call by opcode)")
         for function in functions.values():
             show(f"  {function.opcode:>3}  {function.__doc__}")
@@ -81,6 +88,24 @@ def run(args: argparse.Namespace) -> int:
     if unreadable is not None:
         note(f"j2a: the properties are unreadable: {unreadable}")
     return code
+
+
+def _clock(client: j2a.Client) -> ClockReading | None:
+    """Return what the clock of the device is like; None without one that a host can set."""
+    if CLOCK not in client.functions:
+        return None
+    try:
+        return client.clock.measure(_ROUNDS)
+    except j2a.J2AError as error:
+        note(f"j2a: the clock of the device tells nothing: {error}")
+        return None
+
+
+def _clock_text(clock: ClockReading) -> str:
+    text = f"{clock.state}, {offset_text(clock.offset_us)}"
+    if clock.epoch:
+        text += f", epoch {clock.epoch}"
+    return f"{text} from this computer (+-{time_text(clock.uncertainty_us)})"
 
 
 def _definitions(interface: Interface | None) -> Iterator[tuple[str, list[str]]]:

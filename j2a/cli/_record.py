@@ -21,7 +21,7 @@ from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_si
 from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._progress import size_text
-from j2a.recording import Recorder
+from j2a.recording import Recorder, check_package
 
 NOTES: Final = """\
 examples:
@@ -61,18 +61,29 @@ class _Session:
         self.recorder = recorder
         self.lost = 0
         self.refused = 0
+        self.changed: set[str] = set()
         self.failure: OSError | None = None
         self.ended = threading.Event()
 
-    def keep(self, board: str) -> Callable[[j2a.Sample], None]:
-        """Return the handler of the samples of a board."""
+    def keep(self, board: str, sensor: j2a.Sensor) -> Callable[[j2a.Sample], None]:
+        """Return the handler of the samples of a sensor."""
+        announced = sensor.descriptor
 
         def write(sample: j2a.Sample) -> None:
-            self.lost += sample.lost + sample.missed
-            if self.failure is not None:
+            nonlocal announced
+            if self.failure is not None or self.ended.is_set():
                 return
+            self.lost += sample.lost + sample.missed
+            descriptor = sensor.descriptor
+            if descriptor is not announced:
+                if descriptor != announced:
+                    self.changed.add(f"{sensor.name} of {board}")
+                    return
+                announced = descriptor
             try:
                 self.recorder.write(board, sample, time.time_ns())
+            except j2a.LocalError:
+                return  # it has ended meanwhile
             except ValueError:
                 self.refused += 1
             except OSError as error:
@@ -86,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
     """Record until the end; returns the exit code."""
     if args.output.suffix != ".mcap":
         raise UsageError(f"{args.output}: the name ends in .mcap")
+    check_package()  # now, as samples come as soon as the boards are there
     end_on_sigterm()
     with contextlib.ExitStack() as stack:
         boards = [stack.enter_context(connect_to(args, url)) for url in args.urls]
@@ -112,15 +124,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _names(boards: list[j2a.Client]) -> list[str]:
-    """Return a name for each board: its own, or with a number where another one has it."""
+    """Return a name for each board: its own, with its serial number or a number where need be."""
+    own = [board.properties.get("name") or "board" for board in boards]
     names: list[str] = []
-    for board in boards:
-        first = name = board.properties.get("name") or "board"
-        number = 1
-        while name in names:
+    for board, first in zip(boards, own, strict=True):
+        serial = board.properties.get("serial")
+        name = f"{first}_{serial}" if serial and own.count(first) > 1 else first
+        made, number = name, 1
+        while made in names:
             number += 1
-            name = f"{first}_{number}"
-        names.append(name)
+            made = f"{name}_{number}"
+        names.append(made)
     return names
 
 
@@ -136,7 +150,7 @@ def _begin(session: _Session, board: j2a.Client, name: str, *, is_alone: bool) -
     )
     for sensor in board.transducers.values():
         if isinstance(sensor, j2a.Sensor):
-            sensor.on_sample(session.keep(name))
+            sensor.on_sample(session.keep(name, sensor))
 
 
 def _record(session: _Session, boards: list[j2a.Client], seconds: float | None) -> int:
@@ -177,6 +191,7 @@ def _finish(session: _Session) -> None:
         sys.stderr.write("\r\x1b[K")
     recorder = session.recorder
     failure = session.failure
+    session.ended.set()
     try:
         recorder.close()
     except OSError as error:
@@ -188,3 +203,5 @@ def _finish(session: _Session) -> None:
     show(f"wrote {paths}: {recorder.samples} samples, {session.lost} lost on the way")
     if session.refused:
         note(f"j2a: {session.refused} samples were left out: their times fit into no message")
+    for what in sorted(session.changed):
+        note(f"j2a: {what} is another one since the board restarted: its samples were left out")

@@ -10,6 +10,7 @@ import contextlib
 import sys
 import threading
 import traceback
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
@@ -18,9 +19,11 @@ import j2a_transports
 import j2a
 from j2a.cli._exit import OK, UsageError, end_on_sigterm
 from j2a.cli._link import (
+    add_condition_arguments,
     add_listen_argument,
     add_verbose_argument,
     check_listen_url,
+    conditions_of,
     seconds,
     takes_stdio,
     whole_number,
@@ -35,7 +38,7 @@ NOTES = """\
 examples:
   j2a serve --listen tcp://127.0.0.1:5000
   j2a serve --device thermometer:device
-  j2a serve --transds transds.def --listen tcp://127.0.0.1:5000"""
+  j2a serve --transds transds.def --serial cart-1 --listen tcp://127.0.0.1:5000"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,6 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--transds",
         metavar="FILE",
         help="a board with the transducers of a transds.def, whose sensors measure waves",
+    )
+    add_condition_arguments(parser, "transds.def")
+    parser.add_argument(
+        "--serial",
+        metavar="TEXT",
+        help="the property serial of the board of a transds.def, by which fleets tell boards apart",
     )
     parser.add_argument(
         "--max-hosts",
@@ -75,8 +84,10 @@ def run(args: argparse.Namespace) -> int:
     """Serve until the end; returns the exit code."""
     check_listen_url(args.listen)
     if args.transds is not None:
-        device: j2a.Device = virtual_board(args.transds)
+        device: j2a.Device = virtual_board(args.transds, conditions_of(args), args.serial)
     else:
+        if args.define or args.undefine or args.serial is not None:
+            raise UsageError("-D, -U and --serial are for --transds")
         device = _demo() if args.device is None else load_device(args.device)
     if args.verbose:
         # A Device takes its trace when it is made, which was before the command line was read.
@@ -130,12 +141,14 @@ def load_device(name: str) -> j2a.Device:
     return device
 
 
-def virtual_board(path: str) -> j2a.Device:
+def virtual_board(
+    path: str, options: Mapping[str, str | None], serial: str | None = None
+) -> j2a.Device:
     """Return a device with the transducers of a transds.def, which measures."""
     from j2a.virtual import VirtualBoard  # noqa: PLC0415 - only needed for this option
 
-    descriptors, _ = read_transds_argument(path, {})
-    board = VirtualBoard(descriptors)
+    descriptors, _ = read_transds_argument(path, options)
+    board = VirtualBoard(descriptors, {} if serial is None else {"serial": serial})
     board.measure()
     return board
 

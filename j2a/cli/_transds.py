@@ -7,6 +7,7 @@ to read. Rule: nothing is written unless all of it can be.
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
@@ -69,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
     elif not files:
         for line in table(descriptors):
             show(line)
+    if not descriptors.transducers:
+        note(f"j2a: {source} lists no transducers")
     for text in strange_keys(descriptors):
         note(f"j2a: {text}")
     _write(files)
@@ -128,10 +131,14 @@ def _files(
 
 def _write(files: Mapping[Path, str]) -> None:
     for path, text in files.items():
+        part = path.with_name(f"{path.name}.part")  # a full disk spoils no file that is there
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, "utf-8", newline="\n")
+            part.write_text(text, "utf-8", newline="\n")
+            part.replace(path)
         except OSError as error:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
             raise UsageError(f"cannot write {path}: {error.strerror}") from None
 
 

@@ -3,7 +3,8 @@
 In: a link. Out: a line for each SIF, and one for each gap in their numbers; with `--rates` a table
 of sensors each second. SIFs that the device describes are printed by their fields.
 Rules: the library's thread collects, this one prints, so that a slow reader of the output loses
-nothing. What `--then` names is called however the watching ends, unless the link is gone.
+nothing until too many SIFs wait; then new ones are left out, and counted. What `--then` names is
+called however the watching ends, unless the link is gone.
 """
 
 from __future__ import annotations
@@ -55,6 +56,7 @@ deviation of the time between two of them on the clock of the board; delay, the 
 host above that of the quickest one; and the longest one. The clocks are not synchronised."""
 _LOOK_S = 0.2
 _RATES_S = 1.0
+_MOST_WAITING = 1 << 18
 _Call = tuple[str | int, list[str]]
 _Shapes = dict[int, tuple[SifShape, Codec]]  # by opcode
 
@@ -173,7 +175,13 @@ def _watch(
     shapes = {shape.opcode: (shape, Codec(shape.fields, types)) for shape in described}
     opcodes = _opcodes_of(wanted, shapes, client)
 
+    left_out = 0
+
     def take(sif: j2a.Sif) -> None:
+        nonlocal left_out
+        if arrived.qsize() >= _MOST_WAITING:
+            left_out += 1
+            return
         arrived.put(_Arrived(time.time(), client.now(), sif, client._source.current))
 
     client.on_sif(opcodes, take)
@@ -202,6 +210,8 @@ def _watch(
             rates.add(one.sample)
     if rates is not None:
         rates.show()
+    if left_out:
+        note(f"j2a: {left_out} SIFs were left out: whoever reads the output is too slow")
     if args.count is not None and seen < args.count:
         came = f"{seen} of {args.count} SIFs came within {args.duration:g} s"
         raise CommandFailed(came, TIMEOUT)

@@ -55,6 +55,8 @@ from j2a.types.parser import parse_definitions, parse_signature
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
+    from j2a.io.clock_base import ClockBase
+
 __all__ = [
     "MAX_SIFS_WAITING",
     "ClientBase",
@@ -106,8 +108,13 @@ class ClientBase:
 
         client = weakref.ref(self)
         self._source = SampleSource(
-            url, self._device, lambda: _now_of(client), lambda: _is_stale(client)
+            url,
+            self._device,
+            lambda: _now_of(client),
+            lambda: _is_stale(client),
+            lambda time_us: _host_us(client, time_us),
         )
+        self._clock: ClockBase | None = None
         self._handlers.add(None, self._source.take)
 
     def now(self) -> float:
@@ -576,6 +583,12 @@ def check_echo(reply: Reply, payload: bytes) -> bytes:
 def _now_of(client: "weakref.ref[ClientBase]") -> float:
     owner = client()
     return 0.0 if owner is None else owner.now()
+
+
+def _host_us(client: "weakref.ref[ClientBase]", time_us: int) -> int | None:
+    owner = client()
+    clock = None if owner is None else owner._clock
+    return None if clock is None else clock.host_time_of_sample(time_us)
 
 
 def _is_stale(client: "weakref.ref[ClientBase]") -> bool:

@@ -9,13 +9,14 @@ cancelling are safe from any thread and from inside handlers.
 import logging
 import re
 import threading
+from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
-from j2a.errors import J2AError, LocalError, ProtocolError
+from j2a.errors import J2AError, LocalError
 from j2a.events import Sif
-from j2a.io.samples import WantedSamples
+from j2a.io.samples import BadPayload, WantedSamples
 from j2a.protocol.arguments import check_opcode
 from j2a.protocol.device_info import DeviceInfo
 from j2a.types.coding import Codec, PayloadMismatchError, tuple_class
@@ -71,7 +72,7 @@ class NamedSif:
         try:
             return replace(sif, values=values(*codec.unpack(sif.payload)))
         except PayloadMismatchError as error:
-            raise ProtocolError(
+            raise BadPayload(
                 f"SIF {self._name}: the payload is not as described: {error}"
             ) from None
 
@@ -192,13 +193,24 @@ class Handlers(Generic[_Handler]):
 
 
 class Reporter:
-    """Tells of exceptions that handlers raised: to a function of the user, or to the log."""
+    """Tells of exceptions that handlers raised: to a function of the user, or to the log.
+
+    A device that sends nothing but nonsense does not fill the log: of each opcode the first one is
+    logged, then the second, the fourth and so on.
+    """
 
     def __init__(self, hook: ErrorHook | None) -> None:
         self._hook = hook
+        self._bad_payloads: Counter[int] = Counter()
 
     def report(self, error: BaseException, event: object) -> None:
         """Report one; never raises."""
+        if self._hook is None and isinstance(error, BadPayload) and isinstance(event, Sif):
+            self._bad_payloads[event.opcode] += 1
+            count = self._bad_payloads[event.opcode]
+            if count & (count - 1) == 0:
+                _logger.error("%s (%d so far)", error, count)
+            return
         if self._hook is None:
             what = f"SIF 0x{event.opcode:02X}" if isinstance(event, Sif) else _plural(event)
             _logger.error("a handler of %s failed", what, exc_info=error)

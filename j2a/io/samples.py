@@ -17,9 +17,13 @@ from j2a.types.coding import PayloadMismatchError
 from j2a.types.samples import SampleCodec
 from j2a.types.transducers import Descriptors, Transducer
 
-__all__ = ["SampleSource", "WantedSamples"]
+__all__ = ["BadPayload", "SampleSource", "WantedSamples"]
 
 _LOST_MODULO = 0x10000
+
+
+class BadPayload(ProtocolError):  # noqa: N818 - named as those of j2a.errors
+    """A SIF is not what the device says of it."""
 
 
 class _State:
@@ -42,6 +46,7 @@ class SampleSource:
         device: what the device told about itself.
         now: the time of the link, in seconds.
         is_doubted: what the device has may be wrong, because it has or may have restarted.
+        host_us: the time of this computer at one of the device, None where it is not known.
 
     Attributes:
         board: what samples name as their board.
@@ -54,12 +59,14 @@ class SampleSource:
         device: DeviceInfo,
         now: Callable[[], float],
         is_doubted: Callable[[], bool],
+        host_us: Callable[[int], int | None] = lambda _time_us: None,
     ) -> None:
         self.current: Sample | None = None
         self.board = url
         self._device = device
         self._now = now
         self._is_doubted = is_doubted
+        self._host_us = host_us
         self._learnt: Descriptors | None = None
         self._by_name: dict[str, _State] = {}
         self._by_id: dict[int, _State] = {}
@@ -71,6 +78,11 @@ class SampleSource:
         self._learnt = descriptors
         found = descriptors.transducers if descriptors is not None else ()
         states = [_State(one, SampleCodec(one, self._device.types)) for one in found]
+        for state in states:
+            # Where the device was reset in between, its times go back.
+            before = self._by_name.get(state.transducer.name)
+            if before is not None:
+                state.times_us, state.count = before.times_us, before.count
         self._by_name = {one.transducer.name: one for one in states}
         self._by_id = {one.transducer.id: one for one in states if one.transducer.is_sensor}
 
@@ -107,7 +119,7 @@ class SampleSource:
         try:
             self.current = state.latest = self._sample(state, sif)
         except PayloadMismatchError as error:
-            raise ProtocolError(f"a sample of {state.transducer.name}: {error}") from None
+            raise BadPayload(f"a sample of {state.transducer.name}: {error}") from None
 
     def _sample(self, state: _State, sif: Sif) -> Sample:
         lost = 0
@@ -123,6 +135,7 @@ class SampleSource:
             if reading.time_us is not None:
                 is_reset |= reading.time_us < state.times_us.get(reading.channel, 0)
                 state.times_us[reading.channel] = reading.time_us
+        newest_us = max((one.time_us for one in readings if one.time_us is not None), default=None)
         sequence = state.count
         state.count += 1
         return Sample(
@@ -136,6 +149,7 @@ class SampleSource:
             sif.missed,
             is_reset,
             sif.payload,
+            None if newest_us is None else self._host_us(newest_us),
         )
 
 

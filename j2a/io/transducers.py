@@ -1,4 +1,4 @@
-"""Sensors and actuators of a device as objects.
+"""Sensors and actuators of a device as objects: what both kinds of client have in common.
 
 What flows in: values and settings of the user. What flows out: calls of a2jTransd, and samples.
 Rules: values and settings are checked before anything is sent (J2A-TRANS-025); a transducer is
@@ -9,12 +9,14 @@ import struct
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
+from numbers import Integral, Real
 from typing import Any, Final, TypeVar
 
 from j2a_spec import constants as c
 
 from j2a.errors import (
     FunctionFailed,
+    InterfaceChanged,
     LinkClosed,
     ProtocolError,
     UnknownTransducer,
@@ -25,15 +27,12 @@ from j2a.io.samples import SampleSource, WantedSamples
 from j2a.io.streams import MAX_SIFS
 from j2a.types.arrays import Batch
 from j2a.types.coding import PayloadMismatchError
-from j2a.types.samples import SampleCodec, pack_time
+from j2a.types.samples import SampleCodec
 from j2a.types.transducers import TIME_BYTES, Descriptors, Transducer
 
 __all__ = [
-    "Actuator",
-    "AsyncActuator",
-    "AsyncSensor",
+    "SETTINGS",
     "RemoteTransducer",
-    "Sensor",
     "Transducers",
 ]
 
@@ -52,7 +51,7 @@ _NEEDS: Final = {
     c.TRANSD_WATCHDOG: "watchdog",
     c.TRANSD_TRIGGER: "trigger",
 }
-_SETTINGS: Final = {
+SETTINGS: Final = {
     "enabled": c.TRANSD_ENABLED,
     "period": c.TRANSD_PERIOD,
     "decimation": c.TRANSD_DECIMATION,
@@ -150,9 +149,9 @@ class RemoteTransducer:
         Raises:
             WrongArgument: there is no such setting, or it cannot have this value.
         """
-        item = _SETTINGS.get(setting)
+        item = SETTINGS.get(setting)
         if item is None:
-            raise WrongArgument(f"{setting} is no setting; there are: {', '.join(_SETTINGS)}")
+            raise WrongArgument(f"{setting} is no setting; there are: {', '.join(SETTINGS)}")
         is_sensor = self.descriptor.is_sensor
         if (item in (c.TRANSD_ENABLED, c.TRANSD_PERIOD)) and not is_sensor:
             raise WrongArgument(f"{self.name} is an actuator, which has no {setting}")
@@ -160,7 +159,7 @@ class RemoteTransducer:
 
     def _packed(self, setting: str, value: Any) -> bytes:
         if setting == "enabled":
-            if value not in (False, True):
+            if value.__hash__ is None or value not in (False, True):  # no arrays
                 raise WrongArgument(f"enabled is True or False, not {value!r:.40}")
             return bytes([bool(value)])
         if setting == "period":
@@ -168,9 +167,9 @@ class RemoteTransducer:
         if setting == "watchdog":
             return struct.pack("<H", _whole(setting, value, _MS, 0xFFFF))
         if setting == "decimation":
-            if not isinstance(value, int) or not 1 <= value <= 255:
+            if not _is_a(Integral, value) or not 1 <= value <= 255:
                 raise WrongArgument(f"decimation is a whole number of 1 to 255, not {value!r:.40}")
-            return bytes([value])
+            return bytes([int(value)])
         if setting == "threshold":
             return self._codec.pack_threshold(value)
         if not isinstance(value, str) or not value.isprintable():
@@ -226,271 +225,42 @@ class RemoteTransducer:
     def _wanted(self) -> WantedSamples:
         return WantedSamples(self._source, self.name)
 
+    def _stream(self, max_waiting: int) -> Any:
+        return self._client._engine.stream(self._wanted(), max_waiting)
+
+    def _stream_of_batch(self, count: int) -> tuple[Transducer, Any]:
+        """Return what the sensor is now, and a stream with room for a batch of its samples.
+
+        Raises:
+            WrongArgument: the count is none of samples.
+        """
+        if not isinstance(count, Integral) or count < 1:
+            raise WrongArgument(f"a batch has 1 sample or more, not {count!r:.40}")
+        return self.descriptor, self._stream(max(int(count), MAX_SIFS))
+
+    def _batch(self, before: Transducer, samples: list[Sample]) -> Batch:
+        """Return samples of a sensor as arrays.
+
+        Raises:
+            InterfaceChanged: since the device has restarted, the sensor is another one.
+        """
+        if self.descriptor != before:
+            raise InterfaceChanged(
+                f"the device has restarted, and {self.name} is another sensor now: its samples "
+                "do not fit into one batch"
+            )
+        return Batch.of(before, samples)
+
+
+def _is_a(kind: type, value: object) -> bool:
+    """Whether a value is a number of a kind; those of NumPy are, too."""
+    return isinstance(value, kind)
+
 
 def _whole(setting: str, value: Any, unit: int, most: int) -> int:
-    if not isinstance(value, int | float) or not 0 <= value <= most / unit:
+    if not _is_a(Real, value) or not 0 <= value <= most / unit:
         raise WrongArgument(f"{setting} is 0 to {most / unit:g} s, not {value!r:.40}")
-    return round(value * unit)
-
-
-class _Blocking(RemoteTransducer):
-    def _ask(self, request: bytes) -> bytes:
-        return self._answer(self._client.call(c.TRANSD, request))
-
-    def _get(self, setting: str) -> Any:
-        return self._unpack(setting, self._ask(self._request(_SETTINGS[setting])))
-
-    def configure(self, **settings: Any) -> None:
-        """Change settings: enabled, period, decimation, threshold, topic, watchdog.
-
-        All are checked before the first one is sent (J2A-TRANS-025).
-
-        Raises:
-            WrongArgument: a setting is not there, or cannot have this value.
-            FunctionFailed: the device refused one.
-        """
-        for request in [self._pack(name, value) for name, value in settings.items()]:
-            self._ask(request)
-
-    def read(self) -> tuple[Reading, ...]:
-        """Ask the device for the newest reading of each channel (J2A-TRANS-009).
-
-        Raises: as `Client.call`; WrongArgument for a sensor with a queue.
-        """
-        return self._readings(self._ask(self._sample_request()))
-
-    def time_us(self) -> int:
-        """Ask the device for the time of its clock, in microseconds.
-
-        Raises: as `Client.call`.
-        """
-        return self._time(self._ask(self._request(c.TRANSD_TIME)))
-
-    def save(self) -> None:
-        """Have the device keep the settings without power (J2A-TRANS-019).
-
-        Raises: as `Client.call`; FunctionFailed when the device keeps none.
-        """
-        self._ask(self._request(c.TRANSD_SAVE))
-
-    @property
-    def topic(self) -> str:
-        """The name under which hosts publish it, 1 to 32 bytes."""
-        if not self.descriptor.has("topic"):
-            return self.name
-        return str(self._get("topic"))
-
-    @topic.setter
-    def topic(self, topic: str) -> None:
-        self.configure(topic=topic)
-
-
-class Sensor(_Blocking):
-    """A sensor of a device; from `Client.transducers`.
-
-    Example::
-
-        for sample in board.transducers["quad"]:
-            print(sample.time_us, sample.values)
-
-    Settings are attributes; to read or set one asks the device.
-    """
-
-    def latest(self) -> Sample | None:
-        """Return the newest sample that has come, None before the first one. Asks nothing."""
-        return self._source.latest(self.name)
-
-    def samples(self, *, max_waiting: int = MAX_SIFS) -> Any:
-        """Return the samples that come from now on, to iterate over; as `Client.sifs`.
-
-        Args:
-            max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
-        """
-        return self._client._engine.stream(self._wanted(), max_waiting)
-
-    def __iter__(self) -> Iterator[Sample]:
-        stream: Iterator[Sample] = self.samples()
-        return stream
-
-    def wait(self, timeout: float | None = None) -> Sample:
-        """Return the next sample that comes.
-
-        Args:
-            timeout: the time limit in seconds; None takes the client's.
-
-        Raises: as `Client.wait_sif`.
-        """
-        client = self._client
-        with self.samples() as stream:
-            sample: Sample = stream.wait(client._limit_s(timeout))
-            return sample
-
-    def read_batch(self, count: int, timeout: float | None = None) -> Batch:
-        """Return the next samples that come as arrays.
-
-        Args:
-            count: so many samples.
-            timeout: the time limit for all of them in seconds; None takes the client's.
-
-        Raises: as `wait`; LocalError where NumPy is missing.
-        """
-        if not isinstance(count, int) or count < 1:
-            raise WrongArgument(f"a batch has 1 sample or more, not {count!r:.40}")
-        client = self._client
-        end = client.now() + client._limit_s(timeout)
-        with self.samples(max_waiting=max(count, MAX_SIFS)) as stream:
-            found = [stream.wait(max(0.0, end - client.now())) for _ in range(count)]
-        return Batch.of(self.descriptor, found)
-
-    def on_sample(self, handler: Callable[[Sample], object]) -> Any:
-        """Have a function called with each sample; returns an object whose `cancel()` ends it.
-
-        Handlers run in the thread of the SIF handlers; they may use the client.
-        """
-        return self._client._handlers.add(self._wanted(), handler)
-
-    def trigger(self, at_us: int = 0) -> None:
-        """Have the sensor measure once (J2A-TRANS-018).
-
-        Args:
-            at_us: when, on the clock of the device; at once if that is over.
-
-        Raises:
-            WrongArgument: the sensor has no key trigger.
-        """
-        self._ask(self._request(c.TRANSD_TRIGGER, pack_time(at_us)))
-
-    @property
-    def enabled(self) -> bool:
-        """It sends samples on its own."""
-        return bool(self._get("enabled"))
-
-    @enabled.setter
-    def enabled(self, enabled: bool) -> None:
-        self.configure(enabled=enabled)
-
-    @property
-    def period(self) -> float:
-        """The least time between two samples, in seconds."""
-        return float(self._get("period"))
-
-    @period.setter
-    def period(self, period: float) -> None:
-        self.configure(period=period)
-
-    @property
-    def decimation(self) -> int:
-        """Every so manieth value is taken."""
-        return int(self._get("decimation"))
-
-    @decimation.setter
-    def decimation(self, decimation: int) -> None:
-        self.configure(decimation=decimation)
-
-    @property
-    def threshold(self) -> Any:
-        """By how much a raw value must differ from the one taken before."""
-        return self._get("threshold")
-
-    @threshold.setter
-    def threshold(self, threshold: Any) -> None:
-        self.configure(threshold=threshold)
-
-
-class Actuator(_Blocking):
-    """An actuator of a device; from `Client.transducers`."""
-
-    def set(self, *values: Any, channel: int = 0, at_us: int = 0, raw: bool = False) -> None:
-        """Set channels to values (J2A-TRANS-016).
-
-        Args:
-            values: one for each channel from `channel` on, in the unit of the descriptor.
-            channel: the first of them.
-            at_us: when, on the clock of the device (`time_us()`); at once if that is
-                over.
-            raw: the values are raw ones, before scale and offset.
-
-        Raises:
-            WrongArgument: a value is not of the type or out of range, or there is no such channel;
-                nothing was sent.
-            FunctionFailed: the device refused.
-        """
-        self._ask(self._set_request(values, channel, at_us, raw))
-
-    @property
-    def watchdog(self) -> float:
-        """After so many seconds of silence the device sets it to its safe value; 0 is never."""
-        return float(self._get("watchdog"))
-
-    @watchdog.setter
-    def watchdog(self, watchdog: float) -> None:
-        self.configure(watchdog=watchdog)
-
-
-class _Async(RemoteTransducer):
-    async def _ask(self, request: bytes) -> bytes:
-        return self._answer(await self._client.call(c.TRANSD, request))
-
-    async def configure(self, **settings: Any) -> None:
-        """Change settings; `Sensor.configure` for asyncio."""
-        for request in [self._pack(name, value) for name, value in settings.items()]:
-            await self._ask(request)
-
-    async def setting(self, name: str) -> Any:
-        """Return a setting as the device has it now, such as "period" in seconds."""
-        if name not in _SETTINGS:
-            raise WrongArgument(f"{name} is no setting; there are: {', '.join(_SETTINGS)}")
-        return self._unpack(name, await self._ask(self._request(_SETTINGS[name])))
-
-    async def read(self) -> tuple[Reading, ...]:
-        """Ask the device for the newest reading of each channel."""
-        return self._readings(await self._ask(self._sample_request()))
-
-    async def time_us(self) -> int:
-        """Ask the device for the time of its clock, in microseconds."""
-        return self._time(await self._ask(self._request(c.TRANSD_TIME)))
-
-    async def save(self) -> None:
-        """Have the device keep the settings without power."""
-        await self._ask(self._request(c.TRANSD_SAVE))
-
-
-class AsyncSensor(_Async):
-    """A sensor of a device; `async for sample in board.transducers["quad"]`."""
-
-    def latest(self) -> Sample | None:
-        """Return the newest sample that has come, None before the first one. Asks nothing."""
-        return self._source.latest(self.name)
-
-    def samples(self, *, max_waiting: int = MAX_SIFS) -> Any:
-        """Return the samples that come from now on; as `AsyncClient.sifs`."""
-        return self._client._engine.stream(self._wanted(), max_waiting)
-
-    def __aiter__(self) -> Any:
-        return self.samples()
-
-    async def wait(self, timeout: float | None = None) -> Sample:
-        """Return the next sample that comes; `Sensor.wait` for asyncio."""
-        client = self._client
-        async with self.samples() as stream:
-            sample: Sample = await stream.wait(client._limit_s(timeout))
-            return sample
-
-    def on_sample(self, handler: Callable[[Sample], object]) -> Any:
-        """Have a function or coroutine function called with each sample."""
-        return self._client._handlers.add(self._wanted(), handler)
-
-    async def trigger(self, at_us: int = 0) -> None:
-        """Have the sensor measure once; `Sensor.trigger` for asyncio."""
-        await self._ask(self._request(c.TRANSD_TRIGGER, pack_time(at_us)))
-
-
-class AsyncActuator(_Async):
-    """An actuator of a device."""
-
-    async def set(self, *values: Any, channel: int = 0, at_us: int = 0, raw: bool = False) -> None:
-        """Set channels to values; `Actuator.set` for asyncio."""
-        await self._ask(self._set_request(values, channel, at_us, raw))
+    return round(float(value) * unit)
 
 
 _TransducerT = TypeVar("_TransducerT", bound=RemoteTransducer)

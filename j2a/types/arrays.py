@@ -4,12 +4,13 @@ What flows in: payloads of the samples of one sensor. What flows out: times, cha
 Rule: a value that the sensor does not have is NaN. Needs NumPy (`pip install "j2a[arrays]"`).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
 from j2a.errors import LocalError
 from j2a.events import Sample
 from j2a.types.model import Enumeration, Structure, Type
+from j2a.types.naming import free_name
 from j2a.types.transducers import LOST_BYTES, Transducer, number_element
 
 __all__ = ["Batch"]
@@ -20,6 +21,9 @@ _CODES: Final = {
     "f32": "<f4",
     "f64": "<f8",
 }
+
+_OTHER_COLUMNS: Final = ("host_time_ns",)
+"""What recordings add to tables."""
 
 
 class Batch:
@@ -36,6 +40,8 @@ class Batch:
             queue the shape of all three is (samples, channels), with one it is (values,).
         raw: the values as they are on the wire; a structure is a structured type of NumPy.
         counts: how many values each sample has.
+        lost, missed: values and SIFs that were lost meanwhile, as the samples told.
+        is_reset: the board was reset meanwhile, so that the times went back.
 
     Raises:
         LocalError: NumPy is missing, or a payload is no sample.
@@ -44,6 +50,8 @@ class Batch:
     def __init__(self, sensor: Transducer, payloads: Iterable[bytes]) -> None:
         np = _module("numpy", "arrays")
         self.sensor = sensor
+        self.lost = self.missed = 0
+        self.is_reset = False
         value = _dtype(sensor.type)
         entry = np.dtype([("time_us", "<u8"), ("raw", value)])
         parts = list(payloads)
@@ -83,33 +91,51 @@ class Batch:
         values = self.raw.astype("f8")
         if sensor.has("scale") or sensor.has("offset"):
             values = values * sensor.scale + sensor.offset
-        values[self.times_us == 0] = np.nan
-        if sensor.na is not None:
-            values[self.raw == sensor.na] = np.nan
+        values[self._is_none()] = np.nan
         return values
+
+    def _is_none(self) -> Any:
+        """Return where there is no value; N/A that is NaN is NaN anyway."""
+        is_none = self.times_us == 0
+        na = self.sensor.na
+        return is_none if na is None else is_none | (self.raw == na)
 
     def to_pandas(self) -> Any:
         """Return a table with a row for each value: time_us, channel, value.
 
-        The columns of a structure are its fields, and those of an array have numbers, such as
-        rate_0, rate_1; both are raw.
+        Values are 64-bit floating-point numbers, NaN where there is none; integers of 64 bits
+        without scale and offset stay integers, `pandas.NA` where there is none. The columns of a
+        structure are its fields, and those of an array have numbers, such as rate_0, rate_1; both
+        are raw. A name that is there already gets a number, such as time_us2.
 
         Raises:
             LocalError: pandas is missing.
         """
         pandas = _module("pandas", "arrays")
         columns = {"time_us": self.times_us.ravel(), "channel": self.channels.ravel()}
-        if number_element(self.sensor.type) is not None:
+        sensor = self.sensor
+        element = number_element(sensor.type)
+        if element in ("i64", "u64") and not (sensor.has("scale") or sensor.has("offset")):
+            value = pandas.Series(self.raw.ravel(), dtype="Int64" if element == "i64" else "UInt64")
+            value[self._is_none().ravel()] = pandas.NA
+            columns["value"] = value
+        elif element is not None:
             columns["value"] = self.values.ravel()
         else:
             shape = self.raw.shape[self.times_us.ndim :]
-            columns |= _columns("", self.raw.reshape(-1, *shape))
+            for name, part in _columns("", self.raw.reshape(-1, *shape)):
+                columns[free_name(name, {*columns, *_OTHER_COLUMNS})] = part
         return pandas.DataFrame(columns)
 
     @classmethod
     def of(cls, sensor: Transducer, samples: Iterable[Sample]) -> "Batch":
         """Return a batch of samples that have come; raises as the class."""
-        return cls(sensor, [sample.payload for sample in samples])
+        found = list(samples)
+        batch = cls(sensor, [sample.payload for sample in found])
+        batch.lost = sum(sample.lost for sample in found)
+        batch.missed = sum(sample.missed for sample in found)
+        batch.is_reset = any(sample.is_reset for sample in found)
+        return batch
 
 
 def _dtype(kind: Type) -> Any:
@@ -122,19 +148,19 @@ def _dtype(kind: Type) -> Any:
     return one if kind.count is None else (one, (kind.count,))
 
 
-def _columns(name: str, values: Any) -> dict[str, Any]:
-    """Return the columns of values that are structures or arrays, each of numbers."""
+def _columns(name: str, values: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the columns of values that are structures or arrays, each of numbers."""
     if values.dtype.names is not None:
         parts = {key: values[key] for key in values.dtype.names}
     elif values.ndim > 1:
         parts = {str(at): values[:, at] for at in range(values.shape[1])}
     else:
-        return {name or "value": values}
-    found: dict[str, Any] = {}
+        yield name or "value", values
+        return
     for key, part in parts.items():
-        whole = f"{name}_{key}" if name else f"value_{key}" if key.isdigit() else key
-        found |= _columns(whole, part)
-    return found
+        yield from _columns(
+            f"{name}_{key}" if name else f"value_{key}" if key.isdigit() else key, part
+        )
 
 
 def _shaped(dtype: Any) -> tuple[Any, ...]:

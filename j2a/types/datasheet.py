@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from html import escape
 from typing import Any, Final
 
-from j2a.types.model import Enumeration
+from j2a.types.model import Enumeration, Structure
 from j2a.types.transducers import (
     KEYS,
     LOST_BYTES,
@@ -74,24 +74,27 @@ def _identification(one: Transducer) -> Rows:
 
 def _characteristics(one: Transducer) -> Rows:
     yield "Channels", str(one.channels)
-    yield "Unit", one.unit or "none (a number)"
+    element = one.type.element
+    is_structure = isinstance(element, Structure)
+    yield "Unit", one.unit or ("those of its fields" if is_structure else "none (a number)")
     yield "Raw value", str(one.type).partition(" ")[0]
-    if isinstance(one.type.element, Enumeration):
-        yield (
-            "Raw values",
-            ", ".join(f"{number} {name}" for name, number in one.type.element.values),
-        )
+    if isinstance(element, Structure):
+        yield "Fields", ", ".join(map(str, element.fields))
+    if isinstance(element, Enumeration):
+        yield "Raw values", ", ".join(f"{number} {name}" for name, number in element.values)
     if one.range is not None:
         yield "Range", " to ".join(_physical(one, raw) for raw in one.range)
     if one.accuracy is not None:
         yield "Accuracy", f"± {one.accuracy:g}{_unit(one)}"
     if one.is_sensor:
-        yield "No value (N/A)", one.get("na") or "each value is one"
+        yield "No value (N/A)", "each value is one" if one.na is None else f"raw {one.get('na')}"
 
 
 def _calibration(one: Transducer) -> Rows:
     if one.has("scale") or one.has("offset"):
-        yield "Value", f"raw * {one.get('scale', '1')} + {one.get('offset', '0')}{_unit(one)}"
+        offset = one.get("offset", "0")
+        sign = "-" if offset.startswith("-") else "+"
+        yield "Value", f"raw * {one.get('scale', '1')} {sign} {offset.lstrip('-')}{_unit(one)}"
         if number_element(one.type) is not None:
             yield "Resolution", f"{abs(one.scale):g}{_unit(one)}"
 
@@ -150,9 +153,10 @@ h3 {{ margin: 1rem 0 0; font-size: 1rem; opacity: .8; }}
 table {{ border-collapse: collapse; width: 100%; }}
 th, td {{ text-align: left; vertical-align: top; padding: .1rem .5rem .1rem 0;
   border-bottom: 1px solid #8884; overflow-wrap: anywhere; }}
-th {{ font-weight: normal; width: 15rem; opacity: .8; }}
+th {{ font-weight: normal; width: 36%; opacity: .8; }}
 pre {{ overflow-x: auto; }}
-@media print {{ nav {{ display: none; }} body {{ margin: 0; }} section {{ break-before: page; }} }}
+@media print {{ nav {{ display: none; }} body {{ margin: 0; }}
+  section + section {{ break-before: page; }} }}
 </style>
 </head>
 <body>

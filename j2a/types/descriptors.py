@@ -6,6 +6,7 @@ Rules: errors name the character where the text goes wrong; the work is bounded 
 the text. What a later version may have added is skipped (J2A-TRANS-022).
 """
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -145,8 +146,8 @@ def _is_raw(text: str) -> bool:
     return text == "nan" or bool(_DECIMAL.fullmatch(text) or _HEX.fullmatch(text))
 
 
-def _is_decimal(text: str) -> bool:
-    return _DECIMAL.fullmatch(text) is not None
+def _is_finite(text: str) -> bool:
+    return _DECIMAL.fullmatch(text) is not None and math.isfinite(float(text))
 
 
 def _is_number(low: int, high: int) -> Callable[[str], bool]:
@@ -158,13 +159,13 @@ _FORMS: Final[Mapping[str, tuple[str, Callable[[str], bool]]]] = {
     "prefix": ("a name", lambda text: NAME.fullmatch(text) is not None),
     "model": ("a text", bool),
     "na": ("a raw value or none", lambda text: text == "none" or _is_raw(text)),
-    "scale": ("a decimal number", _is_decimal),
-    "offset": ("a decimal number", _is_decimal),
+    "scale": ("a decimal number", _is_finite),
+    "offset": ("a decimal number", _is_finite),
     "range": (
         "two raw values with a comma and a space between them",
         lambda text: text.count(", ") == 1 and all(map(_is_raw, text.split(", "))),
     ),
-    "accuracy": ("a decimal number", _is_decimal),
+    "accuracy": ("a decimal number", _is_finite),
     "period": ("0 to 4294967295 microseconds", _is_number(0, 0xFFFFFFFF)),
     "enabled": ("0 or 1", _is_number(0, 1)),
     "queue": ("1 to 255 values", _is_number(1, 255)),

@@ -4,12 +4,14 @@ What flows in: an interface and its hash. What flows out: the text of a header. 
 have the fields of a payload, but the padding of the compiler, so they are no payloads.
 """
 
+import re
 from collections.abc import Iterable, Iterator
 from typing import Final
 
 from j2a.types.model import INTEGERS, Enumeration, Field, Interface, Structure
+from j2a.types.naming import CNames
 
-__all__ = ["c_comment", "c_definitions", "c_header", "c_member"]
+__all__ = ["CDefinitions", "c_comment", "c_header", "c_integer"]
 
 _PLAIN: Final = {
     **{name: f"{'u' if name[0] == 'u' else ''}int{bits}_t" for name, bits in INTEGERS.items()},
@@ -17,6 +19,9 @@ _PLAIN: Final = {
     "f32": "float",
     "f64": "double",
 }
+
+_INT_MAX: Final = 0x7FFFFFFF
+_INT64_MAX: Final = 0x7FFFFFFFFFFFFFFF
 
 
 def c_header(interface: Interface, interface_hash: str, source: str) -> str:
@@ -29,53 +34,84 @@ def _lines(interface: Interface, interface_hash: str, source: str) -> Iterator[s
     yield from ("#ifndef J2A_BOARD_H", "#define J2A_BOARD_H", "")
     yield from ("#include <stdbool.h>", "#include <stdint.h>", "")
     yield from (f'#define J2A_BOARD_INTERFACE "{interface_hash}"', "")
-    yield from c_definitions(interface.types)
+    definitions = CDefinitions("J2A_BOARD_H", "J2A_BOARD_INTERFACE")
+    yield from definitions.lines(interface.types)
+    give = definitions.names.give
     yield from ("/* Opcodes, each with the line of the interface. */", "enum {")
     for opcode, line in enumerate(interface.functions):
         if line.name.isidentifier():
-            yield f"    J2A_OPCODE_{line.name} = {opcode}, /* {c_comment(str(line))} */"
+            yield f"    {give(f'J2A_OPCODE_{line.name}')} = {opcode}, /* {c_comment(str(line))} */"
     yield from ("};", "")
     if interface.sifs:
         yield from ("/* Opcodes of SIFs. */", "enum {")
         for sif in interface.sifs:
-            yield f"    J2A_SIF_{sif.name} = {sif.opcode}, /* {c_comment(str(sif))} */"
+            yield f"    {give(f'J2A_SIF_{sif.name}')} = {sif.opcode}, /* {c_comment(str(sif))} */"
         yield from ("};", "")
     yield "#endif"
 
 
 def c_comment(text: str) -> str:
     """Return a text as it can stand in a comment."""
-    return text.replace("*/", "* /")
+    plain = text.replace("*/", "* /").replace("/*", "/ *")
+    return re.sub(r"\?(?=\?)", "? ", plain)  # no trigraphs
 
 
-def c_definitions(types: Iterable[Enumeration | Structure]) -> Iterator[str]:
-    """Yield the lines that define enumerations and structures."""
-    for definition in types:
-        if isinstance(definition, Enumeration):
-            yield from _enumeration(definition)
-        else:
-            yield from _structure(definition)
+def c_integer(number: int) -> str:
+    """Return an integer of up to 64 bits as an expression."""
+    if abs(number) <= _INT_MAX:
+        return f"({number})" if number < 0 else f"{number}"
+    if number > _INT64_MAX:
+        return f"UINT64_C({number})"
+    if number < -_INT64_MAX:
+        return f"(-INT64_C({_INT64_MAX}) - 1)"
+    return f"INT64_C({number})" if number > 0 else f"(-INT64_C({-number}))"
 
 
-def _enumeration(definition: Enumeration) -> Iterator[str]:
-    yield f"/* {definition.integer} in payloads */"
-    yield "typedef enum {"
-    for name, number in definition.values:
-        yield f"    {definition.name}_{name} = {number},"
-    yield from (f"}} {definition.name};", "")
+class CDefinitions:
+    """Enumerations and structures in C.
 
+    Args:
+        taken: names that the header uses otherwise.
 
-def _structure(definition: Structure) -> Iterator[str]:
-    yield f"/* {definition.size} bytes in payloads, where there is no padding */"
-    yield "typedef struct {"
-    yield from (f"    {c_member(field)}" for field in definition.fields)
-    yield from (f"}} {definition.name};", "")
+    Attributes:
+        names: of the header.
+    """
 
+    def __init__(self, *taken: str) -> None:
+        self.names = CNames(*taken)
+        self._types: dict[str, str] = {}
 
-def c_member(field: Field) -> str:
-    """Return the declaration of a field; its unit is a comment."""
-    element = field.type.element
-    name = _PLAIN[element] if isinstance(element, str) else element.name
-    count = f"[{field.type.count}]" if field.type.count else ""
-    unit = f" /* {c_comment(field.type.unit)} */" if field.type.unit else ""
-    return f"{name} {field.name}{count};{unit}"
+    def lines(self, types: Iterable[Enumeration | Structure]) -> Iterator[str]:
+        """Yield the lines that define them."""
+        for definition in types:
+            name = self._types[definition.name] = self.names.give(definition.name)
+            if isinstance(definition, Enumeration):
+                yield from self._enumeration(definition, name)
+                continue
+            yield f"/* {definition.size} bytes in payloads, where there is no padding */"
+            yield "typedef struct {"
+            members = CNames()
+            for field in definition.fields:
+                yield f"    {self.member(field, members.give(field.name))}"
+            yield from (f"}} {name};", "")
+
+    def _enumeration(self, definition: Enumeration, name: str) -> Iterator[str]:
+        values = [(self.names.give(f"{name}_{value}"), n) for value, n in definition.values]
+        yield f"/* {definition.integer} in payloads */"
+        if all(abs(number) <= _INT_MAX for _, number in values):
+            yield "typedef enum {"
+            yield from (f"    {value} = {number}," for value, number in values)
+            yield from (f"}} {name};", "")
+            return
+        # C has no enumerators that are longer than an int.
+        yield f"typedef {_PLAIN[definition.integer]} {name};"
+        yield from (f"#define {value} {c_integer(number)}" for value, number in values)
+        yield ""
+
+    def member(self, field: Field, name: str) -> str:
+        """Return the declaration of a field under a name; its unit is a comment."""
+        element = field.type.element
+        kind = _PLAIN[element] if isinstance(element, str) else self._types[element.name]
+        count = f"[{field.type.count}]" if field.type.count else ""
+        unit = f" /* {c_comment(field.type.unit)} */" if field.type.unit else ""
+        return f"{kind} {name}{count};{unit}"

@@ -8,10 +8,11 @@ case.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from typing import Final
 
 from j2a.types.model import Enumeration, Field, Structure, Type
+from j2a.types.naming import is_reserved
 from j2a.types.transducers import Descriptors, Transducer
 
 __all__ = [
@@ -38,6 +39,12 @@ _NUMBERS: Final = {
 }
 
 
+_BUILTIN: Final = frozenset(
+    {*_NUMBERS.values(), "string", "wstring", "byte", "char", "time", "duration", "Header"}
+)
+"""Types of ROS 1, for which it would take a structure of the same name."""
+
+
 class _Dialect:
     """What differs between ROS 1 and ROS 2.
 
@@ -61,10 +68,10 @@ class _Dialect:
             names.give(transducer)
         for definition in descriptors.types:
             if isinstance(definition, Structure):
-                names.give(definition)
+                names.give(definition, _BUILTIN)
         found = {}
         for transducer in descriptors.transducers:
-            lines = [*_constants([transducer.type]), f"{self._time}[] times"]
+            lines = [*_constants([transducer.type], set()), f"{self._time}[] times"]
             lines.append(f"{self._element(transducer.type, names)}[] values")
             if transducer.queue:
                 lines += ["uint8[] channels", "uint16 lost"]
@@ -77,8 +84,8 @@ class _Dialect:
         return found
 
     def _structure(self, definition: Structure, names: "_Names") -> Iterator[str]:
-        yield from _constants([field.type for field in definition.fields])
         fields = _Names(self._field)
+        yield from _constants([field.type for field in definition.fields], fields.taken)
         for field in definition.fields:
             count = "" if field.type.count is None else f"[{field.type.count}]"
             yield f"{self._element(field.type, names)}{count} {fields.give(field)}"
@@ -91,19 +98,23 @@ class _Dialect:
 
 
 class _Names:
-    """Names that differ from each other."""
+    """Names that differ from each other, in more than case: messages are files.
+
+    Attributes:
+        taken: in lower case.
+    """
 
     def __init__(self, make: Callable[[str], str]) -> None:
         self._make = make
         self._of: dict[tuple[str, str], str] = {}
+        self.taken: set[str] = set()
 
-    def give(self, one: Transducer | Structure | Field) -> str:
+    def give(self, one: Transducer | Structure | Field, reserved: Container[str] = ()) -> str:
         """Return a name that no other one has."""
-        first = name = self._make(one.name)
-        number = 1
-        while name in self._of.values():
-            number += 1
-            name = f"{first}{number}"
+        name = self._make(one.name)
+        if name in reserved:
+            name = f"x_{name}"
+        name = _free(name, self.taken)
         self._of[type(one).__name__, one.name] = name
         return name
 
@@ -111,24 +122,37 @@ class _Names:
         return self._of[type(one).__name__, one.name]
 
 
-def _constants(types: list[Type]) -> Iterator[str]:
+def _free(name: str, taken: set[str]) -> str:
+    """Return a name that differs from those in `taken` in more than case; then it is taken, too."""
+    made, number = name, 1
+    while made.lower() in taken:
+        number += 1
+        made = f"{name}{number}"
+    taken.add(made.lower())
+    return made
+
+
+def _constants(types: list[Type], taken: set[str]) -> Iterator[str]:
     """Yield a constant for each value of the enumerations."""
     seen = {one.element.name: one.element for one in types if isinstance(one.element, Enumeration)}
     for enumeration in seen.values():
         for name, number in enumeration.values:
             constant = re.sub(r"_+", "_", f"{enumeration.name}_{name}").strip("_").upper()
+            constant = _free(constant if constant[:1].isalpha() else f"X{constant}", taken)
             yield f"{_NUMBERS[enumeration.integer]} {constant}={number}"
 
 
 def _plain(name: str) -> str:
-    """Return a name that begins with a letter."""
-    return name if name[0].isalpha() else f"x{name}"
+    """Return a name that begins with a letter, and that C++ and Python do not reserve."""
+    made = name if name[0].isalpha() else f"x{name}"
+    return f"x_{made}" if is_reserved(made) else made
 
 
 def camel_case(name: str) -> str:
     """Return a name as ROS 2 wants it of a message: `dist_ir` becomes `DistIr`."""
-    words = [word for word in _plain(name).split("_") if word]
-    return "".join(word[0].upper() + word[1:] for word in words)
+    words = [word for word in name.split("_") if word]
+    made = "".join(word[0].upper() + word[1:] for word in words)
+    return made if made[:1].isalpha() and not is_reserved(made) else f"X{made}"
 
 
 def _lower_case(name: str) -> str:

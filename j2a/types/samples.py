@@ -6,9 +6,11 @@ Rules: a payload that is not what the descriptor says gives no value; what canno
 here, before anything is sent (J2A-TRANS-025).
 """
 
+import contextlib
 import math
 import struct
 from collections.abc import Sequence
+from numbers import Integral, Real
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -44,7 +46,7 @@ class SampleCodec:
         self._range = transducer.range
         self._scale, self._offset = transducer.scale, transducer.offset
         self._is_scaled = transducer.has("scale") or transducer.has("offset")
-        element = number_element(transducer.type)
+        element = self._element = number_element(transducer.type)
         self._is_number = element not in (None, "bool")
         self._is_integer = element is not None and element[0] in "ui"
         self._whole = None
@@ -157,11 +159,14 @@ class SampleCodec:
         """
         if not self._is_scaled or not self._is_number:
             return value
-        if not isinstance(value, int | float) or not math.isfinite(value):
-            raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
         if self._scale == 0:
             raise WrongArgument(f"{self.transducer.name} has the scale 0: set it by raw values")
-        raw = (value - self._offset) / self._scale
+        raw = math.nan
+        if isinstance(value, Real):
+            with contextlib.suppress(OverflowError):
+                raw = (float(value) - self._offset) / self._scale
+        if not math.isfinite(raw):
+            raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
         return round(raw) if self._is_integer else raw
 
     def check_range(self, raw: Raw) -> None:
@@ -174,8 +179,10 @@ class SampleCodec:
             return
         low, high = self._range
         try:
+            if self._element == "f32":  # the device compares what is left of it there
+                raw = self.unpack_raw(self.pack_raw(raw))
             is_inside = low <= raw <= high
-        except TypeError:
+        except (TypeError, ValueError):
             is_inside = True  # the type refuses it
         if not is_inside:
             raise WrongArgument(
@@ -186,7 +193,8 @@ class SampleCodec:
     def _told(self, raw: Raw) -> str:
         unit = self.transducer.unit
         if not self._is_scaled:
-            return f"{raw}{unit and ' '}{unit}"
+            number = f"{raw:g}" if isinstance(raw, float) else f"{raw}"
+            return f"{number}{unit and ' '}{unit}"
         return f"{raw * self._scale + self._offset:g}{unit and ' '}{unit} (raw {raw})"
 
     # ------------------------------------------------------------------ settings
@@ -225,6 +233,6 @@ def pack_time(time_us: int) -> bytes:
     Raises:
         WrongArgument: it is no number of microseconds.
     """
-    if not isinstance(time_us, int) or not 0 <= time_us < 1 << 64:
+    if not isinstance(time_us, Integral) or not 0 <= time_us < 1 << 64:
         raise WrongArgument(f"a time is a number of microseconds from 0 on, not {time_us!r:.40}")
-    return _TIME_US.pack(time_us)
+    return _TIME_US.pack(int(time_us))

@@ -147,6 +147,8 @@ class _Entry:
         if element not in known:
             near = get_close_matches(element, [*known, *_C_TYPES], n=1)
             hint = f"; near it is {near[0]}" if near else ""
+            if element in _C_TYPES:
+                hint = f" in an array; write {_C_TYPES[element]}"
             raise self._reader.error(f"{element} is no type{hint}", kind)
 
     def _type(self, node: Node) -> str:

@@ -4,11 +4,13 @@ What flows in: descriptors. What flows out: the text of a header with their ids,
 scales and offsets. Rule: structures have the padding of the compiler, so they are no payloads.
 """
 
+import math
 from collections.abc import Iterator
 
-from j2a.types.header import c_comment, c_definitions, c_member
+from j2a.types.header import CDefinitions, c_comment, c_integer
 from j2a.types.model import Field
-from j2a.types.transducers import Descriptors, Transducer
+from j2a.types.naming import free_name
+from j2a.types.transducers import Descriptors, Raw, Transducer
 
 __all__ = ["transducers_header"]
 
@@ -22,26 +24,35 @@ def _lines(descriptors: Descriptors, source: str) -> Iterator[str]:
     yield f"/* The transducers of {c_comment(source)}, written by j2a transds; do not edit. */"
     yield from ("#ifndef J2A_TRANSDUCERS_H", "#define J2A_TRANSDUCERS_H", "")
     yield from ("#include <stdbool.h>", "#include <stdint.h>", "")
-    yield from c_definitions(descriptors.types)
+    definitions = CDefinitions("J2A_TRANSDUCERS_H")
+    yield from definitions.lines(descriptors.types)
+    prefixes: set[str] = set()
     for one in descriptors.transducers:
-        yield from _transducer(one)
+        prefix = free_name(f"J2A_{one.name.upper()}", prefixes)
+        prefixes.add(prefix)
+        yield from _transducer(one, prefix, definitions)
     yield "#endif"
 
 
-def _transducer(one: Transducer) -> Iterator[str]:
+def _transducer(one: Transducer, prefix: str, definitions: CDefinitions) -> Iterator[str]:
+    give = definitions.names.give
     yield f"/* {c_comment(str(one)).replace(chr(10), chr(10) + '   ')} */"
-    prefix = f"J2A_{one.name.upper()}"
-    yield f"#define {prefix}_ID {one.id}"
-    yield f"#define {prefix}_CHANNELS {one.channels}"
+    yield f"#define {give(f'{prefix}_ID')} {one.id}"
+    yield f"#define {give(f'{prefix}_CHANNELS')} {one.channels}"
     if one.has("scale") or one.has("offset"):
-        yield f"#define {prefix}_SCALE {one.scale!r}"
-        yield f"#define {prefix}_OFFSET {one.offset!r}"
+        yield f"#define {give(f'{prefix}_SCALE')} {one.scale!r}"
+        yield f"#define {give(f'{prefix}_OFFSET')} {one.offset!r}"
     if one.na is not None:
-        yield f"#define {prefix}_NA {_raw(one.get('na'))}"
-    value = c_member(Field("value", one.type))
-    yield f"typedef struct {{ uint64_t time_us; {value} }} j2a_{one.name}_reading;"
+        yield f"#define {give(f'{prefix}_NA')} {_raw(one.na, one.get('na'))}"
+    value = definitions.member(Field("value", one.type), "value")
+    name = give(f"j2a_{one.name}_reading")
+    yield f"typedef struct {{ uint64_t time_us; {value} }} {name};"
     yield ""
 
 
-def _raw(text: str) -> str:
-    return "(0.0 / 0.0)" if text == "nan" else f"({text})"
+def _raw(value: Raw, text: str) -> str:
+    if isinstance(value, float):
+        if math.isnan(value):
+            return "(0.0 / 0.0)"
+        return f"(1e999 * {math.copysign(1, value):.0f})" if math.isinf(value) else f"({value!r})"
+    return f"({text})" if "x" in text else c_integer(value)

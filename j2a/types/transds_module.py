@@ -14,7 +14,8 @@ from j2a.types.transducers import Descriptors, Transducer
 
 __all__ = ["transducers_module"]
 
-_OWN: Final = ("self", "client")
+_OWN: Final = ("self", "client", "isinstance", "j2a")
+_CLASSES: Final = ("AsyncTransducers", "IntEnum", "Transducers")
 
 
 def transducers_module(descriptors: Descriptors, source: str) -> str:
@@ -34,7 +35,8 @@ def _lines(descriptors: Descriptors, source: str) -> Iterator[str]:
     if enumerations:
         yield from ("from enum import IntEnum", "")
     yield from ("import j2a", "")
-    names = python_names([class_name(one.name) for one in enumerations])
+    wanted = [*_CLASSES, *(class_name(one.name) for one in enumerations)]
+    names = python_names(wanted)[len(_CLASSES) :]
     for name, definition in zip(names, enumerations, strict=True):
         yield from (
             "",

@@ -5,6 +5,7 @@ What flows in: the pieces, from the parser, or from a `transds.def`. What flows 
 """
 
 import math
+import struct
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,6 +25,7 @@ __all__ = [
     "longest_sample",
     "number_element",
     "problem",
+    "rounded",
 ]
 
 Raw = int | float | bool
@@ -49,6 +51,7 @@ KEYS: Final = (
 )
 """What attributes have a meaning (SPEC.md, section 22)."""
 
+_F32: Final = struct.Struct("<f")
 MAX_CHANNELS: Final = 255
 TIME_BYTES: Final = 8
 LOST_BYTES: Final = 2
@@ -186,7 +189,7 @@ class Transducer:
         if element[0] == "f":
             if text == "nan":
                 return math.nan
-            return float(int(text, 16)) if "x" in text else float(text)
+            return rounded(element, float(int(text, 16)) if "x" in text else float(text))
         number = int(text, 16 if "x" in text else 10)
         if element == "bool":
             if number not in (0, 1):
@@ -196,6 +199,22 @@ class Transducer:
         if number not in allowed:
             raise ValueError(f"{text} is not {allowed[0]} to {allowed[-1]} ({element})")
         return number
+
+
+def rounded(element: str, number: float) -> float:
+    """Return what is left of a number in a floating-point type, as it comes in samples.
+
+    Raises:
+        ValueError: it does not fit.
+    """
+    if element == "f32":
+        try:
+            [number] = _F32.unpack(_F32.pack(number))
+        except OverflowError:
+            raise ValueError(f"{number:g} does not fit into f32") from None
+    if math.isinf(number):
+        raise ValueError(f"{number:g} does not fit into {element}")
+    return number
 
 
 def number_element(kind: Type) -> str | None:

@@ -152,7 +152,7 @@ def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
     if text == "nan" and element in ("f32", "f64"):
         return math.nan
     if element in ("f32", "f64") and _NUMBER.fullmatch(text):
-        return float(text)
+        return _rounded(element, float(text))
     if _HEX.fullmatch(text):
         number = int(text, 16)
     elif re.fullmatch(r"-?[0-9]{1,20}", text):
@@ -160,7 +160,7 @@ def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
     else:
         raise ValueError(f"{found.name}: {text!r} is no raw value")
     if element in ("f32", "f64"):
-        return float(number)
+        return _rounded(element, float(number))
     signed, bits = _INTEGERS.get(element, (False, 1))
     low = -(1 << bits - 1) if signed else 0
     if not low <= number < low + (1 << bits):
@@ -168,16 +168,28 @@ def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
     return number
 
 
+def _rounded(element: str, number: float) -> float:
+    """Return what is left of a number in its type, so that it equals one that came in a sample."""
+    kind = cs.Float32l if element == "f32" else cs.Float64l
+    try:
+        value: float = kind.parse(kind.build(number))
+    except cs.FormatFieldError:
+        value = math.inf
+    if math.isinf(value):
+        raise ValueError(f"{number} is above all of {element}")
+    return value
+
+
 def _is_number(low: int, high: int) -> Callable[[str], bool]:
     return lambda text: bool(re.fullmatch("[0-9]{1,10}", text)) and low <= int(text) <= high
 
 
 def _is_decimal(text: str) -> bool:
-    return _NUMBER.fullmatch(text) is not None
+    return _NUMBER.fullmatch(text) is not None and math.isfinite(float(text))
 
 
 def _is_raw(text: str) -> bool:
-    return text == "nan" or _is_decimal(text) or _HEX.fullmatch(text) is not None
+    return text == "nan" or _NUMBER.fullmatch(text) is not None or _HEX.fullmatch(text) is not None
 
 
 def _is_raw_or_none(text: str) -> bool:

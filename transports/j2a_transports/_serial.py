@@ -15,6 +15,7 @@ import os
 import re
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from ._base import BadUrl, LinkLost, Listener, MissingExtra, OpenFailed, Transport
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 SLICE_S: Final = 0.05
 PIECE: Final = 256
 # pyserial's ports whose descriptor carries the plain bytes.
+# Their names tell that bytes leave at the bit rate; a port of CDC-ACM only has a number for it.
+_UARTS: Final = ("ttyS", "ttyUSB", "ttyAMA", "ttymxc", "cu.usbserial")
 POLLABLE: Final = ("serial.serialposix", "serial.urlhandler.protocol_socket")
 
 _OPTIONS: Final = (
@@ -119,6 +122,7 @@ def open_url(url: Url) -> Transport:
         transport = SerialTransport(url.text, port, options["write_timeout"])
     else:
         transport = _threaded(url.text, port, options["write_timeout"])
+    transport.byte_time_s = _byte_time_s(name, options)
     try:
         _discard(transport, options["boot"])
     except LinkLost as error:
@@ -128,6 +132,14 @@ def open_url(url: Url) -> Transport:
         transport.close()
         raise
     return transport
+
+
+def _byte_time_s(name: str, options: dict[str, Any]) -> float:
+    """Return how long a byte takes on the wire; 0 where there may be no wire, as on the USB."""
+    if not Path(name).resolve().name.startswith(_UARTS):
+        return 0.0
+    bits = 1 + options["bits"] + (options["parity"] != "N") + options["stopbits"]
+    return float(bits / options["baud"])
 
 
 def listen_url(url: Url) -> Listener:

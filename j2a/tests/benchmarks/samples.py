@@ -17,11 +17,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 import j2a_transports
 
 import j2a
+from j2a.fleet import by_url
 from j2a.types.transds_file import read_transds
 
 STAMPS = 3000
@@ -72,12 +73,17 @@ def serve(kind: str) -> None:
             make(STAMP, bytes(16), STAMP_S, STAMPS).serve(host)
         return
     if kind == "boards":
+        # One board in all but name: it sends each sample to every host, and listens at every URL.
         device = make(EIGHT, b"".join([struct.pack("<Qh", 1, 5)] * 8), 1 / BOARD_HZ, _count(kind))
+        urls = ["tcp://127.0.0.1:0"] * BOARDS
     else:
         device = make(LIDAR, bytes(_LIDAR_BYTES), _FRAME_BITS / LIDAR_BITS, _count(kind))
-    with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
-        threading.Thread(target=device.serve_forever, args=(listener,), daemon=True).start()
-        print(listener.url, flush=True)
+        urls = ["tcp://127.0.0.1:0"]
+    with ExitStack() as stack:
+        listeners = [stack.enter_context(j2a_transports.listen(url)) for url in urls]
+        for listener in listeners:
+            threading.Thread(target=device.serve_forever, args=(listener,), daemon=True).start()
+        print(*(listener.url for listener in listeners), flush=True)
         sys.stdin.read()
         device.stop()
 
@@ -90,14 +96,14 @@ def _count(kind: str) -> int:
 
 
 @contextmanager
-def boards(kind: str) -> Iterator[str]:
-    """Start the process of the boards; yields their URL."""
+def boards(kind: str) -> Iterator[list[str]]:
+    """Start the process of the boards; yields their URLs."""
     command = [sys.executable, "-m", __spec__.name, kind]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as child:
         assert child.stdout is not None
-        yield child.stdout.readline().strip()
+        yield child.stdout.readline().split()
         child.communicate()
 
 
@@ -120,27 +126,26 @@ def latency() -> list[float]:
     return found
 
 
-async def many(url: str) -> tuple[int, float]:
+async def many(urls: Sequence[str]) -> tuple[int, float]:
     """Return how many samples of all boards came to one event loop, and its CPU seconds."""
     came = 0
+    all_came = asyncio.Event()
+    due = BOARDS * _count("boards")
 
     def take(_sample: j2a.Sample) -> None:
         nonlocal came
         came += 1
+        if came == due:
+            all_came.set()
 
-    clients = await asyncio.gather(*(j2a.aconnect(url, boot_time=30.0) for _ in range(BOARDS)))
-    for client in clients:
-        client.transducers["eight"].on_sample(take)
-    begin = time.process_time()
-    # One board in all but name: it sends each sample to every host.
-    await clients[0].functions.begin()
-    due = BOARDS * _count("boards")
-    end = time.monotonic() + 60
-    while came < due and time.monotonic() < end:
-        await asyncio.sleep(0.05)
-    cpu_s = time.process_time() - begin
-    await asyncio.gather(*(client.close() for client in clients))
-    return came, cpu_s
+    async with j2a.AsyncFleet(*urls, identify=by_url, boot_time=30.0) as fleet:
+        await fleet.wait(*urls, timeout=60.0)
+        fleet.on_sample(take, "eight")
+        begin = time.process_time()
+        await fleet[urls[0]].functions.begin()
+        with suppress(TimeoutError):
+            await asyncio.wait_for(all_came.wait(), 60)
+        return came, time.process_time() - begin
 
 
 def lidar(url: str) -> tuple[int, float, float]:
@@ -177,15 +182,15 @@ def main() -> int:
     parts = (("median", 0.5), ("90 %", 0.9), ("99 %", 0.99), ("99.9 %", 0.999), ("most", 1.0))
     print("  " + ", ".join(f"{name} {quantile(found, part):.3f}" for name, part in parts))
     print(f"  mean {statistics.fmean(found):.3f}, least {found[0]:.3f}")
-    with boards("boards") as url:
-        came, cpu_s = asyncio.run(many(url))
+    with boards("boards") as urls:
+        came, cpu_s = asyncio.run(many(urls))
     due = BOARDS * _count("boards")
     is_whole = came == due
     print(
         f"{BOARDS} boards of 8 channels at {BOARD_HZ} Hz on one loop: {came} of {due} samples, "
         f"{100 * cpu_s / BOARD_S:.0f} % of a processor, {1e6 * cpu_s / max(1, came):.0f} us each"
     )
-    with boards("lidar") as url:
+    with boards("lidar") as [url]:
         came, cpu_s, seconds = lidar(url)
     due = _count("lidar")
     rate = came * _FRAME_BITS / seconds / 1e6

@@ -97,6 +97,38 @@ def test_a_long_recording_is_written_piece_by_piece(run, path, tmp_path, monkeyp
     assert len(list(pieces.iterdir())) == len(SAMPLES)
 
 
+def test_what_boards_are_called_stays_in_the_folder(run, tmp_path):
+    path, out = tmp_path / "odd.mcap", tmp_path / "out"
+    sensors = read_transds("SENSOR(quad, 0, quad, X, 1, u8, none)")
+    with Recorder(path) as recorder:
+        for name in ("../a b", ".._a_b", "=1+1", "x" * 300):
+            recorder.add_board(name, sensors)
+            sample = j2a.Sample("b", "quad", 0, (), 0.0, payload=struct.pack("<QB", 1, 2))
+            recorder.write(name, sample, NOW_NS)
+    assert run("export", path, out).code == 0
+    names = {one.name for one in out.iterdir()}
+    assert names == {
+        ".._a_b_quad.csv", ".._a_b_quad2.csv", "_1_1_quad.csv", f"{'x' * 50}_quad.csv",
+    }  # fmt: skip
+    assert {one.name for one in tmp_path.iterdir()} == {"odd.mcap", "out"}
+
+
+def test_integers_of_64_bits_stay_exact(run, tmp_path):
+    path = tmp_path / "wide.mcap"
+    sensors = read_transds("SENSOR(big, 0, big, X, 2, u64, 0xFFFFFFFFFFFFFFFF)")
+    with Recorder(path) as recorder:
+        recorder.add_board("b", sensors)
+        payload = struct.pack("<QQQQ", 1, (1 << 64) - 2, 2, (1 << 64) - 1)
+        recorder.write("b", j2a.Sample("b", "big", 0, (), 0.0, payload=payload), NOW_NS)
+    for form in ("csv", "parquet"):
+        assert run("export", path, tmp_path / form, "--format", form).code == 0
+    assert (tmp_path / "csv" / "b_big.csv").read_text() == (
+        f"host_time_ns,time_us,channel,value\n{NOW_NS},1,0,{(1 << 64) - 2}\n{NOW_NS},2,1,\n"
+    )
+    table = parquet.read_table(tmp_path / "parquet" / "b_big.parquet")
+    assert table["value"].to_pylist() == [(1 << 64) - 2, None]
+
+
 def test_what_cannot_be_exported(run, path, tmp_path):
     result = run("export", tmp_path / "none.mcap", tmp_path / "out")
     assert (result.code, result.out) == (2, "")

@@ -1,5 +1,6 @@
 """`j2a transds`, and `j2a serve --transds`: files and boards, what is written, what is refused."""
 
+import errno
 import json
 import subprocess
 import sys
@@ -141,8 +142,21 @@ def test_other_mistakes(run, transds, tmp_path):
     assert "-D and -U" in failed(run, 2, "transds", "tcp://127.0.0.1:1", "-D", "X").err
     transds.write_text(LISTING_9_2)
     assert "cannot write" in failed(run, 2, "transds", transds, "--c", transds / "a.h").err
+    transds.write_text("/* nothing */")
+    assert "transds.def lists no transducers" in run("transds", transds).err
+    transds.write_text("SENSOR(a, 1, a, X, 1, array(int16_t, 9), none)")
+    assert "int16_t is no type in an array; write i16" in failed(run, 2, "transds", transds).err
     transds.write_text("SENSOR(a, 1, a, X, 1, u8, none, (perod, 5))")
     assert "near it is period" in run("transds", transds).err
+
+
+def test_a_board_of_a_file_with_conditions_and_a_serial_number(start, run, transds):
+    transds.write_text("#if BIG\nSENSOR(a, 1, a, X, 1, u8, none)\n#endif\n")
+    server = start("serve", "--transds", str(transds), "-D", "BIG", "--serial", "cart-1")
+    with j2a.Fleet(server.line_with("listening on ").split()[-1], timeout=30) as fleet:
+        fleet.wait("cart-1", timeout=60)
+        assert list(fleet["cart-1"].transducers) == ["a"]
+    assert "are for --transds" in failed(run, 2, "serve", "--serial", "x").err
 
 
 def test_a_condition(run, transds):
@@ -159,3 +173,22 @@ def test_a_board_without_transducers(run, demo):
 def test_the_texts_agree(transds):
     assert str(j2a.load_transds(transds)) == DESCRIPTORS_9_2
     assert main(["transds", str(transds)]) == 0
+
+
+def test_a_file_that_cannot_be_written_stays_as_it_was(run, transds, tmp_path, monkeypatch):
+    transds.write_text(LISTING_9_2)
+    made = tmp_path / "a.h"
+    made.write_text("of before")
+    write_text = Path.write_text
+
+    def write_half(path, text, *args, **options):
+        write_text(path, text[:9], *args, **options)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_text", write_half)
+        assert "No space left" in failed(run, 2, "transds", transds, "--c", made).err
+    assert made.read_text() == "of before"
+    assert {one.name for one in tmp_path.iterdir()} == {"a.h", transds.name}
+    assert run("transds", transds, "--c", made).code == 0
+    assert "J2A_QUAD_ID" in made.read_text()

@@ -1,10 +1,12 @@
 """`j2a watch` of a board with sensors: samples, and how regularly they come."""
 
 import json
+import re
 
 import pytest
 
 import j2a
+from j2a.cli import _watch
 from j2a.cli._samples import Rates, rate_text, sample_text
 from j2a.events import Reading
 from j2a.types.transds_file import read_transds
@@ -37,6 +39,13 @@ def test_samples_are_lines(run, board):
     lines = [line.split() for line in result.out.splitlines()]
     assert [line[1:6:2] + line[5:6] for line in lines] == [["opcode", "seq", "quad", "quad"]] * 3
     assert all(line[7:8] == ["deg,"] and line[-1] == "deg" for line in lines)
+
+
+def test_a_reader_that_is_too_slow_bounds_what_waits(run, board, monkeypatch):
+    monkeypatch.setattr(_watch, "_MOST_WAITING", 0)
+    result = run("watch", board, "--duration", "0.5")
+    assert (result.code, result.out) == (0, "")
+    assert re.search(r"[1-9][0-9]* SIFs were left out", result.err)
 
 
 def test_samples_as_json(run, board):

@@ -31,6 +31,9 @@ ACTUATOR(servo, 10, servo, SG90, 2, int8_t, 5, (unit, %), (range, -100, 100), (w
 ACTUATOR(lamp, 11, lamp, X, 1, bool, none)
 ACTUATOR(heat, 12, heat, X, 1, u16, none, (unit, Cel), (scale, 0.1), (offset, -50),
          (range, 0, 1500))
+ACTUATOR(tiny, 13, tiny, X, 1, f32, none, (scale, 1e-300))
+ACTUATOR(part, 14, part, X, 1, f32, none, (range, -0.1, 0.1))
+SENSOR(cold, 15, cold, X, 1, f32, -999.9)
 """
 
 
@@ -112,6 +115,13 @@ class TestSamples:
         assert reading.value is None
 
     @pytest.mark.requirement("J2A-TRANS-026")
+    @pytest.mark.requirement("J2A-TRANS-024")
+    def test_an_na_value_is_what_is_left_of_it_in_its_type(self, device, board):
+        with board.transducers["cold"].samples() as samples:
+            for value in (None, -999.75):
+                device.sense("cold", 0, value)
+                assert samples.wait(PATIENCE_S).values == (value,)
+
     def test_losses_of_a_queue_are_counted_over_its_wrap(self, device, board):
         lost = [65534, 65534, 1, 3]
         with board.transducers["log"].samples() as samples:
@@ -141,6 +151,20 @@ class TestSamples:
         assert isinstance(error, j2a.ProtocolError)
         assert "a sample of quad" in str(error)
         assert sif.payload == payload
+
+    def test_nonsense_without_end_does_not_fill_the_log(self, device, board, caplog):
+        marked = threading.Event()
+        board.on_sif(0x50, lambda _: marked.set())
+        for size in range(100):
+            device.send_sif(1, bytes(size % 9))
+        device.send_sif(0x50)
+        assert marked.wait(PATIENCE_S)
+        assert [record.getMessage() for record in caplog.records] == [
+            f"a sample of log: {(count - 1) % 9} bytes came, where a sample has 2 and 10 for each "
+            f"value ({count} so far)"
+            for count in (1, 2, 4, 8, 16, 32, 64)
+        ]
+        assert all(record.exc_info is None for record in caplog.records)
 
     @pytest.mark.requirement("J2A-TRANS-023")
     def test_a_channel_that_is_not_there_gives_no_value(self):
@@ -185,6 +209,25 @@ class TestSamples:
                 device.send_sif(7, struct.pack("<Qh", 5, 4))
                 assert samples.wait(PATIENCE_S).values == (12.0,)
 
+    @pytest.mark.requirement("J2A-TRANS-027")
+    def test_a_time_that_goes_back_over_a_boot_sif_is_a_reset(self):
+        with (
+            make_device(boot=True) as device,
+            linked(device) as board,
+            board.transducers["level"].samples() as samples,
+        ):
+            [connection] = device._connections
+            found, learnt = [], threading.Event()
+            board.on_restart(lambda _: learnt.set())
+            for time_us in (1000, 2000, 5, 6):
+                if time_us == 5:
+                    connection.send_sif(c.BOOT, struct.pack("<BHI", 0, 1, 0))
+                    assert learnt.wait(PATIENCE_S)
+                device.send_sif(3, struct.pack("<Qf", time_us, 1.0))
+                found.append(samples.wait(PATIENCE_S))
+        assert [one.is_reset for one in found] == [False, False, True, False]
+        assert [one.sequence for one in found] == [0, 1, 2, 3]
+
     def test_a_stream_that_nobody_reads_loses_the_oldest_and_counts(self, device, board):
         marked = threading.Event()
         board.on_sif(0x50, lambda _: marked.set())
@@ -209,6 +252,39 @@ class TestSamples:
         sender.join()
         with pytest.raises(j2a.WrongArgument, match="1 sample or more"):
             quad.read_batch(0)
+
+    def test_a_batch_tells_losses_and_resets(self, device, board):
+        pytest.importorskip("numpy")
+        log, samples = board.transducers["log"].descriptor, []
+        with board.transducers["log"].samples() as stream:
+            for lost, time_us in ((65535, 9), (3, 10), (3, 5)):
+                device.send_sif(1, struct.pack("<HBQB", lost, 0, time_us, 1))
+                samples.append(stream.wait(PATIENCE_S))
+        batch = j2a.Batch.of(log, samples)
+        assert (batch.lost, batch.missed, batch.is_reset) == (4, 0, True)
+        assert batch.times_us.tolist() == [9, 10, 5]
+
+    def test_a_batch_is_of_one_sensor(self):
+        pytest.importorskip("numpy")
+        with make_device(boot=True) as device, linked(device) as board:
+            quad = board.transducers["quad"]
+            other = FILE.replace("2, int16_t, -1,", "2, uint16_t, 9,")
+            device._runner._server.content = str(read_transds(other)).encode()
+
+            def restart(_sample):
+                [connection] = device._connections
+                connection.send_sif(c.BOOT, struct.pack("<BHI", 0, 1, 0))
+
+            def go_on(_restart):
+                device.send_sif(0, struct.pack("<QHQH", 5, 40000, 5, 1))
+
+            quad.on_sample(restart)
+            board.on_restart(go_on)
+            sender = threading.Timer(0.05, lambda: device.sense("quad", 0, 17))
+            sender.start()
+            with pytest.raises(j2a.InterfaceChanged, match="quad is another sensor now"):
+                quad.read_batch(2, timeout=PATIENCE_S)
+            sender.join()
 
     def test_sifs_go_on_beside_samples(self, device, board):
         with board.sifs(0) as sifs, board.transducers["quad"].samples() as samples:
@@ -259,6 +335,8 @@ class TestSettings:
             ("servo", {"watchdog": 66}, "watchdog is 0 to 65.535 s"),
             ("lamp", {"watchdog": 1}, "has no watchdog"),
             ("quad", {"enabled": False, "period": -1}, "period is"),
+            ("quad", {"enabled": [1]}, "True or False"),
+            ("quad", {"period": 10**400}, "period is"),
         ],
     )
     def test_what_is_wrong_is_refused_before_anything_is_sent(self, board, name, settings, why):
@@ -339,6 +417,11 @@ class TestActuators:
             ("heat", (100.1,), {}, "is -50 Cel.* to 100 Cel"),
             ("heat", (math.nan,), {}, "takes a number"),
             ("heat", ("warm",), {}, "takes a number"),
+            ("heat", (10**400,), {}, "takes a number"),
+            ("servo", ([1, 2],), {}, "servo"),
+            ("tiny", (1e10,), {}, "takes a number"),
+            ("part", (math.inf,), {}, "is -0.1 to 0.1, not inf"),
+            ("part", (10**400,), {}, "part"),
         ],
     )
     def test_what_is_wrong_is_refused_before_anything_is_sent(
@@ -348,6 +431,19 @@ class TestActuators:
         with pytest.raises(j2a.WrongArgument, match=why):
             board.transducers[name].set(*values, **options)
         assert board.counters.frames_sent == before
+
+    def test_numbers_of_numpy(self, board):
+        np = pytest.importorskip("numpy")
+        transducers = board.transducers
+        transducers["heat"].set(np.float32(20))
+        transducers["servo"].set(np.int8(-7), at_us=np.int64(1))
+        transducers["part"].set(np.float32(0.1))
+        transducers["quad"].configure(
+            period=np.float32(0.5), decimation=np.int64(3), enabled=np.True_
+        )
+        assert transducers["heat"].read()[0].raw == 700
+        assert transducers["servo"].read()[0].raw == -7
+        assert (transducers["quad"].period, transducers["quad"].decimation) == (0.5, 3)
 
     def test_a_time_ahead(self, device, board):
         moved, times = threading.Event(), []
@@ -531,3 +627,19 @@ class TestAsyncio:
                 await imu.trigger()
                 await asyncio.wait_for(seen.wait(), PATIENCE_S)
                 assert list(await board.transducers()) == list(board.transducers)
+
+    @in_event_loop
+    async def test_a_batch(self):
+        pytest.importorskip("numpy")
+        device = make_device()
+        with served(device) as url:
+            async with await j2a.aconnect(url) as board:
+                quad = board.transducers["quad"]
+                batch = asyncio.create_task(quad.read_batch(1, timeout=PATIENCE_S))
+                await asyncio.sleep(0)
+                device.sense("quad", 1, 12)
+                assert (await batch).values[0, 1] == 12.0
+                with pytest.raises(j2a.WrongArgument, match="1 sample or more"):
+                    await quad.read_batch(0)
+                with pytest.raises(j2a.CallTimeout):
+                    await quad.read_batch(9, timeout=0.05)

@@ -21,17 +21,25 @@ NAMES = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,9}", fullmatch=True)
 LABELS = st.from_regex(r"[!-'\)-~]{1,12}", fullmatch=True)
 UNITS = st.sampled_from(("", "", "mV", "Cel", "deg", "m/s2", "[in_i]", "%", "10*-3"))
 DOCS = st.sampled_from(("", "", "Adds two numbers.", "Grüße # !slow(3)", "("))
-TYPE_NAMES = NAMES.filter(lambda name: name not in SCALARS and name not in OPEN)
+
+
+def is_type_name(name):
+    return name not in SCALARS and name not in OPEN
+
+
+TYPE_NAMES = NAMES.filter(is_type_name)
 
 
 @st.composite
-def enumerations(draw):
+def enumerations(draw, some_names=NAMES):
     integer = draw(st.sampled_from(sorted(INTEGERS)))
     allowed = integer_range(integer)
     numbers = st.integers(allowed[0], allowed[-1])
-    names = draw(st.lists(NAMES, min_size=1, max_size=5, unique=True))
+    names = draw(st.lists(some_names, min_size=1, max_size=5, unique=True))
     values = draw(st.lists(numbers, min_size=len(names), max_size=len(names), unique=True))
-    return Enumeration(draw(TYPE_NAMES), integer, tuple(zip(names, values, strict=True)))
+    return Enumeration(
+        draw(some_names.filter(is_type_name)), integer, tuple(zip(names, values, strict=True))
+    )
 
 
 def closed_types(types, budget):
@@ -57,8 +65,8 @@ def open_types(draw, types):
 
 
 @st.composite
-def field_lists(draw, types, *, least=0, most=4, budget=255, may_be_open=True):
-    names = draw(st.lists(NAMES, min_size=least, max_size=most, unique=True))
+def field_lists(draw, types, *, least=0, most=4, budget=255, may_be_open=True, names=NAMES):
+    names = draw(st.lists(names, min_size=least, max_size=most, unique=True))
     fields = []
     for number, name in enumerate(names, 1):
         if may_be_open and number == len(names) and draw(st.booleans()):

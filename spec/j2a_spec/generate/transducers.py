@@ -97,6 +97,9 @@ _WRONG = (
     ("a raw structure", "TRANS-004", "struct s (a u8)\n\nsensor a 1 1 s\n na 1\n"),
     ("a raw bool of 2", "TRANS-004", "\nsensor a 1 1 bool\n na 2\n"),
     ("a raw number of 65 bits", "TRANS-004", "\nsensor a 1 1 u64\n na 18446744073709551616\n"),
+    ("a raw number above all of f32", "TRANS-004", "\nsensor a 1 1 f32\n na 1e39\n"),
+    ("a raw number above all of f64", "TRANS-004", "\nsensor a 1 1 f64\n range 0, 1e309\n"),
+    ("a scale above all numbers", "TRANS-004", f"{_HEAD} scale 1e309\n"),
 )  # fmt: skip
 
 _BOARD = """\
@@ -115,6 +118,8 @@ sensor imu 3 2 motion
 sensor raw 4 3 u8
  na none
  queue 9
+sensor cold 5 2 f32 Cel
+ na -999.9
 """
 _MOTION = [[1, -2, 0x127D], True]
 _SAMPLES: tuple[tuple[str, Sequence[Any]], ...] = (
@@ -128,6 +133,7 @@ _SAMPLES: tuple[tuple[str, Sequence[Any]], ...] = (
     ("imu", [65535, [[0, 8, _MOTION], [1, 9, _MOTION], [0, 9, _MOTION]]]),
     ("raw", [3, [[channel, 10 + channel, 255 - channel] for channel in (2, 0, 1, 1, 0)]]),
     ("raw", [3, [[0, 0, 1]]]),
+    ("cold", [[1, -999.9000244140625], [2, -999.8125]]),  # the nearest to -999.9
 )
 _BAD_SAMPLES = (
     ("quad", ""),

@@ -1,0 +1,350 @@
+"""Several boards in one event loop; `j2a.fleet` for asyncio.
+
+What flows in: URLs, and what the USB tells about boards. What flows out: a client for each board
+that is there, the samples of all of them, and who has come or gone.
+Rules: each board has a task of its own, which opens it, watches it and opens it again, so that none
+waits for another. Where a link has a descriptor it has no thread; only opening takes one.
+"""
+
+import asyncio
+import inspect
+import logging
+from collections.abc import Awaitable, Callable, Coroutine
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+from j2a.aio import AsyncClient, aconnect
+from j2a.errors import J2AError, LocalError, OpenFailed, Outcome
+from j2a.events import Sample
+from j2a.io.async_streams import AsyncSifStream
+from j2a.io.async_transducers import AsyncActuator, AsyncSensor
+from j2a.io.fleet_base import FleetBase, by_url
+from j2a.io.handlers import ErrorHook, Handlers, Subscription
+from j2a.io.streams import MAX_SIFS, slice_of
+from j2a.io.threads import JOIN_S
+from j2a.protocol.arguments import check_timeout
+from j2a.protocol.roster import BoardChange, Heartbeat, Member, wanted_boards
+
+if TYPE_CHECKING:
+    from j2a.timed import AsyncFleetAt
+
+__all__ = ["AsyncFleet", "by_serial", "by_url"]
+
+_CLOSE_S = 2 * JOIN_S + 1.0
+"""A client that is closed waits for its handlers, and then for its threads."""
+_logger = logging.getLogger("j2a")
+_ResultT = TypeVar("_ResultT")
+
+
+async def by_serial(client: AsyncClient) -> str:
+    """Return the property `serial` of a board; its URL where it has none."""
+    return (await client.properties()).get("serial") or client.url
+
+
+class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
+    """The boards that are there, by their identity: `j2a.Fleet` for asyncio.
+
+    Example::
+
+        async with j2a.AsyncFleet(left_url, right_url) as fleet:
+            await fleet.wait(2)
+            async for sample in fleet.samples("quad"):
+                print(sample.board, sample.values)
+
+    All methods belong to the event loop in which the fleet was made. Handlers may be coroutine
+    functions.
+
+    Args:
+        urls, usb, timeout, boot_time, retry, heartbeat, on_handler_error: as of `j2a.Fleet`.
+        identify: returns the identity of a board, from its client; may be a coroutine function.
+            `j2a.aio_fleet.by_serial` if not given, `j2a.fleet.by_url` is another one.
+
+    Raises:
+        BadUrl: a URL is of no scheme that is known.
+        LocalError: another argument is wrong, or no event loop runs.
+    """
+
+    def __init__(
+        self,
+        *urls: str,
+        usb: bool = False,
+        identify: Callable[[AsyncClient], str | Awaitable[str]] = by_serial,
+        timeout: float = 1.0,
+        boot_time: float = 5.0,
+        retry: float = 1.0,
+        heartbeat: float | None = 5.0,
+        on_handler_error: ErrorHook | None = None,
+    ) -> None:
+        super().__init__(timeout, boot_time, retry, heartbeat, on_handler_error)
+        try:
+            self._loop = asyncio.get_running_loop()
+        except RuntimeError:
+            raise LocalError("make a j2a.AsyncFleet in a coroutine: no event loop runs") from None
+        self._identify = identify
+        self._changed = asyncio.Event()  # replaced when it is set
+        self._tasks: dict[asyncio.Task[None], _Member] = {}
+        try:
+            for url in urls:
+                self.add(url)
+            if usb:
+                self._watch_usb(self._take_usb)
+        except BaseException:
+            for member in self._roster.close():
+                self._stop(member)
+            raise
+
+    # ------------------------------------------------------------------ boards
+
+    def add(self, url: str) -> None:
+        """Take in a board; returns at once, and a task opens it.
+
+        Raises:
+            BadUrl: the URL is of no scheme that is known.
+            LocalError: the fleet has the URL, or is closed.
+        """
+        self._check_new(url)
+        member = self._roster.members[url] = _Member(self, url)
+        self._tasks[member.task] = member
+        member.task.add_done_callback(self._tasks.pop)
+
+    @property
+    def transducers(self) -> dict[tuple[str, str], AsyncSensor | AsyncActuator]:
+        """The transducers of all boards that are here, by the board's identity and their name."""
+        return self._transducers()
+
+    def at(self, time_us: int) -> "AsyncFleetAt":
+        """Return what gives orders to several boards for a time, such as `at(t).set("lamp", True)`.
+
+        Args:
+            time_us: when, in microseconds since 1970 on the clock of this computer.
+        """
+        from j2a.timed import AsyncFleetAt  # noqa: PLC0415 - few programs need it
+
+        return AsyncFleetAt(self, time_us)
+
+    async def wait(self, *boards: str | int, timeout: float = 10.0) -> None:
+        """Wait until boards are here; args and raises as of `j2a.Fleet.wait`."""
+        names, least = wanted_boards(boards)
+        end = self._loop.time() + check_timeout(timeout)
+        while missing := self._roster.missing(names, least):
+            left_s = end - self._loop.time()
+            if left_s <= 0:
+                raise self._roster.late(missing, timeout)
+            await _is_set(self._changed, left_s)
+
+    def on_change(
+        self, handler: Callable[[BoardChange], object]
+    ) -> Subscription[Callable[[BoardChange], object]]:
+        """Have a function called when a board has come or gone, or cannot be opened.
+
+        It runs in the task of the board. To hear of all, register it before the loop goes on.
+
+        Returns: an object whose `cancel()` ends it.
+        """
+        return self._changes.add(None, handler)
+
+    def changes(self, *, max_waiting: int = MAX_SIFS) -> AsyncSifStream:
+        """Return the changes from now on, for `async for`: `BoardChange`s, as of `on_change`."""
+        return self._stream(self._changes, max_waiting)
+
+    # ------------------------------------------------------------------ samples
+
+    def on_sample(
+        self, handler: Callable[[Sample], object], name: str | None = None
+    ) -> Subscription[Callable[[Sample], object]]:
+        """Have a function called with each sample of each board.
+
+        Samples of one board come in order, in its task of SIF handlers; a coroutine function is
+        awaited before the next one, which holds up no other board.
+
+        Args:
+            handler: takes a Sample.
+            name: of the transducer; None for all.
+
+        Returns: an object whose `cancel()` ends it.
+        """
+        return self._samples[name].add(None, handler)
+
+    def samples(self, name: str | None = None, *, max_waiting: int = MAX_SIFS) -> AsyncSifStream:
+        """Return the samples of all boards that come from now on, for `async for`.
+
+        The iteration ends when the fleet is closed, and not with a board.
+
+        Args:
+            name: of the transducer; None for all.
+            max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
+        """
+        return self._stream(self._samples[name], max_waiting)
+
+    # ------------------------------------------------------------------ end
+
+    async def close(self) -> None:
+        """Close all boards. May be called twice, and by handlers."""
+        if self._roster.is_closed:
+            return
+        members = self._roster.close()
+        self._notify()
+        for member in members:
+            self._stop(member)
+        # A task that waits for this cannot end before.
+        current = asyncio.current_task()
+        busy = [task for task, one in self._tasks.items() if current not in (task, one.dispatcher)]
+        try:
+            if self._usb is not None:
+                await asyncio.to_thread(self._usb.close)
+            if busy:
+                _, late = await asyncio.wait(busy, timeout=_CLOSE_S)
+                for task in late:
+                    _logger.warning("%s is still busy after close", task.get_name())
+        finally:
+            self._finish()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *exc_info: object) -> None:
+        await self.close()
+
+    # ------------------------------------------------------------------ machinery
+
+    def _notify(self) -> None:
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+
+    def _stop(self, member: "_Member") -> None:
+        member.ask_to_stop()
+
+    def _take_usb(self, change: Callable[[str], None], url: str) -> None:
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(change, url)
+
+    def _stream(self, handlers: Handlers[Any], max_waiting: int) -> AsyncSifStream:
+        return AsyncSifStream(
+            handlers,
+            None,
+            self._loop.time,
+            came=asyncio.Event(),
+            max_waiting=max_waiting,
+            dispatcher=None,
+            slice_s=slice_of(is_simulated=False),
+        )
+
+    async def _deliver(self, sample: Sample) -> None:
+        for deliver in self._takers(sample.name):
+            await self._call(deliver, sample)
+
+    async def _tell(self, change: BoardChange | None) -> None:
+        if change is not None:
+            for deliver in self._changes.matching():
+                await self._call(deliver, change)
+
+    async def _call(self, handler: Callable[[Any], Any], event: Sample | BoardChange) -> None:
+        try:
+            result = handler(event)
+            if inspect.isawaitable(result):
+                await result
+        except Exception as error:  # a handler of the user may raise anything
+            self._reporter.report(error, event)
+
+
+class _Member(Member[AsyncClient]):
+    """One URL of a fleet, and the task that keeps it open.
+
+    Attributes:
+        task: does all this.
+        dispatcher: the task of the SIF handlers of its client.
+    """
+
+    def __init__(self, fleet: AsyncFleet, url: str) -> None:
+        super().__init__(url)
+        self._fleet = fleet
+        self._can_stop = False
+        self.dispatcher: object = None
+        self.task = asyncio.create_task(self._run(), name=f"j2a fleet {url}")
+
+    def ask_to_stop(self) -> None:
+        # Neither a handler of the user nor the end of a client is cancelled.
+        self.is_stopped = True
+        if self._can_stop:
+            self._can_stop = False
+            self.task.cancel()
+
+    async def _until_stopped(self, work: Coroutine[Any, Any, _ResultT]) -> _ResultT | None:
+        """Return the result of a coroutine; None when the member is to end."""
+        if self.is_stopped:
+            work.close()
+            return None
+        self._can_stop = True
+        try:
+            return await work
+        except asyncio.CancelledError:
+            if not self.is_stopped:
+                raise
+            self.task.uncancel()
+            return None
+        finally:
+            self._can_stop = False
+
+    async def _run(self) -> None:
+        fleet = self._fleet
+        while not self.is_stopped:
+            board, reason = await self._keep()
+            await fleet._tell(fleet._go(self, board, reason))
+            await self._until_stopped(asyncio.sleep(fleet._retry_s))
+
+    async def _keep(self) -> tuple[str | None, J2AError | None]:
+        """Keep a link until it ends; return the identity of the board if it was here, and why."""
+        board: str | None = None
+        try:
+            client = await self._until_stopped(self._connect())
+            if client is None:
+                return None, None
+            async with client:
+                self.dispatcher = client._engine.dispatcher
+                name = await self._until_stopped(self._identify(client))
+                if name is None:
+                    return None, None
+                change = self._fleet._come(self, client, name)
+                board = name
+                await self._fleet._tell(change)
+                return board, await self._until_stopped(self._watch(client))
+        except J2AError as error:
+            return board, error
+        except Exception as error:  # of `identify`, which is the user's
+            return board, LocalError(f"identify failed: {type(error).__name__}: {error}")
+        finally:
+            self.dispatcher = None
+
+    async def _connect(self) -> AsyncClient:
+        fleet = self._fleet
+        return await aconnect(self.url, timeout=fleet._timeout, boot_time=fleet._boot_time)
+
+    async def _identify(self, client: AsyncClient) -> str:
+        found = self._fleet._identify(client)
+        return str(await found if inspect.isawaitable(found) else found)
+
+    async def _watch(self, client: AsyncClient) -> J2AError:
+        """Wait until the link has ended, or nothing comes; return why."""
+        ended = asyncio.Event()
+        client._handlers.at_end(lambda reason: ended.set())
+        heartbeat = Heartbeat()
+        while client.is_open:
+            heartbeat.begin(client.counters.frames_received)
+            if await _is_set(ended, self._fleet._heartbeat_s):
+                break
+            if not heartbeat.is_silent(client.counters.frames_received):
+                continue
+            try:
+                await client.echo()
+                heartbeat.answered()
+            except J2AError as error:
+                if heartbeat.failed(error, is_open=client.is_open):
+                    return error
+        return client._session.end_reason or OpenFailed("taken out", outcome=Outcome.NOT_SENT)
+
+
+async def _is_set(event: asyncio.Event, limit_s: float) -> bool:
+    """Wait for an event; return whether it came in time."""
+    with suppress(TimeoutError):
+        return await asyncio.wait_for(event.wait(), limit_s)
+    return False

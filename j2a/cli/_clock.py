@@ -1,0 +1,169 @@
+"""`j2a clock`: the clocks of boards beside that of this computer.
+
+In: URLs of boards. Out: a line for each board: what sets its clock, its offset, rate, and the bound
+of the error; with `--watch` again and again, with `--discipline` while it keeps the clocks right.
+Rules: a board that is lost does not end the others; clocks are set only with `--discipline`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import time
+from collections.abc import Sequence
+from typing import Final
+
+import j2a
+from j2a.cli._exit import LINK, OK, end_on_sigterm, exit_code
+from j2a.cli._link import (
+    add_json_argument,
+    add_link_options,
+    connect_to,
+    finite_seconds,
+    whole_number,
+)
+from j2a.cli._output import note, show, show_json
+from j2a.io.clock import MAX_PERIOD_S, ROUNDS
+from j2a.io.clock_base import ClockReading
+
+NOTES: Final = """\
+examples:
+  j2a clock tcp://127.0.0.1:5000
+  j2a clock tcp://127.0.0.1:5000 tcp://127.0.0.1:5001 --discipline --watch
+  j2a clock tcp://127.0.0.1:5000 --watch --json
+
+offset is the time of the board less that of this computer; rate is by how much the counter of the
+board runs too fast; uncertainty bounds the error of the offset, whatever the link did. A board with
+sensors but without the capability clock can be read, not set."""
+HEAD: Final = (
+    "board                           state     epoch          offset        rate  uncertainty"
+)
+_S_US: Final = 1e6
+_MOST_US: Final = 10 * _S_US
+_WIDEST: Final = 30
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument(
+        "urls", metavar="URL", nargs="+", help="a board, such as tcp://127.0.0.1:5000"
+    )
+    parser.add_argument(
+        "--discipline",
+        action="store_true",
+        help="set the clocks by that of this computer, and keep them right until Ctrl-C",
+    )
+    parser.add_argument(
+        "--watch", action="store_true", help="print them again each period, until Ctrl-C"
+    )
+    parser.add_argument(
+        "--seconds", type=finite_seconds, metavar="N", help="end after N seconds; else by Ctrl-C"
+    )
+    parser.add_argument(
+        "--period",
+        type=finite_seconds,
+        default=1.0,
+        metavar="S",
+        help=f"time between two rounds, in seconds, {MAX_PERIOD_S:g} at most (1)",
+    )
+    parser.add_argument(
+        "--rounds",
+        type=whole_number(1),
+        default=ROUNDS,
+        metavar="N",
+        help=f"exchanges with each board before it is printed first ({ROUNDS})",
+    )
+    add_json_argument(parser, "a line for each board and round")
+    add_link_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask the boards; returns the exit code."""
+    end_on_sigterm()
+    with contextlib.ExitStack() as stack:
+        boards = [stack.enter_context(connect_to(args, url)) for url in args.urls]
+        if not args.discipline and not args.watch:
+            return _once(boards, args)
+        for board in boards:
+            keep = board.clock.discipline if args.discipline else board.clock.follow
+            stack.enter_context(keep(args.period))
+        return _watch(boards, args)
+
+
+def _once(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
+    code, failure = OK, None
+    if not args.json:
+        show(HEAD)
+    for board in boards:
+        try:
+            _show(board.url, board.clock.measure(args.rounds), as_json=args.json)
+        except j2a.J2AError as error:
+            if len(boards) == 1:
+                raise
+            note(f"j2a: {board.url}: {error}")
+            failure = error
+            code = exit_code(error) or code
+    if failure is not None and args.json:
+        show_json({"error": {"message": str(failure), "exit_code": code}})
+    return code
+
+
+def _watch(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
+    """Print until the end; returns the exit code."""
+    if not args.json:
+        show(HEAD)
+    begun = time.monotonic()
+    last: dict[str, tuple[str, int]] = {}
+    gone: set[str] = set()
+    while True:
+        for board in boards:
+            if not board.is_open and board.url not in gone:
+                gone.add(board.url)
+                note(f"j2a: lost {board.url}")
+            with contextlib.suppress(j2a.J2AError):  # nothing is known, or no more
+                reading = board.clock.read()
+                state = reading.state, reading.epoch
+                if board.url not in gone and (args.watch or last.get(board.url) != state):
+                    _show(board.url, reading, as_json=args.json)
+                    last[board.url] = state
+        if len(gone) == len(boards):
+            return LINK
+        left_s = args.period
+        if args.seconds is not None:
+            left_s = min(left_s, begun + args.seconds - time.monotonic())
+        if left_s <= 0:
+            return LINK if gone else OK
+        time.sleep(left_s)
+
+
+def _show(url: str, reading: ClockReading, *, as_json: bool) -> None:
+    if as_json:
+        facts = {
+            key: round(value, 3) if isinstance(value, float) else value
+            for key, value in dataclasses.asdict(reading).items()
+        }
+        show_json({"url": url, "time": round(time.time(), 6), **facts})
+    else:
+        show(clock_line(url, reading), flush=True)
+
+
+def clock_line(name: str, reading: ClockReading) -> str:
+    """Return a line of the table."""
+    return (
+        f"{name:<{_WIDEST}}  {reading.state:<8}  {reading.epoch:>5}  "
+        f"{offset_text(reading.offset_us):>14}  {reading.rate_ppb / 1000:>+8.3f} ppm  "
+        f"{'+-' + time_text(reading.uncertainty_us):>10}"
+    )
+
+
+def offset_text(offset_us: float) -> str:
+    """Return an offset: in microseconds, or in seconds where the clock was never set."""
+    if abs(offset_us) >= _MOST_US:
+        return f"{offset_us / _S_US:+.3f} s"
+    return f"{offset_us:+.1f} us"
+
+
+def time_text(us: float) -> str:
+    """Return a time with the unit that suits it."""
+    return f"{us:.1f} us" if us < 10_000 else f"{us / 1000:.1f} ms"

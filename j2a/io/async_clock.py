@@ -1,0 +1,234 @@
+"""The clock of a board for asyncio; see `j2a.io.clock`."""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable, Generator
+from typing import Any, Self, TypeVar
+
+from j2a.errors import J2AError, LinkError, LocalError
+from j2a.io.clock import ROUNDS, check_period, check_rounds
+from j2a.io.clock_base import LOOK_S, ClockBase, ClockReading
+from j2a.io.streams import slice_of
+from j2a.protocol.clock import Exchange, Status
+from j2a.protocol.transfer import Transfer
+
+__all__ = ["AsyncClock", "AsyncClockKeeper"]
+
+_logger = logging.getLogger("j2a")
+_Result = TypeVar("_Result")
+
+
+class AsyncClock(ClockBase):
+    """The clock of a board; from `AsyncClient.clock`.
+
+    Example::
+
+        async with board.clock.discipline():
+            async for sample in board.transducers["quad"]:
+                print(board.clock.to_host(sample.time_us), sample.values)
+
+    Attributes are what is known; until the board was asked by `measure`, `sync`, `follow` or
+    `discipline`, nothing is, and they raise LocalError.
+    """
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self._busy = asyncio.Lock()
+        self._keeper: AsyncClockKeeper | None = None
+
+    @property
+    def state(self) -> str:
+        """What sets the clock, as the board said last: "free", "settling", "locked", "holdover"."""
+        return self.read().state
+
+    @property
+    def epoch(self) -> int:
+        """0 while the clock is free; it changes when the clock is set at once."""
+        return self.read().epoch
+
+    @property
+    def offset_us(self) -> float:
+        """The time of the board less that of this computer, now, in microseconds."""
+        return self.read().offset_us
+
+    @property
+    def rate_ppb(self) -> float:
+        """By how much the board's counter runs faster than this computer's clock (10**-9)."""
+        return self.read().rate_ppb
+
+    @property
+    def uncertainty_us(self) -> float:
+        """The bound of the error of `offset_us` and of `to_host` now, in microseconds."""
+        return self.read().uncertainty_us
+
+    def read(self) -> ClockReading:
+        """Return all that is known, of one instant. Asks nothing.
+
+        Raises:
+            LocalError: nothing is known.
+        """
+        return self._reading()
+
+    def to_host(self, time_us: int) -> int:
+        """Return the Unix time of this computer at a time of the board; `Clock.to_host`."""
+        return self._to_host(time_us)
+
+    def to_device(self, host_us: int) -> int:
+        """Return the time of the board at a Unix time of this computer; `Clock.to_device`."""
+        return self._to_device(host_us)
+
+    # ------------------------------------------------------------------ calls
+
+    async def exchange(self, timeout: float | None = None) -> Exchange:
+        """Make one exchange with the board; `Clock.exchange` for asyncio."""
+        return await self._run(self._exchange, timeout)
+
+    async def status(self, timeout: float | None = None) -> Status:
+        """Return what the board says of its clock now; `Clock.status` for asyncio."""
+        return await self._run(self._ask_status, timeout)
+
+    async def measure(self, rounds: int = ROUNDS, timeout: float | None = None) -> ClockReading:
+        """Make exchanges and return what is known then; `Clock.measure` for asyncio."""
+        for number in range(check_rounds(rounds)):
+            if number:
+                await self._pause(self._discipline.delay_s(0.05))
+            await self._run(self._measure, timeout)
+        return self._reading()
+
+    async def sync(self, rounds: int = ROUNDS, timeout: float | None = None) -> ClockReading:
+        """Make exchanges and set the clock of the board by them; `Clock.sync` for asyncio."""
+        for number in range(check_rounds(rounds)):
+            if number:
+                await self._pause(self._discipline.delay_s(0.05))
+            await self._run(self._adjust, timeout)
+        return self._reading()
+
+    # ------------------------------------------------------------------ for as long as it lasts
+
+    def discipline(self, period_s: float = 1.0) -> "AsyncClockKeeper":
+        """Keep the clock of the board at the time of this computer, in a task.
+
+        `async with board.clock.discipline():`, or `keeper = await board.clock.discipline()`; it
+        ends with the client at the latest.
+
+        Args and raises: as `Clock.discipline`.
+        """
+        return AsyncClockKeeper(self, check_period(period_s), is_setting=True)
+
+    def follow(self, period_s: float = 1.0) -> "AsyncClockKeeper":
+        """Keep the estimate of the clock right, in a task; `Clock.follow` for asyncio."""
+        return AsyncClockKeeper(self, check_period(period_s), is_setting=False)
+
+    # ------------------------------------------------------------------ machinery
+
+    async def _run(
+        self, transfer: Callable[[], Transfer[_Result]], timeout: float | None
+    ) -> _Result:
+        client = self._client
+        client._engine.check_process()
+        limits = client._call_limits(timeout, client.now())
+        async with self._busy:  # each holder has a time limit
+            result: _Result = await client._drive(transfer(), limits)
+            return result
+
+    async def _pause(self, seconds: float) -> None:
+        """Let time of the link pass."""
+        now, slice_s = self._now, slice_of(self._is_simulated)
+        end = now() + seconds
+        while (left_s := end - now()) > 0:
+            await asyncio.sleep(min(left_s, slice_s))
+
+
+class AsyncClockKeeper:
+    """A task that follows or disciplines the clock of a board; see `j2a.clock.ClockKeeper`.
+
+    Attributes:
+        rounds: exchanges that were made.
+        failures: those that failed.
+        error: why the last one that failed did; None before.
+    """
+
+    def __init__(self, clock: AsyncClock, period_s: float, is_setting: bool) -> None:
+        self.rounds = 0
+        self.failures = 0
+        self.error: J2AError | None = None
+        self._clock = clock
+        self._period_s = period_s
+        self._is_setting = is_setting
+        self._task: asyncio.Task[None] | None = None
+        self._forget: Callable[[], None] = lambda: None
+
+    def _note(self, error: J2AError) -> None:
+        self.failures += 1
+        # Without the traceback, whose frames keep the client alive.
+        self.error = error.copy(str(error), error.outcome)
+
+    @property
+    def is_running(self) -> bool:
+        """It goes on: it was started, neither was it stopped nor has the link ended."""
+        return self._task is not None and not self._task.done()
+
+    def __await__(self) -> Generator[Any, None, Self]:
+        return self._start().__await__()
+
+    async def _start(self) -> Self:
+        clock = self._clock
+        await clock._run(lambda: clock._prepare(to_set=self._is_setting), None)
+        if clock._keeper is not None and clock._keeper.is_running:
+            raise LocalError(f"the clock of {clock._url} is disciplined or followed already")
+        clock._keeper = self
+        self._task = task = asyncio.create_task(self._work(), name=f"j2a clock {clock._url}")
+        self._forget = clock._client._handlers.at_end(lambda _reason: _cancel(task))
+        return self
+
+    async def stop(self) -> None:
+        """End it; the board goes on alone. May be called twice."""
+        self._forget()
+        if self._task is not None:
+            self._task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.wait([self._task])
+
+    async def __aenter__(self) -> Self:
+        return await self
+
+    async def __aexit__(self, *exc_info: object) -> None:
+        await self.stop()
+
+    async def _wait(self, seconds: float) -> None:
+        """Wait for the next round: less, where the clock of this computer was set or slewed."""
+        clock = self._clock
+        while seconds > 0:
+            await clock._pause(min(seconds, LOOK_S))
+            seconds -= LOOK_S
+            if self._is_setting and clock._is_outdated():
+                break
+
+    async def _work(self) -> None:
+        clock = self._clock
+        turn = clock._adjust if self._is_setting else clock._measure
+        steps = clock._host.reference.steps
+        while True:
+            delay_s = self._period_s
+            try:
+                await clock._run(turn, None)
+                self.rounds += 1
+                delay_s = clock._discipline.delay_s(self._period_s)
+            except LinkError as error:
+                self._note(error)
+                if clock._is_over():
+                    return
+            except J2AError as error:
+                self._note(error)
+            except Exception:
+                self.failures += 1
+                _logger.exception("the clock of %s could not be asked", clock._url)
+            steps = clock._note_step(steps)
+            await self._wait(delay_s)
+
+
+def _cancel(task: asyncio.Task[None]) -> None:
+    loop = task.get_loop()
+    if not loop.is_closed():
+        loop.call_soon_threadsafe(task.cancel)

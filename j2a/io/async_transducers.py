@@ -1,0 +1,94 @@
+"""Sensors and actuators for asyncio; see `j2a.io.blocking_transducers`.
+
+What flows in: values and settings of the user. What flows out: calls of a2jTransd, and samples.
+Rule: `j2a.io.transducers` checks and packs; this waits.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from j2a_spec import constants as c
+
+from j2a.errors import WrongArgument
+from j2a.events import Reading, Sample
+from j2a.io.streams import MAX_SIFS
+from j2a.io.transducers import SETTINGS, RemoteTransducer
+from j2a.types.arrays import Batch
+from j2a.types.samples import pack_time
+
+__all__ = ["AsyncActuator", "AsyncSensor"]
+
+
+class _Async(RemoteTransducer):
+    async def _ask(self, request: bytes) -> bytes:
+        return self._answer(await self._client.call(c.TRANSD, request))
+
+    async def configure(self, **settings: Any) -> None:
+        """Change settings; `Sensor.configure` for asyncio."""
+        for request in [self._pack(name, value) for name, value in settings.items()]:
+            await self._ask(request)
+
+    async def setting(self, name: str) -> Any:
+        """Return a setting as the device has it now, such as "period" in seconds."""
+        if name not in SETTINGS:
+            raise WrongArgument(f"{name} is no setting; there are: {', '.join(SETTINGS)}")
+        return self._unpack(name, await self._ask(self._request(SETTINGS[name])))
+
+    async def read(self) -> tuple[Reading, ...]:
+        """Ask the device for the newest reading of each channel."""
+        return self._readings(await self._ask(self._sample_request()))
+
+    async def time_us(self) -> int:
+        """Ask the device for the time of its clock, in microseconds."""
+        return self._time(await self._ask(self._request(c.TRANSD_TIME)))
+
+    async def save(self) -> None:
+        """Have the device keep the settings without power."""
+        await self._ask(self._request(c.TRANSD_SAVE))
+
+
+class AsyncSensor(_Async):
+    """A sensor of a device; `async for sample in board.transducers["quad"]`."""
+
+    def latest(self) -> Sample | None:
+        """Return the newest sample that has come, None before the first one. Asks nothing."""
+        return self._source.latest(self.name)
+
+    def samples(self, *, max_waiting: int = MAX_SIFS) -> Any:
+        """Return the samples that come from now on; as `AsyncClient.sifs`."""
+        return self._stream(max_waiting)
+
+    def __aiter__(self) -> Any:
+        return self.samples()
+
+    async def wait(self, timeout: float | None = None) -> Sample:
+        """Return the next sample that comes; `Sensor.wait` for asyncio."""
+        client = self._client
+        async with self.samples() as stream:
+            sample: Sample = await stream.wait(client._limit_s(timeout))
+            return sample
+
+    async def read_batch(self, count: int, timeout: float | None = None) -> Batch:
+        """Return the next samples that come as arrays; `Sensor.read_batch` for asyncio."""
+        client = self._client
+        before, stream = self._stream_of_batch(count)
+        async with stream:
+            end = client.now() + client._limit_s(timeout)
+            found = [await stream.wait(max(0.0, end - client.now())) for _ in range(count)]
+        return self._batch(before, found)
+
+    def on_sample(self, handler: Callable[[Sample], object]) -> Any:
+        """Have a function or coroutine function called with each sample."""
+        return self._client._handlers.add(self._wanted(), handler)
+
+    async def trigger(self, at_us: int = 0) -> None:
+        """Have the sensor measure once; `Sensor.trigger` for asyncio."""
+        await self._ask(self._request(c.TRANSD_TRIGGER, pack_time(at_us)))
+
+
+class AsyncActuator(_Async):
+    """An actuator of a device."""
+
+    async def set(self, *values: Any, channel: int = 0, at_us: int = 0, raw: bool = False) -> None:
+        """Set channels to values; `Actuator.set` for asyncio."""
+        await self._ask(self._set_request(values, channel, at_us, raw))

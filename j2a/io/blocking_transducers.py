@@ -1,0 +1,212 @@
+"""Sensors and actuators for the blocking client.
+
+What flows in: values and settings of the user. What flows out: calls of a2jTransd, and samples.
+Rule: `j2a.io.transducers` checks and packs; this waits.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from j2a_spec import constants as c
+
+from j2a.events import Reading, Sample
+from j2a.io.streams import MAX_SIFS
+from j2a.io.transducers import SETTINGS, RemoteTransducer
+from j2a.types.arrays import Batch
+from j2a.types.samples import pack_time
+
+__all__ = ["Actuator", "Sensor"]
+
+
+class _Blocking(RemoteTransducer):
+    def _ask(self, request: bytes) -> bytes:
+        return self._answer(self._client.call(c.TRANSD, request))
+
+    def _get(self, setting: str) -> Any:
+        return self._unpack(setting, self._ask(self._request(SETTINGS[setting])))
+
+    def configure(self, **settings: Any) -> None:
+        """Change settings: enabled, period, decimation, threshold, topic, watchdog.
+
+        All are checked before the first one is sent (J2A-TRANS-025).
+
+        Raises:
+            WrongArgument: a setting is not there, or cannot have this value.
+            FunctionFailed: the device refused one.
+        """
+        for request in [self._pack(name, value) for name, value in settings.items()]:
+            self._ask(request)
+
+    def read(self) -> tuple[Reading, ...]:
+        """Ask the device for the newest reading of each channel (J2A-TRANS-009).
+
+        Raises: as `Client.call`; WrongArgument for a sensor with a queue.
+        """
+        return self._readings(self._ask(self._sample_request()))
+
+    def time_us(self) -> int:
+        """Ask the device for the time of its clock, in microseconds.
+
+        Raises: as `Client.call`.
+        """
+        return self._time(self._ask(self._request(c.TRANSD_TIME)))
+
+    def save(self) -> None:
+        """Have the device keep the settings without power (J2A-TRANS-019).
+
+        Raises: as `Client.call`; FunctionFailed when the device keeps none.
+        """
+        self._ask(self._request(c.TRANSD_SAVE))
+
+    @property
+    def topic(self) -> str:
+        """The name under which hosts publish it, 1 to 32 bytes."""
+        if not self.descriptor.has("topic"):
+            return self.name
+        return str(self._get("topic"))
+
+    @topic.setter
+    def topic(self, topic: str) -> None:
+        self.configure(topic=topic)
+
+
+class Sensor(_Blocking):
+    """A sensor of a device; from `Client.transducers`.
+
+    Example::
+
+        for sample in board.transducers["quad"]:
+            print(sample.time_us, sample.values)
+
+    Settings are attributes; to read or set one asks the device.
+    """
+
+    def latest(self) -> Sample | None:
+        """Return the newest sample that has come, None before the first one. Asks nothing."""
+        return self._source.latest(self.name)
+
+    def samples(self, *, max_waiting: int = MAX_SIFS) -> Any:
+        """Return the samples that come from now on, to iterate over; as `Client.sifs`.
+
+        Args:
+            max_waiting: so many may wait; then the oldest are dropped, and counted in `lost`.
+        """
+        return self._stream(max_waiting)
+
+    def __iter__(self) -> Iterator[Sample]:
+        stream: Iterator[Sample] = self.samples()
+        return stream
+
+    def wait(self, timeout: float | None = None) -> Sample:
+        """Return the next sample that comes.
+
+        Args:
+            timeout: the time limit in seconds; None takes the client's.
+
+        Raises: as `Client.wait_sif`.
+        """
+        client = self._client
+        with self.samples() as stream:
+            sample: Sample = stream.wait(client._limit_s(timeout))
+            return sample
+
+    def read_batch(self, count: int, timeout: float | None = None) -> Batch:
+        """Return the next samples that come as arrays.
+
+        Args:
+            count: so many samples.
+            timeout: the time limit for all of them in seconds; None takes the client's.
+
+        Raises: as `wait`; LocalError where NumPy is missing; InterfaceChanged where the device has
+            restarted as another one.
+        """
+        client = self._client
+        before, stream = self._stream_of_batch(count)
+        with stream:
+            end = client.now() + client._limit_s(timeout)
+            found = [stream.wait(max(0.0, end - client.now())) for _ in range(count)]
+        return self._batch(before, found)
+
+    def on_sample(self, handler: Callable[[Sample], object]) -> Any:
+        """Have a function called with each sample; returns an object whose `cancel()` ends it.
+
+        Handlers run in the thread of the SIF handlers; they may use the client.
+        """
+        return self._client._handlers.add(self._wanted(), handler)
+
+    def trigger(self, at_us: int = 0) -> None:
+        """Have the sensor measure once (J2A-TRANS-018).
+
+        Args:
+            at_us: when, on the clock of the device; at once if that is over.
+
+        Raises:
+            WrongArgument: the sensor has no key trigger.
+        """
+        self._ask(self._request(c.TRANSD_TRIGGER, pack_time(at_us)))
+
+    @property
+    def enabled(self) -> bool:
+        """It sends samples on its own."""
+        return bool(self._get("enabled"))
+
+    @enabled.setter
+    def enabled(self, enabled: bool) -> None:
+        self.configure(enabled=enabled)
+
+    @property
+    def period(self) -> float:
+        """The least time between two samples, in seconds."""
+        return float(self._get("period"))
+
+    @period.setter
+    def period(self, period: float) -> None:
+        self.configure(period=period)
+
+    @property
+    def decimation(self) -> int:
+        """Every so manieth value is taken."""
+        return int(self._get("decimation"))
+
+    @decimation.setter
+    def decimation(self, decimation: int) -> None:
+        self.configure(decimation=decimation)
+
+    @property
+    def threshold(self) -> Any:
+        """By how much a raw value must differ from the one taken before."""
+        return self._get("threshold")
+
+    @threshold.setter
+    def threshold(self, threshold: Any) -> None:
+        self.configure(threshold=threshold)
+
+
+class Actuator(_Blocking):
+    """An actuator of a device; from `Client.transducers`."""
+
+    def set(self, *values: Any, channel: int = 0, at_us: int = 0, raw: bool = False) -> None:
+        """Set channels to values (J2A-TRANS-016).
+
+        Args:
+            values: one for each channel from `channel` on, in the unit of the descriptor.
+            channel: the first of them.
+            at_us: when, on the clock of the device (`time_us()`); at once if that is
+                over.
+            raw: the values are raw ones, before scale and offset.
+
+        Raises:
+            WrongArgument: a value is not of the type or out of range, or there is no such channel;
+                nothing was sent.
+            FunctionFailed: the device refused.
+        """
+        self._ask(self._set_request(values, channel, at_us, raw))
+
+    @property
+    def watchdog(self) -> float:
+        """After so many seconds of silence the device sets it to its safe value; 0 is never."""
+        return float(self._get("watchdog"))
+
+    @watchdog.setter
+    def watchdog(self, watchdog: float) -> None:
+        self.configure(watchdog=watchdog)

@@ -1,0 +1,315 @@
+"""The clock of a board for the blocking client.
+
+What flows in: questions and orders of the user. What flows out: times, and calls of the client.
+Rules: one exchange is on the way at a time (J2A-CLOCK-029). A thread that follows or disciplines a
+clock ends with the client, raises nothing, and keeps no client alive.
+"""
+
+import contextlib
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any, Final, Self, TypeVar
+
+from j2a.errors import CallTimeout, J2AError, LinkError, LocalError, Outcome
+from j2a.io.clock_base import LOOK_S, ClockBase, ClockReading
+from j2a.io.streams import slice_of
+from j2a.io.threads import JOIN_S, join_threads, start_thread
+from j2a.protocol.arguments import check_timeout
+from j2a.protocol.clock import Exchange, Status
+from j2a.protocol.transfer import Transfer
+
+__all__ = ["ROUNDS", "Clock", "ClockKeeper", "check_period", "check_rounds"]
+
+ROUNDS: Final = 16
+"""So many exchanges are made unless the user says otherwise."""
+MAX_PERIOD_S: Final = 5.0
+"""A board that is not adjusted for 10 s takes itself for alone."""
+_logger = logging.getLogger("j2a")
+_Result = TypeVar("_Result")
+
+
+class Clock(ClockBase):
+    """The clock of a board; from `Client.clock`.
+
+    Example::
+
+        with board.clock.discipline():
+            for sample in board.transducers["quad"]:
+                print(board.clock.to_host(sample.time_us), sample.values)
+
+    What nobody has asked the board for yet is asked when an attribute is read. Methods may be
+    called from any thread.
+    """
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self._busy = threading.Lock()
+        self._keeper: ClockKeeper | None = None
+
+    @property
+    def state(self) -> str:
+        """What sets the clock, as the board said last: "free", "settling", "locked", "holdover"."""
+        return self.read().state
+
+    @property
+    def epoch(self) -> int:
+        """0 while the clock is free; it changes when the clock is set at once."""
+        return self.read().epoch
+
+    @property
+    def offset_us(self) -> float:
+        """The time of the board less that of this computer, now, in microseconds."""
+        return self.read().offset_us
+
+    @property
+    def rate_ppb(self) -> float:
+        """By how much the board's counter runs faster than this computer's clock (10**-9)."""
+        return self.read().rate_ppb
+
+    @property
+    def uncertainty_us(self) -> float:
+        """The bound of the error of `offset_us` and of `to_host` now, in microseconds."""
+        return self.read().uncertainty_us
+
+    def read(self) -> ClockReading:
+        """Return all that is known, of one instant.
+
+        Raises: as `measure`, where nobody has asked the board before.
+        """
+        self._ask_once()
+        return self._reading()
+
+    def to_host(self, time_us: int) -> int:
+        """Return the Unix time of this computer at a time of the board, in microseconds.
+
+        Raises: as `measure`; LocalError for a time from before the clock was set.
+        """
+        self._ask_once()
+        return self._to_host(time_us)
+
+    def to_device(self, host_us: int) -> int:
+        """Return the time of the board at a Unix time of this computer, in microseconds.
+
+        Raises: as `measure`.
+        """
+        self._ask_once()
+        return self._to_device(host_us)
+
+    # ------------------------------------------------------------------ calls
+
+    def exchange(self, timeout: float | None = None) -> Exchange:
+        """Make one exchange with the board: when was a request sent, received, and answered?
+
+        Raises: as `measure`.
+        """
+        return self._run(self._exchange, timeout)
+
+    def status(self, timeout: float | None = None) -> Status:
+        """Return what the board says of its clock now.
+
+        Raises: as `Client.call`; NoClock where the board has not the capability clock.
+        """
+        return self._run(self._ask_status, timeout)
+
+    def measure(self, rounds: int = ROUNDS, timeout: float | None = None) -> ClockReading:
+        """Make exchanges and return what is known then. The clock of the board stays as it is.
+
+        Args:
+            rounds: so many exchanges, 50 ms apart.
+            timeout: the time limit of each in seconds; None takes the client's.
+
+        Raises: as `Client.call`; NoClock where the board tells no time.
+        """
+        for number in range(check_rounds(rounds)):
+            if number:
+                self._pause(self._discipline.delay_s(0.05))
+            self._run(self._measure, timeout)
+        return self._reading()
+
+    def sync(self, rounds: int = ROUNDS, timeout: float | None = None) -> ClockReading:
+        """Make exchanges and set the clock of the board by them, once.
+
+        Args and raises: as `measure`; NoClock also where the clock cannot be set.
+        """
+        for number in range(check_rounds(rounds)):
+            if number:
+                self._pause(self._discipline.delay_s(0.05))
+            self._run(self._adjust, timeout)
+        return self._reading()
+
+    # ------------------------------------------------------------------ for as long as it lasts
+
+    def discipline(self, period_s: float = 1.0) -> "ClockKeeper":
+        """Keep the clock of the board at the time of this computer, in a thread.
+
+        Args:
+            period_s: seconds between two adjustments, 5 at most.
+
+        Returns: a context manager whose end, or `stop()`, ends it; it ends with the client, too.
+
+        Raises:
+            NoClock: the clock of the board cannot be set; `follow` may be what you want.
+            LocalError: the clock is disciplined or followed already.
+        """
+        return self._keep(check_period(period_s), is_setting=True)
+
+    def follow(self, period_s: float = 1.0) -> "ClockKeeper":
+        """Keep the estimate of the clock right, in a thread, and leave the clock as it is.
+
+        Args, returns, raises: as `discipline`.
+        """
+        return self._keep(check_period(period_s), is_setting=False)
+
+    def _keep(self, period_s: float, is_setting: bool) -> "ClockKeeper":
+        self._run(lambda: self._prepare(to_set=is_setting), None)
+        with self._busy:
+            if self._keeper is not None and self._keeper.is_running:
+                raise LocalError(f"the clock of {self._url} is disciplined or followed already")
+            self._keeper = ClockKeeper(self, period_s, is_setting)
+        return self._keeper
+
+    # ------------------------------------------------------------------ machinery
+
+    def _ask_once(self) -> None:
+        if not self._is_known:
+            self.measure(1)
+
+    def _run(self, transfer: Callable[[], Transfer[_Result]], timeout: float | None) -> _Result:
+        client = self._client
+        limits = client._call_limits(timeout, client.now())
+        limit_s = client._limit_s(timeout)
+        client._engine.check_process()
+        with self._turn(limit_s):
+            result: _Result = client._drive(transfer(), limits)
+            return result
+
+    @contextlib.contextmanager
+    def _turn(self, limit_s: float) -> Iterator[None]:
+        end = self._now() + limit_s
+        while not self._busy.acquire(timeout=slice_of(self._is_simulated)):
+            if self._now() < end:
+                continue
+            raise CallTimeout(
+                f"the clock of {self._url} was not asked: another thread asks it for longer than "
+                f"{limit_s:g} s",
+                outcome=Outcome.NOT_SENT,
+            )
+        try:
+            yield
+        finally:
+            self._busy.release()
+
+    def _pause(self, seconds: float, ended: threading.Event | None = None) -> None:
+        """Let time of the link pass, until `ended` is set."""
+        event = threading.Event() if ended is None else ended
+        now, slice_s = self._now, slice_of(self._is_simulated)
+        end = now() + seconds
+        while (left_s := end - now()) > 0 and not event.wait(min(left_s, slice_s)):
+            pass
+
+
+class ClockKeeper:
+    """A thread that follows or disciplines the clock of a board; ends with its client.
+
+    It tells what happens by its attributes, and raises nothing.
+
+    Attributes:
+        rounds: exchanges that were made.
+        failures: those that failed.
+        error: why the last one that failed did; None before.
+    """
+
+    def __init__(self, clock: Clock, period_s: float, is_setting: bool) -> None:
+        self.rounds = 0
+        self.failures = 0
+        self.error: J2AError | None = None
+        self._clock = clock
+        self._period_s = period_s
+        self._is_setting = is_setting
+        self._ended = ended = threading.Event()
+        self._forget = clock._client._handlers.at_end(lambda _reason: ended.set())
+        self._thread = start_thread(self._work, f"j2a clock {clock._url}")
+
+    def _note(self, error: J2AError) -> None:
+        self.failures += 1
+        # Without the traceback, whose frames keep the client alive.
+        self.error = error.copy(str(error), error.outcome)
+
+    @property
+    def is_running(self) -> bool:
+        """It goes on: neither was it stopped nor has the link ended."""
+        return self._thread.is_alive() and not self._ended.is_set()
+
+    def stop(self) -> None:
+        """End it; the board goes on alone. May be called twice."""
+        self._ended.set()
+        self._forget()
+        join_threads([self._thread], JOIN_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.stop()
+
+    def __repr__(self) -> str:
+        what = "disciplines" if self._is_setting else "follows"
+        state = "" if self.is_running else ", ended"
+        return (
+            f"<j2a {what} {self._clock._url}: {self.rounds} rounds, {self.failures} failed{state}>"
+        )
+
+    def _wait(self, seconds: float) -> None:
+        """Wait for the next round: less, where the clock of this computer was set or slewed."""
+        clock = self._clock
+        while seconds > 0 and not self._ended.is_set():
+            clock._pause(min(seconds, LOOK_S), self._ended)
+            seconds -= LOOK_S
+            if self._is_setting and clock._is_outdated():
+                break
+
+    def _work(self) -> None:
+        clock = self._clock
+        turn = clock._adjust if self._is_setting else clock._measure
+        steps = clock._host.reference.steps
+        while not self._ended.is_set():
+            delay_s = self._period_s
+            try:
+                clock._run(turn, None)
+                self.rounds += 1
+                delay_s = clock._discipline.delay_s(self._period_s)
+            except LinkError as error:
+                self._note(error)
+                if clock._is_over():
+                    break
+            except J2AError as error:
+                self._note(error)
+            except Exception:
+                self.failures += 1
+                _logger.exception("the clock of %s could not be asked", clock._url)
+            steps = clock._note_step(steps)
+            self._wait(delay_s)
+        self._ended.set()
+
+
+def check_rounds(rounds: int) -> int:
+    """Return a number of exchanges that is one.
+
+    Raises:
+        LocalError: it is none.
+    """
+    if not isinstance(rounds, int) or rounds < 1:
+        raise LocalError(f"rounds is a number of exchanges from 1 on, not {rounds!r:.40}")
+    return rounds
+
+
+def check_period(period_s: float) -> float:
+    """Return seconds between two rounds.
+
+    Raises:
+        LocalError: it is no time above 0, or so long that the board takes itself for alone.
+    """
+    if check_timeout(period_s) > MAX_PERIOD_S or period_s <= 0:
+        raise LocalError(f"period_s is above 0 and at most {MAX_PERIOD_S:g} s, not {period_s!r}")
+    return period_s

@@ -1,0 +1,317 @@
+"""The clock of a board as its client knows it, without the waiting.
+
+What flows in: replies of a2jClock, or the times of transducers where the board has none. What flows
+out: calls to make, as generators (see `j2a.protocol.transfer`), and times of the board as times of
+this computer.
+Rules: the times of a request and its reply are read on both sides of the call, so whatever holds it
+up is slack and thus uncertainty; it is never hidden (J2A-CLOCK-025). A clock is adjusted only when
+the user has asked for that (J2A-CLOCK-024).
+"""
+
+import logging
+import random
+import weakref
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from j2a_spec import constants as c
+
+from j2a.errors import LinkClosed, LocalError, NoClock, ProtocolError, remote_error
+from j2a.io.host_time import host_time_of
+from j2a.protocol.clock import (
+    ClockState,
+    Discipline,
+    Estimate,
+    Estimator,
+    Exchange,
+    Status,
+    pack_exchange,
+    pack_status,
+    unpack_exchange,
+    unpack_status,
+)
+from j2a.protocol.codec import stuff
+from j2a.protocol.transfer import CallRequest, Transfer
+from j2a.types.transducers import TIME_BYTES
+
+if TYPE_CHECKING:
+    from j2a_transports import Transport
+
+__all__ = ["LOOK_S", "ClockBase", "ClockReading"]
+
+LOOK_S: Final = 0.1
+"""Who disciplines a clock looks so often whether that of this computer was set or slewed."""
+
+_US: Final = 1e6
+_PPB: Final = 1e9
+_FRAME_BYTES: Final = 5
+"""Start, seq, opcode or code, length, checksum; those that are escaped are in the slack."""
+_logger = logging.getLogger("j2a")
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReading:
+    """What is known of the clock of a board at one instant.
+
+    Attributes:
+        state: "free", "settling", "locked" or "holdover", as the board said last.
+        epoch: 0 while free; it changes when the clock is set at once.
+        offset_us: time of the board less time of this computer.
+        rate_ppb: by which the counter of the board runs faster than the clock of this computer, in
+            parts of 10**9.
+        uncertainty_us: bound of the error of `offset_us`.
+        round_trip_us: of the newest exchange.
+        can_be_set: the board has the capability `clock`; others only tell their time.
+    """
+
+    state: str
+    epoch: int
+    offset_us: float
+    rate_ppb: float
+    uncertainty_us: float
+    round_trip_us: float
+    can_be_set: bool
+
+
+class ClockBase:
+    """What the clocks of both clients have in common.
+
+    Args:
+        client: whose board has the clock.
+        transport: its link, which knows the time of the host and how long a byte takes.
+    """
+
+    def __init__(self, client: "weakref.ref[Any]", transport: "Transport") -> None:
+        self._client_ref = client
+        self._url = transport.url
+        self._now = transport.clock
+        self._is_simulated = transport.is_simulated
+        self._host = host_time_of(transport)
+        estimator = Estimator(transport.byte_time_s * _US)
+        self._discipline = Discipline(self._host.reference, estimator)
+        self._restarts = 0
+        self._draw = random.SystemRandom()
+
+    def __repr__(self) -> str:
+        estimate = self._discipline.estimator.estimate
+        known = (
+            "not asked yet" if estimate is None else f"+-{self._uncertainty_us(estimate):.0f} us"
+        )
+        return f"<j2a clock of {self._url}: {self._state}, {known}>"
+
+    @property
+    def _client(self) -> Any:
+        client = self._client_ref()
+        if client is None:
+            raise LinkClosed(f"the client of {self._url} is gone")
+        return client
+
+    # ------------------------------------------------------------------ what is known
+
+    def _estimate(self) -> Estimate:
+        """Return what is known of the board's counter.
+
+        Raises:
+            LocalError: nothing is.
+        """
+        estimate, status = self._discipline.estimator.estimate, self._discipline.status
+        if estimate is None or (status is None and self._can_be_set):
+            raise LocalError(
+                f"nothing is known of the clock of {self._url} yet, or no more since the board "
+                "has restarted: use clock.measure() or clock.follow() first"
+            )
+        return estimate
+
+    @property
+    def _state(self) -> str:
+        status = self._discipline.status
+        return (ClockState.FREE if status is None else status.state).name.lower()
+
+    @property
+    def _can_be_set(self) -> bool:
+        client = self._client_ref()
+        return client is not None and c.CLOCK in (client._device.functions or {})
+
+    @property
+    def _is_known(self) -> bool:
+        known = self._discipline
+        return known.estimator.estimate is not None and (
+            known.status is not None or not self._can_be_set
+        )
+
+    def _reading(self) -> ClockReading:
+        estimate, status = self._estimate(), self._discipline.status
+        now_us = self._host.observe()
+        reference = self._host.reference
+        newest = self._discipline.estimator.newest
+        assert newest is not None
+        time_us = self._discipline.to_time(estimate.to_counter(now_us))
+        rate = (1 + estimate.rate) * (1 + reference.rate)
+        return ClockReading(
+            self._state,
+            0 if status is None else status.epoch,
+            time_us - reference.to_unix(now_us),
+            (1 / rate - 1) * _PPB,
+            self._uncertainty_us(estimate),
+            newest.came_us - newest.sent_us,
+            self._can_be_set,
+        )
+
+    def _uncertainty_us(self, estimate: Estimate) -> float:
+        return estimate.uncertainty_us(estimate.to_counter(self._host.counter_us()))
+
+    def _to_host(self, time_us: int) -> int:
+        estimate = self._estimate()
+        local_us = self._discipline.to_local(time_us)
+        since_us = self._discipline.epoch_local_us
+        if since_us is not None and local_us < since_us:
+            raise LocalError(
+                f"{time_us} us was on the clock of {self._url} before it was set, and can no more "
+                "be converted (J2A-CLOCK-027)"
+            )
+        self._host.observe()
+        return self._host.reference.to_unix(estimate.to_host(local_us))
+
+    def _to_device(self, host_us: int) -> int:
+        estimate = self._estimate()
+        self._host.observe()
+        local_us = estimate.to_counter(self._host.reference.to_counter(host_us))
+        return round(self._discipline.to_time(local_us))
+
+    def host_time_of_sample(self, time_us: int) -> int | None:
+        """Return the time of this computer at a time stamp, None where it is not known."""
+        if not self._is_known:
+            return None
+        try:
+            return self._to_host(time_us)
+        except LocalError:
+            return None
+
+    # ------------------------------------------------------------------ calls to make
+
+    def _prepare(self, *, to_set: bool = False) -> Transfer[None]:
+        """Learn what the board has, and forget what was before a restart.
+
+        Raises:
+            NoClock: the board has none, or none that can be set.
+        """
+        client = self._client
+        device = client._device
+        if client._is_stale or device.functions is None or not device.asked_for_transducers:
+            yield from client._load_functions()
+        restarts = client.counters.restarts
+        if restarts != self._restarts:
+            self._restarts = restarts
+            self._discipline.reset()
+        functions = device.functions or {}
+        if c.CLOCK in functions:
+            return
+        if to_set:
+            raise NoClock(
+                f"the clock of {self._url} cannot be set: the board does not have the capability "
+                "clock; build its firmware with J2A_WITH_SYNC=1"
+            )
+        if c.TRANSD not in functions or not client._source.names():
+            raise NoClock(
+                f"{self._url} tells no time: the board has neither the capability clock nor "
+                "transducers; build its firmware with J2A_WITH_SYNC=1"
+            )
+
+    def _exchange(self) -> Transfer[Exchange]:
+        """Make one exchange."""
+        yield from self._prepare()
+        is_clock = self._can_be_set
+        nonce = self._nonce()
+        if is_clock:
+            what, payload = c.CLOCK, pack_exchange(nonce)
+        else:
+            what, payload = c.TRANSD, self._time_request()
+        request = CallRequest(what, payload, self._client._device.functions[what])
+        sent_us = self._host.counter_us()
+        [(code, reply)] = yield (request,)
+        came_us = self._host.counter_us()
+        if code != 0:
+            raise remote_error(what, code, reply)
+        if is_clock:
+            on_wire = _FRAME_BYTES + len(stuff(payload)), _FRAME_BYTES + len(stuff(reply))
+            exchange = unpack_exchange(reply, nonce, sent_us, came_us, on_wire)
+        elif len(reply) == TIME_BYTES:
+            exchange = Exchange(sent_us, came_us, int.from_bytes(reply, "little"))
+        else:
+            raise ProtocolError(f"{what}: a time came as {reply!r:.60}")
+        self._discipline.add(exchange)
+        self._host.observe()
+        return exchange
+
+    def _measure(self) -> Transfer[Exchange]:
+        """Make one exchange, and ask what the board says of its clock."""
+        exchange = yield from self._exchange()
+        if self._can_be_set:
+            yield from self._ask_status()
+        return exchange
+
+    def _adjust(self) -> Transfer[None]:
+        """Make one exchange, and tell the board what follows from it."""
+        yield from self._prepare(to_set=True)
+        yield from self._exchange()
+        if self._discipline.status is None:
+            yield from self._ask_status()
+        adjust = self._discipline.next_adjust(self._host.observe())
+        if adjust is None:
+            return
+        [(code, reply)] = yield (self._clock_request(adjust.pack()),)
+        if code == c.CLOCK_BAD_VALUE:
+            self._discipline.reset()  # J2A-CLOCK-026
+            return
+        if code != 0:
+            raise remote_error(c.CLOCK, code, reply)
+        self._discipline.take_status(unpack_status(reply), adjust)
+
+    def _ask_status(self) -> Transfer[Status]:
+        yield from self._prepare(to_set=True)
+        [(code, reply)] = yield (self._clock_request(pack_status()),)
+        if code != 0:
+            raise remote_error(c.CLOCK, code, reply)
+        status = unpack_status(reply)
+        self._discipline.take_status(status)
+        return status
+
+    def _clock_request(self, payload: bytes) -> CallRequest:
+        return CallRequest(c.CLOCK, payload, self._client._device.functions[c.CLOCK])
+
+    def _time_request(self) -> bytes:
+        source = self._client._source
+        codec = source.codec(source.names()[0])
+        return bytes([codec.transducer.id, c.TRANSD_TIME])
+
+    def _nonce(self) -> int:
+        """Return a random number whose bytes need no escape, so that all requests are as long."""
+        while True:
+            nonce = self._draw.getrandbits(32)
+            data = nonce.to_bytes(4, "little")
+            if len(stuff(data)) == len(data):
+                return nonce
+
+    def _is_outdated(self) -> bool:
+        """Whether the board should hear now that the clock of this computer was set or slewed."""
+        self._host.observe()
+        return self._discipline.is_outdated
+
+    def _is_over(self) -> bool:
+        """Whether the client is gone or closed, or the link lost."""
+        client = self._client_ref()
+        return client is None or not client.is_open
+
+    def _note_step(self, before: int) -> int:
+        """Log that the clock of this computer was set since there were so many steps.
+
+        Returns: how many there are now.
+        """
+        reference = self._host.reference
+        if reference.steps != before:
+            _logger.warning(
+                "the clock of this computer was set by %+.6f s; %s follows",
+                reference.last_step_us / _US,
+                self._url,
+            )
+        return reference.steps

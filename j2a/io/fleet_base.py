@@ -1,0 +1,216 @@
+"""The common base of both kinds of fleet, without the waiting.
+
+What flows in: the options of a fleet, and clients of boards that have come. What flows out: the
+boards that are here as a mapping, and who takes samples and changes.
+Rule: the lock guards the roster; nothing waits while it is held.
+"""
+
+import contextlib
+import logging
+import math
+import threading
+from abc import abstractmethod
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Generic, TypeVar
+
+import j2a_transports
+
+from j2a.errors import J2AError, LinkClosed, LinkError, LocalError, Outcome
+from j2a.events import Sample
+from j2a.io.client_base import ClientBase
+from j2a.io.handlers import ErrorHook, Handlers, Reporter
+from j2a.io.opening import TRANSPORT_ERRORS, link_error
+from j2a.io.samples import WantedSamples
+from j2a.io.threads import start_thread
+from j2a.protocol.arguments import check_timeout
+from j2a.protocol.roster import BoardChange, Member, Roster
+
+__all__ = ["FleetBase", "by_url"]
+
+_logger = logging.getLogger("j2a")
+_ClientT = TypeVar("_ClientT", bound=ClientBase)
+_MemberT = TypeVar("_MemberT", bound=Member[Any])
+
+
+def by_url(client: ClientBase) -> str:
+    """Return the URL of a board, which on the USB has its serial number or the path of ports."""
+    return client.url
+
+
+class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
+    """The boards that are here, by identity; each kind of fleet adds its own way of waiting."""
+
+    def __init__(
+        self,
+        timeout: float,
+        boot_time: float,
+        retry: float,
+        heartbeat: float | None,
+        on_handler_error: ErrorHook | None,
+    ) -> None:
+        self._timeout = check_timeout(timeout)
+        self._boot_time = check_timeout(boot_time)
+        self._retry_s = check_timeout(retry)
+        self._heartbeat_s = math.inf if heartbeat is None else check_timeout(heartbeat)
+        self._reporter = Reporter(on_handler_error)
+        self._lock = threading.RLock()
+        self._roster: Roster[_MemberT] = Roster()
+        self._samples: defaultdict[str | None, Handlers[Any]] = defaultdict(Handlers)
+        self._changes: Handlers[Any] = Handlers()
+        self._usb: j2a_transports.UsbWatch | None = None
+
+    # ------------------------------------------------------------------ boards
+
+    def __getitem__(self, board: str) -> _ClientT:
+        with self._lock:
+            client: Any = self._roster.find(board).client
+        found: _ClientT = client
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        with self._lock:
+            return iter(list(self._roster.here))
+
+    def __len__(self) -> int:
+        return len(self._roster.here)
+
+    def __repr__(self) -> str:
+        members = len(self._roster.members)
+        return f"<j2a.{type(self).__name__} {len(self)} of {members} boards are here>"
+
+    @property
+    def problems(self) -> dict[str, J2AError]:
+        """Why boards are not here, by URL."""
+        with self._lock:
+            return self._roster.problems
+
+    def _transducers(self) -> dict[tuple[str, str], Any]:
+        with self._lock:
+            here = {board: one.client for board, one in self._roster.here.items() if one.client}
+        found: dict[tuple[str, str], Any] = {}
+        for board, client in here.items():
+            with contextlib.suppress(LinkError):  # has just gone
+                found |= {(board, name): one for name, one in client.transducers.items()}
+        return found
+
+    def remove(self, board: str) -> None:
+        """Close a board and try it no more; returns at once.
+
+        Args:
+            board: its identity or its URL.
+
+        Raises:
+            UnknownBoard: the fleet has no such board.
+        """
+        with self._lock:
+            member = self._roster.remove(board)
+            self._notify()
+        self._stop(member)
+
+    def _check_new(self, url: str) -> None:
+        """Refuse a URL that cannot be added.
+
+        Raises:
+            BadUrl: the URL is of no scheme that is known.
+            LocalError: the fleet has the URL, or is closed.
+        """
+        if not isinstance(url, str):
+            raise LocalError(f"a URL is a text such as 'serial:///dev/ttyACM0', not {url!r:.60}")
+        try:
+            j2a_transports.innermost(url)
+        except j2a_transports.TransportError as error:
+            raise link_error(error) from None
+        with self._lock:
+            self._roster.check_new(url)
+
+    @abstractmethod
+    def _notify(self) -> None:
+        """Wake those who wait for boards; the lock is held."""
+
+    @abstractmethod
+    def _stop(self, member: _MemberT) -> None:
+        """Have a member end; returns at once."""
+
+    # ------------------------------------------------------------------ members
+
+    def _come(self, member: _MemberT, client: _ClientT, board: str) -> BoardChange:
+        """Let a board be here.
+
+        Raises:
+            LocalError: another board has the same identity.
+            LinkClosed: it was taken out meanwhile.
+        """
+        client._source.board = board
+        with self._lock:
+            change = self._roster.come(member, client, board)
+            client._handlers.add(WantedSamples(client._source), self._deliver)
+            self._notify()
+        return change
+
+    def _go(
+        self, member: _MemberT, board: str | None, reason: J2AError | None
+    ) -> BoardChange | None:
+        """Let a board be gone; returns what is to be told."""
+        with self._lock:
+            change = self._roster.go(member, board, reason)
+            self._notify()
+        return change
+
+    @abstractmethod
+    def _deliver(self, sample: Sample) -> object:
+        """Call the handlers of a sample."""
+
+    def _takers(self, name: str) -> Iterator[Callable[[Any], Any]]:
+        """Yield what is called with the samples of a transducer."""
+        for key in (None, name):
+            handlers = self._samples.get(key)
+            if handlers is not None:
+                yield from handlers.matching()
+
+    def _finish(self) -> None:
+        """Tell those who wait for samples or changes that none will come any more."""
+        reason = LinkClosed("the fleet was closed", outcome=Outcome.NOT_SENT)
+        with self._lock:
+            handlers = [*self._samples.values(), self._changes]
+        for one in handlers:
+            one.finish(reason)
+
+    # ------------------------------------------------------------------ USB
+
+    def _watch_usb(self, take: Callable[[Callable[[str], None], str], object]) -> threading.Thread:
+        """Watch the boards on the USB in a thread; libusb can only be asked.
+
+        Args:
+            take: is called by the thread with `add` or `remove` and a URL.
+
+        Raises:
+            OpenFailed: the USB cannot be watched.
+        """
+        try:
+            watch = self._usb = j2a_transports.watch_usb()
+        except TRANSPORT_ERRORS as error:
+            raise link_error(error) from None
+
+        def follow() -> None:
+            try:
+                for event in watch:
+                    has_come = isinstance(event, j2a_transports.UsbArrived)
+                    take(self._add_quietly if has_come else self._remove_quietly, event.board.url)
+            except TRANSPORT_ERRORS:
+                if not self._roster.is_closed:
+                    _logger.exception("the boards on the USB are watched no more")
+
+        return start_thread(follow, "j2a fleet usb")
+
+    @abstractmethod
+    def add(self, url: str) -> None:
+        """Take in a board."""
+
+    def _add_quietly(self, url: str) -> None:
+        with contextlib.suppress(LocalError):  # given as a URL, too
+            self.add(url)
+
+    def _remove_quietly(self, url: str) -> None:
+        with contextlib.suppress(LocalError):  # gone already
+            self.remove(url)

@@ -1,0 +1,75 @@
+"""The time of the host: from its steady counter to microseconds since 1970.
+
+What flows in: readings of the counter and of the clock that people and NTP set, both in
+microseconds. What flows out: times of the one as times of the other, and whether the clock was set.
+Rules: a clock that runs a little faster or slower is followed; one that jumps by 1 ms or more was
+set, which is counted and told (J2A-CLOCK-028).
+"""
+
+from collections import deque
+from typing import Final
+
+__all__ = ["STEP_US", "ReferenceClock"]
+
+STEP_US: Final = 1000
+"""A change by so much is a step of the host's clock, and a smaller one part of its rate."""
+MAX_SLEW: Final = 1e-3
+"""Twice as fast as NTP slews a clock."""
+BEND_US: Final = 20
+"""A reading that is off by more shows that the rate has changed; what was before tells nothing."""
+_BASE_US: Final = 90_000
+_APART_US: Final = 250_000
+_KEPT: Final = 9
+_US: Final = 1e6
+
+
+class ReferenceClock:
+    """Turns times of the host's counter into Unix time, and back.
+
+    Attributes:
+        steps: how often the clock was set.
+        last_step_us: by how much, the last time.
+        rate: by which the clock runs faster than the counter.
+    """
+
+    def __init__(self) -> None:
+        self.steps = 0
+        self.last_step_us = 0
+        self.rate = 0.0
+        self._anchor = (0.0, 0)
+        self._kept: deque[tuple[float, int]] = deque(maxlen=_KEPT)
+
+    def observe(self, counter_us: float, unix_us: int) -> bool:
+        """Take a reading of both; return whether the clock was set since the one before."""
+        is_step = False
+        if self._kept:
+            passed = counter_us - self._anchor[0]
+            off = unix_us - self.to_unix(counter_us)
+            is_step = abs(off) >= STEP_US + MAX_SLEW * abs(passed)
+            if is_step:
+                self.steps += 1
+                self.last_step_us = round(off)
+                # The rate stays: it is that of the counter, and NTP has not changed it.
+                self._kept.clear()
+            elif abs(off) > BEND_US:
+                self._kept.clear()
+                self._kept.append(self._anchor)
+        self._anchor = counter_us, unix_us
+        if not self._kept or counter_us - self._kept[-1][0] >= _APART_US:
+            self._kept.append(self._anchor)
+        first_us, first_unix = self._kept[0]
+        passed = counter_us - first_us
+        if passed >= _BASE_US:
+            self.rate = (unix_us - first_unix - passed) / passed
+        return is_step
+
+    def to_unix(self, counter_us: float) -> int:
+        """Return the Unix time at a time of the counter, in whole microseconds."""
+        at_us, unix_us = self._anchor
+        passed = counter_us - at_us
+        return unix_us + round(passed + passed * self.rate)
+
+    def to_counter(self, unix_us: int) -> float:
+        """Return the time of the counter at a Unix time."""
+        at_us, anchor_us = self._anchor
+        return at_us + (unix_us - anchor_us) / (1 + self.rate)

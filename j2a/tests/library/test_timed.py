@@ -1,0 +1,173 @@
+"""Several boards of a fleet that act at one instant."""
+
+import contextlib
+import threading
+import time
+
+import pytest
+from j2a_spec import constants as c
+
+import j2a
+from j2a.types.transds_file import read_transds
+
+from .clocked import ClockedDevice
+from .support import PATIENCE_S, served
+from .test_aio import in_event_loop
+
+FILE = """
+SENSOR(imu, 2, imu, X, 1, u8, none, (trigger))
+SENSOR(quad, 3, quad, X, 1, u8, none)
+ACTUATOR(lamp, 11, lamp, X, 1, u8, none, (range, 0, 9))
+"""
+
+
+class Board(j2a.Device):
+    """Notes when it acts, on its own clock."""
+
+    def __init__(self, name, text=FILE):
+        super().__init__({"serial": name}, transducers=read_transds(text))
+        self.acted = []
+        self.has_acted = threading.Event()
+        if text is FILE:
+            self.actuator("lamp")(self._note)
+            self.on_trigger("imu")(self._note)
+
+    def now_us(self):
+        return self._transducers().now_us()
+
+    def _note(self, *what):
+        self.acted.append((self.now_us(), what))
+        self.has_acted.set()
+
+
+@pytest.fixture
+def boards():
+    with contextlib.ExitStack() as stack:
+        made = [stack.enter_context(Board(name)) for name in ("left", "right")]
+        made.append(stack.enter_context(Board("other", "SENSOR(t, 1, t, X, 1, u8, none)")))
+        urls = [stack.enter_context(served(one)) for one in made]
+        yield made, urls
+
+
+@pytest.fixture
+def fleet(boards):
+    with j2a.Fleet(*boards[1], timeout=PATIENCE_S, heartbeat=None) as fleet:
+        fleet.wait(3, timeout=PATIENCE_S)
+        yield fleet
+
+
+def soon_us(seconds):
+    return time.time_ns() // 1000 + int(seconds * 1e6)
+
+
+def check(boards, told, fleet, time_us):
+    """The two boards acted when they were to, on their clocks."""
+    assert set(told) == {"left", "right"}
+    for name, board in zip(("left", "right"), boards, strict=False):
+        assert board.has_acted.wait(PATIENCE_S)
+        [(acted_us, _)] = board.acted
+        assert acted_us >= told[name]
+        clock = fleet[name].clock
+        assert abs(clock.to_host(told[name]) - time_us) <= clock.uncertainty_us + 5000
+
+
+def test_actuators_of_several_boards_are_set_at_one_time(boards, fleet):
+    time_us = soon_us(0.3)
+    check(boards[0], fleet.at(time_us).set("lamp", 7), fleet, time_us)
+
+
+def test_sensors_of_several_boards_measure_at_one_time(boards, fleet):
+    time_us = soon_us(0.3)
+    check(boards[0], fleet.at(time_us).trigger("imu"), fleet, time_us)
+
+
+def test_boards_may_be_named(boards, fleet):
+    assert set(fleet.at(soon_us(0.3)).set("lamp", 1, boards=["right"])) == {"right"}
+    with pytest.raises(j2a.UnknownBoard):
+        fleet.at(soon_us(5)).set("lamp", 1, boards=["nobody"])
+    with pytest.raises(j2a.UnknownTransducer):
+        fleet.at(soon_us(5)).set("lamp", 1, boards=["other"])
+
+
+def test_what_is_wrong_is_refused_before_anything_is_sent(boards, fleet):
+    fleet.at(soon_us(0.2)).trigger("imu")  # their clocks are known
+    sent = {name: client.counters.frames_sent for name, client in fleet.items()}
+    for order, error, text in [
+        (lambda at: at.set("lamp", 99), j2a.WrongArgument, "lamp is"),
+        (lambda at: at.set("lamp"), j2a.WrongArgument, "missing"),
+        (lambda at: at.set("lamp", 1, channel=3), j2a.WrongArgument, "channels"),
+        (lambda at: at.set("imu", 1), j2a.WrongArgument, "a sensor"),
+        (lambda at: at.trigger("lamp"), j2a.WrongArgument, "an actuator"),
+        (lambda at: at.trigger("quad"), j2a.WrongArgument, "no trigger"),
+        (lambda at: at.trigger("nothing"), j2a.UnknownTransducer, "no board"),
+    ]:
+        with pytest.raises(error, match=text):
+            order(fleet.at(soon_us(60)))
+    with pytest.raises(j2a.LocalError, match="is over"):
+        fleet.at(soon_us(-1)).set("lamp", 1)
+    with pytest.raises(j2a.WrongArgument):
+        fleet.at(1.5)
+    assert {name: client.counters.frames_sent for name, client in fleet.items()} == sent
+
+
+def test_an_order_that_comes_too_late_is_an_error(boards, fleet):
+    fleet.at(soon_us(0.2)).trigger("imu")
+    slow = boards[0][1]
+    answer = slow._table.execute
+
+    def execute(opcode, payload):
+        if payload[1:2] == bytes([c.TRANSD_SET]):
+            time.sleep(0.3)
+        return answer(opcode, payload)
+
+    slow._table.execute = execute
+    with pytest.raises(j2a.CallTimeout, match="after the time"):
+        fleet.at(soon_us(0.2)).set("lamp", 1)
+
+
+def test_a_board_that_refuses_does_not_keep_the_others_from_acting(boards, fleet):
+    fleet.at(soon_us(0.2)).trigger("imu")
+    left, right = boards[0][:2]
+    left._table.execute = lambda _opcode, _payload: (c.TRANSD_BAD_VALUE, b"")
+    right.has_acted.wait(PATIENCE_S)
+    right.has_acted.clear()
+    with pytest.raises(j2a.FunctionFailed):
+        fleet.at(soon_us(0.3)).set("lamp", 1)
+    assert right.has_acted.wait(PATIENCE_S)
+
+
+@in_event_loop
+async def test_boards_of_an_asyncio_fleet_act_at_one_time():
+    with contextlib.ExitStack() as stack:
+        boards = [stack.enter_context(Board(name)) for name in ("left", "right")]
+        urls = [stack.enter_context(served(one)) for one in boards]
+        async with j2a.AsyncFleet(*urls, timeout=PATIENCE_S, heartbeat=None) as fleet:
+            await fleet.wait(2, timeout=PATIENCE_S)
+            time_us = soon_us(0.3)
+            told = await fleet.at(time_us).set("lamp", 3)
+            check(boards, told, fleet, time_us)
+            for board in boards:
+                board.acted.clear()
+                board.has_acted.clear()
+            time_us = soon_us(0.3)
+            check(boards, await fleet.at(time_us).trigger("imu"), fleet, time_us)
+            with pytest.raises(j2a.LocalError, match="is over"):
+                await fleet.at(soon_us(-1)).set("lamp", 3)
+
+
+def test_each_board_that_comes_is_disciplined(fleet):
+    """As the page Time shows it."""
+    with ClockedDevice(ppm=70) as device, served(device) as url:
+
+        def keep(change):
+            if change.is_here:
+                fleet[change.board].clock.discipline(0.02)
+
+        fleet.on_change(keep)
+        fleet.add(url)
+        fleet.wait(url, timeout=PATIENCE_S)
+        deadline = time.monotonic() + PATIENCE_S
+        while device._epoch != 1:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        fleet.remove(url)

@@ -1,0 +1,191 @@
+"""Several boards that act at one instant.
+
+What flows in: a time of this computer, the boards of a fleet, and what is to be done. What flows
+out: orders to each board, with the time on its own clock.
+Rules: all of it is checked before the first order is sent. An order that a board got too late is an
+error, because it acted at once then (J2A-TRANS-016, J2A-TRANS-018).
+"""
+
+import asyncio
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from j2a_spec import constants as c
+
+from j2a.errors import CallTimeout, J2AError, LocalError, UnknownTransducer, WrongArgument
+from j2a.io.clock_base import ClockBase
+from j2a.types.samples import SampleCodec, pack_time
+
+__all__ = ["AsyncFleetAt", "FleetAt"]
+
+_FOLLOWS: Final = ("locked", "holdover")
+"""Such a board has the time of the host, and boards on one USB agree by it better than with us."""
+
+_Pack = Callable[[SampleCodec, int], bytes]
+"""Makes what is told to one transducer, for a time on the clock of its board."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """What one board is told: a transducer, a request, and the time on its clock."""
+
+    board: str
+    transducer: Any
+    request: bytes
+    at_us: int
+
+
+class _At:
+    """What both kinds have in common.
+
+    Args:
+        boards: clients by the identity of their board.
+        time_us: when, in microseconds since 1970 on the clock of this computer.
+    """
+
+    def __init__(self, boards: Mapping[str, Any], time_us: int) -> None:
+        pack_time(time_us)
+        self._boards = boards
+        self._time_us = time_us
+
+    def _chosen(self, name: str, boards: Iterable[str] | None) -> dict[str, Any]:
+        """Return the clients of the boards that have a transducer, or of those that are named.
+
+        Raises:
+            UnknownTransducer: there is none.
+        """
+        if boards is not None:
+            chosen = {board: self._boards[board] for board in boards}
+        else:
+            chosen = {key: one for key, one in self._boards.items() if name in one.transducers}
+        if not chosen:
+            raise UnknownTransducer(f"no board of the fleet has a transducer {name!r:.40}")
+        return chosen
+
+    def _plan(self, chosen: dict[str, Any], name: str, item: int, pack: _Pack) -> list[_Order]:
+        """Return the orders to boards.
+
+        Raises:
+            LocalError: the time is over, or a value is wrong.
+        """
+        orders = []
+        for board, client in chosen.items():
+            one = client.transducers[name]
+            if one.descriptor.is_sensor != (item == c.TRANSD_TRIGGER):
+                kind = "a sensor" if one.descriptor.is_sensor else "an actuator"
+                raise WrongArgument(
+                    f"{name} of {board} is {kind}; actuators are set, and sensors triggered"
+                )
+            at_us = self._at_us(client.clock)
+            orders.append(_Order(board, one, one._request(item, pack(one._codec, at_us)), at_us))
+        return orders
+
+    def _at_us(self, clock: ClockBase) -> int:
+        late_us = self._late_us(clock)
+        if late_us >= 0:
+            raise LocalError(f"{self._time_us} us is over since {late_us} us; nothing was sent")
+        return self._time_us if clock._state in _FOLLOWS else clock._to_device(self._time_us)
+
+    def _late_us(self, clock: ClockBase) -> int:
+        return clock._host.reference.to_unix(clock._host.observe()) - self._time_us
+
+    def _result(self, orders: Sequence[_Order], clock: ClockBase) -> dict[str, int]:
+        late_us = self._late_us(clock)
+        if late_us > 0:
+            raise CallTimeout(
+                f"the last board answered {late_us} us after the time at which all were to act; "
+                "choose a later time"
+            )
+        return {order.board: order.at_us for order in orders}
+
+
+class FleetAt(_At):
+    """Orders for a time; from `Fleet.at`."""
+
+    def set(
+        self,
+        name: str,
+        *values: Any,
+        channel: int = 0,
+        raw: bool = False,
+        boards: Iterable[str] | None = None,
+    ) -> dict[str, int]:
+        """Set an actuator of several boards at the same instant.
+
+        Args:
+            name: of the actuator.
+            values, channel, raw: as of `Actuator.set`.
+            boards: identities; all boards that have the actuator if not given.
+
+        Returns: when each board acts, in microseconds on its own clock.
+
+        Raises:
+            LocalError: the time is over, or a value is wrong; nothing was sent.
+            UnknownTransducer: no board has the actuator, or one that is named has not.
+            CallTimeout: not all boards had their order in time.
+            J2AError: as `Actuator.set`; the other boards had their orders all the same.
+        """
+        return self._send(name, boards, c.TRANSD_SET, _packed(values, channel, raw))
+
+    def trigger(self, name: str, *, boards: Iterable[str] | None = None) -> dict[str, int]:
+        """Have a sensor of several boards measure once at the same instant.
+
+        Args, returns, raises: as `set`; WrongArgument for a sensor that has no key trigger.
+        """
+        return self._send(name, boards, c.TRANSD_TRIGGER, lambda _codec, at_us: pack_time(at_us))
+
+    def _send(
+        self, name: str, boards: Iterable[str] | None, item: int, pack: _Pack
+    ) -> dict[str, int]:
+        chosen = self._chosen(name, boards)
+        for client in chosen.values():
+            client.clock._ask_once()
+        orders = self._plan(chosen, name, item, pack)
+        errors: list[J2AError] = []
+        for order in orders:
+            try:
+                order.transducer._ask(order.request)
+            except J2AError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
+        return self._result(orders, next(iter(chosen.values())).clock)
+
+
+class AsyncFleetAt(_At):
+    """Orders for a time; from `AsyncFleet.at`."""
+
+    async def set(
+        self,
+        name: str,
+        *values: Any,
+        channel: int = 0,
+        raw: bool = False,
+        boards: Iterable[str] | None = None,
+    ) -> dict[str, int]:
+        """Set an actuator of several boards at the same instant; `FleetAt.set` for asyncio."""
+        return await self._send(name, boards, c.TRANSD_SET, _packed(values, channel, raw))
+
+    async def trigger(self, name: str, *, boards: Iterable[str] | None = None) -> dict[str, int]:
+        """Have a sensor of several boards measure once; `FleetAt.trigger` for asyncio."""
+        return await self._send(
+            name, boards, c.TRANSD_TRIGGER, lambda _codec, at_us: pack_time(at_us)
+        )
+
+    async def _send(
+        self, name: str, boards: Iterable[str] | None, item: int, pack: _Pack
+    ) -> dict[str, int]:
+        chosen = self._chosen(name, boards)
+        clocks = [client.clock for client in chosen.values()]
+        await asyncio.gather(*(one.measure(1) for one in clocks if not one._is_known))
+        orders = self._plan(chosen, name, item, pack)
+        sent = (order.transducer._ask(order.request) for order in orders)
+        for found in await asyncio.gather(*sent, return_exceptions=True):
+            if isinstance(found, BaseException):
+                raise found
+        return self._result(orders, clocks[0])
+
+
+def _packed(values: Sequence[Any], channel: int, raw: bool) -> _Pack:
+    return lambda codec, at_us: codec.pack_set(values, channel, at_us, is_raw=raw)
