@@ -4,7 +4,8 @@ In: boards that can be called at true times, the host's clocks, recorded delays.
 boards. The estimator, the bus and the messages are those of the library.
 Rules: the host sees its own clocks only: it stamps when it begins to send, and when the program
 has the reply, which is as late as its scheduler was on the machine that was recorded. One board is
-asked after the other, as by one thread.
+asked after the other; then all are told the time, without waiting for their replies in between, for
+boards that are told at different times follow the host at different times.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ CLOCK: Final = b"a2jClock"
 MAPPING_OPCODE: Final = 0
 START_S: Final = 1.0
 APART_S: Final = 0.002
-FRAME_AGE_S: Final = 0.3  # SYNC-005: a frame has to be told within 500 ms
+TOLD_APART_S: Final = 0.0002
 
 
 class Board(Protocol):
@@ -171,14 +172,14 @@ class Host:
         for member in present:
             now_s = self._observe(member, now_s) + APART_S
         self._reference.observe(self._monotonic_us(now_s), self._unix_us(now_s))
-        frame, of_s = self._frame(now_s), now_s
         for member in present:
             if member.discipline.status is None:
                 now_s = self._ask(member, now_s)
-            if now_s > of_s + FRAME_AGE_S:
-                frame, of_s = self._frame(now_s), now_s
-            now_s = self._tell(member, now_s, frame)
-        return now_s
+        frame, done_s = self._frame(now_s), now_s
+        for member in present:
+            done_s = max(done_s, self._tell(member, now_s, frame))
+            now_s += TOLD_APART_S
+        return done_s
 
     def _frame(self, now_s: float) -> Frame | None:
         """The time of a frame, for all boards of the bus; None until it is known well enough."""
