@@ -36,7 +36,6 @@ from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a_sim._clocks.delays import HOST_BYTE_S, host_delay
-from j2a_sim._clocks.native import REPLY_S
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import UNIX_US, HostClock
 from j2a_sim._errors import SimError
@@ -74,8 +73,8 @@ class _Member:
     slacks_us: list[float] = field(default_factory=list)
 
 
-def clock_opcode(board: Board, at_s: float) -> int:
-    """Ask a board for its functions; returns the opcode of a2jClock.
+def clock_opcode(board: Board, at_s: float) -> tuple[int, float]:
+    """Ask a board for its functions; returns the opcode of a2jClock, and when it was there.
 
     Raises:
         SimError: it does not answer, or has no clock.
@@ -85,9 +84,9 @@ def clock_opcode(board: Board, at_s: float) -> int:
     names: list[bytes] = []
     if replies and isinstance(replies[-1], WireFrame):
         names = replies[-1].payload.rstrip(b"\0").split(b"\0")
-    if CLOCK not in names:
+    if answer is None or CLOCK not in names:
         raise SimError(f"the firmware has no {CLOCK.decode()}: was it built with a clock?")
-    return names.index(CLOCK)
+    return names.index(CLOCK), answer[1]
 
 
 class Host:
@@ -221,8 +220,8 @@ class Host:
     def _observe(self, member: _Member, now_s: float) -> float:
         """Make an exchange; returns when it was over."""
         if member.opcode < 0:
-            member.opcode = clock_opcode(member.board, now_s)
-            now_s += REPLY_S
+            member.opcode, now_s = clock_opcode(member.board, now_s)
+            now_s += APART_S
         nonce = int(self._rng.integers(1 << 32))
         sent_us = self._monotonic_us(now_s)
         self._reference.observe(sent_us, self._unix_us(now_s))
