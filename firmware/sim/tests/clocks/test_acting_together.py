@@ -1,6 +1,5 @@
 """Four boards on one USB, disciplined by the host of the bench, act at one time."""
 
-import statistics
 import struct
 
 import numpy as np
@@ -21,8 +20,6 @@ pytestmark = [pytest.mark.avr, pytest.mark.slow]
 
 SETTLED_S, SECONDS = 12.0, 15.0
 LIMIT_US = 3.0
-# About one edge of ten comes 5 to 11 us late.
-MOST_US = 15.0
 
 
 @pytest.fixture
@@ -65,7 +62,7 @@ def edges_s(board, pin):
     return [board.true_s(edge.cycle) for edge in board.sim.pins.edges(pin)]
 
 
-def test_edges_of_four_disciplined_boards_come_at_one_time(boards):
+def test_edges_of_four_disciplined_boards_are_within_three_microseconds(boards):
     settings = Settings(boards=4, seconds=SETTLED_S, engine="avr")
     clock = HostClock(np.random.default_rng(12), SECONDS)
     Host(settings, np.random.default_rng(13), clock, boards).run()
@@ -90,5 +87,4 @@ def test_edges_of_four_disciplined_boards_come_at_one_time(boards):
             spread_us = 1e6 * (max(times_s) - min(times_s))
             spreads.append(spread_us)
     print("differences of edges, us:", [round(us, 2) for us in spreads])
-    assert statistics.median(spreads) < LIMIT_US
-    assert max(spreads) < MOST_US
+    assert max(spreads) < LIMIT_US
