@@ -65,6 +65,16 @@ class Host:
         """How many SIFs were no samples, though they should have been."""
         return sum(isinstance(error, j2a.ProtocolError) for error in self.errors)
 
+    async def ask_clock(self, verb: str, rounds: int, limit_s: float) -> str:
+        """Make exchanges with the clock of the board; report the last one, or what is known."""
+        clock = self.board.clock
+        if verb == "clock-exchange":
+            done = await clock.exchange(limit_s)
+            return f"exchanged {done.received_us}"
+        ask = clock.sync if verb == "clock-sync" else clock.measure
+        reading = await ask(rounds, limit_s)
+        return f"clock {reading.state} {reading.uncertainty_us:.0f}"
+
     async def report_samples(self, name_of: str, count: int, wait_s: float) -> str:
         """Wait for so many samples, report their readings, and forget them."""
         samples = self.samples[name_of]
@@ -140,6 +150,8 @@ class Host:
                     at = {"channel": int(channel), "at_us": int(time_us)}
                     await one.set(*json.loads(values), **at)
                     return "done"
+                case [("clock-exchange" | "clock-measure" | "clock-sync") as verb, rounds, ms]:
+                    return await self.ask_clock(verb, int(rounds), int(ms) / 1000)
                 case ["sifs", handler, count, ms]:
                     return await self.report_sifs(self.sifs[handler], int(count), int(ms) / 1000)
                 case ["bye"]:

@@ -120,6 +120,8 @@ class Host:
                     at = {"channel": int(channel), "at_us": int(time_us)}
                     one.set(*json.loads(values), **at)
                     return "done"
+                case [("clock-exchange" | "clock-measure" | "clock-sync") as verb, rounds, ms]:
+                    return self.ask_clock(verb, int(rounds), int(ms) / 1000)
                 case ["sifs", handler, count, ms]:
                     return self.report_sifs(self.sifs[handler], int(count), int(ms) / 1000)
                 case ["bye"]:
@@ -148,6 +150,16 @@ class Host:
     def report(self, error: BaseException, _event: object) -> None:
         """Count what was no sample."""
         self.wrong += isinstance(error, j2a.ProtocolError)
+
+    def ask_clock(self, verb: str, rounds: int, limit_s: float) -> str:
+        """Make exchanges with the clock of the board; report the last one, or what is known."""
+        clock = self.board.clock
+        if verb == "clock-exchange":
+            done = clock.exchange(limit_s)
+            return f"exchanged {done.received_us}"
+        ask = clock.sync if verb == "clock-sync" else clock.measure
+        reading = ask(rounds, limit_s)
+        return f"clock {reading.state} {reading.uncertainty_us:.0f}"
 
     def report_samples(self, name_of: str, count: int, wait_s: float) -> str:
         """Wait for so many samples, report their readings, and forget them."""

@@ -46,7 +46,7 @@ _SEEDED: Final = (
     "import random, runpy, sys; random.seed(0); runpy.run_path(sys.argv[1], None, '__main__')"
 )
 # Applications of the Python Device besides its demo: functions of testees/transducers.py.
-_TESTEES: Final = {"transducers": "device", "clock": "clocked"}
+_TESTEES: Final = {"transducers": "device", "clock": "fast"}
 _DIED: Final = ("the link ended", "the host program ended")
 
 
@@ -354,7 +354,7 @@ def _device(how: Variant, folder: Path) -> tuple[str, float]:
             (folder / "judged.py").write_text(text, "utf-8")
             serve += ["--device", "judged:device"]
         return "exec:" + shlex.join(_python(folder, *serve)), _SCALE
-    if how.port == "posix" and "J2A_WITH_SYNC=1" in how.options:  # fast, as testees/clock.toml
+    if how.port == "posix" and "J2A_WITH_SYNC=1" in how.options:  # so that cases wait less
         return f"exec:env J2A_DRIFT_PPM=3000040 {shlex.quote(f'{folder}/out/{how.app}')}", _SCALE
     if how.port == "posix":
         return f"exec:{shlex.quote(f'{folder}/out/{how.app}')}", _SCALE

@@ -17,7 +17,9 @@ NOTHING_LOST = {"limits.overrun"}
 NO_SELF_TEST = {"properties.selftest"}  # such a build is for bringing a port up
 NO_BOOT = {f"boot.{name}" for name in ("first", "payload", "once", "reserved")}
 NO_TRANSDUCERS = {case.ID for case in load() if case.LEVEL == "transducers"}
-NOT_OURS = NO_SELF_TEST | NO_BOOT | NO_TRANSDUCERS | {"limits.room"}  # for devices with less room
+NO_CLOCK = {case.ID for case in load() if case.LEVEL == "clock"}
+NOT_OURS = NO_SELF_TEST | NO_BOOT | NO_TRANSDUCERS | NO_CLOCK
+NOT_OURS |= {"limits.room"}  # for devices with less room
 
 
 @pytest.fixture

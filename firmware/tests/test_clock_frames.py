@@ -170,3 +170,17 @@ def test_exchange_names_the_frame_before_the_request(library: Path) -> None:
     board.interrupt(None, step_us=1600)
     seen = CLOCK_SEEN_FRAME.parse(board.call(request)[1][14:])
     assert (seen.frame, seen.age) == (2046, 500)
+
+
+def test_a_frame_may_begin_after_the_time_was_read(library: Path) -> None:
+    bus = Bus(library, [0], seed=7)
+    (board,) = bus.boards
+    bus.next(5)
+    bus.tell()
+    for _ in range(40):
+        bus.next(100)
+        board.see_frame(bus.frame, board.local + 2)  # an interrupt came in between
+        before = board.time
+        bus.tell()
+        assert abs(board.time - before) < 3
+    assert CLOCK_STATUS.parse(board.call(STATUS)[1]).epoch == 1

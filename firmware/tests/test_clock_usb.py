@@ -4,6 +4,9 @@ In: the demo with J2A_WITH_SYNC, and a host that knows when each frame began, to
 time against that truth, and the answers to the request of SyncUSB. All times are simulated ones.
 """
 
+import re
+from pathlib import Path
+
 import pytest
 from j2a_spec import constants as c
 from j2a_spec import usb
@@ -114,9 +117,9 @@ def test_the_age_is_that_of_the_request(board):
 @pytest.mark.requirement("SYNC-006")
 def test_packets_lead_the_time(board):
     zero = truth(board)
-    for _ in range(4):
+    for _ in range(8):
         sync(board, UNIX + round(truth(board) - zero), board.bus.frame % 1024)
-        board.pause(400)
+        board.pause(300)
     found = status(board)
     assert (found.epoch, found.uncertainty) == (1, c.CLOCK_UNKNOWN)
     assert found.state in (c.CLOCK_SETTLING, c.CLOCK_LOCKED)
@@ -164,3 +167,17 @@ def test_a_suspend_and_a_reset_do_not_stop_the_time(board):
     passed = (board.sim.cycle - at) / CYCLES_PER_US
     assert after.epoch == before.epoch
     assert abs(after.time - before.time - passed) < passed * 0.002 + 3000
+
+
+def test_a_start_of_frame_takes_as_long_as_the_readme_says(board):
+    text = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
+    (said,) = re.findall(r"each millisecond, of (\d+)\s+cycles", text)
+    usb_gen, usb_com = 10, 11
+    before = board.sim.interrupts(usb_gen)
+    board.pause(100)
+    after = board.sim.interrupts(usb_gen)
+    each = (after.total_cycles - before.total_cycles) / (after.count - before.count)
+    assert after.count - before.count >= 99
+    assert 0.95 * int(said) < each <= int(said) + 1
+    assert seen_frame(board).status == "ok"
+    assert board.sim.interrupts(usb_com).longest_cycles <= 870

@@ -189,6 +189,7 @@ class OwnTime(Transport):
         self.written = b""
         self.to_read = b""
         self.time_s = 0.0
+        self.byte_time_s = 0.001
 
     def clock(self) -> float:
         return self.time_s
@@ -216,6 +217,7 @@ def test_delays_pass_in_the_time_of_the_transport(side: str) -> None:
     inner = OwnTime()
     with wrap(inner, **{side: Rates(delay=1, delay_ms=60_000)}) as faulty:
         assert faulty.clock() == 0
+        assert faulty.byte_time_s == inner.byte_time_s == 0.001
         if side == "tx":
             faulty.write(b"xyz")
             assert inner.written == b"xyz"

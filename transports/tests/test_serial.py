@@ -317,3 +317,19 @@ def test_listening_at_a_missing_port_fails_at_once() -> None:
         j2a_transports.listen("serial:///dev/ttyNoSuchPort")
     with pytest.raises(BadUrl, match="unknown option"):
         j2a_transports.listen("serial:///dev/ttyNoSuchPort?speed=1")
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "us"),
+    [
+        ("/dev/ttyUSB0", {}, 10e6 / 115200),
+        ("/dev/ttyS3", {"baud": 9600, "parity": "E", "stopbits": 2}, 12e6 / 9600),
+        ("/dev/ttyACM0", {}, 0.0),  # a number that the USB does not go by
+        ("/dev/pts/5", {}, 0.0),
+        ("socket://host:5000", {}, 0.0),
+        ("COM3", {}, 0.0),
+    ],
+)
+def test_bytes_of_a_uart_take_their_time(name: str, options: dict[str, object], us: float) -> None:
+    given = {"baud": 115200, "bits": 8, "parity": "N", "stopbits": 1} | options
+    assert _serial._byte_time_s(name, given) * 1e6 == pytest.approx(us)

@@ -206,7 +206,7 @@ void j2a_frames_put(uint8_t *bytes, uint32_t local) {
     j2a_frame seen;
     if (j2a_port_frame(&seen)) {
         const uint32_t now = (uint32_t)j2a_port_time_us();
-        const uint32_t begin = now - (((now << 4) - seen.began) >> 4);
+        const uint32_t begin = now - (uint32_t)((int32_t)((now << 4) - seen.began) >> 4);
         const uint32_t later = (int32_t)(local - begin) < 0 ? (begin - local + FRAME_US - 1) / FRAME_US : 0;
         number = (uint16_t)((seen.number - later) & (J2A_CLOCK_FRAME_NUMBERS - 1));
         age_us = local - begin + later * FRAME_US; /* later: frames that began after the request had come */

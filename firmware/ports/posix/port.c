@@ -165,7 +165,7 @@ uint64_t j2a_port_time_us(void) {
 #endif
 
 uint16_t j2a_port_ticks(void) {
-    return (uint16_t)(time_us() / (1000 / J2A_TICKS_PER_MS));
+    return (uint16_t)(elapsed_us() / (1000 / J2A_TICKS_PER_MS));
 }
 
 uint16_t j2a_port_overruns(void) {

@@ -48,6 +48,7 @@ class SimLink(TimedLink):
     def _set_up(self) -> None:
         if not self.sim.receiver_on:
             self.sim.boot()
+        self.byte_time_s = self.sim.char_cycles / self.sim.frequency_hz
 
     def _send(self, data: bytes) -> None:
         self.sim.uart_write(data)

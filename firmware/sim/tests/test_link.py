@@ -35,6 +35,10 @@ def test_echo(link):
     assert not link.closed
 
 
+def test_a_byte_takes_its_time_on_the_wire(link):
+    assert link.byte_time_s == pytest.approx(10 / link.sim.baud)
+
+
 def test_timeouts_are_simulated(link):
     began = link.clock()
     assert link.read(2.5) == b""

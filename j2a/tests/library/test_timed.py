@@ -10,6 +10,7 @@ from j2a_spec import constants as c
 import j2a
 from j2a.types.transds_file import read_transds
 
+from .clocked import ClockedDevice
 from .support import PATIENCE_S, served
 from .test_aio import in_event_loop
 
@@ -152,3 +153,21 @@ async def test_boards_of_an_asyncio_fleet_act_at_one_time():
             check(boards, await fleet.at(time_us).trigger("imu"), fleet, time_us)
             with pytest.raises(j2a.LocalError, match="is over"):
                 await fleet.at(soon_us(-1)).set("lamp", 3)
+
+
+def test_each_board_that_comes_is_disciplined(fleet):
+    """As the page Time shows it."""
+    with ClockedDevice(ppm=70) as device, served(device) as url:
+
+        def keep(change):
+            if change.is_here:
+                fleet[change.board].clock.discipline(0.02)
+
+        fleet.on_change(keep)
+        fleet.add(url)
+        fleet.wait(url, timeout=PATIENCE_S)
+        deadline = time.monotonic() + PATIENCE_S
+        while device._epoch != 1:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        fleet.remove(url)

@@ -1,0 +1,284 @@
+"""The clock of a device, as a host asks and disciplines it (J2A-CLOCK).
+
+The suite is a device whose clock it makes up: exact, late, reset, or wrong. Rules: what is judged
+is what the host sends and reports, and never how fast it is.
+"""
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Final
+
+import construct as cs
+from j2a_spec import constants as c
+from j2a_spec.clock import Clock
+from j2a_spec.grammar import (
+    CLOCK_ADJUST,
+    CLOCK_EXCHANGE,
+    CLOCK_EXCHANGED,
+    CLOCK_STATUS,
+)
+
+from j2a_conformance._judge import fail
+from j2a_conformance.host._case import HostCase
+from j2a_conformance.host._device import DEMO, FETCH, PING, STORE
+from j2a_conformance.host._host import Host
+from j2a_conformance.host._outcomes import Request
+
+_S: Final = 1_000_000
+_ROUNDS: Final = 12
+_MOST: Final = 500  # requests in a job
+BOARD: Final = replace(
+    DEMO,
+    names=(*c.BUILTINS, c.CLOCK, PING, FETCH, STORE),
+    properties=(
+        (c.PROP_SPEC, c.SPEC_VERSION),
+        (c.PROP_RXBUF, "4096"),
+        (c.PROP_CAPS, c.CAP_CLOCK),
+    ),
+)
+
+
+@dataclass
+class _Spoilt:
+    """What becomes of a reply to EXCHANGE: a flipped bit of a byte, another length or code."""
+
+    flip: int | None = None
+    size: int | None = None
+    more: bytes = b""
+    code: int = c.RET_OK
+
+    def __call__(self, reply: bytes) -> tuple[int, bytes]:
+        data = bytearray(reply)
+        if self.flip is not None:
+            data[self.flip] ^= 1
+        return self.code, bytes(data[: self.size]) + self.more
+
+
+@dataclass
+class _Scripted:
+    """A device with a clock, as the suite plays it.
+
+    Attributes:
+        start_us: its local time when the suite began to play it.
+        delay_s: how long it keeps each exchange.
+        spoil: changes the code and the payload of a reply to EXCHANGE.
+        refuses: answers ADJUST by BAD_VALUE.
+        nonces: of the exchanges that came.
+        adjusts: the adjustments that came.
+        others: items that came and are none of these.
+    """
+
+    host: Host
+    start_us: int = 20 * _S
+    delay_s: float = 0.0
+    spoil: _Spoilt = field(default_factory=_Spoilt)
+    refuses: bool = False
+    nonces: list[int] = field(default_factory=list)
+    adjusts: list[cs.Container] = field(default_factory=list)
+    others: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._began_s = self.host.link.now_s()
+        self._clock = Clock()
+
+    @property
+    def local_us(self) -> int:
+        return self.start_us + int((self.host.link.now_s() - self._began_s) * _S)
+
+    def reset(self) -> None:
+        """Begin anew, without saying so."""
+        self.start_us = 1000
+        self._began_s = self.host.link.now_s()
+        self._clock = Clock()
+
+    def play(self, job: str) -> None:
+        """Give the host a job, and answer its requests until it reports."""
+        self.host.job(job)
+        for _ in range(_MOST):
+            request = self.host.request_or_end()
+            if request is None:
+                return
+            self.answer(request)
+        fail(f"{_MOST} requests came, and there is no end")
+
+    def answer(self, request: Request) -> None:
+        """Answer a request to a2jClock."""
+        received = self.local_us
+        item = request.payload[0] if request.payload else -1
+        if item == c.CLOCK_EXCHANGE:
+            nonce = CLOCK_EXCHANGE.parse(request.payload).nonce
+            self.nonces.append(nonce)
+            self.host.link.wait_until(self.host.link.now_s() + self.delay_s)
+            reply = CLOCK_EXCHANGED.build({"nonce": nonce, "received": received, "turnaround": 0})
+            self.host.reply(request, *self.spoil(reply))
+            return
+        code = self._clock.code(request.payload, received)
+        if item == c.CLOCK_ADJUST:
+            self.adjusts.append(CLOCK_ADJUST.parse(request.payload))
+            if self.refuses:
+                code = c.CLOCK_BAD_VALUE
+        elif item != c.CLOCK_STATUS:
+            self.others.append(item)
+        self.host.reply(request, code, b"" if code else self._status(received))
+
+    def _status(self, local: int) -> bytes:
+        bounds = self._clock.bounds(local)
+        fields = {"local": local, "state": bounds.states[0], "epoch": bounds.epoch}
+        for name in ("time", "rate", "uncertainty"):
+            fields[name] = sum(getattr(bounds, name)) // 2
+        return bytes(CLOCK_STATUS.build(fields))
+
+
+class _ClockCase(HostCase):
+    """A case for hosts that use the capability."""
+
+    LEVEL = "clock"
+    DEVICE = BOARD
+
+    @staticmethod
+    def _exchange(device: _Scripted, *accepted: str) -> None:
+        device.play(f"clock-exchange 1 {device.host.limit_ms}")
+        device.host.outcome(*accepted)
+
+    @staticmethod
+    def _sync(device: _Scripted, *accepted: str, rounds: int = _ROUNDS) -> None:
+        device.play(f"clock-sync {rounds} {device.host.limit_ms}")
+        device.host.outcome(*accepted)
+
+
+class Nonces(_ClockCase):
+    """Answers exchanges by nonces of others, by codes, and by payloads of other lengths."""
+
+    ID = "host.clock.nonces"
+    EXPECTATION = "An error for each wrong reply; nonces that differ; more bytes are ignored."
+    REQUIREMENTS = ("J2A-CLOCK-022",)
+
+    def _run(self, host: Host) -> None:
+        device = _Scripted(host)
+        wrong = [
+            *(_Spoilt(flip=at) for at in range(4)),
+            *(_Spoilt(size=size) for size in (0, 4, 12, 13)),
+            *(_Spoilt(code=code) for code in (1, 3)),
+            *(_Spoilt(code=code, size=0) for code in (2, 0xFF)),
+        ]
+        for spoilt in wrong:
+            device.spoil = spoilt
+            self._exchange(device, "failed", "error", "refused")
+        for more in (b"", b"\x05\x00\x10\x00", bytes(40)):
+            device.spoil = _Spoilt(more=more)
+            self._exchange(device, "exchanged")
+        for _ in range(20):
+            self._exchange(device, "exchanged")
+        if len(set(device.nonces)) < len(device.nonces):
+            fail("two exchanges have the same nonce")
+        steps = {b - a for a, b in pairwise(device.nonces)}
+        if len(steps) < len(device.nonces) // 2:
+            fail("the nonces follow from each other")
+
+
+class Unusable(_ClockCase):
+    """Answers each exchange of a host that is told to set the clock by what no host may use."""
+
+    ID = "host.clock.unusable"
+    EXPECTATION = "No ADJUST that rests on a turnaround of 65535, or on one longer than it took."
+    REQUIREMENTS = ("J2A-CLOCK-023",)
+
+    def _run(self, host: Host) -> None:
+        for turnaround, delay_s in ((0xFFFF, 0.1), (60_000, 0.0)):
+            device = _Scripted(host, delay_s=delay_s)
+            device.spoil = _Spoilt(size=12, more=turnaround.to_bytes(2, "little"))
+            self._sync(device)
+            if device.adjusts:
+                fail(f"ADJUST came after exchanges with a turnaround of {turnaround} us only")
+
+
+class Asked(_ClockCase):
+    """Lets a host measure the clock, and not set it."""
+
+    ID = "host.clock.asked"
+    EXPECTATION = "Neither ADJUST nor FRAME; one of them once the host is told to set the clock."
+    REQUIREMENTS = ("J2A-CLOCK-024", "J2A-CLOCK-029")
+
+    def _run(self, host: Host) -> None:
+        device = _Scripted(host)
+        for _ in range(3):
+            self._exchange(device, "exchanged")
+        device.play(f"clock-measure {_ROUNDS} {host.limit_ms}")
+        host.outcome("clock")
+        if device.adjusts or device.others:
+            fail("the clock was adjusted, though the host was told to measure it only")
+        self._sync(device, "clock")
+        if not device.adjusts:
+            fail("no ADJUST came, though the host was told to set the clock")
+        before = len(device.adjusts)
+        host.link.wait_until(host.link.now_s() + 0.3)
+        self._exchange(device, "exchanged")
+        if len(device.adjusts) > before:
+            fail("ADJUST came after the host had done what it was told")
+
+
+class Uncertain(_ClockCase):
+    """Keeps each exchange for a while that its turnaround does not tell."""
+
+    ID = "host.clock.uncertain"
+    EXPECTATION = "An uncertainty of at least half of that while."
+    REQUIREMENTS = ("J2A-CLOCK-025",)
+
+    def _run(self, host: Host) -> None:
+        for delay_s in (0.01, 0.04):
+            host.become(DEMO)
+            host.become(BOARD)
+            device = _Scripted(host, delay_s=delay_s)
+            self._sync(device, "clock")
+            least = int(delay_s * _S / 2)
+            if not device.adjusts:
+                fail("no ADJUST came, though the host was told to set the clock")
+            for adjust in device.adjusts:
+                if adjust.uncertainty < least:
+                    fail(f"ADJUST tells {adjust.uncertainty} us, half of the slack is {least} us")
+
+
+class Resets(_ClockCase):
+    """Resets the clock while the host sets it: it refuses ADJUST, or its local time goes back."""
+
+    ID = "host.clock.resets"
+    EXPECTATION = "No ADJUST that names a local time from before the reset, once that was seen."
+    REQUIREMENTS = ("J2A-CLOCK-026",)
+
+    def _run(self, host: Host) -> None:
+        device = _Scripted(host)
+        self._sync(device, "clock")
+        device.reset()
+        device.adjusts.clear()
+        self._sync(device, "clock", rounds=2 * _ROUNDS)
+        late = [adjust for adjust in device.adjusts if adjust.local > device.local_us]
+        if late:
+            fail(f"ADJUST names {late[0].local} us, the local time after the reset is less")
+        if not device.adjusts:
+            fail("no ADJUST came after the reset")
+        device.refuses = True
+        self._sync(device, rounds=1)
+        device.refuses, device.delay_s = False, 0.04  # now exchanges are worse than before
+        device.adjusts.clear()
+        self._sync(device, "clock", rounds=2 * _ROUNDS)
+        if any(adjust.uncertainty < 0.02 * _S for adjust in device.adjusts):
+            fail("ADJUST rests on exchanges from before it was answered by BAD_VALUE")
+
+
+class Single(_ClockCase):
+    """Has a host make three exchanges at once."""
+
+    ID = "host.clock.single"
+    EXPECTATION = "Each request comes after the reply to the one before."
+    REQUIREMENTS = ("J2A-CLOCK-029",)
+
+    def _run(self, host: Host) -> None:
+        device = _Scripted(host)
+        one = f"clock-exchange 1 {host.limit_ms}"
+        host.job(f"together {one} ; {one} ; {one}")
+        for _ in range(3):
+            request = host.request(BOARD.opcode(c.CLOCK))
+            if host.has_sent(0.1):
+                fail("another request came before the reply to an exchange")
+            device.answer(request)
+        host.outcome()
