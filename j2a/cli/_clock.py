@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import j2a
-from j2a.cli._exit import LINK, OK, end_on_sigterm, exit_code
+from j2a.cli._exit import LINK, OK, end_on_sigterm, error_facts, exit_code
 from j2a.cli._link import (
     add_json_argument,
     add_link_options,
@@ -105,7 +105,7 @@ def _once(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
             failure = error
             code = exit_code(error) or code
     if failure is not None and args.json:
-        show_json({"error": {"message": str(failure), "exit_code": code}})
+        show_json({"error": error_facts(failure, code)})
     return code
 
 

@@ -113,6 +113,7 @@ def test_numbers_that_are_not_finite(run, demo, kind, number, text):
         (["watch", "DEMO", "--count", "1", "--duration", "0.1"], 4, "CommandFailed", None),
         (["watch", "DEMO", "--call", "sif"], 1, "CommandFailed", None),
         (["echo", "DEMO", "--size", "999"], 2, "UsageError", None),
+        (["clock", "DEMO"], 2, "NoClock", "not_sent"),
         (["list", "--nonsense"], 2, "UsageError", None),
         (["transds", "DEMO"], 5, "CommandFailed", None),
         (["transds", "nowhere.def"], 2, "UsageError", None),

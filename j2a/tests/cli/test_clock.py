@@ -73,7 +73,8 @@ def test_a_board_without_a_clock_is_told(run, board, without):
     assert result.code == 2
     first, last = lines(result)
     assert first["url"] == board
-    assert last["error"]["exit_code"] == 2
+    assert (last["error"]["type"], last["error"]["exit_code"]) == ("NoClock", 2)
+    assert last["error"]["outcome"] == "not_sent"
     result = run("clock", without, "--discipline")
     assert (result.code, "cannot be set" in result.err) == (2, True)
 
