@@ -141,6 +141,16 @@ static void lead(int32_t error, uint32_t frames) {
     host.time_us += (uint64_t)(part >> 32);
 }
 
+/* Returns the latest frame that has begun and has that number modulo 1024; its start, and those of some before, may not
+ * have been seen. */
+static uint32_t latest_of(uint16_t number) {
+    const uint32_t later = (number - frame) & (J2A_CLOCK_FRAME_NUMBERS / 2 - 1);
+    const int32_t age_us = (int32_t)(((uint32_t)j2a_port_time_us() << 4) - began) >> 4;
+    if ((int32_t)(later * FRAME_US) <= age_us + FRAME_US / 2)
+        return frame + later;
+    return frame - ((frame - number) & (J2A_CLOCK_FRAME_NUMBERS / 2 - 1));
+}
+
 bool j2a_frames_told(uint64_t time_us, uint16_t number) {
     const int32_t far_us = (int32_t)(J2A_CLOCK_FRAME_STEP_S * 1000000UL);
     int64_t error_us;
@@ -150,7 +160,7 @@ bool j2a_frames_told(uint64_t time_us, uint16_t number) {
     j2a_frames_turn();
     if (!has_phase)
         return false;
-    of = frame - ((frame - number) & (J2A_CLOCK_FRAME_NUMBERS / 2 - 1));
+    of = latest_of(number);
     j2a_line_move(&host, (int32_t)(of * FRAME_US - host.at));
     error_us = (int64_t)(time_us - host.time_us);
     if (!told || error_us >= far_us || error_us <= -far_us) {

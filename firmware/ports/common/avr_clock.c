@@ -33,7 +33,7 @@ void j2a_port_wait(uint32_t local_us) {
         while ((int16_t)(due - TCNT1) > 0) {
             if ((int16_t)(due - TCNT1) > LAST_TICKS) {
                 NONATOMIC_BLOCK(NONATOMIC_FORCEOFF) {
-                    __asm__ volatile("nop"); /* an interrupt that is due is taken here */
+                    __asm__ volatile("nop\n\tnop"); /* an interrupt that is due is taken here; simavr needs two */
                 }
             }
         }

@@ -52,6 +52,7 @@ class AvrBoard:
         sim: the simulator.
         readings: what the clock showed.
         memory: of the clock.
+        frames: as given.
         ends: cycles at which transfers and bytes from the board ended, with how many bytes came.
         out_address: the endpoint to the board.
     """
@@ -72,6 +73,7 @@ class AvrBoard:
         serial = chip_serial(number)
         self.sim = AvrSim(firmware, mcu, FREQUENCY_HZ, host_baud=baud, serial=serial)
         self._oscillator, self._is_usb = oscillator, link == "usb"
+        self.frames = frames
         self._began_s = float(oscillator.elapsed_s(rng.uniform(0, LATEST_START_S)))
         self._cycles = self._cycle_of(times_s)
         self._next = 0

@@ -4,7 +4,8 @@ In: boards that can be called at true times, the host's clocks, recorded delays.
 boards. The estimator, the bus and the messages are those of the library.
 Rules: the host sees its own clocks only: it stamps when it begins to send, and when the program
 has the reply, which is as late as its scheduler was on the machine that was recorded. One board is
-asked after the other, as by one thread.
+asked after the other; then all are told the time, without waiting for their replies in between, for
+boards that are told at different times follow the host at different times.
 """
 
 from __future__ import annotations
@@ -35,7 +36,6 @@ from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a_sim._clocks.delays import HOST_BYTE_S, host_delay
-from j2a_sim._clocks.native import REPLY_S
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import UNIX_US, HostClock
 from j2a_sim._errors import SimError
@@ -46,7 +46,7 @@ CLOCK: Final = b"a2jClock"
 MAPPING_OPCODE: Final = 0
 START_S: Final = 1.0
 APART_S: Final = 0.002
-FRAME_AGE_S: Final = 0.3  # SYNC-005: a frame has to be told within 500 ms
+TOLD_APART_S: Final = 0.0002
 
 
 class Board(Protocol):
@@ -73,8 +73,8 @@ class _Member:
     slacks_us: list[float] = field(default_factory=list)
 
 
-def clock_opcode(board: Board, at_s: float) -> int:
-    """Ask a board for its functions; returns the opcode of a2jClock.
+def clock_opcode(board: Board, at_s: float) -> tuple[int, float]:
+    """Ask a board for its functions; returns the opcode of a2jClock, and when it was there.
 
     Raises:
         SimError: it does not answer, or has no clock.
@@ -84,9 +84,9 @@ def clock_opcode(board: Board, at_s: float) -> int:
     names: list[bytes] = []
     if replies and isinstance(replies[-1], WireFrame):
         names = replies[-1].payload.rstrip(b"\0").split(b"\0")
-    if CLOCK not in names:
+    if answer is None or CLOCK not in names:
         raise SimError(f"the firmware has no {CLOCK.decode()}: was it built with a clock?")
-    return names.index(CLOCK)
+    return names.index(CLOCK), answer[1]
 
 
 class Host:
@@ -171,14 +171,14 @@ class Host:
         for member in present:
             now_s = self._observe(member, now_s) + APART_S
         self._reference.observe(self._monotonic_us(now_s), self._unix_us(now_s))
-        frame, of_s = self._frame(now_s), now_s
         for member in present:
             if member.discipline.status is None:
                 now_s = self._ask(member, now_s)
-            if now_s > of_s + FRAME_AGE_S:
-                frame, of_s = self._frame(now_s), now_s
-            now_s = self._tell(member, now_s, frame)
-        return now_s
+        frame, done_s = self._frame(now_s), now_s
+        for member in present:
+            done_s = max(done_s, self._tell(member, now_s, frame))
+            now_s += TOLD_APART_S
+        return done_s
 
     def _frame(self, now_s: float) -> Frame | None:
         """The time of a frame, for all boards of the bus; None until it is known well enough."""
@@ -220,8 +220,8 @@ class Host:
     def _observe(self, member: _Member, now_s: float) -> float:
         """Make an exchange; returns when it was over."""
         if member.opcode < 0:
-            member.opcode = clock_opcode(member.board, now_s)
-            now_s += REPLY_S
+            member.opcode, now_s = clock_opcode(member.board, now_s)
+            now_s += APART_S
         nonce = int(self._rng.integers(1 << 32))
         sent_us = self._monotonic_us(now_s)
         self._reference.observe(sent_us, self._unix_us(now_s))

@@ -70,7 +70,7 @@ def measure_usb() -> Found:
     """Measure a board on a USB."""
     board, rng = _board("usb"), np.random.default_rng(2)
     sim, now_s = board.sim, 1.0
-    opcode = clock_opcode(board, now_s)
+    opcode, _ = clock_opcode(board, now_s)
     found: Found = {name: [] for name in ("sof", "usb_out", "usb_turn", "usb_in", "reading")}
     late: list[float] = []
     read: list[float] = []
@@ -109,7 +109,7 @@ def measure_serial() -> Found:
     """Measure a board at 115200 baud."""
     board, rng = _board("serial"), np.random.default_rng(3)
     now_s = 1.0
-    opcode = clock_opcode(board, now_s)
+    opcode, _ = clock_opcode(board, now_s)
     found: Found = {"serial_turn": [], "serial_reply": []}
     for _ in range(ROUNDS):
         now_s += rng.uniform(0.011, 0.013)

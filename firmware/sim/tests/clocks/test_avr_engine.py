@@ -39,7 +39,7 @@ class Called:
             times_s=np.zeros(0),
         )
         self.now_s = 1.0
-        self.opcode = clock_opcode(self.board, self.now_s)
+        self.opcode, _ = clock_opcode(self.board, self.now_s)
 
     def call(self, payload):
         self.now_s += 0.0137

@@ -46,6 +46,10 @@ def test_lost_starts_of_frames_and_a_busy_host_change_little():
     assert_honest(found)
 
 
+def test_a_time_of_a_frame_whose_start_was_lost_is_understood():
+    assert_pairs(figures(boards=4, seconds=40, seed=5, engine="native", lost_sof=0.1))
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_board_at_115200_baud_follows_its_host(seed):
     found = figures(seconds=60, seed=seed, link="serial", boards=4, engine="native")
