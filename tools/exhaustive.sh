@@ -35,5 +35,7 @@ step fuzz "the C core under libFuzzer" \
     python -m firmware.verify.fuzz.fuzz --seconds 1800 --inputs build
 step fuzz-small "the C core with room for 32 bytes under libFuzzer" \
     python -m firmware.verify.fuzz.fuzz --seconds 1800 --inputs build --small
+step fuzz-transducers "the C core with transducers under libFuzzer, against a model" \
+    python -m firmware.verify.fuzz.fuzz --seconds 1800 --inputs build --transducers
 step fuzz-deframer "the Python deframer under atheris" fuzz_deframer
 end_steps

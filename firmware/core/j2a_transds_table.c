@@ -76,7 +76,9 @@
 #define J2A_RAW_OF_signed(name, type, na, ...) J2A_RAW_FUNCTION(, name, type, na, __VA_ARGS__)
 #define J2A_RAW_OF_f32(name, type, na, ...) J2A_RAW_FUNCTION(J2A_NAN, name, type, na, __VA_ARGS__)
 #define J2A_RAW_OF_f64(name, type, na, ...) J2A_RAW_FUNCTION(J2A_NAN, name, type, na, __VA_ARGS__)
-#define J2A_RAW_OF_none(name, type, na, ...) enum { j2a_raw_of_##name = 0 };
+#define J2A_RAW_OF_none(name, type, na, ...)
+#define J2A_RAW_OR_NOT(order, name) J2A_INNER_SECOND(J2A_RAW_OR_NOT_##order, j2a_raw_of_##name)
+#define J2A_RAW_OR_NOT_none ~, 0
 #define J2A_IS_NONE(text) (sizeof text == 5 && text[0] == 'n' && text[1] == 'o')
 #define J2A_NAN \
     const float nan = 0.0f / 0.0f; \
@@ -202,12 +204,12 @@ enum {
      (0 J2A_SAY(threshold, __VA_ARGS__)) != 0 && j2a_depth_of_##name != 0 ? j2a_last_of_##name : 0, \
      J2A_IF_KEY(topic, j2a_topic_of_##name, __VA_ARGS__), \
      J2A_IF_KEY(trigger, &j2a_trigger_of_##name, __VA_ARGS__), 0, 0, 0, \
-     J2A_IF_KEY(trigger, j2a_start_of_##name, __VA_ARGS__), 0, j2a_raw_of_##name, \
+     J2A_IF_KEY(trigger, j2a_start_of_##name, __VA_ARGS__), 0, J2A_RAW_OR_NOT(order, name), \
      J2A_COMPARE(order), J2A_NEAR(order)},
 #define J2A_ROW_ACTUATOR(name, id, prefix, channels, order, ...) \
     {id, channels, j2a_bytes_of_##name, 0, 0, j2a_slots_of_##name, 0, 0, 0, \
      J2A_IF_KEY(topic, j2a_topic_of_##name, __VA_ARGS__), 0, j2a_waiting_of_##name, j2a_values_of_##name, \
-     J2A_IF_KEY(guarded, &j2a_watchdog_of_##name, __VA_ARGS__), 0, j2a_set_of_##name, j2a_raw_of_##name, \
+     J2A_IF_KEY(guarded, &j2a_watchdog_of_##name, __VA_ARGS__), 0, j2a_set_of_##name, J2A_RAW_OR_NOT(order, name), \
      J2A_COMPARE(order), 0},
 const j2a_transducer J2A_FLASH j2a_transducers[] = {
 #include "j2a_transds_list.h"

@@ -6,6 +6,7 @@ Rules: errors name the character where the text goes wrong; the work is bounded 
 the text. What a later version may have added is skipped (J2A-TRANS-022).
 """
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -146,7 +147,7 @@ def _is_raw(text: str) -> bool:
 
 
 def _is_decimal(text: str) -> bool:
-    return _DECIMAL.fullmatch(text) is not None
+    return _DECIMAL.fullmatch(text) is not None and math.isfinite(float(text))
 
 
 def _is_number(low: int, high: int) -> Callable[[str], bool]:

@@ -9,6 +9,7 @@ here, before anything is sent (J2A-TRANS-025).
 import math
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -17,7 +18,7 @@ from j2a.errors import WrongArgument
 from j2a.events import Reading
 from j2a.types.coding import NUMBER_CODES, Codec, PayloadMismatchError, PythonTypes
 from j2a.types.model import Enumeration, Field
-from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Raw, Transducer, number_element
+from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Raw, Transducer, nearest, number_element
 
 __all__ = ["SampleCodec", "pack_time"]
 
@@ -46,6 +47,7 @@ class SampleCodec:
         self._is_scaled = transducer.has("scale") or transducer.has("offset")
         element = number_element(transducer.type)
         self._is_number = element not in (None, "bool")
+        self._is_float = element in ("f32", "f64")
         self._is_integer = element is not None and element[0] in "ui"
         self._whole = None
         if element is not None and not isinstance(transducer.type.element, Enumeration):
@@ -157,12 +159,15 @@ class SampleCodec:
         """
         if not self._is_scaled or not self._is_number:
             return value
-        if not isinstance(value, int | float) or not math.isfinite(value):
+        if not isinstance(value, int | float):
             raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
         if self._scale == 0:
             raise WrongArgument(f"{self.transducer.name} has the scale 0: set it by raw values")
-        raw = (value - self._offset) / self._scale
-        return round(raw) if self._is_integer else raw
+        with suppress(OverflowError):
+            raw = (value - self._offset) / self._scale
+            if math.isfinite(raw):
+                return round(raw) if self._is_integer else raw
+        raise WrongArgument(f"{self.transducer.name} cannot be set to {value!r:.60}")
 
     def check_range(self, raw: Raw) -> None:
         """Refuse what the device would refuse.
@@ -174,8 +179,12 @@ class SampleCodec:
             return
         low, high = self._range
         try:
+            if self._is_float:
+                raw = nearest(str(self.transducer.type.element), raw)
             is_inside = low <= raw <= high
-        except TypeError:
+        except (ValueError, OverflowError):
+            is_inside = False
+        except (TypeError, struct.error):
             is_inside = True  # the type refuses it
         if not is_inside:
             raise WrongArgument(
@@ -186,7 +195,8 @@ class SampleCodec:
     def _told(self, raw: Raw) -> str:
         unit = self.transducer.unit
         if not self._is_scaled:
-            return f"{raw}{unit and ' '}{unit}"
+            number = f"{raw:g}" if self._is_float else str(raw)
+            return f"{number}{unit and ' '}{unit}"
         return f"{raw * self._scale + self._offset:g}{unit and ' '}{unit} (raw {raw})"
 
     # ------------------------------------------------------------------ settings

@@ -5,6 +5,7 @@ What flows in: the pieces, from the parser, or from a `transds.def`. What flows 
 """
 
 import math
+import struct
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,6 +23,7 @@ __all__ = [
     "Raw",
     "Transducer",
     "longest_sample",
+    "nearest",
     "number_element",
     "problem",
 ]
@@ -52,6 +54,7 @@ KEYS: Final = (
 MAX_CHANNELS: Final = 255
 TIME_BYTES: Final = 8
 LOST_BYTES: Final = 2
+_FLOATS: Final = {"f32": struct.Struct("<f"), "f64": struct.Struct("<d")}
 NONE: Final = "none"
 """In place of a raw value: there is none."""
 
@@ -186,7 +189,7 @@ class Transducer:
         if element[0] == "f":
             if text == "nan":
                 return math.nan
-            return float(int(text, 16)) if "x" in text else float(text)
+            return nearest(element, float(int(text, 16)) if "x" in text else float(text))
         number = int(text, 16 if "x" in text else 10)
         if element == "bool":
             if number not in (0, 1):
@@ -196,6 +199,21 @@ class Transducer:
         if number not in allowed:
             raise ValueError(f"{text} is not {allowed[0]} to {allowed[-1]} ({element})")
         return number
+
+
+def nearest(element: str, number: float) -> float:
+    """Return the number of a floating-point type that is nearest to this one.
+
+    Raises:
+        ValueError: it is beyond those that the type holds.
+    """
+    try:
+        [found] = _FLOATS[element].unpack(_FLOATS[element].pack(number))
+    except OverflowError:
+        found = math.inf
+    if math.isinf(found):
+        raise ValueError(f"{number} is beyond the numbers of an {element}")
+    return float(found)
 
 
 def number_element(kind: Type) -> str | None:

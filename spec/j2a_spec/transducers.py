@@ -28,6 +28,7 @@ _TRANSDUCER = re.compile(
     rf"(?P<channels>[0-9]{{1,3}}) (?P<type>{types.TYPE}){types.DOC}"
 )
 _ATTRIBUTE = re.compile(rf" ({types.NAME})(?: ([^\x00-\x1f\x7f]+))?")
+_FLOATS = {"f32": cs.Float32l, "f64": cs.Float64l}
 _INTEGERS = {f"{s}{bits}": (s == "i", bits) for s in "ui" for bits in (8, 16, 32, 64)}
 
 
@@ -149,18 +150,18 @@ def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
         element = definitions.enums[element][0]
     if found.type.count is not None or element in definitions.structs:
         raise ValueError(f"{found.name}: {element} has no raw values")
-    if text == "nan" and element in ("f32", "f64"):
+    if text == "nan" and element in _FLOATS:
         return math.nan
-    if element in ("f32", "f64") and _NUMBER.fullmatch(text):
-        return float(text)
+    if element in _FLOATS and _NUMBER.fullmatch(text):
+        return _nearest(element, float(text))
     if _HEX.fullmatch(text):
         number = int(text, 16)
     elif re.fullmatch(r"-?[0-9]{1,20}", text):
         number = int(text)
     else:
         raise ValueError(f"{found.name}: {text!r} is no raw value")
-    if element in ("f32", "f64"):
-        return float(number)
+    if element in _FLOATS:
+        return _nearest(element, float(number))
     signed, bits = _INTEGERS.get(element, (False, 1))
     low = -(1 << bits - 1) if signed else 0
     if not low <= number < low + (1 << bits):
@@ -168,12 +169,22 @@ def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
     return number
 
 
+def _nearest(element: str, number: float) -> float:
+    """Return the number of a type that is nearest to this one, which is no infinity."""
+    if not math.isfinite(number):
+        raise ValueError(f"beyond an {element}")
+    try:
+        return float(_FLOATS[element].parse(_FLOATS[element].build(number)))
+    except cs.FormatFieldError as error:
+        raise ValueError(f"{number} is beyond an {element}") from error
+
+
 def _is_number(low: int, high: int) -> Callable[[str], bool]:
     return lambda text: bool(re.fullmatch("[0-9]{1,10}", text)) and low <= int(text) <= high
 
 
 def _is_decimal(text: str) -> bool:
-    return _NUMBER.fullmatch(text) is not None
+    return _NUMBER.fullmatch(text) is not None and math.isfinite(float(text))
 
 
 def _is_raw(text: str) -> bool:

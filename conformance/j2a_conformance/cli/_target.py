@@ -37,6 +37,7 @@ class Target:
         title: what it is, or "".
         known: the deviations that it is known to have.
         claims: the levels that it is said to reach.
+        levels: those of which it is judged where nobody asks for others, or () for all.
         opener: opens the link.
     """
 
@@ -45,6 +46,7 @@ class Target:
     title: str
     known: tuple[Deviation, ...]
     claims: tuple[Level, ...]
+    levels: tuple[Level, ...]
     opener: Callable[[], Transport]
 
     @property
@@ -114,7 +116,7 @@ def reach(where: str, baud: int = 0) -> Iterator[Target]:
     testee = load_testee(Path(where))
     with testee.started() as url:
         target = _target(url, baud, testee.fresh, testee.title, testee.deviations)
-        yield replace(target, url=testee.url or url, claims=testee.claims)
+        yield replace(target, url=testee.url or url, claims=testee.claims, levels=testee.levels)
 
 
 def _target(
@@ -125,7 +127,7 @@ def _target(
     known: tuple[Deviation, ...] = (),
 ) -> Target:
     keywords: dict[str, int] = {}
-    target = Target(url, fresh, title, known, (), lambda: j2a_transports.open(url, **keywords))
+    target = Target(url, fresh, title, known, (), (), lambda: j2a_transports.open(url, **keywords))
     inner, scheme = target.link
     if baud and _has_rate(scheme):
         own = _BAUD.search(inner)

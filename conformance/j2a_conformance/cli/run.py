@@ -131,6 +131,8 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     reports = _reports.Reports(args)
     known = _deviations.read(args.deviations) if args.deviations else ()
     with reach(args.url, args.baud or 0) as target:
+        if target.levels and args.level is None and args.case is None:
+            cases = _cases.matching(cases, target.levels, None)
         rules = _deviations.Rules.of_profile(args.profile, _deviations.joined(target.known, known))
         if args.repeat == 1:
             found = _judge(target, rules, args, cases)

@@ -1,7 +1,7 @@
 """Testees: TOML files that say how to build and start a device, and where it answers.
 
 What flows in: a file with `title`, and `url` or `serve`, and perhaps `build`, `needs`, `fresh`,
-`claims` and `[[deviation]]` tables.
+`claims`, `levels` and `[[deviation]]` tables.
 What flows out: a URL to judge, for as long as the testee runs. Rules: commands run in the root of
 the repository, which is two folders above the file and the value of `{root}`; nothing waits without
 an end; what was started is ended, with all that it started itself.
@@ -33,6 +33,7 @@ from ._packages import PACKAGES
 __all__ = ["TesteeFile", "load_testee"]
 
 _COMMANDS: Final = ("build", "serve", "needs")
+_LEVELS: Final = ("claims", "levels")
 _ROOT: Final = "{root}"
 _BUILD_S = 600.0
 _START_S = 60.0
@@ -52,6 +53,7 @@ class TesteeFile:
         fresh: it starts anew with each link, so that the first SIF has the seq 0.
         root: where the commands run.
         claims: the levels of conformance that it is said to reach.
+        levels: those of which it is judged where nobody asks for others, or () for all.
         deviations: what it is known to do wrong.
     """
 
@@ -63,6 +65,7 @@ class TesteeFile:
     fresh: bool = False
     root: Path = Path()
     claims: tuple[Level, ...] = ()
+    levels: tuple[Level, ...] = ()
     deviations: tuple[Deviation, ...] = ()
 
     @contextmanager
@@ -155,13 +158,13 @@ def load_testee(path: Path) -> TesteeFile:
             "conformance/testees/NAME.toml, and the commands run in that root"
         )
     deviations = parse(entry.pop("deviation", []), str(path))
-    words: dict[str, Any] = {key: tuple(entry.pop(key, ())) for key in (*_COMMANDS, "claims")}
+    words: dict[str, Any] = {key: tuple(entry.pop(key, ())) for key in (*_COMMANDS, *_LEVELS)}
     return TesteeFile(root=folders[2], deviations=deviations, **words, **entry)
 
 
 def _mistake(entry: dict[str, object]) -> str:
     """Return what is wrong with a testee file, or ""; its deviations are another matter."""
-    if unknown := entry.keys() - {"title", "url", "fresh", "claims", "deviation", *_COMMANDS}:
+    if unknown := entry.keys() - {"title", "url", "fresh", "deviation", *_LEVELS, *_COMMANDS}:
         return f"there is no key `{min(unknown)}`"
     if not _is_text(entry.get("title")):
         return "it needs a `title`, a text"
@@ -169,9 +172,10 @@ def _mistake(entry: dict[str, object]) -> str:
         return "`url` is a text"
     if not isinstance(entry.get("fresh", False), bool):
         return "`fresh` is true or false"
-    claims = entry.get("claims", [])
-    if not isinstance(claims, list) or not set(claims) <= set(LEVELS):
-        return f"`claims` is a list of levels, which are {', '.join(LEVELS)}"
+    for key in _LEVELS:
+        levels = entry.get(key, [])
+        if not isinstance(levels, list) or not set(levels) <= set(LEVELS):
+            return f"`{key}` is a list of levels, which are {', '.join(LEVELS)}"
     for key in _COMMANDS:
         words = entry.get(key, ["-"])
         if not isinstance(words, list) or not words or not all(map(_is_text, words)):

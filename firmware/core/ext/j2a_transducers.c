@@ -230,6 +230,8 @@ static uint8_t move_queued(const j2a_transducer *t, uint8_t *payload) {
     if (left == 0)
         return 0;
     j2a_put_u16(payload, (uint16_t)(count_of(&sensor->full) + sensor->dropped));
+    if (left > t->depth)
+        left = t->depth; /* never more, but it takes no memory of earlier calls to see it here */
     for (left = left < most ? left : most; left != 0; left--) {
         const volatile uint8_t *const slot = t->slots + sensor->take_at * size;
         uint8_t i;
@@ -299,7 +301,8 @@ static void set_safe(const j2a_transducer *t) {
 }
 
 static void watch(const j2a_transducer *t, uint32_t silence_ms) {
-    if (t->watchdog->limit_ms == 0 || silence_ms < t->watchdog->limit_ms)
+    /* The first of these milliseconds may have been over nearly. */
+    if (t->watchdog->limit_ms == 0 || silence_ms <= t->watchdog->limit_ms)
         t->watchdog->is_safe = false;
     else if (!t->watchdog->is_safe) {
         t->watchdog->is_safe = true;
@@ -357,6 +360,8 @@ void j2a_turn(uint8_t *payload) {
         j2a_is_heard = false;
         heard_ms = now_ms;
     }
+    if (now_ms - heard_ms > UINT16_MAX + 1ul) /* no watchdog has a longer limit, and 32 bits wrap */
+        heard_ms = now_ms - (UINT16_MAX + 1ul);
     for (left = 0; left < j2a_transducer_count; left++) {
         load(&t, left);
         if (t.trigger && t.trigger->waits && t.trigger->due_us <= j2a_port_time_us()) {

@@ -1,7 +1,7 @@
 """Runs the C core under libFuzzer, and keeps the corpus.
 
-What flows in: link.c and receiver.c, the core (--core), the inputs in corpus/, and seeds made of
-the golden vectors. What flows out: what libFuzzer reports, exit status 0 when nothing was found, 1
+What flows in: link.c and receiver.c, or what is in transducers/, the core (--core), the inputs in
+corpus/, and for the link seeds made of the golden vectors. What flows out: what libFuzzer reports, exit status 0 when nothing was found, 1
 when something was (the input is then named), 2 when clang is missing. With --keep, corpus/
 afterwards holds the fewest inputs that reach everything that was ever reached.
 Rules: the same seed and corpus give the same first runs; corpus/ is written with --keep only, and
@@ -23,6 +23,7 @@ from firmware.verify.packages import advice
 HERE = Path(__file__).parent
 CORE = HERE.parents[1] / "core"
 CORPUS = HERE / "corpus"
+TRANSDUCERS = HERE / "transducers"
 EVENT = 0xA5
 REQUEST = 6
 USER_CALL, USER_MANY = 6, 7  # opcodes, see link.c
@@ -37,11 +38,15 @@ LIMITS = (0, 1, 26, 27, 32, 33, c.MANY_DATA, c.MANY_DATA + 1, c.MAX_PAYLOAD)
 SMALL = ["-DJ2A_ROOM=32", "-DJ2A_WITH_MAPPING=0"]
 
 
-def build(core: Path, folder: Path, options: list[str]) -> Path:
-    """Build the target over the core in this folder with these options; returns the program."""
+def build(core: Path, folder: Path, options: list[str], own: Path = HERE) -> Path:
+    """Build a target over the core in this folder with these options; returns the program.
+
+    Args:
+        own: the folder of the target's own files.
+    """
     program = folder / "link"
-    sources = [*sorted(HERE.glob("*.c")), *sorted(core.rglob("*.c"))]
-    command = ["clang", *FLAGS.split(), *options, f"-I{core}", f"-I{HERE}", *map(str, sources)]
+    sources = [*sorted(own.glob("*.c")), *sorted(core.rglob("*.c"))]
+    command = ["clang", *FLAGS.split(), *options, f"-I{core}", f"-I{own}", *map(str, sources)]
     subprocess.run([*command, "-o", str(program)], check=True)
     return program
 
@@ -73,31 +78,44 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="seed of the fuzzer (default: 1)")
     parser.add_argument("--inputs", default=".", help="folder for the inputs that break the core")
     parser.add_argument("--small", action="store_true", help="a device with room for 32 bytes")
+    parser.add_argument(
+        "--transducers", action="store_true", help="a device with transducers, against a model"
+    )
     parser.add_argument("--keep", action="store_true", help="merge new inputs into corpus/")
     arguments = parser.parse_args()
     if arguments.keep and arguments.small:
         parser.error("--keep with --small: the corpus is kept for the whole device; leave one out")
+    if arguments.transducers and arguments.small:
+        parser.error("--small with --transducers: the model has room for 255 bytes; leave one out")
     if shutil.which("clang") is None:
         print(advice("clang"), file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory(prefix="j2a-fuzz-") as name:
         folder = Path(name)
-        program = build(arguments.core.resolve(), folder, SMALL if arguments.small else [])
+        core = arguments.core.resolve()
+        corpus, max_len = CORPUS, 2048
         grown = folder / "grown"
         grown.mkdir()
-        seed(grown)
-        shutil.copytree(CORPUS, grown, dirs_exist_ok=True)
+        if arguments.transducers:
+            program = build(core, folder, ["-DJ2A_WITH_TRANSDUCERS=1"], TRANSDUCERS)
+            corpus, max_len = TRANSDUCERS / "corpus", 512
+        else:
+            program = build(core, folder, SMALL if arguments.small else [])
+            seed(grown)
+        shutil.copytree(corpus, grown, dirs_exist_ok=True)
         limit = [f"-max_total_time={arguments.seconds}"] if arguments.seconds else ["-runs=0"]
-        command = [str(program), *limit, f"-seed={arguments.seed}", f"-dict={HERE}/markers.dict"]
+        command = [str(program), *limit, f"-seed={arguments.seed}"]
+        if not arguments.transducers:
+            command += [f"-dict={HERE}/markers.dict"]
         command += [f"-artifact_prefix={arguments.inputs}/", "-print_final_stats=1"]
-        command += ["-max_len=2048", "-timeout=10", "-detect_leaks=0", str(grown)]
+        command += [f"-max_len={max_len}", "-timeout=10", "-detect_leaks=0", str(grown)]
         result = subprocess.run(command, check=False)
         if result.returncode == 0 and arguments.keep:
             merged = folder / "merged"
             merged.mkdir()
             subprocess.run([str(program), "-merge=1", str(merged), str(grown)], check=True)
-            shutil.rmtree(CORPUS)
-            shutil.copytree(merged, CORPUS)
+            shutil.rmtree(corpus)
+            shutil.copytree(merged, corpus)
     return int(result.returncode != 0)
 
 

@@ -349,8 +349,9 @@ class Chunks(_TransducerCase):
         whole = board.peer.read_all(c.GET_TRANSDS)
         lines = [at + 1 for at, byte in enumerate(whole[:-1]) if byte == ord("\n")]
         around = {at + n for at in (*lines, 249, 256, 498, 512) for n in (-1, 0, 1)}
-        spread = {*range(64), *range(0, len(whole), _STEP), len(whole) - 1}
-        offsets = sorted(at for at in spread | around if 0 <= at < len(whole))
+        # So that a last chunk has each length.
+        chosen = {*range(64), *range(0, len(whole), _STEP), *range(len(whole) - 250, len(whole))}
+        offsets = sorted(at for at in chosen | around if 0 <= at < len(whole))
         check_offsets(board.peer, c.GET_TRANSDS, whole, offsets)
 
 

@@ -1,0 +1,242 @@
+/* The transducers of transds.def: one call of a driver, of the main loop or of the host, from any state that is sound.
+ * In: any value, time, request and offset; any contents of what is kept, but what sound() says. Out: a state that is sound
+ * again. Since the one in which a device starts is, every state is, after any calls in any order. */
+#include "__fc_builtin.h"
+#include "any.h"
+#include "numbers.h"
+
+/* Their functions are static. */
+#include "ext/j2a_transducers.c"
+#include "j2a_transds_table.c"
+
+volatile uint8_t any_u8;
+volatile uint16_t any_u16;
+volatile uint32_t any_u32;
+
+#define ALL j2a_transducers_listed
+
+/* ------------------------------------------------------------------------- the core's model ------ */
+
+uint64_t j2a_port_time_us(void) {
+    return (uint64_t)any_u32 << 32 | any_u32;
+}
+
+uint32_t j2a_get_u32(const uint8_t *bytes) {
+    (void)bytes;
+    return any_u32;
+}
+
+void j2a_put_u32(uint8_t *bytes, uint32_t value) {
+    uint8_t i;
+    for (i = 0; i < 4; i++, value >>= 8)
+        bytes[i] = (uint8_t)value;
+}
+
+void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
+    //@ check opcode <= J2A_TRANSD_MAX_ID;
+    //@ check length == 0 || \initialized(payload + (0 .. length - 1));
+    (void)opcode;
+    (void)length;
+    (void)payload;
+}
+
+/* ------------------------------------------------------------------------- drivers ------ */
+
+#define DRIVER(prefix, type) \
+    static void (*prefix##_cb) J2A_VALUE_OF(type); \
+    void prefix##_set_cb(void (*callback) J2A_VALUE_OF(type)) { \
+        prefix##_cb = callback; \
+    }
+DRIVER(plain, i16)
+DRIVER(queued, u16)
+DRIVER(level, f32)
+DRIVER(imu, motion)
+
+static motion any_motion(void) {
+    motion value = {{0}, 0};
+    value.rate[0] = (int16_t)any_u16;
+    value.rate[1] = (int16_t)any_u16;
+    value.flag = any_u8;
+    return value;
+}
+
+static float any_float(void) {
+    const uint32_t bits = any_u32;
+    float number;
+    uint8_t i;
+    for (i = 0; i < sizeof number; i++)
+        ((uint8_t *)&number)[i] = ((const uint8_t *)&bits)[i];
+    return number;
+}
+
+void level_trigger(void) {
+    level_cb(any_u8, any_float());
+}
+
+void imu_trigger(void) {
+    const motion value = any_motion();
+    imu_cb(any_u8, &value);
+}
+
+void servo_set(uint8_t channel, int8_t value) {
+    //@ check channel < 2;
+    (void)channel;
+    (void)value;
+}
+
+void pose_set(uint8_t channel, const motion *value) {
+    //@ check channel == 0 && \valid_read(value) && \initialized(value);
+    (void)channel;
+    (void)value;
+}
+
+void valve_set(uint8_t channel, float value) {
+    //@ check channel == 0;
+    (void)channel;
+    (void)value;
+}
+
+/* ------------------------------------------------------------------------- what is kept ------ */
+
+static void forget_bytes(volatile uint8_t *bytes, uint16_t count) {
+    Frama_C_make_unknown((char *)bytes, count);
+}
+
+static uint8_t below(uint8_t end) {
+    const uint8_t number = any_u8;
+    return number < end ? number : 0;
+}
+
+/* Any state that is sound: an index of a queue is inside it, a topic ends, a choice is 0 or 1. */
+static void forget(const j2a_transducer *t) {
+    uint8_t i;
+    if (t->sensor) {
+        t->sensor->sent_us = j2a_port_time_us();
+        t->sensor->period_us = any_u32;
+        t->sensor->head = any_u8;
+        t->sensor->tail = any_u8;
+        t->sensor->is_fresh = any_bool;
+        t->sensor->is_enabled = any_bool;
+        t->sensor->full = any_u16;
+        t->sensor->dropped = any_u16;
+        t->sensor->put_at = t->depth ? below(t->depth) : 0;
+        t->sensor->take_at = t->depth ? below(t->depth) : 0;
+    }
+    forget_bytes(t->slots, (uint16_t)(t->depth ? t->depth * (9 + t->size) : t->channels * (8 + t->size)));
+    if (t->decimation)
+        forget_bytes(t->decimation, (uint16_t)(1 + t->channels));
+    if (t->threshold) {
+        forget_bytes(t->threshold + 1, (uint16_t)(2 * t->size));
+        t->threshold[0] = any_bool;
+    }
+    if (t->last)
+        forget_bytes(t->last, (uint16_t)(t->channels * (1 + t->size)));
+    if (t->topic)
+        forget_bytes((uint8_t *)t->topic, J2A_TRANSD_MAX_TOPIC);
+    if (t->trigger) {
+        t->trigger->due_us = j2a_port_time_us();
+        t->trigger->waits = any_bool;
+    }
+    for (i = 0; t->waiting && i < t->channels; i++) {
+        t->waiting[i].due_us = j2a_port_time_us();
+        t->waiting[i].waits = any_bool;
+    }
+    if (t->values)
+        forget_bytes(t->values, (uint16_t)(t->channels * t->size));
+    if (t->watchdog) {
+        t->watchdog->limit_ms = any_u16;
+        t->watchdog->is_safe = any_bool;
+    }
+}
+
+static void check_sound(const j2a_transducer *t) {
+    //@ check t->sensor == \null || t->depth == 0 || t->sensor->put_at < t->depth;
+    //@ check t->sensor == \null || t->depth == 0 || t->sensor->take_at < t->depth;
+    //@ check t->topic == \null || t->topic[J2A_TRANSD_MAX_TOPIC] == 0;
+    //@ check t->threshold == \null || t->threshold[0] <= 1;
+    (void)t;
+}
+
+/* ------------------------------------------------------------------------- calls ------ */
+
+static void sense(void) {
+    const motion value = any_motion();
+    const uint8_t channel = any_u8;
+    switch (any_u8) {
+    case 0:
+        plain_cb(channel, (int16_t)any_u16);
+        break;
+    case 1:
+        queued_cb(channel, any_u16);
+        break;
+    case 2:
+        level_cb(channel, any_float());
+        break;
+    default:
+        imu_cb(channel, &value);
+    }
+}
+
+/* A request, of which Eva knows transducer, item and length: else it would take each for the mean of all. */
+static void ask(uint8_t id, uint8_t item, uint8_t length) {
+    uint8_t room[J2A_ROOM];
+    uint8_t *payload = room;
+    uint8_t code;
+    forget_bytes(room, sizeof room);
+    room[0] = id;
+    room[1] = item;
+    code = j2a_transd(&length, &payload);
+    //@ check code <= J2A_TRANSD_BAD_VALUE;
+    //@ check code == 0 || length == 0;
+    //@ check payload == (uint8_t *)room && length <= J2A_ROOM;
+    (void)code;
+}
+
+static void ask_each(void) {
+    uint8_t id, item, length;
+    for (length = 0; length <= J2A_ROOM; length++)
+        for (id = 0; id <= ALL; id++) /* the last one: there is none with it */
+            for (item = 0; item <= J2A_TRANSD_TIME + 1; item++)
+                if (any_bool) {
+                    ask(id, item, length);
+                    return;
+                }
+}
+
+static void describe(void) {
+    uint8_t room[J2A_ROOM_MANY];
+    uint8_t *data = room;
+    uint32_t offset = any_u32;
+    uint8_t length = 0;
+    bool is_last = any_bool;
+    (void)j2a_get_transds(&is_last, any_bool, &offset, &length, &data);
+    //@ check length <= J2A_ROOM_MANY;
+}
+
+int main(void) {
+    uint8_t i;
+    transds_init();
+    for (i = 0; i < ALL; i++)
+        check_sound(&j2a_transducers[i]);
+    describe();
+    //@ loop unroll 0;
+    while (any_bool) {
+        for (i = 0; i < ALL; i++)
+            forget(&j2a_transducers[i]);
+        j2a_is_heard = any_bool;
+        heard_ms = any_u32;
+        switch (any_u8 % 3) {
+        case 0:
+            sense();
+            break;
+        case 1:
+            ask_each();
+            break;
+        default:
+            transds_process();
+        }
+        for (i = 0; i < ALL; i++)
+            check_sound(&j2a_transducers[i]);
+    }
+    return 0;
+}
