@@ -104,8 +104,6 @@ def read_transds_argument(path: str, options: Mapping[str, str | None]) -> tuple
         raise UsageError(f"{place}: {error.reason}") from None
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} is no text: {error.reason}") from None
 
 
 def _files(

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from j2a.errors import SignatureError
 from j2a.types.transds_file import read_transds
 from j2a.types.transducers import Descriptors
 
@@ -27,9 +28,9 @@ def load_transds(path: str | Path, options: Mapping[str, str | None] | None = No
     Returns: the descriptors, as `Device` and `Transducers.descriptors` have them.
 
     Raises:
-        SignatureError: an entry is wrong; the error tells file, line and column.
+        SignatureError: an entry is wrong, or the file is no UTF-8; the error tells file, line and
+            column.
         OSError: the file cannot be read.
-        UnicodeDecodeError: it is no text.
 
     Source: thesis 8.1 and 9.1, listings 9.2 and 9.5.
     """
@@ -46,4 +47,12 @@ def _text(path: Path) -> str:
         data = file.read(_MAX_BYTES + 1)
     if len(data) > _MAX_BYTES:
         raise OSError(0, f"it has more than {_MAX_BYTES} bytes")
-    return data.decode()
+    try:
+        return data.decode("utf-8-sig")  # editors of Windows put a mark before the text
+    except UnicodeDecodeError as error:
+        before = error.object[: error.start].decode()
+        line = before.rpartition("\n")[2]
+        what = f"the byte 0x{error.object[error.start]:02X} is no text in UTF-8"
+        wrong = SignatureError.at(what, line, len(line), before.count("\n") + 1)
+        wrong.file = str(path)
+        raise wrong from None

@@ -19,6 +19,7 @@ _DIRECTIVE: Final = re.compile(r"(?:\\\r?\n|[^\n])*")
 _DEFINE: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)\s+(\S+)")
 _BODY: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)(?=\s)")
 _CONDITION: Final = re.compile(r"#\s*(if|ifdef|ifndef|else|endif)\b(.*?)(?://.*|/\*.*\*/\s*)?")
+_ELIF: Final = re.compile(r"\s*#\s*elif\b")
 _ASKED: Final = re.compile(r"\s*(!?)\s*(?:(defined)\s*\(?\s*)?([A-Za-z_]\w*|[01])\s*\)?\s*")
 _INCLUDE: Final = re.compile(r'#\s*include\s+"([^"\n]+)"\s*(?://.*|/\*.*\*/\s*)?')
 _WORD: Final = re.compile(r"[A-Za-z_]\w*")
@@ -130,12 +131,20 @@ class MacroReader:
         if match is None:
             if self._at < len(self._text):
                 self._start = self._at
-                raise self.error("this cannot be read")
+                raise self.error(self._unreadable())
             if self._has_else:
                 raise self.error("an #endif is missing behind this")
             return None
         self._at = match.end()
         return match[0]
+
+    def _unreadable(self) -> str:
+        """Return what is wrong here, where no token begins."""
+        if self._text.startswith("/*", self._at):
+            return "this comment has no end"
+        if self._text.startswith('"', self._at):
+            return 'a second " is missing in this line'
+        return "this cannot be read"
 
     # ------------------------------------------------------------------ lines with #
 
@@ -215,6 +224,9 @@ class MacroReader:
             self._at += len(line) + 1
             match = _CONDITION.fullmatch(line.strip())
             if match is None:
+                if not depth and _ELIF.match(line):
+                    self._start = self._at - len(line) - 1
+                    raise self.error("only a build can decide this; ask a board, by its URL")
                 continue
             if match[1].startswith("if"):
                 depth += 1

@@ -5,6 +5,7 @@ flows out: the descriptors that firmware makes of the file, or a file that makes
 Rule: each mistake is one error, which tells file, line and column.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Final
@@ -30,6 +31,7 @@ _C_TYPES: Final = {
     "float": "f32",
     "double": "f64",
 }
+_OCTAL: Final = re.compile(r"-?0[0-9]+")
 _C_NAMES: Final = {name: c_name for c_name, name in _C_TYPES.items()}
 
 
@@ -127,6 +129,8 @@ class _Entry:
         head += [(f" {unit}", unit)] if unit else []
         head += [(f" # {bare_text(doc)}", doc)] if doc else []
         self._check_names(name, prefix, kind)
+        for word in (number, channels, na):
+            self._check_number(str(word), word)
         key = "na" if self._kind == "sensor" else "safe"
         lines = [
             ("prefix", str(prefix), prefix),
@@ -148,6 +152,12 @@ class _Entry:
             near = get_close_matches(element, [*known, *_C_TYPES], n=1)
             hint = f"; near it is {near[0]}" if near else ""
             raise self._reader.error(f"{element} is no type{hint}", kind)
+
+    def _check_number(self, text: str, node: Node) -> None:
+        """Refuse what C reads in another way than people do."""
+        if _OCTAL.fullmatch(text):
+            least = text.lstrip("-0") or "0"
+            raise self._reader.error(f"{text} is octal in C; for {least} leave the zeros out", node)
 
     def _type(self, node: Node) -> str:
         try:
@@ -187,6 +197,9 @@ class _Entry:
             value = inner[len(key) :].lstrip().removeprefix(",").lstrip()
             if key == "range" and len(item) == 3:
                 value = f"{item[1]}, {item[2]}"
+            if key in KEYS and key != "topic":
+                for text in value.split(", "):
+                    self._check_number(text, item[1] if len(item) > 1 else key)
             lines[key] = (str(key), value, item[1] if len(item) > 1 else key)
         return unit, doc, list(lines.values())
 

@@ -169,7 +169,23 @@ WRONG = [
     ('#include "gone.def"\n', 1, 1, "cannot read gone.def"),
     ("#pragma once\n", 1, 1, "only a build can decide this"),
     ("SENSOR(a, 1,\n#if 1\na, X, 1, u8, none)\n#endif\n", 1, 1, "no line with #"),
-    (GOOD + '"\n', 2, 1, "this cannot be read"),
+    (GOOD + '"\n', 2, 1, 'a second " is missing'),
+    ('SENSOR(a, 1, a, X, 1, u8, none, "text)\n', 1, 33, 'a second " is missing'),
+    (GOOD + "/* one\ntwo", 2, 1, "this comment has no end"),
+    (GOOD + "/* /* */ */", 2, 10, 'a "(" is expected behind */'),
+    ("#if 0\n#elif 1\n" + GOOD + "#endif\n", 2, 1, "only a build can decide this"),
+    ("#if 1\n#elif 1\n" + GOOD + "#endif\n", 2, 1, "only a build can decide this"),
+    ("SENSOR(a, 010, a, X, 1, u8, none)", 1, 11, "010 is octal in C; for 10 leave"),
+    ("SENSOR(a, 1, a, X, 03, u8, none)", 1, 20, "03 is octal in C"),
+    ("SENSOR(a, 1, a, X, 1, i8, -07)", 1, 27, "-07 is octal in C"),
+    ("ACTUATOR(a, 1, a, X, 1, u8, none, (range, 0, 0100))", 1, 43, "0100 is octal in C"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (period, 05))", 1, 42, "05 is octal in C"),
+    ("\ufeff" + GOOD + "SENSOR(b, 1, b, X, 1, u8, none)", 2, 11, "a has the id 1, too"),
+    (GOOD.replace("\n", "\r\n") + "\tSENSOR(b,\t1, b, X, 1, u8, none)", 2, 12, "the id 1, too"),
+    (GOOD + "\0", 2, 1, 'a "(" is expected'),
+    ("SENSOR(a, 1, a, X, 1, f32, 1e300)", 1, 28, "beyond the numbers of an f32"),
+    ("SENSOR(a, 1, a, X, 1, f32, none, (scale, 1e999))", 1, 42, "scale is a decimal number"),
+    ("#define SENSORS \\\nSENSOR(a, 1, a, X, 1, u8, none) \\", 2, 33, 'a "(" is expected'),
 ]  # fmt: skip
 
 
@@ -180,7 +196,7 @@ class TestMistakes:
     @pytest.mark.parametrize(("text", "line", "column", "why"), WRONG)
     def test_each_is_told_once_with_its_place(self, text, line, column, why, tmp_path):
         path = tmp_path / "transds.def"
-        path.write_text(text)
+        path.write_bytes(text.encode())
         with pytest.raises(SignatureError) as caught:
             j2a.load_transds(path)
         error = caught.value
@@ -201,6 +217,24 @@ class TestMistakes:
         path.write_text('#include "transds.def"\n')
         with pytest.raises(SignatureError, match="includes itself"):
             j2a.load_transds(path)
+
+    @pytest.mark.parametrize(
+        ("data", "line", "column"),
+        [
+            (GOOD.encode("utf-16"), 1, 1),
+            (GOOD.encode() + "// \u00e4 Gr\u00fc\u00dfe".encode() + b"\xfc", 2, 11),
+            (b"\xef\xbb\xbf\xff", 1, 1),
+        ],
+    )
+    def test_a_file_that_is_no_utf_8(self, data, line, column, tmp_path):
+        path = tmp_path / "transds.def"
+        path.write_bytes(data)
+        (tmp_path / "outer.def").write_text('#include "transds.def"\n')
+        for name in ("transds.def", "outer.def"):
+            with pytest.raises(SignatureError, match="is no text in UTF-8") as caught:
+                j2a.load_transds(tmp_path / name)
+            error = caught.value
+            assert (error.file, error.line, error.position + 1) == (str(path), line, column)
 
     def test_a_file_that_is_too_long(self, tmp_path):
         path = tmp_path / "transds.def"

@@ -213,30 +213,37 @@ static void describe(void) {
     //@ check length <= J2A_ROOM_MANY;
 }
 
-int main(void) {
+/* From any state that is sound, one call: so the calls need no order, and none knows of another. */
+static void forget_all(void) {
     uint8_t i;
-    transds_init();
+    for (i = 0; i < ALL; i++)
+        forget(&j2a_transducers[i]);
+    j2a_is_heard = any_bool;
+    heard_ms = any_u32;
+}
+
+static void check_all(void) {
+    uint8_t i;
     for (i = 0; i < ALL; i++)
         check_sound(&j2a_transducers[i]);
+}
+
+int main(void) {
+    uint8_t turns;
+    transds_init();
+    check_all();
     describe();
-    //@ loop unroll 0;
-    while (any_bool) {
-        for (i = 0; i < ALL; i++)
-            forget(&j2a_transducers[i]);
-        j2a_is_heard = any_bool;
-        heard_ms = any_u32;
-        switch (any_u8 % 3) {
-        case 0:
-            sense();
-            break;
-        case 1:
-            ask_each();
-            break;
-        default:
+    forget_all();
+    if (any_bool)
+        sense();
+    else if (any_bool)
+        ask_each();
+    else
+        for (turns = 0; turns <= ALL; turns++) { /* so that the main loop begins with each transducer */
             transds_process();
+            check_all();
+            forget_all();
         }
-        for (i = 0; i < ALL; i++)
-            check_sound(&j2a_transducers[i]);
-    }
+    check_all();
     return 0;
 }
