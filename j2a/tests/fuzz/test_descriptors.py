@@ -26,7 +26,11 @@ KEYS = (
     *("prefix", "model", "na", "scale", "offset", "range", "accuracy", "period", "enabled"),
     *("queue", "decimation", "threshold", "topic", "safe", "watchdog", "trigger", "color"),
 )
-DEFINITIONS = ("", "enum mode i8 (off=0, on=1)\n", "struct motion (rate i16[3] mdeg/s, flag bool)\n")
+DEFINITIONS = (
+    "",
+    "enum mode i8 (off=0, on=1)\n",
+    "struct motion (rate i16[3] mdeg/s, flag bool)\n",
+)
 
 number = st.sampled_from(NUMBERS)
 value = st.one_of(
@@ -34,7 +38,7 @@ value = st.one_of(
     st.tuples(number, number).map(", ".join),
     st.sampled_from(["a", "text with spaces", "\u00e4" * 17]),
 )
-attribute = st.tuples(st.sampled_from(KEYS), value).map(lambda pair: f" {pair[0]} {pair[1]}".rstrip())
+attribute = st.tuples(st.sampled_from(KEYS), value).map(lambda it: f" {it[0]} {it[1]}".rstrip())
 head = st.tuples(
     st.sampled_from(["sensor", "actuator", "relay"]),
     st.sampled_from(["a", "b", "c1"]),
@@ -83,13 +87,18 @@ LONG = {
     "one line": lambda size: b"\nsensor a 0 1 u8 # " + b"x" * size,
     "lines": lambda size: b"\n" + b"relay a\n" * (size // 8),
     "sensors": lambda size: b"\n" + b"".join(b"sensor s%d %d 1 u8\n" % (n, n) for n in range(255)),
-    "attributes": lambda size: b"\nsensor a 0 1 u8\n"
-    + b"".join(b" k%d\n" % n for n in range(size // 8)),
+    "attributes": lambda size: (
+        b"\nsensor a 0 1 u8\n" + b"".join(b" k%d\n" % n for n in range(size // 8))
+    ),
     "empty attributes": lambda size: b"\nsensor a 0 1 u8\n" + b" \n" * (size // 2),
-    "structures": lambda size: b"".join(b"struct s%d (a u8)\n" % n for n in range(size // 20)) + b"\n",
-    "nested structures": lambda size: b"struct s0 (a u8)\n"
-    + b"".join(b"struct s%d (a s%d[9], b s%d)\n" % (n + 1, n, n) for n in range(size // 30))
-    + b"\n",
+    "structures": lambda size: (
+        b"".join(b"struct s%d (a u8)\n" % n for n in range(size // 20)) + b"\n"
+    ),
+    "nested structures": lambda size: (
+        b"struct s0 (a u8)\n"
+        + b"".join(b"struct s%d (a s%d[9], b s%d)\n" % (n + 1, n, n) for n in range(size // 30))
+        + b"\n"
+    ),
     "digits": lambda size: b"\nsensor a " + b"9" * size,
     "a number of many digits": lambda size: b"\nsensor a 1 1 u8\n scale " + b"9" * size + b"\n",
     "empty lines": lambda size: b"\n" * size,

@@ -199,7 +199,10 @@ class Board:
 
     def special(self, one: oracle.Transducer) -> list[bytes]:
         """Return integers all of whose bytes are the same one of those that matter to links."""
-        if one.type.element[0] not in "ui" or one.type.element in self.descriptors.definitions.enums:
+        if (
+            one.type.element[0] not in "ui"
+            or one.type.element in self.descriptors.definitions.enums
+        ):
             return []
         return [bytes((byte,)) * self.size(one) for byte in _BYTES]
 
@@ -707,16 +710,19 @@ class Queue(_TransducerCase):
         until the number of them is beyond one byte, and where it is quick, beyond two.
         """
         depth, lost = int(one.attributes["queue"]), 0
+        found: list[tuple[int, int, bytes]]
         for _ in range(_TURNS):
             entries = [(0, board.value(one)) for _ in range(min(depth, 3))]
-            since, found = board.seen, []
+            since, found, begin_us = board.seen, [], board.time_us()
             board.stimulate(one, *entries)
             while len(found) < len(entries):
                 since, payload = board.sif(one, since)
-                found += [(channel, value) for channel, _, value in queued(board, one, payload)]
+                found += queued(board, one, payload)
                 since += 1
-            if found != entries:
+            if [(channel, value) for channel, _, value in found] != entries:
                 fail(f"{one.name} was given {entries}, and sent {found}")
+            for _, time_us, _ in found:
+                _check_time(one, time_us, begin_us, board.time_us())
         given, begin_us = 0, board.time_us()
         while given <= _WRAP:
             since = board.seen

@@ -2,12 +2,13 @@
  * In: any value, time, request and offset; any contents of what is kept, but what sound() says. Out: a state that is sound
  * again. Since the one in which a device starts is, every state is, after any calls in any order. */
 #include "__fc_builtin.h"
-#include "any.h"
 #include "numbers.h"
 
-/* Their functions are static. */
+/* Their functions are static. Before any.h, behind which volatile is what it says. */
 #include "ext/j2a_transducers.c"
 #include "j2a_transds_table.c"
+
+#include "any.h"
 
 volatile uint8_t any_u8;
 volatile uint16_t any_u16;
@@ -85,7 +86,7 @@ void servo_set(uint8_t channel, int8_t value) {
 }
 
 void pose_set(uint8_t channel, const motion *value) {
-    //@ check channel == 0 && \valid_read(value) && \initialized(value);
+    //@ check channel == 0 && \initialized(&value->rate[0 .. 1]) && \initialized(&value->flag);
     (void)channel;
     (void)value;
 }
@@ -177,12 +178,24 @@ static void sense(void) {
     }
 }
 
-/* A request, of which Eva knows transducer, item and length: else it would take each for the mean of all. */
-static void ask(uint8_t id, uint8_t item, uint8_t length) {
+/* Eva takes each transducer, item and length of a request apart, else it would mix what belongs to several. */
+static void ask(void) {
     uint8_t room[J2A_ROOM];
     uint8_t *payload = room;
+    uint8_t id = any_u8;
+    uint8_t item = any_u8;
+    uint8_t length = any_u8;
     uint8_t code;
+    if (length > J2A_ROOM)
+        return;
+    if (id > ALL)
+        id = ALL; /* there is none with it */
+    if (item > J2A_TRANSD_TIME)
+        item = J2A_TRANSD_TIME + 1;
     forget_bytes(room, sizeof room);
+    //@ split id;
+    //@ split item;
+    //@ split length;
     room[0] = id;
     room[1] = item;
     code = j2a_transd(&length, &payload);
@@ -190,17 +203,6 @@ static void ask(uint8_t id, uint8_t item, uint8_t length) {
     //@ check code == 0 || length == 0;
     //@ check payload == (uint8_t *)room && length <= J2A_ROOM;
     (void)code;
-}
-
-static void ask_each(void) {
-    uint8_t id, item, length;
-    for (length = 0; length <= J2A_ROOM; length++)
-        for (id = 0; id <= ALL; id++) /* the last one: there is none with it */
-            for (item = 0; item <= J2A_TRANSD_TIME + 1; item++)
-                if (any_bool) {
-                    ask(id, item, length);
-                    return;
-                }
 }
 
 static void describe(void) {
@@ -229,21 +231,23 @@ static void check_all(void) {
 }
 
 int main(void) {
-    uint8_t turns;
     transds_init();
     check_all();
-    describe();
     forget_all();
+#ifdef REQUESTS
+    ask();
+#else
+    uint8_t turns;
+    describe();
     if (any_bool)
         sense();
-    else if (any_bool)
-        ask_each();
     else
         for (turns = 0; turns <= ALL; turns++) { /* so that the main loop begins with each transducer */
             transds_process();
             check_all();
             forget_all();
         }
+#endif
     check_all();
     return 0;
 }
