@@ -21,7 +21,8 @@ def prove(need, *arguments):
 
 
 TYPED = "typed gcc_x86_16"
-SHORT = ("program", "parser gcc_x86_16", "sender", TYPED)
+TRANSDUCERS = "transducers gcc_x86_16"
+SHORT = ("program", "parser gcc_x86_16", "sender", TYPED, TRANSDUCERS)
 # The longest, and those that differ from another one by the machine.
 LONG = {"selftest", "parser gcc_x86_64", "typed ppc_32"}
 
@@ -172,6 +173,34 @@ DEFECTS = {
         "j2a_table.c",
         "if (length_of_##name > (J2A_MAX_PAYLOAD - fixed_size) /",
         "if (length_of_##name > J2A_MAX_PAYLOAD /",
+        "eva:alarm",
+    ),
+    "a queue whose index does not come back": (
+        TRANSDUCERS,
+        "ext/j2a_transducers.c",
+        "(sensor->put_at + 1 == t.depth ? 0 : sensor->put_at + 1)",
+        "(sensor->put_at + 1)",
+        "eva:alarm",
+    ),
+    "a driver reports a channel that its sensor does not have": (
+        TRANSDUCERS,
+        "ext/j2a_transducers.c",
+        "if (channel >= t.channels || !is_chosen",
+        "if (channel > t.channels || !is_chosen",
+        "eva:alarm",
+    ),
+    "a topic that ends within a character": (
+        TRANSDUCERS,
+        "ext/j2a_transducers.c",
+        "if (at == length || text[at] < low",
+        "if (text[at] < low",
+        "eva:alarm",
+    ),
+    "channels that an actuator does not have": (
+        TRANSDUCERS,
+        "ext/j2a_transducers.c",
+        "first >= t->channels || count > t->channels - first",
+        "first >= t->channels",
         "eva:alarm",
     ),
     "text in a SIF that is too long": (

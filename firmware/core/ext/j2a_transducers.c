@@ -14,6 +14,7 @@ enum { COPIES = 16 };
 bool j2a_is_heard;
 
 static uint32_t heard_ms;
+static uint8_t next; /* the transducer whose turn it is to be sent */
 
 static void load(j2a_transducer *to, uint8_t index) {
     j2a_flash_load(to, &j2a_transducers[index], sizeof *to);
@@ -351,7 +352,6 @@ static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8
 /* ------------------------------------------------------------------------- the main loop ------ */
 
 void j2a_turn(uint8_t *payload) {
-    static uint8_t next;
     const uint32_t now_ms = (uint32_t)(j2a_port_time_us() / 1000);
     j2a_transducer t;
     uint8_t left;
@@ -416,12 +416,12 @@ static bool is_below_zero(const j2a_transducer *t, const uint8_t *value) {
 
 /* The bytes behind the first one of a character of UTF-8, and the bits that the second one must not or may have. */
 static bool is_text(const uint8_t *text, uint8_t length) {
-    while (length != 0) {
-        const uint8_t first = *text++;
+    uint8_t at = 0;
+    while (at < length) {
+        const uint8_t first = text[at++];
         uint8_t more = 0;
         uint8_t low = 0x80;
         uint8_t high = 0xBF;
-        length--;
         if (first >= 0xC2 && first <= 0xDF) {
             more = 1;
         } else if (first >= 0xE0 && first <= 0xEF) {
@@ -439,10 +439,8 @@ static bool is_text(const uint8_t *text, uint8_t length) {
         } else if (first < 0x20 || first >= 0x7F) {
             return false;
         }
-        if (more > length)
-            return false;
-        for (; more != 0; more--, length--, text++) {
-            if (*text < low || *text > high)
+        for (; more != 0; more--, at++) {
+            if (at == length || text[at] < low || text[at] > high)
                 return false;
             low = 0x80;
             high = 0xBF;

@@ -1,9 +1,10 @@
 """Runs the C core under libFuzzer, and keeps the corpus.
 
 What flows in: link.c and receiver.c, or what is in transducers/, the core (--core), the inputs in
-corpus/, and for the link seeds made of the golden vectors. What flows out: what libFuzzer reports, exit status 0 when nothing was found, 1
-when something was (the input is then named), 2 when clang is missing. With --keep, corpus/
-afterwards holds the fewest inputs that reach everything that was ever reached.
+corpus/, and for the link seeds made of the golden vectors. What flows out: what libFuzzer reports,
+exit status 0 when nothing was found, 1 when something was (the input is then named), 2 when clang
+is missing. With --keep, corpus/ afterwards holds the fewest inputs that reach everything that was
+ever reached.
 Rules: the same seed and corpus give the same first runs; corpus/ is written with --keep only, and
 beside it the input that breaks the core, into the folder of --inputs.
 """

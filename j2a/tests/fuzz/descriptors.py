@@ -1,8 +1,8 @@
 """What is fuzzed in Python besides the deframer: descriptors, and the samples that they describe.
 
-What flows in: any bytes: descriptors, a byte 0xFF, payloads with such bytes between them. What flows
-out: nothing, or an AssertionError with the difference from the oracle. Rules: no fuzzer is needed to
-call this; the library and the oracle share no code.
+What flows in: any bytes: descriptors, a byte 0xFF, payloads with such bytes between them. What
+flows out: nothing, or an AssertionError with the difference from the oracle. Rules: no fuzzer is
+needed to call this; the library and the oracle share no code.
 """
 
 import math

@@ -167,6 +167,7 @@ _WRONG_KEYS: Final = (
     "na 256", "na x", "na", "na 1.5", "na nan", "queue 0", "queue 256", "queue -1", "range 1",
     "range 2, 1", "range 1,2", "range 1, 2, 3", "period 4294967296", "period -1", "enabled 2",
     "enabled yes", "decimation 0", "topic", "trigger now", "scale 1,5", "scale", "offset 0x10",
+    "offset 1e999", "accuracy 1e999",
     "accuracy good", "prefix 1a", "model", "1 2", " na 1", "color b\x07",
     f"topic {'x' * 33}",
 )  # fmt: skip
@@ -187,6 +188,7 @@ _WRONG: Final = (
     "\nsensor a 1 1 u8\nsensor a 2 1 u128\n", "\nsensor a 1 1 u8\n na 1\n na 2\n",
     "\nsensor a 1 1 u8\n color blue\n na 1\n color blue\n", "\nsensor a 1 1 u8\n scale 1e999\n",
     "\nsensor a 1 1 f32\n na 1e300\n",
+    "\nsensor c 3 1 u8\nsensor a 1 1 u8\nsensor a 2 1 u128\n",
     "\n na 1\nsensor a 1 1 u8\n", "struct s (a u8)\nstruct s (b u8)\n\nsensor a 1 1 u8\n",
     "\nsensor a 1 1 u8\n\tna 1\n", "\nsensor a 1 1 u8\r\n", "\nsensor a 1 1 u8 # \x7f\n",
     "\nsensor a 1 1 u8\nbad\n",

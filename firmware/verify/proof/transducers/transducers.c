@@ -222,6 +222,7 @@ static void forget_all(void) {
         forget(&j2a_transducers[i]);
     j2a_is_heard = any_bool;
     heard_ms = any_u32;
+    next = any_u8 % (ALL + 1);
 }
 
 static void check_all(void) {
@@ -230,24 +231,29 @@ static void check_all(void) {
         check_sound(&j2a_transducers[i]);
 }
 
+static void turn(void) {
+    //@ split next;
+    transds_process();
+    //@ check next <= ALL;
+}
+
 int main(void) {
     transds_init();
     check_all();
     forget_all();
-#ifdef REQUESTS
-    ask();
-#else
-    uint8_t turns;
-    describe();
-    if (any_bool)
+    switch (any_u8) {
+    case 0:
+        describe();
+        break;
+    case 1:
         sense();
-    else
-        for (turns = 0; turns <= ALL; turns++) { /* so that the main loop begins with each transducer */
-            transds_process();
-            check_all();
-            forget_all();
-        }
-#endif
+        break;
+    case 2:
+        ask();
+        break;
+    default:
+        turn();
+    }
     check_all();
     return 0;
 }
