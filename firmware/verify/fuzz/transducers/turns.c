@@ -329,6 +329,9 @@ static void some_request(uint8_t how, const uint8_t **bytes, const uint8_t *end)
     request(payload, length, how, how & 0x80 && how & 0x40 ? how : 0);
 }
 
+/* Around the period and the watchdog of transds.def. */
+static const uint16_t edges[] = {999, 1000, 1001, 2999, 3000, 4000};
+
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count) {
     const uint8_t *const end = bytes + count;
     memset(j2a_served(), 0, sizeof(j2a_rx_t));
@@ -354,13 +357,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count) {
         case 2:
             some_request(how, &bytes, end);
             break;
-        case 3: /* up to 65 ms */
-            now_us += (uint64_t)how << event / 6 % 9;
+        case 3: /* up to 65 ms, or to an edge */
+            now_us += event / 6 % 10 < 9 ? (uint64_t)how << event / 6 % 10 : edges[how % 6];
             turn();
             break;
         case 4: /* as far as a clock of 64 bits may go in years; a multiple of 2^32 ms, too */
             if (now_us < 1ULL << 55)
-                now_us += 1ULL << how % 56;
+                now_us += how % 57 < 56 ? 1ULL << how % 57 : 4294967296000ULL;
             turn();
             break;
         default:
