@@ -5,6 +5,11 @@
 export J2A_REQUIRE_AVR=1
 
 # The deframer in Python, from its corpus on; what is new stays in build.
+fuzz_descriptors() {
+    mkdir -p build/fuzz-descriptors
+    python j2a/tests/fuzz/fuzz.py descriptors -max_total_time=1800 -max_len=512 -print_final_stats=1 \
+        -artifact_prefix=build/fuzz-descriptors- build/fuzz-descriptors j2a/tests/fuzz/corpus-descriptors
+}
 fuzz_deframer() {
     mkdir -p build/fuzz-deframer
     python j2a/tests/fuzz/fuzz.py -max_total_time=1800 -max_len=1024 -print_final_stats=1 \
@@ -42,4 +47,5 @@ step fuzz-small "the C core with room for 32 bytes under libFuzzer" \
 step fuzz-transducers "the C core with transducers under libFuzzer, against a model" \
     python -m firmware.verify.fuzz.fuzz --seconds 1800 --inputs build --transducers
 step fuzz-deframer "the Python deframer under atheris" fuzz_deframer
+step fuzz-descriptors "what reads descriptors and samples under atheris" fuzz_descriptors
 end_steps

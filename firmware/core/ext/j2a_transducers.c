@@ -312,7 +312,12 @@ static void set_safe(const j2a_transducer *t) {
     }
 }
 
-static void watch(const j2a_transducer *t, uint32_t silence_ms) {
+static void watch(const j2a_transducer *t, uint32_t now_ms) {
+    uint32_t silence_ms = now_ms - heard_ms;
+    if (silence_ms > UINT16_MAX + 1ul) { /* no watchdog has a longer limit, and 32 bits wrap */
+        silence_ms = UINT16_MAX + 1ul;
+        heard_ms = now_ms - silence_ms;
+    }
     /* The first of these milliseconds may have been over nearly. */
     if (t->watchdog->limit_ms == 0 || silence_ms <= t->watchdog->limit_ms)
         t->watchdog->is_safe = false;
@@ -401,7 +406,7 @@ void j2a_turn(uint8_t *payload) {
             t.start();
         }
         if (t.watchdog)
-            watch(&t, now_ms - heard_ms);
+            watch(&t, now_ms);
         if (t.waiting)
             set_due(&t);
     }

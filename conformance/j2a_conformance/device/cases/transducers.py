@@ -488,6 +488,7 @@ _WRONG_TOPICS: Final = (
     *(bytes((byte,)) for byte in (*range(0x20), *range(0x7F, 0x100))),
     *(b"a" + bytes((byte,)) + b"b" for byte in (0, 9, 10, 31, 127, 128, 0xBF, 0xC0, 0xFE, 0xFF)),
     *(text + b"\x80" for text in (b"\xc0", b"\xc1", b"\xe0\x80", b"\xe0\x9f", b"\xed\xa0")),
+    b"\xe0\x84\x80",
     *(b"a" * 20 + text for text in (b"\xc3", b"\xe2\x82", b"\xf0\x9f\xa4", b"\xc3a", b"\xe2\x82a")),
     *(text + b"\x80\x80" for text in (b"\xf0\x80", b"\xf0\x8f", b"\xf4\x90", b"\xf5\x80")),
     b"\xff\x80\x80\x80",

@@ -243,6 +243,7 @@ class Values(_TransducerCase):
             [sample("quad", [(0, 3), (2**40, -1)])],
             [(0, None, None), (1, 2**40, None)],
         )
+        taken(host, "quad", [sample("quad", [(5, 3), (0, 7)])], [(0, 5, 3), (1, None, None)])
         dist = [(9, 0), (9, 100), (2**63, 0xFFFFFFFF)]
         taken(host, "dist", [sample("dist", dist)], [(0, 9, -10.0), (1, 9, 40.0), (2, 2**63, None)])
         level = [(1, float("nan")), (2, 21.5)]
@@ -272,7 +273,25 @@ class WrongSamples(_TransducerCase):
     def _run(self, host: Host) -> None:
         self._watch(host, "quad", "imu", "many", "long")
         before = self._count(host)
-        wrong = [(0, bytes([1] * length)) for length in (*range(20), 21, 22, 30, 40, 255)]
+        wrong = [
+            (0, bytes([1] * length))
+            for length in (
+                *range(20),
+                *range(21, 50, 9),
+                22,
+                33,
+                63,
+                64,
+                65,
+                100,
+                127,
+                128,
+                129,
+                200,
+                201,
+                255,
+            )
+        ]
         good = sample("quad", [(5, 1), (5, 2)])
         taken(host, "quad", [good, *wrong, good], [(0, 5, 1), (1, 5, 2)] * 2, count=2)
         whole = queued("imu", 0, [(0, 8, [[1, 2, 3], True])])[1]
@@ -438,7 +457,8 @@ class Refused(_TransducerCase):
             ("servo", 0, 0, [1, 2, 3, 4]), ("servo", 2, 0, [0, 0]), ("servo", 0, 0, []),
             ("servo", 0, 0, [1.5]), ("servo", 0, 0, ["1"]), ("servo", -1, 0, [1]),
             ("servo", 0, -1, [1]), ("servo", 0, 2**64, [1]), ("motor", 0, 0, [1.75]),
-            ("motor", 0, 0, [-2]), ("motor", 1, 0, [0]), ("lamp", 0, 0, [2]),
+            ("motor", 0, 0, [2.5]), ("motor", 0, 0, [-2.5]), ("motor", 0, 0, [-2]),
+            ("motor", 1, 0, [0]), ("lamp", 0, 0, [2]),
         ):  # fmt: skip
             spelt = json.dumps(values, separators=(",", ":"))
             self._refused(host, f"actuate {name} {channel} {time_us} {spelt}")

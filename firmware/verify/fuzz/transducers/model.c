@@ -9,8 +9,8 @@
 
 #define NONE .threshold = -1
 const described model_of[TRANSDUCERS] = {
-    {0, 3, 2, 'i', .is_sensor = true, NONE, .has_na = true, .na = -1},
-    {1, 3, 2, 'u', .is_sensor = true, NONE, .depth = 4},
+    {0, 3, 2, 'i', .is_sensor = true, NONE, .period_us = 1000, .has_na = true, .na = -1},
+    {1, 3, 2, 'u', .is_sensor = true, NONE, .depth = 4, .period_us = 1000},
     {2, 2, 4, 'i', .is_sensor = true, .decimation = 2, .threshold = 3, .topic = "tuned", .has_na = true,
      .na = 2147483647.0},
     {3, 1, 8, 'u', .is_sensor = true, .threshold = 1, .depth = 2, .period_us = 1000, .has_na = true, .na = 0},

@@ -312,7 +312,9 @@ static void some_request(uint8_t how, const uint8_t **bytes, const uint8_t *end)
     if (how & 2) { /* any length */
         length = take(bytes, end);
     } else if (how & 4) {
-        length = (uint8_t)(2 + (payload[1] == J2A_TRANSD_THRESHOLD ? d->size : payload[1] < 11 ? sizes[payload[1]] : 0));
+        length = 2;
+        if (payload[1] < sizeof sizes)
+            length = (uint8_t)(2 + (payload[1] == J2A_TRANSD_THRESHOLD ? d->size : sizes[payload[1]]));
         if (payload[1] == J2A_TRANSD_SET)
             length = (uint8_t)(2 + 9 + d->size * (1 + take(bytes, end) % MOST_CHANNELS));
     }
@@ -329,14 +331,19 @@ static void some_request(uint8_t how, const uint8_t **bytes, const uint8_t *end)
     request(payload, length, how, how & 0x80 && how & 0x40 ? how : 0);
 }
 
+/* Around the period and the watchdog of transds.def. */
+static const uint16_t edges[] = {999, 1000, 1001, 2999, 3000, 4000};
+
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count) {
     const uint8_t *const end = bytes + count;
+    uint8_t begin;
     memset(j2a_served(), 0, sizeof(j2a_rx_t));
     memset(overtaken, 0, sizeof overtaken);
     keep_all(true);
     model_reset();
     sif_seq = 0;
-    now_us = take(&bytes, end) % 4; /* 0 is no time of a value */
+    begin = take(&bytes, end);
+    now_us = begin < 128 ? begin % 4 : 1ULL << begin % 56; /* 0 is no time of a value */
     j2a_is_heard = true;
     model_hear(now_us);
     turn();
@@ -354,13 +361,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count) {
         case 2:
             some_request(how, &bytes, end);
             break;
-        case 3: /* up to 65 ms */
-            now_us += (uint64_t)how << event / 6 % 9;
+        case 3: /* up to 65 ms, or to an edge */
+            now_us += event / 6 % 10 < 9 ? (uint64_t)how << event / 6 % 10 : edges[how % 6];
             turn();
             break;
-        case 4: /* as far as a clock of 64 bits may go in years; a multiple of 2^32 ms, too */
-            if (now_us < 1ULL << 55)
-                now_us += 1ULL << how % 56;
+        case 4: /* up to 25 days: the main loop turns that often, so 32 bits of milliseconds do not wrap unseen */
+            if (now_us < 1ULL << 60)
+                now_us += how % 43 < 42 ? 1ULL << how % 43 : 2147483648000ULL;
             turn();
             break;
         default:

@@ -79,7 +79,8 @@ bool value_is_limit(const described *d, const uint8_t *bytes) {
 bool value_is_text(const uint8_t *bytes, size_t length) {
     while (length > 0) {
         const uint8_t first = *bytes;
-        const size_t size = first < 0x80 ? 1 : first < 0xC0 || first > 0xF7 ? 0 : first < 0xE0 ? 2 : first < 0xF0 ? 3 : 4;
+        const size_t size =
+            first < 0x80 ? 1 : first < 0xC0 || first > 0xF7 ? 0 : first < 0xE0 ? 2 : first < 0xF0 ? 3 : 4;
         const uint32_t lowest[] = {0, 0x20, 0x80, 0x800, 0x10000};
         uint32_t point = size < 2 ? first : first & (0x7Fu >> size);
         size_t i;
