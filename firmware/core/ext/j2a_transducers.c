@@ -397,8 +397,6 @@ void j2a_turn(uint8_t *payload) {
         j2a_is_heard = false;
         heard_ms = now_ms;
     }
-    if (now_ms - heard_ms > UINT16_MAX + 1ul) /* no watchdog has a longer limit, and 32 bits wrap */
-        heard_ms = now_ms - (UINT16_MAX + 1ul);
     for (left = 0; left < j2a_transducer_count; left++) {
         load(&t, left);
         if (t.trigger && t.trigger->waits && is_due(t.trigger->due_us)) {
