@@ -22,8 +22,8 @@ void sharp_set_cb(void (*new_value)(uint8_t channel, uint16_t mm)) {
 }
 
 void sharp_task(void) {
-    uint8_t channel;
     if (is_scanning) {
+        uint8_t channel;
         if (adc_busy())
             return;
         is_scanning = false;

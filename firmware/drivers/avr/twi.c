@@ -11,9 +11,11 @@
 #define BIT_RATE 100000
 
 static volatile uint8_t state = TWI_DONE;
-static uint8_t *bytes;
-static uint8_t address; /* with the direction, as on the wire */
-static uint8_t at, writes, reads;
+static struct {
+    uint8_t *bytes;
+    uint8_t address; /* with the direction, as on the wire */
+    uint8_t at, writes, reads;
+} now;
 
 #define CONTROL (_BV(TWEN) | _BV(TWIE) | _BV(TWINT))
 
@@ -27,30 +29,30 @@ ISR(TWI_vect) {
     switch (TW_STATUS) {
     case TW_START:
     case TW_REP_START:
-        at = 0;
-        TWDR = address;
+        now.at = 0;
+        TWDR = now.address;
         TWCR = CONTROL;
         break;
     case TW_MT_SLA_ACK:
     case TW_MT_DATA_ACK:
-        if (at < writes) {
-            TWDR = bytes[at++];
+        if (now.at < now.writes) {
+            TWDR = now.bytes[now.at++];
             TWCR = CONTROL;
-        } else if (reads != 0) {
-            address |= TW_READ;
+        } else if (now.reads != 0) {
+            now.address |= TW_READ;
             TWCR = CONTROL | _BV(TWSTA);
         } else {
             finish(TWI_DONE);
         }
         break;
     case TW_MR_DATA_ACK:
-        bytes[at++] = TWDR;
+        now.bytes[now.at++] = TWDR;
         /* fall through */
     case TW_MR_SLA_ACK: /* the last byte is not acknowledged */
-        TWCR = at + 1 < reads ? CONTROL | _BV(TWEA) : CONTROL;
+        TWCR = now.at + 1 < now.reads ? CONTROL | _BV(TWEA) : CONTROL;
         break;
     case TW_MR_DATA_NACK:
-        bytes[at] = TWDR;
+        now.bytes[now.at] = TWDR;
         finish(TWI_DONE);
         break;
     default: /* nobody acknowledges, or another master or a fault is on the bus */
@@ -65,15 +67,15 @@ void twi_init(void) {
     TWCR = _BV(TWEN);
 }
 
-void twi_transfer(uint8_t to, uint8_t *new_bytes, uint8_t new_writes, uint8_t new_reads) {
+void twi_transfer(uint8_t address, uint8_t *bytes, uint8_t writes, uint8_t reads) {
     if (state == TWI_BUSY)
         return;
-    bytes = new_bytes;
-    writes = new_writes;
-    reads = new_reads;
-    address = (uint8_t)(to << 1 | (new_writes == 0 ? TW_READ : TW_WRITE));
+    now.bytes = bytes;
+    now.writes = writes;
+    now.reads = reads;
+    now.address = (uint8_t)(address << 1 | (writes == 0 ? TW_READ : TW_WRITE));
     state = TWI_BUSY;
-    TWCR = CONTROL | _BV(TWSTA);
+    TWCR = CONTROL | _BV(TWSTA) | (TWCR & _BV(TWSTO)); /* behind a stop that is still on its way */
 }
 
 uint8_t twi_state(void) {
@@ -92,11 +94,11 @@ void twi_stop(void) {
 void twi_init(void) {
 }
 
-void twi_transfer(uint8_t to, uint8_t *new_bytes, uint8_t new_writes, uint8_t new_reads) {
-    (void)to;
-    (void)new_bytes;
-    (void)new_writes;
-    (void)new_reads;
+void twi_transfer(uint8_t address, uint8_t *bytes, uint8_t writes, uint8_t reads) {
+    (void)address;
+    (void)bytes;
+    (void)writes;
+    (void)reads;
 }
 
 uint8_t twi_state(void) {

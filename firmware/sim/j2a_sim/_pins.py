@@ -70,7 +70,8 @@ class Pins(_Wires):
         Raises:
             SimError: no such pin, another level, or the cycle is over.
         """
-        self.play(pin, [(self._when(cycle), level)])
+        with self._lock:  # "now" stays so
+            self.play(pin, [(self._when(cycle), level)])
 
     def play(self, pin: str, levels: Iterable[tuple[int, int]]) -> None:
         """Schedule many levels of a pin.
