@@ -19,10 +19,10 @@ import j2a_transports
 
 import j2a
 from j2a.io.threads import JOIN_S, join_threads, start_thread
-from j2a.syncd.board import SyncBoard
-from j2a.syncd.bus import Bus
 from j2a.syncd.history import History
-from j2a.syncd.links import LinkBoards
+from j2a.syncd.sync_board import SyncBoard
+from j2a.syncd.url_boards import LinkBoards
+from j2a.syncd.usb_bus import Bus
 
 __all__ = ["Daemon", "start"]
 

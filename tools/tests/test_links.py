@@ -13,6 +13,7 @@ FOLDERS = (
     "firmware/tests",
     "firmware/sim/tests",
     "j2a/tests/cli",
+    "j2a/tests/syncd",
 )
 
 

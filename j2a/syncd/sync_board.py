@@ -15,7 +15,7 @@ from typing import Any, Final
 import j2a_transports
 
 from j2a.io.threads import start_thread
-from j2a.syncd.bus import Bus
+from j2a.syncd.usb_bus import Bus
 
 __all__ = ["SyncBoard"]
 
