@@ -16,6 +16,7 @@ DECLARED = {
     for header in _build._HEADERS
     for name, types in parse((PACKAGE / "chip" / header).read_text("utf-8")).items()
 }
+BOARD = parse((PACKAGE / "_clocks/board/board.h").read_text("utf-8"))
 
 
 def test_types_of_the_headers():
@@ -44,9 +45,9 @@ def test_types_of_the_headers():
 def test_all_that_python_calls_is_declared():
     """ctypes would take an int for every result and argument of another function."""
     sources = "\n".join(path.read_text("utf-8") for path in PACKAGE.rglob("*.py"))
-    called = set(re.findall(r"_lib\.(\w+)\(", sources))
-    assert {"sim_new", "usb_host_submit"} <= called
-    assert called <= DECLARED.keys()
+    called = set(re.findall(r"(?:\b|_)lib\.(\w+)\(", sources))
+    assert {"sim_new", "usb_host_submit", "board_run", "board_start"} <= called
+    assert called <= DECLARED.keys() | BOARD.keys()
 
 
 @pytest.mark.avr
