@@ -91,7 +91,8 @@ class Batch:
             raise LocalError(f"{sensor.name} has values of type {sensor.type}: see raw")
         values = self.raw.astype("f8")
         if sensor.has("scale") or sensor.has("offset"):
-            values = values * sensor.scale + sensor.offset
+            with np.errstate(over="ignore", invalid="ignore"):  # what is too large is infinite
+                values = values * sensor.scale + sensor.offset
         values[self._is_none()] = np.nan
         return values
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from j2a_spec.capabilities import FUNCTIONS
-from j2a_spec.constants import CAP_TRANSDUCERS
+from j2a_spec.constants import CAP_CLOCK, CAP_TRANSDUCERS
 
 from j2a.errors import SignatureError
 from j2a.types.macros import MacroReader, Node, bare_text
@@ -51,10 +51,12 @@ def interface_text(
     text: str, options: Mapping[str, str | None] | None = None, *, has_transducers: bool = False
 ) -> str:
     """Return the text of that interface (J2A-IFACE-001); as `read_definition_file`."""
+    # A board with a clock tells of a2jClock itself; a file does not say whether it has one.
+    left_out = {CAP_CLOCK} if has_transducers else {CAP_CLOCK, CAP_TRANSDUCERS}
     lines = [
         f"{function.name}{' many' if function.kind == 'many' else ''}"
         for function in FUNCTIONS
-        if has_transducers or function.capability != CAP_TRANSDUCERS
+        if function.capability not in left_out
     ]
     definitions: list[str] = []
     reader = MacroReader(text, options or {})

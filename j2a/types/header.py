@@ -8,6 +8,8 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from j2a_spec.printable import printable
+
 from j2a.types.model import INTEGERS, Enumeration, Field, Interface, Structure
 from j2a.types.naming import CNames
 
@@ -51,8 +53,8 @@ def _lines(interface: Interface, interface_hash: str, source: str) -> Iterator[s
 
 
 def c_comment(text: str) -> str:
-    """Return a text as it can stand in a comment."""
-    plain = text.replace("*/", "* /").replace("/*", "/ *")
+    """Return a text as it can stand in a comment: printable, so that it hides no line."""
+    plain = printable(text).replace("*/", "* /").replace("/*", "/ *")
     return re.sub(r"\?(?=\?)", "? ", plain)  # no trigraphs
 
 

@@ -168,7 +168,7 @@ class SampleCodec:
             raw = (float(value) - self._offset) / self._scale
             if math.isfinite(raw):
                 return round(raw) if self._is_integer else raw
-        raise WrongArgument(f"{self.transducer.name} cannot be set to {value!r:.60}")
+        raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
 
     def check_range(self, raw: Raw) -> None:
         """Refuse what the device would refuse.

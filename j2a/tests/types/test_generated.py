@@ -164,7 +164,7 @@ def test_a_definition_file_says_what_the_board_says(folder):
         ("#if 0\n#else\n#else\n#endif\n", "there is no #if for this"),
         ('J2A_FUNCTION(add, i32, (i33, a), "x")', "add uses a type that is not defined"),
         ("J2A_CALL a", 'a "(" is expected behind J2A_CALL'),
-        ('J2A_CALL(a, b) "', "this cannot be read"),
+        ('J2A_CALL(a, b) "', 'a second " is missing in this line'),
         ('J2A_FUNCTION(add, i32, (i32, a), (i32, a), "x")', "the name a stands here twice"),
         ("J2A_ENUM(m, u8, (a, 0), b)", "the arguments of J2A_ENUM cannot be read"),
     ],
