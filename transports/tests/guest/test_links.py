@@ -108,6 +108,7 @@ def test_two_boards_by_serial_number(guest, build_firmware):
     assert done.stdout.count("good: ") == 3
 
 
+@pytest.mark.exhaustive
 @pytest.mark.avr
 @pytest.mark.requirement("USB-002")
 def test_what_programs_see(guest, build_firmware):
