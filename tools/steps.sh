@@ -21,7 +21,8 @@ chosen() { [[ -z "${CHECK:-}" || ",$CHECK," == *",$1,"* ]]; }
 timed() {
     local name=$1 status=0 LC_NUMERIC=C TIMEFORMAT="$1 %R %U %S"
     shift
-    { time "$@" 2>&3 3>&- || status=$?; } 3>&2 2>>"$times"
+    # In a shell of its own, or what ends in the background meanwhile would be counted, too.
+    (time "$@" 2>&3 3>&-) 3>&2 2>>"$times" || status=$?
     return "$status"
 }
 

@@ -22,9 +22,21 @@ def prove(need, *arguments):
 
 TYPED = "typed gcc_x86_16"
 TRANSDUCERS = "transducers gcc_x86_16"
-SHORT = ("program", "parser gcc_x86_16", "sender", TYPED, TRANSDUCERS)
-# The longest, and those that differ from another one by the machine.
-LONG = {"selftest", "parser gcc_x86_64", "typed ppc_32"}
+SHORT = (
+    "program gcc_x86_16 -DJ2A_WITH_INTERFACE=1",
+    "parser gcc_x86_16",
+    "sender",
+    TYPED,
+    TRANSDUCERS,
+)
+# The longest, and those that differ from another one by the machine or by what is built out.
+LONG = {
+    "selftest",
+    "parser gcc_x86_64",
+    "typed ppc_32",
+    "program gcc_x86_64",
+    *(f"program gcc_x86_16 -DJ2A_{part}" for part in ("ROOM", "WITH_PROPERTIES", "WITH_SELFTEST")),
+}
 
 
 @pytest.mark.timeout(900)

@@ -35,10 +35,13 @@ SLOW = {  # several thousand frames; the testee cortex-m-two has them on one lin
 MANY_FRAMES = {
     "error.opcode-out-of-range",
     "frame.noise",
+    "frame.pieces",
     "frame.sos-to-device",
     "sif.every-length",
     "stuff.needless",
     "sum.every-length",
+    "types.bools",
+    "types.lengths",
 }
 
 

@@ -64,15 +64,16 @@ def good(output: str) -> list[str]:
     return [line.split()[1].rstrip(",") for line in output.splitlines() if "good: " in line]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.timeout(PATIENCE_S + 60)
 @pytest.mark.requirement("USB-011", "USB-012", "USB-013")
 @pytest.mark.parametrize(
     "link",
-    # By USB, test_usb.py has calls and ends of the gadget, and test_usbip.py those of the chip.
+    # In `make test`, test_usb.py, test_usbip.py and test_bluetooth.py have calls and ends of each.
     [
-        pytest.param("gadget", marks=pytest.mark.exhaustive),
+        "gadget",
         "bt",
-        pytest.param("usbip", marks=[pytest.mark.avr, pytest.mark.exhaustive]),
+        pytest.param("usbip", marks=pytest.mark.avr),
     ],
 )
 def test_calls_and_ends(guest, named, link):
@@ -94,6 +95,7 @@ def test_a_megabyte(guest, named, link):
     assert good(guest(*CLIENT, named(link), "megabyte", timeout=900).stdout) == ["megabyte"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.avr
 @pytest.mark.requirement("USB-002", "USB-010")
 def test_two_boards_by_serial_number(guest, build_firmware):
@@ -106,6 +108,7 @@ def test_two_boards_by_serial_number(guest, build_firmware):
     assert done.stdout.count("good: ") == 3
 
 
+@pytest.mark.exhaustive
 @pytest.mark.avr
 @pytest.mark.requirement("USB-002")
 def test_what_programs_see(guest, build_firmware):
