@@ -114,12 +114,14 @@ def test_numbers_that_are_not_finite(run, demo, kind, number, text):
         (["watch", "DEMO", "--call", "sif"], 1, "CommandFailed", None),
         (["echo", "DEMO", "--size", "999"], 2, "UsageError", None),
         (["clock", "DEMO"], 2, "NoClock", "not_sent"),
+        (["sync", "status"], 3, "CommandFailed", None),
         (["list", "--nonsense"], 2, "UsageError", None),
         (["transds", "DEMO"], 5, "CommandFailed", None),
         (["transds", "nowhere.def"], 2, "UsageError", None),
     ],
 )
-def test_an_error_is_an_object_too(run, demo, argv, code, kind, outcome):
+def test_an_error_is_an_object_too(run, demo, argv, code, kind, outcome, monkeypatch, tmp_path):
+    monkeypatch.setenv("J2A_RUNTIME_DIR", str(tmp_path))  # without a daemon of this computer
     result = run(*(demo if word == "DEMO" else word for word in argv), "--json")
     error = strict(result.out)["error"]
     assert result.code == error["exit_code"] == code

@@ -68,7 +68,7 @@ def test_for_so_many_seconds(run, board, tmp_path):
     assert (result.code, result.err) == (0, "")
     found = payloads(path)
     assert f"wrote {path}: {len(found)} samples, 0 lost on the way" in result.out
-    assert {name for name, _ in found} == {"plain", "queued", "tuned", "imu", "slow"}
+    assert {name for name, _ in found} == {"plain", "queued", "tuned", "imu", "slow", "wide"}
 
 
 @pytest.mark.parametrize(

@@ -181,6 +181,8 @@ class TestSignatures:
             "interface": True,
             "boot": False,
             "transducers": None,
+            "settings": None,
+            "clock": None,
             "room": 255,
             "byte_timeout_s": 0.01,
             "trace": None,

@@ -23,4 +23,5 @@ def test_each_requirement_of_hosts_has_a_test():
 
 
 def test_marks_name_requirements():
-    assert marked() - set(load()) == set()
+    links = {name for name in marked() if name.startswith(("USB-", "SYNC-", "SPP-"))}
+    assert marked() - links - set(load()) == set()  # tools/tests/test_links.py has those
