@@ -314,8 +314,8 @@ static void set_safe(const j2a_transducer *t) {
 
 static void watch(const j2a_transducer *t, uint32_t now_ms) {
     uint32_t silence_ms = now_ms - heard_ms;
-    if (silence_ms > UINT16_MAX + 1ul) { /* no watchdog has a longer limit, and 32 bits wrap */
-        silence_ms = UINT16_MAX + 1ul;
+    if (silence_ms > UINT16_MAX + 1UL) { /* no watchdog has a longer limit, and 32 bits wrap */
+        silence_ms = UINT16_MAX + 1UL;
         heard_ms = now_ms - silence_ms;
     }
     /* The first of these milliseconds may have been over nearly. */

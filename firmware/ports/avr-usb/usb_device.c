@@ -38,7 +38,11 @@ static void wake(void) {
 #endif
     USBCON = USB_ON;
     UDINT = (uint8_t)~(_BV(WAKEUPI) | _BV(SUSPI));
-    UDIEN = _BV(EORSTE) | _BV(SUSPE) | _BV(EORSME) | (J2A_PORT_FRAMES ? _BV(SOFE) : 0);
+#if J2A_PORT_FRAMES
+    UDIEN = _BV(EORSTE) | _BV(SUSPE) | _BV(EORSME) | _BV(SOFE);
+#else
+    UDIEN = _BV(EORSTE) | _BV(SUSPE) | _BV(EORSME);
+#endif
     usb_trouble &= (uint8_t)~USB_SUSPENDED;
 }
 

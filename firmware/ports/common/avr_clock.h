@@ -9,7 +9,7 @@
 #include "j2a_options.h"
 
 /* Of the processor's clock. A clock that is disciplined has a tick of 0.5 us at 16 MHz. */
-#if J2A_WITH_SYNC
+#if defined J2A_WITH_SYNC && J2A_WITH_SYNC /* the options may come later, and then it is 0 */
 #define AVR_CLOCK_DIVIDER 8
 #else
 #define AVR_CLOCK_DIVIDER 64
@@ -19,7 +19,7 @@
 #define AVR_CLOCK_TICKS_PER_MS ((F_CPU + AVR_CLOCK_DIVIDER * 1000UL - 1) / (AVR_CLOCK_DIVIDER * 1000UL))
 
 /* The overflows of timer 1, see avr_clock.c; with interrupts off. */
-#if J2A_WITH_CLOCK
+#if !defined J2A_WITH_CLOCK || J2A_WITH_CLOCK
 extern uint32_t avr_clock_overflows;
 #endif
 
