@@ -42,7 +42,11 @@ import importlib, pkgutil
 for name in ("j2a", "j2a_spec", "j2a_transports", "j2a_conformance", "j2a_sim"):
     for found in pkgutil.walk_packages(importlib.import_module(name).__path__, f"{name}."):
         if not found.name.startswith("j2a.tests") and not found.name.endswith("__main__"):
-            importlib.import_module(found.name)
+            try:
+                importlib.import_module(found.name)
+            except ModuleNotFoundError as missing:
+                if missing.name != "numpy":  # of the extra arrays
+                    raise
 """
 WORKERS = "2"
 LIMIT_S = 1800

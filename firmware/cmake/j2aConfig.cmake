@@ -30,8 +30,9 @@ target_include_directories(j2a_board INTERFACE "${J2A_FOLDER}/ports/common")
 target_link_libraries(j2a_board INTERFACE j2a_core)
 
 add_library(j2a_posix INTERFACE)
-target_sources(j2a_posix INTERFACE "${J2A_FOLDER}/ports/posix/port.c")
-target_include_directories(j2a_posix INTERFACE "${J2A_FOLDER}/ports/posix")
+target_sources(j2a_posix INTERFACE "${J2A_FOLDER}/ports/posix/port.c" "${J2A_FOLDER}/ports/common/crystal.c"
+               "${J2A_FOLDER}/ports/common/kept_file.c")
+target_include_directories(j2a_posix INTERFACE "${J2A_FOLDER}/ports/posix" "${J2A_FOLDER}/ports/common")
 target_link_libraries(j2a_posix INTERFACE j2a_core)
 
 add_library(j2a_main INTERFACE)

@@ -116,7 +116,7 @@ def test_each_figure_of_the_other_ports_is_limited(checked):
     for entry in ENTRIES:
         if not entry["name"].startswith("avr-serial/"):
             figures = checked[1][entry["name"]].keys() - {"compiler", "total"}
-            assert entry["limit"].keys() == figures, entry["name"]
+            assert entry["limit"].keys() - {"total"} == figures, entry["name"]
 
 
 def test_snapshot_and_table_are_what_is_measured(checked):

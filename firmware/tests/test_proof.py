@@ -22,12 +22,16 @@ def prove(need, *arguments):
 
 TYPED = "typed gcc_x86_16"
 TRANSDUCERS = "transducers gcc_x86_16"
+CLOCK = "clock gcc_x86_16"
+SAVE = "save gcc_x86_16"
 SHORT = (
     "program gcc_x86_16 -DJ2A_WITH_INTERFACE=1",
     "parser gcc_x86_16",
     "sender",
     TYPED,
     TRANSDUCERS,
+    CLOCK,
+    SAVE,
 )
 # The longest, and those that differ from another one by the machine or by what is built out.
 LONG = {
@@ -213,6 +217,41 @@ DEFECTS = {
         "ext/j2a_transducers.c",
         "first >= t->channels || count > t->channels - first",
         "first >= t->channels",
+        "eva:alarm",
+    ),
+    "a period that runs off": (
+        CLOCK,
+        "ext/j2a_clock_frames.c",
+        "    if (period > PERIOD + MAX_OFF)\n        period = PERIOD + MAX_OFF;\n",
+        "",
+        "eva:alarm",
+    ),
+    "a gear too many": (
+        CLOCK,
+        "ext/j2a_clock_frames.c",
+        "gear != GEARS - 1 && ++in_gear",
+        "++in_gear",
+        "eva:alarm",
+    ),
+    "a rate that is not looked at": (
+        CLOCK,
+        "ext/j2a_clock.c",
+        "rate > (int32_t)J2A_CLOCK_MAX_RATE || ",
+        "",
+        "eva:alarm",
+    ),
+    "more than a setting has room for": (
+        SAVE,
+        "ext/j2a_save.c",
+        "if (length != 0 && length <= room)",
+        "if (length != 0)",
+        "eva:alarm",
+    ),
+    "a save that ends one byte behind its record": (
+        SAVE,
+        "ext/j2a_save.c",
+        "saving_left = (uint8_t)(bytes + 1);",
+        "saving_left = (uint8_t)(bytes + 2);",
         "eva:alarm",
     ),
     "text in a SIF that is too long": (

@@ -91,7 +91,7 @@ class ReferenceHost:
 
     def job(self, text: str) -> str:
         match text.split(" "):
-            case ["together", *_]:
+            case ["together", word, *_] if word == "call":
                 calls = [self.prepare(part.split(" ")) for part in text[9:].split(" ; ")]
                 self.exchange(calls, self.room())
                 return " ; ".join(self.outcome(call) for call in calls)

@@ -21,12 +21,14 @@ CASES = (START, *load())
 def test_the_reference_host_conforms(host_reference, host_judged):
     run = host_judged(host_reference, timeout_scale=0.5)
     # It has no capabilities: those of the library and of its asyncio client are judged instead.
-    lacks = {case.ID for case in CASES if case.LEVEL in ("interface", "boot", "transducers")}
+    levels = ("interface", "boot", "transducers", "clock")
+    lacks = {case.ID for case in CASES if case.LEVEL in levels}
     others = {r.case: r.reason for r in run.results if r.verdict is not Verdict.OK}
     # On a busy machine calls that are made together may reach the suite one by one.
     others.pop("host.limits.out-of-order", None)
     assert set(others) == lacks - {"host.boot.others"}
     jobs = ("typed", "restarts", "transducers", "watch", "configure")
+    jobs += ("clock-exchange", "clock-sync", "together")
     unknown = {f"the host program does not know the job {job}" for job in jobs}
     assert set(others.values()) == unknown
     assert len(run.results) == len(CASES)

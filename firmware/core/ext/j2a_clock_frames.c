@@ -11,6 +11,7 @@
 #define FRAME_US 1000
 #define US (1UL << 22)             /* a phase and a period are in 2^-22 us, a phase modulo 1024 us */
 #define PERIOD (FRAME_US * US)
+#define MAX_OFF (PERIOD / 64)      /* no crystal is so wrong; beyond that no start would be found any more */
 #define LIMIT ((int32_t)(100 * US)) /* a start so far from its phase is none of this row */
 #define MAX_RATE (1L << 22)          /* of the host's time over frames: 1000 ppm, in 2^-32 */
 #define MAX_GAP_US 1000000UL       /* longer without a look: the numbers do not tell how many frames it was */
@@ -75,6 +76,10 @@ static void follow(int32_t error) {
     }
     phase += (uint32_t)round_shift(error, bits);
     period += (uint32_t)round_shift(error, (uint8_t)(2 * bits + 2));
+    if (period > PERIOD + MAX_OFF)
+        period = PERIOD + MAX_OFF;
+    if (period < PERIOD - MAX_OFF)
+        period = PERIOD - MAX_OFF;
     if (runaway >= RUNAWAY || runaway <= -RUNAWAY) {
         runaway = 0;
         in_gear = 0;
@@ -182,7 +187,7 @@ bool j2a_frames_told(uint64_t time_us, uint16_t number) {
 /* T over L = (T over frames) * (frames over L); with p and q for how much a frame is longer than 1000 us by either,
  * (1 + p) / (1 + q) - 1 = (p - q) * (1 - q + q * q) is exact to 0.1 ppb for a q of 0.3 %. */
 void j2a_frames_target(j2a_line *target, uint32_t now) {
-    const int32_t q = (int32_t)(((int64_t)(int32_t)(period - PERIOD) * 1024 + 500) / FRAME_US);
+    const int32_t q = (int32_t)(((int64_t)((int32_t)period - (int32_t)PERIOD) * 1024 + 500) / FRAME_US);
     const uint32_t seen_us = now - (uint32_t)((int32_t)((now << 4) - began) >> 4); /* the start may be after now */
     const int32_t ahead = (int32_t)(phase - (seen_us << 22)); /* of the start by the loop, in 2^-22 us */
     int32_t rate;

@@ -20,12 +20,6 @@ enum { DROPPING = USB_PORT }; /* what is sent, until the frame is over */
 /* A packet has been begun, or the last one was full and an empty one may have to follow. */
 static bool packet_due;
 
-/* Chooses an endpoint. Returns UEINTX. */
-static inline uint8_t flags_of(uint8_t endpoint) {
-    UENUM = endpoint;
-    return UEINTX;
-}
-
 void j2a_port_init(int argc, char **argv) {
     (void)argc;
     (void)argv;
@@ -54,7 +48,7 @@ static void find_out(void) {
 int16_t j2a_port_rx(void) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         if (usb_trouble == 0) {
-            const uint8_t flags = flags_of(USB_RX);
+            const uint8_t flags = usb_flags_of(USB_RX);
             int16_t byte = -1;
             if (flags & _BV(RWAL))
                 byte = UEDATX;
@@ -70,7 +64,7 @@ int16_t j2a_port_rx(void) {
 /* Returns whether there was room. */
 static inline __attribute__((always_inline)) bool put(uint8_t byte) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (usb_trouble == 0 && (flags_of(USB_TX) & _BV(RWAL))) {
+        if (usb_trouble == 0 && (usb_flags_of(USB_TX) & _BV(RWAL))) {
             UEDATX = byte;
             packet_due = true;
             if (!(UEINTX & _BV(RWAL)))
@@ -111,19 +105,7 @@ __attribute__((weak)) void j2a_app_sync_usb(const uint8_t *packet) {
 
 static void receive_sync(void) {
     uint8_t packet[J2A_SYNCUSB_SIZE];
-    bool complete = false;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (usb_trouble == 0 && (flags_of(USB_SYNC) & _BV(RXOUTI)) && !(UECONX & _BV(STALLRQ))) {
-            if (UEBCLX == sizeof packet) {
-                uint8_t i;
-                for (i = 0; i < sizeof packet; i++)
-                    packet[i] = UEDATX;
-                complete = true;
-            }
-            UEINTX = USB_RELEASE;
-        }
-    }
-    if (!complete)
+    if (!usb_sync_received(packet))
         return;
 #if J2A_PORT_FRAMES
     j2a_clock_packet(packet);
@@ -143,7 +125,7 @@ void j2a_port_idle(void) {
     receive_sync(); /* first, because it may send */
 #endif
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (usb_trouble == 0 && packet_due && (flags_of(USB_TX) & _BV(RWAL))) {
+        if (usb_trouble == 0 && packet_due && (usb_flags_of(USB_TX) & _BV(RWAL))) {
             UEINTX = USB_SEND;
             packet_due = false;
         }

@@ -1,9 +1,9 @@
 /* The USB device driver of this port: the controller of an ATmega8U2 to 32U4 or AT90USB162. In: the requests
  * of the host at endpoint 0, and what the bus does. Out: answers by chapter 9 of the USB 2.0 specification,
  * endpoints as configured, and what the main loop must know of the link (usb_trouble).
- * usb_frames.c are the starts of frames, usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what
- * they ask for, usb_descriptors.c is what the board says of itself, usb_endpoints.c are the endpoints that
- * port.c moves the bytes through.
+ * usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what they ask
+ * for, usb_descriptors.c is what the board says of itself, usb_endpoints.c are the endpoints that port.c moves the
+ * bytes through, usb_sync.c is that of SyncUSB, usb_frames.c are the starts of frames.
  * Rules: endpoint 0 belongs to the interrupts, so that enumeration works while the application computes.
  * All other endpoints belong to the main context, which has interrupts off from the look at usb_trouble
  * and the choice in UENUM to the last access, so no interrupt need keep UENUM. Nothing waits for the host
@@ -42,10 +42,16 @@ enum {
 #define USB_SEND ((uint8_t)~(_BV(FIFOCON) | _BV(NAKINI) | _BV(RXOUTI) | _BV(TXINI)))
 #define USB_RELEASE ((uint8_t)~(_BV(FIFOCON) | _BV(NAKOUTI) | _BV(RXOUTI)))
 
+/* Chooses an endpoint. Returns UEINTX. */
+static inline uint8_t usb_flags_of(uint8_t endpoint) {
+    UENUM = endpoint;
+    return UEINTX;
+}
+
 /* ------------------------------------------------------------------ usb_device.c ------------- */
 
-/* usb_trouble, which j2a_port_config.h declares: 0 while packets flow. The port clears USB_RESTARTED and may use USB_PORT for itself; interrupts off for
- * that. */
+/* usb_trouble, which j2a_port_config.h declares: 0 while packets flow. The port clears USB_RESTARTED and may use
+ * USB_PORT for itself; interrupts off for that. */
 enum {
     USB_UNCONFIGURED = 1, /* the host has not chosen the configuration, or the cable is out */
     USB_SUSPENDED = 2,    /* the bus is still; the controller has no clock, so keep off its registers */
@@ -62,9 +68,12 @@ void usb_events(void);
 
 /* While the bus is suspended: sleeps until it wakes up, or until another interrupt. Returns at once where
  * interrupts are off. */
-#if J2A_USB_SLEEP
 void usb_sleep(void);
-#endif
+
+/* ------------------------------------------------------------------ usb_sync.c --------------- */
+
+/* Takes a packet of SyncUSB, J2A_SYNCUSB_SIZE bytes. From the main context. Returns whether there was one. */
+bool usb_sync_received(uint8_t *packet);
 
 /* ------------------------------------------------------------------ usb_frames.c ------------- */
 

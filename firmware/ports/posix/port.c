@@ -1,7 +1,5 @@
 /* A POSIX process as a device: the link is stdin and stdout, or with --pty a new pseudo-terminal
- * whose name is printed. Ends at the end of input, after all replies, and on SIGTERM and SIGINT.
- * With J2A_WITH_SAVE the file that the environment variable J2A_KEPT names holds what stays without power; without it
- * nothing does. */
+ * whose name is printed. Ends at the end of input, after all replies, and on SIGTERM and SIGINT. */
 #define _XOPEN_SOURCE 600
 
 #include <errno.h>
@@ -15,6 +13,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "crystal.h"
 #include "j2a_port.h"
 
 /* Many bytes at once are far cheaper than one by one, so where J2A_TXBUF is left at 0 they are collected, too. */
@@ -56,34 +55,6 @@ static void open_pty(void) {
     fflush(stdout);
 }
 
-#if J2A_WITH_SAVE
-static uint8_t kept[J2A_PORT_KEPT_BYTES];
-static int kept_fd = -1;
-
-static void open_kept(void) {
-    const char *const name = getenv("J2A_KEPT");
-    memset(kept, 0xFF, sizeof kept); /* as an EEPROM that nobody has written to */
-    if (!name)
-        return;
-    kept_fd = open(name, O_RDWR | O_CREAT, 0666);
-    if (kept_fd < 0 || pread(kept_fd, kept, sizeof kept, 0) < 0 || pwrite(kept_fd, kept, sizeof kept, 0) < 0)
-        fail(name);
-}
-
-uint8_t j2a_port_kept(uint16_t at) {
-    return kept[at];
-}
-
-bool j2a_port_keep(uint16_t at, uint8_t byte) {
-    if (kept[at] == byte)
-        return true;
-    kept[at] = byte;
-    if (kept_fd >= 0 && pwrite(kept_fd, &byte, 1, at) != 1)
-        fail("writing the file of J2A_KEPT");
-    return false;
-}
-#endif
-
 void j2a_port_init(int argc, char **argv) {
     struct sigaction action;
     memset(&action, 0, sizeof action);
@@ -93,9 +64,6 @@ void j2a_port_init(int argc, char **argv) {
     action.sa_handler = SIG_IGN; /* a reader that went away is seen by write() */
     sigaction(SIGPIPE, &action, NULL);
     clock_gettime(CLOCK_MONOTONIC, &start);
-#if J2A_WITH_SAVE
-    open_kept();
-#endif
     if (argc == 2 && strcmp(argv[1], "--pty") == 0) {
         open_pty();
     } else if (argc > 1) {
@@ -162,38 +130,13 @@ static uint64_t elapsed_us(void) {
                       + (now.tv_nsec - start.tv_nsec) / 1000);
 }
 
-#if J2A_WITH_SYNC
-/* A crystal that is off by J2A_DRIFT_PPM and wanders around that by up to J2A_WANDER_PPM, as a triangle of
- * WANDER_S seconds; both are of the environment, for tests of hosts that discipline this clock. */
-enum { WANDER_S = 64 };
-
-static double ppm_of(const char *name) {
-    const char *const text = getenv(name);
-    const double ppm = text ? strtod(text, NULL) : 0;
-    return ppm > -1e6 && ppm < 1e9 ? ppm : 0;
-}
-
-static uint64_t time_us(void) {
-    static bool is_known;
-    static double drift, wander;
-    const uint64_t us = elapsed_us();
-    /* The part of a period that passed, and what the triangle has gathered in it: a quarter up and half down. */
-    const double part = (double)(us % (WANDER_S * 1000000ULL)) / (WANDER_S * 1000000.0);
-    const double gathered = part < 0.5 ? part * (0.5 - part) * 2 : (part - 0.5) * (part - 1) * 2;
-    if (!is_known) {
-        drift = ppm_of("J2A_DRIFT_PPM");
-        wander = ppm_of("J2A_WANDER_PPM");
-        is_known = true;
-    }
-    return us + (uint64_t)(int64_t)((double)us * drift / 1000000 + gathered * wander * WANDER_S);
-}
-#else
-#define time_us elapsed_us
-#endif
-
 #if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void) {
-    return time_us();
+#if J2A_WITH_SYNC
+    return crystal_us(elapsed_us());
+#else
+    return elapsed_us();
+#endif
 }
 #endif
 

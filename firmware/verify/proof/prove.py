@@ -1,8 +1,8 @@
 """Proves with Frama-C Eva that no input makes the core do something undefined.
 
 What flows in: the core's sources (--core), and the drivers beside this file (parser.c, sender.c,
-program.c, selftest.c, typed/typed.c, transducers/transducers.c), which call it with arbitrary
-values. What flows out: a line for each analysis, and exit status 0 when all hold, 1 when one does
+program.c, selftest.c, clock.c, save.c, typed/typed.c, transducers/transducers.c), which call it
+with arbitrary values. What flows out: a line for each analysis, and exit status 0 when all hold, 1 when one does
 not, 2 when there is no core, no Frama-C or no compiler.
 Rules: one alarm, one contract or check that is not proven, one warning that is not in EXPECTED, or
 one statement that is not reached and not in UNREACHED fails. docs/conformance/proof.md names what
@@ -66,6 +66,7 @@ UNREACHED = {
     "are_in_range": 6,  # an actuator of numbers without a range: the driver has none
     "is_na": 2,  # a threshold of a type without raw values: that does not compile
     "read_item": 1,  # the end behind its returns
+    "records_of": 1,  # a transducer that is not in the list
     "has_item": 2,  # the end behind its returns
     # Which raw values a transducer has, and which of them are asked for, are constants.
     **{f"j2a_raw_of_{name}": 8 for name in ("queued", "level", "servo")},
@@ -157,6 +158,25 @@ def _transducers(machine: str) -> Analysis:
     return Analysis(driver, (), tuple(precision.split()), machine, defines, files)
 
 
+def _clock(machine: str) -> Analysis:
+    precision = (
+        "-eva-ilevel 256 -eva-min-loop-unroll 40 -eva-slevel 100 -eva-split-limit 300"
+        " -eva-split-return-function j2a_clock:0"
+    )
+    defines = (_SMALL, "-DJ2A_WITH_SYNC=1", "-DJ2A_PORT_FRAMES=1")
+    files = ("ext/j2a_clock.c", "ext/j2a_clock_frames.c")
+    return Analysis("clock", (), tuple(precision.split()), machine, defines, files)
+
+
+def _save(machine: str) -> Analysis:
+    precision = (
+        "-eva-ilevel 256 -eva-min-loop-unroll 100 -eva-slevel 20 -eva-split-limit 300"
+        " -eva-interprocedural-splits -eva-slevel-function restore:3000,j2a_save:10000,save:1000,j2a_save_turn:5000,turn:500"
+    )
+    defines = ("-DJ2A_WITH_TRANSDUCERS=1", "-DJ2A_WITH_SAVE=1", "-DJ2A_PORT_KEPT_BYTES=512")
+    return Analysis("save", (), tuple(precision.split()), machine, defines, ("ext/j2a_save.c",))
+
+
 def _selftest(machine: str) -> Analysis:
     precision = (
         "-eva-min-loop-unroll 9000 -eva-split-return-function compare:full"
@@ -174,6 +194,8 @@ ANALYSES = (
     _typed("gcc_x86_16"),
     _typed("ppc_32"),  # big-endian
     _transducers("gcc_x86_16"),
+    _clock("gcc_x86_16"),
+    _save("gcc_x86_16"),
     _program("gcc_x86_64"),
     _program("gcc_x86_16", "-DJ2A_WITH_SELFTEST=1"),
     _program("gcc_x86_16", "-DJ2A_WITH_INTERFACE=1", "-DJ2A_WITH_BOOT=1"),

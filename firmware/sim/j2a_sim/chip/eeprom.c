@@ -38,6 +38,7 @@ static void control_write(avr_t *avr, avr_io_addr_t reg, uint8_t value, void *pa
     uint8_t was_master = avr_regbit_get(avr, e->eempe);
     uint8_t was_busy = avr_regbit_get(avr, e->eepe);
     uint16_t address = avr->data[e->r_eearl] | (e->r_eearh ? avr->data[e->r_eearh] << 8 : 0);
+    address %= e->size; /* the chip has no more lines of address */
     avr->data[reg] = value;
     uint8_t begins = avr_regbit_get(avr, e->eepe) && was_master && !was_busy;
     avr_regbit_setto(avr, e->eepe, was_busy || begins);
