@@ -13,13 +13,6 @@ enum { COPIES = 16 };
 /* The server sets it with each request, the watchdogs take it. */
 bool j2a_is_heard;
 
-/* What an application replaces that lists transducers. */
-#if J2A_TRANSDUCERS_APART
-const j2a_transducer J2A_WEAK J2A_FLASH j2a_transducers[1] = {{0}};
-const uint8_t J2A_WEAK j2a_transducer_count = 0;
-const char J2A_WEAK J2A_FLASH j2a_descriptors[1] = "";
-#endif
-
 static uint32_t heard_ms;
 static uint8_t next; /* the transducer whose turn it is to be sent */
 
