@@ -11,7 +11,8 @@
 /* Of the files of one sketch, the one that lists transducers compiles their table. */
 #ifdef J2A_TRANSDUCERS
 #define J2A_DEF_FILES 1 /* functions.def and transds.def, which stand for the lists of the sketch */
-#elif !defined J2A_WITH_TRANSDUCERS
+#else
+#undef J2A_WITH_TRANSDUCERS
 #define J2A_WITH_TRANSDUCERS 0
 #endif
 
@@ -19,7 +20,7 @@
 
 #ifdef J2A_TRANSDUCERS
 #if !J2A_WITH_TRANSDUCERS
-#error "J2A_TRANSDUCERS needs J2A_WITH_... of transducers, SIFs, mapping, properties and clock to be 1"
+#error "J2A_TRANSDUCERS needs J2A_WITH_TRANSDUCERS=1, so do not switch off it, SIF, MAPPING, MANY, PROPERTIES or CLOCK"
 #endif
 extern "C" {
 #include "j2a_transds_table.h"

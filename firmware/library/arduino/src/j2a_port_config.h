@@ -21,6 +21,10 @@
 #endif
 #endif
 
+#if defined J2A_WITH_SAVE && J2A_WITH_SAVE
+#error "J2A_WITH_SAVE=1: a sketch cannot keep the settings of transducers without power"
+#endif
+
 /* Bytes that are collected and written at once. An AVR's Serial has a buffer of its own; with USB elsewhere
  * each write may become a packet. */
 #ifndef J2A_TXBUF
