@@ -1,4 +1,4 @@
-"""Transducers that a sketch lists: the example and every kind of type on a simulated Uno, wrong lists."""
+"""Transducers that a sketch lists, on a simulated Uno: the example, kinds of types, wrong lists."""
 
 import subprocess
 import sys
