@@ -1,6 +1,7 @@
 """Makes the library for the Arduino IDE and PlatformIO: the folder J2A and J2A-VERSION.zip.
 
-What flows in: firmware/library/arduino, and the core in two files as tools/amalgamate.py makes it.
+What flows in: firmware/library/arduino, and the core in two files as tools/amalgamate.py makes it,
+with the table of transducers in a third one, because each sketch compiles its own.
 What flows out: both in --out. Rules: the same sources give the same bytes; the core's files are not
 called j2a.h and j2a.c, which would be J2A.h on a file system that does not tell case apart.
 """
@@ -18,6 +19,7 @@ SOURCES = amalgamate.FIRMWARE / "library" / "arduino"
 DEFAULT_OUT = amalgamate.FIRMWARE / "build" / "arduino"
 NAME = "J2A"
 CORE_NAME = "j2a_core"
+TRANSDUCERS_NAME = "j2a_transds_table.h"
 ZIP_TIME = (2026, 1, 1, 0, 0, 0)
 
 
@@ -52,6 +54,8 @@ def write_folder(folder: Path, url: str) -> None:
             target.write_text(filled(path.read_text("utf-8"), url), "utf-8", newline="\n")
     shutil.copyfile(amalgamate.ROOT / "LICENSE", folder / "LICENSE")
     amalgamate.write(folder / "src", CORE_NAME)
+    table = folder / "src" / TRANSDUCERS_NAME
+    table.write_text(amalgamate.transducers_table(), "utf-8", newline="\n")
 
 
 def write_zip(folder: Path, archive: Path) -> None:

@@ -133,6 +133,20 @@ extern char j2a_room_is_not_decimal[sizeof J2A_TEXT(J2A_ROOM) == (J2A_ROOM < 100
     J2A_IF_CLOCK(CALL(a2jClock, j2a_clock))
 /* End of what is generated. */
 
+/* 1: the core is compiled without the list of transducers, as in the Arduino library. So it has no entries for them,
+ * and those of an application that has a list are in its own table, before its functions (J2A-DISP-009). */
+#ifndef J2A_TRANSDUCERS_APART
+#define J2A_TRANSDUCERS_APART 0
+#endif
+#if J2A_TRANSDUCERS_APART
+#undef J2A_IF_TRANSDUCERS
+#define J2A_IF_TRANSDUCERS(text)
+#if J2A_WITH_TRANSDUCERS
+J2A_DECLARE_MANY(j2a_get_transds);
+J2A_DECLARE_CALL(j2a_transd);
+#endif
+#endif
+
 #define J2A_DECLARED_CALL(name, function) J2A_DECLARE_CALL(function);
 #define J2A_DECLARED_MANY(name, function) J2A_DECLARE_MANY(function);
 J2A_BUILTINS(J2A_DECLARED_CALL, J2A_DECLARED_MANY)

@@ -231,7 +231,20 @@ char j2a_needs_a_many(j2a_many_fn *function);
 #define J2A_CHECK_SIZE_(...)
 #endif
 
+/* Transducers that an application lists apart from the core bring their functions. */
+#if !J2A_TRANSDUCERS_APART
+#define J2A_FUNCTIONS J2A_TABLE_
+#elif J2A_WITH_TRANSDUCERS
 #define J2A_FUNCTIONS(...) \
+    J2A_TABLE_(J2A_MANY(a2jGetTransds, j2a_get_transds), J2A_CALL(a2jTransd, j2a_transd), __VA_ARGS__)
+#else
+#define J2A_FUNCTIONS(...) \
+    static_assert(sizeof J2A_TEXT(J2A_TRANSDUCERS) == sizeof "J2A_TRANSDUCERS", \
+                  "#define J2A_TRANSDUCERS must stand before #include <J2A.h>"); \
+    J2A_TABLE_(__VA_ARGS__)
+#endif
+
+#define J2A_TABLE_(...) \
     J2A_EACH_(J2A_KIND_OF, __VA_ARGS__) \
     J2A_EACH_(J2A_NAME_OF, __VA_ARGS__) \
     J2A_CHECK_SIZE_(__VA_ARGS__) \
@@ -246,11 +259,11 @@ char j2a_needs_a_many(j2a_many_fn *function);
 
 /* In C++ a key that comes twice does not compile. */
 #ifdef __cplusplus
-#define J2A_KEY_OF_J2A_PROPERTY(key, value) key,
-#define J2A_KEY_OF_
+#define J2A_KEYS_OF_J2A_PROPERTY(key, value) key,
+#define J2A_KEYS_OF_
 #define J2A_CHECK_KEYS_(...) \
     static constexpr const char *j2a_keys[] = {"j2a.spec", "j2a.caps", "j2a.interface", \
-                                               J2A_EACH_(J2A_KEY_OF, __VA_ARGS__) ""}; \
+                                               J2A_EACH_(J2A_KEYS_OF, __VA_ARGS__) ""}; \
     static_assert(!j2a::is_a_key_twice(j2a_keys, 0), "J2A_PROPERTIES: a key comes twice, or is one of J2A's own");
 #else
 #define J2A_CHECK_KEYS_(...)

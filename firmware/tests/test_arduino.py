@@ -21,7 +21,7 @@ pytestmark = pytest.mark.avr
 ROOT = Path(__file__).parents[2]
 FAKE = Path(__file__).parent / "arduino"
 CORE = Path("/usr/share/arduino/hardware/arduino/avr/cores/arduino/Arduino.h")
-EXAMPLES = ["Conformance", "Echo", "Many", "Properties", "Sensor", "Servo"]
+EXAMPLES = ["Conformance", "Echo", "Many", "Properties", "Sensor", "Sensors", "Servo"]
 BOARDS = ["uno", "mega", "leonardo"]
 FLASH = {"uno": 32256, "mega": 253952, "leonardo": 28672}
 ECHO = c.BUILTINS.index(c.GET_ECHO)
@@ -302,13 +302,15 @@ def test_sketch_of_the_comparison(variant, tmp_path):
 def test_fragments_of_the_page_are_compiled(variant, tmp_path):
     page = (ROOT / "docs/arduino.md").read_text()
     fragments = re.findall(r"^```cpp\n((?!#include).*?)^```", page, re.M | re.S)
-    assert len(fragments) == 3
+    assert len(fragments) == 4
     for number, fragment in enumerate(fragments):
         sketch = f"#include <J2A.h>\n{fragment}\n"
         if "J2A_FUNCTIONS" not in fragment:
             continue
         sketch += "J2A_PROPERTIES();\nvoid setup() {}\n"
         sketch += "" if "void loop()" in fragment else "void loop() {}\n"
+        if "#include" in fragment:  # a whole sketch, with something before that line
+            sketch = fragment
         folder = tmp_path / f"Part{number}"
         folder.mkdir()
         (folder / f"Part{number}.ino").write_text(sketch)

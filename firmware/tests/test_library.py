@@ -13,7 +13,7 @@ from j2a_spec.oracle import Frame, decode, encode
 
 ROOT = Path(__file__).parents[2]
 FAKE = Path(__file__).parent / "arduino"
-EXAMPLES = ["Conformance", "Echo", "Many", "Properties", "Sensor", "Servo"]
+EXAMPLES = ["Conformance", "Echo", "Many", "Properties", "Sensor", "Sensors", "Servo"]
 ECHO = c.BUILTINS.index(c.GET_ECHO)
 FIRST = len(c.BUILTINS) + 1  # behind a2jGetInterface
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wundef"]
@@ -138,7 +138,8 @@ def device(need, packed, tmp_path_factory):
     out = tmp_path_factory.mktemp("device")
     source = packed / "src"
     flags = [*WARNINGS, "-g", "-fsanitize=address,undefined", f"-I{source}", f"-I{FAKE}"]
-    core = ["gcc", "-std=c99", *flags, "-c", str(source / "j2a_core.c"), "-o", str(out / "core.o")]
+    core = ["gcc", "-std=c99", *flags, "-r", *map(str, sorted(source.glob("*.c")))]
+    core += ["-o", str(out / "core.o")]
     rest = ["g++", "-std=c++11", *flags, str(source / "J2A.cpp"), str(FAKE / "device.cpp")]
     for command in (core, [*rest, str(out / "core.o"), "-o", str(out / "device")]):
         result = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -59,7 +59,7 @@ J2A_NOINLINE void j2a_line_move(j2a_line *line, int32_t by_us) {
 }
 
 /* Copies the line that holds at a local time, which is now or later. */
-static J2A_NOINLINE void load(j2a_line *line, uint32_t now) {
+static J2A_NOINLINE void load_line(j2a_line *line, uint32_t now) {
     const uint8_t which = current;
     *line = lines[which];
     if ((int32_t)(now - line->at) < 0)
@@ -72,7 +72,7 @@ uint64_t j2a_clock_us(void) {
     uint32_t part;
     if (epoch == 0)
         return local_us;
-    load(&line, (uint32_t)local_us);
+    load_line(&line, (uint32_t)local_us);
     return time_on(&line, (uint32_t)local_us, &part);
 }
 
@@ -93,7 +93,7 @@ bool j2a_clock_is_due(uint64_t due_us) {
     uint32_t left_us;
 
     if (epoch != 0) {
-        load(&line, now);
+        load_line(&line, now);
         time_us = time_on(&line, now, &part);
         rate = line.rate + line.correction;
     }
@@ -127,7 +127,7 @@ static J2A_NOINLINE void plan(uint32_t now) {
     j2a_line line;
     int64_t off;
 
-    load(&line, begin);
+    load_line(&line, begin);
 #if J2A_PORT_FRAMES
     j2a_frames_target(&target, now);
 #endif
@@ -165,7 +165,7 @@ static J2A_NOINLINE void step(uint64_t now_us) {
     j2a_line line;
 
     if (epoch != 0) {
-        load(&line, now);
+        load_line(&line, now);
         before_us = time_on(&line, now, &part);
         if ((int32_t)(now - lines[current].at) < 0)
             current ^= 1;
@@ -189,7 +189,7 @@ static J2A_NOINLINE void step(uint64_t now_us) {
 static J2A_NOINLINE uint64_t error_us(uint32_t now) {
     j2a_line line;
     int64_t off;
-    load(&line, now);
+    load_line(&line, now);
     off = distance(now, &line);
     return (uint64_t)((off < 0 ? -off : off) + (1 << DISTANCE_BITS) - 1) >> DISTANCE_BITS;
 }
@@ -236,7 +236,7 @@ static J2A_NOINLINE void put_status(uint8_t *bytes) {
     j2a_line line;
 
     if (epoch != 0) {
-        load(&line, now);
+        load_line(&line, now);
         time_us = time_on(&line, now, &part);
         rate = line.rate + (now - line.at < SEGMENT_US ? line.correction : 0);
     }
@@ -300,7 +300,7 @@ static uint8_t adjust_frame(uint64_t time_us, uint16_t number, uint32_t uncertai
         return J2A_CLOCK_BAD_VALUE;
     j2a_frames_target(&target, (uint32_t)now_us);
     if (epoch != 0)
-        load(&line, (uint32_t)now_us);
+        load_line(&line, (uint32_t)now_us);
     else
         line = target;
     off = distance((uint32_t)now_us, &line);

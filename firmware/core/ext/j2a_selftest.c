@@ -64,7 +64,7 @@ static bool send(const unsigned char *frame, const unsigned char *wire, uint16_t
 }
 
 /* Compares the parser's event with what is due. Returns the bytes that it takes there, or 0. */
-static uint16_t compare(const unsigned char *answer, uint16_t count) {
+static uint16_t count_equal(const unsigned char *answer, uint16_t count) {
     j2a_rx_t *const rx = j2a_served();
     uint8_t i;
     if (count < 2 || j2a_flash_u8(answer + 1) != rx->seq)
@@ -90,7 +90,7 @@ static bool parse(const unsigned char *wire, uint16_t count, const unsigned char
             return false;
         if (rx->event == J2A_EVENT_NONE)
             continue;
-        taken = compare(answers, left);
+        taken = count_equal(answers, left);
         if (taken == 0 || j2a_rx_byte(J2A_SOF)) /* refused while the event waits */
             return false;
         answers += taken;

@@ -1,6 +1,6 @@
 /* J2A for sketches: a host calls the sketch's functions by name, over any Stream. In: one or more streams,
- * the lists J2A_FUNCTIONS and J2A_PROPERTIES of the sketch (see j2a_core.h). Out: replies, and frames sent
- * unasked.
+ * the lists J2A_FUNCTIONS and J2A_PROPERTIES of the sketch (see j2a_core.h) and, where the sketch defines it before
+ * it includes this, the list J2A_TRANSDUCERS. Out: replies, samples, and frames sent unasked.
  * Rules: the stream belongs to J2A alone, so the sketch prints nothing to it; loop() calls J2A.task() and
  * returns soon; nothing of this is called from an interrupt. */
 #ifndef J2A_ARDUINO_H
@@ -8,7 +8,43 @@
 
 #include <Arduino.h>
 
+/* Of the files of one sketch, the one that lists transducers compiles their table. */
+#ifdef J2A_TRANSDUCERS
+#define J2A_DEF_FILES 1 /* functions.def and transds.def, which stand for the lists of the sketch */
+#else
+#undef J2A_WITH_TRANSDUCERS
+#define J2A_WITH_TRANSDUCERS 0
+#endif
+
 #include "j2a_core.h"
+
+#ifdef J2A_TRANSDUCERS
+#if !J2A_WITH_TRANSDUCERS
+#error "J2A_TRANSDUCERS needs J2A_WITH_TRANSDUCERS=1, so do not switch off it, SIF, MAPPING, MANY, PROPERTIES or CLOCK"
+#endif
+extern "C" {
+#include "j2a_transds_table.h"
+}
+#endif
+
+namespace j2a {
+template <class F> struct sensed;
+template <class... P> struct sensed<void(void (*)(P...))> {
+    typedef void callback(P...);
+    static void ignore(P...) {
+    }
+};
+} // namespace j2a
+
+/* A sensor that the sketch measures itself: makes its PREFIX_set_cb(), and PREFIX_sense(channel, value), by which the
+ * sketch gives a value. Before transds_init() that does nothing. */
+#define J2A_SENSE(prefix) \
+    static j2a::sensed<decltype(prefix##_set_cb)>::callback *prefix##_sense = \
+        j2a::sensed<decltype(prefix##_set_cb)>::ignore; \
+    void prefix##_set_cb(j2a::sensed<decltype(prefix##_set_cb)>::callback *callback) { \
+        prefix##_sense = callback; \
+    } \
+    static_assert(true, "") /* takes the semicolon of the user */
 
 /* A String is a text, too. As a result it is copied into the reply. */
 namespace j2a {

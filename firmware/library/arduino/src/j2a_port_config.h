@@ -9,6 +9,22 @@
 #define J2A_WITH_INTERFACE 1
 #endif
 
+/* The engine of transducers is compiled with the library, and linked into sketches that list some. */
+#define J2A_TRANSDUCERS_APART 1
+#ifndef J2A_WITH_TRANSDUCERS
+#if (defined J2A_WITH_SIF && !J2A_WITH_SIF) || (defined J2A_WITH_MAPPING && !J2A_WITH_MAPPING) || \
+    (defined J2A_WITH_MANY && !J2A_WITH_MANY) || (defined J2A_WITH_PROPERTIES && !J2A_WITH_PROPERTIES) || \
+    (defined J2A_WITH_CLOCK && !J2A_WITH_CLOCK)
+#define J2A_WITH_TRANSDUCERS 0
+#else
+#define J2A_WITH_TRANSDUCERS 1
+#endif
+#endif
+
+#if defined J2A_WITH_SAVE && J2A_WITH_SAVE
+#error "J2A_WITH_SAVE=1: a sketch cannot keep the settings of transducers without power"
+#endif
+
 /* Bytes that are collected and written at once. An AVR's Serial has a buffer of its own; with USB elsewhere
  * each write may become a packet. */
 #ifndef J2A_TXBUF
