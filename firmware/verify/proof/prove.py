@@ -171,7 +171,7 @@ def _clock(machine: str) -> Analysis:
 def _save(machine: str) -> Analysis:
     precision = (
         "-eva-ilevel 256 -eva-min-loop-unroll 100 -eva-slevel 20 -eva-split-limit 300"
-        " -eva-interprocedural-splits -eva-slevel-function restore:3000,j2a_save:10000,save:1000,j2a_save_turn:5000,turn:500"
+        " -eva-interprocedural-splits -eva-slevel-function restore:3000,save:100,j2a_save_turn:5000,turn:500"
     )
     defines = ("-DJ2A_WITH_TRANSDUCERS=1", "-DJ2A_WITH_SAVE=1", "-DJ2A_PORT_KEPT_BYTES=512")
     return Analysis("save", (), tuple(precision.split()), machine, defines, ("ext/j2a_save.c",))
