@@ -7,6 +7,9 @@
 #include <util/atomic.h>
 
 #include "j2a_clock.h"
+#if J2A_WITH_TRANSDUCERS
+#include "j2a_numbers.h"
+#endif
 
 void avr_clock_start(void) {
     /* All of it: a boot loader may leave other values than a reset does. */
@@ -48,8 +51,16 @@ ISR(TIMER1_OVF_vect) {
     avr_clock_overflows++;
 }
 
+static uint64_t time_us_of(uint32_t high, uint16_t low) {
+    const uint64_t cycles = ((uint64_t)high << 16 | low) * AVR_CLOCK_DIVIDER;
+#if F_CPU % 1000000 == 0
+    return cycles / (F_CPU / 1000000);
+#else /* exact, too, and in two steps nothing overflows */
+    return cycles / F_CPU * 1000000 + cycles % F_CPU * 1000000 / F_CPU;
+#endif
+}
+
 uint64_t j2a_port_time_us(void) {
-    uint64_t cycles;
     uint32_t high;
     uint16_t low;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
@@ -58,11 +69,31 @@ uint64_t j2a_port_time_us(void) {
         if ((TIFR1 & _BV(TOV1)) && low < 0x8000) /* wrapped, but its interrupt has not run yet */
             high++;
     }
-    cycles = ((uint64_t)high << 16 | low) * AVR_CLOCK_DIVIDER;
-#if F_CPU % 1000000 == 0
-    return cycles / (F_CPU / 1000000);
-#else /* exact, too, and in two steps nothing overflows */
-    return cycles / F_CPU * 1000000 + cycles % F_CPU * 1000000 / F_CPU;
-#endif
+    return time_us_of(high, low);
 }
+
+#if J2A_PORT_STAMP && J2A_WITH_TRANSDUCERS
+/* The timer, the overflows, and 1, because a stamp is never all zeros. */
+void j2a_port_stamp(volatile uint8_t *stamp) {
+    uint32_t high;
+    uint16_t low;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        low = TCNT1;
+        high = avr_clock_overflows;
+        if ((TIFR1 & _BV(TOV1)) && low < 0x8000)
+            high++;
+    }
+    stamp[0] = (uint8_t)low;
+    stamp[1] = (uint8_t)(low >> 8);
+    stamp[2] = (uint8_t)high;
+    stamp[3] = (uint8_t)(high >> 8);
+    stamp[4] = (uint8_t)(high >> 16);
+    stamp[5] = (uint8_t)(high >> 24);
+    stamp[J2A_STAMP_BYTES - 1] = 1;
+}
+
+uint64_t j2a_port_stamp_us(const uint8_t *stamp) {
+    return time_us_of(j2a_get_u32(stamp + 2), j2a_get_u16(stamp));
+}
+#endif
 #endif
