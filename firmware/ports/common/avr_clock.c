@@ -73,27 +73,29 @@ uint64_t j2a_port_time_us(void) {
 }
 
 #if J2A_PORT_STAMP && J2A_WITH_TRANSDUCERS
-/* The timer, the overflows, and 1, because a stamp is never all zeros. */
+/* Says that there is a stamp, in the byte of TIFR1, whose bit it never is. */
+#define STAMPED 0x80
+
+/* Byte by byte, because avr-gcc takes four registers and many cycles to write a number of 32 bits so. */
 void j2a_port_stamp(volatile uint8_t *stamp) {
-    uint32_t high;
-    uint16_t low;
+    const uint8_t *const overflows = (const uint8_t *)&avr_clock_overflows;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        low = TCNT1;
-        high = avr_clock_overflows;
-        if ((TIFR1 & _BV(TOV1)) && low < 0x8000)
-            high++;
+        stamp[0] = TCNT1L;
+        stamp[1] = TCNT1H;
+        stamp[J2A_STAMP_BYTES - 1] = TIFR1 | STAMPED; /* behind the timer, which may overflow in between */
+        stamp[2] = overflows[0];
+        stamp[3] = overflows[1];
+        stamp[4] = overflows[2];
+        stamp[5] = overflows[3];
     }
-    stamp[0] = (uint8_t)low;
-    stamp[1] = (uint8_t)(low >> 8);
-    stamp[2] = (uint8_t)high;
-    stamp[3] = (uint8_t)(high >> 8);
-    stamp[4] = (uint8_t)(high >> 16);
-    stamp[5] = (uint8_t)(high >> 24);
-    stamp[J2A_STAMP_BYTES - 1] = 1;
 }
 
 uint64_t j2a_port_stamp_us(const uint8_t *stamp) {
-    return time_us_of(j2a_get_u32(stamp + 2), j2a_get_u16(stamp));
+    const uint16_t low = j2a_get_u16(stamp);
+    uint32_t high = j2a_get_u32(stamp + 2);
+    if ((stamp[J2A_STAMP_BYTES - 1] & _BV(TOV1)) && low < 0x8000) /* as in j2a_port_time_us() */
+        high++;
+    return time_us_of(high, low);
 }
 #endif
 #endif
