@@ -4,12 +4,10 @@
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
+#include <string.h>
 #include <util/atomic.h>
 
 #include "j2a_clock.h"
-#if J2A_WITH_TRANSDUCERS
-#include "j2a_numbers.h"
-#endif
 
 void avr_clock_start(void) {
     /* All of it: a boot loader may leave other values than a reset does. */
@@ -51,6 +49,10 @@ ISR(TIMER1_OVF_vect) {
     avr_clock_overflows++;
 }
 
+/* Once, where it has two callers: it is long. */
+#if J2A_PORT_STAMP && J2A_WITH_TRANSDUCERS
+__attribute__((noinline))
+#endif
 static uint64_t time_us_of(uint32_t high, uint16_t low) {
     const uint64_t cycles = ((uint64_t)high << 16 | low) * AVR_CLOCK_DIVIDER;
 #if F_CPU % 1000000 == 0
@@ -91,8 +93,10 @@ void j2a_port_stamp(volatile uint8_t *stamp) {
 }
 
 uint64_t j2a_port_stamp_us(const uint8_t *stamp) {
-    const uint16_t low = j2a_get_u16(stamp);
-    uint32_t high = j2a_get_u32(stamp + 2);
+    uint16_t low;
+    uint32_t high;
+    memcpy(&low, stamp, sizeof low);
+    memcpy(&high, stamp + sizeof low, sizeof high);
     if ((stamp[J2A_STAMP_BYTES - 1] & _BV(TOV1)) && low < 0x8000) /* as in j2a_port_time_us() */
         high++;
     return time_us_of(high, low);
