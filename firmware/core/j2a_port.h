@@ -68,6 +68,18 @@ uint16_t j2a_port_ticks(void);
 uint64_t j2a_port_time_us(void);
 #endif
 
+/* A time that costs an interrupt little, for values of drivers; a port that has it defines J2A_PORT_STAMP 1 in its
+ * j2a_port_config.h. j2a_port_stamp() may be called in any interrupt; it writes J2A_STAMP_BYTES bytes, the last one not 0.
+ * j2a_port_stamp_us() returns the j2a_port_time_us() of that moment, however long ago it was. */
+#ifndef J2A_PORT_STAMP
+#define J2A_PORT_STAMP 0
+#endif
+#if J2A_PORT_STAMP && J2A_WITH_TRANSDUCERS
+enum { J2A_STAMP_BYTES = 8 };
+void j2a_port_stamp(volatile uint8_t *stamp);
+uint64_t j2a_port_stamp_us(const uint8_t *stamp);
+#endif
+
 /* Times that received bytes were lost because the device was too slow, since the start. */
 uint16_t j2a_port_overruns(void);
 

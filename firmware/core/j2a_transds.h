@@ -37,7 +37,7 @@ typedef struct {
 } j2a_watchdog;
 
 /* One transducer, in flash. Pointers to what it does not have are null. A slot of a channel is its time and its value,
- * one of a queue the channel before. What j2a_sense() needs comes first, up to `topic`. */
+ * one of a queue the channel before. The time is that of j2a_stamp() where drivers write it. What j2a_sense() needs comes first, up to `topic`. */
 typedef struct {
     uint8_t id;
     uint8_t channels;
@@ -64,7 +64,29 @@ extern const j2a_transducer j2a_transducers[];
 extern const uint8_t j2a_transducer_count;
 extern const char j2a_descriptors[]; /* in flash */
 
-/* Called by the callback of a driver. index: of the transducer. value: its bytes on the wire. */
+#if J2A_WITH_TRANSDUCERS
+/* Writes the time of a value, J2A_TIME_BYTES bytes that are not all 0: as the port notes it cheaply, or microseconds. */
+#if J2A_PORT_STAMP && !J2A_WITH_SYNC
+#define j2a_stamp j2a_port_stamp
+#else
+void j2a_stamp(volatile uint8_t *to);
+#endif
+
+/* Puts a value into the slot of its channel. A sensor with nothing but newest values has this in its callback, because an
+ * encoder's interrupt has no time to look up what sensor it is. */
+J2A_INLINE void j2a_keep(j2a_sensor *sensor, volatile uint8_t *slot, const uint8_t *value, uint8_t size) {
+    uint8_t i;
+    sensor->head++;
+    j2a_stamp(slot);
+    for (i = 0; i < size; i++)
+        slot[J2A_TIME_BYTES + i] = value[i];
+    sensor->head++;
+    sensor->is_fresh = true;
+}
+#endif
+
+/* Called by the callback of a driver whose sensor has a queue, a decimation or a threshold. index: of the transducer.
+ * value: its bytes on the wire. */
 void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value);
 
 /* The body of transds_process(). payload: room for the longest sample SIF. */

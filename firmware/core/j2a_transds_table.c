@@ -175,10 +175,19 @@ enum {
     J2A_INLINE void j2a_start_of_##name(void) { \
         J2A_EACH(J2A_DRIVER_ITEM, J2A_DRIVER_ITEM, J2A_NOTHING, prefix, __VA_ARGS__) \
     } \
-    static void j2a_callback_of_##name J2A_VALUE_OF(type) { \
+    enum { \
+        j2a_is_newest_of_##name = j2a_depth_of_##name == 0 && \
+            (0 J2A_SAY(decimation, __VA_ARGS__)) == 0 && (0 J2A_SAY(threshold, __VA_ARGS__)) == 0 \
+    }; \
+    void j2a_callback_of_##name J2A_VALUE_OF(type); \
+    void j2a_callback_of_##name J2A_VALUE_OF(type) { \
         uint8_t bytes[j2a_bytes_of_##name]; \
         J2A_PUT_VALUE(~, (type, value)) \
-        j2a_sense(j2a_index_##name, channel, bytes); \
+        if (!j2a_is_newest_of_##name) \
+            j2a_sense(j2a_index_##name, channel, bytes); \
+        else if (channel < (channels)) \
+            j2a_keep(&j2a_sensor_of_##name, j2a_slots_of_##name + channel * j2a_entry_of_##name, bytes, \
+                     j2a_bytes_of_##name); \
     }
 #define J2A_KEPT_ACTUATOR(name, prefix, channels, type, ...) \
     static j2a_due j2a_waiting_of_##name[channels]; \

@@ -1,6 +1,6 @@
 /* Transducers: values of drivers flow in by j2a_sense(), settings by a2jTransd; out flow sample SIFs, values for
  * actuators, and descriptors (SPEC.md, section 22).
- * Rules: j2a_sense() may run in an interrupt, all else in the main context, and neither waits for the other. Each
+ * Rules: j2a_sense() and j2a_keep() may run in an interrupt, all else in the main context, and neither waits for the other. Each
  * byte that both use is written by one of them: without a queue the main context copies a channel anew when a value
  * came in between, with one each context has its own counter. */
 #include "j2a_transds.h"
@@ -158,12 +158,32 @@ static bool is_chosen(const j2a_transducer *t, uint8_t channel) {
     return true;
 }
 
+/* What j2a_stamp() wrote becomes microseconds. */
+#if J2A_PORT_STAMP && !J2A_WITH_SYNC
+static void convert_stamp(uint8_t *time) {
+    uint64_t time_us;
+    if (!has_time(time))
+        return;
+    time_us = j2a_port_stamp_us(time);
+    (void)write_time(time, time_us != 0 ? time_us : 1);
+}
+#else
+void j2a_stamp(volatile uint8_t *to) {
+    (void)write_time(to, now_us());
+}
+
+static void convert_stamp(uint8_t *time) {
+    (void)time;
+}
+#endif
+
 void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value) {
-    const uint64_t time_us = now_us();
+    uint8_t stamp[J2A_TIME_BYTES];
     j2a_transducer t;
     j2a_sensor *sensor;
     volatile uint8_t *slot;
 
+    j2a_stamp(stamp); /* before anything that takes its time */
     j2a_flash_load(&t, &j2a_transducers[index], offsetof(j2a_transducer, topic));
     sensor = t.sensor;
     if (channel >= t.channels || !is_chosen(&t, channel))
@@ -175,7 +195,8 @@ void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value) {
         if (t.threshold && !is_far(&t, value, has_time(slot) ? slot + J2A_TIME_BYTES : 0))
             return;
         sensor->head++;
-        write_value(write_time(slot, time_us), value, t.size);
+        write_value(slot, stamp, J2A_TIME_BYTES);
+        write_value(slot + J2A_TIME_BYTES, value, t.size);
         sensor->head++;
         sensor->is_fresh = true;
         return;
@@ -195,7 +216,8 @@ void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value) {
     }
     slot = t.slots + sensor->put_at * (1 + J2A_TIME_BYTES + t.size);
     *slot = channel;
-    write_value(write_time(slot + 1, time_us), value, t.size);
+    write_value(slot + 1, stamp, J2A_TIME_BYTES);
+    write_value(slot + 1 + J2A_TIME_BYTES, value, t.size);
     sensor->put_at = (uint8_t)(sensor->put_at + 1 == t.depth ? 0 : sensor->put_at + 1);
     sensor->head++;
 }
@@ -219,6 +241,8 @@ static uint8_t copy_sample(const j2a_transducer *t, uint8_t *payload) {
             for (i = 0; i < size; i++)
                 payload[length + i] = slot[i];
         } while (t->sensor && ((version & 1) != 0 || version != t->sensor->head));
+        if (t->sensor)
+            convert_stamp(payload + length);
     }
     return length;
 }
@@ -248,7 +272,9 @@ static uint8_t move_queued(const j2a_transducer *t, uint8_t *payload) {
         const volatile uint8_t *const slot = t->slots + sensor->take_at * size;
         uint8_t i;
         for (i = 0; i < size; i++)
-            payload[length++] = slot[i];
+            payload[length + i] = slot[i];
+        convert_stamp(payload + length + 1);
+        length = (uint8_t)(length + size);
         sensor->take_at = (uint8_t)(sensor->take_at + 1 == t->depth ? 0 : sensor->take_at + 1);
         sensor->tail++;
     }

@@ -4,6 +4,7 @@
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
+#include <string.h>
 #include <util/atomic.h>
 
 #include "j2a_clock.h"
@@ -48,8 +49,20 @@ ISR(TIMER1_OVF_vect) {
     avr_clock_overflows++;
 }
 
+/* Once, where it has two callers: it is long. */
+#if J2A_PORT_STAMP && J2A_WITH_TRANSDUCERS
+__attribute__((noinline))
+#endif
+static uint64_t time_us_of(uint32_t high, uint16_t low) {
+    const uint64_t cycles = ((uint64_t)high << 16 | low) * AVR_CLOCK_DIVIDER;
+#if F_CPU % 1000000 == 0
+    return cycles / (F_CPU / 1000000);
+#else /* exact, too, and in two steps nothing overflows */
+    return cycles / F_CPU * 1000000 + cycles % F_CPU * 1000000 / F_CPU;
+#endif
+}
+
 uint64_t j2a_port_time_us(void) {
-    uint64_t cycles;
     uint32_t high;
     uint16_t low;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
@@ -58,11 +71,35 @@ uint64_t j2a_port_time_us(void) {
         if ((TIFR1 & _BV(TOV1)) && low < 0x8000) /* wrapped, but its interrupt has not run yet */
             high++;
     }
-    cycles = ((uint64_t)high << 16 | low) * AVR_CLOCK_DIVIDER;
-#if F_CPU % 1000000 == 0
-    return cycles / (F_CPU / 1000000);
-#else /* exact, too, and in two steps nothing overflows */
-    return cycles / F_CPU * 1000000 + cycles % F_CPU * 1000000 / F_CPU;
-#endif
+    return time_us_of(high, low);
 }
+
+#if J2A_PORT_STAMP && J2A_WITH_TRANSDUCERS
+/* Says that there is a stamp, in the byte of TIFR1, whose bit it never is. */
+#define STAMPED 0x80
+
+/* Byte by byte, because avr-gcc takes four registers and many cycles to write a number of 32 bits so. */
+void j2a_port_stamp(volatile uint8_t *stamp) {
+    const uint8_t *const overflows = (const uint8_t *)&avr_clock_overflows;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        stamp[0] = TCNT1L;
+        stamp[1] = TCNT1H;
+        stamp[J2A_STAMP_BYTES - 1] = TIFR1 | STAMPED; /* behind the timer, which may overflow in between */
+        stamp[2] = overflows[0];
+        stamp[3] = overflows[1];
+        stamp[4] = overflows[2];
+        stamp[5] = overflows[3];
+    }
+}
+
+uint64_t j2a_port_stamp_us(const uint8_t *stamp) {
+    uint16_t low;
+    uint32_t high;
+    memcpy(&low, stamp, sizeof low);
+    memcpy(&high, stamp + sizeof low, sizeof high);
+    if ((stamp[J2A_STAMP_BYTES - 1] & _BV(TOV1)) && low < 0x8000) /* as in j2a_port_time_us() */
+        high++;
+    return time_us_of(high, low);
+}
+#endif
 #endif

@@ -26,6 +26,13 @@ extern uint32_t avr_clock_overflows;
 /* The clock waits by this timer, see j2a_clock.h. */
 #define J2A_PORT_WAIT (J2A_WITH_SYNC && F_CPU % 8000000 == 0)
 
+/* Its ticks are cheaper to note than microseconds. Those of a clock that is disciplined say no time yet. */
+#if defined J2A_WITH_SYNC && J2A_WITH_SYNC
+#define J2A_PORT_STAMP 0
+#else
+#define J2A_PORT_STAMP 1
+#endif
+
 /* Starts it; called once. */
 void avr_clock_start(void);
 

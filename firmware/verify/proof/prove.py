@@ -71,6 +71,9 @@ UNREACHED = {
     # Which raw values a transducer has, and which of them are asked for, are constants.
     **{f"j2a_raw_of_{name}": 8 for name in ("queued", "level", "servo")},
     "j2a_raw_of_valve": 11,
+    # Whether a sensor has nothing but newest values is a constant.
+    "j2a_callback_of_plain": 1,
+    **{f"j2a_callback_of_{name}": 2 for name in ("queued", "level", "imu")},
     # Which check of the length a typed function has is a constant.
     **{f"j2a_call_{name}": 9 for name in CLOSED},
     **{f"j2a_call_{name}": 4 for name in OPEN},
