@@ -45,6 +45,8 @@ OF_OTHERS = re.compile(
     rf"{IN_EACH_FILE.pattern}|j2a_(compare|near)_f64|j2a_near_signed|j2a_raw_of_plain"
     r"|j2a_start_of_(plain|queued)"
 )
+# Nor does what keeps settings keep values, or ask the time.
+OF_DRIVERS = re.compile(rf"{IN_EACH_FILE.pattern}|j2a_keep|j2a_port_time_us")
 # The functions of typed/functions.def, by whether they take an open end.
 CLOSED = ("numbers", "ratio", "nothing", "code")
 OPEN = ("all", "list", "text", "grow")
@@ -285,7 +287,7 @@ def prove(analysis: Analysis, core: Path) -> tuple[list[str], str]:
     )
     whole = {WHOLE[name] for name in analysis.defines if name in WHOLE}
     # The driver of typed functions is there to call them all.
-    uncalled = {"typed/typed": SERVED, "transducers/transducers": OF_OTHERS}.get(
+    uncalled = {"typed/typed": SERVED, "transducers/transducers": OF_OTHERS, "save": OF_DRIVERS}.get(
         analysis.driver, IN_EACH_FILE
     )
     found = faults(result.stdout, whole, uncalled)

@@ -32,6 +32,10 @@ const char j2a_descriptors[] = "any";
 
 /* ------------------------------------------------------------------------- the model of the rest ------ */
 
+uint64_t j2a_port_time_us(void) {
+    return any_u32;
+}
+
 uint32_t j2a_get_u32(const uint8_t *bytes) {
     (void)bytes;
     return any_u32;
@@ -49,7 +53,9 @@ uint8_t j2a_port_kept(uint16_t at) {
     return any_u8;
 }
 
+/* Behind it saving_next grows by one and saving_left becomes one less, or both stay: so their sum does. */
 bool j2a_port_keep(uint16_t at, uint8_t byte) {
+    //@ check saving_next + saving_left <= LONGEST + 1;
     //@ check at < J2A_PORT_KEPT_BYTES;
     (void)at;
     (void)byte;
@@ -95,7 +101,6 @@ static void forget_all(const j2a_transducer *t) {
 }
 
 static void check_all(void) {
-    //@ check saving_left == 0 || saving_next + saving_left <= LONGEST + 1;
     //@ check saving_left == 0 || FIRST_ID <= saving_id < FIRST_ID + ALL;
     //@ check saving_left == 0 || saving_at + LONGEST <= J2A_PORT_KEPT_BYTES;
 }
@@ -112,6 +117,7 @@ static void save(const j2a_transducer *t) {
     } else {
         saving_next = 0;
         code = j2a_save(t, value, any_u8);
+        //@ check saving_next + saving_left <= LONGEST + 1;
         check_all();
     }
     //@ check code <= J2A_TRANSD_BUSY;
