@@ -45,11 +45,15 @@ def status() -> dict[str, Any]:
     return {"pid": None, "boards": []}
 
 
-def synced(*serials: str) -> bool:
-    """Whether these boards, and no others, get the time."""
+def fed(*serials: str) -> bool:
+    """Whether these boards, and no others, are there, and each has got a packet.
+
+    The frames of a simulated board may come in bursts, so a board may have to wait in between.
+    """
     boards = status()["boards"]
-    states = {(one["board"], one["state"], one["tells_frames"]) for one in boards}
-    return states == {(serial, "syncing", True) for serial in serials}
+    return {one["board"] for one in boards if one["packets"] and one["tells_frames"]} == set(
+        serials
+    ) and len(boards) == len(serials)
 
 
 def daemons() -> list[int]:
@@ -103,6 +107,8 @@ def clocks(*serials: str) -> None:
 
 def ended(pid: int) -> None:
     """SIGTERM ends a daemon; the next one may begin."""
+    # One that udev has just started would take its place.
+    subprocess.run(["udevadm", "settle", f"--timeout={PATIENCE_S:.0f}"], check=True)
     os.kill(pid, signal.SIGTERM)
     until(lambda: not daemons(), f"{pid} has ended")
     assert status()["pid"] is None
@@ -118,7 +124,7 @@ def main() -> None:
     hub_ports = {
         serial: attach(HOST, int(port), f"1-{number}") for number, serial in enumerate(serials, 1)
     }
-    until(lambda: synced(*serials), "both boards get the time")
+    until(lambda: fed(*serials), "both boards get the time")
     pid = status()["pid"]
     user, groups = owner(pid)
     assert user == NOBODY, user
@@ -135,17 +141,17 @@ def main() -> None:
     folder = device(one)
     detach(hub_ports[one])
     wait_gone(folder)
-    until(lambda: synced(other), "the other board alone")
+    until(lambda: fed(other), "the other board alone")
     print("unplugged", flush=True)
     until(lambda: attached(port, hub_ports, one), "attached again")
-    until(lambda: synced(*serials), "both again")
+    until(lambda: fed(*serials), "both again")
     assert status()["pid"] == pid
     print("plugged again", flush=True)
 
     ended(pid)
     print("ended by SIGTERM", flush=True)
     with subprocess.Popen(["j2a", "syncd", "--interval", "0.2", "-v"]) as daemon:
-        until(lambda: synced(*serials), "a daemon in the foreground")
+        until(lambda: fed(*serials), "a daemon in the foreground")
         daemon.send_signal(signal.SIGTERM)
         assert daemon.wait(60) == 0, daemon.returncode
     assert not daemons()
