@@ -19,12 +19,14 @@ from typing import Any
 
 import j2a
 from j2a.syncd.singleton import NotRunning, ask, folders
+from j2a.syncd.system import WRAPPER_PLACE
 
 from .attach import Refused, attach, detach, device, wait_gone
 
 HOST = "10.0.2.2"
 PATIENCE_S = 240.0
 NOBODY = 65534
+INTERVAL = "0.05"
 STATUS = {"command": "status"}
 
 
@@ -77,6 +79,10 @@ def start_udev() -> None:
     """Install both rules as a user does, and start udev."""
     for part in ("udev", "syncd"):
         subprocess.run(["j2a", "setup", part], check=True, stdout=subprocess.DEVNULL)
+    # As a user may; frames of simulated boards are even enough for moments only.
+    text = WRAPPER_PLACE.read_text("utf-8")
+    assert text.endswith("syncd --daemon --interval 1\n"), text
+    WRAPPER_PLACE.write_text(text.replace("--interval 1", f"--interval {INTERVAL}"), "utf-8")
     subprocess.run(["/lib/systemd/systemd-udevd", "--daemon", "--resolve-names=early"], check=True)
 
 
@@ -108,7 +114,9 @@ def clocks(*serials: str) -> None:
 def ended(pid: int) -> None:
     """SIGTERM ends a daemon; the next one may begin."""
     # One that udev has just started would take its place.
-    subprocess.run(["udevadm", "settle", f"--timeout={PATIENCE_S:.0f}"], check=True)
+    settle = ["udevadm", "settle", f"--timeout={PATIENCE_S:.0f}"]
+    subprocess.run(settle, check=True, env={**os.environ, "SYSTEMD_IGNORE_CHROOT": "1"})
+    until(lambda: daemons() == [pid], "one daemon")
     os.kill(pid, signal.SIGTERM)
     until(lambda: not daemons(), f"{pid} has ended")
     assert status()["pid"] is None
@@ -150,7 +158,7 @@ def main() -> None:
 
     ended(pid)
     print("ended by SIGTERM", flush=True)
-    with subprocess.Popen(["j2a", "syncd", "--interval", "0.2", "-v"]) as daemon:
+    with subprocess.Popen(["j2a", "syncd", "--interval", INTERVAL, "-v"]) as daemon:
         until(lambda: fed(*serials), "a daemon in the foreground")
         daemon.send_signal(signal.SIGTERM)
         assert daemon.wait(60) == 0, daemon.returncode

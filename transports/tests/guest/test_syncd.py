@@ -5,15 +5,15 @@ guest says, and the packets that came to the endpoints SyncUSB of the boards.
 Rules: nothing is said of accuracy, because the guest and the boards run as the host lets them.
 """
 
-import threading
 import time
 from pathlib import Path
 
 import pytest
-from j2a_sim import AvrSim, UsbipServer, _pace
 from j2a_sim._usb.driver import UsbHost
 from j2a_spec import constants as c
 from j2a_spec import usb
+
+from .boards import FIRMWARE, exported, nicely
 
 pytestmark = [pytest.mark.guest, pytest.mark.avr, pytest.mark.exhaustive]
 
@@ -36,8 +36,6 @@ def packets(monkeypatch):
         submit(host, transfer)
 
     monkeypatch.setattr(UsbHost, "submit", spy)
-    # The boards make up for delays of a busy host, so that their frames are 1 ms apart.
-    monkeypatch.setattr(_pace, "MAX_LAG_S", 5.0)
     return found
 
 
@@ -47,24 +45,10 @@ def test_the_daemon_and_two_boards(guest, build_firmware, missing, packets):
     if not Path("/lib/systemd/systemd-udevd").exists():
         missing("systemd-udevd is missing: install the package udev")
     began_s = time.time()
-    elfs = [
-        build_firmware(
-            "demo", port="avr-usb", MCU="atmega32u4", SERIAL=serial, OPTIONS="-DJ2A_WITH_SYNC=1"
-        )
-        for serial in SERIALS
-    ]
-    with AvrSim(elfs[0], "atmega32u4") as one, AvrSim(elfs[1], "atmega32u4") as other:
-        server = UsbipServer([one, other], port=0)
-        stop = threading.Event()
-        thread = threading.Thread(target=server.serve, args=[stop])
-        thread.start()
-        command = ("python", "-m", "transports.tests.guest.inside_syncd", str(server.port))
-        try:
-            done = guest(*command, *SERIALS, timeout=PATIENCE_S)
-        finally:
-            stop.set()
-            thread.join(60)
-        assert not thread.is_alive()
+    elfs = [build_firmware("demo", SERIAL=serial, **FIRMWARE) for serial in SERIALS]
+    with exported(*elfs) as (port, sims):
+        command = ("python", "-m", "transports.tests.guest.inside_syncd", str(port))
+        done = nicely(guest, *command, *SERIALS, timeout=PATIENCE_S)
         print(done.stdout)
         assert [line for line in done.stdout.splitlines() if line and "usb " not in line] == [
             "started by udev",
@@ -75,7 +59,7 @@ def test_the_daemon_and_two_boards(guest, build_firmware, missing, packets):
             "ended by SIGTERM",
             "another one",
         ]
-        for sim in (one, other):
+        for sim in sims:
             check_packets(packets[sim], began_s)
 
 
