@@ -27,6 +27,8 @@ WANTED = (
     *("virtio_pci", "virtio_console", "9pnet_virtio", "9p", "virtio_net"),
     # USB: devices of USB/IP servers, a gadget with a host controller of its own, a kernel driver.
     *("vhci-hcd", "dummy_hcd", "libcomposite", "usb_f_fs", "usbserial"),
+    # Controllers that QEMU emulates, and a view of what passes.
+    *("xhci_pci", "ehci_pci", "uhci_hcd", "usbmon"),
     # Bluetooth: pairing takes its ciphers and hashes from the kernel by sockets.
     *("hci_vhci", "bluetooth", "rfcomm", "algif_hash", "algif_skcipher", "cmac", "ecb"),
 )

@@ -40,7 +40,7 @@ BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
         "transds": "the sensors and actuators of a board, or of a transds.def",
         "stub": "write a typed Python module for the functions of a board",
         "syncd": "give the boards of this computer one time, as a daemon",
-        "sync": "what the daemon syncd does, and plots of it",
+        "sync": "what the daemon syncd does, plots of it, and a check of two clocks",
         "completion": "a script that lets bash, zsh or fish complete j2a",
         "serve": "be a device: the demo, one written in Python, or virtual sensors",
     }

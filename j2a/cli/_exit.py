@@ -27,7 +27,7 @@ TERMINATED: Final = 128 + signal.SIGTERM  # 143
 
 EXIT_CODES: Final = {
     OK: "done",
-    FAILED: "the function reported failure, or data came back different",
+    FAILED: "the function reported failure, data came back different, or clocks are off",
     USAGE: "the command line is wrong, or names what the device or this computer does not have",
     LINK: "the link could not be opened, or was lost",
     TIMEOUT: "no answer in time",

@@ -234,6 +234,14 @@ def finite_seconds(text: str) -> float:
     return value
 
 
+def finite_number(text: str) -> float:
+    """Read a number, of either sign."""
+    value = _read(float, text, "a number")
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is not finite")
+    return value
+
+
 def positive_number(text: str) -> float:
     """Read a number above 0."""
     value = _read(float, text, "a number")

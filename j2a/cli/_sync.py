@@ -1,7 +1,8 @@
-"""`j2a sync`: what the daemon syncd does, and plots of it.
+"""`j2a sync`: what the daemon syncd does, plots of it, and whether clocks are as good as they say.
 
-In: `status` or `plot`. Out: a table or JSON; an SVG file.
-Rules: asks the daemon of this user first, then that of the system.
+In: `status`, `plot` or `verify`. Out: a table or JSON; an SVG file.
+Rules: asks the daemon of this user first, then that of the system; `verify` needs no daemon and is
+in `_sync_verify`.
 """
 
 from __future__ import annotations
@@ -10,8 +11,15 @@ import argparse
 from pathlib import Path
 
 from j2a.cli._exit import LINK, OK, CommandFailed, UsageError
-from j2a.cli._link import add_json_argument
+from j2a.cli._link import (
+    add_json_argument,
+    add_link_options,
+    finite_number,
+    positive_number,
+    whole_number,
+)
 from j2a.cli._output import show, show_json
+from j2a.cli._sync_verify import verify
 from j2a.syncd.history import rounds_of
 from j2a.syncd.plot import draw, panels_of
 from j2a.syncd.singleton import NotRunning, ask, folders
@@ -20,22 +28,64 @@ NOTES = """\
 examples:
   j2a sync status
   j2a sync status --json
-  j2a sync plot -o clocks.svg"""
+  j2a sync plot -o clocks.svg
+  j2a sync verify usb://left usb://right --actuator lamp --sensor edge
+
+verify lets the first board set its actuator to 1 at a given time; a wire leads from its pin to that
+of a sensor of the second, which sends a sample with a time stamp for each edge. Printed are time
+stamp less given time, and how far off the two boards say they can be. The exit code is 1 if an edge
+is farther off."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("what", choices=("status", "plot"), help="show the boards, or plot them")
+    parser.add_argument(
+        "what",
+        choices=("status", "plot", "verify"),
+        help="show the boards, plot them, or check two clocks by a wire",
+    )
+    parser.add_argument(
+        "urls", nargs="*", metavar="URL", help="for verify: the board that sets a pin, the referee"
+    )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.svg", help="where the plot goes, for plot"
     )
-    add_json_argument(parser, "the status")
+    add_json_argument(parser, "the status, or the figures,")
+    group = parser.add_argument_group("verify")
+    group.add_argument("--actuator", metavar="NAME", help="of the first board (the only one)")
+    group.add_argument("--sensor", metavar="NAME", help="of the referee (the only one)")
+    group.add_argument(
+        "--count", type=whole_number(1), default=20, metavar="N", help="edges (%(default)s)"
+    )
+    group.add_argument(
+        "--delay",
+        type=finite_number,
+        default=0.0,
+        metavar="US",
+        help="known time from an order to its time stamp, in microseconds (0)",
+    )
+    group.add_argument(
+        "--bound",
+        type=positive_number,
+        metavar="US",
+        help="what is allowed, in place of the sum of what both boards announce",
+    )
+    group.add_argument(
+        "--no-discipline",
+        action="store_true",
+        help="leave both clocks to who sets them, such as syncd",
+    )
+    add_link_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask the daemon; returns the exit code."""
+    """Ask the daemon, or the boards; returns the exit code."""
+    if args.what != "verify" and args.urls:
+        raise UsageError(f"{args.what} takes no URL")
     if (args.what == "plot") != (args.output is not None):
-        raise UsageError("plot takes -o FILE.svg, and status does not")
+        raise UsageError("plot takes -o FILE.svg, and only plot does")
+    if args.what == "verify":
+        return verify(args)
     if args.what == "plot":
         boards = rounds_of(_ask({"command": "history"}).get("boards", {}))
         try:

@@ -38,7 +38,7 @@ class Port(Protocol):
 
     key: tuple[int, int, str]
     name: str
-    bus: int
+    frames: str
     serial: str | None
 
 
@@ -65,7 +65,7 @@ class Daemon:
         self._only = only
         self._history = History()
         self._boards: dict[tuple[int, int, str], SyncBoard] = {}
-        self._buses: dict[int, Bus] = {}
+        self._buses: dict[str, Bus] = {}
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._is_stopped = False
@@ -163,7 +163,7 @@ class Daemon:
         return bus in (None, key[0]) and address in (None, key[1])
 
     def _start(self, port: Any) -> SyncBoard:
-        bus = self._buses.setdefault(port.bus, Bus(port.bus, self._interval_s, self._history))
+        bus = self._buses.setdefault(port.frames, Bus(port.frames, self._interval_s, self._history))
         return SyncBoard(port, bus)
 
 

@@ -40,7 +40,7 @@ class Bus:
     """The frames of one bus.
 
     Args:
-        number: of the bus.
+        name: of what the frames come from, such as "usb bus 1".
         interval_s: between two rounds.
         history: gets a record of each round.
 
@@ -48,8 +48,8 @@ class Bus:
         steps: how often the clock of the host was set.
     """
 
-    def __init__(self, number: int, interval_s: float, history: History) -> None:
-        self.name = f"usb bus {number}"
+    def __init__(self, name: str, interval_s: float, history: History) -> None:
+        self.name = name
         self._interval_us = interval_s * 1e6
         self._history = history
         self._lock = threading.Lock()

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 from j2a_transports import LinkLost, OpenFailed, WriteTimeout
-from j2a_transports._usb.sync import FrameSeen, SyncPort
+from j2a_transports._usb.sync import FrameSeen, SyncPort, frames_of
 
 
 def interface():
@@ -102,3 +102,12 @@ def test_an_interface_that_another_program_has(port, monkeypatch):
     with pytest.raises(OpenFailed, match="another program uses it"):
         one.open()
     one.close()
+
+
+def test_boards_of_one_bus_have_the_same_frames_unless_they_are_far_away(tmp_path):
+    for number, driver in ((1, "pci0000:00/xhci"), (2, "platform/vhci_hcd.0")):
+        (tmp_path / driver / f"usb{number}").mkdir(parents=True)
+        (tmp_path / f"usb{number}").symlink_to(tmp_path / driver / f"usb{number}")
+    assert frames_of(1, "1-2", tmp_path) == frames_of(1, "1-3.1", tmp_path) == "usb bus 1"
+    assert frames_of(2, "2-1", tmp_path) == "usb 2-1"
+    assert frames_of(3, "3-1", tmp_path) == "usb bus 3", "where there is no sysfs"

@@ -30,7 +30,7 @@ class FakePort:
     """
 
     def __init__(self, bus, name="1-1", number=1, address=2, serial="left"):
-        self.bus = number
+        self.frames = f"usb bus {number}"
         self.name = name
         self.key = (number, address, name)
         self.serial = serial

@@ -81,7 +81,7 @@ def test_boards_of_a_bus_are_told_the_same(running):
 def test_a_round_has_one_packet(monkeypatch):
     now_us = 5e6
     monkeypatch.setattr(bus_module, "host_time", lambda: (now_us, round(1.7e15 + now_us)))
-    one = Bus(1, 1.0, History())
+    one = Bus("usb bus 1", 1.0, History())
     for number in range(bus_module.LEAST):
         assert one.packet() is None
         now_us += 1e6
@@ -115,6 +115,19 @@ def test_a_bus_without_a_board_that_tells_frames_gets_nothing(running):
     one = running([old])
     until(lambda: "which frame" in (one.status()["boards"] or [{"problem": ""}])[0]["problem"])
     assert old.packets == []
+
+
+def test_boards_of_usbip_have_frames_of_their_own(running):
+    ports = [FakePort(FakeBus(ppm), f"1-{n}", address=n) for n, ppm in ((1, 300), (2, -200))]
+    # The second bus is 700 frames ahead, which no line of both can hide.
+    ports[1]._frames._start -= 700_000_000
+    for port in ports:
+        port.frames = f"usb {port.name}"
+    one = running(ports)
+    for port in ports:
+        port.wait_for(5)
+    assert {row["state"] for row in one.status()["boards"]} == {"syncing"}
+    assert one.answer({"command": "history"}, True)["boards"].keys() == {"usb 1-1", "usb 1-2"}
 
 
 def test_a_board_that_hangs_delays_no_other(running):

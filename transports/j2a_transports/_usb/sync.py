@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import struct
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from j2a_transports._base import LinkLost, OpenFailed, WriteTimeout
@@ -60,7 +62,8 @@ class SyncPort:
 
     Attributes:
         name: bus and ports up to the board, such as "1-2.3", or bus and address.
-        bus: number of the bus; the boards of one bus see the same frames.
+        bus: number of the bus.
+        frames: names what the frames come from; boards of equal names see the same frames.
         serial: serial number of the board, None where there is none.
     """
 
@@ -72,6 +75,7 @@ class SyncPort:
             if ports
             else f"{self.bus:03}:{device.address or 0:03}"
         )
+        self.frames = frames_of(self.bus, self.name)
         self.speed = SPEEDS.get(device.speed or 0)
         self.key = (self.bus, device.address or 0, self.name)
         self.serial = _serial(device, self.name)
@@ -143,6 +147,21 @@ class SyncPort:
     def close(self) -> None:
         """Give the interface back; idempotent."""
         self._undo.close()
+
+
+def frames_of(bus: int, name: str, sysfs: Path = SYSFS) -> str:
+    """Return what the frames of a board come from: its bus, or itself where it is far away.
+
+    A hub of USB/IP (vhci_hcd) carries the packets of each of its boards to a bus of another
+    computer, so its boards have nothing in common.
+
+    Args:
+        bus: number of the bus.
+        name: bus and ports.
+        sysfs: the folder with the devices.
+    """
+    is_virtual = "vhci_hcd" in os.fspath((sysfs / f"usb{bus}").resolve())
+    return f"usb {name}" if is_virtual else f"usb bus {bus}"
 
 
 def sync_ports(backend: Any = None) -> list[SyncPort]:

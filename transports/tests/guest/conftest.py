@@ -41,7 +41,10 @@ def tool(name: str) -> ModuleType:
 
 @pytest.fixture(scope="session")
 def guest(need: Callable[[str], None], missing: Callable[[str], NoReturn]) -> Guest:
-    """guest(*command, timeout=900) runs a command in the guest; it has to return `code`."""
+    """guest(*command, timeout=900) runs a command in the guest; it has to return `code`.
+
+    `qemu` has more arguments for QEMU.
+    """
     for program in TOOLS:
         need(program)
     folders = [
@@ -52,9 +55,11 @@ def guest(need: Callable[[str], None], missing: Callable[[str], NoReturn]) -> Gu
     ]
     subprocess.run([sys.executable, "-m", "compileall", "-q", *folders], check=False, timeout=120)
 
-    def run(*command: str, timeout: int = 900, code: int = 0) -> subprocess.CompletedProcess[str]:
+    def run(
+        *command: str, timeout: int = 900, code: int = 0, qemu: str = ""
+    ) -> subprocess.CompletedProcess[str]:
         done = subprocess.run(
-            [sys.executable, SCRIPT, f"--timeout={timeout}", "--", *command],
+            [sys.executable, SCRIPT, f"--timeout={timeout}", f"--qemu={qemu}", "--", *command],
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,

@@ -1,0 +1,228 @@
+"""`j2a sync verify`: one board's edge on another board's input tells how well their clocks agree.
+
+In: two boards with the capability `clock`, a wire from a pin of the first, the *driver*, to a pin
+of the second, the *referee*. Out: the distribution of (time stamp of the referee - commanded time),
+beside what both boards announce.
+Rules: both times are those that the boards take for the time of the host, so nothing of the host is
+in the difference; only edges to the level 1 count, so a referee may stamp both kinds or one; every
+wait has a deadline.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import statistics
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import j2a
+from j2a.cli._exit import FAILED, OK, TIMEOUT, CommandFailed, UsageError, end_on_sigterm
+from j2a.cli._link import connect_to
+from j2a.cli._output import note, show, show_json
+from j2a.protocol.clock import ClockState, Status
+
+__all__ = ["Edge", "Figures", "verify"]
+
+_LEAD_US: Final = 300_000
+"""An order is given so long before its time."""
+_EDGE_S: Final = 2.0
+"""So long after an order the referee has told the edge."""
+_QUIET_S: Final = 0.1
+"""The referee tells edges back to 0 within this time; then the next order is given."""
+_LOOK_S: Final = 0.1
+_LOCKED_S: Final = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """One edge.
+
+    Attributes:
+        error_us: time stamp of the referee less commanded time, less the known delay.
+        bound_us: sum of the uncertainties of both clocks then.
+    """
+
+    error_us: float
+    bound_us: float
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What a run has shown.
+
+    Attributes:
+        edges: all of them, in their order.
+    """
+
+    edges: tuple[Edge, ...]
+
+    @property
+    def outside(self) -> int:
+        """How many errors are beyond their bound."""
+        return sum(abs(one.error_us) > one.bound_us for one in self.edges)
+
+    def facts(self) -> dict[str, object]:
+        """Return what `--json` prints."""
+        errors = [one.error_us for one in self.edges]
+        return {
+            "edges": len(errors),
+            "median_us": round(statistics.median(errors), 3),
+            "rms_us": round(math.sqrt(statistics.fmean(one * one for one in errors)), 3),
+            "peak_us": max(map(abs, errors)),
+            "bound_us": round(statistics.median(one.bound_us for one in self.edges), 3),
+            "outside": self.outside,
+            "errors_us": errors,
+            "bounds_us": [one.bound_us for one in self.edges],
+        }
+
+
+def verify(args: argparse.Namespace) -> int:
+    """Run it; returns the exit code: FAILED when an error is beyond what the boards announce."""
+    if len(args.urls) != 2:
+        raise UsageError("verify takes two URLs: the board that drives the wire, and the referee")
+    end_on_sigterm()
+    with contextlib.ExitStack() as stack:
+        driver, referee = boards = [stack.enter_context(connect_to(args, one)) for one in args.urls]
+        actuator = _chosen(driver, args.actuator, "actuator")
+        sensor = _chosen(referee, args.sensor, "sensor")
+        for board in boards:
+            board.clock.status()  # NoClock says what to do
+            if not args.no_discipline:
+                stack.enter_context(board.clock.discipline())
+        _wait_for_locked(boards)
+        stack.enter_context(_enabled(sensor))
+        edges = []
+        for number in range(args.count):
+            edge = _edge(boards, actuator, sensor, args, number)
+            edges.append(edge)
+            if not args.json:
+                show(f"{number + 1:>5} {edge.error_us:>+12.1f} us {edge.bound_us:>10.1f} us")
+    return _show(Figures(tuple(edges)), args)
+
+
+def _chosen(board: j2a.Client, name: str | None, kind: str) -> Any:
+    """Return the transducer of that name and kind, or the only one of this kind without a name.
+
+    Raises:
+        UsageError: there is none, or more than one.
+    """
+    there = {
+        one.name: one
+        for one in board.transducers.values()
+        if one.descriptor.is_sensor == (kind == "sensor")
+    }
+    names = ", ".join(there) or "none"
+    if name is None:
+        if len(there) != 1:
+            raise UsageError(f"{board.url}: --{kind} NAME says which one: {names}")
+        return next(iter(there.values()))
+    if name not in there:
+        raise UsageError(f"{board.url} has no {kind} {name!r:.40}; it has: {names}")
+    return there[name]
+
+
+def _wait_for_locked(boards: list[j2a.Client]) -> None:
+    """Wait until both clocks are at their targets.
+
+    Raises:
+        CommandFailed: one is not in time.
+    """
+    end = time.monotonic() + _LOCKED_S
+    for board in boards:
+        while (state := board.clock.status().state) is not ClockState.LOCKED:
+            if time.monotonic() > end:
+                raise CommandFailed(
+                    f"the clock of {board.url} is {state.name.lower()} after {_LOCKED_S:g} s, not "
+                    "locked: does syncd, or another program, keep it? (--no-discipline)",
+                    TIMEOUT,
+                )
+            time.sleep(_LOOK_S)
+
+
+@contextlib.contextmanager
+def _enabled(sensor: Any) -> Iterator[None]:
+    """Let the referee send samples, and be as before at the end."""
+    was_enabled = sensor.enabled
+    if not was_enabled:
+        sensor.enabled = True
+    try:
+        yield
+    finally:
+        if not was_enabled:
+            with contextlib.suppress(j2a.J2AError):  # it is gone
+                sensor.enabled = False
+
+
+def _edge(
+    boards: list[j2a.Client], actuator: Any, sensor: Any, args: argparse.Namespace, number: int
+) -> Edge:
+    """Let the driver make one edge, and return what the referee says of it."""
+    with sensor.samples() as samples:
+        actuator.set(0, raw=True)
+        with contextlib.suppress(j2a.CallTimeout):
+            while True:
+                samples.wait(_QUIET_S)
+        before = [board.clock.status() for board in boards]
+        at_us = before[0].time_us + _LEAD_US
+        actuator.set(1, at_us=at_us, raw=True)
+        stamp_us = _stamp(samples, sensor, f"edge {number + 1} of {args.count}")
+    after = [board.clock.status() for board in boards]
+    for board, one, other in zip(boards, before, after, strict=True):
+        if one.epoch != other.epoch:
+            raise CommandFailed(f"the clock of {board.url} was set between order and edge", FAILED)
+    return Edge(stamp_us - at_us - args.delay, _bound_us([*before, *after], args))
+
+
+def _stamp(samples: Any, sensor: Any, what: str) -> int:
+    """Return the time stamp of the next sample that is not 0.
+
+    Raises:
+        CommandFailed: none comes, or it has no time stamp.
+    """
+    end = time.monotonic() + _EDGE_S
+    with contextlib.suppress(j2a.CallTimeout):
+        while (left_s := end - time.monotonic()) > 0:
+            for reading in samples.wait(left_s).readings:
+                if reading.raw:
+                    if reading.time_us is None:
+                        raise CommandFailed(f"samples of {sensor.name} have no time stamps", FAILED)
+                    return int(reading.time_us)
+    raise CommandFailed(
+        f"{what}: no sample of {sensor.name} came within {_EDGE_S:g} s of the order; is the wire "
+        "between both pins, with a common ground, and does the sensor tell the level 1?",
+        TIMEOUT,
+    )
+
+
+def _bound_us(statuses: list[Status], args: argparse.Namespace) -> float:
+    """Return the greatest sum of what both boards announced around an edge."""
+    if args.bound is not None:
+        return float(args.bound)
+    sums = []
+    for driver, referee in (statuses[:2], statuses[2:]):
+        if driver.uncertainty_us is None or referee.uncertainty_us is None:
+            raise UsageError(
+                "a board does not know how far off its clock is, because it was told the time by "
+                "SyncUSB only: --bound US says what is allowed"
+            )
+        sums.append(driver.uncertainty_us + referee.uncertainty_us)
+    return float(max(sums))
+
+
+def _show(figures: Figures, args: argparse.Namespace) -> int:
+    facts = figures.facts()
+    if args.json:
+        show_json(facts)
+    else:
+        show(
+            f"{facts['edges']} edges: median {facts['median_us']} us, rms {facts['rms_us']} us, "
+            f"peak {facts['peak_us']} us; announced {facts['bound_us']} us"
+        )
+    if figures.outside:
+        note(f"j2a: {figures.outside} of {facts['edges']} edges are outside what is announced")
+        return FAILED
+    return OK

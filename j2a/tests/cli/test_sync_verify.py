@@ -1,0 +1,192 @@
+"""`j2a sync verify` with two Python devices and a wire between them that has a delay.
+
+The wire carries an edge at the time of its order, by the true clocks of both devices, not at the
+moment at which a thread of this computer runs: so the figures are those of the clocks.
+"""
+
+import json
+import struct
+
+import pytest
+from j2a_spec import constants as c
+
+import j2a
+from j2a.types.transds_file import read_transds
+
+from .conftest import WAIT_S, served
+
+DRIVER = "ACTUATOR(lamp, 1, lamp, X, 1, u8, none)"
+REFEREE = "SENSOR(edge, 2, edge, X, 1, u8, none)"
+SET = struct.Struct("<BBBQB")
+STEADY_US = 50
+
+
+class Wire(j2a.Device):
+    """The driver, whose pin is wired to the referee.
+
+    Attributes:
+        delay_us: from the time of an order to the time stamp.
+        is_cut: no edge arrives.
+    """
+
+    def __init__(self, referee, text=DRIVER, ppm=-70.0):
+        super().__init__(clock=ppm, transducers=read_transds(text))
+        self.delay_us = 0
+        self.is_cut = False
+        self._referee = referee
+        self._at_us = 0
+        self._run_call = self._table.execute
+        self._table.execute = self._note
+        self.actuator("lamp")(self._edge)
+
+    def _note(self, opcode, payload):
+        if len(payload) == SET.size and payload[1] == c.TRANSD_SET:
+            self._at_us = SET.unpack(payload)[3]
+        return self._run_call(opcode, payload)
+
+    def _edge(self, _channel, value):
+        if self.is_cut:
+            return
+        # Both clocks at one instant: a reading in which this thread had to wait is not one.
+        before, there, after = self.clock_us, self._referee.clock_us, self.clock_us
+        while after - before > STEADY_US:
+            before, there, after = self.clock_us, self._referee.clock_us, self.clock_us
+        late_us = (before + after) // 2 - self._at_us if self._at_us else 0
+        runner = self._referee._transducers()
+        with runner._changed:
+            stamp_us = there - late_us + self.delay_us
+            runner._server.sense("edge", 0, value, stamp_us, is_raw=True)
+            runner._wake()
+
+
+@pytest.fixture
+def referee():
+    return j2a.Device(clock=90.0, transducers=read_transds(REFEREE))
+
+
+@pytest.fixture
+def wire(referee):
+    return Wire(referee)
+
+
+@pytest.fixture
+def urls(wire, referee):
+    one, other = served(wire), served(referee)
+    yield next(one), next(other)
+    for board in (one, other):
+        next(board, None)
+
+
+def test_two_clocks_agree_as_well_as_they_say(run, urls):
+    result = run("sync", "verify", *urls, "--count", "5", "--json")
+    assert (result.code, result.err) == (0, "")
+    figures = json.loads(result.out)
+    assert (figures["edges"], figures["outside"]) == (5, 0)
+    errors, bounds = figures["errors_us"], figures["bounds_us"]
+    assert all(abs(one) <= bound for one, bound in zip(errors, bounds, strict=True))
+    assert figures["peak_us"] == max(map(abs, errors))
+    assert figures["median_us"] == sorted(errors)[2]
+    assert 0 < figures["bound_us"] < 1e6
+
+
+def test_an_error_is_found(run, wire, urls):
+    wire.delay_us = 450_000
+    result = run("sync", "verify", *urls, "--count", "3")
+    assert result.code == 1
+    assert "3 of 3 edges are outside what is announced" in result.err
+    *lines, last = result.out.splitlines()
+    assert [line.split()[0] for line in lines] == ["1", "2", "3"]
+    median_us = float(last.split("median ")[1].split()[0])
+    assert abs(median_us - wire.delay_us) < 200_000
+
+
+def test_a_delay_that_is_known_is_subtracted(run, wire, urls):
+    wire.delay_us = 450_000
+    words = ("--count", "2", "--delay", "450000", "--json")
+    assert json.loads(run("sync", "verify", *urls, *words).out)["outside"] == 0
+    wire.delay_us = 0
+    assert json.loads(run("sync", "verify", *urls, *words).out)["outside"] == 2
+
+
+def test_a_bound_of_the_user(run, wire, urls):
+    wire.delay_us = 450_000
+    result = run("sync", "verify", *urls, "--count", "2", "--bound", "900000", "--json")
+    assert (result.code, json.loads(result.out)["bound_us"]) == (0, 900_000)
+
+
+def test_clocks_that_another_program_keeps_are_left_alone(run, urls, monkeypatch):
+    monkeypatch.setattr("j2a.cli._sync_verify._LOCKED_S", 0.2)
+    result = run("sync", "verify", *urls, "--no-discipline")
+    assert result.code == 4
+    assert "is free after 0.2 s, not locked" in result.err
+    monkeypatch.setattr("j2a.cli._sync_verify._LOCKED_S", WAIT_S)
+    with (
+        j2a.connect(urls[0]) as one,
+        j2a.connect(urls[1]) as other,
+        one.clock.discipline(),
+        other.clock.discipline(),
+    ):
+        assert run("sync", "verify", *urls, "--no-discipline", "--count", "2").code == 0
+
+
+def test_without_a_wire(run, wire, urls, monkeypatch):
+    monkeypatch.setattr("j2a.cli._sync_verify._EDGE_S", 0.6)
+    wire.is_cut = True
+    result = run("sync", "verify", *urls, "--json")
+    assert result.code == 4
+    assert "edge 1 of 20: no sample of edge came" in json.loads(result.out)["error"]["message"]
+
+
+def test_a_sensor_that_was_off_is_off_again(run, wire, referee, urls):
+    with j2a.connect(urls[1]) as board:
+        board.transducers["edge"].enabled = False
+        assert run("sync", "verify", *urls, "--count", "1").code == 0
+        assert board.transducers["edge"].enabled is False
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--actuator", "arm"], "has no actuator 'arm'; it has: lamp"),
+        (["--sensor", "eye"], "has no sensor 'eye'; it has: edge"),
+        (["--count", "0"], "not from 1 up"),
+        (["--bound", "0"], "not above 0"),
+        (["--delay", "nan"], "is not finite"),
+        (["-o", "x.svg"], "only plot does"),
+    ],
+)
+def test_what_cannot_be_done_is_told(run, urls, words, text):
+    try:
+        result = run("sync", "verify", *urls, *words)
+    except SystemExit:
+        raise AssertionError("argparse must not end the program") from None
+    assert result.code == 2
+    assert text in result.err
+
+
+def test_boards_that_cannot_take_part(run, urls):
+    plain = served(j2a.Device(transducers=read_transds(REFEREE)))
+    url = next(plain)
+    try:
+        result = run("sync", "verify", urls[0], url)
+        assert result.code == 2
+        assert "capability clock" in result.err
+        assert "--actuator NAME says which one: none" in run("sync", "verify", url, url).err
+        assert "two URLs" in run("sync", "verify", url).err
+        assert "status takes no URL" in run("sync", "status", url).err
+    finally:
+        next(plain, None)
+
+
+def test_a_clock_that_is_set_in_between_is_told(run, wire, urls):
+    execute = wire._table.execute
+
+    def step(opcode, payload):
+        if len(payload) == SET.size and payload[1] == c.TRANSD_SET and SET.unpack(payload)[3]:
+            wire._clock._epoch = wire._clock._epoch % 255 + 1
+        return execute(opcode, payload)
+
+    wire._table.execute = step
+    result = run("sync", "verify", *urls, "--count", "1")
+    assert result.code == 1
+    assert "was set between order and edge" in result.err
