@@ -2,8 +2,8 @@
 
 What flows in: the core's sources (--core), and the drivers beside this file (parser.c, sender.c,
 program.c, selftest.c, clock.c, save.c, typed/typed.c, transducers/transducers.c), which call it
-with arbitrary values. What flows out: a line for each analysis, and exit status 0 when all hold, 1 when one does
-not, 2 when there is no core, no Frama-C or no compiler.
+with arbitrary values. What flows out: a line for each analysis, and exit status 0 when all hold, 1
+when one does not, 2 when there is no core, no Frama-C or no compiler.
 Rules: one alarm, one contract or check that is not proven, one warning that is not in EXPECTED, or
 one statement that is not reached and not in UNREACHED fails. docs/conformance/proof.md names what
 these proofs cannot see.
@@ -45,8 +45,8 @@ OF_OTHERS = re.compile(
     rf"{IN_EACH_FILE.pattern}|j2a_(compare|near)_f64|j2a_near_signed|j2a_raw_of_plain"
     r"|j2a_start_of_(plain|queued)"
 )
-# Nor does what keeps settings keep values, or ask the time.
-OF_DRIVERS = re.compile(rf"{IN_EACH_FILE.pattern}|j2a_keep|j2a_port_time_us")
+# What keeps settings takes no values.
+OF_DRIVERS = re.compile(rf"{IN_EACH_FILE.pattern}|j2a_keep|j2a_stamp")
 # The functions of typed/functions.def, by whether they take an open end.
 CLOSED = ("numbers", "ratio", "nothing", "code")
 OPEN = ("all", "list", "text", "grow")
@@ -176,7 +176,8 @@ def _clock(machine: str) -> Analysis:
 def _save(machine: str) -> Analysis:
     precision = (
         "-eva-ilevel 256 -eva-min-loop-unroll 100 -eva-slevel 20 -eva-split-limit 300"
-        " -eva-interprocedural-splits -eva-slevel-function restore:3000,save:100,j2a_save_turn:5000,turn:500"
+        " -eva-interprocedural-splits"
+        " -eva-slevel-function restore:3000,save:100,j2a_save_turn:5000,turn:500"
     )
     defines = ("-DJ2A_WITH_TRANSDUCERS=1", "-DJ2A_WITH_SAVE=1", "-DJ2A_PORT_KEPT_BYTES=512")
     return Analysis("save", (), tuple(precision.split()), machine, defines, ("ext/j2a_save.c",))
@@ -287,9 +288,11 @@ def prove(analysis: Analysis, core: Path) -> tuple[list[str], str]:
     )
     whole = {WHOLE[name] for name in analysis.defines if name in WHOLE}
     # The driver of typed functions is there to call them all.
-    uncalled = {"typed/typed": SERVED, "transducers/transducers": OF_OTHERS, "save": OF_DRIVERS}.get(
-        analysis.driver, IN_EACH_FILE
-    )
+    uncalled = {
+        "typed/typed": SERVED,
+        "transducers/transducers": OF_OTHERS,
+        "save": OF_DRIVERS,
+    }.get(analysis.driver, IN_EACH_FILE)
     found = faults(result.stdout, whole, uncalled)
     if result.returncode != 0:
         found.append(f"frama-c ended with status {result.returncode}: {result.stdout[-800:]}")
