@@ -19,7 +19,7 @@ from j2a_sim import AvrSim, UsbipServer, _pace
 MCU = "atmega32u4"
 FIRMWARE = {"port": "avr-usb", "MCU": MCU, "OPTIONS": "-DJ2A_WITH_SYNC=1"}
 MAX_LAG_S = 5.0
-NICENESS = 10
+NICENESS = 5
 END_S = 60
 
 

@@ -24,7 +24,7 @@ from j2a.syncd.system import WRAPPER_PLACE
 from .attach import Refused, attach, detach, device, wait_gone
 
 HOST = "10.0.2.2"
-PATIENCE_S = 240.0
+PATIENCE_S = 600.0
 NOBODY = 65534
 INTERVAL = "0.05"
 STATUS = {"command": "status"}
@@ -34,7 +34,7 @@ def until(condition: Callable[[], Any], what: str) -> Any:
     """Wait for what other processes do; returns what the condition does."""
     end = time.monotonic() + PATIENCE_S
     while not (found := condition()):
-        assert time.monotonic() < end, f"{what}: {status()}"
+        assert time.monotonic() < end, f"{what}: {status()}, processes {daemons()}"
         time.sleep(0.1)
     return found
 
@@ -139,31 +139,31 @@ def main() -> None:
     assert len(groups) == 1, groups
     # The rule has started syncd once for each board.
     until(lambda: daemons() == [pid], "one daemon")
-    print("started by udev", flush=True)
+    print("good: started by udev", flush=True)
 
     second_instance(pid)
-    print("a second one notifies", flush=True)
+    print("good: a second one notifies", flush=True)
     clocks(*serials)
-    print("links are free", flush=True)
+    print("good: links are free", flush=True)
 
     folder = device(one)
     detach(hub_ports[one])
     wait_gone(folder)
     until(lambda: fed(other), "the other board alone")
-    print("unplugged", flush=True)
+    print("good: unplugged", flush=True)
     until(lambda: attached(port, hub_ports, one), "attached again")
     until(lambda: fed(*serials), "both again")
     assert status()["pid"] == pid
-    print("plugged again", flush=True)
+    print("good: plugged again", flush=True)
 
     ended(pid)
-    print("ended by SIGTERM", flush=True)
+    print("good: ended by SIGTERM", flush=True)
     with subprocess.Popen(["j2a", "syncd", "--interval", INTERVAL, "-v"]) as daemon:
         until(lambda: fed(*serials), "a daemon in the foreground")
         daemon.send_signal(signal.SIGTERM)
         assert daemon.wait(60) == 0, daemon.returncode
     assert not daemons()
-    print("another one", flush=True)
+    print("good: another one", flush=True)
 
 
 def attached(port: str, hub_ports: dict[str, int], serial: str) -> bool:
