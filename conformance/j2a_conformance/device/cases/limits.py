@@ -120,7 +120,8 @@ class CutFrame(Case):
             inform("nothing was lost: device or link held the request")
         if not isinstance(event, Frame) or not refusal(request.seq, c.ERR_FRAMING).matches(event):
             peer.link.record("expected", text=f"{request.expected}, or error 0xF4")
-            fail(f"{describe(event)} came")
+            stalled = isinstance(event, Frame) and event.opcode == c.ERR_TIMEOUT
+            fail(f"{describe(event)} came", suspect=stalled)
 
 
 class Overrun(Case):
