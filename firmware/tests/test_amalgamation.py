@@ -101,6 +101,7 @@ def test_same_bytes_each_time_and_nothing_left_out(two_files, tmp_path):
     assert written == {path.name: path.read_bytes() for path in two_files.iterdir()}
     assert set(written) == {
         *("j2a.h", "j2a.c", "port.c", "j2a_port_config.h", "port.mk"),
+        *("crystal.c", "crystal.h", "kept_file.c"),
         *APART,
     }
     everything = (two_files / "j2a.h").read_text() + (two_files / "j2a.c").read_text()

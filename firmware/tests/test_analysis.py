@@ -28,7 +28,8 @@ DEFINES = ["-DJ2A_RXBUF=64", "-DDEMO_STORE_BYTES=1024", "-DBAUD=115200u"]
 TYPED = ["apps/demo", "tests/typed"]
 CORE = sorted(FIRMWARE.glob("core/**/*.c"))
 AVR_COMMON = sorted(FIRMWARE.glob("ports/common/avr_*.c"))
-COMMON = sorted({*FIRMWARE.glob("ports/common/*.c")} - {*AVR_COMMON})
+POSIX_COMMON = [FIRMWARE / "ports/common" / name for name in ("crystal.c", "kept_file.c")]
+COMMON = sorted({*FIRMWARE.glob("ports/common/*.c")} - {*AVR_COMMON, *POSIX_COMMON})
 # How Clang is told the machine of each port that shares ports/common.
 TARGETS = {
     "cortex-m": ["--target=arm-none-eabi", "-mcpu=cortex-m3", "-mthumb"],
@@ -110,7 +111,7 @@ def test_cppcheck_finds_nothing(need: Callable[[str], None], options: list[str])
 
 def test_cppcheck_finds_nothing_in_posix(need: Callable[[str], None]) -> None:
     need("cppcheck")
-    sources = sorted((FIRMWARE / "ports/posix").glob("*.c"))
+    sources = port_sources("posix")
     result = cppcheck(
         "--enable=all", "--suppress=constParameter", *includes("ports/posix"), *sources
     )
@@ -213,7 +214,7 @@ def test_clang_tidy_finds_nothing(need: Callable[[str], None], options: list[str
 
 def test_clang_tidy_finds_nothing_in_posix_and_demo(need: Callable[[str], None]) -> None:
     need("clang-tidy")
-    sources = [*FIRMWARE.glob("ports/posix/*.c"), *FIRMWARE.glob("apps/demo/*.c")]
+    sources = [*port_sources("posix"), *FIRMWARE.glob("apps/demo/*.c")]
     result = clang_tidy(sources, ["-DJ2A_TXBUF=64", *includes("ports/posix", "apps/demo")])
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
 
@@ -268,8 +269,8 @@ def test_clang_tidy_finds_nothing_for_usb(need: Callable[[str], None], mcu: str)
 def test_every_port_and_common_file_is_looked_at() -> None:
     ports = {path.parent.name for path in FIRMWARE.glob("ports/*/port.mk")}
     assert ports == {*TARGETS, *AVR_PORTS, "posix"}
-    looked_at = {path for port in {*TARGETS, *AVR_PORTS} for path in port_sources(port)}
-    assert looked_at >= {*COMMON, *AVR_COMMON}
+    looked_at = {path for port in ports for path in port_sources(port)}
+    assert looked_at >= {*COMMON, *AVR_COMMON, *POSIX_COMMON}
 
 
 def test_clang_tidy_finds_what_is_wrong(need: Callable[[str], None], tmp_path: Path) -> None:

@@ -8,8 +8,11 @@
 #include <util/atomic.h>
 
 #include "usb.h"
-#include "j2a_clock.h"
 #include "j2a_port.h"
+
+#if J2A_WITH_SYNCUSB
+#include "sync_usb.h"
+#endif
 
 #if J2A_TXBUF > 0
 #error "this port has no transmit buffer, so J2A_TXBUF must be 0"
@@ -96,23 +99,6 @@ void j2a_port_tx(uint8_t byte) {
     if (!put(byte))
         wait_and_put(byte);
 }
-
-#if J2A_WITH_SYNCUSB
-/* For applications that have none. */
-__attribute__((weak)) void j2a_app_sync_usb(const uint8_t *packet) {
-    (void)packet;
-}
-
-static void receive_sync(void) {
-    uint8_t packet[J2A_SYNCUSB_SIZE];
-    if (!usb_sync_received(packet))
-        return;
-#if J2A_PORT_FRAMES
-    j2a_clock_packet(packet);
-#endif
-    j2a_app_sync_usb(packet);
-}
-#endif
 
 uint16_t j2a_port_overruns(void) {
     return 0; /* the host waits instead */

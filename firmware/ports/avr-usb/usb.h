@@ -3,7 +3,7 @@
  * endpoints as configured, and what the main loop must know of the link (usb_trouble).
  * usb_device.c is the controller and the bus, usb_control.c are control transfers, usb_requests.c is what they ask
  * for, usb_descriptors.c is what the board says of itself, usb_endpoints.c are the endpoints that port.c moves the
- * bytes through, usb_sync.c is that of SyncUSB, usb_frames.c are the starts of frames.
+ * bytes through, sync_usb.h is that of SyncUSB, usb_frames.c are the starts of frames.
  * Rules: endpoint 0 belongs to the interrupts, so that enumeration works while the application computes.
  * All other endpoints belong to the main context, which has interrupts off from the look at usb_trouble
  * and the choice in UENUM to the last access, so no interrupt need keep UENUM. Nothing waits for the host
@@ -69,11 +69,6 @@ void usb_events(void);
 /* While the bus is suspended: sleeps until it wakes up, or until another interrupt. Returns at once where
  * interrupts are off. */
 void usb_sleep(void);
-
-/* ------------------------------------------------------------------ usb_sync.c --------------- */
-
-/* Takes a packet of SyncUSB, J2A_SYNCUSB_SIZE bytes. From the main context. Returns whether there was one. */
-bool usb_sync_received(uint8_t *packet);
 
 /* ------------------------------------------------------------------ usb_frames.c ------------- */
 

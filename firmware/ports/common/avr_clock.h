@@ -6,6 +6,14 @@
 
 #include <stdint.h>
 
+/* The ticks of timer 1 are cheaper to note than microseconds. Those of a clock that is disciplined say no time yet.
+ * Here, because the core says what holds for ports that say nothing. */
+#if defined J2A_WITH_SYNC && J2A_WITH_SYNC
+#define J2A_PORT_STAMP 0
+#else
+#define J2A_PORT_STAMP 1
+#endif
+
 #include "j2a_options.h"
 
 /* Of the processor's clock. A clock that is disciplined has a tick of 0.5 us at 16 MHz. */
@@ -25,13 +33,6 @@ extern uint32_t avr_clock_overflows;
 
 /* The clock waits by this timer, see j2a_clock.h. */
 #define J2A_PORT_WAIT (J2A_WITH_SYNC && F_CPU % 8000000 == 0)
-
-/* Its ticks are cheaper to note than microseconds. Those of a clock that is disciplined say no time yet. */
-#if defined J2A_WITH_SYNC && J2A_WITH_SYNC
-#define J2A_PORT_STAMP 0
-#else
-#define J2A_PORT_STAMP 1
-#endif
 
 /* Starts it; called once. */
 void avr_clock_start(void);
