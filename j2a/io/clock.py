@@ -47,31 +47,6 @@ class Clock(ClockBase):
         self._busy = threading.Lock()
         self._keeper: ClockKeeper | None = None
 
-    @property
-    def state(self) -> str:
-        """What sets the clock, as the board said last: "free", "settling", "locked", "holdover"."""
-        return self.read().state
-
-    @property
-    def epoch(self) -> int:
-        """0 while the clock is free; it changes when the clock is set at once."""
-        return self.read().epoch
-
-    @property
-    def offset_us(self) -> float:
-        """The time of the board less that of this computer, now, in microseconds."""
-        return self.read().offset_us
-
-    @property
-    def rate_ppb(self) -> float:
-        """By how much the board's counter runs faster than this computer's clock (10**-9)."""
-        return self.read().rate_ppb
-
-    @property
-    def uncertainty_us(self) -> float:
-        """The bound of the error of `offset_us` and of `to_host` now, in microseconds."""
-        return self.read().uncertainty_us
-
     def read(self) -> ClockReading:
         """Return all that is known, of one instant.
 

@@ -13,6 +13,8 @@ volatile uint8_t any_u8;
 volatile uint16_t any_u16;
 volatile uint32_t any_u32;
 
+#include "any_numbers.h"
+
 enum { ALL = 3, FIRST_ID = 3 };
 
 static j2a_sensor sensors[2];
@@ -34,17 +36,6 @@ const char j2a_descriptors[] = "any";
 
 void j2a_stamp(uint8_t *slot) {
     (void)slot;
-}
-
-uint32_t j2a_get_u32(const uint8_t *bytes) {
-    (void)bytes;
-    return any_u32;
-}
-
-void j2a_put_u32(uint8_t *bytes, uint32_t value) {
-    uint8_t i;
-    for (i = 0; i < 4; i++, value >>= 8)
-        bytes[i] = (uint8_t)value;
 }
 
 uint8_t j2a_port_kept(uint16_t at) {

@@ -93,37 +93,25 @@ def run(settings: Settings) -> Report:
     clock = host_clock(settings, for_host)
     times_s = reading_times(settings, for_readings)
     frames, crystals = frames_of(settings, for_frames), oscillators(settings, for_crystals)
-    boards: list[Any]
+    make: Any = NativeBoard
     if settings.chosen_engine == "avr":
-        firmware = build_firmware(settings.link)
-        boards = [
-            AvrBoard(
-                firmware,
-                rng=rng,
-                oscillator=crystal_,
-                frames=seen,
-                link=settings.link,
-                times_s=times_s,
-            )
-            for rng, crystal_, seen in zip(
-                for_boards.spawn(settings.boards), crystals, frames, strict=True
-            )
-        ]
+        make = AvrBoard
+        program: Any = build_firmware(settings.link)
     else:
-        library = build_board(settings.link)
-        boards = [
-            NativeBoard(
-                library,
-                rng=rng,
-                oscillator=crystal_,
-                frames=seen,
-                link=settings.link,
-                times_s=times_s,
-            )
-            for rng, crystal_, seen in zip(
-                for_boards.spawn(settings.boards), crystals, frames, strict=True
-            )
-        ]
+        program = build_board(settings.link)
+    boards = [
+        make(
+            program,
+            rng=rng,
+            oscillator=crystal_,
+            frames=seen,
+            link=settings.link,
+            times_s=times_s,
+        )
+        for rng, crystal_, seen in zip(
+            for_boards.spawn(settings.boards), crystals, frames, strict=True
+        )
+    ]
     members: list[Board] = list(boards)
     host = Host(settings, for_calls, clock, members)
     host.run()

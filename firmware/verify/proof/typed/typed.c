@@ -9,22 +9,13 @@ volatile uint8_t any_u8;
 volatile uint16_t any_u16;
 volatile uint32_t any_u32;
 
+#include "any_numbers.h"
+
 j2a_rx_t j2a_rx_of[J2A_LINKS];
 
 static uint8_t elsewhere[J2A_MAX_PAYLOAD];
 
 /* ------------------------------------------------------------------------- the core's model ------ */
-
-uint32_t j2a_get_u32(const uint8_t *bytes) {
-    (void)bytes;
-    return any_u32;
-}
-
-void j2a_put_u32(uint8_t *bytes, uint32_t value) {
-    uint8_t i;
-    for (i = 0; i < 4; i++, value >>= 8)
-        bytes[i] = (uint8_t)value;
-}
 
 void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
     (void)opcode;
