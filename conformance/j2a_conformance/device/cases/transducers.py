@@ -1080,7 +1080,8 @@ class Set(_TransducerCase):
             if raw != value or not due_us <= time_us <= due_us + _SLACK_US:
                 fail(
                     f"channel {channel} of {one.name} is {raw.hex()} since {time_us} us; it was to "
-                    f"be {value.hex()} from {due_us} us on"
+                    f"be {value.hex()} from {due_us} us on",
+                    suspect=raw != value or time_us > due_us,  # late, as one that stalls is
                 )
             others = slots(board, one, before)
             for other in range(one.channels):
@@ -1100,7 +1101,8 @@ class Set(_TransducerCase):
             board.wait_until(max(due_us, later_us) + _LATER_US)
             time_us, raw = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[channel]
             if raw != second or not max(later_us, begin_us) <= time_us:
-                fail(f"{one.name} is {raw.hex()} since {time_us} us, not {second.hex()}")
+                text = f"{one.name} is {raw.hex()} since {time_us} us, not {second.hex()}"
+                fail(text, suspect=raw != second)
             if second_us < _DUE_US and time_us >= due_us and is_in_time:
                 text = f"{one.name} was set at {due_us} us, though a later SET had replaced that"
                 fail(text, suspect=True)  # a device that stalls is late, too
