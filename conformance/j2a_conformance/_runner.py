@@ -34,11 +34,14 @@ class Testee(ABC, Generic[_AnyCase]):
         link: the link to it.
         start: the cases that come first in each run; if one fails, nothing else can be judged.
         retry: how often a case is tried.
+        pause_s: how long one waits before the second attempt, and four times as long before each
+            further one: what made the machine stall often goes on for seconds.
     """
 
     link: Link
     start: tuple[_AnyCase, ...]
     retry: Retry
+    pause_s: float = 0.0
 
     @abstractmethod
     def run(self, case: _AnyCase) -> None:
@@ -149,6 +152,7 @@ def _judge(testee: Testee[_AnyCase], case: _AnyCase) -> Result:
             give_up(f"the link ended: {error}")
 
     def rest(judged: Judged) -> bool:
+        link.wait_until(link.now_s() + testee.pause_s * 4 ** (attempts - 1))
         if testee.recover(case.ID):
             return False
         link.note(f"another attempt: {judged.reason}")

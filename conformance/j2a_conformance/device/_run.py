@@ -26,6 +26,7 @@ from .cases import load
 __all__ = ["run"]
 
 _LOSSY_ATTEMPTS = 10
+_PAUSE_S = 1.0
 _STRICT = Rules()
 
 
@@ -117,6 +118,7 @@ class _Device(Testee[Case]):
         self.link = link
         lossy = bool(link.lossy)
         self.retry = Retry(_LOSSY_ATTEMPTS if lossy else ATTEMPTS, every=lossy)
+        self.pause_s = 0.0 if lossy else _PAUSE_S
         self._opener = opener
         self._title = title
         self._rules = rules
