@@ -219,11 +219,14 @@ class _Ticker:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._stop = threading.Event()
+        # Held while a SIF is handed over, so that none follows the reply to what stopped them.
+        self._sending = threading.Lock()
 
     def start(self, period_s: float) -> None:
         """Begin anew with this period; 0 only stops."""
         self._stop.set()
-        self._stop = threading.Event()
+        with self._sending:
+            self._stop = threading.Event()
         if period_s > 0:
             threading.Thread(
                 target=self._run, args=(period_s, self._stop), name="j2a demo SIFs", daemon=True
@@ -234,5 +237,6 @@ class _Ticker:
         due = time.monotonic() + period_s
         while not stop.wait(max(0.0, due - time.monotonic())):
             due += period_s
-            if self._device.send("counter", counter):
-                counter = (counter + 1) & 0xFFFFFFFF
+            with self._sending:
+                if not stop.is_set() and self._device.send("counter", counter):
+                    counter = (counter + 1) & 0xFFFFFFFF

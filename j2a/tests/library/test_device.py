@@ -15,7 +15,7 @@ from j2a_transports._loopback import Channel, LoopbackTransport
 from j2a_transports._tcp import TcpTransport
 
 import j2a
-from j2a.demo import DemoDevice
+from j2a.demo import SIF_PERIODIC, DemoDevice
 from j2a.device import default_max_hosts
 
 from .support import PATIENCE_S, linked, served
@@ -288,6 +288,30 @@ def test_sifs_from_many_threads_are_whole_and_numbered_in_order():
             thread.join(PATIENCE_S)
         assert [frame.seq for frame in frames] == list(range(200))
         assert all(frame.payload == bytes((SOF, frame.opcode)) * 50 for frame in frames)
+
+
+def test_no_periodic_sif_follows_the_reply_that_ends_them():
+    """Also when the request comes while one is on its way out."""
+    begun, goes_on = threading.Event(), threading.Event()
+
+    class Slow(DemoDevice):
+        def send(self, *args, **kwargs):
+            begun.set()
+            assert goes_on.wait(PATIENCE_S)
+            return super().send(*args, **kwargs)
+
+    with served(device := Slow()) as url, Host(url) as host:
+        period = device.functions["sifPeriod"]
+        host.send(0, period, b"\x01\x00")
+        assert host.frames(1) == [oracle.Frame(SOF, 0, 0, b"")]
+        assert begun.wait(PATIENCE_S)
+        host.send(1, period, b"\x00\x00")
+        assert host.is_silent(0.1)
+        goes_on.set()
+        assert host.frames(2) == [
+            oracle.Frame(SOS, 0, SIF_PERIODIC, bytes(4)),
+            oracle.Frame(SOF, 1, 0, b""),
+        ]
 
 
 def narrow(url: str) -> j2a_transports.Transport:
