@@ -249,7 +249,8 @@ def test_the_posix_port(build_firmware, tmp_path, capsys):
         )
     assert rows["stall"]["errors"]["0xF2"] > rows["stall"]["faults"] / 8
     assert rows["flip"]["errors"]["0xF3"] > 2
-    assert rows["reset"]["lost"] == rows["reset"]["faults"]
+    # Each takes the answer away; a busy machine may be late with another one.
+    assert rows["reset"]["lost"] >= rows["reset"]["faults"]
     assert rows["stall"]["undetected"] == rows["reset"]["undetected"] == {}
     # What the checksum cannot see is seen by nobody: the host takes swapped bytes for the answer.
     assert rows["swap"]["wrong"] > 5
