@@ -21,7 +21,7 @@ BURST: Final = 8
 """So many exchanges in quick succession give the first estimate."""
 BURST_S: Final = 0.05
 _FOREIGN_US: Final = CLOCK_FRAME_STEP_S * 1_000_000
-"""A board that is off by more when the discipline begins was set by another clock."""
+"""A board that is off by more, and was not told so, was set by something else (J2A-CLOCK-028)."""
 _RATE_CHANGE: Final = 2e-5
 _PPB: Final = 1e9
 

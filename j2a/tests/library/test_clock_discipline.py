@@ -141,6 +141,23 @@ def test_a_first_error_is_slewed_while_times_are_told_right() -> None:
     assert board.epoch == 1
 
 
+@pytest.mark.requirement("J2A-CLOCK-028")
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("off_s", "steps"), [(0.5, 0), (1.99, 0), (2.01, 1), (3600, 1)])
+def test_a_clock_that_another_host_has_set(off_s: float, sign: int, steps: int) -> None:
+    """It is slewed, unless it is so wrong that this would take more than half an hour."""
+    board = Board(random.Random(7))
+    Host(board).run(20)
+    host = Host(board)
+    host.set_clock(board.time_us - host.unix_us() + sign * off_s * US)
+    errors = host.run(10)
+    assert [one.is_step for one in host.told].count(True) == steps
+    assert (board.epoch, board.jumps_back) == (1 + steps, 0)
+    slewed_us = off_s * US * (1 - steps) - 9 * US / 1000
+    assert abs(errors[-1][0]) == pytest.approx(max(slewed_us, 0), abs=2000)
+    assert host.reference.steps == 0
+
+
 def test_waiting_grows_from_a_burst_to_the_period() -> None:
     board = Board(random.Random(5))
     discipline = Discipline(ReferenceClock())
