@@ -34,12 +34,20 @@ ROWS: Final = (
     Row("USB, 8 boards, 60 s", {"seconds": 60, "engine": "native"}),
     Row("USB, 8 boards, 1 h, 0.1 % of frames lost", {"seconds": 3600, "lost_sof": 0.001}, True),
     Row("USB, 8 boards, 60 s, busy host", {"seconds": 60, "engine": "native", "load": "heavy"}),
+    Row(
+        "USB, 8 boards, 120 s, host's clock slewed by 500 ppm for 60 s",
+        {"seconds": 120, "engine": "native", "slew_at": 40.0},
+    ),
     Row("USB, 64 boards, 60 s", {"boards": 64, "seconds": 60}),
     Row(
         "115200 baud, 4 boards, 40 s, real firmware",
         {"link": "serial", "boards": 4, "seconds": 40, "engine": "avr", "readings": 40_000},
     ),
     Row("115200 baud, 8 boards, 120 s", {"link": "serial", "seconds": 120}),
+    Row(
+        "115200 baud, 8 boards, 120 s, host's clock slewed by 500 ppm for 60 s",
+        {"link": "serial", "seconds": 120, "slew_at": 40.0},
+    ),
     Row("115200 baud, 8 boards, 1 h", {"link": "serial", "seconds": 3600}, True),
     Row("TCP, 8 boards, 120 s", {"link": "tcp", "seconds": 120}),
     Row("RFCOMM, 8 boards, 120 s", {"link": "rfcomm", "seconds": 120}),

@@ -8,9 +8,9 @@ from typing import Any, Self, TypeVar
 
 from j2a.errors import J2AError, LinkError, LocalError
 from j2a.io.clock import ROUNDS, check_period, check_rounds
-from j2a.io.clock_base import LOOK_S, ClockBase, ClockReading
+from j2a.io.clock_base import ClockBase, ClockReading
 from j2a.io.streams import slice_of
-from j2a.protocol.clock import Exchange, Status
+from j2a.protocol.clock import LOOK_S, Exchange, Status
 from j2a.protocol.transfer import Transfer
 
 __all__ = ["AsyncClock", "AsyncClockKeeper"]

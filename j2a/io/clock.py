@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final, Self, TypeVar
 
 from j2a.errors import CallTimeout, J2AError, LinkError, LocalError, Outcome
-from j2a.io.clock_base import LOOK_S, ClockBase, ClockReading
+from j2a.io.clock_base import ClockBase, ClockReading
 from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 from j2a.protocol.arguments import check_timeout
-from j2a.protocol.clock import Exchange, Status
+from j2a.protocol.clock import LOOK_S, Exchange, Status
 from j2a.protocol.transfer import Transfer
 
 __all__ = ["ROUNDS", "Clock", "ClockKeeper", "check_period", "check_rounds"]

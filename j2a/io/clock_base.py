@@ -37,10 +37,7 @@ from j2a.types.transducers import TIME_BYTES
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["LOOK_S", "ClockBase", "ClockReading"]
-
-LOOK_S: Final = 0.1
-"""Who disciplines a clock looks so often whether that of this computer was set or slewed."""
+__all__ = ["ClockBase", "ClockReading"]
 
 _US: Final = 1e6
 _PPB: Final = 1e9

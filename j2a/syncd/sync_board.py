@@ -15,6 +15,7 @@ from typing import Any, Final
 import j2a_transports
 
 from j2a.io.threads import start_thread
+from j2a.protocol.clock import LOOK_S
 from j2a.syncd.usb_bus import Bus
 
 __all__ = ["SyncBoard"]
@@ -45,6 +46,7 @@ class SyncBoard:
         self._stop = threading.Event()
         self._packets = 0
         self._lost = 0
+        self._number = 0
         self._tells_frames: bool | None = None
         self.thread = start_thread(self._run, f"j2a syncd {port.name}")
 
@@ -73,12 +75,23 @@ class SyncBoard:
             _logger.info("%s: gets the time", self.name)
             while not self._stop.is_set():
                 self._ask()
-                if not self._stop.wait(self._bus.until_next_round_s()):
+                if self._wait():
                     self._tell()
         except j2a_transports.TransportError as error:
             self.problem = str(error)
         finally:
             self._port.close()
+
+    def _wait(self) -> bool:
+        """Wait for the next round, or for something new; return False at the end."""
+        left_s = self._bus.until_next_round_s()
+        while left_s > 0:
+            if self._stop.wait(min(left_s, LOOK_S)):
+                return False
+            left_s -= LOOK_S
+            if left_s > 0 and self._bus.has_news(self._number):
+                self._tell()
+        return not self._stop.is_set()
 
     def _ask(self) -> None:
         for _ in range(_EXCHANGES):
@@ -91,7 +104,7 @@ class SyncBoard:
                 self._tells_frames = False
 
     def _tell(self) -> None:
-        packet = self._bus.packet()
+        self._number, packet = self._bus.packet()
         if packet is None:
             self.problem = (
                 "no board on this bus says which frame it is, so nothing can be told"

@@ -57,6 +57,8 @@ class Bus:
         self._clock = BusClock(self._reference)
         self._told: Frame | None = None
         self._told_at_us = float("-inf")
+        self._number = 0
+        self._is_extra = False
         self._offset_us = 0.0
 
     @property
@@ -82,18 +84,35 @@ class Bus:
                 expected_us = estimate.to_host(newest.received_us)
                 self._offset_us = (newest.sent_us + newest.came_us) / 2 - expected_us
 
-    def packet(self) -> Frame | None:
-        """Return what all boards are told in this round; None while too little is known."""
+    def has_news(self, number: int) -> bool:
+        """Return whether boards should hear before the next round that the clock was set or slewed.
+
+        Args:
+            number: of the packet that this board was sent last.
+        """
+        with self._lock:
+            self._reference.observe(*host_time())
+            return self._clock.is_outdated or (self._is_extra and self._number != number)
+
+    def packet(self) -> tuple[int, Frame | None]:
+        """Return what all boards are told in this round.
+
+        Returns: a number that is another one for another packet, and the packet; None while too
+            little is known.
+        """
         with self._lock:
             now_us, unix_us = host_time()
-            is_new = now_us - self._told_at_us > min(FRESH_US, 0.9 * self._interval_us)
-            if is_new:
-                self._reference.observe(now_us, unix_us)
+            self._reference.observe(now_us, unix_us)
+            is_due = now_us - self._told_at_us > min(FRESH_US, 0.9 * self._interval_us)
+            is_outdated = self._clock.is_outdated
+            if is_due or is_outdated:
+                self._is_extra = is_outdated
+                self._number += 1
                 ready = len(self._clock.estimator) >= LEAST
                 self._told = self._clock.frame_at(now_us) if ready else None
                 self._told_at_us = now_us
                 self._note(unix_us)
-            return self._told
+            return self._number, self._told
 
     def _note(self, unix_us: int) -> None:
         estimate = self._clock.estimate

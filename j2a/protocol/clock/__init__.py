@@ -24,9 +24,10 @@ from j2a.protocol.clock.messages import (
     unpack_exchange,
     unpack_status,
 )
-from j2a.protocol.clock.reference import ReferenceClock
+from j2a.protocol.clock.reference import LOOK_S, ReferenceClock
 
 __all__ = [
+    "LOOK_S",
     "Adjust",
     "BusClock",
     "ClockState",

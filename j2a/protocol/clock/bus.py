@@ -34,6 +34,12 @@ class BusClock:
     def __init__(self, reference: ReferenceClock) -> None:
         self.estimator = Estimator(max_rate=MAX_RATE)
         self._reference = reference
+        self._course: tuple[int, float] | None = None
+
+    @property
+    def is_outdated(self) -> bool:
+        """The clock of the host was set or slewed since `frame_at` told a time."""
+        return self._course is not None and self._reference.has_left(self._course)
 
     @property
     def estimate(self) -> Estimate | None:
@@ -74,6 +80,7 @@ class BusClock:
         estimate = self.estimate
         if estimate is None:
             return None
+        self._course = self._reference.course
         index = int(estimate.to_counter(host_us) // FRAME_US)
         counter_us = index * FRAME_US
         return Frame(

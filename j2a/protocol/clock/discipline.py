@@ -22,7 +22,6 @@ BURST: Final = 8
 BURST_S: Final = 0.05
 _FOREIGN_US: Final = CLOCK_FRAME_STEP_S * 1_000_000
 """A board that is off by more, and was not told so, was set by something else (J2A-CLOCK-028)."""
-_RATE_CHANGE: Final = 2e-5
 _PPB: Final = 1e9
 
 
@@ -47,8 +46,7 @@ class Discipline:
         self.epoch_local_us: int | None = None
         self.steps = 0
         self._target: Adjust | None = None
-        self._host_steps = reference.steps
-        self._host_rate = reference.rate
+        self._course = reference.course
         self._since_reset = 0
 
     # ------------------------------------------------------------------ what happens
@@ -89,8 +87,7 @@ class Discipline:
         # Nobody knows what line another request has told it, such as one about a USB frame.
         self._target = adjust
         if adjust is not None:
-            self._host_steps = self.reference.steps
-            self._host_rate = self.reference.rate
+            self._course = self.reference.course
         self.status = status
 
     # ------------------------------------------------------------------ what to do
@@ -105,11 +102,7 @@ class Discipline:
     @property
     def is_outdated(self) -> bool:
         """The clock of the host was set or slewed since the board was told; it is worth a round."""
-        reference = self.reference
-        return self._target is not None and (
-            self._host_steps != reference.steps
-            or abs(self._host_rate - reference.rate) > _RATE_CHANGE
-        )
+        return self._target is not None and self.reference.has_left(self._course)
 
     def next_adjust(self, now_us: float) -> Adjust | None:
         """Return what to tell the board now.
@@ -126,7 +119,7 @@ class Discipline:
             return None
         reference, error_us = self.reference, self.error_us
         is_foreign = self._target is None and abs(error_us or 0.0) >= _FOREIGN_US
-        is_set = self._host_steps != reference.steps
+        is_set = self._course[0] != reference.steps
         rate = (1 + reference.rate) * (1 + estimate.rate) - 1
         uncertainty = estimate.uncertainty_us(estimate.to_counter(now_us))
         return Adjust(

@@ -9,8 +9,10 @@ set, which is counted and told (J2A-CLOCK-028).
 from collections import deque
 from typing import Final
 
-__all__ = ["STEP_US", "ReferenceClock"]
+__all__ = ["LOOK_S", "STEP_US", "ReferenceClock"]
 
+LOOK_S: Final = 0.1
+"""So often a host that disciplines boards looks whether its clock was set or slewed."""
 STEP_US: Final = 1000
 """A change by so much is a step of the host's clock, and a smaller one part of its rate."""
 MAX_SLEW: Final = 1e-3
@@ -21,6 +23,7 @@ _BASE_US: Final = 90_000
 _APART_US: Final = 250_000
 _KEPT: Final = 9
 _US: Final = 1e6
+_RATE_CHANGE: Final = 2e-5
 
 
 class ReferenceClock:
@@ -62,6 +65,16 @@ class ReferenceClock:
         if passed >= _BASE_US:
             self.rate = (unix_us - first_unix - passed) / passed
         return is_step
+
+    @property
+    def course(self) -> tuple[int, float]:
+        """How often the clock was set, and its rate; `has_left` compares with it."""
+        return self.steps, self.rate
+
+    def has_left(self, course: tuple[int, float]) -> bool:
+        """Return whether the clock was set or slewed since then; boards should hear of it."""
+        steps, rate = course
+        return self.steps != steps or abs(self.rate - rate) > _RATE_CHANGE
 
     def to_unix(self, counter_us: float) -> int:
         """Return the Unix time at a time of the counter, in whole microseconds."""

@@ -10,6 +10,7 @@ import j2a_transports
 import pytest
 
 import j2a
+from j2a.protocol.clock import LOOK_S
 from j2a.syncd import daemon as daemon_module
 from j2a.syncd import usb_bus as bus_module
 from j2a.syncd.daemon import Daemon
@@ -83,19 +84,60 @@ def test_a_round_has_one_packet(monkeypatch):
     monkeypatch.setattr(bus_module, "host_time", lambda: (now_us, round(1.7e15 + now_us)))
     one = Bus("usb bus 1", 1.0, History())
     for number in range(bus_module.LEAST):
-        assert one.packet() is None
+        assert one.packet()[1] is None
         now_us += 1e6
         one.add(now_us, now_us + 100, number * 1000 % 2048, 40)
-    first = one.packet()
+    number, first = one.packet()
     assert first is not None
     now_us += 0.2e6
-    assert one.packet() is first
+    assert one.packet() == (number, first)
     # What is sent is of a frame that began less than 500 ms ago, whoever asks when.
     now_us += 0.15e6
-    assert one.packet().frame == (first.frame + 350) % 2048
+    assert one.packet()[1].frame == (first.frame + 350) % 2048
     now_us += 0.65e6
-    second = one.packet()
+    later, second = one.packet()
+    assert later > number
     assert (second.time_us - first.time_us) // 1000 == (second.frame - first.frame) % 2048
+
+
+@pytest.mark.parametrize("change", ["slewed", "set"])
+def test_all_boards_hear_at_once_that_the_clock_was_slewed_or_set(change, monkeypatch):
+    """Of 500 ppm a second would make 500 us; all are told the same, each once."""
+    now_us, unix_us = 5e6, 1.7e15
+    monkeypatch.setattr(bus_module, "host_time", lambda: (now_us, round(unix_us)))
+    bus = Bus("usb bus 1", 5.0, History())
+
+    def run(seconds, rate=0.0):
+        nonlocal now_us, unix_us
+        now_us += seconds * 1e6
+        unix_us += seconds * 1e6 * (1 + rate)
+
+    for number in range(bus_module.LEAST + 1):
+        run(1)
+        bus.add(now_us, now_us + 100, number * 1000 % 2048, 40)
+        told, first = bus.packet()
+    assert first is not None
+    for _ in range(20):
+        run(LOOK_S)
+        assert not bus.has_news(told)
+    if change == "set":
+        unix_us += 3_600_000_000
+    looks, rate = 0, 0.0005 if change == "slewed" else 0.0
+    while not bus.has_news(told):
+        run(LOOK_S, rate)
+        looks += 1
+        assert looks < 4
+    number, packet = bus.packet()
+    assert number != told
+    # The second board, a little later.
+    run(0.01, rate)
+    assert bus.has_news(told)
+    assert bus.packet() == (number, packet)
+    assert not bus.has_news(number)
+    passed_ms = (packet.frame - first.frame) % 2048
+    set_us = 3_600_000_000 if change == "set" else 0
+    slewed_us = packet.time_us - first.time_us - set_us - 1000 * passed_ms
+    assert 0 <= slewed_us % 2_048_000 <= 250
 
 
 def test_a_board_of_2014_gets_the_time_by_the_others_of_its_bus(running):

@@ -21,6 +21,7 @@ from numpy.random import Generator
 from j2a.errors import ProtocolError
 from j2a.events import Frame as WireFrame
 from j2a.protocol.clock import (
+    LOOK_S,
     BusClock,
     Discipline,
     Estimator,
@@ -146,9 +147,21 @@ class Host:
             done_s = self._round(now_s)
             present = [member for member in self._members if not self._is_away(member, now_s)]
             delays_s = [member.discipline.delay_s(settings.period_s) for member in present]
-            now_s = max(now_s + min(delays_s, default=settings.period_s), done_s + APART_S)
+            due_s = max(now_s + min(delays_s, default=settings.period_s), done_s + APART_S)
+            now_s = self._wait(done_s, due_s)
         for member in self._members:
             member.board.run(settings.seconds)
+
+    def _wait(self, now_s: float, due_s: float) -> float:
+        """Wait for the next round, less where the host's clock changes; returns when it begins."""
+        while now_s + LOOK_S < due_s:
+            now_s += LOOK_S
+            self._reference.observe(self._monotonic_us(now_s), self._unix_us(now_s))
+            if self._bus is not None and self._bus.is_outdated:
+                return now_s
+            if any(member.discipline.is_outdated for member in self._members):
+                return now_s
+        return due_s
 
     # ------------------------------------------------------------------ a round
 
