@@ -15,7 +15,7 @@ begin_tests() {
     set -m
     # The benchmarks only prove that they run. conftest.py says which files come first.
     timed pytest python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable \
-        -m 'not exhaustive' </dev/null >build/pytest.log 2>&1 &
+        -m 'not exhaustive' --durations=40 --durations-min=10 </dev/null >build/pytest.log 2>&1 &
     tests=$!
     set +m
     trap '[[ -z "$tests" ]] || kill -INT -- "-$tests"' EXIT

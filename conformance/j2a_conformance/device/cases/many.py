@@ -154,7 +154,8 @@ class InnerCode(Case):
 
 _CALLS = (
     *(function.name for function in FUNCTIONS if function.kind == "call"),
-    "getTime", "add", "ret", "delay", "sif", "sifPeriod", "overruns",
+    "getTime", "add", "ret", "delay", "sif", "sifPeriod", "overruns", "divide",
+    "echoNumbers", "echoShapes", "echoWords", "echoFirst",
 )  # fmt: skip
 
 

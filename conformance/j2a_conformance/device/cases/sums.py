@@ -91,7 +91,7 @@ class WrongFormula(Case):
 
 
 class EveryWrong(Case):
-    """Sends the same request with each of the 255 wrong checksums."""
+    """Sends the same request with each difference from its checksum, and with each wrong checksum."""
 
     ID = "sum.every-wrong-value"
     EXPECTATION = "Error 0xF3 for each, with the seq of the request, and no echo."
@@ -101,6 +101,11 @@ class EveryWrong(Case):
     def _run(self, peer: Peer) -> None:
         for flip in range(1, 256):
             broken(peer, c.GET_ECHO, b"sum", flip)
+        for value in range(256):  # the seq is another one each time, so not all came above
+            seq = peer.seq()
+            if value != checksum(seq, peer.echo_opcode, b"sum"):
+                wire = with_sum(seq, peer.echo_opcode, b"sum", value)
+                peer.play(wire, refusal(seq, c.ERR_CHECKSUM))
         peer.barrier()
 
 
