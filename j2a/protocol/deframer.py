@@ -63,6 +63,9 @@ class Deframer:
             if (event := _whole_frame(piece) or self._begin(piece)) is not None:
                 return [event]
             return []
+        if SOF not in data and SOS not in data:  # a part of a frame, as USB delivers long ones
+            event = self._go_on(data)
+            return [] if event is None else [event]
         # One kind of marker is left to split at; a piece that begins with SOS is a SIF.
         pieces = data.replace(SOS_BYTE, _SPLIT).split(SOF_BYTE)
         events: list[Frame | FrameError] = []
