@@ -105,7 +105,7 @@
 #define J2A_CLOCK_MAX_START_MS 0x05u /* until a correction begins, in ms */
 #define J2A_CLOCK_SETTLED_US 0x0Au /* distance from the target that still is LOCKED, in us */
 #define J2A_CLOCK_HOLDOVER_S 0x0Au /* without an adjustment until HOLDOVER, in s */
-#define J2A_CLOCK_FRAME_WANDER 0x3E8u /* wander of FRAME, in ppb */
+#define J2A_CLOCK_FRAME_WANDER 0x1388u /* wander of FRAME, in ppb */
 #define J2A_CLOCK_FRAME_STEP_S 0x02u /* distance at which FRAME steps, in s */
 #define J2A_CLOCK_FRAMES_MS 0x64u /* without a frame until the device has none, in ms */
 #define J2A_CLOCK_FRAME_NUMBERS 0x800u /* numbers of USB frames */

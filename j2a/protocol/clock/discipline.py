@@ -9,7 +9,7 @@ the board began anew (J2A-CLOCK-026, J2A-CLOCK-028). Nothing here waits or sends
 
 from typing import Final
 
-from j2a_spec.constants import CLOCK_FRAME_STEP_S
+from j2a_spec.constants import CLOCK_FRAME_STEP_S, CLOCK_FRAME_WANDER
 
 from j2a.protocol.clock.estimator import Estimator, Exchange, Verdict
 from j2a.protocol.clock.messages import Adjust, ClockState, Status
@@ -23,6 +23,8 @@ BURST_S: Final = 0.05
 _FOREIGN_US: Final = CLOCK_FRAME_STEP_S * 1_000_000
 """A board that is off by more, and was not told so, was set by something else (J2A-CLOCK-028)."""
 _PPB: Final = 1e9
+_HELD_WANDER: Final = CLOCK_FRAME_WANDER / _PPB
+"""A board that is left alone may warm up by 15 K, and a crystal change by 0.3 ppm a kelvin."""
 
 
 class Discipline:
@@ -128,7 +130,7 @@ class Discipline:
             reference.to_unix(estimate.host_us),
             round(rate * _PPB),
             round(uncertainty + 0.5),
-            round((estimate.rate_error + estimate.wander) * _PPB),
+            round((estimate.rate_error + max(estimate.wander, _HELD_WANDER)) * _PPB),
         )
 
     # ------------------------------------------------------------------ the board's clock

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from j2a.protocol.clock.estimator import WINDOW
 from j2a_sim._clocks.delays import BOARD_BYTE_S, HOST_BYTE_S
 from j2a_sim._clocks.frames import CABLE_S, HUB_S, TIERS
 from j2a_sim._clocks.settings import Settings
@@ -201,15 +202,17 @@ def bounds(settings: Settings, slack_us: float, drift_us: float = 0.0) -> dict[s
     four cycles late, 0.25 us at 16 MHz, behind the instruction that it met. To the host: half of
     what a round trip leaves unexplained, and half a microsecond of rounding; by UART also half of
     what the board's bit rate, which is not the nominal one, takes off the reply. In holdover: what
-    the oscillators do, and the error at its begin, twice. Elsewhere two boards differ by no more
-    than the sum of their errors to the host.
+    the oscillators do, the error at its begin, twice, and what a rate can be off that is true for
+    all exchanges which the host keeps. Elsewhere two boards differ by no more than the sum of their
+    errors to the host.
     """
     host = slack_us / 2 + 0.5
     if settings.link == "serial":
         host += REPLY_BYTES * abs(HOST_BYTE_US - BOARD_BYTE_US) / 2
     found = {"host_rms_us": host}
     if settings.holdover_at is not None:
-        found["holdover_end_us"] = drift_us + 2 * host
+        kept_s, held_s = WINDOW * settings.period_s, settings.seconds - settings.holdover_at
+        found["holdover_end_us"] = drift_us + 2 * host * (1 + held_s / kept_s)
     if settings.link != "usb":
         return {**found, "pair_rms_us": host * math.sqrt(2), "pair_peak_us": 4 * host}
     hubs = 1e6 * (TIERS * HUB_S[1] + CABLE_S)

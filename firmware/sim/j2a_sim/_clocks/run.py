@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 
+from j2a.protocol.clock.estimator import WINDOW
 from j2a_sim._clocks.avr import AvrBoard, build_firmware
 from j2a_sim._clocks.frames import BoardFrames, Bus, hub_delay_s
 from j2a_sim._clocks.host import START_S, Board, Host
@@ -69,8 +70,9 @@ def drift_us(settings: Settings, clock: HostClock, crystals: list[Oscillator]) -
     """How far a clock that runs on at the rate of the begin of holdover is off at its end."""
     if settings.holdover_at is None:
         return 0.0
-    # The rate that a host knows is that of the last exchanges.
-    before_s, begin_s, end_s = settings.holdover_at - 16, settings.holdover_at, settings.seconds
+    # The rate that a host knows is that of the exchanges which it keeps.
+    begin_s, end_s = settings.holdover_at, settings.seconds
+    before_s = max(0.0, begin_s - WINDOW * settings.period_s)
     worst = 0.0
     for crystal_ in crystals:
         at = np.array([before_s, begin_s, end_s])

@@ -182,8 +182,9 @@ def test_time_never_goes_back_in_ten_million_readings():
 @pytest.mark.exhaustive
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_an_hour_of_holdover(seed):
-    settings = Settings(boards=4, seconds=3900, link="serial", holdover_at=300.0, seed=seed)
+@pytest.mark.parametrize("link", ["usb", "serial"])
+def test_an_hour_of_holdover(link, seed):
+    settings = Settings(boards=4, seconds=3900, link=link, holdover_at=300.0, seed=seed)
     report = run(settings)
     assert report.figures["holdover_end_us"] <= report.bounds["holdover_end_us"]
     assert_honest(report.figures)
