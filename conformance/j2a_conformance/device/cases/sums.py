@@ -91,7 +91,7 @@ class WrongFormula(Case):
 
 
 class EveryWrong(Case):
-    """Sends the same request with each difference from its checksum, and with each wrong checksum."""
+    """Sends a request with each difference from its checksum, and with each wrong checksum."""
 
     ID = "sum.every-wrong-value"
     EXPECTATION = "Error 0xF3 for each, with the seq of the request, and no echo."
