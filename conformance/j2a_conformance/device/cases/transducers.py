@@ -115,10 +115,10 @@ class Board:
 
     def time_us(self) -> int:
         """Return the clock of the device; fail where it has gone back (J2A-TRANS-007)."""
-        before_us, self._clock_us = (
-            self._clock_us,
-            int(_US.unpack(self.read(self.all[0], c.TRANSD_TIME))[0]),
-        )
+        time = self.read(self.all[0], c.TRANSD_TIME)
+        if len(time) != _US.size:
+            fail(f"TIME has {len(time)} bytes instead of {_US.size}")
+        before_us, self._clock_us = self._clock_us, int(_US.unpack(time)[0])
         if self._clock_us < before_us:
             fail(f"the clock went back, from {before_us} us to {self._clock_us} us")
         return self._clock_us
@@ -156,6 +156,13 @@ class Board:
             if index == since + _MOST_SIFS:
                 fail(f"{_MOST_SIFS} SIFs came, and none of {one.name}")
         return index, frame.payload
+
+    def at_most_one_sif(self, one: oracle.Transducer, since: int) -> None:
+        """Fail where a sensor has sent two sample SIFs for one value."""
+        self.time_us()  # until the reply is there, the device has had time for one more
+        ids = [frame.opcode for frame in frames(self.peer.link.sifs[since:])]
+        if ids.count(one.id) > 1:
+            fail(f"{one.name} has sent {ids.count(one.id)} samples for one value")
 
     def no_sif(self, one: oracle.Transducer, since: int, why: str) -> None:
         """Fail where a sample SIF of a sensor has come or comes within a while."""
@@ -198,13 +205,22 @@ class Board:
         return self.rng.randbytes(int(element[1:]) // 8)
 
     def special(self, one: oracle.Transducer) -> list[bytes]:
-        """Return integers all of whose bytes are the same one of those that matter to links."""
-        if (
-            one.type.element[0] not in "ui"
-            or one.type.element in self.descriptors.definitions.enums
-        ):
+        """Return values of integers: those with all bytes the same, of those that matter to links,
+        and from two bytes on some in which each byte comes once.
+        """
+        if not self._is_integers(one.type):
             return []
-        return [bytes((byte,)) * self.size(one) for byte in _BYTES]
+        size = self.size(one)
+        every = bytes(range(256)) + bytes(-256 % size)
+        several = [every[at : at + size] for at in range(0, 256, size)] if size > 1 else []
+        return [bytes((byte,)) * size for byte in _BYTES] + several
+
+    def _is_integers(self, field: types.Field) -> bool:
+        """Whether all bytes of a type may be any: it has integers only."""
+        definitions = self.descriptors.definitions
+        if field.element in definitions.structs:
+            return all(map(self._is_integers, definitions.structs[field.element]))
+        return field.element[0] in "ui" and field.element not in definitions.enums
 
     def number(self, one: oracle.Transducer, value: bytes) -> Any:
         """Return the number that a value stands for."""
@@ -634,14 +650,13 @@ class Samples(_TransducerCase):
                     show(board.peer, board.peer.link.sifs[index])
                     fail(f"channel {channel} of {one.name} is {raw.hex()}, given {value.hex()}")
                 _check_time(one, time_us, begin_us, end_us)
-            ids = [frame.opcode for frame in frames(board.peer.link.sifs[since:])]
-            if len(group) == 1 and ids.count(one.id) > 1:
-                fail(f"{one.name} has sent {ids.count(one.id)} samples for one value")
             for channel in set(range(one.channels)) - set(group):
                 if found[channel] != now[channel]:
                     fail(f"channel {channel} of {one.name} has changed, and got no value")
             if board.read(one, c.TRANSD_SAMPLE) != payload:
                 fail(f"SAMPLE of {one.name} is not what its SIF was")
+            if len(group) == 1:
+                board.at_most_one_sif(one, since)
             now = found
         board.no_sif(one, board.seen, "without a new value")
         board.stimulate(one, (one.channels, board.value(one)), (255, board.value(one)))
@@ -853,6 +868,7 @@ class Period(_TransducerCase):
         since = board.seen
         board.stimulate(one, (channel, board.value(one)))
         first, _ = board.sif(one, since)
+        board.at_most_one_sif(one, since)
         board.write(one, c.TRANSD_PERIOD, struct.pack("<I", round(period_s * 1e6)))
         sent_s = link.sifs[first].at_s
         for _ in range(2):
@@ -978,6 +994,20 @@ class Threshold(_Taken):
                 is_due = abs(number - last) >= limit
                 self._give(board, one, channel, board.packed(one, number), is_due)
                 last = number if is_due else last
+            top = high if high != na_number else high - 1
+            for origin, way in (
+                (low, 1),
+                (top, -1),
+            ):  # from an end to where it is just far, and near
+                for distance in (limit, limit - step):
+                    number = origin + way * distance
+                    if na_number not in (origin, number) and low <= number <= top:
+                        board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+                        self._give(board, one, channel, board.packed(one, origin), due=True)
+                        board.write(one, c.TRANSD_THRESHOLD, board.packed(one, limit))
+                        is_due = distance == limit
+                        self._give(board, one, channel, board.packed(one, number), is_due)
+                        last = number if is_due else origin
             if na_number is None:
                 continue
             near = na_number if is_float else na_number - 1 if na_number > low else na_number + 1
@@ -1018,7 +1048,7 @@ class Set(_TransducerCase):
 
     ID = "transducers.set"
     EXPECTATION = "The channels have the values, from the time on; others stay as they were."
-    REQUIREMENTS = ("J2A-TRANS-015", "J2A-TRANS-016")
+    REQUIREMENTS = ("J2A-TRANS-009", "J2A-TRANS-015", "J2A-TRANS-016")
 
     def _judge(self, board: Board) -> None:
         for one in board.actuators():
@@ -1182,7 +1212,7 @@ class Trigger(_TransducerCase):
 
     ID = "transducers.trigger"
     EXPECTATION = "One sample each, not measured before its time; the later request replaces one."
-    REQUIREMENTS = ("J2A-TRANS-018",)
+    REQUIREMENTS = ("J2A-TRANS-009", "J2A-TRANS-018")
 
     def _judge(self, board: Board) -> None:
         for one in board.sensors("trigger"):
