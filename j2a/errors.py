@@ -176,7 +176,7 @@ class SignatureError(LocalError):
         return error
 
     def __str__(self) -> str:
-        return printable(str(self.args[0]))
+        return printable(f"{self.file and f'{self.file}: '}{self.args[0]}")
 
 
 class Fail(Exception):

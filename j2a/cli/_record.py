@@ -97,6 +97,9 @@ def run(args: argparse.Namespace) -> int:
     """Record until the end; returns the exit code."""
     if args.output.suffix != ".mcap":
         raise UsageError(f"{args.output}: the name ends in .mcap")
+    twice = [url for url in args.urls if args.urls.count(url) > 1]
+    if twice:
+        raise UsageError(f"{twice[0]} stands there twice")
     check_package()  # now, as samples come as soon as the boards are there
     end_on_sigterm()
     with contextlib.ExitStack() as stack:

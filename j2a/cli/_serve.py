@@ -148,6 +148,8 @@ def virtual_board(
     from j2a.virtual import VirtualBoard  # noqa: PLC0415 - only needed for this option
 
     descriptors, _ = read_transds_argument(path, options)
+    if not descriptors.transducers:
+        note(f"j2a: {path} lists no transducers")
     board = VirtualBoard(descriptors, {} if serial is None else {"serial": serial})
     board.measure()
     return board

@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _read(args: argparse.Namespace) -> tuple[Descriptors, str]:
     """Return the descriptors and what to call their source."""
-    if args.url.endswith(".def"):
+    if args.url.endswith(".def") or ("://" not in args.url and Path(args.url).is_file()):
         return read_transds_argument(args.url, conditions_of(args))
     if args.define or args.undefine:
         raise UsageError("-D and -U are for a transds.def; a board knows what it is built with")

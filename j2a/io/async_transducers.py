@@ -10,7 +10,7 @@ from typing import Any
 
 from j2a_spec import constants as c
 
-from j2a.errors import WrongArgument
+from j2a.errors import CallTimeout, WrongArgument
 from j2a.events import Reading, Sample
 from j2a.io.streams import MAX_SIFS
 from j2a.io.transducers import SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
@@ -23,6 +23,17 @@ __all__ = ["AsyncActuator", "AsyncSensor"]
 class _Async(RemoteTransducer):
     async def _ask(self, request: bytes) -> bytes:
         return self._answer(await self._client.call(c.TRANSD, request))
+
+    def __getattr__(self, name: str) -> Any:
+        """Say how a setting is read, for which there is no attribute to await."""
+        if name in SETTINGS:
+            raise AttributeError(f'read it by await board.transducers[...].setting("{name}")')
+        raise AttributeError(f"{type(self).__name__} has no attribute {name}")
+
+    def _no_attribute(self, name: str) -> str:
+        if name in SETTINGS:
+            return f"change it by await board.transducers[...].configure({name}=...)"
+        return super()._no_attribute(name)
 
     async def configure(self, **settings: Any) -> None:
         """Change settings; `Sensor.configure` for asyncio."""
@@ -86,7 +97,12 @@ class AsyncSensor(_Async):
         before, stream = self._stream_of_batch(count)
         async with stream:
             end = client.now() + client._limit_s(timeout)
-            found = [await stream.wait(max(0.0, end - client.now())) for _ in range(count)]
+            found: list[Sample] = []
+            try:
+                while len(found) < count:
+                    found.append(await stream.wait(max(0.0, end - client.now())))
+            except CallTimeout as error:
+                raise self._late_batch(len(found), count, error) from None
         return self._batch(before, found)
 
     def on_sample(self, handler: Callable[[Sample], object]) -> Any:

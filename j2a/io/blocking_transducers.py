@@ -10,6 +10,7 @@ from typing import Any
 
 from j2a_spec import constants as c
 
+from j2a.errors import CallTimeout
 from j2a.events import Reading, Sample
 from j2a.io.streams import MAX_SIFS
 from j2a.io.transducers import SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
@@ -143,7 +144,12 @@ class Sensor(_Blocking):
         before, stream = self._stream_of_batch(count)
         with stream:
             end = client.now() + client._limit_s(timeout)
-            found = [stream.wait(max(0.0, end - client.now())) for _ in range(count)]
+            found: list[Sample] = []
+            try:
+                while len(found) < count:
+                    found.append(stream.wait(max(0.0, end - client.now())))
+            except CallTimeout as error:
+                raise self._late_batch(len(found), count, error) from None
         return self._batch(before, found)
 
     def on_sample(self, handler: Callable[[Sample], object]) -> Any:

@@ -309,7 +309,7 @@ class ClientBase:
     ) -> Transducers[_TransducerT]:
         """Return the transducers of the device."""
         source, client = self._source, weakref.ref(self)
-        why = self._device.transducers_problem or "the device describes none"
+        why = self._device.transducers_problem or "the device describes no transducers"
 
         def made(name: str) -> _TransducerT:
             codec = source.codec(name)

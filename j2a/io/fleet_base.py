@@ -12,11 +12,12 @@ import threading
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
+from difflib import get_close_matches
 from typing import Any, Generic, TypeVar
 
 import j2a_transports
 
-from j2a.errors import J2AError, LinkClosed, LinkError, LocalError, Outcome
+from j2a.errors import J2AError, LinkClosed, LinkError, LocalError, Outcome, UnknownTransducer
 from j2a.events import Sample
 from j2a.io.client_base import ClientBase
 from j2a.io.handlers import ErrorHook, Handlers, Reporter
@@ -36,6 +37,24 @@ _MemberT = TypeVar("_MemberT", bound=Member[Any])
 def by_url(client: ClientBase) -> str:
     """Return the URL of a board, which on the USB has its serial number or the path of ports."""
     return client.url
+
+
+class FleetTransducers(dict[tuple[str, str], Any]):
+    """The transducers of a fleet by the identity of the board and their name."""
+
+    def __missing__(self, key: object) -> Any:
+        """Say what is near a key that is not there.
+
+        Raises:
+            UnknownTransducer: always.
+        """
+        known = [f'"{board}", "{name}"' for board, name in self]
+        asked = ", ".join(f'"{part}"' for part in key) if isinstance(key, tuple) else repr(key)
+        near = get_close_matches(asked, known, n=3, cutoff=0.3) or known[:3]
+        hint = f"near it are: {'; '.join(near)}" if near else "no board is here"
+        raise UnknownTransducer(
+            f"no board has the transducer {asked}, which is named by board and name; {hint}"
+        )
 
 
 class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
@@ -85,13 +104,13 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
         with self._lock:
             return self._roster.problems
 
-    def _transducers(self) -> dict[tuple[str, str], Any]:
+    def _transducers(self) -> "FleetTransducers":
         with self._lock:
             here = {board: one.client for board, one in self._roster.here.items() if one.client}
-        found: dict[tuple[str, str], Any] = {}
+        found = FleetTransducers()
         for board, client in here.items():
             with contextlib.suppress(LinkError):  # has just gone
-                found |= {(board, name): one for name, one in client.transducers.items()}
+                found.update({(board, name): one for name, one in client.transducers.items()})
         return found
 
     def remove(self, board: str) -> None:

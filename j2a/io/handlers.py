@@ -32,6 +32,7 @@ ErrorHook = Callable[[BaseException, Any], None]
 a sample or a change of a fleet."""
 
 _logger = logging.getLogger("j2a")
+_MOST_SEEN = 1000
 _Handler = TypeVar("_Handler", bound=Callable[..., object])
 
 
@@ -195,30 +196,47 @@ class Handlers(Generic[_Handler]):
 class Reporter:
     """Tells of exceptions that handlers raised: to a function of the user, or to the log.
 
-    A device that sends nothing but nonsense does not fill the log: of each opcode the first one is
-    logged, then the second, the fourth and so on.
+    A device that sends nothing but nonsense, or a handler that fails each time, does not fill the
+    log: of each opcode, and of each line that raises, the first one is logged, then the second, the
+    fourth and so on.
     """
 
     def __init__(self, hook: ErrorHook | None) -> None:
         self._hook = hook
-        self._bad_payloads: Counter[int] = Counter()
+        self._seen: Counter[object] = Counter()
 
     def report(self, error: BaseException, event: object) -> None:
         """Report one; never raises."""
         if self._hook is None and isinstance(error, BadPayload) and isinstance(event, Sif):
-            self._bad_payloads[event.opcode] += 1
-            count = self._bad_payloads[event.opcode]
-            if count & (count - 1) == 0:
+            if count := self._is_worth_a_line(event.opcode):
                 _logger.error("%s (%d so far)", error, count)
             return
         if self._hook is None:
             what = f"SIF 0x{event.opcode:02X}" if isinstance(event, Sif) else _plural(event)
-            _logger.error("a handler of %s failed", what, exc_info=error)
+            if count := self._is_worth_a_line((what, type(error), _place(error))):
+                often = "" if count == 1 else f" ({count} times so far)"
+                _logger.error("a handler of %s failed%s", what, often, exc_info=error)
             return
         try:
             self._hook(error, event)
         except BaseException:
             _logger.exception("on_handler_error failed after a handler had raised %r", error)
+
+    def _is_worth_a_line(self, what: object) -> int:
+        """Count; return the number if it is 1, 2, 4 and so on, else 0."""
+        if len(self._seen) >= _MOST_SEEN and what not in self._seen:
+            self._seen.clear()
+        self._seen[what] += 1
+        count = self._seen[what]
+        return count if count & (count - 1) == 0 else 0
+
+
+def _place(error: BaseException) -> tuple[str, int]:
+    """Return file and line where an exception was raised."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    return ("", 0) if trace is None else (trace.tb_frame.f_code.co_filename, trace.tb_lineno)
 
 
 def _plural(event: object) -> str:

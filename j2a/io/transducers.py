@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar
 from j2a_spec import constants as c
 
 from j2a.errors import (
+    CallTimeout,
     FunctionFailed,
     InterfaceChanged,
     LinkClosed,
@@ -84,6 +85,15 @@ class RemoteTransducer:
         codec = self._source.codec(self.name)
         what = "gone" if codec is None else str(codec.transducer).split("\n", 1)[0]
         return f"<j2a {what} of {self._url}>"
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Refuse an attribute that would change nothing on the device."""
+        if not name.startswith("_") and name != "name" and not hasattr(type(self), name):
+            raise AttributeError(self._no_attribute(name))
+        super().__setattr__(name, value)
+
+    def _no_attribute(self, name: str) -> str:
+        return f"{self.name} has no setting {name}; there are: {', '.join(SETTINGS)}"
 
     @property
     def _client(self) -> Any:
@@ -219,6 +229,12 @@ class RemoteTransducer:
         """
         if reply.code == c.TRANSD_BUSY and not is_over:
             return request
+        if reply.code == c.TRANSD_NO_ITEM:
+            raise FunctionFailed(
+                f"{self.name}: the device keeps no settings without power",
+                code=reply.code,
+                payload=reply.payload,
+            )
         state = self._answer(reply)
         if state == _SAVE:
             return None
@@ -271,6 +287,14 @@ class RemoteTransducer:
         if not isinstance(count, Integral) or count < 1:
             raise WrongArgument(f"a batch has 1 sample or more, not {count!r:.40}")
         return self.descriptor, self._stream(max(int(count), MAX_SIFS))
+
+    def _late_batch(self, came: int, count: int, error: CallTimeout) -> CallTimeout:
+        """Return the error of a batch that was not full in time."""
+        return error.copy(
+            f"{came} of {count} samples of {self.name} came in time; ask for fewer, or iterate "
+            "over its samples to keep those that come",
+            error.outcome,
+        )
 
     def _batch(self, before: Transducer, samples: list[Sample]) -> Batch:
         """Return samples of a sensor as arrays.

@@ -11,7 +11,7 @@ from j2a.errors import LocalError
 from j2a.events import Sample
 from j2a.types.model import Enumeration, Structure, Type
 from j2a.types.naming import free_name
-from j2a.types.transducers import LOST_BYTES, Transducer, number_element
+from j2a.types.transducers import LOST_BYTES, Transducer, number_element, numbers_element
 
 __all__ = ["Batch"]
 
@@ -82,15 +82,17 @@ class Batch:
     def values(self) -> Any:
         """The values in the unit as 64-bit floating-point numbers, NaN where there is none.
 
+        Those of arrays have one dimension more.
+
         Raises:
-            LocalError: the values are structures or arrays; `raw` has them.
+            LocalError: the values are structures; `raw` has them.
         """
         np = _module("numpy", "arrays")
         sensor = self.sensor
-        if number_element(sensor.type) is None:
+        if number_element(sensor.type) is None and numbers_element(sensor.type) is None:
             raise LocalError(f"{sensor.name} has values of type {sensor.type}: see raw")
         values = self.raw.astype("f8")
-        if sensor.has("scale") or sensor.has("offset"):
+        if sensor.is_scaled and numbers_element(sensor.type) is not None:
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is infinite
                 values = values * sensor.scale + sensor.offset
         values[self._is_none()] = np.nan
@@ -107,8 +109,8 @@ class Batch:
 
         Values are 64-bit floating-point numbers, NaN where there is none; integers of 64 bits
         without scale and offset stay integers, `pandas.NA` where there is none. The columns of a
-        structure are its fields, and those of an array have numbers, such as rate_0, rate_1; both
-        are raw. A name that is there already gets a number, such as time_us2.
+        structure are its fields, and those of an array have numbers, such as rate_0, rate_1; those
+        of a structure are raw. A name that is there already gets a number, such as time_us2.
 
         Raises:
             LocalError: pandas is missing.
@@ -117,15 +119,17 @@ class Batch:
         columns = {"time_us": self.times_us.ravel(), "channel": self.channels.ravel()}
         sensor = self.sensor
         element = number_element(sensor.type)
-        if element in ("i64", "u64") and not (sensor.has("scale") or sensor.has("offset")):
+        if element in ("i64", "u64") and not sensor.is_scaled:
             value = pandas.Series(self.raw.ravel(), dtype="Int64" if element == "i64" else "UInt64")
             value[self._is_none().ravel()] = pandas.NA
             columns["value"] = value
         elif element is not None:
             columns["value"] = self.values.ravel()
         else:
-            shape = self.raw.shape[self.times_us.ndim :]
-            for name, part in _columns("", self.raw.reshape(-1, *shape)):
+            is_scaled = sensor.is_scaled and numbers_element(sensor.type) is not None
+            table = self.values if is_scaled else self.raw
+            shape = table.shape[self.times_us.ndim :]
+            for name, part in _columns("", table.reshape(-1, *shape)):
                 columns[free_name(name, {*columns, *_OTHER_COLUMNS})] = part
         return pandas.DataFrame(columns)
 

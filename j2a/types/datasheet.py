@@ -17,7 +17,7 @@ from j2a.types.transducers import (
     Descriptors,
     Transducer,
     longest_sample,
-    number_element,
+    numbers_element,
 )
 
 __all__ = ["data_sheets"]
@@ -91,11 +91,12 @@ def _characteristics(one: Transducer) -> Rows:
 
 
 def _calibration(one: Transducer) -> Rows:
-    if one.has("scale") or one.has("offset"):
+    if one.is_scaled:
         offset = one.get("offset", "0")
         sign = "-" if offset.startswith("-") else "+"
         yield "Value", f"raw * {one.get('scale', '1')} {sign} {offset.lstrip('-')}{_unit(one)}"
-        if number_element(one.type) is not None:
+        element = numbers_element(one.type)
+        if element is not None and element[0] in "ui":
             yield "Resolution", f"{abs(one.scale):g}{_unit(one)}"
 
 
@@ -127,7 +128,7 @@ def _configuration(one: Transducer) -> Rows:
 
 
 def _physical(one: Transducer, raw: Any) -> str:
-    value = raw * one.scale + one.offset if one.has("scale") or one.has("offset") else raw
+    value = raw * one.scale + one.offset if one.is_scaled else raw
     return f"{value:g}{_unit(one)}" if isinstance(value, float) else f"{value}{_unit(one)}"
 
 

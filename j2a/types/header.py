@@ -73,7 +73,7 @@ class CDefinitions:
     """Enumerations and structures in C.
 
     Args:
-        taken: names that the header uses otherwise.
+        taken: names of macros that the header has defined.
 
     Attributes:
         names: of the header.
@@ -82,6 +82,7 @@ class CDefinitions:
     def __init__(self, *taken: str) -> None:
         self.names = CNames(*taken)
         self._types: dict[str, str] = {}
+        self._macros = {*taken}
 
     def lines(self, types: Iterable[Enumeration | Structure]) -> Iterator[str]:
         """Yield the lines that define them."""
@@ -92,7 +93,7 @@ class CDefinitions:
                 continue
             yield f"/* {definition.size} bytes in payloads, where there is no padding */"
             yield "typedef struct {"
-            members = CNames()
+            members = CNames(*self._macros)
             for field in definition.fields:
                 yield f"    {self.member(field, members.give(field.name))}"
             yield from (f"}} {name};", "")
@@ -108,6 +109,7 @@ class CDefinitions:
         # C has no enumerators that are longer than an int.
         yield f"typedef {_PLAIN[definition.integer]} {name};"
         yield from (f"#define {value} {c_integer(number)}" for value, number in values)
+        self._macros.update(value for value, _ in values)
         yield ""
 
     def member(self, field: Field, name: str) -> str:

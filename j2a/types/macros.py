@@ -18,6 +18,9 @@ _TOKEN: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"|[(),]|(?:[^\s(),"\\/]|/(?![/*])
 _DIRECTIVE: Final = re.compile(r"(?:\\\r?\n|[^\n])*")
 _DEFINE: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)\s+(\S+)")
 _BODY: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)(?=\s)")
+_ONCE: Final = re.compile(r"#\s*pragma\s+once\b")
+_GUARD: Final = re.compile(r"\s*#\s*define\s+([A-Za-z_]\w*)\s*(?://[^\n]*|/\*[^\n]*)?(?:\n|$)")
+_NO_GUARD: Final = "leave the include guard out: the compiler reads this file several times"
 _CONDITION: Final = re.compile(r"#\s*(if|ifdef|ifndef|else|endif)\b(.*?)(?://.*|/\*.*\*/\s*)?")
 _ELIF: Final = re.compile(r"\s*#\s*elif\b")
 _ASKED: Final = re.compile(r"\s*(!?)\s*(?:(defined)\s*\(?\s*)?([A-Za-z_]\w*|[01])\s*\)?\s*")
@@ -85,6 +88,13 @@ class MacroReader:
         self._numbers: dict[str, str] = {}
         self._outer: list[tuple[str, str, int, list[bool]]] = []
         self._includes = 0
+        self._defined_bodies: set[str] = set()
+        self._body_end = 0
+
+    @property
+    def is_in_body(self) -> bool:
+        """The macro that was read last stands in the body of another one."""
+        return self._start < self._body_end
 
     def error(self, what: str, node: Node | None = None) -> SignatureError:
         """Return an error that tells a place.
@@ -151,12 +161,19 @@ class MacroReader:
     def _directive(self) -> None:
         self._start = self._at
         if (body := _BODY.match(self._text, self._at)) and body[1] in self._bodies:
-            self._at = body.end()
+            if body[1] in self._defined_bodies:
+                raise self.error(f"{body[1]} is defined a second time, which a compiler refuses")
+            self._defined_bodies.add(body[1])
+            whole = _DIRECTIVE.match(self._text, self._at)
+            assert whole is not None
+            self._at, self._body_end = body.end(), whole.end()
             return
         match = _DIRECTIVE.match(self._text, self._at)
         assert match is not None
         line = match[0].rstrip()
         self._at = match.end()
+        if _ONCE.match(line):
+            raise self.error(_NO_GUARD)
         if match := _DEFINE.match(line):
             self._numbers[match[1]] = match[2]
         elif match := _CONDITION.fullmatch(line):
@@ -176,6 +193,7 @@ class MacroReader:
             raise self.error(f"cannot read {name}: {getattr(error, 'strerror', error)}") from None
         self._outer.append((self._file, self._text, self._at, self._has_else))
         self._file, self._text, self._at, self._has_else = file, text, 0, []
+        self._body_end = 0
 
     def _leave(self) -> None:
         if self._has_else:
@@ -205,6 +223,9 @@ class MacroReader:
         negated, defined, name = match.groups()
         known: dict[str, str | None] = {"0": "0", "1": "1", **self._options, **self._numbers}
         if name not in known:
+            guard = _GUARD.match(self._text, self._at)
+            if kind == "ifndef" and guard is not None and guard[1] == name:
+                raise self.error(_NO_GUARD)
             raise self.error(
                 f"give the value of {name} by -D {name}=1, or say by -U {name} that it has none"
             )
@@ -254,6 +275,10 @@ class MacroReader:
                 raise self.error('a ")" is missing')
             at = self._at - len(token)
             if token in (",", ")"):
+                if token == "," and not words:
+                    comma = Word(token)
+                    comma.at = at
+                    raise self.error("an argument is missing in front of this comma", comma)
                 if words:
                     node = self._joined(words)
                     node.text = self._plain(self._text[begin:at])

@@ -113,7 +113,7 @@ class _Names:
         """Return a name that no other one has."""
         name = self._make(one.name)
         if name in reserved:
-            name = f"x_{name}"
+            name = self._make(f"x_{name}")
         name = _free(name, self.taken)
         self._of[type(one).__name__, one.name] = name
         return name

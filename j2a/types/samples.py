@@ -9,7 +9,7 @@ here, before anything is sent (J2A-TRANS-025).
 import contextlib
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Integral, Real
 from typing import Any, Final
 
@@ -19,7 +19,15 @@ from j2a.errors import WrongArgument
 from j2a.events import Reading
 from j2a.types.coding import NUMBER_CODES, Codec, PayloadMismatchError, PythonTypes
 from j2a.types.model import Enumeration, Field
-from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Raw, Transducer, nearest, number_element
+from j2a.types.transducers import (
+    LOST_BYTES,
+    TIME_BYTES,
+    Raw,
+    Transducer,
+    nearest,
+    number_element,
+    numbers_element,
+)
 
 __all__ = ["SampleCodec", "pack_time"]
 
@@ -45,11 +53,12 @@ class SampleCodec:
         self._na_is_nan = self._na is not None and math.isnan(self._na)
         self._range = transducer.range
         self._scale, self._offset = transducer.scale, transducer.offset
-        self._is_scaled = transducer.has("scale") or transducer.has("offset")
+        numbers = numbers_element(transducer.type)
+        self._is_scaled = numbers is not None and transducer.is_scaled
+        self._is_array = transducer.type.count is not None
         element = number_element(transducer.type)
-        self._is_number = element not in (None, "bool")
         self._is_float = element in ("f32", "f64")
-        self._is_integer = element is not None and element[0] in "ui"
+        self._is_integer = numbers is not None and numbers[0] in "ui"
         self._whole = None
         if element is not None and not isinstance(transducer.type.element, Enumeration):
             self._whole = struct.Struct("<" + f"Q{_CODES[element]}" * transducer.channels)
@@ -115,7 +124,11 @@ class SampleCodec:
         """Return a raw value in the unit of the transducer, None for its N/A value."""
         if self.is_na(raw):
             return None
-        return raw * self._scale + self._offset if self._is_scaled and self._is_number else raw
+        if not self._is_scaled:
+            return raw
+        if self._is_array:
+            return [one * self._scale + self._offset for one in raw]
+        return raw * self._scale + self._offset
 
     def is_na(self, raw: Any) -> bool:
         """Whether a raw value says that there is none (J2A-TRANS-024)."""
@@ -156,10 +169,18 @@ class SampleCodec:
         """Return the raw value that is nearest to one in the unit.
 
         Raises:
-            WrongArgument: it is not a number where the descriptor has scale or offset.
+            WrongArgument: it is not a number where the descriptor has scale or offset, or none of
+                an array is expected.
         """
-        if not self._is_scaled or not self._is_number:
+        if not self._is_scaled:
             return value
+        if not self._is_array:
+            return self._raw_number(value)
+        if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+            raise WrongArgument(f"{self.transducer.name} takes an array, not {value!r:.60}")
+        return [self._raw_number(one) for one in value]
+
+    def _raw_number(self, value: Any) -> int | float:
         if not isinstance(value, Real):
             raise WrongArgument(f"{self.transducer.name} takes a number, not {value!r:.60}")
         if self._scale == 0:
@@ -208,7 +229,10 @@ class SampleCodec:
         Raises:
             WrongArgument: it is not of the type, or below 0.
         """
-        data = self.pack_raw(raw)
+        try:
+            data = self.pack_raw(raw)
+        except WrongArgument as error:
+            raise WrongArgument(f"the threshold is a raw value: {error}") from None
         if not raw >= 0:
             raise WrongArgument(f"the threshold is a raw value from 0 on, not {raw!r}")
         return data

@@ -16,7 +16,7 @@ from j2a.types.descriptors import parse_transducer
 from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
 from j2a.types.model import Enumeration, Field, Structure
 from j2a.types.parser import NAME, Scanner, read_definition
-from j2a.types.transducers import KEYS, NONE, Descriptors, Transducer
+from j2a.types.transducers import KEYS, NONE, Descriptors, Transducer, numbers_element
 
 __all__ = ["read_transds", "strange_keys", "transds_text"]
 
@@ -31,7 +31,12 @@ _C_TYPES: Final = {
     "float": "f32",
     "double": "f64",
 }
+_KIND_OF: Final = {
+    "watchdog": "actuator",
+    **dict.fromkeys(("period", "enabled", "queue", "decimation", "threshold", "trigger"), "sensor"),
+}
 _OCTAL: Final = re.compile(r"-?0[0-9]+")
+_STRING: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"')
 _C_NAMES: Final = {name: c_name for c_name, name in _C_TYPES.items()}
 
 
@@ -58,6 +63,8 @@ def read_transds(
     types: dict[str, Enumeration | Structure] = {}
     found: dict[str, Transducer] = {}
     ids: dict[int, str] = {}
+    prefixes: dict[str, str] = {}
+    in_body: list[Transducer] = []
     for macro, arguments in reader.entries():
         if make := DEFINITIONS.get(macro):
             try:
@@ -73,13 +80,25 @@ def read_transds(
             if transducer.id in ids:
                 what = f"{ids[transducer.id]} has the id {transducer.id}, too"
                 raise reader.error(what, arguments[1])
+            if transducer.is_sensor and transducer.prefix in prefixes:
+                what = (
+                    f"{prefixes[transducer.prefix]} has the prefix {transducer.prefix}, too; a "
+                    "driver has one callback, so only the last of them would get values"
+                )
+                raise reader.error(what, arguments[2])
+            if transducer.is_sensor:
+                prefixes[transducer.prefix] = transducer.name
             ids[transducer.id] = transducer.name
             found[transducer.name] = transducer
+            if reader.is_in_body:
+                in_body.append(transducer)
         else:
             near = get_close_matches(macro, [*_KINDS, *DEFINITIONS], n=1)
             hint = f"; {near[0]} is" if near else ""
             raise reader.error(f"{macro} is no entry of transds.def{hint}", macro)
-    return Descriptors(tuple(types.values()), tuple(found.values()))
+    # As the compiler reads them: the body of a macro where the file ends.
+    listed = [one for one in found.values() if one not in in_body] + in_body
+    return Descriptors(tuple(types.values()), tuple(listed))
 
 
 def _define(reader: MacroReader, line: str, types: dict[str, Enumeration | Structure]) -> None:
@@ -138,7 +157,11 @@ class _Entry:
             (key, str(na), na),
             *lines,
         ]
-        return self._parsed(head, lines)
+        transducer = self._parsed(head, lines)
+        nodes = {key: node for key, _, node in lines}
+        for key, wrong in _nonsense(transducer):
+            raise self._reader.error(wrong, nodes[key])
+        return transducer
 
     def _check_names(self, name: Node, prefix: Node, kind: Node) -> None:
         for word, what in ((name, "name"), (prefix, "prefix")):
@@ -229,6 +252,28 @@ class _Entry:
         return transducer
 
 
+def _nonsense(transducer: Transducer) -> Iterator[tuple[str, str]]:
+    """Yield a key and why its value, which is well formed, makes no sense here."""
+    kind, name = transducer.kind, transducer.name
+    for key, _ in transducer.attributes:
+        if _KIND_OF.get(key, kind) != kind:
+            yield key, f"{key} is for {_KIND_OF[key]}s, and {name} is none"
+        if key in ("scale", "offset") and numbers_element(transducer.type) is None:
+            yield key, f"{key} is for numbers and arrays of them, and {name} has {transducer.type}"
+    if transducer.scale == 0:
+        yield "scale", "with a scale of 0 all values are the same"
+    if (transducer.accuracy or 0) < 0:
+        yield "accuracy", "accuracy is the largest error, which is not below 0"
+    if transducer.range is not None and kind == "actuator":
+        low, high = transducer.range
+        safe = transducer.safe or 0
+        if not low <= safe <= high:
+            told = (
+                "none stands for 0, which" if transducer.safe is None else f"the safe value {safe}"
+            )
+            yield "safe", f"{told} is outside of the range, {transducer.get('range')}"
+
+
 def strange_keys(descriptors: Descriptors) -> Iterator[str]:
     """Yield a note for each key that has no meaning but is near one that has."""
     for transducer in descriptors.transducers:
@@ -298,11 +343,12 @@ def _entry(one: Transducer) -> str:
 def _argument(one: Transducer, key: str, value: str, can_have_commas: bool = False) -> str:
     """Return a value, unless a compiler would take it for something else."""
     depth = 0
-    for character in value:
+    bare = _STRING.sub("", value)
+    for character in bare:
         depth += (character == "(") - (character == ")")
         if depth < 0 or character in "\"'#\\" or (character == "," and not can_have_commas):
             depth = 1
             break
-    if depth or "//" in value or "/*" in value or value != " ".join(value.split()):
+    if depth or "//" in bare or "/*" in bare or bare != " ".join(bare.split()):
         raise LocalError(f"{one.name}: {key} {value!r} cannot stand in a transds.def")
     return value

@@ -39,7 +39,7 @@ def _transducer(one: Transducer, prefix: str, definitions: CDefinitions) -> Iter
     yield f"/* {c_comment(str(one)).replace(chr(10), chr(10) + '   ')} */"
     yield f"#define {give(f'{prefix}_ID')} {one.id}"
     yield f"#define {give(f'{prefix}_CHANNELS')} {one.channels}"
-    if one.has("scale") or one.has("offset"):
+    if one.is_scaled:
         yield f"#define {give(f'{prefix}_SCALE')} {one.scale!r}"
         yield f"#define {give(f'{prefix}_OFFSET')} {one.offset!r}"
     if one.na is not None:

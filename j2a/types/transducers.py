@@ -6,7 +6,7 @@ What flows in: the pieces, from the parser, or from a `transds.def`. What flows 
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from j2a_spec.constants import MAX_PAYLOAD, TRANSD_MAX_ID
@@ -25,6 +25,7 @@ __all__ = [
     "longest_sample",
     "nearest",
     "number_element",
+    "numbers_element",
     "problem",
 ]
 
@@ -131,6 +132,11 @@ class Transducer:
         return float(self.get("offset", "0"))
 
     @property
+    def is_scaled(self) -> bool:
+        """Its raw values are not those in the unit."""
+        return self.has("scale") or self.has("offset")
+
+    @property
     def accuracy(self) -> float | None:
         """The largest error of a value, in the unit; None where it is not known."""
         return float(self.get("accuracy")) if self.has("accuracy") else None
@@ -224,6 +230,16 @@ def number_element(kind: Type) -> str | None:
     if kind.count is not None or isinstance(element, Structure) or element not in SCALARS:
         return None
     return element
+
+
+def numbers_element(kind: Type) -> str | None:
+    """Return the scalar of a number or of an array of numbers, to which scale and offset apply.
+
+    Returns: None for structures and `bool`, which have neither.
+    """
+    element = number_element(replace(kind, count=None)) if kind.count is not None else None
+    element = element or number_element(kind)
+    return None if element == "bool" else element
 
 
 def longest_sample(transducer: Transducer) -> int:

@@ -139,7 +139,8 @@ def test_a_sensor_that_is_another_one_after_a_restart_is_left_out(tmp_path):
 
 def test_two_boards_of_one_name_are_told_apart(run, board, tmp_path):
     path = tmp_path / "a.mcap"
-    assert run("record", board, board, "-o", path, "--seconds", "1.5").code == 0
+    other = board.replace("127.0.0.1", "localhost")
+    assert run("record", board, other, "-o", path, "--seconds", "1.5").code == 0
     recording = Recording(path)
     assert {one.board for one in recording} == {"J2A virtual board", "J2A virtual board_2"}
     result = run("replay", path)
@@ -178,7 +179,8 @@ def test_there_and_back(board, run, start, tmp_path):
         (("record", "URL", "-o", "a.csv"), "ends in .mcap"),
         (("record", "URL", "-o", "there.mcap"), "is there already"),
         (("record", "URL", "-o", "none/a.mcap"), "cannot write"),
-        (("record", "DEMO", "-o", "a.mcap"), "has no sensors: the device describes none"),
+        (("record", "DEMO", "DEMO", "-o", "a.mcap"), "stands there twice"),
+        (("record", "DEMO", "-o", "a.mcap"), "has no sensors: the device describes no transducers"),
         (("record", "URL"), "-o"),
         (("record", "URL", "-o", "a.mcap", "--seconds", "0"), "not above 0"),
         (("replay", "gone.mcap"), "cannot read"),

@@ -167,7 +167,7 @@ def test_a_condition(run, transds):
 
 def test_a_board_without_transducers(run, demo):
     result = failed(run, 5, "transds", demo)
-    assert "the device describes none" in result.err
+    assert "the device describes no transducers" in result.err
 
 
 def test_the_texts_agree(transds):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from j2a_spec import constants as c
 
 import j2a
+from j2a import Batch
 from j2a.demo import DemoDevice
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard, wave
@@ -34,6 +35,8 @@ ACTUATOR(heat, 12, heat, X, 1, u16, none, (unit, Cel), (scale, 0.1), (offset, -5
 ACTUATOR(tiny, 13, tiny, X, 1, f32, none, (scale, 1e-300))
 ACTUATOR(part, 14, part, X, 1, f32, none, (range, -0.1, 0.1))
 SENSOR(cold, 15, cold, X, 1, f32, -999.9)
+SENSOR(field, 16, field, X, 2, array(i16, 3), none, (unit, uT), (scale, 0.5), (offset, -1))
+ACTUATOR(pose, 17, pose, X, 1, array(i16, 2), none, (unit, deg), (scale, 0.1))
 """
 
 
@@ -84,6 +87,43 @@ class TestSamples:
             device.sense("state", 0, "on")
             value = samples.wait(PATIENCE_S).values[0]
         assert (value, value.name) == (5, "on")
+
+    def test_arrays_are_in_their_unit(self, device, board):
+        """Scale and offset hold for each element, on both ways."""
+        field = board.transducers["field"]
+        with field.samples() as samples:
+            device.sense("field", 1, [10, -10, 0], raw=True)
+            sample = samples.wait(PATIENCE_S)
+        assert list(sample.readings[1].raw) == [10, -10, 0]
+        assert sample.values == (None, [4.0, -6.0, -1.0])
+        got = []
+        device.actuator("pose")(lambda _channel, value: got.append(value))
+        board.transducers["pose"].set([1.5, -2.0])
+        board.transducers["pose"].set([7, -8], raw=True)
+        assert [list(one) for one in got] == [pytest.approx([1.5, -2.0]), pytest.approx([0.7, -0.8])]
+        for wrong in (1.5, [1.5], [1, "a"], "ab", None):
+            with pytest.raises(j2a.WrongArgument, match="pose"):
+                board.transducers["pose"].set(wrong)
+        pytest.importorskip("numpy")
+        batch = Batch.of(field.descriptor, [sample])
+        assert batch.values.shape == (1, 2, 3)
+        assert batch.values[0, 1].tolist() == [4.0, -6.0, -1.0]
+        assert all(map(math.isnan, batch.values[0, 0]))
+        table = batch.to_pandas()
+        assert [table[f"value_{n}"][1] for n in range(3)] == [4.0, -6.0, -1.0]
+
+    def test_a_handler_that_fails_each_time_does_not_fill_the_log(self, device, board, caplog):
+        @board.transducers["log"].on_sample
+        def fail(_sample):
+            raise KeyError("wrong")
+
+        with board.transducers["log"].samples() as samples:
+            for value in range(100):
+                device.sense("log", 0, value)
+                samples.wait(PATIENCE_S)
+        lines = [line for line in caplog.messages if "a handler of" in line]
+        assert 5 <= len(lines) <= 7
+        assert lines[-1].endswith("times so far)")
 
     def test_latest_handlers_and_iteration(self, device, board):
         quad, seen, ended = board.transducers["quad"], [], threading.Event()
@@ -246,7 +286,7 @@ class TestSamples:
         pytest.importorskip("numpy")  # the runs on other interpreters are without
         quad = board.transducers["quad"]
         device.sense("quad", 1, 12)
-        with pytest.raises(j2a.CallTimeout):
+        with pytest.raises(j2a.CallTimeout, match="of 100 samples of quad came in time"):
             quad.read_batch(100, timeout=0.2)
         sender = threading.Timer(0.05, lambda: device.sense("quad", 0, 17))
         sender.start()
@@ -348,8 +388,12 @@ class TestSettings:
             board.transducers[name].configure(**settings)
         assert board.counters.frames_sent == before
 
+    def test_a_name_that_is_no_setting(self, board):
+        with pytest.raises(AttributeError, match="quad has no setting peroid; there are: enabled"):
+            board.transducers["quad"].peroid = 1
+
     def test_what_the_device_refuses(self, board):
-        with pytest.raises(j2a.FunctionFailed, match="cannot be read or written there") as caught:
+        with pytest.raises(j2a.FunctionFailed, match="keeps no settings without power") as caught:
             board.transducers["quad"].save()
         assert caught.value.code == c.TRANSD_NO_ITEM
 
@@ -525,7 +569,7 @@ class TestDescriptors:
             assert "does not announce transducers" in board.transducers_problem
         with linked(DemoDevice()) as board:
             assert not board.transducers
-            assert board.transducers.why == "the device describes none"
+            assert board.transducers.why == "the device describes no transducers"
 
     def test_objects_tell_what_they_are(self, board):
         quad = board.transducers["quad"]
@@ -615,6 +659,13 @@ class TestAsyncio:
                 assert await quad.setting("period") == 0.5
                 with pytest.raises(j2a.WrongArgument, match="no setting"):
                     await quad.setting("color")
+                with pytest.raises(AttributeError, match=r"await .*configure.*period"):
+                    quad.period = 0.25
+                with pytest.raises(AttributeError, match=r"await .*setting.*period"):
+                    _ = quad.period
+                with pytest.raises(AttributeError, match="no attribute color"):
+                    _ = quad.color
+                assert await quad.setting("period") == 0.5
                 assert [one.value for one in await quad.read()] == [12.0, None]
                 await servo.set(3, channel=1, at_us=await servo.time_us())
                 assert (await servo.read())[1].value == 3
@@ -644,7 +695,7 @@ class TestAsyncio:
                 assert (await batch).values[0, 1] == 12.0
                 with pytest.raises(j2a.WrongArgument, match="1 sample or more"):
                     await quad.read_batch(0)
-                with pytest.raises(j2a.CallTimeout):
+                with pytest.raises(j2a.CallTimeout, match="0 of 9 samples of quad came in time"):
                     await quad.read_batch(9, timeout=0.05)
 
 
@@ -705,7 +756,7 @@ class TestSaving:
         assert "cannot be kept" in caplog.text
 
     def test_without_a_file_it_is_refused(self, board):
-        with pytest.raises(j2a.FunctionFailed, match="cannot be read or written"):
+        with pytest.raises(j2a.FunctionFailed, match="keeps no settings without power"):
             board.transducers["quad"].save()
         with pytest.raises(j2a.LocalError, match="transducers"):
             j2a.Device(settings="x")

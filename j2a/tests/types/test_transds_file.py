@@ -167,7 +167,23 @@ WRONG = [
     ("#if 1\n" + GOOD, 2, 1, "#endif is missing"),
     (GOOD + "#endif\n", 2, 1, "there is no #if for this"),
     ('#include "gone.def"\n', 1, 1, "cannot read gone.def"),
-    ("#pragma once\n", 1, 1, "only a build can decide this"),
+    ("#pragma once\n", 1, 1, "leave the include guard out"),
+    ("#ifndef A_DEF\n#define A_DEF\n" + GOOD + "#endif\n", 1, 1, "leave the include guard out"),
+    ("#pragma pack\n", 1, 1, "only a build can decide this"),
+    ("SENSOR(a, 1, a, X, 1, , none)", 1, 23, "an argument is missing in front of this comma"),
+    ("SENSOR(, 1, a, X, 1, u8, none)", 1, 8, "an argument is missing in front of this comma"),
+    (GOOD + "SENSOR(b, 2, a, X, 1, u8, none)", 2, 14, "a has the prefix a, too; a driver has one"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (scale, 0))", 1, 41, "a scale of 0"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (accuracy, -2))", 1, 44, "not below 0"),
+    ("SENSOR(a, 1, a, X, 1, bool, none, (scale, 2))", 1, 43, "scale is for numbers and arrays"),
+    ("J2A_STRUCT(s, (u8, b))\nSENSOR(a, 1, a, X, 1, s, none, (offset, 2))", 2, 41, "offset is for"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (watchdog, 5))", 1, 44, "watchdog is for actuators"),
+    ("ACTUATOR(a, 1, a, X, 1, u8, none, (queue, 5))", 1, 43, "queue is for sensors"),
+    ("ACTUATOR(a, 1, a, X, 1, u8, none, (trigger))", 1, 36, "trigger is for sensors"),
+    ("ACTUATOR(a, 1, a, X, 1, i8, 120, (range, -9, 9))", 1, 29, "the safe value 120 is outside"),
+    ("ACTUATOR(a, 1, a, X, 1, i8, -10, (range, -9, 9))", 1, 29, "the safe value -10 is outside"),
+    ("ACTUATOR(a, 1, a, X, 1, u8, none, (range, 1, 9))", 1, 29, "none stands for 0, which is out"),
+    ("#define SENSORS\n#define SENSORS\n", 2, 1, "SENSORS is defined a second time"),
     ("SENSOR(a, 1,\n#if 1\na, X, 1, u8, none)\n#endif\n", 1, 1, "no line with #"),
     (GOOD + '"\n', 2, 1, 'a second " is missing'),
     ('SENSOR(a, 1, a, X, 1, u8, none, "text)\n', 1, 33, 'a second " is missing'),
@@ -187,6 +203,24 @@ WRONG = [
     ("SENSOR(a, 1, a, X, 1, f32, none, (scale, 1e999))", 1, 42, "scale is a decimal number"),
     ("#define SENSORS \\\nSENSOR(a, 1, a, X, 1, u8, none) \\", 2, 33, 'a "(" is expected'),
 ]  # fmt: skip
+
+
+class TestOrder:
+    def test_a_body_comes_where_the_compiler_reads_it(self):
+        text = (
+            "#define SENSORS SENSOR(a, 1, a, X, 1, u8, none) \\\n SENSOR(b, 2, b, X, 1, u8, none)\n"
+            "SENSOR(c, 3, c, X, 1, u8, none)\n"
+        )
+        assert [one.name for one in read_transds(text).transducers] == ["c", "a", "b"]
+
+    def test_a_safe_value_may_be_at_the_ends_of_the_range(self):
+        for safe in (-9, 9):
+            read_transds(f"ACTUATOR(a, 1, a, X, 1, i8, {safe}, (range, -9, 9))")
+
+    def test_a_string_as_a_value_is_written_as_it_was(self):
+        text = 'SENSOR_EX(a, 1, a, X, 1, u8, none, (note, "a, \\"b\\"  (c"))\n'
+        written = transds_text(read_transds(text), "a board")
+        assert read_transds(written) == read_transds(text)
 
 
 class TestMistakes:
