@@ -92,8 +92,8 @@ def long_frames(peer: Peer) -> list[Request]:
 
 
 class LongFrames(Case):
-    """Pauses for 8.5 ms at many places in long requests, and twice for 5.5 ms in requests of many
-    lengths, of which some begin in one piece with the one before.
+    """Pauses for 8.5 ms at many places in long requests, and twice for 5.5 ms in requests of each
+    length, of which some begin in one piece with the one before.
     """
 
     ID = "timing.pause-in-long-frame"
@@ -109,7 +109,7 @@ class LongFrames(Case):
             ends = {len(wire) - 2, len(wire) - 1}
             for cut in sorted({*spread(len(wire) - 1, 97, 1)[n % 3 :: 5], *ends}):
                 accepts(peer, [wire[:cut], wire[cut:]], 0.0085, request.expected)
-        for length in spread(peer.longest, step=9):
+        for length in range(peer.longest + 1):
             request = peer.echo(payload_of(length, length))
             wire = request.wire
             # Never before the length has come, which a device may judge by.

@@ -510,6 +510,7 @@ _WRONG_TOPICS: Final = (
     b"\xff\x80\x80\x80",
     "\u00e4".encode() + b"\x84",
     b"\xe2\x28\xa1",
+    *(b"a" * (length - 1) + b"\xff" for length in range(2, 33)),
 )  # fmt: skip
 _RIGHT_TOPICS: Final = (
     b"a", b"left/wheel", bytes(range(0x20, 0x40)), bytes(range(0x5F, 0x7F)), b"~" * 32,
@@ -974,11 +975,12 @@ class Threshold(_Taken):
         definitions = board.descriptors.definitions
         na_number = None if na == "none" else oracle.raw(one, na, definitions)
         most = 1 << 8 * board.size(one)
-        low = 0 if is_float or one.type.element[0] == "u" else -(most // 2)
+        low = 0 if one.type.element[0] == "u" else -(1 << 20) if is_float else -(most // 2)
         high = 1 << 20 if is_float else low + most - 1
-        limits: tuple[Any, ...] = (
-            (0.5, 3.0, 100.0) if is_float else (1, 2, min(100, high), high // 2 + 1, high)
-        )
+        top = high if high != na_number else high - 1
+        limits: tuple[Any, ...] = (0.5, 3.0, 100.0, 262144.0)
+        if not is_float:
+            limits = (1, 2, min(100, high), high // 2 + 1, *sorted({top, high}))
         start = (low + high) // 2
         for limit in limits:
             board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
@@ -994,11 +996,8 @@ class Threshold(_Taken):
                 is_due = abs(number - last) >= limit
                 self._give(board, one, channel, board.packed(one, number), is_due)
                 last = number if is_due else last
-            top = high if high != na_number else high - 1
-            for origin, way in (
-                (low, 1),
-                (top, -1),
-            ):  # from an end to where it is just far, and near
+            # From the ends and the middle to where it is just far, and near.
+            for origin, way in ((low, 1), (top, -1), (start, 1), (start, -1)):
                 for distance in (limit, limit - step):
                     number = origin + way * distance
                     if na_number not in (origin, number) and low <= number <= top:
