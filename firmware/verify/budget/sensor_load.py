@@ -200,14 +200,16 @@ class Board:
                     self.pins.drive(wires[wire], now[wire], start + step * distance)
         return start + steps * distance
 
-    def exercise(self, distance: int = 617, period_ms: int = 3, steps: int = 4000) -> None:
+    def exercise(self, distance: int = 0, period_ms: int = 3, steps: int = 4000) -> None:
         """All interrupts at once, all functions, the longest frames: what makes the stack deepest.
 
         Args:
-            distance: cycles between the steps of both encoders.
+            distance: cycles between the steps of both encoders; 0: as few as there may be beside
+                requests that are longer than a ring of 64 bytes, or fit into one of 128.
             period_ms: of the SIFs.
             steps: of each encoder, a multiple of 4; it lasts so long.
         """
+        distance = distance or (617 if self.chip.analog else 1601)
         self.set(SERVO, 100, -100)
         self.send_each(period_ms, *self.chip.sensors)
         self.set(QUAD_AT, 0, 0)
@@ -284,6 +286,5 @@ def load(sim: AvrSim) -> None:
     board = Board(sim)
     for channel in board.chip.analog[:2]:
         sim.adc.set_volts(channel, 0.5)
-    distance = 617 if sim.baud <= 500_000 else 1601  # as much as it can do
-    board.exercise(distance, 3 if sim.baud <= 500_000 else 10)
+    board.exercise()
     board.storm()
