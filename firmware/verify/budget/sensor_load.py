@@ -99,12 +99,22 @@ class Board:
             for pin in self.chip.encoders:
                 self.pins.drive(pin, level)
         self.pins.watch(*self.chip.servos, self.chip.lamp)
+        self.sifs: list[Frame] = []
+        self._start()
+        self.names = self.call(0).payload[:-1].decode().split("\0")
+
+    def reset(self) -> None:
+        """Reset the chip; what was on the wire is gone."""
+        self.sim.reset()
+        self._start()
+
+    def _start(self) -> None:
         self.sim.boot()
         self.sim.run(5000)
+        self.sim.uart_read()
         self.seq = 0
-        self.sifs: list[Frame] = []
+        self.sifs.clear()
         self._received = b""
-        self.names = self.call(0).payload[:-1].decode().split("\0")
 
     def call(self, function: int | str, payload: bytes = b"", limit_s: float = 0.5) -> Frame:
         """One call; the SIFs that come meanwhile go to `sifs`."""
