@@ -23,6 +23,7 @@
 #ifdef __AVR__
 #define J2A_KEEP_POINTER(pointer) __asm__("" : "+b"(pointer))
 #define J2A_NOINLINE __attribute__((noinline))
+#define J2A_ALWAYS_INLINE static inline __attribute__((always_inline))
 #include <avr/pgmspace.h>
 #define J2A_FLASH PROGMEM
 #define j2a_flash_u8(address) pgm_read_byte(address)
@@ -32,6 +33,7 @@
 #else
 #define J2A_KEEP_POINTER(pointer) ((void)0)
 #define J2A_NOINLINE
+#define J2A_ALWAYS_INLINE J2A_INLINE
 #define J2A_FLASH
 #define j2a_flash_u8(address) (*(const uint8_t *)(address))
 #define j2a_flash_pointer(address) (*(address))

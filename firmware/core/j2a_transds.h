@@ -11,13 +11,14 @@ enum { J2A_TIME_BYTES = 8, J2A_LOST_BYTES = 2 };
 /* Raw values that a transds.def gives. */
 enum { J2A_RAW_NA, J2A_RAW_THRESHOLD, J2A_RAW_LOW, J2A_RAW_HIGH };
 
-/* What is kept of each sensor, in RAM. The driver's context writes what is volatile but `tail`. */
+/* What is kept of each sensor, in RAM. The driver's context writes what is volatile but `tail`. What j2a_keep() writes
+ * comes first, because an AVR reaches what is farther from the start only by more cycles. */
 typedef struct {
+    volatile uint8_t head; /* entries that were put into the queue; without one odd while a value is written */
+    volatile bool is_fresh; /* without a queue: a value was taken since the last sample SIF */
     uint64_t sent_us;      /* when the last sample SIF began, 0 before the first one */
     uint32_t period_us;
-    volatile uint8_t head; /* entries that were put into the queue; without one odd while a value is written */
     volatile uint8_t tail; /* entries that were taken out of it */
-    volatile bool is_fresh; /* without a queue: a value was taken since the last sample SIF */
     volatile bool is_enabled;
     uint8_t put_at;
     uint8_t take_at;
@@ -74,7 +75,7 @@ void j2a_stamp(volatile uint8_t *to);
 
 /* Puts a value into the slot of its channel. A sensor with nothing but newest values has this in its callback, because an
  * encoder's interrupt has no time to look up what sensor it is. */
-J2A_INLINE void j2a_keep(j2a_sensor *sensor, volatile uint8_t *slot, const uint8_t *value, uint8_t size) {
+J2A_ALWAYS_INLINE void j2a_keep(j2a_sensor *sensor, volatile uint8_t *slot, const uint8_t *value, uint8_t size) {
     uint8_t i;
     sensor->head++;
     j2a_stamp(slot);

@@ -166,7 +166,7 @@ enum {
 #undef J2A_TRIGGER_DRIVER
 #define J2A_TRIGGER_DRIVER(prefix) prefix##_trigger();
 #define J2A_KEPT_SENSOR(name, prefix, channels, type, ...) \
-    static j2a_sensor j2a_sensor_of_##name = {0, 0 J2A_SAY(period, __VA_ARGS__), 0, 0, false, \
+    static j2a_sensor j2a_sensor_of_##name = {0, false, 0, 0 J2A_SAY(period, __VA_ARGS__), 0, \
         !(0 J2A_SAY(disabled, __VA_ARGS__)), 0, 0, 0, 0}; \
     static uint8_t j2a_decimation_of_##name[1 + (channels)] = {0 J2A_SAY(decimation, __VA_ARGS__)}; \
     static uint8_t j2a_threshold_of_##name[1 + 2 * j2a_bytes_of_##name]; \

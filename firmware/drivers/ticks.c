@@ -1,14 +1,6 @@
 /* See ticks.h. */
 #include "ticks.h"
 
-uint16_t ticks_age(uint64_t now_us, uint16_t tick) {
-    return (uint16_t)((uint16_t)((uint32_t)now_us / TICK_US) - tick);
-}
-
-uint64_t ticks_time_us(uint64_t now_us, uint16_t tick) {
-    return now_us - (uint32_t)ticks_age(now_us, tick) * TICK_US;
-}
-
 uint16_t ticks_of_servo(int8_t deflection) {
     const int8_t limited = deflection > SERVO_FULL ? SERVO_FULL
         : deflection < -SERVO_FULL ? -SERVO_FULL : deflection;

@@ -1,7 +1,5 @@
-/* Arithmetic with the ticks of timer 1, which avr-serial lets run freely at F_CPU / 64 and which wraps at
- * 65536: 4 us a tick and 262 ms around at 16 MHz.
- * In: ticks that an interrupt noted, a servo's deflection. Out: microseconds of the device's clock, ticks.
- * Rule: a noted tick is turned into microseconds before the timer has gone around. */
+/* Arithmetic with the ticks of timer 1, which avr-serial lets run freely at F_CPU / 64: 4 us a tick at 16 MHz.
+ * In: a servo's deflection. Out: ticks. */
 #ifndef TICKS_H
 #define TICKS_H
 
@@ -24,12 +22,6 @@
 #endif
 #define SERVO_PERIOD_US 20000
 enum { SERVO_FULL = 100 };
-
-/* When it was `tick`, on the clock that now says `now_us`. The clock counts the same ticks, so this is exact. */
-uint64_t ticks_time_us(uint64_t now_us, uint16_t tick);
-
-/* How old a tick is now, in ticks. */
-uint16_t ticks_age(uint64_t now_us, uint16_t tick);
 
 /* The ticks of a servo's pulse for -SERVO_FULL..SERVO_FULL; what is beyond counts as full. Off by half a
  * tick at most. */

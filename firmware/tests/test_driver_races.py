@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from j2a_sim import AvrSim, pulses
 
-from firmware.verify.budget.sensor_load import CHIPS, Board
+from firmware.verify.budget.sensor_load import CHIPS, QUAD, QUAD_AT, Board, values
 
 HERE = Path(__file__).parent
 DRIVERS = HERE.parent / "drivers"
-AROUND = 60  # cycles before and after, which is more than either function takes
+AROUND = 150  # cycles before and after, which is more than either function takes
 
 pytestmark = pytest.mark.avr
 
@@ -38,39 +38,45 @@ def app(build):
     board.sim.close()
 
 
-def take_and_step(board, cycle, is_fresh):
-    """Ask for a count of 255 while a step makes it 256, from a reset on, so each cycle is the same.
+def sample_and_step(board, cycle, is_sent):
+    """Take a count of 255 while a step makes it 256, from a reset on, so each cycle is the same.
 
-    Returns the samples, time and count, of the call before the step's effect, of the call that
-    comes with the step at `cycle`, and of the call after it.
+    A read of SAMPLE takes it, or a sample SIF. Returns the samples, time and count: the one of
+    before, that which was taken when the step came at `cycle`, and the newest one behind it.
     """
     a, b = board.chip.encoders[:2]
     board.pins.drive(a, 0)
     board.pins.drive(b, 0)
-    board.sim.reset()
-    board.sim.boot()
-    board.sim.run(5000)
-    board.seq = 0
-    board.ask("setEncoder", "", struct.pack("<Bh", 0, 255))
-    old = None if is_fresh else board.ask("getEncoder", "QhH", b"\0")[:2]
+    board.reset()
+    board.quiet()
+    if is_sent:
+        board.send_each(0, QUAD)
+    board.set(QUAD_AT, 255)
+    old = None if is_sent else board.sample(QUAD)[0]
     board.pins.drive(a, 1, board.sim.cycle + cycle)
-    during = board.ask("getEncoder", "QhH", b"\0")[:2]
-    board.pause(0.0005)
-    return old, during, board.ask("getEncoder", "QhH", b"\0")[:2]
+    if not is_sent:
+        during = board.sample(QUAD)[0]
+        board.pause(0.0005)
+        return old, during, board.sample(QUAD)[0]
+    board.pause(0.003)
+    sent = [values(QUAD, sif.payload)[0] for sif in board.sifs]
+    assert len(sent) <= 2  # none comes twice
+    return old, sent[0], sent[-1]
 
 
-@pytest.mark.parametrize("is_fresh", [True, False])
-def test_a_step_while_its_sample_is_taken(app, is_fresh):
+@pytest.mark.parametrize("is_sent", [True, False])
+def test_a_step_while_its_sample_is_taken(app, is_sent):
     """A sample is the old or the new one, time and count; and the new one comes at last."""
     assert app.chip is CHIPS["atmega328p"]
-    middle = first(0, 6000, lambda cycle: take_and_step(app, cycle, is_fresh)[1][1] == 255)
+    last = 9000
+    middle = first(0, last, lambda cycle: sample_and_step(app, cycle, is_sent)[1][1] == 255)
     assert middle > AROUND
-    early, late = (take_and_step(app, cycle, is_fresh) for cycle in (0, 6000))
+    early, late = (sample_and_step(app, cycle, is_sent) for cycle in (0, last))
     olds = {late[1]}
     assert late[1][1] == 255
     seen = set()
     for cycle in range(middle - AROUND, middle + AROUND):
-        old, during, after = take_and_step(app, cycle, is_fresh)
+        old, during, after = sample_and_step(app, cycle, is_sent)
         assert old in {None, *olds}
         assert after[1] == 256
         # The step comes later than in `early` by so many cycles; a tick is 4 us.

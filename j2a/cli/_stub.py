@@ -25,7 +25,7 @@ NOTES: Final = """\
 examples:
   j2a stub serial:///dev/ttyACM0 -o board.py
   j2a stub firmware/functions.def -o board.h
-  j2a stub firmware/apps/sensors/functions.def -D SENSORS_ADC=1 -D J2A_WITH_TRANSDUCERS=0
+  j2a stub firmware/functions.def -D HAS_ADC=1 -o board.py
 
 board.py has a class with a method for each function. It refuses boards with another interface.
 A functions.def is read as for a build with all parts, and with transducers where a transds.def

@@ -6,7 +6,6 @@ OWN_MAIN := 1
 # ATmega16U2 and 32U2 have no ADC, and little RAM.
 SENSORS_ADC := $(if $(filter %u2,$(MCU)),0,1)
 RXBUF ?= $(if $(filter %u2,$(MCU)),64,128)
-# It samples by itself (see transducers.h).
-APP_OPTIONS := -DJ2A_WITH_TRANSDUCERS=0 -Idrivers -Idrivers/avr -DSENSORS_ADC=$(SENSORS_ADC) -DQUAD_CALLBACK=on_quad
+APP_OPTIONS := -Idrivers -Idrivers/avr -DSENSORS_ADC=$(SENSORS_ADC)
 PORT_SOURCES += $(addprefix drivers/,quadrature.c sharp.c ticks.c) \
-	$(addprefix drivers/avr/,adc.c quad.c servo.c timer.c)
+	$(addprefix drivers/avr/,adc.c quad.c servo.c sharp_sensor.c)

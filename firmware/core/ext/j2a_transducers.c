@@ -284,15 +284,16 @@ static uint8_t move_queued(const j2a_transducer *t, uint8_t *payload) {
 /* Sends a sample SIF of a sensor, if it is due; returns whether it was. */
 static bool report(const j2a_transducer *t, uint8_t *payload) {
     j2a_sensor *const sensor = t->sensor;
-    const uint64_t time_us = local_us();
+    uint64_t time_us;
     uint8_t length;
+    if (t->depth == 0 ? !sensor->is_fresh : sensor->head == sensor->tail)
+        return false; /* the usual case, before the time, which small chips calculate slowly */
+    time_us = local_us();
     if (!sensor->is_enabled || (sensor->sent_us != 0 && time_us - sensor->sent_us < sensor->period_us))
         return false;
     if (t->depth != 0) {
         length = move_queued(t, payload);
     } else {
-        if (!sensor->is_fresh)
-            return false;
         sensor->is_fresh = false;
         length = copy_sample(t, payload);
         if (length == 0)
@@ -416,15 +417,24 @@ static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8
 
 void j2a_turn(uint8_t *payload) {
     const uint32_t now_ms = (uint32_t)(j2a_port_time_us() / 1000);
+    bool has_sent = false;
     j2a_transducer t;
+    uint8_t index;
     uint8_t left;
 
     if (j2a_is_heard) {
         j2a_is_heard = false;
         heard_ms = now_ms;
     }
-    for (left = 0; left < j2a_transducer_count; left++) {
-        load(&t, left);
+#if J2A_WITH_SAVE
+    j2a_save_turn();
+#endif
+    /* Once around, from the transducer whose turn it is. */
+    index = next;
+    for (left = j2a_transducer_count; left != 0; left--) {
+        if (index >= j2a_transducer_count)
+            index = 0;
+        load(&t, index++);
         if (t.trigger && t.trigger->waits && is_due(t.trigger->due_us)) {
             t.trigger->waits = false;
             t.start();
@@ -433,16 +443,10 @@ void j2a_turn(uint8_t *payload) {
             watch(&t, now_ms);
         if (t.waiting)
             set_due(&t);
-    }
-#if J2A_WITH_SAVE
-    j2a_save_turn();
-#endif
-    for (left = j2a_transducer_count; left != 0; left--) {
-        if (next >= j2a_transducer_count)
-            next = 0;
-        load(&t, next++);
-        if (t.sensor && report(&t, payload))
-            return;
+        if (!has_sent && t.sensor && report(&t, payload)) {
+            has_sent = true;
+            next = index;
+        }
     }
 }
 

@@ -6,10 +6,12 @@
 #include <stddef.h>
 #include <util/atomic.h>
 
+#include "j2a_port.h"
 #include "pins.h"
 
 #ifdef ADC_INPUTS
 static const uint8_t PROGMEM inputs[ADC_COUNT] = ADC_INPUTS;
+static uint16_t values[ADC_COUNT];
 static volatile bool busy;
 static uint8_t channel; /* that is being converted */
 static void (*callback)(uint8_t channel, uint16_t value);
@@ -27,6 +29,7 @@ static inline void convert(uint8_t which) {
 ISR(ADC_vect, ISR_NOBLOCK) {
     const uint8_t done = channel;
     const uint16_t value = ADC;
+    values[done] = value;
     if (callback)
         callback(done, value);
     cli();
@@ -53,6 +56,14 @@ void adc_set_cb(void (*new_value)(uint8_t channel, uint16_t value)) {
     }
 }
 
+void adc_task(void) {
+    static uint16_t since;
+    if ((uint16_t)(j2a_port_ticks() - since) >= ADC_PERIOD_MS * J2A_TICKS_PER_MS) {
+        since = j2a_port_ticks();
+        adc_start();
+    }
+}
+
 void adc_start(void) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         if (!busy) {
@@ -64,6 +75,14 @@ void adc_start(void) {
 
 bool adc_busy(void) {
     return busy;
+}
+
+uint16_t adc_get(uint8_t channel) {
+    uint16_t value;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        value = values[channel];
+    }
+    return value;
 }
 #else
 typedef int adc_is_missing; /* C has no empty files */

@@ -1,26 +1,32 @@
 /* Four analog inputs. In: their voltages. Out: a call for each conversion with its counts, 0..1023 for 0 V to
- * AVCC.
+ * AVCC, and the newest counts.
  * Rules: adc_start() begins a scan, one conversion for each input in turn; the conversions' interrupts do the
  * rest, 104 us each at 16 MHz (13 periods of the ADC's clock, which is F_CPU / 128). The callback runs in
  * the interrupt, with other interrupts on, and the next conversion waits for it. A value is as it
- * was 12 us after its conversion began. */
+ * was 12 us after its conversion began. Several may begin scans: a scan has values for all. */
 #ifndef ADC_H
 #define ADC_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-enum { ADC_COUNT = 4 };
+enum { ADC_COUNT = 4, ADC_PERIOD_MS = 5 };
 
 void adc_init(void);
 
 /* The callback for new values, NULL for none. Called by the interrupt. */
 void adc_set_cb(void (*new_value)(uint8_t channel, uint16_t value));
 
+/* Begins a scan each ADC_PERIOD_MS. Called in each turn of the main loop. */
+void adc_task(void);
+
 /* Begins a scan, unless one is running. May be called by an interrupt. */
 void adc_start(void);
 
 /* Is a scan running? */
 bool adc_busy(void);
+
+/* The counts of the last conversion of an input, 0 before the first one. */
+uint16_t adc_get(uint8_t channel);
 
 #endif

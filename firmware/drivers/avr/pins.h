@@ -20,7 +20,7 @@
 #define SERVO_BIT_A 1
 #define SERVO_BIT_B 2
 #define LAMP_DDR DDRB
-#define LAMP_PIN PINB
+#define LAMP_OUT PORTB
 #define LAMP_BIT 5
 #define ADC_INPUTS {0, 1, 2, 3}
 #define TWI_PORT PORTC
@@ -39,7 +39,7 @@
 #define SERVO_BIT_A 5
 #define SERVO_BIT_B 6
 #define LAMP_DDR DDRC
-#define LAMP_PIN PINC
+#define LAMP_OUT PORTC
 #define LAMP_BIT 7
 #define ADC_INPUTS {7, 6, 5, 4}
 #define TWI_PORT PORTD
@@ -57,7 +57,7 @@
 #define SERVO_BIT_A 6
 #define SERVO_BIT_B 5
 #define LAMP_DDR DDRD
-#define LAMP_PIN PIND
+#define LAMP_OUT PORTD
 #define LAMP_BIT 5
 #else
 #error "drivers/avr/pins.h does not know this chip: add its pins there"

@@ -10,19 +10,22 @@
 #include "quadrature.h"
 
 static int16_t values[QUAD_COUNT];
-static uint16_t errors[QUAD_COUNT];
+static uint16_t misses[QUAD_COUNT];
 static uint8_t levels; /* of the last interrupt: two bits for each encoder */
-
-#ifndef QUAD_CALLBACK
 static void (*callback)(uint8_t channel, int16_t value);
+static void (*misses_callback)(uint8_t channel, uint16_t value);
 
 void quad_set_cb(void (*new_value)(uint8_t channel, int16_t value)) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         callback = new_value;
     }
 }
-#define QUAD_CALLBACK(channel, value) do { if (callback) callback(channel, value); } while (0)
-#endif
+
+void quad_misses_set_cb(void (*new_value)(uint8_t channel, uint16_t value)) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        misses_callback = new_value;
+    }
+}
 
 static inline uint8_t read_levels(void) {
     return (uint8_t)(QUAD_IN >> QUAD_SHIFT) & 0x0f;
@@ -32,13 +35,17 @@ static inline uint8_t read_levels(void) {
 static inline __attribute__((always_inline)) void step(uint8_t channel, uint8_t before, uint8_t now) {
     const int8_t steps = quadrature_step(before, now);
     if (steps == QUADRATURE_ILLEGAL) {
-        const uint16_t count = errors[channel] + 1;
-        if (count)
-            errors[channel] = count;
+        const uint16_t count = misses[channel] + 1;
+        if (count) {
+            misses[channel] = count;
+            if (misses_callback)
+                misses_callback(channel, count);
+        }
     } else {
         const int16_t value = values[channel] + steps;
         values[channel] = value;
-        QUAD_CALLBACK(channel, value);
+        if (callback)
+            callback(channel, value);
     }
 }
 
@@ -76,13 +83,7 @@ int16_t quad_get(uint8_t channel) {
 void quad_set(uint8_t channel, int16_t value) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         values[channel] = value;
+        if (callback)
+            callback(channel, value);
     }
-}
-
-uint16_t quad_errors(uint8_t channel) {
-    uint16_t count;
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        count = errors[channel];
-    }
-    return count;
 }

@@ -1,8 +1,8 @@
-/* Two quadrature encoders on pins that interrupt. In: their signals. Out: a count for each, and a call for
- * each new count.
- * Rules: the count wraps at 16 bits. The callback runs in the interrupt and must be short. Edges that come
- * faster than the interrupt takes are lost; where both channels have changed in between, it is seen and
- * counted as an error, and the count stays as it was. */
+/* Two quadrature encoders on pins that interrupt. In: their signals. Out: a count for each, and of the transitions that
+ * were illegal, with a call for each new count.
+ * Rules: the count wraps at 16 bits. The callbacks run in the interrupt, or with interrupts off, and must be short. Edges
+ * that come faster than the interrupt takes are lost; where both channels have changed in between, that is an illegal
+ * transition, and the count stays as it was. */
 #ifndef QUAD_H
 #define QUAD_H
 
@@ -18,21 +18,15 @@ enum { QUAD_COUNT = 2 };
  * Where they stand then is count 0. */
 void quad_init(void);
 
-/* The callback for new counts. Called by the interrupt.
- * Either a function that is set, NULL for none, as in the thesis (listing 9.1); or, with
- * -DQUAD_CALLBACK=function, that function, which link-time optimisation makes part of the interrupt: 140 cycles
- * instead of 189 for a step, 195 instead of 281 when both encoders step at once. */
-#ifdef QUAD_CALLBACK
-void QUAD_CALLBACK(uint8_t channel, int16_t value);
-#else
+/* The callback for new counts, NULL for none (thesis, listing 9.1). */
 void quad_set_cb(void (*new_value)(uint8_t channel, int16_t value));
-#endif
+
+/* The callback for the illegal transitions since the start, NULL for none. They stay at 65535. */
+void quad_misses_set_cb(void (*new_value)(uint8_t channel, uint16_t value));
 
 int16_t quad_get(uint8_t channel);
 
+/* Sets the count, which is then a new one like that of a step. */
 void quad_set(uint8_t channel, int16_t value);
-
-/* Illegal transitions since the start; stays at 65535. */
-uint16_t quad_errors(uint8_t channel);
 
 #endif

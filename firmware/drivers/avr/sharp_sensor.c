@@ -8,17 +8,11 @@
 
 #ifdef ADC_INPUTS
 static void (*callback)(uint8_t channel, uint16_t mm);
-static volatile uint16_t counts[ADC_COUNT]; /* written while a scan runs, read when it is over */
 static uint16_t since;
 static bool is_scanning;
 
-static void take(uint8_t channel, uint16_t value) {
-    counts[channel] = value;
-}
-
 void sharp_set_cb(void (*new_value)(uint8_t channel, uint16_t mm)) {
     callback = new_value;
-    adc_set_cb(take);
 }
 
 void sharp_task(void) {
@@ -29,7 +23,7 @@ void sharp_task(void) {
         is_scanning = false;
         for (channel = 0; channel < ADC_COUNT; channel++)
             if (callback)
-                callback(channel, sharp_mm(counts[channel]));
+                callback(channel, sharp_mm(adc_get(channel)));
     } else if ((uint16_t)(j2a_port_ticks() - since) >= SHARP_PERIOD_MS * J2A_TICKS_PER_MS) {
         since = j2a_port_ticks();
         is_scanning = true;

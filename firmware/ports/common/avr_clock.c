@@ -78,17 +78,22 @@ uint64_t j2a_port_time_us(void) {
 /* Says that there is a stamp, in the byte of TIFR1, whose bit it never is. */
 #define STAMPED 0x80
 
-/* Byte by byte, because avr-gcc takes four registers and many cycles to write a number of 32 bits so. */
-void j2a_port_stamp(volatile uint8_t *stamp) {
-    const uint8_t *const overflows = (const uint8_t *)&avr_clock_overflows;
+/* In assembler, because avr-gcc computes the address of each byte anew, and inline, because an encoder's interrupt has no
+ * time for a call. */
+inline __attribute__((always_inline)) void j2a_port_stamp(volatile uint8_t *stamp) {
+    uint8_t byte;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        stamp[0] = TCNT1L;
-        stamp[1] = TCNT1H;
-        stamp[J2A_STAMP_BYTES - 1] = TIFR1 | STAMPED; /* behind the timer, which may overflow in between */
-        stamp[2] = overflows[0];
-        stamp[3] = overflows[1];
-        stamp[4] = overflows[2];
-        stamp[5] = overflows[3];
+        __asm__ volatile("lds %0, %2\n\tst %a1, %0\n\t"
+                         "lds %0, %2+1\n\tstd %a1+1, %0\n\t"
+                         "in %0, %3\n\tori %0, %4\n\tstd %a1+7, %0\n\t" /* behind the timer, which may overflow */
+                         "lds %0, %5\n\tstd %a1+2, %0\n\t"
+                         "lds %0, %5+1\n\tstd %a1+3, %0\n\t"
+                         "lds %0, %5+2\n\tstd %a1+4, %0\n\t"
+                         "lds %0, %5+3\n\tstd %a1+5, %0"
+                         : "=&d"(byte)
+                         : "b"(stamp), "n"(_SFR_MEM_ADDR(TCNT1)), "I"(_SFR_IO_ADDR(TIFR1)), "M"(STAMPED),
+                           "i"(&avr_clock_overflows)
+                         : "memory");
     }
 }
 

@@ -63,7 +63,7 @@ def stack(elf: Path, build: Build) -> int:
 
 
 def _stack_of_sensors(elf: Path, build: Build) -> int:
-    """The same under the drivers' own load: encoders, conversions, pulses, periodic calls."""
+    """The same under the drivers' own load: encoders, conversions, pulses."""
     mcu = build.variables.get("MCU", "atmega328p")
     with AvrSim(elf, mcu=mcu, uart=sensor_load.CHIPS[mcu].uart) as sim:
         try:

@@ -1,7 +1,7 @@
 """The sensors app in the simulator, and loads for it: what its tests and its budget drive it with.
 
 In: a simulator with the program of apps/sensors. Out: requests, edges and voltages at its pins;
-replies and SIFs.
+replies, samples and SIFs.
 Rules: all times are simulated ones, so each run is the same; a wrong answer is an AssertionError.
 """
 
@@ -13,12 +13,33 @@ from j2a_sim import AvrSim
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 
-__all__ = ["ADC", "BACKWARD", "CHIPS", "DIST_IR", "FORWARD", "QUAD", "Board", "Chip", "load"]
+__all__ = [
+    "ADC",
+    "BACKWARD",
+    "CHIPS",
+    "DIST_IR",
+    "FORWARD",
+    "LAMP",
+    "MISSES",
+    "QUAD",
+    "QUAD_AT",
+    "SERVO",
+    "Board",
+    "Chip",
+    "load",
+    "values",
+]
 
 FORWARD = ((1, 0), (1, 1), (0, 1), (0, 0))  # A and B after each step
 BACKWARD = ((0, 1), (1, 1), (1, 0), (0, 0))
-QUAD, DIST_IR, ADC = range(3)  # transducers
-STORM_CYCLES = 205  # between two edges: about what the interrupt takes, so nothing else gets on
+QUAD, DIST_IR, ADC, MISSES, SERVO, QUAD_AT, LAMP = range(7)  # ids in transds.def
+FORMS = {QUAD: "h", DIST_IR: "H", ADC: "H", MISSES: "H", SERVO: "b", QUAD_AT: "h", LAMP: "?"}
+STORM_CYCLES = 205  # between two edges: less than the interrupt takes, so nothing else gets on
+
+
+def values(transducer: int, sample: bytes) -> list[tuple[int, int]]:
+    """The time in us and the raw value of each channel, of a sample or a sample SIF."""
+    return list(struct.iter_unpack(f"<Q{FORMS[transducer]}", sample))
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +64,9 @@ class Chip:
     receive: int
 
     @property
-    def transducers(self) -> tuple[int, ...]:
+    def sensors(self) -> tuple[int, ...]:
         """Those that the app has on this chip."""
-        return (QUAD, DIST_IR, ADC) if self.analog else (QUAD,)
+        return (QUAD, DIST_IR, ADC, MISSES) if self.analog else (QUAD, MISSES)
 
 
 CHIPS = {
@@ -78,12 +99,22 @@ class Board:
             for pin in self.chip.encoders:
                 self.pins.drive(pin, level)
         self.pins.watch(*self.chip.servos, self.chip.lamp)
+        self.sifs: list[Frame] = []
+        self._start()
+        self.names = self.call(0).payload[:-1].decode().split("\0")
+
+    def reset(self) -> None:
+        """Reset the chip; what was on the wire is gone."""
+        self.sim.reset()
+        self._start()
+
+    def _start(self) -> None:
         self.sim.boot()
         self.sim.run(5000)
+        self.sim.uart_read()
         self.seq = 0
-        self.sifs: list[Frame] = []
+        self.sifs.clear()
         self._received = b""
-        self.names = self.call(0).payload[:-1].decode().split("\0")
 
     def call(self, function: int | str, payload: bytes = b"", limit_s: float = 0.5) -> Frame:
         """One call; the SIFs that come meanwhile go to `sifs`."""
@@ -104,9 +135,44 @@ class Board:
         assert reply.opcode == 0, reply
         return struct.unpack(f"<{form}", reply.payload)
 
-    def encoder(self, channel: int) -> tuple[int, ...]:
-        """Count and errors."""
-        return self.ask("getEncoder", "QhH", bytes((channel,)))[1:]
+    def transd(self, transducer: int, item: int, value: bytes = b"") -> Frame:
+        """One call of a2jTransd: a read without a value, else a write."""
+        return self.call(c.TRANSD, bytes((transducer, item)) + value)
+
+    def enable(self, *sensors: int, on: bool = True) -> None:
+        """Let sensors send sample SIFs, or stop them."""
+        for sensor in sensors:
+            assert self.transd(sensor, c.TRANSD_ENABLED, bytes((on,))).payload == bytes((on,))
+
+    def send_each(self, ms: int, *sensors: int) -> None:
+        """Let sensors send sample SIFs with at least so many milliseconds in between."""
+        for sensor in sensors:
+            period = struct.pack("<I", 1000 * ms)
+            assert self.transd(sensor, c.TRANSD_PERIOD, period).payload == period
+        self.enable(*sensors)
+
+    def quiet(self) -> None:
+        """No sample SIFs."""
+        self.enable(*self.chip.sensors, on=False)
+
+    def sample(self, transducer: int) -> list[tuple[int, int]]:
+        """The newest sample: time in us and raw value of each channel, zeros where none came."""
+        reply = self.transd(transducer, c.TRANSD_SAMPLE)
+        assert reply.opcode == 0, reply
+        return values(transducer, reply.payload)
+
+    def try_set(self, actuator: int, *raw: int, channel: int = 0) -> Frame:
+        """The reply to a write of SET, at once, from a channel on."""
+        form = f"<BQ{len(raw)}{FORMS[actuator]}"
+        return self.transd(actuator, c.TRANSD_SET, struct.pack(form, channel, 0, *raw))
+
+    def set(self, actuator: int, *raw: int, channel: int = 0) -> None:
+        """Set channels of an actuator at once."""
+        assert self.try_set(actuator, *raw, channel=channel).opcode == 0
+
+    def encoder(self, channel: int) -> tuple[int, int]:
+        """Count and illegal transitions."""
+        return self.sample(QUAD)[channel][1], self.sample(MISSES)[channel][1]
 
     def run_to(self, cycle: int) -> None:
         """Run up to a cycle; SIFs may come."""
@@ -144,25 +210,19 @@ class Board:
                     self.pins.drive(wires[wire], now[wire], start + step * distance)
         return start + steps * distance
 
-    def set_periods(self, ms: int) -> None:
-        """SIFs of all transducers, or none."""
-        for transducer in self.chip.transducers:
-            self.ask("setPeriod", "", struct.pack("<BH", transducer, ms))
-
-    def exercise(self, distance: int = 617, period_ms: int = 3, steps: int = 4000) -> None:
+    def exercise(self, distance: int = 0, period_ms: int = 3, steps: int = 4000) -> None:
         """All interrupts at once, all functions, the longest frames: what makes the stack deepest.
 
         Args:
-            distance: cycles between the steps of both encoders.
+            distance: cycles between the steps of both encoders; 0: as few as there may be beside
+                requests that are longer than a ring of 64 bytes, or fit into one of 128.
             period_ms: of the SIFs.
             steps: of each encoder, a multiple of 4; it lasts so long.
         """
-        self.ask("a2j_set_servo", "", b"\x64")
-        self.ask("a2j_set_servo", "", b"\x9c\1")
-        self.ask("setBlink", "", b"\1\0")
-        self.set_periods(period_ms)
-        for channel in (0, 1):
-            self.ask("setEncoder", "", bytes((channel, 0, 0)))
+        distance = distance or (617 if self.chip.analog else 1601)
+        self.set(SERVO, 100, -100)
+        self.send_each(period_ms, *self.chip.sensors)
+        self.set(QUAD_AT, 0, 0)
         # Both encoders, at changing distances from the other interrupts.
         start = end = self.sim.cycle + 1000
         for channel in (0, 1):
@@ -170,13 +230,20 @@ class Board:
         many = self.names.index(c.MANY)
         header = struct.pack("<BBI", self.names.index("a2jEchoMany"), c.FLAG_WRITE, 0)
         properties = struct.pack("<BBI", self.names.index("a2jGetProperties"), 0, 0)
+        descriptors = struct.pack("<BBI", self.names.index(c.GET_TRANSDS), 0, 0)
         marker = bytes((c.SOF, c.SOS, c.ESC))
+        count = 0
         while self.sim.cycle < end:
-            for name in ("getTime", "getEncoder", "getAdc", "getDistance", "a2jDebug"):
-                if name in self.names:
-                    self.call(name, b"" if name in {"getTime", "a2jDebug"} else b"\1")
+            for transducer in (*self.chip.sensors, SERVO, QUAD_AT, LAMP):
+                self.sample(transducer)
+            count += 1
+            self.set(LAMP, count & 1)
+            self.set(SERVO, count % 100, channel=1)
+            for name in ("overruns", "a2jDebug"):
+                self.call(name)
             assert self.call(many, header + bytes(60)).opcode == 0
             assert self.call(many, properties).opcode == 0
+            assert self.call(many, descriptors).opcode == 0
             assert self.call(c.GET_ECHO, marker * 20).payload == marker * 20
         assert [self.encoder(channel) for channel in (0, 1)] == [(steps, 0), (steps, 0)]
 
@@ -185,22 +252,21 @@ class Board:
 
         Afterwards the device answers again, and sends no SIFs.
         """
-        self.ask("setBlink", "", b"\1\0")
-        self.set_periods(1)
-        self.ask("a2j_set_servo", "", b"\0")
+        self.send_each(1, *self.chip.sensors)
+        self.set(SERVO, 0)
         start = end = self.sim.cycle + 1000
         for channel in (0, 1):
             end = self.turn(channel, steps, start, STORM_CYCLES)
         while self.sim.cycle < end + 100_000:
-            self._send("getTime")
+            self._send("overruns")
             self.sim.run(30_000)
-        for transducer in self.chip.transducers:
-            self._send("setPeriod", bytes((transducer, 0, 0)))
+        for sensor in self.chip.sensors:
+            self._send(c.TRANSD, bytes((sensor, c.TRANSD_ENABLED, 0)))
             self.sim.run(50_000)
         while self.sim.run_until_output(self.sim.cycles(0.03)):  # longer than the byte timeout
             self.sim.uart_read()
         self._received = b""
-        assert self.encoder(0)[0] != 0
+        assert self.encoder(0) != (0, 0)
         assert self.call(c.GET_ECHO, b"alive").payload == b"alive"
 
     def _send(self, name: str, payload: bytes = b"") -> None:
@@ -230,6 +296,5 @@ def load(sim: AvrSim) -> None:
     board = Board(sim)
     for channel in board.chip.analog[:2]:
         sim.adc.set_volts(channel, 0.5)
-    distance = 617 if sim.baud <= 500_000 else 1601  # as much as it can do
-    board.exercise(distance, 3 if sim.baud <= 500_000 else 10)
+    board.exercise()
     board.storm()

@@ -223,13 +223,16 @@ def test_conditions_are_those_of_the_build(condition, options, holds):
 
 
 def test_the_command_takes_conditions(tmp_path, capsys, demo):
-    source, out = FIRMWARE / "apps/sensors/functions.def", tmp_path / "board.json"
+    source, out = tmp_path / "functions.def", tmp_path / "board.json"
+    source.write_text(
+        '#if HAS_ADC\nJ2A_FUNCTION(getAdc, u16, "")\n#endif\nJ2A_FUNCTION(get, u8, "")\n'
+    )
     assert main(["stub", str(source), "-o", str(out)]) == 2
-    assert "-D SENSORS_ADC=1" in capsys.readouterr().err
+    assert "-D HAS_ADC=1" in capsys.readouterr().err
     for option, has_adc in (
-        ("-DSENSORS_ADC=1", True),
-        ("-DSENSORS_ADC", True),
-        ("-USENSORS_ADC", False),
+        ("-DHAS_ADC=1", True),
+        ("-DHAS_ADC", True),
+        ("-UHAS_ADC", False),
     ):
         assert main(["stub", str(source), "-o", str(out), option]) == 0
         names = [one["name"] for one in json.loads(out.read_text("utf-8"))["functions"]]

@@ -457,6 +457,8 @@ class Refused(_TransducerCase):
 
     def _values(self, board: Board, one: oracle.Transducer) -> None:
         readable = [item for item in range(11) if item not in (*_WRITE_ONLY, c.TRANSD_TIME)]
+        if one.kind == "sensor" and not board.peer.has(STIMULUS):
+            readable.remove(c.TRANSD_SAMPLE)  # its driver measures on its own
         before = {item: board.read(one, item) for item in readable if board.has(one, item)}
         longest = board.peer.longest - 2
         for item in range(11):
