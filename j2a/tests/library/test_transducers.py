@@ -100,7 +100,10 @@ class TestSamples:
         device.actuator("pose")(lambda _channel, value: got.append(value))
         board.transducers["pose"].set([1.5, -2.0])
         board.transducers["pose"].set([7, -8], raw=True)
-        assert [list(one) for one in got] == [pytest.approx([1.5, -2.0]), pytest.approx([0.7, -0.8])]
+        assert [list(one) for one in got] == [
+            pytest.approx([1.5, -2.0]),
+            pytest.approx([0.7, -0.8]),
+        ]
         for wrong in (1.5, [1.5], [1, "a"], "ab", None):
             with pytest.raises(j2a.WrongArgument, match="pose"):
                 board.transducers["pose"].set(wrong)
