@@ -166,8 +166,8 @@ class Names(_TransducerCase):
 _WRONG_KEYS: Final = (
     "na 256", "na x", "na", "na 1.5", "na nan", "queue 0", "queue 256", "queue -1", "range 1",
     "range 2, 1", "range 1,2", "range 1, 2, 3", "period 4294967296", "period -1", "enabled 2",
-    "enabled yes", "decimation 0", "topic", "trigger now", "scale 1,5", "scale", "offset 0x10",
-    "offset 1e999", "accuracy 1e999",
+    "enabled yes", "decimation 0", "topic", "trigger now", "offset 1e999", "scale 1,5", "scale",
+    "offset 0x10", "accuracy 1e999",
     "accuracy good", "prefix 1a", "model", "1 2", " na 1", "color b\x07",
     f"topic {'x' * 33}",
 )  # fmt: skip
@@ -255,8 +255,8 @@ class Values(_TransducerCase):
         motion = [[1, -2, 300], True]
         taken(host, "imu", [queued("imu", 0, [(0, 8, motion), (0, 9, motion)])],
               [(0, 8, motion), (0, 9, motion)])  # fmt: skip
-        taken(host, "many", [queued("many", 0, [(1, 3, 255), (0, 4, 254), (1, 0, 7)])],
-              [(1, 3, None), (0, 4, 254), (1, None, None)])  # fmt: skip
+        taken(host, "many", [queued("many", 0, [(1, 3, 255), (0, 4, 254), (1, 0, 7), (0, 0, 9)])],
+              [(1, 3, None), (0, 4, 254), (1, None, None), (0, None, None)])  # fmt: skip
         taken(host, "many", [queued("many", 0, [(n % 2, 5 + n, n) for n in range(9)])],
               [(n % 2, 5 + n, n) for n in range(9)])  # fmt: skip
         long = sample("long", [(10, n) for n in range(25)])
@@ -435,7 +435,8 @@ class Refused(_TransducerCase):
             ("many", "threshold", "256"), ("many", "threshold", "-1"), ("many", "topic", '""'),
             ("many", "topic", json.dumps("x" * 33)), ("many", "topic", '"a\\nb"'),
             ("many", "period", "-1"), ("many", "period", "4295"), ("servo", "watchdog", "65.6"),
-            ("motor", "watchdog", "1"), ("many", "enabled", "2"), ("many", "color", "1"),
+            ("servo", "watchdog", "-1"), ("servo", "watchdog", "-0.001"),
+            ("many", "watchdog", "1"), ("motor", "watchdog", "1"), ("many", "enabled", "2"), ("many", "color", "1"),
         ):  # fmt: skip
             self._refused(host, f"configure {name} {setting} {value}")
         for name, setting, value, item, data in (
