@@ -106,12 +106,12 @@ class Board:
     def reset(self) -> None:
         """Reset the chip; what was on the wire is gone."""
         self.sim.reset()
+        self.sim.uart_read()
         self._start()
 
     def _start(self) -> None:
         self.sim.boot()
         self.sim.run(5000)
-        self.sim.uart_read()
         self.seq = 0
         self.sifs.clear()
         self._received = b""
