@@ -5,9 +5,10 @@ are named tuples because one is made for every frame on the wire and a frozen da
 times as much to build; what is made less often is a dataclass.
 """
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, overload
 
 from j2a_spec.constants import (
     BOOT_BROWNOUT,
@@ -24,6 +25,7 @@ __all__ = [
     "Frame",
     "FrameError",
     "Reading",
+    "Readings",
     "Reason",
     "Reply",
     "ResetCause",
@@ -134,6 +136,56 @@ class Reading(NamedTuple):
     """In the unit of the transducer; None where there is no value, or it is N/A (J2A-TRANS-024)."""
 
 
+class Readings(Sequence[Reading]):
+    """The readings of a sample, which are made when they are looked at; equal to a tuple of them.
+
+    Args:
+        make: makes them out of the payload; called once, unless two threads look at the same time.
+        length: how many there are.
+    """
+
+    __slots__ = ("_length", "_made", "_make")
+
+    def __init__(self, make: Callable[[], tuple[Reading, ...]], length: int) -> None:
+        self._make = make
+        self._length = length
+        self._made: tuple[Reading, ...] | None = None
+
+    def _all(self) -> tuple[Reading, ...]:
+        if self._made is None:
+            self._made = self._make()
+        return self._made
+
+    def __len__(self) -> int:
+        return self._length
+
+    @overload
+    def __getitem__(self, index: int) -> Reading: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Reading, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Reading | tuple[Reading, ...]:
+        return self._all()[index]
+
+    def __iter__(self) -> Iterator[Reading]:
+        return iter(self._all())
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Readings):
+            return self._all() == other._all()
+        return self._all() == other
+
+    def __hash__(self) -> int:
+        return hash(self._all())
+
+    def __repr__(self) -> str:
+        return repr(self._all())
+
+    def __reduce__(self) -> tuple[type[tuple[Reading, ...]], tuple[tuple[Reading, ...]]]:
+        return tuple, (self._all(),)
+
+
 @dataclass(frozen=True, slots=True)
 class Sample:
     """What a sensor has measured.
@@ -142,8 +194,8 @@ class Sample:
         board: the URL of the board; in a `j2a.Fleet` its identity.
         name: of the transducer.
         sequence: number of this sample since the board was connected, from 0 on.
-        readings: one for each channel in order; of a sensor with a queue one for each value, in the
-            order in which they were measured.
+        readings: a sequence with one for each channel in order; of a sensor with a queue one for
+            each value, in the order in which they were measured.
         host_time: when it came, in seconds on the clock of `Client.now`.
         unit: of the values, a symbol of UCUM, or "".
         lost: values that were lost before this sample, because the queue of the device was full
@@ -158,7 +210,7 @@ class Sample:
     board: str
     name: str
     sequence: int
-    readings: tuple[Reading, ...]
+    readings: Sequence[Reading]
     host_time: float
     unit: str = ""
     lost: int = 0

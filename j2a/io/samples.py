@@ -7,7 +7,8 @@ descriptor says is an error of the device and gives no value (J2A-TRANS-023). Wh
 what the device has, no SIF is a sample (J2A-TRANS-027).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from operator import le
 from typing import Any
 
 from j2a.errors import ProtocolError
@@ -36,6 +37,20 @@ class _State:
         self.count = 0
         self.lost: int | None = None
         self.times_us: dict[int, int] = {}
+
+    def goes_back(self, channels: Iterable[int], times: tuple[int, ...]) -> bool:
+        """Note the times of channels, 0 for none; return whether one is before that of its last."""
+        is_sorted = not self.transducer.queue or all(map(le, times, times[1:]))
+        if is_sorted and min(times) >= max(self.times_us.values(), default=1):
+            # As nearly always; there is no loop over values.
+            self.times_us.update(zip(channels, times, strict=True))
+            return False
+        is_back = False
+        for channel, time_us in zip(channels, times, strict=True):
+            if time_us:
+                is_back |= time_us < self.times_us.get(channel, 0)
+                self.times_us[channel] = time_us
+        return is_back
 
 
 class SampleSource:
@@ -123,19 +138,17 @@ class SampleSource:
 
     def _sample(self, state: _State, sif: Sif) -> Sample:
         lost = 0
+        channels: Iterable[int]
         if state.transducer.queue:
-            count, readings = state.codec.unpack_queued(sif.payload)
+            count, readings, channels, times = state.codec.times_queued(sif.payload)
             if state.lost is not None:
                 lost = (count - state.lost) % _LOST_MODULO
             state.lost = count
         else:
-            readings = state.codec.unpack(sif.payload)
-        is_reset = False
-        for reading in readings:
-            if reading.time_us is not None:
-                is_reset |= reading.time_us < state.times_us.get(reading.channel, 0)
-                state.times_us[reading.channel] = reading.time_us
-        newest_us = max((one.time_us for one in readings if one.time_us is not None), default=None)
+            readings, times = state.codec.times(sif.payload)
+            channels = range(len(times))
+        is_reset = state.goes_back(channels, times)
+        newest_us = max(times)
         sequence = state.count
         state.count += 1
         return Sample(
@@ -149,7 +162,7 @@ class SampleSource:
             sif.missed,
             is_reset,
             sif.payload,
-            None if newest_us is None else self._host_us(newest_us),
+            self._host_us(newest_us) if newest_us else None,
         )
 
 

@@ -16,9 +16,9 @@ from typing import Any, Final
 from j2a_spec import constants as c
 
 from j2a.errors import WrongArgument
-from j2a.events import Reading
+from j2a.events import Reading, Readings
 from j2a.types.coding import NUMBER_CODES, Codec, PayloadMismatchError, PythonTypes
-from j2a.types.model import Enumeration, Field
+from j2a.types.model import Enumeration, Field, Structure, Type
 from j2a.types.transducers import (
     LOST_BYTES,
     TIME_BYTES,
@@ -59,11 +59,42 @@ class SampleCodec:
         element = number_element(transducer.type)
         self._is_float = element in ("f32", "f64")
         self._is_integer = numbers is not None and numbers[0] in "ui"
+        # Any bytes are numbers, so it is enough to look later.
+        self._is_any = _is_any(transducer.type)
+        self._stamps = struct.Struct("<" + f"Q{self._size}x" * transducer.channels)
         self._whole = None
         if element is not None and not isinstance(transducer.type.element, Enumeration):
             self._whole = struct.Struct("<" + f"Q{_CODES[element]}" * transducer.channels)
 
     # ------------------------------------------------------------------ samples
+
+    def times(self, payload: bytes) -> tuple[Readings, tuple[int, ...]]:
+        """Return the readings of a sample of all channels, and the time of each, 0 where is none.
+
+        Raises: as `unpack`.
+        """
+        if not self._is_any or len(payload) != self._stamps.size:
+            readings = self.unpack(payload)
+            return Readings(lambda: readings, len(readings)), self._stamps.unpack(payload)
+        made = Readings(lambda: self.unpack(payload), self.transducer.channels)
+        return made, self._stamps.unpack(payload)
+
+    def times_queued(self, payload: bytes) -> tuple[int, Readings, bytes, tuple[int, ...]]:
+        """Return the number of lost values, the readings of a queue, their channels and times.
+
+        Raises: as `unpack_queued`.
+        """
+        size = 1 + TIME_BYTES + self._size
+        count, rest = divmod(len(payload) - LOST_BYTES, size)
+        channels = payload[LOST_BYTES::size]
+        if not self._is_any or count < 1 or rest or max(channels) >= self.transducer.channels:
+            lost, readings = self.unpack_queued(payload)
+            made = Readings(lambda: readings, len(readings))
+        else:
+            [lost] = _LOST.unpack_from(payload)
+            made = Readings(lambda: self.unpack_queued(payload)[1], count)
+        stamps = struct.unpack_from("<" + f"xQ{self._size}x" * count, payload, LOST_BYTES)
+        return lost, made, channels, stamps
 
     def unpack(self, payload: bytes) -> tuple[Reading, ...]:
         """Return the readings of a sample of all channels (J2A-TRANS-005).
@@ -252,6 +283,13 @@ class SampleCodec:
             PayloadMismatchError: it is none.
         """
         return self._codec.unpack(payload)[0]
+
+
+def _is_any(kind: Type) -> bool:
+    """Whether all bytes are values of a type: it consists of numbers."""
+    if isinstance(kind.element, Structure):
+        return all(_is_any(field.type) for field in kind.element.fields)
+    return isinstance(kind.element, str) and kind.element in NUMBER_CODES
 
 
 def pack_time(time_us: int) -> bytes:

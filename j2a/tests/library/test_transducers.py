@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import pickle
 import struct
 import threading
 
@@ -235,6 +236,44 @@ class TestSamples:
         assert found == [False, False, True, False, True]
 
     @pytest.mark.requirement("J2A-TRANS-027")
+    @pytest.mark.parametrize(
+        ("before", "entries", "is_reset"),
+        [
+            ((), ((0, 10), (0, 8)), True),  # within one SIF
+            ((), ((0, 10), (1, 8)), False),  # each channel has times of its own
+            (((0, 9),), ((1, 8), (0, 9)), False),
+            (((0, 9),), ((1, 8), (0, 8)), True),
+            (((0, 9), (1, 5)), ((1, 5), (1, 6)), False),
+            (((0, 9), (1, 5)), ((0, 9), (1, 4)), True),
+            (((0, 9),), ((0, 0), (1, 1)), False),  # no time is none that goes back
+            (((0, 2**64 - 1),), ((0, 2**64 - 1),), False),
+        ],
+    )
+    def test_times_of_a_queue_that_go_back(self, device, board, before, entries, is_reset):
+        def send(given):
+            data = b"".join(struct.pack("<BQB", channel, time, 7) for channel, time in given)
+            device.send_sif(1, b"\0\0" + data)
+            return samples.wait(PATIENCE_S)
+
+        with board.transducers["log"].samples() as samples:
+            if before:
+                assert not send(before).is_reset
+            sample = send(entries)
+            assert sample.is_reset == is_reset
+            assert sample.times_us == tuple(time or None for _, time in entries)
+
+    def test_readings_are_like_a_tuple(self, device, board):
+        with board.transducers["quad"].samples() as samples:
+            device.sense("quad", 1, 15)
+            sample = samples.wait(PATIENCE_S)
+        first, second = whole = tuple(sample.readings)
+        assert sample.readings == whole
+        assert sample.readings[::-1] == (second, first)
+        assert (len(sample.readings), sample.readings[1]) == (2, second)
+        assert (hash(sample.readings), repr(sample.readings)) == (hash(whole), repr(whole))
+        assert pickle.loads(pickle.dumps(sample)) == sample
+        assert first in sample.readings
+
     def test_after_a_boot_sif_nothing_is_a_sample_until_all_is_learnt_anew(self):
         with make_device(boot=True) as device, linked(device) as board:
             quad, marked, seen = board.transducers["quad"], threading.Event(), []
@@ -298,6 +337,17 @@ class TestSamples:
         sender.join()
         with pytest.raises(j2a.WrongArgument, match="1 sample or more"):
             quad.read_batch(0)
+
+    @pytest.mark.parametrize("name", ["quad", "log", "field"])
+    def test_a_batch_makes_no_reading_of_its_values(self, device, board, name, monkeypatch):
+        pytest.importorskip("numpy")
+        monkeypatch.setattr("j2a.types.samples.Reading", None)
+        value = [1, 2, 3] if name == "field" else 1
+        sender = threading.Timer(0.05, lambda: device.sense(name, 0, value, raw=True))
+        sender.start()
+        batch = board.transducers[name].read_batch(1, timeout=PATIENCE_S)
+        assert batch.raw.ravel()[0] == 1
+        sender.join()
 
     def test_a_batch_tells_losses_and_resets(self, device, board):
         pytest.importorskip("numpy")
