@@ -369,6 +369,16 @@ class Clock(_TransducerCase):
         for channel, time_us, resets in queue:
             sif = queued("many", 0, [(channel, time_us, 1)])
             taken(host, "many", [sif], [(channel, time_us, 1)], resets=resets)
+        for entries, resets in (
+            (((0, 60), (0, 59)), 1), (((0, 60), (1, 50), (0, 60)), 0),
+            (((1, 55), (0, 61), (1, 54)), 1),
+            (((1, 0), (0, 62)), 0), (((0, 70), (1, 69), (0, 71), (1, 70)), 0),
+        ):  # fmt: skip
+            sif = queued("many", 0, [(channel, time_us, 1) for channel, time_us in entries])
+            given = [
+                (channel, time_us or None, 1 if time_us else None) for channel, time_us in entries
+            ]
+            taken(host, "many", [sif], given, resets=resets)
 
 
 _TOO_SLOW_S: Final = 1.5
@@ -436,7 +446,8 @@ class Refused(_TransducerCase):
             ("many", "topic", json.dumps("x" * 33)), ("many", "topic", '"a\\nb"'),
             ("many", "period", "-1"), ("many", "period", "4295"), ("servo", "watchdog", "65.6"),
             ("servo", "watchdog", "-1"), ("servo", "watchdog", "-0.001"),
-            ("many", "watchdog", "1"), ("motor", "watchdog", "1"), ("many", "enabled", "2"), ("many", "color", "1"),
+            ("many", "watchdog", "1"), ("motor", "watchdog", "1"),
+            ("many", "enabled", "2"), ("many", "color", "1"),
         ):  # fmt: skip
             self._refused(host, f"configure {name} {setting} {value}")
         for name, setting, value, item, data in (
