@@ -92,7 +92,7 @@ def long_frames(peer: Peer) -> list[Request]:
 
 
 class LongFrames(Case):
-    """Pauses for 8.5 ms at many places in long requests, and twice for 5.5 ms in requests of each
+    """Pauses for 8.5 ms at many places in long requests, and twice for 7 ms in requests of each
     length, of which some begin in one piece with the one before.
     """
 
@@ -118,10 +118,10 @@ class LongFrames(Case):
             good = peer.probe()
             if length % 3 == 0 and len(good.wire + wire) <= peer.room(512):
                 due = [good.expected, request.expected]
-                accepts(peer, [good.wire + wire[:first], wire[first:]], 0.0055, *due, enough=1)
+                accepts(peer, [good.wire + wire[:first], wire[first:]], 0.007, *due, enough=1)
                 continue
             parts = [wire[:first], wire[first:second], wire[second:]]
-            accepts(peer, parts, 0.0055, request.expected, enough=1)
+            accepts(peer, parts, 0.007, request.expected, enough=1)
 
 
 class Trickle(Case):
