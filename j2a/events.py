@@ -85,6 +85,7 @@ class Sif:
         missed: how many SIFs the counter skipped just before this one, 0..255.
         values: a named tuple of what the payload holds, for those who ask for the SIF by its name;
             else None.
+        epoch: of the session when it came, another one after each restart of the device.
     """
 
     opcode: int
@@ -92,6 +93,7 @@ class Sif:
     seq: int
     missed: int
     values: Any = None
+    epoch: int = field(default=0, repr=False, compare=False)
 
 
 class ResetCause(IntEnum):

@@ -92,6 +92,9 @@ class ClientBase:
         # The epoch of the session in which it was learnt what the device has.
         self._learnt = 0
         self._generation = 0
+        # The epoch whose samples the descriptors are of, -1 while they are being learnt.
+        self._described = -1
+        self._failed_restarts = 0
         self._has_changed = False
         # Of the device when all of it was last learnt.
         self._identity: tuple[Sequence[str], str | None] | None = None
@@ -111,7 +114,7 @@ class ClientBase:
             url,
             self._device,
             lambda: _now_of(client),
-            lambda: _is_stale(client),
+            lambda: _described(client),
             lambda time_us: _host_us(client, time_us),
         )
         self._clock: ClockBase | None = None
@@ -216,7 +219,11 @@ class ClientBase:
 
     def _failed_relearning(self, restart: Restart, error: J2AError) -> Restart:
         """Return what handlers are told when what the device has could not be learnt."""
-        _logger.warning("%s has restarted, and its functions are not known: %s", self._url, error)
+        self._failed_restarts += 1
+        count = self._failed_restarts
+        if count & (count - 1) == 0:  # a device may do nothing else
+            what = "%s has restarted (%d times so far), and its functions are not known: %s"
+            _logger.warning(what, self._url, count, error)
         return replace(restart, interface_hash="", is_changed=True)
 
     # ------------------------------------------------------------------ typed functions
@@ -340,8 +347,9 @@ class ClientBase:
         is_doubted = self._is_stale and generation == self._generation
         before = self._identity
         yield from self._fetch_map(boot_time)
+        self._described = -1  # what came before a restart is not read by what is learnt now
         yield from self._learn_interface()
-        self._learnt, self._generation = epoch, generation
+        self._learnt, self._generation, self._described = epoch, generation, epoch
         self._identity = device.identity
         if self._pinned is not None:
             with contextlib.suppress(InterfaceChanged):  # raised by calls
@@ -596,6 +604,6 @@ def _host_us(client: "weakref.ref[ClientBase]", time_us: int) -> int | None:
     return None if clock is None else clock.host_time_of_sample(time_us)
 
 
-def _is_stale(client: "weakref.ref[ClientBase]") -> bool:
+def _described(client: "weakref.ref[ClientBase]") -> int:
     owner = client()
-    return owner is None or owner._is_stale
+    return -1 if owner is None else owner._described

@@ -3,11 +3,14 @@
 What flows in: SIFs, in the thread or task of the SIF handlers, and what the device tells about its
 transducers. What flows out: samples, to those who registered for them, and the newest of each.
 Rules: a SIF is taken apart once, before any handler of samples sees it; one that is not what the
-descriptor says is an error of the device and gives no value (J2A-TRANS-023). While it is doubted
-what the device has, no SIF is a sample (J2A-TRANS-027).
+descriptor says is an error of the device and gives no value (J2A-TRANS-023). A SIF is read by the
+descriptors of the time when it came, or not at all: a restart may be known while those of before
+still wait (J2A-TRANS-027). Handlers and users call from several threads.
 """
 
-from collections.abc import Callable, Iterable
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from itertools import count
 from operator import le
 from typing import Any
 
@@ -34,7 +37,7 @@ class _State:
         self.transducer = transducer
         self.codec = codec
         self.latest: Sample | None = None
-        self.count = 0
+        self.count = count()
         self.lost: int | None = None
         self.times_us: dict[int, int] = {}
 
@@ -53,6 +56,15 @@ class _State:
         return is_back
 
 
+class _Known:
+    """What follows from the descriptors of a device."""
+
+    def __init__(self, descriptors: Descriptors | None, states: Sequence[_State]) -> None:
+        self.descriptors = descriptors
+        self.by_name = {one.transducer.name: one for one in states}
+        self.by_id = {one.transducer.id: one for one in states if one.transducer.is_sensor}
+
+
 class SampleSource:
     """The transducers of one link.
 
@@ -60,7 +72,7 @@ class SampleSource:
         url: of the board.
         device: what the device told about itself.
         now: the time of the link, in seconds.
-        is_doubted: what the device has may be wrong, because it has or may have restarted.
+        epoch: of the SIFs that are samples of the descriptors, -1 while those are being learnt.
         host_us: the time of this computer at one of the device, None where it is not known.
 
     Attributes:
@@ -73,49 +85,53 @@ class SampleSource:
         url: str,
         device: DeviceInfo,
         now: Callable[[], float],
-        is_doubted: Callable[[], bool],
+        epoch: Callable[[], int],
         host_us: Callable[[int], int | None] = lambda _time_us: None,
     ) -> None:
         self.current: Sample | None = None
         self.board = url
         self._device = device
         self._now = now
-        self._is_doubted = is_doubted
+        self._epoch = epoch
         self._host_us = host_us
-        self._learnt: Descriptors | None = None
-        self._by_name: dict[str, _State] = {}
-        self._by_id: dict[int, _State] = {}
+        self._lock = threading.Lock()
+        self._known = _Known(None, ())
+        self._before: dict[str, _State] = {}  # while nothing is known, that of before
+        self._newest = -1, self._known  # by which a SIF was read, and of which epoch it was
 
-    def _load(self) -> None:
-        descriptors = self._device.descriptors
-        if descriptors is self._learnt:
-            return
-        self._learnt = descriptors
-        found = descriptors.transducers if descriptors is not None else ()
-        states = [_State(one, SampleCodec(one, self._device.types)) for one in found]
-        for state in states:
-            # Where the device was reset in between, its times go back.
-            before = self._by_name.get(state.transducer.name)
-            if before is not None:
-                state.times_us, state.count = before.times_us, before.count
-        self._by_name = {one.transducer.name: one for one in states}
-        self._by_id = {one.transducer.id: one for one in states if one.transducer.is_sensor}
+    def _load(self) -> "_Known":
+        """Return what is known by the descriptors of now."""
+        known = self._known
+        if known.descriptors is self._device.descriptors:
+            return known
+        with self._lock:
+            known, descriptors = self._known, self._device.descriptors
+            if known.descriptors is descriptors:
+                return known
+            found = descriptors.transducers if descriptors is not None else ()
+            states = [_State(one, SampleCodec(one, self._device.types)) for one in found]
+            for state in states:
+                # Where the device was reset in between, its times go back.
+                before = self._before.get(state.transducer.name)
+                if before is not None:
+                    state.times_us, state.count = before.times_us, before.count
+            self._known = _Known(descriptors, states)
+            if descriptors is not None:
+                self._before = self._known.by_name
+            return self._known
 
     def names(self) -> list[str]:
         """Return the names of the transducers, as the device lists them."""
-        self._load()
-        return list(self._by_name)
+        return list(self._load().by_name)
 
     def codec(self, name: str) -> SampleCodec | None:
         """Return what takes the payloads of a transducer apart, None without one of that name."""
-        self._load()
-        state = self._by_name.get(name)
+        state = self._load().by_name.get(name)
         return None if state is None else state.codec
 
     def latest(self, name: str) -> Sample | None:
         """Return the newest sample of a sensor."""
-        self._load()
-        state = self._by_name.get(name)
+        state = self._load().by_name.get(name)
         return None if state is None else state.latest
 
     def take(self, sif: Sif) -> None:
@@ -125,10 +141,14 @@ class SampleSource:
             ProtocolError: the payload is not what the descriptor says.
         """
         self.current = None
-        if self._device.descriptors is None or self._is_doubted():
+        epoch = self._epoch()
+        known = self._load()
+        if known.descriptors is not None and epoch == sif.epoch == self._epoch():
+            self._newest = epoch, known
+        elif self._newest[0] != sif.epoch:
             return
-        self._load()
-        state = self._by_id.get(sif.opcode)
+        # Else it came before a restart, after which all has been learnt anew already.
+        state = self._newest[1].by_id.get(sif.opcode)
         if state is None:
             return
         try:
@@ -140,21 +160,19 @@ class SampleSource:
         lost = 0
         channels: Iterable[int]
         if state.transducer.queue:
-            count, readings, channels, times = state.codec.times_queued(sif.payload)
+            told, readings, channels, times = state.codec.times_queued(sif.payload)
             if state.lost is not None:
-                lost = (count - state.lost) % _LOST_MODULO
-            state.lost = count
+                lost = (told - state.lost) % _LOST_MODULO
+            state.lost = told
         else:
             readings, times = state.codec.times(sif.payload)
             channels = range(len(times))
         is_reset = state.goes_back(channels, times)
         newest_us = max(times)
-        sequence = state.count
-        state.count += 1
         return Sample(
             self.board,
             state.transducer.name,
-            sequence,
+            next(state.count),
             readings,
             self._now(),
             state.transducer.unit,

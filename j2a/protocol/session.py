@@ -450,7 +450,7 @@ class Session:
         self._counts["sifs"] += 1
         self._counts["sif_gaps"] += missed > 0
         self._counts["sifs_missed"] += missed
-        return Sif(frame.opcode, frame.payload, frame.seq, missed)
+        return Sif(frame.opcode, frame.payload, frame.seq, missed, epoch=self.epoch)
 
     def _take_reply(self, frame: Frame) -> list[Call]:
         """Take a reply; return the calls that it ends."""

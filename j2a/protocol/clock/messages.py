@@ -30,6 +30,8 @@ _U64: Final = 1 << 64
 _EXCHANGE: Final = struct.Struct("<BI")
 _EXCHANGED: Final = struct.Struct("<IQH")
 _SEEN_FRAME: Final = struct.Struct("<HH")
+_MOST_RATE: Final = 2 * c.CLOCK_MAX_RATE
+"""Of an adjustment and a correction, in ppb, with something to spare."""
 _STATUS: Final = struct.Struct("<QQBBiI")
 _ADJUST: Final = struct.Struct("<BBQQiII")
 _FRAME: Final = struct.Struct("<BQHI")
@@ -183,6 +185,8 @@ def unpack_status(reply: bytes) -> Status:
         known = ClockState(state)
     except ValueError:
         raise ProtocolError(f"{c.CLOCK}: the state {state} has no meaning") from None
+    if abs(rate) > _MOST_RATE:
+        raise ProtocolError(f"{c.CLOCK}: no clock runs {rate} ppb faster than its counter")
     return Status(
         local, time, known, epoch, rate, None if uncertainty == c.CLOCK_UNKNOWN else uncertainty
     )

@@ -1,6 +1,7 @@
 """The time of the host, what it tells boards, and the frames of a USB bus."""
 
 import random
+import struct
 
 import pytest
 from hypothesis import given
@@ -156,6 +157,18 @@ def test_a_clock_that_another_host_has_set(off_s: float, sign: int, steps: int) 
     slewed_us = off_s * US * (1 - steps) - 9 * US / 1000
     assert abs(errors[-1][0]) == pytest.approx(max(slewed_us, 0), abs=2000)
     assert host.reference.steps == 0
+
+
+@pytest.mark.parametrize("rate", [20_000_001, -20_000_001, -(10**9), 2**31 - 1, -(2**31)])
+def test_a_rate_that_no_clock_has_is_no_status(rate: int) -> None:
+    with pytest.raises(ProtocolError, match="no clock runs"):
+        unpack_status(status_of_rate(rate))
+    for right in (20_000_000, -20_000_000, 0):
+        assert unpack_status(status_of_rate(right)).rate_ppb == right
+
+
+def status_of_rate(rate: int) -> bytes:
+    return struct.pack("<QQBBiI", 5, 6, c.CLOCK_LOCKED, 1, rate, 7)
 
 
 def test_waiting_grows_from_a_burst_to_the_period() -> None:

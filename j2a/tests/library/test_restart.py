@@ -597,6 +597,12 @@ class TestHandlers:
             assert [(one.is_changed, one.interface_hash) for one in restarts] == [(True, "")]
             assert "its functions are not known" in caplog.text
 
+    def test_a_device_that_does_nothing_else_does_not_fill_the_log(self, caplog):
+        with connected(old_firmware()) as (_, client):
+            for _ in range(100):
+                client._failed_relearning(Restart(), j2a.CallTimeout("no answer"))
+            assert caplog.text.count("its functions are not known") == 7
+
     def test_must_be_callable(self):
         with connected(old_firmware()) as (_, client), pytest.raises(j2a.LocalError):
             client.on_restart(5)

@@ -1,0 +1,87 @@
+"""From SIFs to samples: each by the descriptors of its time, whoever learns others meanwhile."""
+
+import struct
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+import j2a.io.samples
+from j2a.events import Sif
+from j2a.io.samples import SampleSource
+from j2a.types.coding import PythonTypes
+from j2a.types.descriptors import parse_descriptors
+from j2a.types.samples import SampleCodec
+
+from .support import PATIENCE_S
+
+OLD = parse_descriptors("\nsensor temp 9 1 i16 mV\n")
+NEW = parse_descriptors("\nsensor temp 9 1 i16 Cel\n scale 1000\n")
+
+
+class World:
+    """A source, what its device has, and of which epoch that is."""
+
+    def __init__(self):
+        self.device = SimpleNamespace(descriptors=OLD, types=PythonTypes())
+        self.epoch = 0
+        self.source = SampleSource("x:", self.device, lambda: 0.0, lambda: self.epoch)
+
+    def take(self, epoch):
+        """Return what a SIF is that came in an epoch: unit and values, or None."""
+        self.source.take(Sif(9, struct.pack("<Qh", 5, 7), 0, 0, epoch=epoch))
+        sample = self.source.current
+        return sample and (sample.unit, sample.values, sample.sequence)
+
+
+@pytest.mark.requirement("J2A-TRANS-027")
+def test_a_sif_is_read_by_the_descriptors_of_its_time():
+    """It may wait behind a slow handler until all has been learnt anew after a restart."""
+    world = World()
+    assert world.take(0) == ("mV", (7,), 0)
+    world.device.descriptors, world.epoch = None, -1
+    assert world.take(0) == ("mV", (7,), 1)
+    assert world.take(1) is None
+    world.device.descriptors = NEW  # of epoch 1, which is not told yet
+    assert world.take(0) == ("mV", (7,), 2)
+    assert world.take(1) is None
+    world.epoch = 1
+    assert world.take(0) == ("mV", (7,), 3)
+    assert world.source.latest("temp") is None
+    assert world.take(1) == ("Cel", (7000.0,), 4)
+    assert world.source.latest("temp").unit == "Cel"
+    assert world.take(0) is None
+    assert world.take(2) is None
+
+
+def test_descriptors_that_change_while_a_sif_is_read():
+    """The epoch is looked at before and behind: what lies in between may be of either."""
+    world = World()
+    assert world.take(0) == ("mV", (7,), 0)
+    epochs = iter((0, -1))
+    world.source._epoch = lambda: next(epochs)
+    world.device.descriptors = NEW
+    assert world.take(0) == ("mV", (7,), 1)
+
+
+def test_nobody_sees_descriptors_without_what_follows_from_them(monkeypatch):
+    world = World()
+    goes_on, begun, found = threading.Event(), threading.Event(), []
+
+    def slow(*args):
+        begun.set()
+        assert goes_on.wait(PATIENCE_S)
+        return SampleCodec(*args)
+
+    monkeypatch.setattr(j2a.io.samples, "SampleCodec", slow)
+    threads = [
+        threading.Thread(target=lambda: found.append(world.source.names())) for _ in range(2)
+    ]
+    threads[0].start()
+    assert begun.wait(PATIENCE_S)
+    threads[1].start()
+    threads[1].join(0.1)  # Enough for one that does not wait; no need to be.
+    goes_on.set()
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    assert found == [["temp"], ["temp"]]
