@@ -72,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-u",
         "--user",
+        "--username",
         metavar="NAME",
         help=f"become this user, if started by root ({_ROOT_BECOMES})",
     )

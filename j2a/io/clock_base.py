@@ -190,7 +190,8 @@ class ClockBase:
         estimate = self._estimate()
         local_us = self._discipline.to_local(time_us)
         since_us = self._discipline.epoch_local_us
-        if since_us is not None and local_us < since_us:
+        # Where nobody knows since when: the counter has begun at 0.
+        if local_us < (0 if since_us is None else since_us):
             raise LocalError(
                 f"{time_us} us was on the clock of {self._url} before it was set, and can no more "
                 "be converted (J2A-CLOCK-027)"

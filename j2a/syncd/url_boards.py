@@ -1,7 +1,8 @@
 """Boards without SyncUSB, whose links belong to the daemon.
 
 In: URLs. Out: clocks that are disciplined over these links, and their rows of the status.
-Rules: a fleet opens the links and opens them again; each board has a thread of its own.
+Rules: a fleet opens the links and opens them again; each board has a thread of its own. Nothing is
+opened before `look` is called, in the process and with the rights that the daemon then has.
 """
 
 from __future__ import annotations
@@ -12,10 +13,13 @@ import time
 from collections.abc import Sequence
 from typing import Any, Final
 
+import j2a_transports
+
 import j2a
 from j2a.clock import ClockKeeper, ClockReading
 from j2a.fleet import by_url
 from j2a.io.clock import MAX_PERIOD_S
+from j2a.io.opening import link_error
 from j2a.syncd.history import History, Round
 
 __all__ = ["LinkBoards"]
@@ -41,13 +45,9 @@ class LinkBoards:
         self._keepers: dict[str, tuple[j2a.Client, ClockKeeper]] = {}
         self._problems: dict[str, str] = {}
         self._readings: dict[str, ClockReading] = {}
-        self._fleet = j2a.Fleet(identify=by_url)
-        try:
-            for url in urls:
-                self.add(url)
-        except BaseException:
-            self.close()
-            raise
+        self._fleet: j2a.Fleet | None = None
+        for url in urls:
+            self.add(url)
 
     def add(self, url: str) -> None:
         """Take in a board; nothing happens where it is known.
@@ -60,13 +60,22 @@ class LinkBoards:
                 return
             if len(self._urls) >= MAX_BOARDS:
                 raise j2a.LocalError(f"the daemon has {MAX_BOARDS} boards, and takes no more")
-            self._fleet.add(url)
+            try:
+                j2a_transports.innermost(url)
+            except j2a_transports.TransportError as error:
+                raise link_error(error) from None
+            if self._fleet is not None:
+                self._fleet.add(url)
             self._urls.append(url)
 
     def look(self) -> None:
         """Begin with the boards that have come, and note how all of them do."""
+        with self._lock:
+            if self._fleet is None:
+                self._fleet = j2a.Fleet(*self._urls, identify=by_url)
+            fleet = self._fleet
         for url in list(self._urls):
-            client = self._fleet.get(url)
+            client = fleet.get(url)
             kept, keeper = self._keepers.get(url, (None, None))
             if client is None or (kept is client and keeper is not None and keeper.is_running):
                 self._note(url, client)
@@ -100,7 +109,9 @@ class LinkBoards:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return the rows of these boards in the status."""
-        problems = {url: str(error) for url, error in self._fleet.problems.items()}
+        fleet = self._fleet
+        failed = {} if fleet is None else fleet.problems
+        problems = {url: str(error) for url, error in failed.items()}
         rows = []
         for url in list(self._urls):
             reading = self._readings.get(url)
@@ -123,4 +134,6 @@ class LinkBoards:
 
     def close(self) -> None:
         """Close all links."""
-        self._fleet.close()
+        with self._lock:
+            if self._fleet is not None:
+                self._fleet.close()

@@ -7,6 +7,7 @@ Rules: the clock of a board is set once, and then only slewed, unless the host's
 the board began anew (J2A-CLOCK-026, J2A-CLOCK-028). Nothing here waits or sends.
 """
 
+from collections import deque
 from typing import Final
 
 from j2a_spec.constants import CLOCK_FRAME_STEP_S, CLOCK_FRAME_WANDER
@@ -23,6 +24,8 @@ BURST_S: Final = 0.05
 _FOREIGN_US: Final = CLOCK_FRAME_STEP_S * 1_000_000
 """A board that is off by more, and was not told so, was set by something else (J2A-CLOCK-028)."""
 _PPB: Final = 1e9
+_LINES: Final = 64
+"""So many replies tell how old time stamps were made: a minute and more of them."""
 _HELD_WANDER: Final = CLOCK_FRAME_WANDER / _PPB
 """A board that is left alone may warm up by 15 K, and a crystal change by 0.3 ppm a kelvin."""
 
@@ -48,6 +51,8 @@ class Discipline:
         self.epoch_local_us: int | None = None
         self.steps = 0
         self._target: Adjust | None = None
+        # What the board said before, each with what it was told then: lines of the same epoch.
+        self._lines: deque[tuple[Status, Adjust | None]] = deque(maxlen=_LINES)
         self._course = reference.course
         self._since_reset = 0
 
@@ -73,6 +78,7 @@ class Discipline:
 
     def _begin_anew(self) -> None:
         self.status = self._target = self.epoch_local_us = None
+        self._lines.clear()
         self._since_reset = 0
 
     def take_status(self, status: Status, adjust: Adjust | None = None) -> None:
@@ -86,11 +92,13 @@ class Discipline:
         if before is not None and status.epoch != before.epoch:
             self.epoch_local_us = status.local_us
             self.steps += adjust is not None
+            self._lines.clear()
         # Nobody knows what line another request has told it, such as one about a USB frame.
         self._target = adjust
         if adjust is not None:
             self._course = self.reference.course
         self.status = status
+        self._lines.append((status, adjust))
 
     # ------------------------------------------------------------------ what to do
 
@@ -147,11 +155,16 @@ class Discipline:
         """Return the counter of the board at a time of its clock.
 
         While it slews, its clock is on the line of the last status until that meets the line that
-        it was told, and then on the latter.
+        it was told, and then on the latter. A time before the last status is on the line of an
+        earlier one, as far as these are kept.
         """
         status, target = self.status, self._target
         if status is None or status.state is ClockState.FREE:
             return time_us
+        for earlier in reversed(self._lines):
+            status, target = earlier
+            if status.time_us <= time_us:
+                break
         local = status.local_us + (time_us - status.time_us) / (1 + status.rate_ppb / _PPB)
         if target is None or local <= status.local_us:
             return local

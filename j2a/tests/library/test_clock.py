@@ -192,6 +192,19 @@ def test_a_time_stamp_of_an_earlier_epoch_is_refused(board, device):
         board.clock.to_host(old)
 
 
+@pytest.mark.requirement("J2A-CLOCK-027")
+def test_a_client_that_comes_later_refuses_time_stamps_of_an_earlier_epoch(board, device):
+    """It was not there when the clock was set; but the counter began at 0."""
+    old = int(device.time_us())
+    board.clock.sync()
+    with linked(device) as later:
+        later.clock.measure(4)
+        assert later.clock.epoch == 1
+        with pytest.raises(j2a.LocalError, match="before it was set"):
+            later.clock.to_host(old)
+        assert later.clock.to_host(int(device.time_us())) > 0
+
+
 @pytest.mark.requirement("J2A-CLOCK-026")
 def test_a_board_that_begins_anew_is_set_anew(board, device):
     with board.clock.discipline(0.02) as keeper:

@@ -159,6 +159,27 @@ def test_a_clock_that_another_host_has_set(off_s: float, sign: int, steps: int) 
     assert host.reference.steps == 0
 
 
+@pytest.mark.parametrize("off_us", [20_000, -20_000])
+def test_a_time_stamp_from_before_the_last_adjustment(off_us: int) -> None:
+    """It was made while the board slewed otherwise; the lines of that time are kept."""
+    board = Board(random.Random(8))
+    host = Host(board)
+    host.run(20)
+    board.time_us += off_us  # by somebody else; 20 s of slewing
+    host.round()
+    stamps = []
+    for _ in range(40):
+        host.run(1)
+        stamps.append((round(board.time_us), board.counter_us))
+    assert len({one.rate_ppb for one in host.told[-30:]}) > 1
+    for time_us, counter_us in stamps:
+        assert abs(host.discipline.to_local(time_us) - counter_us) < 10
+    host.set_clock(3600 * US)
+    host.run(3)
+    assert board.epoch == 2
+    assert len(host.discipline._lines) < 10
+
+
 @pytest.mark.parametrize("rate", [20_000_001, -20_000_001, -(10**9), 2**31 - 1, -(2**31)])
 def test_a_rate_that_no_clock_has_is_no_status(rate: int) -> None:
     with pytest.raises(ProtocolError, match="no clock runs"):

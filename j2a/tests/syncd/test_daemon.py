@@ -292,6 +292,22 @@ def test_a_board_by_url_that_has_no_clock_is_told(running):
     thread.join(60)
 
 
+def test_nothing_is_opened_before_the_daemon_runs():
+    """It goes to the background and becomes another user first; threads do not survive a fork."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.2)
+        url = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        one = Daemon(interval_s=1.0, urls=[url], ports=None)
+        assert one.status()["boards"][0]["state"] == "waiting"
+        with pytest.raises(TimeoutError):
+            server.accept()
+        thread = daemon_module.start(one)
+        server.settimeout(60)
+        server.accept()[0].close()
+        one.stop()
+        thread.join(60)
+
+
 def test_a_board_by_url_that_is_not_there_is_told(running):
     with socket.create_server(("127.0.0.1", 0)) as free:
         number = free.getsockname()[1]

@@ -71,6 +71,7 @@ class Settings:
         for name, low, high in (
             ("boards", 1, 64),
             ("seconds", 1, 86_400),
+            ("seed", 0, 2**63 - 1),
             ("ppm", 0, 10_000),
             ("lost_sof", 0, 0.5),
             ("sof_jitter_ns", 0, 100_000),
