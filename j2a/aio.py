@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 from j2a_spec.constants import GET_ECHO
 
 from j2a.errors import J2AError, LinkClosed, OpenFailed
-from j2a.events import Reply, Restart, Sif
+from j2a.events import Doubt, Reply, Restart, Sif
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.client_base import ClientBase, check_echo, checked
@@ -406,7 +406,7 @@ class AsyncClient(ClientBase):
             restart = await self._drive(self._relearn(restart), self._device_limits(self.now()))
         except J2AError as error:
             restart = self._failed_relearning(restart, error)
-        return restart, self._restart_handlers
+        return restart, Handlers() if isinstance(restart, Doubt) else self._restart_handlers
 
     def _tell_restart(self, restart: Restart) -> None:
         self._engine.tell_restart(restart)

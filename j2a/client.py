@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 from j2a_spec.constants import GET_ECHO
 
 from j2a.errors import J2AError
-from j2a.events import Reply, Restart, Sif
+from j2a.events import Doubt, Reply, Restart, Sif
 from j2a.io.blocking import Engine, Handler, RestartHandler
 from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.client_base import ClientBase, check_echo, checked
@@ -470,7 +470,7 @@ class Client(ClientBase):
             restart = self._drive(self._relearn(restart), self._device_limits(self.now()))
         except J2AError as error:
             restart = self._failed_relearning(restart, error)
-        return restart, self._restart_handlers
+        return restart, Handlers() if isinstance(restart, Doubt) else self._restart_handlers
 
     def _tell_restart(self, restart: Restart) -> None:
         self._engine.tell_restart(restart)

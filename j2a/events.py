@@ -22,6 +22,7 @@ from j2a_spec.constants import (
 
 __all__ = [
     "Counters",
+    "Doubt",
     "Frame",
     "FrameError",
     "Reading",
@@ -124,6 +125,13 @@ class Restart:
     count: int = 0
     interface_hash: str = ""
     is_changed: bool = True
+
+
+class Doubt(Restart):
+    """A device may have begun anew, or else so many SIFs were lost that their counter has wrapped.
+
+    What it has must be asked for before its SIFs are read by what was known; no handler is told.
+    """
 
 
 class Reading(NamedTuple):

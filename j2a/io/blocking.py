@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 from j2a_transports import TransportError
 
 from j2a.errors import LinkClosed, LinkError, LocalError
-from j2a.events import Reply, Restart, Sif
+from j2a.events import Doubt, Reply, Restart, Sif
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
 from j2a.io.handlers import ErrorHook, Handlers, NamedSif, Opcodes, Reporter
 from j2a.io.opening import WAIT_S
@@ -320,6 +320,8 @@ class Engine:
             self._queue_restart(restart)
 
     def _queue_restart(self, restart: Restart) -> None:
+        if isinstance(restart, Doubt) and self._restart is not None:
+            return
         # A device that restarts all the time is told of once, when there is time for it.
         if self._restart is None and self._takes_sifs:
             self._sifs.put(restart)

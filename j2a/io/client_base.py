@@ -38,7 +38,7 @@ from j2a.errors import (
     RemoteError,
     remote_error,
 )
-from j2a.events import Counters, Reply, Restart
+from j2a.events import Counters, Doubt, Reply, Restart
 from j2a.io.handlers import Handlers, NamedSif, Opcodes
 from j2a.io.remote import Origin, RemoteFunction
 from j2a.io.samples import SampleSource
@@ -208,6 +208,9 @@ class ClientBase:
 
     def _relearn(self, restart: Restart) -> Transfer[Restart]:
         """Learn anew what the device has, unless that was done; return what handlers are told."""
+        if isinstance(restart, Doubt):
+            yield from self._load_functions()
+            return restart
         yield from self._load_functions()
         is_changed, self._has_changed = self._has_changed, False
         found = self._device.interface_hash
@@ -219,6 +222,10 @@ class ClientBase:
 
     def _failed_relearning(self, restart: Restart, error: J2AError) -> Restart:
         """Return what handlers are told when what the device has could not be learnt."""
+        if isinstance(restart, Doubt):
+            what = "%s may have restarted; no SIF is a sample until it says what it has: %s"
+            _logger.warning(what, self._url, error)
+            return restart
         self._failed_restarts += 1
         count = self._failed_restarts
         if count & (count - 1) == 0:  # a device may do nothing else
@@ -366,6 +373,7 @@ class ClientBase:
         yield from self._device.learn_interface()
         yield from self._device.learn_transducers()
         self._session.has_boot = CAP_BOOT in self._device.announced.capabilities
+        self._session.has_samples = self._device.descriptors is not None
 
     def _fetch_map(self, boot_time: float | None) -> Transfer[None]:
         limits = [self._timeout]

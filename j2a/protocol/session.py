@@ -35,7 +35,7 @@ from j2a.errors import (
     ProtocolError,
     remote_error,
 )
-from j2a.events import Counters, Frame, FrameError, Reply, Restart, Sif
+from j2a.events import Counters, Doubt, Frame, FrameError, Reply, Restart, Sif
 from j2a.protocol.boot import unpack_boot
 from j2a.protocol.calls import Call, Deadlines
 from j2a.protocol.codec import encode
@@ -72,6 +72,8 @@ class Session:
             is known there is one call on the wire at a time (J2A-LIMIT-003).
         echo_opcode: of a2jEcho, None until it is known; barriers need it.
         has_boot: the device announces the boot SIF; None until that is known.
+        has_samples: SIFs are read by what the device has told; where that is doubted, it must be
+            asked anew at once.
         generation: how often the device has said that it began anew.
         epoch: the same, and how often something was seen that a restart would explain. What was
             learnt of the device in another epoch may be wrong.
@@ -88,6 +90,7 @@ class Session:
         self.rxbuf = 0
         self.echo_opcode: int | None = None
         self.has_boot: bool | None = None
+        self.has_samples = False
         self.generation = 0
         self.epoch = 0
         self._window = window
@@ -395,7 +398,10 @@ class Session:
             if event.start == SOS:
                 if event.opcode == BOOT:
                     events += self._take_boot(event)
+                before = self.epoch
                 events.append(self._take_sif(event))
+                if self.epoch != before and self.has_samples:
+                    events.insert(-1, Doubt())
             else:
                 events += self._take_reply(event)
         if self._queue:

@@ -41,6 +41,13 @@ ACTUATOR(pose, 17, pose, X, 1, array(i16, 2), none, (unit, deg), (scale, 0.1))
 """
 
 
+def skip(device, count):
+    """Have the device count SIFs that never go out, as those are that a link loses."""
+    for connection in device._connections:
+        for _ in range(count):
+            connection._server.skip_sif()
+
+
 ONE_SENSOR = b"\nsensor a 1 1 u8\n"
 
 
@@ -261,6 +268,22 @@ class TestSamples:
             sample = send(entries)
             assert sample.is_reset == is_reset
             assert sample.times_us == tuple(time or None for _, time in entries)
+
+    @pytest.mark.parametrize("skipped", [1, 254, 255, 300])
+    def test_samples_go_on_behind_a_gap_that_a_restart_would_explain(
+        self, device, board, skipped, caplog
+    ):
+        """What the device has is asked for at once, and nobody is told of a restart."""
+        log, restarts = board.transducers["log"], []
+        board.on_restart(restarts.append)
+        with log.samples() as samples:
+            for value in range(20):
+                device.sense("log", 0, value)
+                assert samples.wait(PATIENCE_S).values == (value,)
+                skip(device, skipped)
+        assert board.counters.sifs_missed > 0
+        assert (restarts, log.latest().sequence) == ([], 19)
+        assert "restarted" not in caplog.text
 
     def test_readings_are_like_a_tuple(self, device, board):
         with board.transducers["quad"].samples() as samples:
@@ -729,6 +752,11 @@ class TestAsyncio:
                 device.on_trigger("imu")(
                     lambda: device.sense("imu", 0, [(1, 1, 1), True], raw=True)
                 )
+                async with board.transducers["log"].samples() as samples:
+                    for value in range(10):
+                        device.sense("log", 0, value)
+                        assert (await samples.wait(PATIENCE_S)).values == (value,)
+                        skip(device, 254)
                 imu, seen = board.transducers["imu"], asyncio.Event()
                 imu.on_sample(lambda _: seen.set())
                 await imu.trigger()
