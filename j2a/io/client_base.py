@@ -354,9 +354,8 @@ class ClientBase:
         is_doubted = self._is_stale and generation == self._generation
         before = self._identity
         yield from self._fetch_map(boot_time)
-        self._described = -1  # what came before a restart is not read by what is learnt now
-        yield from self._learn_interface()
-        self._learnt, self._generation, self._described = epoch, generation, epoch
+        yield from self._learn_interface(epoch)
+        self._learnt, self._generation = epoch, generation
         self._identity = device.identity
         if self._pinned is not None:
             with contextlib.suppress(InterfaceChanged):  # raised by calls
@@ -369,11 +368,15 @@ class ClientBase:
             self._generation += 1
             self._tell_restart(Restart(interface_hash=device.interface_hash))
 
-    def _learn_interface(self) -> Transfer[None]:
+    def _learn_interface(self, epoch: int | None = None) -> Transfer[None]:
+        """Learn all beside the map, in the epoch of the map where none is given."""
+        if not self._device.asked_for_transducers:
+            self._described = -1  # what came before a restart is not read by what is learnt now
         yield from self._device.learn_interface()
         yield from self._device.learn_transducers()
         self._session.has_boot = CAP_BOOT in self._device.announced.capabilities
         self._session.has_samples = self._device.descriptors is not None
+        self._described = self._learnt if epoch is None else epoch
 
     def _fetch_map(self, boot_time: float | None) -> Transfer[None]:
         limits = [self._timeout]

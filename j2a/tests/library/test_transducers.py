@@ -6,6 +6,7 @@ import pickle
 import struct
 import threading
 
+import j2a_transports
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -284,6 +285,16 @@ class TestSamples:
         assert board.counters.sifs_missed > 0
         assert (restarts, log.latest().sequence) == ([], 19)
         assert "restarted" not in caplog.text
+
+    def test_a_client_that_asks_only_when_it_must_gets_samples(self, device):
+        """It learns the map first, and the transducers when they are asked for."""
+        with served(device) as url, j2a.Client(j2a_transports.open(url)) as client:
+            client.call("a2jEcho", b"x")
+            with client.transducers["log"].samples() as samples:
+                for value in range(10):
+                    device.sense("log", 0, value)
+                    assert samples.wait(PATIENCE_S).values == (value,)
+                    skip(device, 254)
 
     def test_readings_are_like_a_tuple(self, device, board):
         with board.transducers["quad"].samples() as samples:
