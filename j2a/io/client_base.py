@@ -39,7 +39,7 @@ from j2a.errors import (
     remote_error,
 )
 from j2a.events import Counters, Doubt, Reply, Restart
-from j2a.io.handlers import Handlers, NamedSif, Opcodes
+from j2a.io.handlers import Handlers, NamedSif, Opcodes, is_told
 from j2a.io.remote import Origin, RemoteFunction
 from j2a.io.samples import SampleSource
 from j2a.io.transducers import RemoteTransducer, Transducers
@@ -227,10 +227,9 @@ class ClientBase:
             _logger.warning(what, self._url, error)
             return restart
         self._failed_restarts += 1
-        count = self._failed_restarts
-        if count & (count - 1) == 0:  # a device may do nothing else
+        if is_told(self._failed_restarts):  # a device may do nothing else
             what = "%s has restarted (%d times so far), and its functions are not known: %s"
-            _logger.warning(what, self._url, count, error)
+            _logger.warning(what, self._url, self._failed_restarts, error)
         return replace(restart, interface_hash="", is_changed=True)
 
     # ------------------------------------------------------------------ typed functions

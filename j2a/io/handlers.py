@@ -22,7 +22,16 @@ from j2a.protocol.device_info import DeviceInfo
 from j2a.types.coding import Codec, PayloadMismatchError, tuple_class
 from j2a.types.model import SifShape
 
-__all__ = ["ErrorHook", "Handlers", "NamedSif", "Opcodes", "Reporter", "Subscription", "Wanted"]
+__all__ = [
+    "ErrorHook",
+    "Handlers",
+    "NamedSif",
+    "Opcodes",
+    "Reporter",
+    "Subscription",
+    "Wanted",
+    "is_told",
+]
 
 Opcodes = int | Iterable[int] | None
 """One opcode, several, or None for all."""
@@ -228,7 +237,12 @@ class Reporter:
             self._seen.clear()
         self._seen[what] += 1
         count = self._seen[what]
-        return count if count & (count - 1) == 0 else 0
+        return count if is_told(count) else 0
+
+
+def is_told(count: int) -> bool:
+    """Whether a message is logged that comes for this time: the first, second, fourth and so on."""
+    return count & (count - 1) == 0
 
 
 def _place(error: BaseException) -> tuple[str, int]:

@@ -92,7 +92,7 @@ class Batch:
         if number_element(sensor.type) is None and numbers_element(sensor.type) is None:
             raise LocalError(f"{sensor.name} has values of type {sensor.type}: see raw")
         values = self.raw.astype("f8")
-        if sensor.is_scaled and numbers_element(sensor.type) is not None:
+        if sensor.is_scaled:
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is infinite
                 values = values * sensor.scale + sensor.offset
         values[self._is_none()] = np.nan
@@ -126,8 +126,7 @@ class Batch:
         elif element is not None:
             columns["value"] = self.values.ravel()
         else:
-            is_scaled = sensor.is_scaled and numbers_element(sensor.type) is not None
-            table = self.values if is_scaled else self.raw
+            table = self.values if sensor.is_scaled else self.raw
             shape = table.shape[self.times_us.ndim :]
             for name, part in _columns("", table.reshape(-1, *shape)):
                 columns[free_name(name, {*columns, *_OTHER_COLUMNS})] = part

@@ -54,7 +54,7 @@ class SampleCodec:
         self._range = transducer.range
         self._scale, self._offset = transducer.scale, transducer.offset
         numbers = numbers_element(transducer.type)
-        self._is_scaled = numbers is not None and transducer.is_scaled
+        self._is_scaled = transducer.is_scaled
         self._is_array = transducer.type.count is not None
         element = number_element(transducer.type)
         self._is_float = element in ("f32", "f64")
@@ -73,10 +73,11 @@ class SampleCodec:
 
         Raises: as `unpack`.
         """
-        if not self._is_any or len(payload) != self._stamps.size:
+        if self._is_any and len(payload) == self._stamps.size:
+            made = Readings(lambda: self.unpack(payload), self.transducer.channels)
+        else:
             readings = self.unpack(payload)
-            return Readings(lambda: readings, len(readings)), self._stamps.unpack(payload)
-        made = Readings(lambda: self.unpack(payload), self.transducer.channels)
+            made = Readings(lambda: readings, len(readings))
         return made, self._stamps.unpack(payload)
 
     def times_queued(self, payload: bytes) -> tuple[int, Readings, bytes, tuple[int, ...]]:

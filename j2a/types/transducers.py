@@ -133,8 +133,9 @@ class Transducer:
 
     @property
     def is_scaled(self) -> bool:
-        """Its raw values are not those in the unit."""
-        return self.has("scale") or self.has("offset")
+        """Its raw values are numbers, or arrays of them, and not those in the unit."""
+        is_number = numbers_element(self.type) is not None
+        return is_number and (self.has("scale") or self.has("offset"))
 
     @property
     def accuracy(self) -> float | None:
