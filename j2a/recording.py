@@ -95,7 +95,7 @@ class Recorder:
         self._first = Path(path)
         self._segment_bytes = segment_bytes
         self._lock = threading.Lock()
-        self._boards: list[tuple[RecordedBoard, str]] = []
+        self._boards: list[tuple[RecordedBoard, Mapping[str, str]]] = []
         self._channels: dict[tuple[str, str], tuple[int, SampleMessage]] = {}
         self.paths: list[Path] = []
         self.samples = 0
@@ -117,6 +117,7 @@ class Recorder:
         url: str = "",
         properties: Mapping[str, str] | None = None,
         prefix: str = "",
+        topics: Mapping[str, str] | None = None,
     ) -> None:
         """Announce a board before its samples.
 
@@ -125,14 +126,17 @@ class Recorder:
             descriptors: what it says of its transducers.
             url, properties: kept for who reads the file.
             prefix: of its topics; needed where there are several boards.
+            topics: names of topics by sensor, in place of those that the descriptors give.
 
         Raises:
             LocalError: there is a board of that name.
         """
+        names = {one.name: topic_of(prefix, one.topic) for one in descriptors.transducers}
+        names |= {sensor: topic_of("", topic) for sensor, topic in (topics or {}).items()}
         with self._lock:
             if any(board.name == name for board, _ in self._boards):
                 raise LocalError(f"the recording has a board {name!r} already")
-            self._boards.append((RecordedBoard(name, url, descriptors, properties or {}), prefix))
+            self._boards.append((RecordedBoard(name, url, descriptors, properties or {}), names))
             self._announce(*self._boards[-1])
 
     def write(self, board: str, sample: Sample, time_ns: int) -> None:
@@ -209,10 +213,10 @@ class Recorder:
         self.paths.append(path)
         self._writer = writer.Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._writer.start(profile="ros2", library="j2a")
-        for board, prefix in self._boards:
-            self._announce(board, prefix)
+        for board, topics in self._boards:
+            self._announce(board, topics)
 
-    def _announce(self, board: RecordedBoard, prefix: str) -> None:
+    def _announce(self, board: RecordedBoard, topics: Mapping[str, str]) -> None:
         self._writer.add_metadata(
             _BOARD,
             {
@@ -229,8 +233,7 @@ class Recorder:
             schema = self._writer.register_schema(kind, "ros2msg", definition.encode())
             about = {"board": board.name, "sensor": one.name, "unit": one.unit}
             about |= {key: one.get(key) for key in ("scale", "offset", "na") if one.has(key)}
-            topic = topic_of(prefix, one.topic)
-            channel = self._writer.register_channel(topic, "cdr", schema, about)
+            channel = self._writer.register_channel(topics[one.name], "cdr", schema, about)
             self._channels[board.name, one.name] = channel, SampleMessage(one)
 
     def _end(self) -> None:

@@ -22,6 +22,7 @@ PACKAGES = {
     "j2a_transports": ROOT / "transports",
     "j2a_conformance": ROOT / "conformance",
     "j2a_sim": ROOT / "firmware/sim",
+    "j2a_bridge": ROOT / "bridge",
 }
 COMMANDS = {"j2a", "j2a-conform"}
 ATTEMPTS = 3

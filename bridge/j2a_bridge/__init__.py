@@ -1,0 +1,24 @@
+"""Bridges boards to what robots use: ROS 1 and 2, recordings, live pages and more.
+
+`Bridge` takes boards in and hands their samples to sinks; `Sink` is what a package implements that
+adds another way out.
+"""
+
+from j2a_bridge.bridge import Bridge
+from j2a_bridge.config import Config, load_config
+from j2a_bridge.sink import Control, Option, Sink, SinkError, SinkRequest, Status, Update
+from j2a_bridge.topics import Topic
+
+__all__ = [
+    "Bridge",
+    "Config",
+    "Control",
+    "Option",
+    "Sink",
+    "SinkError",
+    "SinkRequest",
+    "Status",
+    "Topic",
+    "Update",
+    "load_config",
+]

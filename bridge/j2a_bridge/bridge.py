@@ -1,0 +1,478 @@
+"""The bridge: boards in, sinks out.
+
+What flows in: the configuration, boards that come and go, and their samples. What flows out:
+topics and samples for each sink, and orders of sinks for the boards.
+Rules: all of it runs in one event loop; a sample passes it in one step, and whoever is slow is
+behind a queue of its own. Times are those of the source: the clock of each board is set, or known.
+"""
+
+import asyncio
+import contextlib
+import logging
+import socket
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from concurrent.futures import Future
+from typing import Any, Final
+
+import j2a
+from j2a.protocol.roster import BoardChange
+from j2a_bridge.config import BoardConfig, Config, SensorConfig
+from j2a_bridge.runner import SinkRunner
+from j2a_bridge.sink import BoardStatus, Status, TopicStatus, Update, make_sink
+from j2a_bridge.topics import Names, Topic
+
+__all__ = ["Bridge"]
+
+_EARLY: Final = 1024
+"""So many samples of a board wait until its topics are known."""
+_EACH_S: Final = 1.0
+_US: Final = 1_000_000
+_NS_PER_US: Final = 1000
+_NS_PER_MS: Final = 1e6
+_SETTINGS: Final = ("enabled", "period", "decimation", "threshold", "topic", "watchdog")
+_logger = logging.getLogger("j2a.bridge")
+
+
+class _Flow:
+    """One transducer: its topic, and how its samples come."""
+
+    def __init__(self, topic: Topic, transducer: Any, wanted: SensorConfig) -> None:
+        self.topic = topic
+        self.transducer = transducer
+        self._least_us = 0 if wanted.rate_hz is None else _US / wanted.rate_hz
+        self._next_us = 0.0
+        self.samples = self.lost = self.skipped = 0
+        self._before = 0
+        self.latencies_ns: list[int] = []
+
+    def is_due(self, sample: j2a.Sample) -> bool:
+        """Whether a sample is to be published, at the rate that was asked for."""
+        if not self._least_us:
+            return True
+        now_us = sample.time_us or 0
+        if sample.is_reset:
+            self._next_us = 0.0
+        if now_us < self._next_us:
+            self.skipped += 1
+            return False
+        self._next_us = max(self._next_us + self._least_us, now_us)
+        return True
+
+    def status(self, span_s: float) -> TopicStatus:
+        """Return how samples came since the last time."""
+        rate = (self.samples - self._before) / span_s
+        self._before = self.samples
+        latencies, self.latencies_ns = self.latencies_ns, []
+        latency = statistics.median(latencies) / _NS_PER_MS if latencies else None
+        return TopicStatus(self.topic.name, self.samples, rate, latency, self.lost, self.skipped)
+
+
+class _Board:
+    """A board that has been here.
+
+    Attributes:
+        name: among the topics.
+        url: where it is.
+        client: of the board; None where it is not here.
+        flows: its transducers by name; None until they are known.
+        problem: what is wrong with it, or "".
+    """
+
+    def __init__(self, name: str, url: str, wanted: BoardConfig) -> None:
+        self.name = name
+        self.url = url
+        self.wanted = wanted
+        self.client: j2a.AsyncClient | None = None
+        self.flows: dict[str, _Flow] | None = None
+        self.early: deque[j2a.Sample] = deque(maxlen=_EARLY)
+        self.problem = ""
+        self.has_clock = False
+
+
+class Bridge:
+    """Publishes each transducer of each board to each sink.
+
+    Args:
+        config: what it shall do.
+        options: of `j2a.AsyncFleet`, such as `timeout`.
+
+    Raises:
+        LocalError: a sink, its argument or an option is wrong.
+    """
+
+    def __init__(self, config: Config, **options: Any) -> None:
+        self._config = config
+        self._options = options
+        chosen = {key: one.name for one in config.boards for key in (one.url, one.identity) if key}
+        chosen = {key: name for key, name in chosen.items() if name}
+        self._names = Names(with_board=config.with_board, boards=chosen)
+        self._boards: dict[str, _Board] = {}
+        self._flows: dict[str, _Flow] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._fleet: j2a.AsyncFleet | None = None
+        self._ended = asyncio.Event()
+        self._error: Exception | None = None
+        self._ticked = time.monotonic()
+        self._changed = asyncio.Event()
+        self._host = socket.gethostname()
+        self.runners = [
+            SinkRunner(str(one), make_sink(one, self), self._sink_gave_up) for one in config.sinks
+        ]
+
+    # ------------------------------------------------------------------ life
+
+    async def run(self, on_open: Callable[[], object] = lambda: None) -> None:
+        """Bridge until `stop` is called, or no sink is left.
+
+        Args:
+            on_open: called when all sinks were opened, before the first board is.
+
+        Raises:
+            LocalError: a URL is wrong.
+        """
+        self._loop = asyncio.get_running_loop()
+        try:
+            for runner in self.runners:
+                runner.start()
+            for runner in self.runners:
+                await asyncio.to_thread(runner.opened.wait)
+            on_open()
+            async with j2a.AsyncFleet(usb=self._config.usb, **self._options) as fleet:
+                self._fleet = fleet
+                fleet.on_change(self._change)
+                fleet.on_sample(self._take)
+                for url in dict.fromkeys(self._config.urls):
+                    fleet.add(url)
+                while not self._ended.is_set():
+                    with contextlib.suppress(TimeoutError):
+                        await asyncio.wait_for(self._ended.wait(), _EACH_S)
+                    self._tick()
+        finally:
+            self._fleet = None
+            for runner in self.runners:
+                runner.end()
+            for runner in self.runners:
+                if not await asyncio.to_thread(runner.join):
+                    _logger.warning("sink %s does not end", runner.name)
+
+    def stop(self) -> None:
+        """End; from the loop only."""
+        self._ended.set()
+
+    def _sink_gave_up(self) -> None:
+        if self._loop is not None and all(
+            runner.problem and runner.sink.RETRY_S is None for runner in self.runners
+        ):
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                self._loop.call_soon_threadsafe(self._ended.set)
+
+    # ------------------------------------------------------------------ boards
+
+    async def _change(self, change: BoardChange) -> None:
+        if change.board is None:
+            _logger.warning("%s: %s", change.url, change.reason)
+            return
+        if change.is_here:
+            await self._come(change.board, change.url)
+        else:
+            self._go(change.board, change.reason)
+
+    async def _come(self, identity: str, url: str) -> None:
+        assert self._fleet is not None
+        client = self._fleet[identity]
+        board = self._boards.get(identity)
+        try:
+            properties = await client.properties()
+            if board is None:
+                name = self._names.board(identity, url, properties)
+                board = self._boards[identity] = _Board(name, url, self._wanted(identity, url))
+            board.client, board.url = client, url
+            client.on_restart(lambda _restart: self._learn(board))
+            await self._begin_clock(board, client)
+            await self._learn(board)
+        except j2a.J2AError as error:
+            _logger.warning("%s: %s", url, error)
+            if board is not None:
+                board.problem = str(error)
+
+    def _wanted(self, identity: str, url: str) -> BoardConfig:
+        found = [one for one in self._config.boards if one.identity == identity]
+        found += [one for one in self._config.boards if one.url == url]
+        return found[0] if found else BoardConfig()
+
+    async def _begin_clock(self, board: _Board, client: j2a.AsyncClient) -> None:
+        """Know the clock of a board, and keep it right, as far as it can be."""
+        board.has_clock = False
+        if self._config.clock == "off":
+            return
+        try:
+            await client.clock.measure(2)
+            board.has_clock = True
+            is_set = self._config.clock == "discipline" and client.clock.read().can_be_set
+            await (client.clock.discipline() if is_set else client.clock.follow())
+        except j2a.J2AError as error:
+            _logger.info("%s: times are those of arrival: %s", board.name, error)
+
+    async def _learn(self, board: _Board) -> None:
+        """Announce the transducers of a board, and take those back that it has no more."""
+        client = board.client
+        if client is None:
+            return
+        try:
+            transducers = await client.transducers()
+        except j2a.J2AError as error:
+            board.problem = str(error)
+            _logger.warning("%s: %s", board.name, error)
+            return
+        descriptors = transducers.descriptors
+        before = board.flows or {}
+        flows: dict[str, _Flow] = {}
+        for name, transducer in transducers.items():
+            assert descriptors is not None
+            wanted = board.wanted.transducers.get(name, SensorConfig())
+            if not wanted.is_published:
+                continue
+            name_wanted = wanted.topic or await self._topic_setting(transducer)
+            descriptor = transducer.descriptor
+            topic = Topic(
+                self._names.topic(board.name, descriptor, name_wanted),
+                board.name,
+                descriptor,
+                descriptors,
+                wanted.message,
+            )
+            old = before.get(name)
+            if old is not None and old.topic == topic:
+                old.transducer = transducer
+                flows[name] = old
+            else:
+                flows[name] = _Flow(topic, transducer, wanted)
+        if client is not board.client:
+            return  # it has gone meanwhile
+        for name, flow in before.items():
+            if flows.get(name) is not flow:
+                self._retract(flow)
+        for name, flow in flows.items():
+            if before.get(name) is not flow:
+                self._announce(flow)
+        board.flows = flows
+        missing = sorted(board.wanted.transducers.keys() - transducers.keys())
+        board.problem = transducers.why if not transducers else ""
+        if missing:
+            board.problem = f"it has no transducer {', '.join(missing)}"
+        if board.problem:
+            _logger.warning("%s: %s", board.name, board.problem)
+        early, board.early = board.early, deque(maxlen=_EARLY)
+        for sample in early:
+            self._take_of(board, sample)
+
+    async def _topic_setting(self, transducer: Any) -> str:
+        """Return the topic that was chosen at run time, where there is one."""
+        if not transducer.descriptor.has("topic"):
+            return ""
+        try:
+            return str(await transducer.setting("topic"))
+        except j2a.J2AError:
+            return ""
+
+    def _go(self, identity: str, reason: j2a.J2AError | None) -> None:
+        board = self._boards.get(identity)
+        if board is None:
+            return
+        board.client = None
+        board.problem = str(reason) if reason is not None else "taken out"
+        flows, board.flows = board.flows, None
+        board.early.clear()
+        for flow in (flows or {}).values():
+            self._retract(flow)
+        _logger.warning("%s is gone: %s", board.name, board.problem)
+
+    def _announce(self, flow: _Flow) -> None:
+        self._flows[flow.topic.name] = flow
+        for runner in self.runners:
+            runner.announce(flow.topic)
+
+    def _retract(self, flow: _Flow) -> None:
+        if self._flows.get(flow.topic.name) is flow:
+            del self._flows[flow.topic.name]
+        for runner in self.runners:
+            runner.retract(flow.topic)
+
+    # ------------------------------------------------------------------ samples
+
+    def _take(self, sample: j2a.Sample) -> None:
+        board = self._boards.get(sample.board)
+        if board is None:
+            return  # its properties are still asked for; at the first time only
+        if board.flows is None:
+            board.early.append(sample)
+            return
+        self._take_of(board, sample)
+
+    def _take_of(self, board: _Board, sample: j2a.Sample) -> None:
+        assert board.flows is not None
+        flow = board.flows.get(sample.name)
+        if flow is None:
+            return
+        flow.samples += 1
+        flow.lost += sample.lost + sample.missed
+        if flow.transducer.descriptor is not flow.topic.transducer and (
+            flow.transducer.descriptor != flow.topic.transducer
+        ):
+            return  # `_learn` is under way
+        if not flow.is_due(sample):
+            return
+        arrived_ns = time.time_ns()
+        newest = sample.time_us
+        uncertainty = None
+        if newest is None:
+            shift = 0
+        elif sample.host_us is None:
+            shift = arrived_ns // _NS_PER_US - newest
+        else:
+            shift = sample.host_us - newest
+            flow.latencies_ns.append(arrived_ns - sample.host_us * _NS_PER_US)
+            uncertainty = self._uncertainty_us(board)
+        update = Update(flow.topic, sample, shift, arrived_ns, uncertainty)
+        for runner in self.runners:
+            runner.publish(update)
+
+    @staticmethod
+    def _uncertainty_us(board: _Board) -> float | None:
+        try:
+            return board.client.clock.uncertainty_us if board.client is not None else None
+        except j2a.J2AError:
+            return None
+
+    # ------------------------------------------------------------------ status
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        status = self._status(max(now - self._ticked, 1e-3))
+        self._ticked = now
+        for runner in self.runners:
+            runner.tell_status(status)
+
+    def _status(self, span_s: float) -> Status:
+        boards = [self._board_status(key, one, span_s) for key, one in self._boards.items()]
+        known = {board.url for board in boards}
+        problems = self._fleet.problems if self._fleet is not None else {}
+        boards += [
+            BoardStatus("", "", url, False, str(why))
+            for url, why in problems.items()
+            if url not in known
+        ]
+        return Status(self._host, tuple(boards), tuple(runner.status for runner in self.runners))
+
+    def _board_status(self, identity: str, board: _Board, span_s: float) -> BoardStatus:
+        flows = [one for one in (board.flows or {}).values() if one.topic.transducer.is_sensor]
+        topics = tuple(flow.status(span_s) for flow in flows)
+        state, offset, uncertainty = "", None, None
+        if board.client is not None and board.has_clock:
+            with contextlib.suppress(j2a.J2AError):
+                reading = board.client.clock.read()
+                state = reading.state
+                offset, uncertainty = reading.offset_us, reading.uncertainty_us
+        is_here = board.client is not None
+        return BoardStatus(
+            board.name,
+            identity,
+            board.url,
+            is_here,
+            board.problem,
+            state,
+            offset,
+            uncertainty,
+            topics,
+        )
+
+    # ------------------------------------------------------------------ orders of sinks
+
+    def submit(self, coroutine: Coroutine[Any, Any, Any]) -> "Future[Any]":
+        """Run a coroutine in the loop of the bridge."""
+        if self._loop is None:
+            coroutine.close()
+            raise j2a.LocalError("the bridge does not run")
+        return asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+
+    def client(self, board: str) -> j2a.AsyncClient:
+        """Return the client of a board, by its name among the topics.
+
+        Raises:
+            UnknownBoard: it is not here.
+        """
+        for one in self._boards.values():
+            if one.name == board and one.client is not None:
+                return one.client
+        raise j2a.UnknownBoard(f"board {board!r:.80} is not here")
+
+    def set(
+        self,
+        topic: str,
+        values: Sequence[Any],
+        *,
+        channel: int = 0,
+        at_ns: int = 0,
+        raw: bool = False,
+    ) -> "Future[None]":
+        """Set channels of an actuator; see `j2a_bridge.sink.Control`."""
+
+        async def order() -> None:
+            flow = self._flow(topic)
+            if flow.topic.transducer.is_sensor:
+                raise j2a.WrongArgument(f"{topic} is a sensor, which cannot be set")
+            at_us = 0
+            if at_ns:
+                at_us = self.client(flow.topic.board).clock.to_device(at_ns // _NS_PER_US)
+            await flow.transducer.set(*values, channel=channel, at_us=at_us, raw=raw)
+
+        return self.submit(order())
+
+    def configure(self, topic: str, settings: Mapping[str, Any]) -> "Future[dict[str, Any]]":
+        """Change settings of a transducer."""
+
+        async def order() -> dict[str, Any]:
+            flow = self._flow(topic)
+            await flow.transducer.configure(**settings)
+            found = await self._settings(flow)
+            if "topic" in settings:
+                for board in self._boards.values():
+                    if board.name == flow.topic.board:
+                        await self._learn(board)
+            return found
+
+        return self.submit(order())
+
+    def settings(self, topic: str) -> "Future[dict[str, Any]]":
+        """Return the settings of a transducer."""
+
+        async def order() -> dict[str, Any]:
+            return await self._settings(self._flow(topic))
+
+        return self.submit(order())
+
+    async def _settings(self, flow: _Flow) -> dict[str, Any]:
+        has = flow.topic.transducer.has
+        is_sensor = flow.topic.transducer.is_sensor
+        names = [
+            name for name in _SETTINGS if has(name) or (is_sensor and name in ("enabled", "period"))
+        ]
+        return {name: await flow.transducer.setting(name) for name in names}
+
+    def call(self, board: str, function: str, values: Sequence[Any]) -> "Future[Any]":
+        """Call a function of a board by its name."""
+
+        async def order() -> Any:
+            functions = await self.client(board).functions()
+            return await functions[function](*values)
+
+        return self.submit(order())
+
+    def _flow(self, topic: str) -> _Flow:
+        found = self._flows.get(topic)
+        if found is None:
+            raise j2a.UnknownTransducer(f"no board that is here has the topic {topic!r:.80}")
+        return found

@@ -1,0 +1,170 @@
+"""`j2a bridge`: publish the transducers of boards to ROS, recordings, plotters and more.
+
+In: URLs of boards and names of sinks, or a file that says both. Out: samples, wherever they go.
+Rules: it runs until Ctrl-C or SIGTERM; a board that is gone is waited for, and a sink that fails is
+opened anew, so neither ends the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError
+from j2a.cli._link import seconds
+from j2a.cli._output import note
+from j2a.cli._urls import open_help
+from j2a_bridge.bridge import Bridge
+from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
+from j2a_bridge.sink import SinkRequest, sink_classes
+
+SUMMARY: Final = "publish the sensors of boards to ROS 1 and 2, recordings, plotters and more"
+
+
+def notes() -> str:
+    """Return what stands below the help: the sinks and their options."""
+    lines = ["sinks:"]
+    for name, point in sorted(sink_classes().items()):
+        try:
+            kind = point.load()
+        except ImportError as error:
+            lines.append(f"  {name:<10} (does not load: {error})")
+            continue
+        head = f"{name}:{kind.ARGUMENT}" if kind.ARGUMENT.startswith("[") is False else name
+        head = f"{name}[:{kind.ARGUMENT[1:-1]}]" if kind.ARGUMENT.startswith("[") else head
+        lines.append(f"  {head.rstrip(':'):<22} {kind.SUMMARY}")
+        for key, option in kind.OPTIONS.items():
+            lines.append(f"      {key}=  {option.help}")
+    return "\n".join(lines)
+
+
+NOTES: Final = """\
+examples:
+  j2a bridge serial:///dev/ttyACM0 --sink ros2
+  j2a bridge --usb --sink ros1 --sink mcap:drive.mcap --names board
+  j2a bridge tcp://127.0.0.1:5000 --sink udp:127.0.0.1:47269,format=teleplot
+  j2a bridge --config robot.toml
+
+`j2a bridge --list` names the sinks and their options."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command."""
+    parser.add_argument("urls", metavar="URL", nargs="*", help="a board, such as usb:")
+    parser.add_argument(
+        "--sink",
+        action="append",
+        default=[],
+        metavar="NAME[:WHERE][,OPTION=VALUE]",
+        help="where samples go; may be repeated",
+    )
+    parser.add_argument(
+        "--usb", action="store_true", help="take all boards on the USB, as they come"
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="a TOML file with all of this")
+    parser.add_argument(
+        "--names",
+        choices=NAMES,
+        help="whether topics begin with the name of the board (short with one URL, else board)",
+    )
+    parser.add_argument(
+        "--clock",
+        choices=CLOCKS,
+        help="set the clocks of the boards to that of this computer, only know them, or neither "
+        "(discipline)",
+    )
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after N seconds")
+    parser.add_argument("--list", action="store_true", help="print the sinks and their options")
+    parser.add_argument(
+        "--timeout", type=seconds, default=1.0, metavar="S", help="time limit of a call (1)"
+    )
+    parser.set_defaults(url_help=open_help)
+
+
+def config_of(args: argparse.Namespace) -> Config:
+    """Return what the arguments ask for.
+
+    Raises:
+        UsageError, LocalError: they are wrong.
+    """
+    config = load_config(args.config) if args.config is not None else Config()
+    boards = config.boards + tuple(BoardConfig(url=url) for url in args.urls)
+    sinks = config.sinks + tuple(SinkRequest.parse(text) for text in args.sink)
+    config = replace(config, boards=boards, sinks=sinks, usb=config.usb or args.usb)
+    if args.names is not None:
+        config = replace(config, names=args.names)
+    if args.clock is not None:
+        config = replace(config, clock=args.clock)
+    if len(set(config.urls)) != len(config.urls):
+        twice = next(url for url in config.urls if config.urls.count(url) > 1)
+        raise UsageError(f"{twice} stands there twice")
+    if not config.urls and not config.usb:
+        raise UsageError("name a board, or --usb for all that are plugged in", "try: j2a list")
+    return config
+
+
+def run(args: argparse.Namespace) -> int:
+    """Bridge until the end; returns the exit code."""
+    if args.list:
+        for line in notes().splitlines():
+            note(line)
+        return OK
+    config = config_of(args)
+    if not config.sinks:
+        known = ", ".join(sorted(sink_classes()))
+        raise UsageError(f"name a sink, as in --sink ros2; there are: {known}")
+    log_to_stderr()
+    return asyncio.run(run_bridge(config, args.seconds, timeout=args.timeout))
+
+
+def log_to_stderr() -> None:
+    """Have what the bridge tells shown as the other commands do it."""
+
+    class Notes(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            note(f"j2a: {record.getMessage()}")
+
+    logger = logging.getLogger("j2a")
+    logger.addHandler(Notes())
+    logger.propagate = False
+
+
+async def run_bridge(config: Config, limit_s: float | None, **options: float) -> int:
+    """Bridge until a signal, the limit, or the end of all sinks; returns the exit code."""
+    bridge = Bridge(config, **options)
+    loop = asyncio.get_running_loop()
+    code = OK
+    interrupted: list[int] = []
+
+    def stop(number: int) -> None:
+        interrupted.append(number)
+        bridge.stop()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop, number)
+    if limit_s is not None:
+        loop.call_later(limit_s, bridge.stop)
+
+    def tell() -> None:
+        for runner in bridge.runners:
+            if not runner.problem and (line := runner.sink.told()):
+                note(f"j2a: {line}")
+
+    await bridge.run(tell)
+    for runner in bridge.runners:
+        status = runner.status
+        note(f"j2a: {status.name}: {status.published} samples, {status.dropped} dropped")
+    failed = [runner for runner in bridge.runners if runner.problem]
+    if failed:
+        raise CommandFailed(f"sink {failed[0].name}: {failed[0].problem}", FAILED)
+    if interrupted:
+        code = 128 + interrupted[0]
+    return code
+
+
+__all__ = ["add_arguments", "config_of", "log_to_stderr", "run", "run_bridge"]

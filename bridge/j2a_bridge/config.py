@@ -1,0 +1,174 @@
+"""What a bridge shall do, as one TOML file or the command line says it.
+
+What flows in: a file, or arguments. What flows out: a `Config`.
+Rules: without a file everything is published under sensible names; a word that is not known is an
+error that names it and what is near.
+"""
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final
+
+from j2a import LocalError
+from j2a_bridge.sink import SinkRequest
+
+__all__ = ["CLOCKS", "NAMES", "BoardConfig", "Config", "SensorConfig", "load_config"]
+
+CLOCKS: Final = ("discipline", "follow", "off")
+NAMES: Final = ("short", "board")
+
+
+@dataclass(frozen=True, slots=True)
+class SensorConfig:
+    """What is asked of one transducer.
+
+    Attributes:
+        topic: in place of that of its descriptor.
+        rate_hz: so many samples a second at the most; None for all.
+        message: "auto", "raw", or a standard message; see `j2a_bridge.topics.Topic`.
+        is_published: it is.
+    """
+
+    topic: str = ""
+    rate_hz: float | None = None
+    message: str = "auto"
+    is_published: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class BoardConfig:
+    """What is asked of one board.
+
+    Attributes:
+        url: where it is; "" for one that is known by its identity alone.
+        identity: its serial number; "" for any.
+        name: among the topics; "" for its own.
+        transducers: by name.
+    """
+
+    url: str = ""
+    identity: str = ""
+    name: str = ""
+    transducers: Mapping[str, SensorConfig] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """What a bridge shall do.
+
+    Attributes:
+        boards: to open, or what is asked of those that are found.
+        sinks: where samples go.
+        usb: also take all boards on the USB of this computer.
+        names: "short" or "board": whether the board's name stands before that of a transducer;
+            "" for "short" with one URL alone.
+        clock: "discipline" sets the clocks of boards, "follow" only knows them, or "off".
+    """
+
+    boards: tuple[BoardConfig, ...] = ()
+    sinks: tuple[SinkRequest, ...] = ()
+    usb: bool = False
+    names: str = ""
+    clock: str = "discipline"
+
+    @property
+    def urls(self) -> tuple[str, ...]:
+        """Of the boards to open."""
+        return tuple(board.url for board in self.boards if board.url)
+
+    @property
+    def with_board(self) -> bool:
+        """Whether topics begin with the name of the board."""
+        if self.names:
+            return self.names == "board"
+        return self.usb or len(self.urls) != 1
+
+
+def load_config(path: Path) -> Config:
+    """Read a file.
+
+    Raises:
+        LocalError: it is wrong; the message has its name and what is wrong.
+        OSError: it cannot be read.
+    """
+    try:
+        found = tomllib.loads(path.read_text(encoding="utf-8"))
+        return _config(found)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, LocalError) as error:
+        raise LocalError(f"{path}: {error}") from None
+
+
+def _config(table: Mapping[str, Any]) -> Config:
+    _check(
+        table, "the file", {"boards": list, "sinks": list, "usb": bool, "names": str, "clock": str}
+    )
+    names, clock = table.get("names", ""), table.get("clock", "discipline")
+    _one_of("names", names, ("", *NAMES))
+    _one_of("clock", clock, CLOCKS)
+    return Config(
+        tuple(_board(one) for one in table.get("boards", ())),
+        tuple(_sink(one) for one in table.get("sinks", ())),
+        table.get("usb", False),
+        names,
+        clock,
+    )
+
+
+def _board(table: Any) -> BoardConfig:
+    _check(table, "[[boards]]", {"url": str, "serial": str, "name": str, "transducers": dict})
+    if not table.get("url") and not table.get("serial"):
+        raise LocalError("[[boards]] has a url, or the serial of one that is found on the USB")
+    transducers = {name: _sensor(name, one) for name, one in table.get("transducers", {}).items()}
+    return BoardConfig(
+        table.get("url", ""), table.get("serial", ""), table.get("name", ""), transducers
+    )
+
+
+def _sensor(name: str, table: Any) -> SensorConfig:
+    kinds = {"topic": str, "rate": (int, float), "message": str, "publish": bool}
+    _check(table, f"the transducer {name}", kinds)
+    rate = table.get("rate")
+    if rate is not None and not 0 < rate < float("inf"):
+        raise LocalError(f"the rate of {name} is a number of samples a second, not {rate}")
+    return SensorConfig(
+        table.get("topic", ""),
+        None if rate is None else float(rate),
+        table.get("message", "auto"),
+        table.get("publish", True),
+    )
+
+
+def _sink(table: Any) -> SinkRequest:
+    if isinstance(table, str):
+        return SinkRequest.parse(table)
+    if not isinstance(table, dict) or not isinstance(table.get("use"), str):
+        raise LocalError('[[sinks]] says which one, as in use = "ros2"')
+    options = {key: value for key, value in table.items() if key not in ("use", "to")}
+    return SinkRequest(table["use"], str(table.get("to", "")), options)
+
+
+def _check(table: Any, where: str, kinds: Mapping[str, Any]) -> None:
+    if not isinstance(table, Mapping):
+        raise LocalError(f"{where} is a table, not {table!r:.60}")
+    for key, value in table.items():
+        if key not in kinds:
+            raise LocalError(f"{where} has no {key!r:.60}; {_near(key, kinds)}")
+        if not isinstance(value, kinds[key]) or (
+            isinstance(value, bool) and kinds[key] is not bool
+        ):
+            raise LocalError(f"{key} of {where} cannot be {value!r:.60}")
+
+
+def _one_of(key: str, value: str, allowed: Iterable[str]) -> None:
+    if value not in allowed:
+        listed = ", ".join(one for one in allowed if one)
+        raise LocalError(f"{key} is one of {listed}, not {value!r:.60}")
+
+
+def _near(key: str, known: Iterable[str]) -> str:
+    known = list(known)
+    near = get_close_matches(key, known, n=1)
+    return f"did you mean {near[0]}?" if near else f"there are: {', '.join(known)}"

@@ -1,0 +1,223 @@
+"""Runs one sink in a thread of its own, so that it delays nobody.
+
+What flows in: topics and samples, from the loop of the bridge. What flows out: calls of the sink,
+in order.
+Rules: so many samples may wait; then the oldest are dropped and counted, and no news of a topic
+ever is. A sink that fails is told once, closed, and opened anew after a while with all its topics.
+"""
+
+import contextlib
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from j2a_bridge.sink import Sink, SinkError, SinkStatus, Status, Update
+from j2a_bridge.topics import Topic
+
+__all__ = ["SinkRunner"]
+
+_CLOSE_S: Final = 5.0
+_logger = logging.getLogger("j2a.bridge")
+
+
+class SinkRunner:
+    """One sink and its thread.
+
+    Args:
+        name: as it was asked for.
+        sink: that is run.
+        on_fatal: called once, by the thread, when the sink has failed and is not opened again.
+    """
+
+    def __init__(
+        self, name: str, sink: Sink, on_fatal: Callable[[], object] = lambda: None
+    ) -> None:
+        self.name = name
+        self.sink = sink
+        self._on_fatal = on_fatal
+        self._wake = threading.Condition()
+        self._news: deque[tuple[bool, Topic]] = deque()  # which no sample before it overtakes
+        self._waiting: deque[Update | tuple[bool, Topic]] = deque()
+        self._samples = 0
+        self._status: Status | None = None
+        self._is_ended = False
+        self._topics: dict[str, Topic] = {}
+        self._is_open = False
+        self._told = ""
+        self.problem = ""
+        self.published = 0
+        self.dropped = 0
+        self.opened = threading.Event()
+        """Set when it was opened for the first time, or could not be."""
+        self._thread = threading.Thread(target=self._work, name=f"j2a sink {name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def announce(self, topic: Topic) -> None:
+        """Pass a topic on that has come."""
+        self._tell((True, topic))
+
+    def retract(self, topic: Topic) -> None:
+        """Pass a topic on that has gone."""
+        self._tell((False, topic))
+
+    def _tell(self, news: tuple[bool, Topic]) -> None:
+        with self._wake:
+            self._waiting.append(news)
+            self._wake.notify()
+
+    def publish(self, update: Update) -> None:
+        """Pass a sample on; returns at once."""
+        with self._wake:
+            if self._samples >= self.sink.WAITING:
+                self._drop_oldest()
+            self._waiting.append(update)
+            self._samples += 1
+            self._wake.notify()
+
+    def _drop_oldest(self) -> None:
+        while True:
+            oldest = self._waiting.popleft()
+            if isinstance(oldest, Update):
+                self.dropped += 1
+                self._samples -= 1
+                return
+            self._news.append(oldest)
+
+    def tell_status(self, status: Status) -> None:
+        """Pass the state of all on; only the newest one waits."""
+        with self._wake:
+            self._status = status
+            self._wake.notify()
+
+    @property
+    def status(self) -> SinkStatus:
+        """How the sink is."""
+        return SinkStatus(self.name, self._is_open, self.problem, self.published, self.dropped)
+
+    def end(self) -> None:
+        """Have it end when all that waits was published; returns at once."""
+        with self._wake:
+            self._is_ended = True
+            self._wake.notify()
+
+    def join(self, timeout: float = _CLOSE_S) -> bool:
+        """Wait for the end; return whether it came."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    # ------------------------------------------------------------------ the thread
+
+    def _work(self) -> None:
+        due = time.monotonic()
+        is_given_up = False
+        try:
+            while True:
+                if not self._is_open and not is_given_up and time.monotonic() >= due:
+                    if not self._open():
+                        is_given_up = self.sink.RETRY_S is None
+                        due = time.monotonic() + (self.sink.RETRY_S or 0.0)
+                        if is_given_up:
+                            self._on_fatal()
+                    self.opened.set()
+                item = self._next(None if self._is_open or is_given_up else due)
+                if item is None:
+                    return
+                if not self._handle(item):
+                    is_given_up = self.sink.RETRY_S is None
+                    due = time.monotonic() + (self.sink.RETRY_S or 0.0)
+                    if is_given_up:
+                        self._on_fatal()
+        finally:
+            self.opened.set()
+            self._close()
+
+    def _next(self, due: float | None) -> "Update | tuple[bool, Topic] | Status | bool | None":
+        """Return what is to be done; True when nothing is, None at the end."""
+        with self._wake:
+            while True:
+                if self._news:
+                    return self._news.popleft()
+                if self._waiting:
+                    item = self._waiting.popleft()
+                    self._samples -= isinstance(item, Update)
+                    return item
+                if self._is_ended:
+                    return None
+                if self._status is not None:
+                    status, self._status = self._status, None
+                    return status
+                left = None if due is None else due - time.monotonic()
+                if left is not None and left <= 0:
+                    return True
+                self._wake.wait(left)
+
+    def _handle(self, item: "Update | tuple[bool, Topic] | Status | bool") -> bool:
+        """Do one thing; return whether the sink did not fail."""
+        try:
+            if isinstance(item, Update):
+                if not self._is_open:
+                    self.dropped += 1
+                elif item.topic.name in self._topics:
+                    self.sink.publish(item)
+                    self.published += 1
+                    if not self._waiting:
+                        self.sink.flush()
+            elif isinstance(item, Status):
+                if self._is_open:
+                    self.sink.status(item)
+            elif not isinstance(item, bool):
+                self._change(*item)
+        except Exception as error:  # of a sink of anybody
+            self._fail(error)
+            return False
+        return True
+
+    def _change(self, has_come: bool, topic: Topic) -> None:
+        before = self._topics.pop(topic.name, None)
+        if has_come:
+            self._topics[topic.name] = topic
+        if not self._is_open:
+            return
+        if before is not None and before is not topic:
+            self.sink.retract(before)
+        if has_come:
+            if before is not topic:
+                self.sink.announce(topic)
+        elif before is topic:
+            self.sink.retract(topic)
+
+    def _open(self) -> bool:
+        try:
+            self.sink.open()
+            for topic in self._topics.values():
+                self.sink.announce(topic)
+        except Exception as error:
+            self._fail(error)
+            return False
+        self._is_open = True
+        if self._told:
+            _logger.warning("sink %s: open again", self.name)
+        self._told = self.problem = ""
+        return True
+
+    def _fail(self, error: Exception) -> None:
+        is_expected = isinstance(error, SinkError | OSError)
+        what = str(error) if is_expected else f"{type(error).__name__}: {error}"
+        self.problem = what or type(error).__name__
+        if self.problem != self._told:
+            self._told = self.problem
+            _logger.warning(
+                "sink %s: %s", self.name, self.problem, exc_info=None if is_expected else error
+            )
+        self._close()
+
+    def _close(self) -> None:
+        self._is_open = False
+        with contextlib.suppress(Exception):
+            self.sink.close()

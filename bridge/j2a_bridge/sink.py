@@ -1,0 +1,370 @@
+"""What a sink is: a way out for samples, such as ROS 2 or a file.
+
+What flows in: topics that come and go, and samples. What flows out: whatever the sink makes of
+them; back flow values for actuators, settings and calls, through `Control`.
+Rules: all methods of a sink are called by one thread of its own, so a sink may wait; what it cannot
+take is dropped for it alone, and counted. A sink of another package is found by the entry-point
+group `j2a.sinks` (name = what stands behind `--sink`, object = a class).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import entry_points
+from typing import Any, ClassVar, Final, Protocol
+
+from j2a import LocalError, Sample
+from j2a_bridge.topics import Topic
+
+__all__ = [
+    "BoardStatus",
+    "Control",
+    "Option",
+    "Sink",
+    "SinkError",
+    "SinkStatus",
+    "Status",
+    "TopicStatus",
+    "Update",
+    "make_sink",
+    "sink_classes",
+]
+
+ENTRY_POINT_GROUP: Final = "j2a.sinks"
+_NS_PER_US: Final = 1000
+
+
+class SinkError(Exception):
+    """A sink cannot go on; the message says what to do. It is opened anew after a while."""
+
+
+@dataclass(frozen=True)
+class Update:
+    """A sample under its topic.
+
+    Attributes:
+        topic: where it is published.
+        sample: as the library delivers it.
+        shift_us: what is added to a time of the device, to get one of this computer since 1970.
+        arrived_ns: when the sample came, in nanoseconds since 1970.
+        uncertainty_us: bound of the error of the times; None where the clock of the board is not
+            known, and the newest reading counts as taken when the sample came.
+    """
+
+    topic: Topic
+    sample: Sample
+    shift_us: int
+    arrived_ns: int
+    uncertainty_us: float | None = None
+
+    @cached_property
+    def stamps_ns(self) -> tuple[int | None, ...]:
+        """When the readings were taken, in nanoseconds since 1970; None where there is none."""
+        return tuple(
+            None if time is None else (time + self.shift_us) * _NS_PER_US
+            for time in self.sample.times_us
+        )
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the newest reading was taken; when the sample came where there is no reading."""
+        newest = self.sample.time_us
+        return self.arrived_ns if newest is None else (newest + self.shift_us) * _NS_PER_US
+
+
+@dataclass(frozen=True, slots=True)
+class TopicStatus:
+    """How the samples of a topic come.
+
+    Attributes:
+        name: of the topic.
+        samples: so many came since the bridge began.
+        rate_hz: in the last second.
+        latency_ms: from the reading to its arrival, the median of the last second; None where the
+            clock of the board is not known.
+        lost: values that were lost on the board or on the link.
+        skipped: samples left out because they came more often than was asked for.
+    """
+
+    name: str
+    samples: int
+    rate_hz: float
+    latency_ms: float | None
+    lost: int
+    skipped: int
+
+
+@dataclass(frozen=True, slots=True)
+class BoardStatus:
+    """A board as the bridge sees it now.
+
+    Attributes:
+        name: among the topics; "" for one that was never here.
+        identity: of the board; "" likewise.
+        url: where it is.
+        is_here: it can be used.
+        problem: why it is not, or what is wrong with it, or "".
+        clock: state of its clock, "" where it is not known.
+        offset_us, uncertainty_us: of its clock; None where they are not known.
+        topics: of its sensors.
+    """
+
+    name: str
+    identity: str
+    url: str
+    is_here: bool
+    problem: str = ""
+    clock: str = ""
+    offset_us: float | None = None
+    uncertainty_us: float | None = None
+    topics: tuple[TopicStatus, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SinkStatus:
+    """A sink as the bridge sees it now.
+
+    Attributes:
+        name: as it was asked for, such as "mcap:drive.mcap".
+        is_open: it takes samples.
+        problem: why it does not, or "".
+        published, dropped: samples it took, and samples it lost because it was slow or not open.
+    """
+
+    name: str
+    is_open: bool
+    problem: str
+    published: int
+    dropped: int
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """All of it.
+
+    Attributes:
+        host: the name of this computer.
+        boards: all that were asked for or have come.
+        sinks: all.
+    """
+
+    host: str
+    boards: tuple[BoardStatus, ...] = ()
+    sinks: tuple[SinkStatus, ...] = ()
+
+
+class Control(Protocol):
+    """What a sink may ask for; from any thread, and nothing waits.
+
+    The futures raise J2AError: WrongArgument for what cannot be, with the reason, before anything
+    is sent; LinkError when the board is gone.
+    """
+
+    def set(
+        self,
+        topic: str,
+        values: Sequence[Any],
+        *,
+        channel: int = 0,
+        at_ns: int = 0,
+        raw: bool = False,
+    ) -> "Future[None]":
+        """Set channels of an actuator, in its unit, at once or at a time since 1970."""
+
+    def configure(self, topic: str, settings: Mapping[str, Any]) -> "Future[dict[str, Any]]":
+        """Change settings of a transducer; the result is what the device has then."""
+
+    def settings(self, topic: str) -> "Future[dict[str, Any]]":
+        """Return the settings of a transducer, as far as it has them."""
+
+    def call(self, board: str, function: str, values: Sequence[Any]) -> "Future[Any]":
+        """Call a function of a board by its name."""
+
+    def client(self, board: str) -> Any:
+        """Return the AsyncClient of a board that is here, for the loop of the bridge only.
+
+        Raises:
+            UnknownBoard: it is not here.
+        """
+
+    def submit(self, coroutine: Any) -> "Future[Any]":
+        """Run a coroutine in the loop of the bridge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """An option of a sink.
+
+    Attributes:
+        kind: str, int, float or bool.
+        default: its value where it is not given.
+        help: what it does.
+    """
+
+    kind: type
+    default: Any
+    help: str
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return a value that was given as text or in TOML.
+
+        Raises:
+            LocalError: it is none.
+        """
+        if self.kind is bool and isinstance(value, str):
+            words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+            if value.lower() in words:
+                return words[value.lower()]
+        elif self.kind in (int, float) and isinstance(value, str | int | float):
+            try:
+                if not isinstance(value, bool):
+                    return self.kind(value)
+            except (ValueError, OverflowError):
+                pass
+        elif isinstance(value, self.kind):
+            return value
+        kinds = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
+        raise LocalError(f"the option {name} of a sink is {kinds[self.kind]}, not {value!r:.60}")
+
+
+class Sink(ABC):
+    """A way out for samples.
+
+    Args:
+        argument: what stands behind the name of the sink, such as a file.
+        options: all that `OPTIONS` names.
+        control: what it may ask for.
+
+    Raises:
+        LocalError: the argument is wrong, or a package is missing.
+    """
+
+    SUMMARY: ClassVar[str]
+    """What it does, in a few words."""
+    ARGUMENT: ClassVar[str] = ""
+    """What stands behind the name, such as "FILE.mcap"; "" for nothing, in brackets if optional."""
+    OPTIONS: ClassVar[Mapping[str, Option]] = {}
+    RETRY_S: ClassVar[float | None] = 2.0
+    """After so long it is opened again when it has failed; None for never."""
+    WAITING: ClassVar[int] = 4096
+    """So many samples may wait for it."""
+
+    def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
+        self.argument = argument
+        self.options = options
+        self.control = control
+
+    @abstractmethod
+    def open(self) -> None:
+        """Begin; may be called again after `close`.
+
+        Raises:
+            SinkError, OSError: it cannot.
+        """
+
+    @abstractmethod
+    def announce(self, topic: Topic) -> None:
+        """Take in a topic, of a sensor or an actuator, before its first sample."""
+
+    @abstractmethod
+    def retract(self, topic: Topic) -> None:
+        """Let a topic go: its board is gone, or has become another one."""
+
+    @abstractmethod
+    def publish(self, update: Update) -> None:
+        """Publish a sample."""
+
+    def status(self, status: Status) -> None:  # noqa: B027 - most sinks have no use for it
+        """Take in the state of all; called once a second."""
+
+    def flush(self) -> None:  # noqa: B027
+        """Send what was kept back; called when no sample waits."""
+
+    def told(self) -> str:
+        """Return a line that says where it can be found, or ""."""
+        return ""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End; may be called twice, and after a failure."""
+
+
+@dataclass(frozen=True)
+class SinkRequest:
+    """A sink that was asked for.
+
+    Attributes:
+        name: which one.
+        argument: what stands behind it.
+        options: that were given.
+    """
+
+    name: str
+    argument: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str) -> "SinkRequest":
+        """Read NAME[:ARGUMENT][,OPTION=VALUE...].
+
+        Raises:
+            LocalError: it is none.
+        """
+        head, *parts = text.split(",")
+        name, _, argument = head.partition(":")
+        if not name:
+            raise LocalError(f"{text!r:.60} names no sink; write it as in --sink mcap:drive.mcap")
+        parts.insert(0, argument)
+        options: dict[str, Any] = {}
+        while parts and (found := _option(parts[-1])):
+            key, value = found
+            if key in options:
+                raise LocalError(f"{text}: the option {key} is given twice")
+            options[key] = value
+            parts.pop()
+        return cls(name, ",".join(parts), options)
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.argument}" if self.argument else self.name
+
+
+def _option(text: str) -> tuple[str, str] | None:
+    key, equals, value = text.partition("=")
+    return (key, value) if equals and key.isidentifier() else None
+
+
+def sink_classes() -> dict[str, Any]:
+    """Return the entry points of all sinks, by name; `load()` gives the class."""
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+
+
+def make_sink(request: SinkRequest, control: Control) -> Sink:
+    """Make a sink.
+
+    Raises:
+        LocalError: there is none of that name, or it refuses its argument or an option.
+    """
+    known = sink_classes()
+    if request.name not in known:
+        raise LocalError(f"there is no sink {request.name!r:.40}; there are: {', '.join(known)}")
+    try:
+        kind: type[Sink] = known[request.name].load()
+    except ImportError as error:
+        raise LocalError(f"the sink {request.name} does not load: {error}") from None
+    if request.argument and not kind.ARGUMENT:
+        raise LocalError(f"the sink {request.name} takes nothing behind a colon")
+    if kind.ARGUMENT and kind.ARGUMENT[0] != "[" and not request.argument:
+        raise LocalError(f"the sink {request.name} needs more: {request.name}:{kind.ARGUMENT}")
+    for name in request.options:
+        if name not in kind.OPTIONS:
+            has = ", ".join(kind.OPTIONS) or "none"
+            raise LocalError(f"the sink {request.name} has no option {name}; it has: {has}")
+    options = {
+        name: option.read(name, request.options[name])
+        if name in request.options
+        else option.default
+        for name, option in kind.OPTIONS.items()
+    }
+    return kind(request.argument, options, control)

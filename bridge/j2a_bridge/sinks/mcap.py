@@ -1,0 +1,111 @@
+"""The sink `mcap`: a recording, as `j2a record` writes it.
+
+What flows in: samples. What flows out: a file of messages of ROS 2 with the times of the host.
+Rules: each second all samples are in the file; a full disk ends the sink, and what was written
+before stays readable.
+"""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from j2a import LocalError
+from j2a.recording import Recorder, check_package
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Update
+from j2a_bridge.topics import Topic
+
+__all__ = ["McapSink"]
+
+_MIB: Final = 1 << 20
+_EACH_S: Final = 1.0
+
+
+class McapSink(Sink):
+    """Writes samples into a file."""
+
+    SUMMARY = "a recording that stock viewers and `j2a replay` read"
+    ARGUMENT = "FILE.mcap"
+    OPTIONS: ClassVar[Mapping[str, Option]] = {
+        "segment": Option(int, 0, "begin another file when one has so many MiB"),
+    }
+    RETRY_S = None
+    WAITING = 1 << 16
+
+    def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
+        super().__init__(argument, options, control)
+        self._path = Path(argument)
+        if self._path.suffix != ".mcap":
+            raise LocalError(f"{argument}: the name of a recording ends in .mcap")
+        if self._path.exists():
+            raise LocalError(f"{argument} is there already; choose another name")
+        check_package()
+        self._recorder: Recorder | None = None
+        self._topics: dict[str, dict[str, Topic]] = {}
+        self._added: dict[str, tuple[str, dict[str, Topic]]] = {}
+        self._names: set[str] = set()
+        self._flushed = 0.0
+
+    def open(self) -> None:
+        """Make the file."""
+        try:
+            segment = self.options["segment"] * _MIB or None
+            self._recorder = Recorder(self._path, segment_bytes=segment)
+        except FileExistsError:
+            raise SinkError(f"{self._path} is there already; choose another name") from None
+
+    def announce(self, topic: Topic) -> None:
+        """Note a sensor; its board is announced with the first sample, when all are known."""
+        if topic.transducer.is_sensor:
+            self._topics.setdefault(topic.board, {})[topic.transducer.name] = topic
+
+    def retract(self, topic: Topic) -> None:
+        """Nothing to do: the board may come again."""
+
+    def publish(self, update: Update) -> None:
+        """Write a sample."""
+        assert self._recorder is not None
+        board = update.topic.board
+        name, topics = self._added.get(board, ("", {}))
+        if topics.get(update.topic.transducer.name) != update.topic:
+            name = self._add(board)
+        try:
+            self._recorder.write(name, update.sample, update.arrived_ns)
+        except ValueError as error:
+            raise SinkError(f"{update.topic.name} cannot be recorded: {error}") from None
+
+    def _add(self, board: str) -> str:
+        """Announce a board as it is now, under a name that the file does not have yet."""
+        assert self._recorder is not None
+        topics = dict(self._topics[board])
+        name, number = board, 1
+        while name in self._names:
+            number += 1
+            name = f"{board}_{number}"
+        self._names.add(name)
+        descriptors = next(iter(topics.values())).descriptors
+        names = {sensor: topic.name for sensor, topic in topics.items()}
+        self._recorder.add_board(name, descriptors, topics=names)
+        self._added[board] = name, topics
+        return name
+
+    def flush(self) -> None:
+        """Write all into the file, once a second."""
+        now = time.monotonic()
+        if self._recorder is not None and now - self._flushed >= _EACH_S:
+            self._flushed = now
+            self._recorder.flush()
+
+    def status(self, status: Any) -> None:
+        """Flush also when nothing comes."""
+        self.flush()
+
+    def told(self) -> str:
+        """Return what is written."""
+        return f"recording into {self._path}"
+
+    def close(self) -> None:
+        """End the file."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.close()

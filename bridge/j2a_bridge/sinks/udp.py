@@ -1,0 +1,120 @@
+"""The sink `udp`: datagrams for plotters, as PlotJuggler (JSON) and Teleplot take them.
+
+What flows in: samples. What flows out: a datagram for each; numbers only, as plotters draw these.
+Rules: a datagram that nobody takes is no error; N/A is left out.
+"""
+
+import json
+import socket
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
+
+from j2a import LocalError
+from j2a_bridge.sink import Control, Option, Sink, Update
+from j2a_bridge.topics import Topic
+
+__all__ = ["UdpSink", "numbers"]
+
+_PORTS = {"json": 9870, "teleplot": 47269}
+_NS_PER_S = 1e9
+_NS_PER_MS = 1e6
+_MAX_DATAGRAM = 1400
+
+
+class UdpSink(Sink):
+    """Sends each sample as one datagram."""
+
+    SUMMARY = "datagrams for PlotJuggler (JSON) or Teleplot"
+    ARGUMENT = "[HOST:PORT]"
+    OPTIONS: ClassVar[Mapping[str, Option]] = {
+        "format": Option(str, "json", "json for PlotJuggler, or teleplot"),
+    }
+
+    def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
+        super().__init__(argument, options, control)
+        if options["format"] not in _PORTS:
+            raise LocalError(
+                f"the format of udp is json or teleplot, not {options['format']!r:.40}"
+            )
+        self._is_json = options["format"] == "json"
+        host, _, port = argument.rpartition(":") if argument else ("127.0.0.1", "", "")
+        port = port or str(_PORTS[options["format"]])
+        if not host or not port.isdecimal() or not 0 < int(port) < 1 << 16:
+            raise LocalError(
+                f"udp sends to HOST:PORT, such as 127.0.0.1:9870, not {argument!r:.60}"
+            )
+        self._address = host.strip("[]"), int(port)
+        self._socket: socket.socket | None = None
+
+    def open(self) -> None:
+        """Find the address."""
+        found = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)
+        family, kind, protocol, _, address = found[0]
+        self._socket = socket.socket(family, kind, protocol)
+        self._target = address
+
+    def announce(self, topic: Topic) -> None:
+        """Nothing to do: receivers learn names from datagrams."""
+
+    def retract(self, topic: Topic) -> None:
+        """Nothing to do."""
+
+    def publish(self, update: Update) -> None:
+        """Send a sample."""
+        assert self._socket is not None
+        for data in self._json(update) if self._is_json else self._teleplot(update):
+            self._socket.sendto(data, self._target)
+
+    def close(self) -> None:
+        """End."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    @staticmethod
+    def _json(update: Update) -> Iterator[bytes]:
+        # PlotJuggler has one time for a datagram, so values of other times are in others.
+        by_time: dict[int, dict[str, float]] = {}
+        for stamp, name, value in numbers(update):
+            by_time.setdefault(stamp, {})[name] = value
+        for stamp, values in by_time.items():
+            tree: dict[str, Any] = {"timestamp": stamp / _NS_PER_S}
+            yield json.dumps(tree | {update.topic.name: values}, allow_nan=False).encode()
+
+    @staticmethod
+    def _teleplot(update: Update) -> Iterator[bytes]:
+        unit = update.sample.unit
+        suffix = f"§{unit}" if unit and unit.isprintable() else ""
+        lines = b""
+        for stamp, name, value in numbers(update):
+            line = f"{update.topic.name}/{name}:{stamp / _NS_PER_MS:.3f}:{value!r}{suffix}".encode()
+            if lines and len(lines) + len(line) > _MAX_DATAGRAM:
+                yield lines
+                lines = b""
+            lines += b"\n" * bool(lines) + line
+        if lines:
+            yield lines
+
+
+def numbers(update: Update) -> Iterator[tuple[int, str, float]]:
+    """Yield the numbers of a sample: when each was taken in ns, its name such as "0/x", and it.
+
+    N/A, infinities and what is no number are left out.
+    """
+    for reading, stamp in zip(update.sample.readings, update.stamps_ns, strict=True):
+        if stamp is None or reading.value is None:
+            continue
+        for name, value in _flat(str(reading.channel), reading.value):
+            yield stamp, name, value
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, float]]:
+    if isinstance(value, bool | int | float):
+        if value - value == 0:  # neither infinite nor NaN
+            yield name, value if isinstance(value, float) else int(value)
+    elif hasattr(value, "_asdict"):
+        for key, one in value._asdict().items():
+            yield from _flat(f"{name}/{key}", one)
+    elif isinstance(value, list | tuple):
+        for at, one in enumerate(value):
+            yield from _flat(f"{name}/{at}", one)

@@ -1,0 +1,110 @@
+"""Topics: the names under which transducers are published.
+
+What flows in: boards with their properties, and their transducers. What flows out: a name for each
+board and a topic for each transducer.
+Rules: a board keeps its name for as long as the program runs, wherever it is plugged in; two
+transducers never share a topic.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from j2a.types.transducers import Descriptors, Transducer
+
+__all__ = ["Names", "Topic", "plain_name"]
+
+_NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A transducer of a board, as sinks know it.
+
+    Attributes:
+        name: letters, digits and "_", in parts with "/" between them; the last one or more are of
+            the transducer, one before them may be of the board.
+        board: the name of the board.
+        transducer: what its descriptor says.
+        descriptors: all that the board tells of its transducers.
+        message: "raw" for the layout of the thesis alone, the name of a standard message such as
+            "sensor_msgs/Range", or "auto", which adds the standard message that fits.
+    """
+
+    name: str
+    board: str
+    transducer: Transducer
+    descriptors: Descriptors
+    message: str = "auto"
+
+
+def plain_name(text: str) -> str:
+    """Return a name of letters, digits and "_" that begins with no digit."""
+    name = _NOT_IN_NAMES.sub("_", text).strip("_")
+    if not name:
+        return "_"
+    return f"_{name}" if name[0].isdigit() else name
+
+
+class Names:
+    """Gives names to boards and topics.
+
+    Args:
+        with_board: the name of the board stands before that of each transducer.
+        boards: names that were chosen for boards, by identity, serial number or URL.
+    """
+
+    def __init__(self, *, with_board: bool, boards: Mapping[str, str] | None = None) -> None:
+        self._with_board = with_board
+        self._chosen = dict(boards or {})
+        self._boards: dict[str, str] = {}
+        self._topics: dict[str, tuple[str, str]] = {}
+
+    def board(self, identity: str, url: str, properties: Mapping[str, str]) -> str:
+        """Return the name of a board: one that was chosen, its own, or with its serial number.
+
+        Args:
+            identity: tells it from all others, wherever it is.
+            url: where it is.
+            properties: of the board.
+        """
+        if identity in self._boards:
+            return self._boards[identity]
+        chosen = self._chosen.get(identity) or self._chosen.get(url)
+        own = plain_name(chosen or properties.get("name") or "board")
+        serial = properties.get("serial")
+        name = own
+        if own in self._boards.values() and serial:
+            name = plain_name(f"{own}_{serial}")
+        name = _free(name, self._boards.values())
+        self._boards[identity] = name
+        return name
+
+    def topic(self, board: str, transducer: Transducer, wanted: str = "") -> str:
+        """Return the topic of a transducer.
+
+        Args:
+            board: the name of its board.
+            transducer: what its descriptor says.
+            wanted: the name to use in place of that of the descriptor.
+        """
+        parts = [plain_name(part) for part in (wanted or transducer.topic).split("/") if part]
+        short = "/".join(parts) or plain_name(transducer.name)
+        owner = board, transducer.name
+        name = f"{board}/{short}" if self._with_board else short
+        if self._topics.get(name, owner) != owner:
+            name = f"{board}/{short}"
+        if self._topics.get(name, owner) != owner:
+            name = _free(name, self._topics)
+        self._topics = {one: who for one, who in self._topics.items() if who != owner}
+        self._topics[name] = owner
+        return name
+
+
+def _free(name: str, taken: object) -> str:
+    made, number = name, 1
+    while made in taken:  # type: ignore[operator]  # a mapping or its values
+        number += 1
+        made = f"{name}_{number}"
+    return made
