@@ -18,6 +18,7 @@ from j2a.types.transducers import Descriptors, Transducer
 __all__ = [
     "PACKAGE",
     "camel_case",
+    "ros1_messages",
     "ros1_package",
     "ros2_definition",
     "ros2_messages",
@@ -161,6 +162,11 @@ def _lower_case(name: str) -> str:
     return _plain(re.sub(r"_+", "_", apart).strip("_") or "x")
 
 
+def ros1_messages(descriptors: Descriptors) -> dict[str, str]:
+    """Return the messages of ROS 1 by their name, such as `quad`; those of sensors come first."""
+    return _Dialect("time", _plain, _plain).messages(descriptors)
+
+
 def ros2_messages(descriptors: Descriptors) -> dict[str, str]:
     """Return the messages of ROS 2 by their name, such as `Quad`."""
     return _Dialect("builtin_interfaces/Time", camel_case, _lower_case).messages(descriptors)
@@ -184,9 +190,8 @@ def ros2_definition(descriptors: Descriptors, name: str) -> tuple[str, str]:
 
 def ros1_package(descriptors: Descriptors) -> dict[str, str]:
     """Return the files of a package of ROS 1 by their path, such as `msg/quad.msg`."""
-    messages = _Dialect("time", _plain, _plain).messages(descriptors)
     return {
-        **{f"msg/{name}.msg": text for name, text in messages.items()},
+        **{f"msg/{name}.msg": text for name, text in ros1_messages(descriptors).items()},
         "package.xml": _XML.format(
             format=2,
             package=PACKAGE,

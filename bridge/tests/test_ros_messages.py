@@ -1,0 +1,264 @@
+"""Messages of ROS: their types, their bytes, and which standard ones a sensor is published as."""
+
+import math
+import struct
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from j2a import LocalError, Sample
+from j2a.protocol.device_info import DeviceInfo
+from j2a.types.samples import SampleCodec
+from j2a.types.transds_file import read_transds
+from j2a_bridge.ros_messages import RosMessages
+from j2a_bridge.sink import BoardStatus, SinkStatus, Status, TopicStatus, Update
+from j2a_bridge.topics import Topic
+
+DISTROS = ("noetic", "humble", "jazzy")
+
+
+def topic_of(definition: str, message: str = "auto", name: str = "") -> Topic:
+    """Return the topic of the first transducer of a transds.def."""
+    descriptors = read_transds(definition)
+    first = descriptors.transducers[0]
+    return Topic(name or first.name, "board", first, descriptors, message)
+
+
+def update_of(topic: Topic, payload: bytes, shift_us: int = 0, arrived_ns: int = 0) -> Update:
+    """Return a sample with a payload as the library would deliver it."""
+    codec = SampleCodec(topic.transducer, DeviceInfo().types)
+    if topic.transducer.queue:
+        lost, readings, _, _ = codec.times_queued(payload)
+    else:
+        lost, (readings, _) = 0, codec.times(payload)
+    sample = Sample("b", topic.transducer.name, 0, readings, 0.0, topic.transducer.unit, lost)
+    object.__setattr__(sample, "payload", payload)
+    return Update(topic, sample, shift_us, arrived_ns)
+
+
+def published(topic: Topic, payload: bytes, distro: str, shift_us: int = 0) -> dict[str, object]:
+    """Return the messages of a sample by their topic, as another reader sees them."""
+    ros = RosMessages(distro)
+    update = update_of(topic, payload, shift_us)
+    store = ros.store_of(topic.descriptors)
+    found = {}
+    for message in ros.messages(topic):
+        data = message.pack(update)
+        if data is not None:
+            read = store.deserialize_ros1 if ros.is_ros1 else store.deserialize_cdr
+            found[message.topic] = read(data, message.type)
+    return found
+
+
+QUAD = "SENSOR(quad, 0, quad, HEDS-6500, 2, int16_t, none)"
+ONE = "SENSOR(quad, 0, quad, HEDS-6500, 1, int16_t, none)"
+
+
+def test_the_type_of_the_thesis_has_its_text_and_its_sum() -> None:
+    topic = topic_of(QUAD)
+    text, md5 = RosMessages("noetic").definition(topic, "j2a_msgs/msg/quad")
+    assert text == "time[] times\nint16[] values\n"
+    assert md5 == "46f0c8d8ff1275189412c2debb4f0ce2"
+
+
+@pytest.mark.parametrize(
+    ("distro", "golden"),
+    [
+        ("noetic", "020000000100000000000000020000000000000002000000" + "0300fcff"),
+        ("jazzy", "00010000" + "020000000100000000000000020000000000000002000000" + "0300fcff"),
+    ],
+)
+def test_the_bytes_of_a_sample(distro: str, golden: str) -> None:
+    topic = topic_of(QUAD)
+    payload = struct.pack("<QhQh", 1_000_000, 3, 2_000_000, -4)
+    [message] = RosMessages(distro).messages(topic)[:1]
+    data = message.pack(update_of(topic, payload))
+    assert data is not None
+    assert data.hex() == golden
+
+
+def test_the_hash_of_a_type_of_ros2_is_the_known_one() -> None:
+    topic = topic_of(QUAD)
+    store = RosMessages("jazzy").store_of(topic.descriptors)
+    known = "RIHS01_893f27f2d0c94f6c987b3f402c93b264222f3d91d18b6415e0e15590a61f9ce8"
+    assert store.hash_rihs01("j2a_msgs/msg/Quad") == known
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize("shift_us", [0, 5, 1_700_000_000_000_000])
+def test_times_are_those_of_the_source_and_none_stays_none(distro: str, shift_us: int) -> None:
+    topic = topic_of(QUAD, "raw")
+    payload = struct.pack("<QhQh", 1_500_000, 3, 0, 0)
+    [message] = published(topic, payload, distro, shift_us).values()
+    seconds, us = divmod(1_500_000 + shift_us, 1_000_000)
+    times = [(one.sec, one.nanosec) for one in message.times]
+    assert times == [(seconds, us * 1000), (0, 0)]
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize("kind", ["u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64"])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_integers_of_each_type(distro: str, kind: str, channels: int) -> None:
+    topic = topic_of(f"SENSOR(s, 0, s, M, {channels}, {kind}, none)", "raw")
+    size = int(kind[1:]) // 8
+    low, high = (0, (1 << 8 * size) - 1) if kind[0] == "u" else (-(1 << 8 * size - 1), 5)
+    values = [low, high, 1][:channels]
+    payload = b"".join(
+        struct.pack("<Q", 7) + value.to_bytes(size, "little", signed=kind[0] == "i")
+        for value in values
+    )
+    [message] = published(topic, payload, distro).values()
+    assert message.values.tolist() == values
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_floats_bools_arrays_and_queues(distro: str) -> None:
+    f32 = topic_of("SENSOR(s, 0, s, M, 1, float, none)", "raw")
+    [message] = published(f32, struct.pack("<Qf", 7, 1.5), distro).values()
+    assert message.values.tolist() == [1.5]
+    flag = topic_of("SENSOR(s, 0, s, M, 2, bool, none)", "raw")
+    [message] = published(flag, struct.pack("<Q?Q?", 7, True, 8, False), distro).values()
+    assert [bool(one) for one in message.values] == [True, False]
+    array = topic_of("SENSOR(s, 0, s, M, 2, array(u16, 2), none)", "raw")
+    [message] = published(array, struct.pack("<QHHQHH", 7, 1, 2, 7, 3, 4), distro).values()
+    assert message.values.tolist() == [1, 2, 3, 4]
+    queue = topic_of("SENSOR(s, 0, s, M, 2, u8, none, (queue, 4))", "raw")
+    payload = struct.pack("<HBQBBQB", 5, 1, 70, 9, 0, 80, 8)
+    [message] = published(queue, payload, distro).values()
+    assert (message.values.tolist(), message.channels.tolist(), message.lost) == ([9, 8], [1, 0], 5)
+
+
+IMU = """
+J2A_STRUCT(motion, (array(i16, 3), rate, mdeg/s), (array(i16, 3), acceleration, mg),
+           (array(i16, 3), field, uT))
+SENSOR(imu, 3, imu, M, 1, motion, none)
+"""
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_a_structure_is_itself_and_what_its_fields_measure(distro: str) -> None:
+    topic = topic_of(IMU)
+    payload = struct.pack("<Q9h", 7_000_000, 1000, 0, -2000, 0, 0, 1000, 40, 0, -1)
+    found = published(topic, payload, distro)
+    assert set(found) == {"imu", "imu/imu", "imu/magnetic_field"}
+    assert found["imu"].values[0].rate.tolist() == [1000, 0, -2000]
+    imu = found["imu/imu"]
+    assert imu.angular_velocity.z == pytest.approx(-2 * math.pi / 180)
+    assert imu.linear_acceleration.z == pytest.approx(9.80665)
+    assert imu.orientation_covariance[0] == -1
+    assert imu.header.stamp.sec == 7
+    assert found["imu/magnetic_field"].magnetic_field.x == pytest.approx(40e-6)
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_ranges_are_in_metres_one_for_each_channel_and_none_where_it_is_na(distro: str) -> None:
+    topic = topic_of(
+        "SENSOR(dist_us, 2, srf02, SRF02, 2, u16, 0, (unit, cm), (range, 15, 600), (accuracy, 3))"
+    )
+    found = published(topic, struct.pack("<QHQH", 7, 250, 8, 0), distro)
+    assert set(found) == {"dist_us", "dist_us/range_0"}
+    one = found["dist_us/range_0"]
+    assert one.range == pytest.approx(2.5)
+    assert (one.min_range, one.max_range) == (pytest.approx(0.15), pytest.approx(6.0))
+    assert one.radiation_type == 0
+    if distro == "jazzy":
+        assert one.variance == pytest.approx(0.0009)
+
+
+@pytest.mark.parametrize(
+    ("unit", "name", "suffix", "field", "raw", "value"),
+    [
+        ("Cel", "t", "temperature", "temperature", 21.5, 21.5),
+        ("K", "t", "temperature", "temperature", 300.0, 26.85),
+        ("hPa", "p", "pressure", "fluid_pressure", 1013.0, 101300.0),
+        ("lx", "l", "illuminance", "illuminance", 12.0, 12.0),
+        ("%", "humidity", "humidity", "relative_humidity", 40.0, 0.4),
+        ("m", "d", "range", "range", 1.5, 1.5),
+    ],
+)
+def test_units_choose_the_message(
+    unit: str, name: str, suffix: str, field: str, raw: float, value: float
+) -> None:
+    topic = topic_of(f"SENSOR({name}, 0, s, M, 1, double, nan, (unit, {unit}))")
+    size = topic.transducer.type.size
+    found = published(topic, struct.pack("<Q" + {4: "f", 8: "d"}[size], 7, raw), "noetic")
+    assert getattr(found[f"{name}/{suffix}"], field) == pytest.approx(value, rel=1e-6)
+
+
+@pytest.mark.parametrize("unit", ["", "V", "%", "furlong"])
+def test_what_is_not_known_is_only_its_own_message(unit: str) -> None:
+    topic = topic_of(f"SENSOR(s, 0, s, M, 1, u8, none, (unit, {unit}))" if unit else ONE)
+    assert [one.topic for one in RosMessages("jazzy").messages(topic)] == [topic.name]
+
+
+def test_angles_are_positions_of_joints_in_radians() -> None:
+    topic = topic_of(
+        "SENSOR(quad, 0, quad, M, 2, i16, -1, (unit, deg), (scale, 0.5))", name="left/quad"
+    )
+    found = published(topic, struct.pack("<QhQh", 7, 180, 9_000_000, -1), "jazzy")
+    joints = found["left/quad/joints"]
+    assert joints.name == ["left_quad_0"]
+    assert joints.position.tolist() == [pytest.approx(math.pi / 2)]
+    assert joints.header.stamp.sec == 9
+
+
+def test_a_chosen_message_is_the_only_one_and_one_that_does_not_fit_is_told() -> None:
+    definition = "SENSOR(d, 0, s, M, 1, u16, 0, (unit, cm))"
+    ros = RosMessages("jazzy")
+    assert [one.type for one in ros.messages(topic_of(definition, "sensor_msgs/Range"))] == [
+        "sensor_msgs/msg/Range"
+    ]
+    with pytest.raises(LocalError, match="what fits is: sensor_msgs/Range"):
+        ros.messages(topic_of(definition, "sensor_msgs/Imu"))
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_messages_for_actuators_are_read_as_raw_values_and_a_time(distro: str) -> None:
+    topic = topic_of("ACTUATOR(servo, 1, servo, M, 2, int8_t, 0)")
+    ros = RosMessages(distro)
+    store, kind = ros.store_of(topic.descriptors), ros.type_of(topic)
+    import numpy as np
+
+    make = store.types[kind]
+    write = store.serialize_ros1 if ros.is_ros1 else store.serialize_cdr
+    values = np.array([3, -4], "i1")
+    now = write(make([], values), kind)
+    assert ros.read_own(topic, now) == ([3, -4], 0)
+    later = write(make([ros.time(1_500_000_000)] * 2, values), kind)
+    assert ros.read_own(topic, later) == ([3, -4], 1_500_000_000)
+    mixed = write(make([ros.time(1), ros.time(2)], values), kind)
+    with pytest.raises(LocalError, match="at one time"):
+        ros.read_own(topic, mixed)
+    for end in range(4, len(now) - 1):
+        with pytest.raises(LocalError, match="is no j2a_msgs"):
+            ros.read_own(topic, bytes(now)[:end])
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_diagnostics_tell_what_is_wrong(distro: str) -> None:
+    ros = RosMessages(distro)
+    topics = (TopicStatus("quad", 10, 99.9, 0.5, 3, 0),)
+    status = Status(
+        "host",
+        (
+            BoardStatus("left", "A1", "tcp://x", True, "", "locked", 1.0, 2.5, topics),
+            BoardStatus("", "", "tcp://y", False, "nothing listens there"),
+        ),
+        (SinkStatus("udp", False, "no route", 5, 6),),
+    )
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    message = ros.read(kind, ros.diagnostics(status, 3_000_000_005))
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 5)
+    found = {one.name: one for one in message.status}
+    assert [int(one.level) for one in message.status] == [0, 2, 2]
+    assert found["j2a: tcp://y"].message == "nothing listens there"
+    facts = {one.key: one.value for one in found["j2a: left"].values}
+    assert facts["quad"] == "99.9 Hz, 0.50 ms, 3 lost"
+    assert facts["clock"] == "locked"
+
+
+def test_types_of_boards_that_differ_do_not_meet() -> None:
+    ros = RosMessages("jazzy")
+    one, other = topic_of(QUAD), topic_of("SENSOR(quad, 0, quad, M, 2, u8, none)")
+    assert ros.definition(one, ros.type_of(one)) != ros.definition(other, ros.type_of(other))
+    assert get_typestore(Stores.ROS2_JAZZY).types.keys() == ros.store.types.keys()
