@@ -58,7 +58,8 @@ class _Flow:
         if now_us < self._next_us:
             self.skipped += 1
             return False
-        self._next_us = max(self._next_us + self._least_us, now_us)
+        # On a grid, so that jitter does not lower the rate; late samples do not make up for any.
+        self._next_us = max(self._next_us, now_us - self._least_us) + self._least_us
         return True
 
     def status(self, span_s: float) -> TopicStatus:
@@ -173,7 +174,7 @@ class Bridge:
 
     async def _change(self, change: BoardChange) -> None:
         if change.board is None:
-            _logger.warning("%s: %s", change.url, change.reason)
+            _logger.warning("%s", change.reason)
             return
         if change.is_here:
             await self._come(change.board, change.url)
@@ -288,7 +289,8 @@ class Bridge:
         board.early.clear()
         for flow in (flows or {}).values():
             self._retract(flow)
-        _logger.warning("%s is gone: %s", board.name, board.problem)
+        if not self._ended.is_set():
+            _logger.warning("%s is gone: %s", board.name, board.problem)
 
     def _announce(self, flow: _Flow) -> None:
         self._flows[flow.topic.name] = flow

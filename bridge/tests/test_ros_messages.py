@@ -3,16 +3,17 @@
 import math
 import struct
 
+import numpy as np
 import pytest
+from j2a_bridge.ros_messages import RosMessages
+from j2a_bridge.sink import BoardStatus, SinkStatus, Status, TopicStatus, Update
+from j2a_bridge.topics import Topic
 from rosbags.typesys import Stores, get_typestore
 
 from j2a import LocalError, Sample
 from j2a.protocol.device_info import DeviceInfo
 from j2a.types.samples import SampleCodec
 from j2a.types.transds_file import read_transds
-from j2a_bridge.ros_messages import RosMessages
-from j2a_bridge.sink import BoardStatus, SinkStatus, Status, TopicStatus, Update
-from j2a_bridge.topics import Topic
 
 DISTROS = ("noetic", "humble", "jazzy")
 
@@ -217,8 +218,6 @@ def test_messages_for_actuators_are_read_as_raw_values_and_a_time(distro: str) -
     topic = topic_of("ACTUATOR(servo, 1, servo, M, 2, int8_t, 0)")
     ros = RosMessages(distro)
     store, kind = ros.store_of(topic.descriptors), ros.type_of(topic)
-    import numpy as np
-
     make = store.types[kind]
     write = store.serialize_ros1 if ros.is_ros1 else store.serialize_cdr
     values = np.array([3, -4], "i1")

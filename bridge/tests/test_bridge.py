@@ -1,0 +1,287 @@
+"""The bridge: boards in, sinks out."""
+
+import asyncio
+import functools
+import itertools
+import time
+
+import pytest
+from j2a_bridge.config import BoardConfig, Config, SensorConfig
+from j2a_bridge.sink import SinkError, SinkRequest
+
+import j2a
+
+from .support import (
+    PATIENCE_S,
+    TRANSDS,
+    Kept,
+    board_of,
+    bridging,
+    config_for,
+    free_port,
+    served,
+    until,
+)
+
+
+def in_event_loop(test):
+    @functools.wraps(test)
+    def run(*args, **kwargs):
+        return asyncio.run(test(*args, **kwargs))
+
+    return run
+
+
+def names(sink, what):
+    return [name for kind, name in sink.events if kind == what]
+
+
+async def announced(sink, *wanted):
+    await until(lambda: set(wanted) <= set(names(sink, "announce")), wanted)
+
+
+class TestTopics:
+    @in_event_loop
+    async def test_one_board_has_short_names(self, kept):
+        with served(board_of()) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "quad", "tank/level", "servo")
+
+    @pytest.mark.parametrize("style", ["board", ""])
+    @in_event_loop
+    async def test_several_have_the_name_of_the_board_before(self, kept, style):
+        with served(board_of(name="left")) as one, served(board_of(name="right one")) as other:
+            async with bridging(config_for(one, other, names=style)):
+                await announced(kept[0], "left/quad", "right_one/tank/level")
+
+    @in_event_loop
+    async def test_two_transducers_never_share_a_topic(self, kept):
+        one, other = board_of(serial="1"), board_of(serial="2")
+        with served(one) as first, served(other) as second:
+            async with bridging(config_for(first, second, names="short")):
+                await until(lambda: len(names(kept[0], "announce")) == 6)
+        found = names(kept[0], "announce")
+        assert len(set(found)) == 6
+        assert {"quad", "servo"} <= set(found)
+
+    @in_event_loop
+    async def test_a_board_keeps_its_name_wherever_it_is_plugged_in(self, kept):
+        ports = free_port(), free_port()
+        urls = [f"tcp://127.0.0.1:{port}" for port in ports]
+        async with bridging(config_for(*urls)):
+            for port in ports:
+                kept[0].events.clear()
+                with served(board_of(name="arm", serial="S1"), port):
+                    await announced(kept[0], "arm/quad")
+                await until(lambda: "arm/quad" in names(kept[0], "retract"))
+
+    @in_event_loop
+    async def test_what_the_file_says_of_a_board(self, kept):
+        transducers = {
+            "quad": SensorConfig(topic="wheel/left"),
+            "level": SensorConfig(is_published=False),
+        }
+        with served(board_of()) as url:
+            board = BoardConfig(url=url, name="base", transducers=transducers)
+            async with bridging(Config((board,), (SinkRequest("kept"),), names="board")):
+                await announced(kept[0], "base/wheel/left", "base/servo")
+        assert "base/tank/level" not in names(kept[0], "announce")
+
+
+class TestSamples:
+    @in_event_loop
+    async def test_all_come_in_order_with_values_and_unit(self, kept):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "quad")
+                for value in range(20):
+                    device.sense("quad", value % 2, value, raw=True)
+                    await until(lambda count=value + 1: len(kept[0].updates) >= count)
+        found = [update.sample.values[at % 2] for at, update in enumerate(kept[0].updates)]
+        assert found == [value / 2 for value in range(20)]
+        assert {update.sample.unit for update in kept[0].updates} == {"deg"}
+
+    @pytest.mark.parametrize("clock", ["discipline", "follow", "off"])
+    @in_event_loop
+    async def test_stamps_are_times_of_this_computer(self, kept, clock):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url, clock=clock)):
+                await announced(kept[0], "quad")
+                before = time.time_ns()
+                device.sense("quad", 0, 1)
+                [update] = await until(lambda: list(kept[0].updates))
+                after = time.time_ns()
+        slack_ns = 2_000_000_000  # of a machine that is busy while the clock is read
+        assert before - slack_ns <= update.stamp_ns <= after + slack_ns
+        assert update.stamps_ns[0] == update.stamp_ns
+        assert update.stamps_ns[1] is None
+        assert (update.uncertainty_us is None) == (clock == "off")
+
+    @in_event_loop
+    async def test_rates_are_limited_by_the_times_of_the_source(self, kept):
+        device = board_of("SENSOR(s, 0, s, M, 1, u8, none, (queue, 8))")
+        board = BoardConfig(transducers={"s": SensorConfig(rate_hz=10.0)})
+        with served(device) as url:
+            config = Config(
+                (BoardConfig(url=url, transducers=board.transducers),), (SinkRequest("kept"),)
+            )
+            async with bridging(config) as bridge:
+                await announced(kept[0], "s")
+                for number in range(40):
+                    device.sense("s", 0, number)
+                    await asyncio.sleep(0.01)
+                flow = bridge._flows["s"]
+                await until(lambda: flow.samples >= 30)
+                times = [update.sample.time_us for update in kept[0].updates]
+        assert flow.skipped > 0
+        assert all(before < after for before, after in itertools.pairwise(times))
+        assert len(times) <= (times[-1] - times[0]) / 100_000 + 2
+
+    @in_event_loop
+    async def test_a_board_that_comes_back_goes_on(self, kept):
+        port = free_port()
+        async with bridging(config_for(f"tcp://127.0.0.1:{port}")):
+            for value in range(3):
+                kept[0].events.clear()
+                kept[0].updates.clear()
+                device = board_of(serial="X")
+                with served(device, port):
+                    await announced(kept[0], "quad")
+                    device.sense("quad", 0, value, raw=True)
+                    [update] = await until(lambda: list(kept[0].updates))
+                    assert update.sample.readings[0].raw == value
+                await until(lambda: "quad" in names(kept[0], "retract"))
+
+
+class TestSinks:
+    @in_event_loop
+    async def test_a_slow_one_loses_its_own_samples_and_delays_nobody(self, kept):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url, sinks=("kept:a", "kept:b"))) as bridge:
+                slow, other = kept
+                await announced(slow, "quad")
+                await announced(other, "quad")
+                slow.may_go.clear()
+                for value in range(200):
+                    device.sense("quad", 0, value, raw=True)
+                    await until(lambda count=value + 1: len(other.updates) >= count)
+                slow.may_go.set()
+                status = bridge.runners[0].status
+                await until(lambda: len(slow.updates) + bridge.runners[0].dropped >= 200)
+        assert [update.sample.readings[0].raw for update in other.updates] == list(range(200))
+        newest = [update.sample.readings[0].raw for update in slow.updates]
+        assert newest[-64:] == list(range(136, 200))
+        assert status.dropped == 200 - len(newest)
+
+    @in_event_loop
+    async def test_one_that_fails_is_opened_anew_with_its_topics(self, kept, monkeypatch, caplog):
+        monkeypatch.setattr(Kept, "RETRY_S", 0.01)
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url, sinks=("kept:a", "kept:b"))) as bridge:
+                broken, other = kept
+                await announced(broken, "quad")
+                await announced(other, "quad")
+                broken.error = SinkError("the other end is gone")
+                for value in range(10):
+                    device.sense("quad", 0, value, raw=True)
+                    await until(lambda count=value + 1: len(other.updates) >= count)
+                await until(lambda: bridge.runners[0].problem)
+                assert not bridge.runners[0].status.is_open
+                broken.events.clear()
+                broken.error = None
+                await announced(broken, "quad", "servo", "tank/level")
+                assert names(broken, "open") == [None]
+                device.sense("quad", 0, 77, raw=True)
+                await until(lambda: broken.updates)
+                assert broken.updates[-1].sample.readings[0].raw == 77
+        told = [one.message for one in caplog.records if "the other end is gone" in one.message]
+        assert len(told) == 1
+
+    @in_event_loop
+    async def test_status_tells_boards_and_sinks(self, kept):
+        with served(board_of(serial="S")) as url:
+            missing = f"tcp://127.0.0.1:{free_port()}"
+            async with bridging(config_for(url, missing), boot_time=0.1):
+                await announced(kept[0], "robot/quad")
+                status = await until(
+                    lambda: next((s for s in kept[0].statuses if len(s.boards) == 2), None)
+                )
+        here, gone = sorted(status.boards, key=lambda one: not one.is_here)
+        assert (here.name, here.identity, here.problem) == ("robot", "S", "")
+        assert {one.name for one in here.topics} == {"robot/quad", "robot/tank/level"}
+        assert gone.url == missing
+        assert "nothing listens" in gone.problem
+        assert status.sinks[0].is_open
+
+
+class TestOrders:
+    @in_event_loop
+    async def test_actuators_are_set_by_their_topic_in_their_unit(self, kept):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "servo")
+                await asyncio.wrap_future(kept[0].control.set("servo", [40, -40]))
+        assert device.was_set[-2:] == [("servo", 0, 40), ("servo", 1, -40)]
+
+    @pytest.mark.parametrize(
+        ("topic", "values", "error"),
+        [
+            ("servo", [101], j2a.WrongArgument),
+            ("servo", [1, 2, 3], j2a.WrongArgument),
+            ("servo", ["x"], j2a.WrongArgument),
+            ("quad", [1], j2a.WrongArgument),
+            ("nothing", [1], j2a.UnknownTransducer),
+        ],
+    )
+    @in_event_loop
+    async def test_what_cannot_be_is_refused_with_a_reason(self, kept, topic, values, error):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "servo")
+                device.was_set.clear()
+                with pytest.raises(error) as caught:
+                    await asyncio.wrap_future(kept[0].control.set(topic, values))
+        assert str(caught.value)
+        assert device.was_set == []
+
+    @in_event_loop
+    async def test_settings_are_changed_and_told(self, kept):
+        with served(board_of()) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "quad")
+                control = kept[0].control
+                before = await asyncio.wrap_future(control.settings("quad"))
+                assert before == {"enabled": True, "period": 0.0}
+                after = await asyncio.wrap_future(
+                    control.configure("quad", {"enabled": False, "period": 0.5})
+                )
+        assert after == {"enabled": False, "period": 0.5}
+
+    @in_event_loop
+    async def test_another_topic_moves_the_samples(self, kept):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "tank/level")
+                future = kept[0].control.configure("tank/level", {"topic": "pool/depth"})
+                await asyncio.wait_for(asyncio.wrap_future(future), PATIENCE_S)
+                await announced(kept[0], "pool/depth")
+                assert "tank/level" in names(kept[0], "retract")
+                device.sense("level", 0, 3)
+                await until(lambda: "pool/depth" in names(kept[0], "publish"))
+
+
+def test_nothing_flows_after_the_end(kept):
+    async def work(url):
+        async with bridging(config_for(url)):
+            await announced(kept[0], "quad")
+
+    with served(board_of(TRANSDS)) as url:
+        asyncio.run(work(url))
+    assert kept[0].events[-1][0] == "close"
