@@ -17,7 +17,7 @@ from typing import Final
 
 from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError
 from j2a.cli._link import seconds
-from j2a.cli._output import note
+from j2a.cli._output import note, show
 from j2a.cli._urls import open_help
 from j2a_bridge.bridge import Bridge
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
@@ -35,9 +35,9 @@ def notes() -> str:
         except ImportError as error:
             lines.append(f"  {name:<10} (does not load: {error})")
             continue
-        head = f"{name}:{kind.ARGUMENT}" if kind.ARGUMENT.startswith("[") is False else name
-        head = f"{name}[:{kind.ARGUMENT[1:-1]}]" if kind.ARGUMENT.startswith("[") else head
-        lines.append(f"  {head.rstrip(':'):<22} {kind.SUMMARY}")
+        head = f"{name}:{kind.ARGUMENT}" if kind.ARGUMENT else name
+        head = head.replace(":[", "[:")
+        lines.append(f"  {head:<22} {kind.SUMMARY}")
         for key, option in kind.OPTIONS.items():
             lines.append(f"      {key}=  {option.help}")
     return "\n".join(lines)
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
     """Bridge until the end; returns the exit code."""
     if args.list:
         for line in notes().splitlines():
-            note(line)
+            show(line)
         return OK
     config = config_of(args)
     if not config.sinks:

@@ -1,0 +1,118 @@
+"""The file of a bridge: what it says, and what is wrong with it."""
+
+import pytest
+from j2a_bridge.config import SensorConfig, load_config
+from j2a_bridge.sink import SinkRequest, make_sink
+
+from j2a import LocalError
+
+FILE = """
+names = "board"
+clock = "follow"
+
+[[boards]]
+url = "tcp://127.0.0.1:5000"
+name = "left"
+transducers.quad = { topic = "wheel/left", rate = 50, message = "raw" }
+transducers.debug = { publish = false }
+
+[[boards]]
+serial = "A3"
+name = "right"
+
+[[sinks]]
+use = "mcap"
+to = "drive.mcap"
+segment = 100
+
+[[sinks]]
+use = "udp"
+"""
+
+
+def test_all_that_it_may_say(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(FILE)
+    config = load_config(path)
+    assert (config.names, config.clock, config.usb, config.with_board) == (
+        "board",
+        "follow",
+        False,
+        True,
+    )
+    left, right = config.boards
+    assert (left.url, left.name, right.identity) == ("tcp://127.0.0.1:5000", "left", "A3")
+    assert left.transducers["quad"] == SensorConfig("wheel/left", 50.0, "raw", True)
+    assert not left.transducers["debug"].is_published
+    assert config.sinks == (
+        SinkRequest("mcap", "drive.mcap", {"segment": 100}),
+        SinkRequest("udp"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("nams = 'board'", "did you mean names"),
+        ("names = 'long'", "one of short, board"),
+        ("names = 1", "names of the file cannot be 1"),
+        ("clock = 'set'", "one of discipline, follow, off"),
+        ("usb = 1", "usb of the file cannot be 1"),
+        ("boards = 'x'", "boards of the file cannot be 'x'"),
+        ("boards = ['x']", r"\[\[boards\]\] is a table"),
+        ("[[boards]]\nname = 'x'", "has a url, or the serial"),
+        ("[[boards]]\nurl = 'tcp://x'\nnmae = 'x'", "did you mean name"),
+        ("[[boards]]\nurl = 'x'\ntransducers.q = 1", "the transducer q is a table"),
+        ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = 0}", "rate of q"),
+        ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = nan}", "rate of q"),
+        ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = true}", "cannot be True"),
+        ("[[boards]]\nurl = 'x'\ntransducers.q = {topc = 'x'}", "did you mean topic"),
+        ("[[sinks]]\nto = 'x'", "says which one"),
+        ("sinks = [1]", "says which one"),
+        ("names = ", "Invalid value"),
+    ],
+)
+def test_what_is_wrong_is_told_with_the_name_of_the_file(tmp_path, text, told):
+    path = tmp_path / "robot.toml"
+    path.write_text(text)
+    with pytest.raises(LocalError, match=told) as caught:
+        load_config(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "request_"),
+    [
+        ("ros1", SinkRequest("ros1")),
+        ("mcap:a.mcap", SinkRequest("mcap", "a.mcap")),
+        ("mcap:a,b.mcap", SinkRequest("mcap", "a,b.mcap")),
+        ("udp:[::1]:9870", SinkRequest("udp", "[::1]:9870")),
+        ("udp:format=teleplot", SinkRequest("udp", "", {"format": "teleplot"})),
+        ("udp,format=json", SinkRequest("udp", "", {"format": "json"})),
+        ("mcap:a.mcap,segment=3", SinkRequest("mcap", "a.mcap", {"segment": "3"})),
+    ],
+)
+def test_sinks_of_the_command_line(text, request_):
+    assert SinkRequest.parse(text) == request_
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "names no sink"),
+        (":x", "names no sink"),
+        ("ros3", "there is no sink 'ros3'"),
+        ("mcap", "needs more: mcap:FILE.mcap"),
+        ("mcap:a.bag", "ends in .mcap"),
+        ("mcap:a.mcap,segments=3", "has no option segments; it has: segment"),
+        ("mcap:a.mcap,segment=x", "segment of a sink is a whole number"),
+        ("udp:1.2.3.4", "udp sends to HOST:PORT"),
+        ("udp:1.2.3.4:99999", "udp sends to HOST:PORT"),
+        ("udp:format=xml", "json or teleplot"),
+        ("udp,format=json,format=json", "given twice"),
+        ("ros1:x", "takes nothing behind a colon"),
+    ],
+)
+def test_sinks_that_cannot_be_are_told(text, told):
+    with pytest.raises(LocalError, match=told):
+        make_sink(SinkRequest.parse(text), None)

@@ -1,0 +1,227 @@
+"""The sinks for plotters and recordings, and the command that runs them."""
+
+import asyncio
+import errno
+import json
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+
+import pytest
+from j2a_bridge.sinks.udp import numbers
+from mcap.reader import make_reader
+
+from j2a.recording import Recorder, Recording
+
+from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, free_port, served, until
+from .test_ros_messages import IMU, topic_of, update_of
+
+
+@pytest.fixture
+def receiver():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        one.settimeout(PATIENCE_S)
+        yield one
+
+
+def test_numbers_of_structures_and_none_of_what_is_none():
+    topic = topic_of(IMU)
+    payload = struct.pack("<Q9h", 7, 1, 2, 3, 4, 5, 6, 7, 8, 9)
+    found = list(numbers(update_of(topic, payload, shift_us=1)))
+    assert found[0] == (8000, "0/rate/0", 1)
+    assert found[-1] == (8000, "0/field/2", 9)
+    assert len(found) == 9
+    floats = topic_of("SENSOR(s, 0, s, M, 4, f32, -1)")
+    parts = [(7, 1.5), (7, float("inf")), (0, 2.5), (7, -1.0)]
+    payload = b"".join(struct.pack("<Qf", *part) for part in parts)
+    assert list(numbers(update_of(floats, payload))) == [(7000, "0", 1.5)]
+
+
+async def sent(device, url, sink, receiver):
+    async with bridging(config_for(url, sinks=(sink, "kept"))) as bridge:
+        await until(lambda: "quad" in bridge._flows)
+        device.sense("quad", 1, 45.5)
+        return await asyncio.to_thread(receiver.recv, 65536)
+
+
+def test_json_for_plotjuggler(receiver):
+    device = board_of()
+    with served(device) as url:
+        sink = f"udp:127.0.0.1:{receiver.getsockname()[1]}"
+        found = json.loads(asyncio.run(sent(device, url, sink, receiver)))
+    assert found["quad"] == {"1": 45.5}
+    assert found["timestamp"] == pytest.approx(time.time(), abs=PATIENCE_S)
+
+
+def test_lines_for_teleplot(receiver):
+    device = board_of()
+    with served(device) as url:
+        sink = f"udp:127.0.0.1:{receiver.getsockname()[1]},format=teleplot"
+        line = asyncio.run(sent(device, url, sink, receiver)).decode()
+    name, ms, value = line.split(":")
+    assert (name, value) == ("quad/1", "45.5§deg")
+    assert float(ms) == pytest.approx(time.time() * 1000, abs=PATIENCE_S * 1000)
+
+
+def test_a_recording_has_all_samples_under_their_topics(tmp_path):
+    path = tmp_path / "a.mcap"
+
+    async def work(device, url):
+        async with bridging(config_for(url, sinks=(f"mcap:{path}", "kept"))) as bridge:
+            await until(lambda: "quad" in bridge._flows)
+            for value in range(50):
+                device.sense("quad", 0, value, raw=True)
+                await until(lambda count=value + 1: bridge.runners[0].published >= count)
+
+    device = board_of()
+    with served(device) as url:
+        asyncio.run(work(device, url))
+    recording = Recording(path)
+    found = list(recording)
+    assert recording.is_whole
+    assert [int.from_bytes(one.payload[8:10], "little") for one in found] == list(range(50))
+    assert {one.board for one in found} == {"robot"}
+
+
+def test_two_boards_and_one_that_changes_are_apart_in_a_recording(tmp_path):
+    path = tmp_path / "a.mcap"
+    names = []
+
+    async def work():
+        port = free_port()
+        config = config_for(f"tcp://127.0.0.1:{port}", sinks=(f"mcap:{path}", "kept"))
+        async with bridging(config) as bridge:
+            for kind in ("u8", "u16"):
+                device = board_of(f"SENSOR(s, 0, s, M, 1, {kind}, none)", serial="1")
+                with served(device, port):
+                    await until(lambda kind=kind: _is_kind(bridge, kind))
+                    count = bridge.runners[0].published
+                    device.sense("s", 0, 5)
+                    await until(lambda count=count: bridge.runners[0].published > count)
+                await until(lambda: not bridge._flows)
+
+    asyncio.run(work())
+    for one in Recording(path):
+        names.append((one.board, str(one.sensor.type), one.payload[8:]))
+    assert names == [("robot", "u8", b"\5"), ("robot_2", "u16", b"\5\0")]
+
+
+def _is_kind(bridge, kind):
+    flow = bridge._flows.get("s")
+    return flow is not None and str(flow.topic.transducer.type) == kind
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(kept, tmp_path, monkeypatch):
+    device = board_of("SENSOR(s, 0, s, M, 1, array(u8, 200), none)")
+    path = tmp_path / "a.mcap"
+
+    def fail(self):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    async def work(url):
+        async with bridging(config_for(url, sinks=(f"mcap:{path}", "kept"))) as bridge:
+            await until(lambda: "s" in bridge._flows)
+            recorder = bridge.runners[0]
+            for value in range(20):
+                if value == 10:
+                    monkeypatch.setattr(Recorder, "flush", fail)
+                device.sense("s", 0, [value] * 200)
+                await until(lambda count=value + 1: len(kept[0].updates) >= count)
+            await until(lambda: recorder.problem)
+            assert "No space left" in recorder.problem
+            assert not recorder.status.is_open
+            assert bridge.runners[1].status.is_open
+
+    with served(device) as url:
+        asyncio.run(work(url))
+    assert len(list(Recording(path))) >= 10
+
+
+def run_command(*words, **more):
+    return subprocess.Popen(
+        [sys.executable, "-m", "j2a", "bridge", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **more,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_ends_properly_by_a_signal(tmp_path, number):
+    path = tmp_path / "a.mcap"
+    device = board_of()
+    with served(device) as url:
+        process = run_command(url, "--sink", f"mcap:{path}")
+        assert f"recording into {path}" in process.stderr.readline()
+        while not path.exists() or not _recorded(path):
+            device.sense("quad", 0, 1)
+            time.sleep(0.02)
+            assert process.poll() is None
+        process.send_signal(number)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 128 + number
+    assert "Traceback" not in err
+    recording = Recording(path)
+    assert len(list(recording)) > 0
+    assert recording.is_whole
+
+
+def _recorded(path):
+    try:
+        return list(Recording(path))
+    except Exception:  # its first bytes are on the way
+        return []
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "name a board"),
+        (("tcp://127.0.0.1:1",), "name a sink"),
+        (("tcp://127.0.0.1:1", "tcp://127.0.0.1:1", "--sink", "udp"), "stands there twice"),
+        (("tcp://127.0.0.1:1", "--sink", "ros9"), "there is no sink"),
+        (("nonsense://x", "--sink", "udp"), "nonsense"),
+        (("--config", "missing.toml"), "missing.toml"),
+    ],
+)
+def test_what_is_wrong_is_told_in_a_line(words, told):
+    process = run_command(*words)
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2, err
+    assert told in err
+    assert "Traceback" not in err + out
+
+
+def test_the_list_of_sinks_names_their_options():
+    process = run_command("--list")
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    for word in ("mcap:FILE.mcap", "segment=", "udp[:HOST:PORT]", "ros1"):
+        assert word in out, err
+
+
+def test_a_file_says_all(tmp_path):
+    path = tmp_path / "a.mcap"
+    file = tmp_path / "robot.toml"
+    device = board_of(TRANSDS)
+    with served(device) as url:
+        file.write_text(
+            f'[[boards]]\nurl = "{url}"\ntransducers.quad = {{ topic = "wheel" }}\n'
+            f'[[sinks]]\nuse = "mcap"\nto = "{path}"\n'
+        )
+        process = run_command("--config", str(file), env={**os.environ, "PYTHONUNBUFFERED": "1"})
+        while not path.exists() or not _recorded(path):
+            device.sense("quad", 0, 1)
+            time.sleep(0.02)
+            assert process.poll() is None, process.communicate()
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=PATIENCE_S)
+    with path.open("rb") as stream:
+        topics = {channel.topic for _, channel, _ in make_reader(stream).iter_messages()}
+    assert topics == {"/wheel"}
