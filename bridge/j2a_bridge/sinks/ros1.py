@@ -13,6 +13,7 @@ import os
 import select
 import struct
 import subprocess
+import tempfile
 import threading
 import time
 from collections import deque
@@ -79,6 +80,8 @@ class Ros1Sink(Sink):
         self._numbers.clear()
         self._takers.clear()
         self._next, self._shift_ns = 1, 0
+        # genpy makes modules in it, which it would leave behind when the node is killed.
+        self._scratch = tempfile.TemporaryDirectory(prefix="j2a-ros1-", ignore_cleanup_errors=True)
         try:
             process = subprocess.Popen(
                 command,
@@ -88,9 +91,11 @@ class Ros1Sink(Sink):
                 bufsize=0,
                 cwd=Path("/"),  # where no module stands in the way of those of ROS
                 env={key: one for key, one in os.environ.items() if key != "PYTHONPATH"}
-                | _ros_path(),
+                | _ros_path()
+                | {"TMPDIR": self._scratch.name},
             )
         except OSError as error:
+            self._scratch.cleanup()
             raise SinkError(f"{command[0]} does not start: {error}") from None
         self._process = process
         assert process.stdin is not None
@@ -128,6 +133,7 @@ class Ros1Sink(Sink):
         for pipe in (process.stdout, process.stderr):
             if pipe is not None:
                 pipe.close()
+        self._scratch.cleanup()
 
     # ------------------------------------------------------------------ topics
 
