@@ -75,6 +75,7 @@ class Process:
 def ros_home(tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{free_port()}")
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
 
