@@ -26,6 +26,7 @@ from typing import Any, ClassVar, Final
 import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
+from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
 from j2a_bridge.ros_messages import Message, RosMessages
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
 from j2a_bridge.sinks import ros1_node as node
@@ -38,7 +39,6 @@ _WRITE_S: Final = 5.0
 _END_S: Final = 3.0
 _LINES: Final = 20
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
-_FLOATS: Final = "std_msgs/msg/Float64MultiArray"
 _NS_PER_US: Final = 1000
 _logger = logging.getLogger("j2a.bridge")
 
@@ -152,7 +152,7 @@ class Ros1Sink(Sink):
             self._subscribe(numbers, topic, topic.name, own, lambda data: self._set(topic, data))
             if numbers_element(topic.transducer.type) is not None:
                 name = f"{topic.name}/cmd"
-                self._subscribe(numbers, topic, name, _FLOATS, lambda data: self._cmd(topic, data))
+                self._subscribe(numbers, topic, name, FLOATS, lambda data: self._cmd(topic, data))
         number = self._number(numbers)
         self._takers[number] = lambda data: self._configure(topic, data)
         self._send_json(node.SERVE, number, {"topic": f"/{topic.name}/configure"})
@@ -206,26 +206,10 @@ class Ros1Sink(Sink):
     # ------------------------------------------------------------------ from ROS
 
     def _set(self, topic: Topic, data: bytes) -> None:
-        values, stamp_ns = self._ros.read_own(topic, data)
-        at_ns = stamp_ns - self._shift_ns if stamp_ns else 0
-        self._watch(topic, self.control.set(topic.name, values, at_ns=at_ns, raw=True))
+        set_by_own(self.control, self._ros, topic, data, self._shift_ns)
 
     def _cmd(self, topic: Topic, data: bytes) -> None:
-        values = self._ros.read(_FLOATS, data).data.tolist()
-        count = topic.transducer.type.count
-        if count is not None:
-            values = [values[at : at + count] for at in range(0, len(values), count)]
-        else:
-            values = [_whole(topic, one) for one in values]
-        self._watch(topic, self.control.set(topic.name, values))
-
-    def _watch(self, topic: Topic, future: "Future[Any]") -> None:
-        def told(done: "Future[Any]") -> None:
-            error = done.exception()
-            if error is not None:
-                _logger.warning("%s was not set: %s", topic.name, error)
-
-        future.add_done_callback(told)
+        set_by_command(self.control, self._ros, topic, data)
 
     def _configure(self, topic: Topic, data: bytes) -> None:
         about = json.loads(data)
@@ -342,13 +326,6 @@ class Ros1Sink(Sink):
                 if left <= 0:
                     raise SinkError(f"the node of ROS 1 takes nothing for {_WRITE_S:g} s")
                 select.select([], [fd], [], left)
-
-
-def _whole(topic: Topic, value: float) -> float | int:
-    """Return a number as an integer where the actuator has these and takes no scaled ones."""
-    element = numbers_element(topic.transducer.type) or ""
-    is_whole = element[:1] in "ui" and not topic.transducer.is_scaled and value.is_integer()
-    return int(value) if is_whole else value
 
 
 def _value(text: str) -> Any:

@@ -1,0 +1,289 @@
+"""The sink `zenoh`: what a node of ROS 2 by rmw_zenoh would see, and `j2a fleet`."""
+
+import asyncio
+import json
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xxhash
+import zenoh
+from j2a_bridge.command_fleet import read_status
+from j2a_bridge.ros_messages import RosMessages
+
+from j2a.types.transds_file import read_transds
+
+from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, free_port, served, until
+
+HASH = "RIHS01_893f27f2d0c94f6c987b3f402c93b264222f3d91d18b6415e0e15590a61f9ce8"
+QUAD = "j2a_msgs::msg::dds_::Quad_"
+
+
+@pytest.fixture
+def locator():
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+class Peer:
+    """Somebody else, who keeps what comes."""
+
+    def __init__(self, locator):
+        config = zenoh.Config()
+        for key, value in {
+            "mode": "client",
+            "scouting/multicast/enabled": False,
+            "connect/endpoints": [locator],
+        }.items():
+            config.insert_json5(key, json.dumps(value))
+        self.session = zenoh.open(config)
+        self.samples = []
+        self.session.declare_subscriber("**", self.samples.append)
+
+    def tokens(self):
+        return {
+            str(reply.ok.key_expr)
+            for reply in self.session.liveliness().get("@ros2_lv/**", timeout=PATIENCE_S)
+        }
+
+
+async def with_peer(locator, work, text=None):
+    device = board_of() if text is None else board_of(text)
+    with served(device) as url:
+        sink = f"zenoh:mode=router,listen={locator}"
+        async with bridging(config_for(url, sinks=(sink, "kept"))) as bridge:
+            assert not bridge.runners[0].problem
+            await until(lambda: "servo" in bridge.runners[0].sink._parts)
+            peer = await asyncio.to_thread(Peer, locator)
+            try:
+                return await work(device, peer, bridge)
+            finally:
+                peer.session.close()
+
+
+def test_samples_are_under_the_keys_of_rmw_zenoh_with_its_attachment(locator):
+    async def work(device, peer, bridge):
+        found = []
+        count = 0
+        while len(found) < 3:
+            count += 1
+            device.sense("quad", 0, count, raw=True)
+            await asyncio.sleep(0.02)
+            found = [one for one in peer.samples if str(one.key_expr).startswith("0/quad/j2a")]
+        tokens = await asyncio.to_thread(peer.tokens)
+        zid = str(bridge.runners[0].sink._session.info.zid())
+        return found, tokens, zid
+
+    found, tokens, zid = asyncio.run(with_peer(locator, work))
+    assert str(found[0].key_expr) == f"0/quad/{QUAD}/{HASH}"
+    node = f"@ros2_lv/0/{zid}/0/0/NN/%/%/j2a_bridge"
+    assert node in tokens
+    [token] = [one for one in tokens if f"/MP/%/%/j2a_bridge/%quad/{QUAD}/{HASH}/" in one]
+    assert token.endswith("/2::,5:,:,:,,")
+    assert any("/MS/%/%/j2a_bridge/%servo%cmd/" in one for one in tokens)
+    numbers = []
+    for one in found:
+        sequence, stamp, size = struct.unpack_from("<qqB", one.attachment.to_bytes())
+        gid = one.attachment.to_bytes()[17:]
+        assert (size, len(gid)) == (16, 16)
+        digest = xxhash.xxh3_128(token.encode()).digest()  # big-endian: high, low
+        assert gid == digest[8:][::-1] + digest[:8][::-1]
+        numbers.append(sequence)
+        ros = RosMessages("jazzy")
+        kind = "j2a_msgs/msg/Quad"
+        store = ros.store_of(_descriptors())
+        message = store.deserialize_cdr(one.payload.to_bytes(), kind)
+        newest = message.times[0]
+        assert stamp == newest.sec * 10**9 + newest.nanosec
+    assert numbers == sorted(numbers)
+
+
+def _descriptors():
+    return read_transds(TRANSDS)
+
+
+def test_actuators_are_set_by_messages_of_both_types(locator, caplog):
+    async def work(device, peer, bridge):
+        ros = RosMessages("jazzy")
+        store = ros.store_of(_descriptors())
+        servo, floats = "j2a_msgs/msg/Servo", "std_msgs/msg/Float64MultiArray"
+        own = store.serialize_cdr(store.types[servo]([], np.array([10, -20], "i1")), servo)
+        layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+        command = store.serialize_cdr(store.types[floats](layout, np.array([33.0])), floats)
+        far = store.serialize_cdr(store.types[floats](layout, np.array([101.0])), floats)
+        keys = (
+            "0/servo/j2a_msgs::msg::dds_::Servo_/TypeHashNotSupported",
+            "0/servo/cmd/std_msgs::msg::dds_::Float64MultiArray_/TypeHashNotSupported",
+        )
+        await asyncio.to_thread(peer.session.put, keys[0], bytes(own))
+        await until(lambda: ("servo", 1, -20) in device.was_set)
+        await asyncio.to_thread(peer.session.put, keys[1], bytes(command))
+        await until(lambda: ("servo", 0, 33) in device.was_set)
+        count = len(device.was_set)
+        for bad in (bytes(far), b"", b"\0\1\0\0\xff\xff\xff\xff"):
+            await asyncio.to_thread(peer.session.put, keys[1], bad)
+        await until(lambda: caplog.text.count("was not set") >= 3)
+        assert len(device.was_set) == count
+
+    asyncio.run(with_peer(locator, work))
+    assert "servo is -100 % to 100 %, not 101 %" in caplog.text
+
+
+def fleet(*words):
+    command = [sys.executable, "-m", "j2a", "fleet", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+
+def test_fleet_tells_of_all_computers_and_of_a_board_that_moves(locator, monkeypatch):
+    ports = free_port(), free_port()
+
+    async def work():
+        sinks = f"zenoh:mode=router,listen={locator}", f"zenoh:connect={locator}"
+        configs = [
+            config_for(f"tcp://127.0.0.1:{port}", sinks=(sink,), names="board")
+            for port, sink in zip(ports, sinks, strict=True)
+        ]
+        async with bridging(configs[0]) as one, bridging(configs[1]) as other:
+            one._host, other._host = "alpha", "beta"
+            found = []
+            for at in (0, 1, 0):
+                with served(board_of(name="arm", serial="S1"), ports[at]):
+                    await until(lambda at=at: "arm/quad" in (one, other)[at]._flows)
+                    while True:
+                        result = await asyncio.to_thread(fleet, "--connect", locator, "--json")
+                        assert result.returncode == 0, result.stderr
+                        bridges = json.loads(result.stdout)["bridges"]
+                        here = [
+                            (bridge["host"], board["name"], board["topics"][0]["name"])
+                            for bridge in bridges
+                            for board in bridge["boards"]
+                            if board["is_here"] and board["topics"]
+                        ]
+                        if len(bridges) == 2 and len(here) == 1 and here[0][0] == _host(at):
+                            break
+                    table = await asyncio.to_thread(fleet, "--connect", locator)
+                    found.append((here[0], table.stdout))
+                await until(lambda: not one._flows and not other._flows)
+            return found
+
+    found = asyncio.run(work())
+    assert [one for one, _ in found] == [
+        ("alpha", "arm", "arm/quad"),
+        ("beta", "arm", "arm/quad"),
+        ("alpha", "arm", "arm/quad"),
+    ]
+    assert all("arm/tank/level" in table for _, table in found)
+
+
+def _host(at):
+    return ("alpha", "beta")[at]
+
+
+def test_fleet_without_a_router_is_told_what_to_do(locator):
+    result = fleet("--connect", locator)
+    assert result.returncode == 3
+    assert "start a router" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+GOOD = {
+    "host": "a",
+    "sinks": [],
+    "boards": [
+        {
+            "name": "n",
+            "identity": "i",
+            "url": "u",
+            "is_here": True,
+            "problem": "",
+            "clock": "",
+            "topics": [{"name": "t", "samples": 1, "rate_hz": 1.0, "latency_ms": None, "lost": 0}],
+        }
+    ],
+}
+
+
+def test_what_comes_is_checked():
+    assert read_status(json.dumps(GOOD).encode()) == GOOD
+    text = json.dumps(GOOD)
+    for old, new in (
+        ('"host": "a"', '"host": 1'),
+        ('"name": "n"', '"name": null'),
+        ('"is_here": true', '"is_here": 1'),
+        ('"rate_hz": 1.0', '"rate_hz": "1"'),
+        ('"lost": 0', '"lost": true'),
+        ('"latency_ms": null', '"latency_ms": []'),
+        ('"topics": [', '"topics": [1, '),
+        ('"boards": [', '"boards": [[], '),
+        ('"host"', '"hast"'),
+    ):
+        assert old in text
+        assert read_status(text.replace(old, new).encode()) is None, new
+    for data in (b"", b"[]", b"1", b"\xff", b"[" * 100000, b'"' + b"x" * (1 << 20) + b'"'):
+        assert read_status(data) is None
+
+
+def certificates(folder):
+    """Make an authority, and a certificate of it for a bridge and one for whoever asks."""
+
+    def openssl(*words):
+        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+
+    curve = "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "30"
+    openssl("req", "-x509", *curve, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=ours")
+    (folder / "names").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost\n")
+    for name in ("bridge", "asker"):
+        openssl(
+            "req", *curve, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}"
+        )
+        signed = "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "30"
+        openssl(
+            *("x509", "-req", "-in", f"{name}.csr", *signed),
+            *("-out", f"{name}.pem", "-extfile", "names"),
+        )
+
+
+def zenoh_file(folder, name, endpoints, **tls):
+    config = {
+        "scouting": {"multicast": {"enabled": False}},
+        **endpoints,
+        "transport": {"link": {"tls": {"root_ca_certificate": str(folder / "ca.pem"), **tls}}},
+    }
+    path = folder / f"{name}.json5"
+    path.write_text(json.dumps(config))
+    return str(path)
+
+
+def test_with_tls_only_who_has_a_certificate_is_answered(tmp_path):
+    certificates(tmp_path)
+    where = f"tls/127.0.0.1:{free_port()}"
+
+    def key_of(name, role):
+        return {
+            f"{role}_certificate": str(tmp_path / f"{name}.pem"),
+            f"{role}_private_key": str(tmp_path / f"{name}.key"),
+            "enable_mtls": True,
+        }
+
+    router = zenoh_file(
+        tmp_path, "router", {"listen": {"endpoints": [where]}}, **key_of("bridge", "listen")
+    )
+    there = {"connect": {"endpoints": [where], "timeout_ms": 2000}}
+    asker = zenoh_file(tmp_path, "asker", there, **key_of("asker", "connect"))
+    stranger = zenoh_file(tmp_path, "stranger", there)
+
+    async def work():
+        with served(board_of()) as url:
+            config = config_for(url, sinks=(f"zenoh:mode=router,file={router}",))
+            async with bridging(config) as bridge:
+                assert bridge.runners[0].problem == ""
+                await until(lambda: bridge.runners[0].sink._status.host)
+                good = await asyncio.to_thread(fleet, "--file", asker, "--json")
+                bad = await asyncio.to_thread(fleet, "--file", stranger, "--json")
+        return good, bad
+
+    good, bad = asyncio.run(work())
+    assert good.returncode == 0, good.stderr
+    assert len(json.loads(good.stdout)["bridges"]) == 1
+    assert bad.returncode != 0 or json.loads(bad.stdout)["bridges"] == []
