@@ -1,0 +1,266 @@
+"""The sink `mqtt`: samples as JSON for a broker, with topics in the manner of Sparkplug.
+
+What flows in: samples. What flows out, each below GROUP/KIND/COMPUTER/BOARD: DBIRTH (what a board
+has, retained), DDATA/.../TOPIC (samples), DDEATH; NBIRTH and NDEATH for this computer. Back come
+DCMD/.../TOPIC (values or settings), which DRES/.../TOPIC answers.
+Rules: the broker tells NDEATH when this program dies; samples are sent at most once, births and
+deaths at least once.
+"""
+
+import contextlib
+import json
+import logging
+import math
+import socket
+import threading
+from collections.abc import Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import j2a
+from j2a import LocalError
+from j2a.cli._typed import json_of
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Update
+from j2a_bridge.topics import Topic, plain_name
+
+__all__ = ["MqttSink", "sample_object", "transducer_object"]
+
+_WAIT_S: Final = 5.0
+_MAX_ORDER_BYTES: Final = 4096
+_WAITING: Final = 1000
+_logger = logging.getLogger("j2a.bridge")
+
+
+class MqttSink(Sink):
+    """Publishes samples on a broker."""
+
+    SUMMARY = "samples as JSON for an MQTT broker, topics in the manner of Sparkplug"
+    ARGUMENT = "[HOST[:PORT]]"
+    OPTIONS: ClassVar[Mapping[str, Option]] = {
+        "group": Option(str, "j2a", "what all topics begin with"),
+        "user": Option(str, "", "name for the broker"),
+        "password": Option(str, "", "a file that has the password"),
+        "ca": Option(str, "", "a file with the certificate of the authority: speak TLS"),
+    }
+
+    def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
+        super().__init__(argument, options, control)
+        _paho()
+        host, colon, port = argument.rpartition(":") if ":" in argument else (argument, "", "")
+        self._host = host or "127.0.0.1"
+        self._port = 8883 if options["ca"] else 1883
+        if colon:
+            if not port.isdecimal() or not 0 < int(port) < 1 << 16:
+                raise LocalError(f"mqtt speaks with HOST:PORT, not {argument!r:.60}")
+            self._port = int(port)
+        group = options["group"]
+        if not group or any(one in group for one in "#+\0"):
+            raise LocalError(f"the group of mqtt is a topic without # and +, not {group!r:.40}")
+        for key in ("password", "ca"):
+            if options[key] and not Path(options[key]).is_file():
+                raise LocalError(f"there is no file {options[key]}")
+        self._node = plain_name(socket.gethostname())
+        self._client: Any = None
+        self._connected = threading.Event()
+        self._why = ""
+        self._boards: dict[str, dict[str, Topic]] = {}
+
+    # ------------------------------------------------------------------ life
+
+    def open(self) -> None:
+        """Connect to the broker."""
+        paho = _paho()
+        self._boards.clear()
+        self._connected.clear()
+        self._why = ""
+        client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="")
+        client.max_queued_messages_set(_WAITING)
+        if self.options["user"]:
+            password = None
+            if self.options["password"]:
+                password = Path(self.options["password"]).read_text(encoding="utf-8").strip()
+            client.username_pw_set(self.options["user"], password)
+        if self.options["ca"]:
+            client.tls_set(ca_certs=self.options["ca"])
+        client.will_set(self._topic("NDEATH"), "{}", qos=1, retain=True)
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.on_message = self._on_message
+        where = f"{self._host}:{self._port}"
+        try:
+            client.connect(self._host, self._port, keepalive=15)
+        except OSError as error:
+            raise SinkError(f"no broker answers at {where}: {error}") from None
+        client.loop_start()
+        self._client = client
+        if not self._connected.wait(_WAIT_S):
+            why = self._why or "it does not say why"
+            raise SinkError(f"the broker at {where} takes no connection: {why}")
+        client.subscribe(f"{self._topic('DCMD')}/#", qos=1)
+        self._send("NBIRTH", {"version": 1}, retain=True)
+
+    def told(self) -> str:
+        """Return where it publishes."""
+        return f"publishing {self.options['group']}/# at {self._host}:{self._port}"
+
+    def close(self) -> None:
+        """Tell that this computer is gone, and disconnect."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        if client.is_connected():
+            told = client.publish(self._topic("NDEATH"), "{}", qos=1, retain=True)
+            with contextlib.suppress(ValueError, RuntimeError):  # the broker is gone
+                told.wait_for_publish(_WAIT_S)
+        client.disconnect()
+        client.loop_stop()
+
+    def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _more: Any) -> None:
+        if reason.is_failure:
+            self._why = str(reason)
+            client.disconnect()
+        else:
+            self._connected.set()
+
+    def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _: Any) -> None:
+        self._why = self._why or str(reason)
+        self._connected.clear()
+
+    # ------------------------------------------------------------------ topics
+
+    def _topic(self, kind: str, *parts: str) -> str:
+        return "/".join([self.options["group"], kind, self._node, *parts])
+
+    def _send(self, kind: str, about: Any, *parts: str, qos: int = 1, retain: bool = False) -> None:
+        if self._client is None or not self._connected.is_set():
+            raise SinkError(f"the broker at {self._host}:{self._port} is gone: {self._why}")
+        data = json.dumps(about, allow_nan=False)
+        self._client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
+
+    def announce(self, topic: Topic) -> None:
+        """Tell what the board has now."""
+        board = self._boards.setdefault(topic.board, {})
+        board[topic.name] = topic
+        self._tell(topic.board)
+
+    def retract(self, topic: Topic) -> None:
+        """Tell that the board has less, or is gone."""
+        board = self._boards.get(topic.board, {})
+        board.pop(topic.name, None)
+        if board:
+            self._tell(topic.board)
+        else:
+            self._boards.pop(topic.board, None)
+            self._send("DDEATH", {}, topic.board)
+            self._send("DBIRTH", {}, topic.board, retain=True)
+
+    def _tell(self, board: str) -> None:
+        about = {name: transducer_object(one) for name, one in self._boards[board].items()}
+        self._send("DBIRTH", {"topics": about}, board, retain=True)
+
+    def publish(self, update: Update) -> None:
+        """Publish a sample."""
+        topic = update.topic
+        self._send("DDATA", sample_object(update), topic.board, topic.name, qos=0)
+
+    # ------------------------------------------------------------------ orders
+
+    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
+        head = self._topic("DCMD") + "/"
+        board, _, name = message.topic.removeprefix(head).partition("/")
+        try:
+            if message.retain:
+                raise LocalError("an order that is retained would come again and again")
+            future = self._order(board, name, message.payload)
+        except j2a.J2AError as error:
+            self._answer(board, name, None, error)
+            return
+
+        def told(done: "Future[Any]") -> None:
+            self._answer(board, name, done, done.exception())
+
+        future.add_done_callback(told)
+
+    def _order(self, board: str, name: str, data: bytes) -> "Future[Any]":
+        topic = self._boards.get(board, {}).get(name)
+        if topic is None:
+            raise LocalError(f"the board {board!r:.80} has no topic {name!r:.80}")
+        if len(data) > _MAX_ORDER_BYTES:
+            raise LocalError(f"an order has {_MAX_ORDER_BYTES} bytes at the most")
+        try:
+            about = json.loads(data)
+        except (ValueError, RecursionError):
+            about = None
+        if not isinstance(about, dict):
+            raise LocalError('an order is an object, such as {"values": [1]}')
+        if isinstance(about.get("settings"), dict):
+            return self.control.configure(topic.name, about["settings"])
+        values, channel, at_ns = about.get("values"), about.get("channel", 0), about.get("at_ns", 0)
+        if not isinstance(values, list) or not isinstance(channel, int | float):
+            raise LocalError('an order has "values", a list, or "settings", an object')
+        if not isinstance(at_ns, int) or at_ns < 0:
+            raise LocalError("at_ns is a time in nanoseconds since 1970")
+        return self.control.set(topic.name, values, channel=int(channel), at_ns=at_ns)
+
+    def _answer(
+        self, board: str, name: str, done: "Future[Any] | None", error: BaseException | None
+    ) -> None:
+        if error is not None:
+            _logger.warning("%s of %s was not set: %s", name, board, error)
+        about = {
+            "ok": error is None,
+            "message": str(error or ""),
+            "settings": done.result() if done is not None and error is None else None,
+        }
+        with contextlib.suppress(SinkError):  # the broker has gone meanwhile
+            self._send("DRES", about, *filter(None, (board, name)))
+
+
+def transducer_object(topic: Topic) -> dict[str, Any]:
+    """Return what JSON has of a transducer."""
+    one = topic.transducer
+    about: dict[str, Any] = {
+        "kind": one.kind,
+        "name": one.name,
+        "type": str(one.type),
+        "channels": one.channels,
+        "unit": one.unit,
+        "model": one.model,
+        "doc": one.doc,
+    }
+    if one.range is not None:
+        about["range"] = [_finite(end * one.scale + one.offset) for end in one.range]
+    return about
+
+
+def sample_object(update: Update) -> dict[str, Any]:
+    """Return what JSON has of a sample: each value in the unit, null for N/A, and its time."""
+    sample = update.sample
+    return {
+        "values": [_finite(json_of(one.value)) for one in sample.readings],
+        "channels": list(sample.channels),
+        "times_ns": list(update.stamps_ns),
+        "sequence": sample.sequence,
+        "lost": sample.lost + sample.missed,
+        "uncertainty_us": update.uncertainty_us,
+    }
+
+
+def _finite(value: Any) -> Any:
+    """Return a value with texts for what JSON has no number: "inf", "-inf" and "nan"."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, list):
+        return [_finite(one) for one in value]
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    return value
+
+
+def _paho() -> Any:
+    try:
+        import paho.mqtt.client  # noqa: PLC0415
+    except ImportError:
+        raise LocalError('this needs paho-mqtt: pip install "j2a[mqtt]"') from None
+    return paho.mqtt.client

@@ -1,0 +1,188 @@
+"""The sink `mqtt` with a real broker."""
+
+import asyncio
+import json
+import os
+import queue
+import shutil
+import socket
+import subprocess
+import time
+
+import paho.mqtt.client as paho
+import pytest
+from j2a_bridge.sinks.mqtt import MqttSink
+from j2a_bridge.topics import plain_name
+
+from .support import PATIENCE_S, board_of, bridging, config_for, free_port, served, until
+
+pytestmark = [pytest.mark.broker]
+if not shutil.which("mosquitto", path="/usr/sbin:/usr/bin") and not os.environ.get(
+    "J2A_REQUIRE_AVR"
+):
+    pytestmark.append(pytest.mark.skip("needs the broker mosquitto"))
+HOST = plain_name(socket.gethostname())
+
+
+class Broker:
+    """Mosquitto on the loopback."""
+
+    def __init__(self, port, folder):
+        self.port = port
+        file = folder / "mosquitto.conf"
+        file.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n")
+        self._process = subprocess.Popen(
+            ["/usr/sbin/mosquitto", "-c", str(file)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            with socket.socket() as one:
+                if one.connect_ex(("127.0.0.1", port)) == 0:
+                    return
+            time.sleep(0.02)
+        raise AssertionError("the broker does not start")
+
+    def end(self):
+        self._process.kill()
+        self._process.wait()
+
+
+@pytest.fixture
+def broker(tmp_path):
+    one = Broker(free_port(), tmp_path)
+    yield one
+    one.end()
+
+
+class Listener:
+    """Hears all topics."""
+
+    def __init__(self, port):
+        self.messages = queue.Queue()
+        ready = queue.Queue()
+        self.client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+        self.client.on_message = lambda client, data, message: self.messages.put(
+            (message.topic, message.payload, message.retain)
+        )
+        self.client.on_subscribe = lambda *args: ready.put(1)
+        self.client.connect("127.0.0.1", port)
+        self.client.loop_start()
+        self.client.subscribe("#", qos=1)
+        ready.get(timeout=PATIENCE_S)
+
+    def next(self, topic, is_right=lambda about: True):
+        while True:
+            name, payload, _ = self.messages.get(timeout=PATIENCE_S)
+            if name == topic:
+                about = json.loads(payload)
+                if is_right(about):
+                    return about
+
+    def end(self):
+        self.client.disconnect()
+        self.client.loop_stop()
+
+
+@pytest.fixture
+def listener(broker):
+    one = Listener(broker.port)
+    yield one
+    one.end()
+
+
+def test_births_samples_orders_and_deaths(broker, listener):
+    async def work():
+        device = board_of()
+        heard = lambda *words: asyncio.to_thread(listener.next, *words)  # noqa: E731
+        sink = f"mqtt:127.0.0.1:{broker.port}"
+        with served(device) as url:
+            async with bridging(config_for(url, sinks=(sink,))) as bridge:
+                assert bridge.runners[0].problem == ""
+                birth = await heard(
+                    f"j2a/DBIRTH/{HOST}/robot", lambda about: len(about.get("topics", ())) == 3
+                )
+                device.sense("quad", 1, 45.5)
+                data = await heard(f"j2a/DDATA/{HOST}/robot/quad")
+                order = f"j2a/DCMD/{HOST}/robot/servo"
+                answers = []
+                for about in (
+                    {"values": [10, -20]},
+                    {"values": [101]},
+                    {"values": [1], "channel": 7},
+                    {"values": "x"},
+                    [],
+                    {"values": [1], "at_ns": -1},
+                    {"settings": {"colour": 1}},
+                ):
+                    listener.client.publish(order, json.dumps(about), qos=1)
+                    answers.append(await heard(f"j2a/DRES/{HOST}/robot/servo"))
+                quad = f"j2a/DCMD/{HOST}/robot/quad"
+                listener.client.publish(quad, json.dumps({"settings": {"period": 0.5}}), qos=1)
+                settings = await heard(f"j2a/DRES/{HOST}/robot/quad")
+                listener.client.publish(quad, b"\xff" * 5000, qos=1)
+                long = await heard(f"j2a/DRES/{HOST}/robot/quad")
+        await heard(f"j2a/NDEATH/{HOST}")
+        return device, birth, data, answers, settings, long
+
+    device, birth, data, answers, settings, long = asyncio.run(work())
+    assert birth["topics"]["servo"]["range"] == [-100, 100]
+    assert birth["topics"]["quad"]["unit"] == "deg"
+    assert data["values"] == [None, 45.5]
+    assert data["times_ns"][0] is None
+    assert data["times_ns"][1] == pytest.approx(time.time_ns(), abs=PATIENCE_S * 1e9)
+    assert ("servo", 1, -20) in device.was_set
+    assert [one["ok"] for one in answers] == [True, *[False] * 6]
+    assert "servo is -100 % to 100 %" in answers[1]["message"]
+    assert all(one["message"] for one in answers[1:])
+    assert settings["settings"] == {"enabled": True, "period": 0.5}
+    assert "4096 bytes" in long["message"]
+
+
+def test_a_board_that_goes_dies_and_comes_again(broker, listener):
+    async def work():
+        port = free_port()
+        sink = f"mqtt:127.0.0.1:{broker.port}"
+        async with bridging(config_for(f"tcp://127.0.0.1:{port}", sinks=(sink,))):
+            for _ in range(2):
+                with served(board_of(serial="1"), port):
+                    await asyncio.to_thread(
+                        listener.next,
+                        f"j2a/DBIRTH/{HOST}/robot",
+                        lambda about: len(about.get("topics", ())) == 3,
+                    )
+                await asyncio.to_thread(listener.next, f"j2a/DDEATH/{HOST}/robot")
+
+    asyncio.run(work())
+
+
+def test_a_broker_that_dies_is_found_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(MqttSink, "RETRY_S", 0.1)
+    port = free_port()
+
+    async def work():
+        device = board_of()
+        with served(device) as url:
+            config = config_for(url, sinks=(f"mqtt:127.0.0.1:{port}", "kept"))
+            async with bridging(config) as bridge:
+                runner = bridge.runners[0]
+                await until(lambda: "no broker answers" in runner.problem)
+                for value in range(2):
+                    broker = Broker(port, tmp_path)
+                    try:
+                        await until(lambda: runner.status.is_open)
+                        listener = Listener(port)
+                        got = asyncio.create_task(
+                            asyncio.to_thread(listener.next, f"j2a/DDATA/{HOST}/robot/quad")
+                        )
+                        while not got.done():
+                            device.sense("quad", 0, value, raw=True)
+                            await asyncio.wait([got], timeout=0.05)
+                        assert got.result()["values"][0] == value / 2
+                        listener.end()
+                    finally:
+                        broker.end()
+                    await until(lambda: (device.sense("quad", 0, 5), runner.problem)[1])
+
+    asyncio.run(work())
