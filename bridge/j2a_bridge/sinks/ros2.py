@@ -106,7 +106,7 @@ class Ros2Sink(Sink):
             self._participant, participant = None, self._participant
         self._writers.clear()
         self._readers.clear()
-        self._graph = self._diagnostics = None
+        del self._graph, self._diagnostics
         del participant
 
     # ------------------------------------------------------------------ topics
@@ -173,7 +173,7 @@ class Ros2Sink(Sink):
                     except j2a.J2AError as error:
                         _logger.warning("%s was not set: %s", topic.name, error)
 
-        policy = dds.order_qos(_user_data(store, kind))
+        policy = dds.reliable_qos(_user_data(store, kind))
         about = dds.Topic(self._participant, name, made)
         return dds.DataReader(self._participant, about, qos=policy, listener=Taker())
 
@@ -235,7 +235,9 @@ def _configure(dds: "_Dds", number: int, network: str) -> None:
         text = _OTHERS.format(which=which)
     known = _domains.get(number)
     if known is None:
-        xml = f'<CycloneDDS><Domain Id="any">{text}</Domain></CycloneDDS>'
+        # What DDS would print of foreign messages that it drops is of no use to anybody.
+        quiet = "<Tracing><Verbosity>none</Verbosity></Tracing>"
+        xml = f'<CycloneDDS><Domain Id="any">{text}{quiet}</Domain></CycloneDDS>'
         _domains[number] = text, dds.Domain(number, xml)
     elif known[0] != text:
         raise SinkError(f"another sink of this program uses domain {number} with other networks")
@@ -275,10 +277,6 @@ class _Dds:
     def reliable_qos(self, user_data: bytes) -> Any:
         """Return the quality that ROS 2 has by default."""
         return self._qos(user_data, self.Policy.Reliability.Reliable(self._wait), 10)
-
-    def order_qos(self, user_data: bytes) -> Any:
-        """Return the quality of readers that take from reliable writers and from others."""
-        return self._qos(user_data, self.Policy.Reliability.BestEffort, 10)
 
     def graph_qos(self, user_data: bytes) -> Any:
         """Return the quality of ros_discovery_info."""

@@ -1,0 +1,308 @@
+"""The sink `ros2`, seen by Fast DDS, which knows nothing of J2A."""
+
+import asyncio
+import contextlib
+import os
+import queue
+import random
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.domain import DomainParticipant
+from j2a_bridge.ros_messages import RosMessages
+from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sinks.ros2 import Ros2Sink
+
+from j2a import LocalError
+
+from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, served, until
+from .test_zenoh import HASH, _descriptors
+
+HEADER = Path("/usr/include/fastdds/dds/topic/TopicDataType.hpp")
+pytestmark = [pytest.mark.dds]
+needs_fastdds = pytest.mark.skipif(
+    not (HEADER.exists() and shutil.which("g++")) and not os.environ.get("J2A_REQUIRE_AVR"),
+    reason="needs Debian's libfastrtps-dev and g++",
+)
+
+
+@pytest.fixture(scope="session")
+def program(tmp_path_factory):
+    """Return the program of Fast DDS."""
+    made = tmp_path_factory.mktemp("fastdds") / "peer"
+    source = Path(__file__).with_name("fastdds_peer.cpp")
+    command = ["g++", "-O1", "-o", str(made), str(source), "-lfastrtps", "-lfastcdr"]
+    subprocess.run(command, check=True, capture_output=True, timeout=600)
+    return made
+
+
+@pytest.fixture
+def domain():
+    """Return a domain that no other test uses now."""
+    return random.randrange(1, 200)
+
+
+class FastDds:
+    """The program, whose lines are read."""
+
+    def __init__(self, program, domain):
+        self._process = subprocess.Popen(
+            [str(program), str(domain)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        self._lines = queue.Queue()
+        self._thread = threading.Thread(target=self._read)
+        self._thread.start()
+        self.next("ready")
+
+    def _read(self):
+        for line in self._process.stdout:
+            self._lines.put(line.strip())
+        self._lines.put("end")
+
+    def tell(self, *words):
+        self._process.stdin.write(" ".join(words) + "\n")
+        self._process.stdin.flush()
+
+    def next(self, *begin):
+        while True:
+            words = self._lines.get(timeout=PATIENCE_S).split(" ")
+            assert words != ["end"]
+            if words[: len(begin)] == list(begin):
+                return words[len(begin) :]
+
+    def end(self):
+        self._process.kill()
+        self._process.wait()
+        self._thread.join(PATIENCE_S)
+        self._process.stdin.close()
+        self._process.stdout.close()
+
+
+@contextlib.asynccontextmanager
+async def bridged(domain, *more, text=TRANSDS):
+    device = board_of(text)
+    with served(device) as url:
+        config = config_for(url, sinks=(f"ros2:domain={domain}", "kept", *more))
+        async with bridging(config) as bridge:
+            assert bridge.runners[0].problem == ""
+            await until(lambda: len(bridge._flows) == text.count("\n") - 1)
+            yield device, bridge
+
+
+async def first(device, sense, got):
+    """Have a board measure until something has come; return it."""
+    task = asyncio.create_task(asyncio.to_thread(got))
+    while not task.done():
+        sense()
+        await asyncio.wait([task], timeout=0.05)
+    return task.result()
+
+
+@needs_fastdds
+def test_samples_reach_fast_dds_and_its_messages_actuators(program, domain, caplog):
+    ros = RosMessages("jazzy")
+    store = ros.store_of(_descriptors())
+
+    async def work():
+        peer = await asyncio.to_thread(FastDds, program, domain)
+        try:
+            async with bridged(domain) as (device, _):
+                peer.tell("sub", "rt/quad", "j2a_msgs::msg::dds_::Quad_", "best")
+                [data] = await first(
+                    device,
+                    lambda: device.sense("quad", 1, 45.5),
+                    lambda: peer.next("got", "rt/quad"),
+                )
+                joint = "sensor_msgs::msg::dds_::JointState_"
+                peer.tell("sub", "rt/quad/joints", joint, "best")
+                [joints] = await first(
+                    device,
+                    lambda: device.sense("quad", 1, 90),
+                    lambda: peer.next("got", "rt/quad/joints"),
+                )
+                diagnostics = "diagnostic_msgs::msg::dds_::DiagnosticArray_"
+                peer.tell("sub", "rt/diagnostics", diagnostics, "reliable")
+                [told] = await asyncio.to_thread(peer.next, "got", "rt/diagnostics")
+
+                def hex_of(kind, message):
+                    return bytes(store.serialize_cdr(message, kind)).hex()
+
+                async def publish(topic, kind, message, is_done):
+                    """Publish until it has come: at first a reader may not know the writer yet."""
+                    package, _, name = kind.split("/")
+                    data = hex_of(kind, message)
+                    while not is_done():
+                        peer.tell("pub", topic, f"{package}::msg::dds_::{name}_", data)
+                        await asyncio.sleep(0.1)
+
+                servo, floats = "j2a_msgs/msg/Servo", "std_msgs/msg/Float64MultiArray"
+                layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+                own = store.types[servo]([], np.array([10, -20], "i1"))
+                await publish("rt/servo", servo, own, lambda: ("servo", 1, -20) in device.was_set)
+                good, bad, last = (
+                    store.types[floats](layout, np.array([one])) for one in (33.0, 101.0, 44.0)
+                )
+                await publish(
+                    "rt/servo/cmd", floats, good, lambda: ("servo", 0, 33) in device.was_set
+                )
+                await publish("rt/servo/cmd", floats, bad, lambda: "not 101 %" in caplog.text)
+                # What is no such message is dropped by DDS, and what comes behind it still comes.
+                peer.tell("pub", "rt/servo/cmd", "x", "00010000ffffffff")
+                await publish(
+                    "rt/servo/cmd", floats, last, lambda: ("servo", 0, 44) in device.was_set
+                )
+                assert ("servo", 0, 101) not in device.was_set
+                return data, joints, told
+        finally:
+            peer.end()
+
+    data, joints, told = asyncio.run(work())
+    message = store.deserialize_cdr(bytes.fromhex(data), "j2a_msgs/msg/Quad")
+    assert message.values.tolist() == [0, 91]
+    joint = store.deserialize_cdr(bytes.fromhex(joints), "sensor_msgs/msg/JointState")
+    assert joint.position.tolist() == [pytest.approx(1.5708, abs=1e-4)]
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    assert ros.read(kind, bytes.fromhex(told)).status[0].name.startswith("j2a: ")
+    assert "servo is -100 % to 100 %, not 101 %" in caplog.text
+
+
+@needs_fastdds
+def test_the_graph_names_the_node_with_all_that_it_has(program, domain):
+    async def work():
+        peer = await asyncio.to_thread(FastDds, program, domain)
+        try:
+            async with bridged(domain) as (_, bridge):
+                kind = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
+                peer.tell("sub", "ros_discovery_info", kind, "latched")
+                sink = bridge.runners[0].sink
+                while True:
+                    [data] = await asyncio.to_thread(peer.next, "got", "ros_discovery_info")
+                    name = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+                    graph = RosMessages("jazzy").read(name, bytes.fromhex(data))
+                    [node] = graph.node_entities_info_seq
+                    # quad twice, level, diagnostics; servo and its commands
+                    if len(node.writer_gid_seq) == 4 and len(node.reader_gid_seq) == 2:
+                        break
+                gids = [bytes(one.data) for one in node.writer_gid_seq]
+                known = [
+                    one.writer.guid.bytes for found in sink._writers.values() for _, one in found
+                ]
+                assert set(known) <= set(gids)
+                assert bytes(graph.gid.data) == sink._participant.guid.bytes
+                return node
+        finally:
+            peer.end()
+
+    node = asyncio.run(work())
+    assert (node.node_namespace, node.node_name) == ("/", "j2a_bridge")
+
+
+def test_endpoints_tell_the_hash_of_their_type_and_the_quality_of_sensor_data(domain):
+    async def work():
+        async with bridged(domain):
+            participant = DomainParticipant(domain)
+            reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
+            found = {}
+
+            def look():
+                for one in reader.take(N=100):
+                    found[one.topic_name] = one
+                return "rt/quad" in found and "rt/diagnostics" in found
+
+            await until(look)
+            return found["rt/quad"], found["rt/diagnostics"]
+
+    quad, diagnostics = asyncio.run(work())
+    assert quad.type_name == "j2a_msgs::msg::dds_::Quad_"
+    about = str(quad.qos)
+    assert "BestEffort" in about
+    assert "KeepLast(depth=5)" in about
+    assert f"typehash={HASH};" in about
+    assert "Reliable" in str(diagnostics.qos)
+
+
+def test_discovery_stays_on_this_computer(domain):
+    """No socket of the bridge takes datagrams from others, and none is in a multicast group."""
+    code = (
+        "import asyncio, sys\n"
+        "from j2a_bridge.sinks.ros2 import Ros2Sink\n"
+        "options = {name: one.default for name, one in Ros2Sink.OPTIONS.items()}\n"
+        f"sink = Ros2Sink('', options | {{'domain': {domain}}}, None)\n"
+        "sink.open()\n"
+        "print('open', flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout.readline() == "open\n"
+        inodes = {
+            str(one.readlink()).removeprefix("socket:[").removesuffix("]")
+            for one in Path(f"/proc/{process.pid}/fd").iterdir()
+            if "socket" in str(one.readlink())
+        }
+        addresses = set()
+        for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
+            words = line.split()
+            if words[9] in inodes:
+                addresses.add(words[1].split(":")[0])
+        groups = Path("/proc/net/igmp").read_text()
+    finally:
+        process.communicate()
+    assert addresses
+    assert addresses <= {"0100007F", "00000000"}
+    assert "0100FFEF" not in groups  # 239.255.0.1
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("ros2:domain=233", "a domain is 0 to 232"),
+        ("ros2:distro=noetic", "humble or jazzy"),
+        ("ros2:domain=x", "whole number"),
+    ],
+)
+def test_what_is_wrong_is_told(words, told):
+    with pytest.raises(LocalError, match=told):
+        make_sink(SinkRequest.parse(words), None)
+
+
+def test_the_domain_of_the_environment_counts(monkeypatch):
+    options = {name: one.default for name, one in Ros2Sink.OPTIONS.items()}
+    monkeypatch.setenv("ROS_DOMAIN_ID", "17")
+    assert Ros2Sink("", options, None)._domain == 17
+
+
+@pytest.mark.parametrize("distro", ["humble", "jazzy"])
+def test_types_of_all_shapes_are_made_for_dds(domain, distro):
+    text = """
+J2A_STRUCT(motion, (array(i16, 3), rate, mdeg/s), (array(i16, 3), acceleration, mg))
+J2A_ENUM(state, u8, (off, 0), (on, 1))
+SENSOR(imu, 0, imu, M, 2, motion, none)
+SENSOR(mode, 1, mode, M, 1, state, none, (queue, 3))
+SENSOR(flags, 4, flags, M, 1, array(bool, 3), none)
+ACTUATOR(pose, 5, pose, M, 1, motion, none)
+"""
+
+    async def work():
+        device = board_of(text)
+        with served(device) as url:
+            config = config_for(url, sinks=(f"ros2:domain={domain},distro={distro}", "kept"))
+            async with bridging(config) as bridge:
+                await until(lambda: len(bridge.runners[0].sink._writers) == 4)
+                device.sense("flags", 0, [True, False, True])
+                await until(lambda: bridge.runners[0].published)
+                return bridge.runners[0].problem
+
+    assert asyncio.run(work()) == ""
