@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, print and write; returns the exit code."""
-    descriptors, source = _read(args)
+    descriptors, source = read_source(args)
     files = dict(_files(args, descriptors, source))
     if args.json:
         show_json(facts(descriptors, source))
@@ -74,15 +74,21 @@ def run(args: argparse.Namespace) -> int:
         note(f"j2a: {source} lists no transducers")
     for text in strange_keys(descriptors):
         note(f"j2a: {text}")
-    _write(files)
+    write_files(files)
     tell = note if args.json else show
     for path in files:
         tell(f"wrote {path}")
     return OK
 
 
-def _read(args: argparse.Namespace) -> tuple[Descriptors, str]:
-    """Return the descriptors and what to call their source."""
+def read_source(args: argparse.Namespace) -> tuple[Descriptors, str]:
+    """Return the descriptors of the SOURCE of the command line, and what to call it.
+
+    Raises:
+        UsageError: a transds.def is wrong.
+        CommandFailed: the board describes no transducers.
+        J2AError: as `j2a.connect`.
+    """
     if args.url.endswith(".def") or ("://" not in args.url and Path(args.url).is_file()):
         return read_transds_argument(args.url, conditions_of(args))
     if args.define or args.undefine:
@@ -127,7 +133,12 @@ def _files(
             yield path, make(descriptors, source)
 
 
-def _write(files: Mapping[Path, str]) -> None:
+def write_files(files: Mapping[Path, str]) -> None:
+    """Write files by path, each as a whole.
+
+    Raises:
+        UsageError: one cannot be written.
+    """
     for path, text in files.items():
         part = path.with_name(f"{path.name}.part")  # a full disk spoils no file that is there
         try:
