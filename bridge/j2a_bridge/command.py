@@ -11,6 +11,7 @@ import argparse
 import asyncio
 import logging
 import signal
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -134,8 +135,24 @@ def log_to_stderr() -> None:
     logger.propagate = False
 
 
-async def run_bridge(config: Config, limit_s: float | None, **options: float) -> int:
-    """Bridge until a signal, the limit, or the end of all sinks; returns the exit code."""
+async def run_bridge(
+    config: Config,
+    limit_s: float | None,
+    on_open: Callable[[Bridge], object] | None = None,
+    **options: float,
+) -> int:
+    """Bridge until a signal, the limit, or the end of all sinks; returns the exit code.
+
+    Args:
+        config: what the bridge shall do.
+        limit_s: it ends after so long; None for never.
+        on_open: called with the bridge when its sinks are open, in place of telling where they are.
+        options: of the fleet.
+
+    Raises:
+        LocalError: the configuration is wrong.
+        CommandFailed: a sink has failed.
+    """
     bridge = Bridge(config, **options)
     loop = asyncio.get_running_loop()
     code = OK
@@ -151,12 +168,15 @@ async def run_bridge(config: Config, limit_s: float | None, **options: float) ->
         loop.call_later(limit_s, bridge.stop)
 
     def tell() -> None:
+        if on_open is not None:
+            on_open(bridge)
+            return
         for runner in bridge.runners:
             if not runner.problem and (line := runner.sink.told()):
                 note(f"j2a: {line}")
 
     await bridge.run(tell)
-    for runner in bridge.runners:
+    for runner in bridge.runners if on_open is None else ():
         status = runner.status
         note(f"j2a: {status.name}: {status.published} samples, {status.dropped} dropped")
     failed = [runner for runner in bridge.runners if runner.problem]

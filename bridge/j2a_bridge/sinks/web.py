@@ -1,0 +1,290 @@
+"""The sink `web`: the live page, see `j2a view`.
+
+What flows in: topics, samples and the state of all. What flows out: a page on this computer that
+shows them and sends orders back.
+Rules: samples are thinned to what a picture can show, least and greatest of each span included, so
+no spike is lost; the server runs in a loop of its own and has a bounded queue for each page.
+"""
+
+import asyncio
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from j2a import LocalError
+from j2a.cli._typed import plain
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
+from j2a_bridge.sinks.mcap import McapSink
+from j2a_bridge.sinks.mqtt import transducer_object
+from j2a_bridge.sinks.udp import numbers
+from j2a_bridge.topics import Topic
+
+__all__ = ["SPAN_S", "WebSink"]
+
+SPAN_S: Final = 0.05
+"""So often pages are told of new values."""
+_SERIES: Final = 32
+_LOG: Final = 200
+_START_S: Final = 10.0
+_NS_PER_MS: Final = 1_000_000
+
+
+class _Span:
+    """What came of one topic since pages were told last."""
+
+    def __init__(self) -> None:
+        self.values: list[str] = []
+        self.series: dict[str, list[tuple[int, float]]] = {}
+
+    def add(self, update: Update) -> None:
+        """Take a sample in: of each series the least, the greatest and the newest are kept."""
+        unit = f" {update.sample.unit}" if update.sample.unit else ""
+        channels: dict[int, str] = {}
+        for one in update.sample.readings:
+            if one.time_us is None:
+                channels[one.channel] = "none yet"
+            elif one.value is None:
+                channels[one.channel] = "N/A"
+            else:
+                channels[one.channel] = f"{_shown(one.value)}{unit}"
+        if update.topic.transducer.queue:
+            known = dict(enumerate(self.values))
+            channels = known | channels
+        most = max(channels, default=-1) + 1
+        self.values = [channels.get(channel, "none yet") for channel in range(most)]
+        for stamp, name, value in numbers(update):
+            point = stamp // _NS_PER_MS, value
+            kept = self.series.get(name)
+            if kept is None:
+                if len(self.series) < _SERIES:
+                    self.series[name] = [point]
+            elif len(kept) < 3:
+                kept.append(point)
+            else:
+                points = sorted([*kept, point])
+                least = min(points, key=lambda one: one[1])
+                greatest = max(points, key=lambda one: one[1])
+                self.series[name] = sorted({least, greatest, points[-1]})
+
+    def object(self) -> dict[str, Any]:
+        """Return what pages are told."""
+        series = {
+            name: [part for point in points for part in point]
+            for name, points in self.series.items()
+        }
+        return {"v": self.values, "s": series}
+
+
+def _shown(value: Any) -> str:
+    """Return a value as the page shows it, a line for each field of a structure."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if hasattr(value, "_asdict"):
+        return "\n".join(f"{name}  {_shown(one)}" for name, one in value._asdict().items())
+    if isinstance(value, list | tuple):
+        return "  ".join(_shown(one) for one in value)
+    return plain(value)
+
+
+class WebSink(Sink):
+    """Serves the live page."""
+
+    SUMMARY = "a live page in the browser of this computer"
+    ARGUMENT = "[PORT]"
+    OPTIONS: ClassVar[Mapping[str, Option]] = {
+        "folder": Option(str, ".", "where recordings are written"),
+        "token": Option(str, "", "what the address of the page ends with (another one each time)"),
+    }
+    WAITING = 1 << 15
+
+    def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
+        super().__init__(argument, options, control)
+        from j2a_bridge.web_server import PageServer  # noqa: PLC0415 - aiohttp may be missing
+
+        if argument and not (argument.isdecimal() and int(argument) < 1 << 16):
+            raise LocalError(f"web takes a port, not {argument!r:.40}")
+        self._lock = threading.Lock()
+        self._topics: dict[str, Topic] = {}
+        self._spans: dict[str, _Span] = {}
+        self._status: Status | None = None
+        self._log: deque[dict[str, Any]] = deque(maxlen=_LOG)
+        self._recorder: McapSink | None = None
+        self._wanted: str | None = None
+        self._problem = ""
+        self.server = PageServer(self, int(argument or 0), options["token"])
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+
+    # ------------------------------------------------------------------ life
+
+    def open(self) -> None:
+        """Serve the page."""
+        with self._lock:
+            self._topics.clear()
+            self._spans.clear()
+        started: list[str] = []
+        ready = threading.Event()
+
+        async def serve() -> None:
+            self._loop = asyncio.get_running_loop()
+            try:
+                await self.server.start()
+            except OSError as error:
+                started.append(f"the page cannot be served: {error.strerror or error}")
+                return
+            finally:
+                ready.set()
+            await self.server.run()
+
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(serve()), name="j2a page", daemon=True
+        )
+        self._thread.start()
+        if not ready.wait(_START_S) or started:
+            raise SinkError(started[0] if started else "the page cannot be served")
+
+    def told(self) -> str:
+        """Return the address of the page."""
+        return f"the page is at {self.server.url}"
+
+    def close(self) -> None:
+        """Serve no more, and end a recording."""
+        self._end_recording()
+        loop, self._loop = self._loop, None
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(self.server.stop)
+        if self._thread is not None:
+            self._thread.join(_START_S)
+            self._thread = None
+
+    # ------------------------------------------------------------------ from the bridge
+
+    def announce(self, topic: Topic) -> None:
+        """Show a transducer."""
+        with self._lock:
+            self._topics[topic.name] = topic
+        if self._recorder is not None:
+            self._recorder.announce(topic)
+        self._tell(self.topics())
+
+    def retract(self, topic: Topic) -> None:
+        """Show it no more."""
+        with self._lock:
+            self._topics.pop(topic.name, None)
+            self._spans.pop(topic.name, None)
+        self._tell(self.topics())
+
+    def publish(self, update: Update) -> None:
+        """Take a sample in."""
+        with self._lock:
+            span = self._spans.get(update.topic.name)
+            if span is None:
+                span = self._spans[update.topic.name] = _Span()
+            span.add(update)
+        if self._recorder is not None:
+            self._record(lambda recorder: recorder.publish(update))
+
+    def flush(self) -> None:
+        """Have a recording flushed."""
+        if self._recorder is not None:
+            self._record(McapSink.flush)
+
+    def status(self, status: Status) -> None:
+        """Show the state of all; begin or end a recording that was asked for."""
+        self._status = status
+        wanted = self._wanted
+        if wanted is not None and self._recorder is None:
+            self._begin_recording(wanted)
+        elif wanted is None and self._recorder is not None:
+            self._end_recording()
+        self.flush()
+        self._tell(self.state())
+
+    def _tell(self, about: dict[str, Any]) -> None:
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(self.server.tell, about)
+
+    # ------------------------------------------------------------------ for the server
+
+    def topics(self) -> dict[str, Any]:
+        """Return all transducers."""
+        with self._lock:
+            topics = list(self._topics.values())
+        return {
+            "op": "topics",
+            "topics": {one.name: {"board": one.board, **transducer_object(one)} for one in topics},
+        }
+
+    def state(self) -> dict[str, Any]:
+        """Return the state of all."""
+        import dataclasses  # noqa: PLC0415
+
+        about = {} if self._status is None else dataclasses.asdict(self._status)
+        recording = None if self._recorder is None else self._recorder.argument
+        return {"op": "status", **about, "recording": recording, "problem": self._problem}
+
+    def values(self) -> dict[str, Any] | None:
+        """Return what came since the last time; None for nothing."""
+        with self._lock:
+            spans, self._spans = self._spans, {}
+        if not spans:
+            return None
+        return {"op": "data", "d": {name: span.object() for name, span in spans.items()}}
+
+    def note(self, board: str, kind: str, text: str) -> None:
+        """Put a line into the log of pages; from any thread."""
+        line = {"t": time.time_ns() // _NS_PER_MS, "board": board, "kind": kind, "text": text}
+        self._log.append(line)
+        self._tell({"op": "log", "lines": [line]})
+
+    def log(self) -> dict[str, Any]:
+        """Return the lines of the log."""
+        return {"op": "log", "lines": list(self._log)}
+
+    def want_recording(self, is_wanted: bool) -> None:
+        """Begin or end a recording, with the next state at the latest."""
+        if is_wanted and self._wanted is None:
+            name = datetime.now().strftime("j2a-%Y%m%d-%H%M%S-%f.mcap")
+            self._wanted = str(Path(self.options["folder"]) / name)
+        elif not is_wanted:
+            self._wanted = None
+
+    # ------------------------------------------------------------------ recordings
+
+    def _begin_recording(self, path: str) -> None:
+        defaults = {name: option.default for name, option in McapSink.OPTIONS.items()}
+        try:
+            recorder = McapSink(path, defaults, self.control)
+            recorder.open()
+        except (LocalError, OSError) as error:
+            self._wanted, self._problem = None, f"no recording: {error}"
+            return
+        with self._lock:
+            topics = list(self._topics.values())
+        for topic in topics:
+            recorder.announce(topic)
+        self._problem = ""
+        self._recorder = recorder
+
+    def _record(self, work: Any) -> None:
+        """Do something with the recorder; a recording that fails ends alone."""
+        assert self._recorder is not None
+        try:
+            work(self._recorder)
+        except (OSError, SinkError) as error:
+            self._problem = f"the recording ended: {error}"
+            self._wanted = None
+            self._end_recording()
+
+    def _end_recording(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            try:
+                recorder.close()
+            except OSError as error:
+                self._problem = f"the recording ended: {error}"

@@ -1,0 +1,395 @@
+"""The server of the live page.
+
+What flows in: requests of browsers of this computer. What flows out: the page, and over a WebSocket
+JSON: what boards have, values, states; answers to orders.
+Rules: it listens on the loopback alone; whoever has not the token, comes from the page of another
+origin, or names another host gets nothing. Connections, pages, messages and orders that wait are
+bounded. A page that does not read is dropped.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import json
+import re
+import secrets
+from collections.abc import Callable, Sequence
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Final
+
+import j2a
+from j2a import LocalError
+from j2a.cli._exit import UsageError
+from j2a.cli._typed import json_of, values_of
+from j2a.types.model import Enumeration, Field, Structure
+
+if TYPE_CHECKING:
+    from j2a_bridge.sinks.web import WebSink
+
+try:
+    from aiohttp import WSCloseCode, WSMsgType, web
+except ImportError:
+    raise LocalError('this needs aiohttp: pip install "j2a[view]"') from None
+
+__all__ = ["PageServer"]
+
+_MAX_CONNECTIONS: Final = 64
+_MAX_PAGES: Final = 16
+_MAX_MESSAGE: Final = 64 * 1024
+_MAX_ORDERS: Final = 8
+_WAITING: Final = 64
+_PING_S: Final = 20.0
+_DEBUG_S: Final = 0.5
+_FILES: Final = {
+    "": ("index.html", "text/html"),
+    "app.js": ("app.js", "text/javascript"),
+    "style.css": ("style.css", "text/css"),
+    "uplot.js": ("uplot/uPlot.esm.js", "text/javascript"),
+    "uplot.css": ("uplot/uPlot.min.css", "text/css"),
+}
+_HEADERS: Final = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' "
+    "'unsafe-inline'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+_HEX: Final = re.compile(r"[0-9A-Fa-f\s]*")
+
+
+class PageServer:
+    """Serves the page of one sink.
+
+    Args:
+        sink: that knows what there is to show.
+        port: to listen at; 0 for any that is free.
+        token: that the address ends with; "" for one that nobody can guess.
+    """
+
+    def __init__(self, sink: "WebSink", port: int, token: str = "") -> None:
+        self._sink = sink
+        self._port = port
+        self._token = token or secrets.token_urlsafe(24)
+        self._pages: dict[_Page, None] = {}
+        self._ended: asyncio.Event
+        self._watched: dict[str, Any] = {}
+        self._runner: Any = None
+
+    @property
+    def url(self) -> str:
+        """The address of the page."""
+        return f"http://127.0.0.1:{self._port}/{self._token}/"
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises:
+            OSError: the port is taken.
+        """
+        self._ended = asyncio.Event()
+        app = web.Application(client_max_size=1024)
+        app.router.add_get("/{token}/ws", self._socket)
+        app.router.add_get("/{token}/{name:[a-z.]*}", self._file)
+        app.on_response_prepare.append(_add_headers)
+        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=5.0)
+        await self._runner.setup()
+        make = self._runner.server
+        loop = asyncio.get_running_loop()
+
+        def bounded() -> asyncio.Protocol:
+            if len(make.connections) >= _MAX_CONNECTIONS:
+                return _Refused()
+            protocol: asyncio.Protocol = make()
+            return protocol
+
+        self._listener = await loop.create_server(bounded, "127.0.0.1", self._port, backlog=32)
+        self._port = self._listener.sockets[0].getsockname()[1]
+
+    async def run(self) -> None:
+        """Tell pages what is new, until `stop` is called."""
+        from j2a_bridge.sinks.web import SPAN_S  # noqa: PLC0415
+
+        try:
+            while not self._ended.is_set():
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._ended.wait(), SPAN_S)
+                about = self._sink.values()
+                if about is not None:
+                    self.tell(about)
+        finally:
+            self._listener.close()
+            for page in list(self._pages):
+                await page.end(WSCloseCode.GOING_AWAY)
+            await self._runner.cleanup()
+
+    def stop(self) -> None:
+        """End; from the loop of the server."""
+        self._ended.set()
+
+    def tell(self, about: dict[str, Any]) -> None:
+        """Send something to all pages; from the loop of the server."""
+        if self._pages:
+            text = json.dumps(about, allow_nan=False)
+            for page in list(self._pages):
+                page.send(text, is_lossy=about["op"] == "data")
+        if about["op"] == "status":
+            self._watch(about.get("boards", ()))
+
+    # ------------------------------------------------------------------ requests
+
+    def _check(self, request: Any) -> None:
+        """Refuse whoever is not the page of this server.
+
+        Raises:
+            HTTPForbidden: always for others.
+        """
+        hosts = f"127.0.0.1:{self._port}", f"localhost:{self._port}"
+        origin = request.headers.get("Origin")
+        token = request.match_info["token"].encode()
+        if (
+            request.host not in hosts
+            or (origin is not None and origin not in {f"http://{host}" for host in hosts})
+            or not hmac.compare_digest(token, self._token.encode())
+        ):
+            raise web.HTTPForbidden(text="This address needs the token that j2a view printed.\n")
+
+    async def _file(self, request: Any) -> Any:
+        self._check(request)
+        found = _FILES.get(request.match_info["name"])
+        if found is None:
+            raise web.HTTPNotFound(text="There is nothing of that name.\n")
+        path = files("j2a_bridge").joinpath("page", found[0])
+        if not path.is_file():
+            raise web.HTTPNotFound(text="Plots need uPlot, which is missing: run make page.\n")
+        return web.Response(body=path.read_bytes(), content_type=found[1], charset="utf-8")
+
+    async def _socket(self, request: Any) -> Any:
+        self._check(request)
+        if request.headers.get("Origin") is None:
+            raise web.HTTPForbidden(text="Only the page itself may connect here.\n")
+        if len(self._pages) >= _MAX_PAGES:
+            raise web.HTTPServiceUnavailable(text="Too many pages are open.\n")
+        socket = web.WebSocketResponse(max_msg_size=_MAX_MESSAGE, heartbeat=_PING_S)
+        await socket.prepare(request)
+        page = _Page(self._sink, socket)
+        self._pages[page] = None
+        try:
+            for about in (self._sink.topics(), self._sink.state(), self._sink.log()):
+                page.send(json.dumps(about, allow_nan=False))
+            await page.run()
+        finally:
+            self._pages.pop(page, None)
+        return socket
+
+    # ------------------------------------------------------------------ the log of boards
+
+    def _watch(self, boards: Sequence[Any]) -> None:
+        """Note the SIFs of boards that are no samples, and their debug text."""
+        here = {one["name"] for one in boards if one["is_here"]}
+        for name in here - self._watched.keys():
+            self._watched[name] = None
+            self._sink.control.submit(self._watch_board(name))
+        for name in self._watched.keys() - here:
+            del self._watched[name]
+
+    async def _watch_board(self, name: str) -> None:
+        """Watch a board for as long as it is here; in the loop of the bridge."""
+        try:
+            client = self._sink.control.client(name)
+            descriptors = (await client.transducers()).descriptors
+            samples = {one.id for one in descriptors.transducers} if descriptors else set()
+
+            def take(sif: j2a.Sif) -> None:
+                if sif.opcode not in samples:
+                    text = f"0x{sif.opcode:02x}  {sif.payload.hex(' ') or 'no payload'}"
+                    self._sink.note(name, "SIF", text)
+
+            client.on_sif(handler=take)
+            while client.is_open and name in self._watched:
+                text = (await client.read_debug()).strip()
+                if text:
+                    self._sink.note(name, "debug", text[:2000])
+                await asyncio.sleep(_DEBUG_S)
+        except j2a.J2AError:
+            return  # it is gone, or has no debug text
+
+
+class _Refused(asyncio.Protocol):
+    """A connection too many."""
+
+    def connection_made(self, transport: Any) -> None:
+        transport.abort()
+
+
+async def _add_headers(request: Any, response: Any) -> None:
+    del request
+    for name, value in _HEADERS.items():
+        response.headers[name] = value
+
+
+class _Page:
+    """One page that is open."""
+
+    def __init__(self, sink: "WebSink", socket: Any) -> None:
+        self._sink = sink
+        self._socket = socket
+        self._queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
+        self._orders: set[asyncio.Task[None]] = set()
+
+    def send(self, text: str, *, is_lossy: bool = False) -> None:
+        """Send something when the page reads; values are left out when it does not."""
+        try:
+            if is_lossy and self._queue.qsize() >= _WAITING // 2:
+                return
+            self._queue.put_nowait(text)
+        except asyncio.QueueFull:
+            task = asyncio.ensure_future(self.end(WSCloseCode.TRY_AGAIN_LATER))
+            self._orders.add(task)
+            task.add_done_callback(self._orders.discard)
+
+    async def end(self, code: int) -> None:
+        """Close it."""
+        with contextlib.suppress(OSError, RuntimeError, TimeoutError):
+            await asyncio.wait_for(self._socket.close(code=code), 2.0)
+
+    async def run(self) -> None:
+        """Take orders until the page is closed."""
+        writer = asyncio.create_task(self._write())
+        try:
+            async for message in self._socket:
+                if message.type is not WSMsgType.TEXT:
+                    break
+                if len(self._orders) >= _MAX_ORDERS:
+                    self._answer(None, "too many orders wait: the last one was not done")
+                    continue
+                task = asyncio.create_task(self._order(message.data))
+                self._orders.add(task)
+                task.add_done_callback(self._orders.discard)
+        finally:
+            for task in (writer, *self._orders):
+                task.cancel()
+
+    async def _write(self) -> None:
+        with contextlib.suppress(OSError, RuntimeError):
+            while True:
+                await self._socket.send_str(await self._queue.get())
+
+    def _answer(self, key: Any, problem: str = "", result: Any = None) -> None:
+        about = {"op": "answer", "id": key, "ok": not problem, "message": problem, "result": result}
+        self.send(json.dumps(about, default=str))
+
+    async def _order(self, text: str) -> None:
+        key = None
+        try:
+            try:
+                about = json.loads(text)
+            except (ValueError, RecursionError):
+                about = None
+            if not isinstance(about, dict):
+                raise LocalError("an order is an object of JSON")
+            key = about.get("id") if isinstance(about.get("id"), int) else None
+            work = _ORDERS.get(str(about.get("op")))
+            if work is None:
+                raise LocalError("there is no such order")
+            self._answer(key, result=await work(self._sink, about))
+        except (j2a.J2AError, UsageError) as error:
+            self._answer(key, str(error) or type(error).__name__)
+
+
+def _text(about: dict[str, Any], key: str) -> str:
+    value = about.get(key)
+    if not isinstance(value, str):
+        raise LocalError(f"an order of this kind has {key}, a text")
+    return value
+
+
+async def _set(sink: "WebSink", about: dict[str, Any]) -> None:
+    values, channel = about.get("values"), about.get("channel", 0)
+    if not isinstance(values, list) or not isinstance(channel, int):
+        raise LocalError("it has values, a list, and a channel")
+    await asyncio.wrap_future(sink.control.set(_text(about, "topic"), values, channel=channel))
+
+
+async def _configure(sink: "WebSink", about: dict[str, Any]) -> dict[str, Any]:
+    settings = about.get("settings")
+    if settings is None:
+        return await asyncio.wrap_future(sink.control.settings(_text(about, "topic")))
+    if not isinstance(settings, dict):
+        raise LocalError("settings are an object")
+    future = sink.control.configure(_text(about, "topic"), settings)
+    return await asyncio.wrap_future(future)
+
+
+async def _functions(sink: "WebSink", about: dict[str, Any]) -> dict[str, Any]:
+    board = _text(about, "board")
+
+    async def ask() -> dict[str, Any]:
+        client = sink.control.client(board)
+        functions = await client.functions()
+        properties = await client.properties()
+        levels = sorted(await client.capabilities())
+        return {
+            "functions": [_function_object(one) for one in functions.values()],
+            "properties": properties,
+            "capabilities": levels,
+        }
+
+    return dict(await asyncio.wrap_future(sink.control.submit(ask())))
+
+
+def _function_object(function: Any) -> dict[str, Any]:
+    signature = function.signature
+    about: dict[str, Any] = {
+        "name": function.name,
+        "opcode": int(function.opcode),
+        "doc": function.doc,
+        "signature": "" if signature is None else str(signature),
+        "parameters": None,
+    }
+    if signature is not None:
+        about["parameters"] = [_parameter(one) for one in signature.parameters]
+    return about
+
+
+def _parameter(field: Field) -> dict[str, Any]:
+    element = field.type.element
+    about: dict[str, Any] = {"name": field.name, "type": str(field.type), "unit": field.type.unit}
+    if isinstance(element, Enumeration) and field.type.count is None:
+        about["choices"] = [name for name, _ in element.values]
+    elif field.type.count is None and not isinstance(element, Structure):
+        about["kind"] = element if isinstance(element, str) else ""
+    return about
+
+
+async def _call(sink: "WebSink", about: dict[str, Any]) -> Any:
+    board, name, words = _text(about, "board"), _text(about, "function"), about.get("words")
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise LocalError("a call has words, texts for its parameters")
+
+    async def call() -> Any:
+        functions = await sink.control.client(board).functions()
+        function = functions[name]
+        if function.signature is None:
+            raise LocalError(f"{name} does not say what it takes: use j2a call")
+        for field, word in zip(function.signature.parameters, words, strict=False):
+            if field.type.element == "bytes" and not _HEX.fullmatch(word):
+                raise LocalError(f"{field.name}: write bytes in hex")  # and name no file
+        return json_of(await function(*values_of(function, words)))
+
+    return await asyncio.wrap_future(sink.control.submit(call()))
+
+
+async def _record(sink: "WebSink", about: dict[str, Any]) -> None:
+    sink.want_recording(about.get("on") is True)
+
+
+_ORDERS: Final[dict[str, Callable[[Any, dict[str, Any]], Any]]] = {
+    "set": _set,
+    "settings": _configure,
+    "functions": _functions,
+    "call": _call,
+    "record": _record,
+}
