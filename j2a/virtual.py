@@ -99,10 +99,27 @@ def wave(sensor: Transducer, phase: float) -> Any:
     """
     part = (1 - math.cos(math.tau * phase)) / 2
     value = _value(sensor.type, sensor.range, part)
-    if number_element(sensor.type) is not None and value == sensor.na:
-        others = (_value(sensor.type, sensor.range, step / 8) for step in range(9))
-        return next((one for one in others if one != sensor.na), value)
-    return value
+    element = number_element(sensor.type)
+    if element is None or value != sensor.na:
+        return value
+    if isinstance(sensor.type.element, Enumeration):
+        others = (number for _, number in sensor.type.element.values if number != value)
+        return next(others, value)
+    return _next_to(value, element, sensor.range)
+
+
+def _next_to(value: Any, element: str, limits: tuple[Any, Any] | None) -> Any:
+    """Return a value next to one that is N/A; the same where there is no other."""
+    if element == "bool":
+        return not value
+    step: float = 1
+    if element[0] == "f":
+        low, high = limits or (-math.inf, math.inf)
+        step = (high - low) / _HIGHEST if limits else 1.0
+    else:
+        allowed = integer_range(element)
+        low, high = limits or (allowed[0], allowed[-1])
+    return next((one for one in (value + step, value - step) if low <= one <= high), value)
 
 
 def _value(kind: Type, limits: tuple[Any, Any] | None, part: float) -> Any:

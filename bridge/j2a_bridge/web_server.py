@@ -33,7 +33,9 @@ except ImportError:
 
 __all__ = ["PageServer"]
 
-_MAX_CONNECTIONS: Final = 64
+_MAX_CONNECTIONS: Final = 48
+_BACKLOG: Final = 16
+"""So many may be taken at once, before any of them counts."""
 _MAX_PAGES: Final = 16
 _MAX_MESSAGE: Final = 64 * 1024
 _MAX_ORDERS: Final = 8
@@ -105,7 +107,9 @@ class PageServer:
             protocol: asyncio.Protocol = make()
             return protocol
 
-        self._listener = await loop.create_server(bounded, "127.0.0.1", self._port, backlog=32)
+        self._listener = await loop.create_server(
+            bounded, "127.0.0.1", self._port, backlog=_BACKLOG
+        )
         self._port = self._listener.sockets[0].getsockname()[1]
 
     async def run(self) -> None:

@@ -421,17 +421,16 @@ async function learn(board) {
   board.badges.textContent = claims.join(" · ");
   board.badges.title = "what the board claims to conform to; j2a-conform checks it";
   board.badges.hidden = false;
-  board.list.replaceChildren(...functions.map((one) => functionForm(board.name, one)));
+  const known = functions.filter((one) => one.parameters !== null);
+  const others = functions.filter((one) => one.parameters === null).map((one) => one.name);
+  board.list.replaceChildren(...known.map((one) => functionForm(board.name, one)));
+  if (others.length) board.list.append(make("p", {}, `These do not say what they take: ${others.join(", ")}.`));
 }
 
 function functionForm(board, about) {
   const name = make("div", { class: "name" }, make("code", {}, `${about.name}${about.signature}`));
   if (about.doc) name.append(make("small", {}, ` ${about.doc}`));
   const form = make("form", { class: "call" }, name);
-  if (about.parameters === null) {
-    name.append(make("small", {}, " does not say what it takes"));
-    return form;
-  }
   const fields = about.parameters.map((one, at) => {
     const id = `call-${board}-${about.name}-${at}`;
     const input = one.choices

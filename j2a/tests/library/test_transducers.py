@@ -721,12 +721,33 @@ class TestVirtualBoards:
                     assert None not in sensor.wait(PATIENCE_S).values
                 board.transducers["imu"].trigger()
 
-    @given(st.floats(0, 1))
-    def test_a_wave_is_no_na_value(self, phase):
-        text = "\nsensor a 1 1 u8\n na 0\n range 0, 3\n"
-        sensor = read_transds("SENSOR(a, 1, a, X, 1, u8, 0, (range, 0, 3))").transducers[0]
-        assert str(sensor).startswith(text[1:10])
-        assert wave(sensor, phase) in (1, 2, 3)
+    @pytest.mark.parametrize(
+        ("kind", "na", "limits", "step"),
+        [
+            ("u8", 0, (0, 3), 1),
+            ("u8", 3, (0, 3), 1),
+            ("i16", -1, (-1000, 1000), 1),
+            ("u8", 255, (0, 255), 1),
+            ("float", 0, (0, 100), 1),
+            ("float", 50, (0, 100), 1),
+            ("float", 100, (0, 100), 1),
+        ],
+    )
+    @given(phase=st.floats(0, 1))
+    def test_a_wave_is_no_na_value_but_one_next_to_it(self, phase, kind, na, limits, step):
+        low, high = limits
+        head = "SENSOR(a, 1, a, X, 1, " + kind
+        [sensor] = read_transds(f"{head}, {na}, (range, {low}, {high}))").transducers
+        [plain] = read_transds(f"{head}, none, (range, {low}, {high}))").transducers
+        value = wave(sensor, phase)
+        assert value != na
+        assert low <= value <= high
+        assert abs(value - wave(plain, phase)) <= step
+
+    def test_a_wave_of_names_is_another_name_where_it_is_na(self):
+        text = "J2A_ENUM(mode, u8, (off, 0), (on, 5))\nSENSOR(a, 1, a, X, 1, mode, 5)"
+        [sensor] = read_transds(text).transducers
+        assert {wave(sensor, phase / 8) for phase in range(9)} == {0}
 
 
 class TestAsyncio:

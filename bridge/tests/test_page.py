@@ -1,0 +1,221 @@
+"""The live page in a browser: what a person sees and does."""
+
+import asyncio
+import contextlib
+import os
+import re
+import shutil
+from pathlib import Path
+
+import j2a_bridge
+import pytest
+from j2a_bridge.browser import browser
+
+import j2a
+
+from .support import board_of, bridging, config_for, free_port, served, until
+
+PAGE = Path(j2a_bridge.__file__).parent / "page"
+needs_browser = pytest.mark.skipif(
+    not (shutil.which("chromium") and (PAGE / "uplot").is_dir())
+    and not os.environ.get("J2A_REQUIRE_AVR"),
+    reason="needs chromium, and uPlot, which make page fetches",
+)
+
+
+@contextlib.asynccontextmanager
+async def shown(device, width=1280, height=900):
+    with served(device) as url:
+        async with (
+            bridging(config_for(url, sinks=("web", "kept"))) as bridge,
+            browser() as chromium,
+        ):
+            await until(lambda: bridge._flows)
+            page = await chromium.page()
+            await page.resize(width, height)
+            await page.open(bridge.runners[0].sink.server.url)
+            await page.until("document.querySelectorAll('.card').length > 0")
+            yield page, bridge
+
+
+def text_of(name):
+    return f"document.querySelector('[aria-label=\"sensor {name}\"]')?.innerText ?? ''"
+
+
+@needs_browser
+def test_values_are_seen_and_a_slider_moves_the_servo():
+    async def work():
+        device = board_of()
+        async with shown(device) as (page, _):
+
+            async def sense_until(script):
+                while not await page.run(script):
+                    device.sense("quad", 1, 45.5)
+                    await asyncio.sleep(0.05)
+
+            await sense_until(f"({text_of('quad')}).includes('45.5 deg')")
+            await sense_until(
+                "document.querySelector('[aria-label=\"plot of quad\"] canvas') !== null"
+            )
+            await page.until(f"({text_of('quad')}).includes('per s')")
+            await page.run(
+                "(() => { const slider = document.getElementById('set-servo-0');"
+                "slider.value = '40'; slider.dispatchEvent(new Event('input')); })()"
+            )
+            await until(lambda: ("servo", 0, 40) in device.was_set)
+            # By the keyboard alone.
+            await page.run("document.getElementById('set-servo-1').focus()")
+            for kind in ("keyDown", "keyUp"):
+                await page.ask(
+                    "Input.dispatchKeyEvent",
+                    type=kind,
+                    key="End",
+                    code="End",
+                    windowsVirtualKeyCode=35,
+                )
+            await until(lambda: ("servo", 1, 100) in device.was_set)
+            assert page.errors == []
+
+    asyncio.run(work())
+
+
+@needs_browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_at_390_pixels_nothing_is_cut_off(scheme):
+    async def work():
+        device = board_of(name="a_board_with_a_name_that_is_long")
+
+        @device.function("add_numbers_that_are_large")
+        def add(first: j2a.u32, second: j2a.u32) -> j2a.u32:
+            return first + second
+
+        async with shown(device, 390, 800) as (page, _):
+            await page.prefer(scheme)
+            await page.run("document.querySelectorAll('details').forEach((one) => one.open = true)")
+            await page.until("document.querySelectorAll('form.call').length > 0")
+            width = await page.run("document.documentElement.scrollWidth")
+            outside = await page.run(
+                "[...document.querySelectorAll('button, input, select, h1, h2, h3, p, li')]"
+                ".filter((one) => { const box = one.getBoundingClientRect();"
+                "return box.width > 0 && (box.right > 391 || box.left < -1) })"
+                ".filter((one) => !one.classList.contains('skip'))"
+                ".map((one) => one.outerHTML.slice(0, 80))"
+            )
+            unnamed = await page.run(
+                "[...document.querySelectorAll('button, input, select')].filter((one) =>"
+                "!(one.labels?.length || one.textContent.trim() || one.ariaLabel))"
+                ".map((one) => one.outerHTML.slice(0, 80))"
+            )
+        return width, outside, unnamed
+
+    width, outside, unnamed = asyncio.run(work())
+    assert width <= 390
+    assert outside == []
+    assert unnamed == []
+
+
+@needs_browser
+def test_texts_of_boards_are_texts():
+    text = 'SENSOR(s, 0, s, M, 1, u8, none, "<img src=x onerror=alert(1)>")\n'
+
+    async def work():
+        device = board_of(text, name="<b>robot</b>")
+        async with shown(device) as (page, _):
+            await page.until("document.body.innerText.includes('onerror=alert')")
+            device.debug("<script>window.evil = 1</script>")
+            await page.until("document.getElementById('log').innerText.includes('window.evil')")
+            assert await page.run(
+                "document.querySelectorAll('img, b, script[src=\"\"]').length === 0"
+                " || [...document.querySelectorAll('b')]"
+                ".every((one) => one.closest('#log'))"
+            )
+            assert await page.run("window.evil === undefined")
+
+    asyncio.run(work())
+
+
+@needs_browser
+def test_a_board_that_goes_and_comes_and_a_server_that_does():
+    async def work():
+        port = free_port()
+        web = free_port()
+        config = config_for(f"tcp://127.0.0.1:{port}", sinks=(f"web:{web},token=x" + "y" * 30,))
+        async with browser() as chromium:
+            page = await chromium.page()
+            for _ in range(2):
+                async with bridging(config) as bridge:
+                    await page.open(bridge.runners[0].sink.server.url)
+                    for _ in range(2):
+                        with served(board_of(serial="1"), port):
+                            await page.until("document.querySelectorAll('.card').length === 3")
+                            await page.until(
+                                "document.querySelector('.state')?.textContent === 'here'"
+                            )
+                        await page.until(
+                            "document.querySelector('.state')?.textContent === 'not here'"
+                        )
+                await page.until(
+                    "document.getElementById('link').textContent.includes('not connected')"
+                )
+
+    asyncio.run(work())
+
+
+@needs_browser
+def test_16_channels_at_1_khz_are_thinned_and_memory_does_not_grow():
+    text = "SENSOR(fast, 0, fast, M, 16, i16, none)\n"
+
+    async def work():
+        device = board_of(text)
+        async with shown(device) as (page, bridge):
+            sink = bridge.runners[0].sink
+
+            async def sense(count):
+                for number in range(count):
+                    for channel in range(16):
+                        device.sense("fast", channel, (number * (channel + 1)) % 1000, raw=True)
+                    if number % 10 == 9:
+                        await asyncio.sleep(0.01)
+
+            sizes, points = [], []
+            for _ in range(4):
+                await sense(1000)
+                await page.ask("HeapProfiler.collectGarbage")
+                about = await page.ask("Runtime.getHeapUsage")
+                sizes.append(about["usedSize"])
+                points.append(await page.run("document.querySelectorAll('.plot canvas').length"))
+            assert bridge.runners[0].dropped == 0
+            assert len(sink._spans) <= 1
+            for server_page in sink.server._pages:
+                assert server_page._queue.qsize() <= 64
+        return sizes, points
+
+    sizes, points = asyncio.run(work())
+    assert points[-1] == 1
+    # Of 64,000 values each 16 bytes would be a megabyte for each round.
+    assert sizes[-1] - sizes[1] < 2_000_000
+
+
+def luminance(colour):
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one, other):
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_colours_have_the_contrast_of_wcag_aa():
+    text = (PAGE / "style.css").read_text()
+    light, dark = re.findall(r":root \{(.*?)\}", text, re.DOTALL)
+    first = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", light))
+    second = first | dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", dark))
+    assert len(first) == len(second) >= 11
+    for colours in (first, second):
+        for name in ("text", "quiet", "accent", "good", "warn", "bad"):
+            for behind in ("page", "card"):
+                assert contrast(colours[name], colours[behind]) >= 4.5, (name, behind)
+        assert contrast(colours["on-accent"], colours["accent"]) >= 4.5
+        assert contrast(colours["field"], colours["card"]) >= 3  # borders of controls

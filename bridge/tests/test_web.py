@@ -1,0 +1,341 @@
+"""The server of the live page: what it tells and takes, and whom it refuses."""
+
+import asyncio
+import contextlib
+import json
+import re
+import socket
+import struct
+
+import aiohttp
+import pytest
+from j2a_bridge.sinks.web import _Span
+
+import j2a
+from j2a.recording import Recording
+
+from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, served, until
+from .test_ros_messages import IMU, topic_of, update_of
+
+
+@contextlib.asynccontextmanager
+async def paged(device, *more, folder=None):
+    """Bridge a board to a page; yields a session, the server and the bridge."""
+    word = "web" if folder is None else f"web:folder={folder}"
+    with served(device) as url:
+        async with (
+            bridging(config_for(url, sinks=(word, "kept", *more))) as bridge,
+            aiohttp.ClientSession() as session,
+        ):
+            assert bridge.runners[0].problem == ""
+            await until(lambda: bridge._flows)
+            yield session, bridge.runners[0].sink.server, bridge
+
+
+async def opened(session, server, **headers):
+    origin = server.url.split("/")[2]
+    return await session.ws_connect(
+        server.url + "ws", headers={"Origin": f"http://{origin}", **headers}
+    )
+
+
+async def next_of(page, op, is_right=lambda about: True):
+    while True:
+        message = await page.receive(timeout=PATIENCE_S)
+        assert message.type is aiohttp.WSMsgType.TEXT, message
+        about = json.loads(message.data)
+        if about["op"] == op and is_right(about):
+            return about
+
+
+async def ask(page, **order):
+    await page.send_json({"id": 7, **order})
+    return await next_of(page, "answer", lambda about: about["id"] == 7)
+
+
+def in_loop(work):
+    return asyncio.run(work())
+
+
+def test_topics_values_and_state_come():
+    async def work():
+        device = board_of()
+        async with paged(device) as (session, server, _):
+            page = await opened(session, server)
+            topics = await next_of(page, "topics", lambda about: len(about["topics"]) == 3)
+            got = asyncio.create_task(next_of(page, "data", lambda about: "quad" in about["d"]))
+            device.sense("quad", 1, 45.5)
+            data = await got
+            state = await next_of(page, "status", lambda about: about.get("boards"))
+        return topics["topics"], data["d"]["quad"], state
+
+    topics, quad, state = in_loop(work)
+    assert topics["servo"]["range"] == [-100, 100]
+    assert quad["v"] == ["none yet", "45.5 deg"]
+    assert quad["s"]["1"][1] == 45.5
+    assert state["boards"][0]["name"] == "robot"
+
+
+def test_orders_are_done_or_refused_with_a_reason():
+    async def work():
+        device = board_of()
+
+        @device.function("add")
+        def add(a: j2a.u8, b: j2a.u8) -> j2a.u16:
+            return a + b
+
+        async with paged(device) as (session, server, _):
+            page = await opened(session, server)
+            answers = [
+                await ask(page, **order)
+                for order in (
+                    {"op": "set", "topic": "servo", "values": [40]},
+                    {"op": "set", "topic": "servo", "values": [101]},
+                    {"op": "set", "topic": "servo", "values": "x"},
+                    {"op": "set", "topic": "none", "values": [1]},
+                    {"op": "set", "values": [1]},
+                    {"op": "settings", "topic": "quad"},
+                    {"op": "settings", "topic": "quad", "settings": {"period": 0.5}},
+                    {"op": "settings", "topic": "quad", "settings": {"period": -1}},
+                    {"op": "functions", "board": "robot"},
+                    {"op": "functions", "board": "nobody"},
+                    {"op": "call", "board": "robot", "function": "add", "words": ["2", "3"]},
+                    {"op": "call", "board": "robot", "function": "add", "words": ["2"]},
+                    {"op": "call", "board": "robot", "function": "add", "words": ["2", "x"]},
+                    {"op": "call", "board": "robot", "function": "nothing", "words": []},
+                    {"op": "call", "board": "robot", "function": "add", "words": [1, 2]},
+                    {"op": "format the disk"},
+                )
+            ]
+        return device, answers
+
+    device, answers = in_loop(work)
+    assert [one["ok"] for one in answers] == [
+        *(True, False, False, False, False, True, True, False),
+        *(True, False, True, False, False, False, False, False),
+    ]
+    assert ("servo", 0, 40) in device.was_set
+    assert "servo is -100 % to 100 %, not 101 %" in answers[1]["message"]
+    assert answers[6]["result"] == {"enabled": True, "period": 0.5}
+    names = [one["name"] for one in answers[8]["result"]["functions"]]
+    assert "add" in names
+    assert answers[10]["result"] == 5
+    assert all(one["message"] for one in answers if not one["ok"])
+
+
+def test_bytes_of_a_call_name_no_file(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("x")
+
+    async def work():
+        device = board_of()
+        got = []
+
+        @device.function("keep")
+        def keep(number: j2a.u8, data: bytes) -> None:
+            got.append(data)
+
+        async with paged(device) as (session, server, _):
+            page = await opened(session, server)
+            words = ("12ed", f"@{secret}", "-", "str:x")
+            order = {"op": "call", "board": "robot", "function": "keep"}
+            answers = [await ask(page, **order, words=["1", word]) for word in words]
+        return got, answers
+
+    got, answers = in_loop(work)
+    assert got == [b"\x12\xed"], answers
+    assert [one["ok"] for one in answers] == [True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("headers", "path"),
+    [
+        ({}, "x/ws"),
+        ({}, "/ws"),
+        ({"Origin": "http://evil.example"}, None),
+        ({"Origin": "null"}, None),
+        ({"Host": "evil.example"}, None),
+        ({"Host": "127.0.0.1"}, None),
+    ],
+)
+def test_strangers_are_refused(headers, path):
+    async def work():
+        async with paged(board_of()) as (session, server, _):
+            base = server.url.rsplit("/", 2)[0] + "/"
+            for name in ("ws", "", "app.js"):
+                url = server.url + name if path is None else base + path.replace("ws", name)
+                async with session.get(url, headers=headers) as answer:
+                    assert answer.status in (403, 404), name
+                    assert "robot" not in await answer.text()
+            if path is None:
+                with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+                    await opened(session, server, **headers)
+                assert caught.value.status == 403
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await session.ws_connect(server.url + "ws")  # no browser: no origin
+
+    in_loop(work)
+
+
+def test_the_page_allows_no_foreign_scripts_and_no_frames():
+    async def work():
+        async with paged(board_of()) as (session, server, _):
+            async with session.get(server.url) as answer:
+                text = await answer.text()
+                policy = answer.headers["Content-Security-Policy"]
+            async with session.get(server.url + "../../etc/passwd") as other:
+                assert other.status in (403, 404)
+            async with session.get(server.url + "web.py") as other:
+                assert other.status == 404
+        return text, policy
+
+    text, policy = in_loop(work)
+    assert "script-src 'self';" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert not re.search(r"<script(?! type=\"module\" src=\"app.js\")", text)
+    assert "http" not in text
+
+
+def test_a_flood_of_connections_and_of_messages_is_bounded():
+    async def work():
+        device = board_of()
+        async with paged(device) as (session, server, _):
+            port = int(server.url.split("/")[2].split(":")[1])
+            links = [socket.socket() for _ in range(1000)]
+            try:
+                for one in links:
+                    one.setblocking(False)
+                    one.connect_ex(("127.0.0.1", port))
+                    await asyncio.sleep(0)
+                    assert len(server._runner.server.connections) <= 64
+            finally:
+                for one in links:
+                    one.close()
+            await until(lambda: len(server._runner.server.connections) < 32)
+            hasty = await opened(session, server)
+            for order in range(200):
+                await hasty.send_json({"id": order, "op": "settings", "topic": "quad"})
+            told = {}
+            while len(told) < 200 and (message := await hasty.receive(timeout=PATIENCE_S)):
+                if message.type is not aiohttp.WSMsgType.TEXT:
+                    break  # it was dropped, as it did not read
+                about = json.loads(message.data)
+                if about["op"] == "answer":
+                    told[len(told)] = about
+            assert any("too many orders wait" in about["message"] for about in told.values())
+            other = await opened(session, server)
+            assert (await ask(other, op="set", topic="servo", values=[4]))["ok"]
+            await other.send_str("x" * 100_000)
+            assert (await other.receive(timeout=PATIENCE_S)).type in (
+                aiohttp.WSMsgType.TEXT,
+                aiohttp.WSMsgType.CLOSE,
+            )
+            third = await opened(session, server)
+            for bad in ("", "[]", "1", "{", "[" * 5000, '{"op": {}}', '{"op": "set", "id": "x"}'):
+                await third.send_str(bad)
+                about = await next_of(third, "answer")
+                assert not about["ok"]
+            pages = [third]
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                for _ in range(20):
+                    pages.append(await opened(session, server))
+
+    in_loop(work)
+
+
+def test_a_page_that_reads_nothing_disturbs_nobody(kept):
+    async def work():
+        device = board_of()
+        async with paged(device) as (session, server, bridge):
+            port = int(server.url.split("/")[2].split(":")[1])
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1024)
+            path = "/" + server.url.split("/", 3)[3] + "ws"
+            writer.write(
+                f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
+                f"Origin: http://127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+                "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+                "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+            )
+            assert b"101" in await reader.readline()
+            other = await opened(session, server)
+            for value in range(300):
+                device.sense("quad", 0, value, raw=True)
+                await until(lambda count=value: len(kept[0].updates) > count)
+            await next_of(other, "data")
+            assert bridge.runners[0].dropped == 0
+            for page in server._pages:
+                assert page._queue.qsize() <= 64
+            writer.close()
+
+    in_loop(work)
+
+
+def test_recordings_are_begun_and_ended_by_the_page(tmp_path):
+    async def work():
+        device = board_of()
+        async with paged(device, folder=tmp_path) as (session, server, _):
+            page = await opened(session, server)
+            assert (await ask(page, op="record", on=True))["ok"]
+            state = await next_of(page, "status", lambda about: about["recording"])
+            for value in range(20):
+                device.sense("quad", 0, value, raw=True)
+                await asyncio.sleep(0.01)
+            assert (await ask(page, op="record", on=False))["ok"]
+            await next_of(page, "status", lambda about: not about["recording"])
+        return state["recording"]
+
+    path = in_loop(work)
+    recording = Recording(path)
+    found = [int.from_bytes(one.payload[8:10], "little") for one in recording]
+    assert found == sorted(found)
+    assert found
+    assert recording.is_whole
+
+
+def test_sifs_and_debug_text_are_in_the_log():
+    async def work():
+        device = board_of()
+        async with paged(device) as (session, server, _):
+            page = await opened(session, server)
+            found = []
+            while {one["kind"] for one in found} != {"SIF", "debug"}:
+                device.send_sif(200, b"\x12\xed")
+                device.debug("all is well\n")
+                device.sense("quad", 0, 1)
+                found += (await next_of(page, "log"))["lines"]
+        return found
+
+    found = in_loop(work)
+    assert {"0xc8  12 ed"} == {one["text"] for one in found if one["kind"] == "SIF"}
+    assert any("all is well" in one["text"] for one in found if one["kind"] == "debug")
+
+
+def test_spikes_stay_visible_when_samples_are_thinned():
+    topic = topic_of("SENSOR(s, 0, s, M, 1, i16, none)")
+    span = _Span()
+    values = [0] * 500
+    values[123], values[321] = 30000, -30000
+    for at, value in enumerate(values):
+        span.add(update_of(topic, struct.pack("<Qh", 1000 + 1000 * at, value)))
+    flat = span.object()["s"]["0"]
+    points = list(zip(flat[::2], flat[1::2], strict=True))
+    assert (124, 30000) in points
+    assert (322, -30000) in points
+    assert points == sorted(points)
+    assert len(points) <= 3
+
+
+def test_values_are_shown_with_unit_and_what_is_none_as_such():
+    topic = topic_of("SENSOR(s, 0, s, M, 3, i16, -1, (unit, mV), (scale, 0.1))")
+    span = _Span()
+    span.add(update_of(topic, struct.pack("<QhQhQh", 1, 12345, 1, -1, 0, 0)))
+    assert span.object()["v"] == ["1234.5 mV", "N/A", "none yet"]
+    span = _Span()
+    span.add(update_of(topic_of(IMU), struct.pack("<Q9h", 7, *range(9))))
+    assert span.object()["v"] == ["rate  0  1  2\nacceleration  3  4  5\nfield  6  7  8"]
+    queue = topic_of("SENSOR(s, 0, s, M, 2, u8, none, (queue, 4))")
+    span = _Span()
+    span.add(update_of(queue, struct.pack("<HBQB", 0, 1, 1, 9)))
+    span.add(update_of(queue, struct.pack("<HBQB", 0, 0, 1, 8)))
+    assert span.object()["v"] == ["8", "9"]
+    assert TRANSDS
