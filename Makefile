@@ -4,7 +4,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test exhaustive lint conformance mutants trace docs bench demo-servo firmware flash venv constraints clean distclean
+.PHONY: help demo test exhaustive lint conformance mutants trace docs bench demo-servo demo-robot page firmware flash venv constraints clean distclean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -56,6 +56,9 @@ bench: $(INSTALLED)  ## speed as ratios: frames, calls, costs that must not grow
 	@$(BIN)/python -m j2a.tests.benchmarks.samples
 	@sh tools/system.sh demo
 	@$(BIN)/python tools/robot_load.py
+
+page:  ## what the live page (j2a view) needs from npm, into the package; needs nodejs and npm
+	@sh tools/page.sh
 
 firmware: $(INSTALLED)  ## the demo firmware for posix and the AVR, and its size
 	@sh tools/system.sh demo

@@ -38,8 +38,9 @@ step mypy-tools "types of the tools, of the hosts and of the extensions of the d
 step imports "arrows between the packages" lint-imports --no-cache --no-logo
 if command -v npm >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
     step emulator "packages of the chip emulators" sh tools/npm.sh firmware/verify/emulators/rp2040
+    step page "what the live page needs" sh tools/page.sh
 else
-    printf '\n==> emulator: SKIPPED, there is no npm\n'
+    printf '\n==> emulator, page: SKIPPED, there is no npm\n'
 fi
 # The tests need some of the programs, too, and two must not build the same at once.
 step programs "the programs that the suite runs against" python tools/conformance.py --build

@@ -24,6 +24,7 @@ PACKAGES = {
     "j2a_sim": ROOT / "firmware/sim",
     "j2a_bridge": ROOT / "bridge",
 }
+PAGE = ("LICENSE", "uPlot.esm.js", "uPlot.min.css")
 COMMANDS = {"j2a", "j2a-conform"}
 ATTEMPTS = 3
 
@@ -40,6 +41,8 @@ def sources() -> set[str]:
             text=True,
         )
         found |= {file for file in listing.stdout.split("\0") if file and (folder / file).is_file()}
+    # What git ignores, and archives hold all the same.
+    found |= {f"j2a_bridge/page/uplot/{name}" for name in PAGE}
     return {file for file in found if not file.startswith("j2a/tests/")}
 
 
