@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from j2a import LocalError
 from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError
 from j2a.cli._link import seconds
 from j2a.cli._output import note, show
@@ -33,7 +34,7 @@ def notes() -> str:
     for name, point in sorted(sink_classes().items()):
         try:
             kind = point.load()
-        except ImportError as error:
+        except (ImportError, LocalError) as error:
             lines.append(f"  {name:<10} (does not load: {error})")
             continue
         head = f"{name}:{kind.ARGUMENT}" if kind.ARGUMENT else name

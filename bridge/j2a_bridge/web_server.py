@@ -15,23 +15,21 @@ import re
 import secrets
 from collections.abc import Callable, Sequence
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
 import j2a
 from j2a import LocalError
 from j2a.cli._exit import UsageError
 from j2a.cli._typed import json_of, values_of
 from j2a.types.model import Enumeration, Field, Structure
-
-if TYPE_CHECKING:
-    from j2a_bridge.sinks.web import WebSink
+from j2a_bridge.sink import Control
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
 except ImportError:
     raise LocalError('this needs aiohttp: pip install "j2a[view]"') from None
 
-__all__ = ["PageServer"]
+__all__ = ["PageServer", "Source"]
 
 _MAX_CONNECTIONS: Final = 48
 _BACKLOG: Final = 16
@@ -59,7 +57,33 @@ _HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+SPAN_S: Final = 0.05
+"""So often pages are told of new values."""
 _HEX: Final = re.compile(r"[0-9A-Fa-f\s]*")
+
+
+class Source(Protocol):
+    """Who knows what there is to show: the sink `web`. What it returns is an object for pages."""
+
+    control: Control
+
+    def topics(self) -> dict[str, Any]:
+        """Return all transducers."""
+
+    def state(self) -> dict[str, Any]:
+        """Return the state of all."""
+
+    def values(self) -> dict[str, Any] | None:
+        """Return what came since the last time; None for nothing."""
+
+    def log(self) -> dict[str, Any]:
+        """Return the lines of the log."""
+
+    def note(self, board: str, kind: str, text: str) -> None:
+        """Put a line into the log."""
+
+    def want_recording(self, is_wanted: bool) -> None:
+        """Begin or end a recording."""
 
 
 class PageServer:
@@ -71,7 +95,7 @@ class PageServer:
         token: that the address ends with; "" for one that nobody can guess.
     """
 
-    def __init__(self, sink: "WebSink", port: int, token: str = "") -> None:
+    def __init__(self, sink: Source, port: int, token: str = "") -> None:
         self._sink = sink
         self._port = port
         self._token = token or secrets.token_urlsafe(24)
@@ -114,8 +138,6 @@ class PageServer:
 
     async def run(self) -> None:
         """Tell pages what is new, until `stop` is called."""
-        from j2a_bridge.sinks.web import SPAN_S  # noqa: PLC0415
-
         try:
             while not self._ended.is_set():
                 with contextlib.suppress(TimeoutError):
@@ -237,7 +259,7 @@ async def _add_headers(request: Any, response: Any) -> None:
 class _Page:
     """One page that is open."""
 
-    def __init__(self, sink: "WebSink", socket: Any) -> None:
+    def __init__(self, sink: Source, socket: Any) -> None:
         self._sink = sink
         self._socket = socket
         self._queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
@@ -310,14 +332,14 @@ def _text(about: dict[str, Any], key: str) -> str:
     return value
 
 
-async def _set(sink: "WebSink", about: dict[str, Any]) -> None:
+async def _set(sink: Source, about: dict[str, Any]) -> None:
     values, channel = about.get("values"), about.get("channel", 0)
     if not isinstance(values, list) or not isinstance(channel, int):
         raise LocalError("it has values, a list, and a channel")
     await asyncio.wrap_future(sink.control.set(_text(about, "topic"), values, channel=channel))
 
 
-async def _configure(sink: "WebSink", about: dict[str, Any]) -> dict[str, Any]:
+async def _configure(sink: Source, about: dict[str, Any]) -> dict[str, Any]:
     settings = about.get("settings")
     if settings is None:
         return await asyncio.wrap_future(sink.control.settings(_text(about, "topic")))
@@ -327,7 +349,7 @@ async def _configure(sink: "WebSink", about: dict[str, Any]) -> dict[str, Any]:
     return await asyncio.wrap_future(future)
 
 
-async def _functions(sink: "WebSink", about: dict[str, Any]) -> dict[str, Any]:
+async def _functions(sink: Source, about: dict[str, Any]) -> dict[str, Any]:
     board = _text(about, "board")
 
     async def ask() -> dict[str, Any]:
@@ -368,7 +390,7 @@ def _parameter(field: Field) -> dict[str, Any]:
     return about
 
 
-async def _call(sink: "WebSink", about: dict[str, Any]) -> Any:
+async def _call(sink: Source, about: dict[str, Any]) -> Any:
     board, name, words = _text(about, "board"), _text(about, "function"), about.get("words")
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
         raise LocalError("a call has words, texts for its parameters")
@@ -386,7 +408,7 @@ async def _call(sink: "WebSink", about: dict[str, Any]) -> Any:
     return await asyncio.wrap_future(sink.control.submit(call()))
 
 
-async def _record(sink: "WebSink", about: dict[str, Any]) -> None:
+async def _record(sink: Source, about: dict[str, Any]) -> None:
     sink.want_recording(about.get("on") is True)
 
 

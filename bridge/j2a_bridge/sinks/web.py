@@ -7,6 +7,7 @@ no spike is lost; the server runs in a loop of its own and has a bounded queue f
 """
 
 import asyncio
+import dataclasses
 import threading
 import time
 from collections import deque
@@ -22,11 +23,10 @@ from j2a_bridge.sinks.mcap import McapSink
 from j2a_bridge.sinks.mqtt import transducer_object
 from j2a_bridge.sinks.udp import numbers
 from j2a_bridge.topics import Topic
+from j2a_bridge.web_server import PageServer
 
-__all__ = ["SPAN_S", "WebSink"]
+__all__ = ["WebSink"]
 
-SPAN_S: Final = 0.05
-"""So often pages are told of new values."""
 _SERIES: Final = 32
 _LOG: Final = 200
 _START_S: Final = 10.0
@@ -103,8 +103,6 @@ class WebSink(Sink):
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
         super().__init__(argument, options, control)
-        from j2a_bridge.web_server import PageServer  # noqa: PLC0415 - aiohttp may be missing
-
         if argument and not (argument.isdecimal() and int(argument) < 1 << 16):
             raise LocalError(f"web takes a port, not {argument!r:.40}")
         self._lock = threading.Lock()
@@ -222,8 +220,6 @@ class WebSink(Sink):
 
     def state(self) -> dict[str, Any]:
         """Return the state of all."""
-        import dataclasses  # noqa: PLC0415
-
         about = {} if self._status is None else dataclasses.asdict(self._status)
         recording = None if self._recorder is None else self._recorder.argument
         return {"op": "status", **about, "recording": recording, "problem": self._problem}
