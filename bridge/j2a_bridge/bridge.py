@@ -21,7 +21,7 @@ import j2a
 from j2a.protocol.roster import BoardChange
 from j2a_bridge.config import BoardConfig, Config, SensorConfig
 from j2a_bridge.runner import SinkRunner
-from j2a_bridge.sink import BoardStatus, Status, TopicStatus, Update, make_sink
+from j2a_bridge.sink import BoardStatus, Status, Times, TopicStatus, Update, make_sink
 from j2a_bridge.topics import Names, Topic
 
 __all__ = ["Bridge"]
@@ -29,6 +29,7 @@ __all__ = ["Bridge"]
 _EARLY: Final = 1024
 """So many samples of a board wait until its topics are known."""
 _EACH_S: Final = 1.0
+_CLOCK_S: Final = 0.1
 _US: Final = 1_000_000
 _NS_PER_US: Final = 1000
 _NS_PER_MS: Final = 1e6
@@ -42,17 +43,17 @@ class _Flow:
     def __init__(self, topic: Topic, transducer: Any, wanted: SensorConfig) -> None:
         self.topic = topic
         self.transducer = transducer
+        self.times = Times(topic.transducer)
         self._least_us = 0 if wanted.rate_hz is None else _US / wanted.rate_hz
         self._next_us = 0.0
         self.samples = self.lost = self.skipped = 0
         self._before = 0
         self.latencies_ns: list[int] = []
 
-    def is_due(self, sample: j2a.Sample) -> bool:
-        """Whether a sample is to be published, at the rate that was asked for."""
+    def is_due(self, sample: j2a.Sample, now_us: int) -> bool:
+        """Whether a sample of a time is to be published, at the rate that was asked for."""
         if not self._least_us:
             return True
-        now_us = sample.time_us or 0
         if sample.is_reset:
             self._next_us = 0.0
         if now_us < self._next_us:
@@ -91,6 +92,7 @@ class _Board:
         self.early: deque[j2a.Sample] = deque(maxlen=_EARLY)
         self.problem = ""
         self.has_clock = False
+        self.uncertainty_us: float | None = None
 
 
 class Bridge:
@@ -147,10 +149,14 @@ class Bridge:
                 fleet.on_sample(self._take)
                 for url in dict.fromkeys(self._config.urls):
                     fleet.add(url)
-                while not self._ended.is_set():
-                    with contextlib.suppress(TimeoutError):
-                        await asyncio.wait_for(self._ended.wait(), _EACH_S)
-                    self._tick()
+                clocks = asyncio.create_task(self._know_clocks())
+                try:
+                    while not self._ended.is_set():
+                        with contextlib.suppress(TimeoutError):
+                            await asyncio.wait_for(self._ended.wait(), _EACH_S)
+                        self._tick()
+                finally:
+                    clocks.cancel()
         finally:
             self._fleet = None
             for runner in self.runners:
@@ -212,6 +218,7 @@ class Bridge:
         try:
             await client.clock.measure(2)
             board.has_clock = True
+            board.uncertainty_us = client.clock.uncertainty_us
             is_set = self._config.clock == "discipline" and client.clock.read().can_be_set
             await (client.clock.discipline() if is_set else client.clock.follow())
         except j2a.J2AError as error:
@@ -325,29 +332,33 @@ class Bridge:
             flow.transducer.descriptor != flow.topic.transducer
         ):
             return  # `_learn` is under way
-        if not flow.is_due(sample):
+        times = flow.times.of(sample.payload)
+        newest = max(times)
+        if not flow.is_due(sample, newest):
             return
         arrived_ns = time.time_ns()
-        newest = sample.time_us
         uncertainty = None
-        if newest is None:
+        if not newest:
             shift = 0
         elif sample.host_us is None:
             shift = arrived_ns // _NS_PER_US - newest
         else:
             shift = sample.host_us - newest
             flow.latencies_ns.append(arrived_ns - sample.host_us * _NS_PER_US)
-            uncertainty = self._uncertainty_us(board)
-        update = Update(flow.topic, sample, shift, arrived_ns, uncertainty)
+            uncertainty = board.uncertainty_us
+        update = Update(flow.topic, sample, times, shift, arrived_ns, uncertainty)
         for runner in self.runners:
             runner.publish(update)
 
-    @staticmethod
-    def _uncertainty_us(board: _Board) -> float | None:
-        try:
-            return board.client.clock.uncertainty_us if board.client is not None else None
-        except j2a.J2AError:
-            return None
+    async def _know_clocks(self) -> None:
+        """Keep the uncertainty of the clocks at hand: to ask for each sample would cost more."""
+        while True:
+            for board in self._boards.values():
+                board.uncertainty_us = None
+                if board.client is not None and board.has_clock:
+                    with contextlib.suppress(j2a.J2AError):
+                        board.uncertainty_us = board.client.clock.uncertainty_us
+            await asyncio.sleep(_CLOCK_S)
 
     # ------------------------------------------------------------------ status
 

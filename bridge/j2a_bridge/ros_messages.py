@@ -9,6 +9,7 @@ standard message has no way to say so. Types come from rosbags (`pip install "j2
 """
 
 import math
+import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -20,7 +21,13 @@ from j2a import LocalError
 from j2a.types.arrays import Batch
 from j2a.types.model import Structure
 from j2a.types.ros import PACKAGE, ros1_messages, ros2_messages
-from j2a.types.transducers import Descriptors, Transducer, number_element
+from j2a.types.transducers import (
+    LOST_BYTES,
+    TIME_BYTES,
+    Descriptors,
+    Transducer,
+    number_element,
+)
 from j2a_bridge.quantities import Quantity, quantity_of
 from j2a_bridge.sink import Status, Update
 from j2a_bridge.topics import Topic
@@ -141,10 +148,12 @@ class RosMessages:
 
     def _own(self, topic: Topic) -> Message:
         kind, sensor = self.type_of(topic), topic.transducer
+        if not isinstance(sensor.type.element, Structure):
+            return Message(topic.name, kind, _Numbers(sensor, is_cdr=not self.is_ros1).pack)
         store = self.store_of(topic.descriptors)
         make, time = store.types[kind], self.time
         serialize = self._serializer(store, kind)
-        convert = _converter(store, kind, sensor)
+        name = _element_type(store, kind)
         none = self._time(0, 0)
 
         def pack(update: Update) -> bytes:
@@ -154,7 +163,8 @@ class RosMessages:
             if sensor.queue:
                 lost = int.from_bytes(update.sample.payload[:2], "little")
                 more = (np.ascontiguousarray(batch.channels), lost)
-            return serialize(make(times, convert(batch.raw), *more))
+            values = [_record(store, name, one) for one in batch.raw.ravel()]
+            return serialize(make(times, values, *more))
 
         return Message(topic.name, kind, pack)
 
@@ -221,14 +231,59 @@ def _diagnoses(status: Status) -> Iterator[tuple[int, str, str, str, dict[str, s
 # ---------------------------------------------------------------------- values
 
 
-def _converter(store: Any, kind: str, sensor: Transducer) -> Callable[[Any], Any]:
-    """Return what makes the values of a message out of an array of raw ones."""
-    element = sensor.type.element
-    if not isinstance(element, Structure):
-        is_bool = element == "bool"
-        return lambda raw: np.ascontiguousarray(raw).view("u1" if is_bool else raw.dtype).ravel()
-    name = _element_type(store, kind)
-    return lambda raw: [_record(store, name, one) for one in raw.ravel()]
+class _Numbers:
+    """Packs samples of numbers, which most are: what rosbags would do, in a tenth of the time.
+
+    Args:
+        sensor: whose values are no structures.
+        is_cdr: pack for ROS 2; else for ROS 1, which has no header and aligns nothing.
+    """
+
+    def __init__(self, sensor: Transducer, *, is_cdr: bool) -> None:
+        self._head = b"\0\1\0\0" if is_cdr else b""
+        self._is_cdr = is_cdr
+        self._most = (1 << 31) - 1 if is_cdr else (1 << 32) - 1
+        self._size = sensor.type.size
+        self._count = sensor.type.count or 1
+        self._has_queue = sensor.queue > 0
+        self._start = LOST_BYTES + 1 if self._has_queue else 0
+        self._entry = self._has_queue + TIME_BYTES + self._size
+        self._structs: dict[int, struct.Struct] = {}
+
+    def pack(self, update: Update) -> bytes:
+        """Return the message of a sample."""
+        payload, shift, size = update.sample.payload, update.shift_us, self._size
+        times = update.times_us
+        count = len(times)
+        # Times are 8 bytes, so values begin at a multiple of 8, where those of any size may begin.
+        parts: list[int] = [count]
+        for time in times:
+            if time:
+                seconds, us = divmod(time + shift, 1_000_000)
+                if not 0 <= seconds <= self._most:
+                    seconds, us = (self._most, 999_999) if seconds > 0 else (0, 0)
+                parts += seconds, us * _NS_PER_US
+            else:
+                parts += 0, 0
+        packed = self._structs.get(count)
+        if packed is None:
+            packed = self._structs[count] = struct.Struct(f"<{2 * count + 2}I")
+        at = self._start + TIME_BYTES
+        if count == 1:
+            values = payload[at : at + size]
+        else:
+            entry = self._entry
+            values = b"".join(payload[one : one + size] for one in range(at, len(payload), entry))
+        data = self._head + packed.pack(*parts, count * self._count) + values
+        return data + self._queued(payload, count, len(values)) if self._has_queue else data
+
+    def _queued(self, payload: bytes, count: int, size: int) -> bytes:
+        """Return the channels of values, and how many values were lost."""
+        channels = payload[LOST_BYTES :: self._entry]
+        if not self._is_cdr:
+            return struct.pack("<I", count) + channels + payload[:LOST_BYTES]
+        before, behind = bytes(-size % 4), bytes(count % 2)
+        return before + struct.pack("<I", count) + channels + behind + payload[:LOST_BYTES]
 
 
 def _element_type(store: Any, kind: str, field: str = "values") -> str:

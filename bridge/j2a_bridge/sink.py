@@ -7,6 +7,7 @@ take is dropped for it alone, and counted. A sink of another package is found by
 group `j2a.sinks` (name = what stands behind `--sink`, object = a class).
 """
 
+import struct
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
@@ -16,6 +17,7 @@ from importlib.metadata import entry_points
 from typing import Any, ClassVar, Final, Protocol
 
 from j2a import LocalError, Sample
+from j2a.types.transducers import LOST_BYTES, Transducer
 from j2a_bridge.topics import Topic
 
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
     "SinkError",
     "SinkStatus",
     "Status",
+    "Times",
     "TopicStatus",
     "Update",
     "make_sink",
@@ -47,6 +50,7 @@ class Update:
     Attributes:
         topic: where it is published.
         sample: as the library delivers it.
+        times_us: of the readings on the clock of the device, 0 where there is none.
         shift_us: what is added to a time of the device, to get one of this computer since 1970.
         arrived_ns: when the sample came, in nanoseconds since 1970.
         uncertainty_us: bound of the error of the times; None where the clock of the board is not
@@ -55,6 +59,7 @@ class Update:
 
     topic: Topic
     sample: Sample
+    times_us: tuple[int, ...]
     shift_us: int
     arrived_ns: int
     uncertainty_us: float | None = None
@@ -62,16 +67,36 @@ class Update:
     @cached_property
     def stamps_ns(self) -> tuple[int | None, ...]:
         """When the readings were taken, in nanoseconds since 1970; None where there is none."""
-        return tuple(
-            None if time is None else (time + self.shift_us) * _NS_PER_US
-            for time in self.sample.times_us
-        )
+        shift = self.shift_us
+        return tuple((time + shift) * _NS_PER_US if time else None for time in self.times_us)
 
     @property
     def stamp_ns(self) -> int:
         """When the newest reading was taken; when the sample came where there is no reading."""
-        newest = self.sample.time_us
-        return self.arrived_ns if newest is None else (newest + self.shift_us) * _NS_PER_US
+        newest = max(self.times_us)
+        return (newest + self.shift_us) * _NS_PER_US if newest else self.arrived_ns
+
+
+class Times:
+    """Reads the times of samples of one sensor out of their payloads, and nothing else.
+
+    Args:
+        sensor: what its descriptor says.
+    """
+
+    def __init__(self, sensor: Transducer) -> None:
+        self._entry = f"{'x' * bool(sensor.queue)}Q{sensor.type.size}x"
+        self._start = LOST_BYTES if sensor.queue else 0
+        self._size = struct.calcsize(f"<{self._entry}")
+        self._known: dict[int, struct.Struct] = {}
+
+    def of(self, payload: bytes) -> tuple[int, ...]:
+        """Return the time of each reading of a sample, 0 where there is none."""
+        found = self._known.get(len(payload))
+        if found is None:
+            count = (len(payload) - self._start) // self._size
+            found = self._known[len(payload)] = struct.Struct(f"<{self._entry * count}")
+        return found.unpack_from(payload, self._start)
 
 
 @dataclass(frozen=True, slots=True)

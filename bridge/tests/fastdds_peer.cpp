@@ -2,7 +2,10 @@
 
    usage: fastdds_peer DOMAIN
    standard input:  "sub TOPIC TYPE best|reliable", "pub TOPIC TYPE HEX" (when somebody listens)
-   standard output: "ready", "got TOPIC HEX", "matched TOPIC USERDATA", "sent TOPIC" */
+                    "stat TOPIC TYPE" (counts, see below), "end"
+   standard output: "ready", "got TOPIC HEX", "matched TOPIC USERDATA", "sent TOPIC";
+                    "stats COUNT" and a line with the age of each message in us, which bears the time of its sending
+                    as an i64 behind one time and one count */
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
@@ -74,6 +77,27 @@ public:
     bool getKey(void *, InstanceHandle_t *, bool) override { return false; }
 };
 
+static std::vector<int64_t> ages;
+
+class Counter : public DataReaderListener {
+public:
+    void on_data_available(DataReader *reader) override
+    {
+        Bytes bytes;
+        SampleInfo info;
+        while (reader->take_next_sample(&bytes, &info) == ReturnCode_t::RETCODE_OK) {
+            int64_t sent;
+            if (!info.valid_data || bytes.size() < 28)
+                continue;
+            memcpy(&sent, &bytes[20], sizeof sent);
+            auto now = std::chrono::system_clock::now().time_since_epoch();
+            int64_t ns = std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
+            std::lock_guard<std::mutex> lock(output);
+            ages.push_back((ns - sent) / 1000);
+        }
+    }
+};
+
 class Reader : public DataReaderListener {
 public:
     explicit Reader(const std::string &topic) : topic_(topic) {}
@@ -139,7 +163,20 @@ int main(int argc, char **argv)
         std::istringstream words(line);
         std::string what, name, type, more;
         words >> what >> name >> type >> more;
-        if (what == "sub") {
+        if (what == "end") {
+            std::lock_guard<std::mutex> lock(output);
+            std::cout << "stats " << ages.size() << std::endl;
+            for (int64_t age : ages)
+                std::cout << age << ' ';
+            std::cout << std::endl;
+        } else if (what == "stat") {
+            DataReaderQos about = DATAREADER_QOS_DEFAULT;
+            about.reliability().kind = BEST_EFFORT_RELIABILITY_QOS;
+            about.history().kind = KEEP_LAST_HISTORY_QOS;
+            about.history().depth = 1000;
+            subscriber->create_datareader(topic_of(name, type), about, new Counter);
+            say("counting " + name);
+        } else if (what == "sub") {
             DataReaderQos about = DATAREADER_QOS_DEFAULT;
             about.reliability().kind =
                 more == "best" ? BEST_EFFORT_RELIABILITY_QOS : RELIABLE_RELIABILITY_QOS;

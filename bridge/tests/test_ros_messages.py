@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 from j2a_bridge.ros_messages import RosMessages
-from j2a_bridge.sink import BoardStatus, SinkStatus, Status, TopicStatus, Update
+from j2a_bridge.sink import BoardStatus, SinkStatus, Status, Times, TopicStatus, Update
 from j2a_bridge.topics import Topic
 from rosbags.typesys import Stores, get_typestore
 
@@ -34,7 +34,8 @@ def update_of(topic: Topic, payload: bytes, shift_us: int = 0, arrived_ns: int =
         lost, (readings, _) = 0, codec.times(payload)
     sample = Sample("b", topic.transducer.name, 0, readings, 0.0, topic.transducer.unit, lost)
     object.__setattr__(sample, "payload", payload)
-    return Update(topic, sample, shift_us, arrived_ns)
+    times = Times(topic.transducer).of(payload)
+    return Update(topic, sample, times, shift_us, arrived_ns)
 
 
 def published(topic: Topic, payload: bytes, distro: str, shift_us: int = 0) -> dict[str, object]:
@@ -86,6 +87,23 @@ def test_the_hash_of_a_type_of_ros2_is_the_known_one() -> None:
 
 
 @pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize(
+    ("shift_us", "expected"),
+    [(-2_000_000, (0, 0)), (1 << 60, None)],
+)
+def test_times_before_1970_and_beyond_the_last_one_are_the_nearest(
+    distro: str, shift_us: int, expected: tuple[int, int] | None
+) -> None:
+    topic = topic_of(ONE, "raw")
+    [message] = published(topic, struct.pack("<Qh", 1_500_000, 3), distro, shift_us).values()
+    last = (1 << 32) - 1 if distro == "noetic" else (1 << 31) - 1
+    [time] = message.times
+    # rosbags reads seconds of ROS 1 with a sign, which they do not have.
+    sec = time.sec & 0xFFFFFFFF
+    assert (sec, time.nanosec) == (expected or (last, 999_999_000))
+
+
+@pytest.mark.parametrize("distro", DISTROS)
 @pytest.mark.parametrize("shift_us", [0, 5, 1_700_000_000_000_000])
 def test_times_are_those_of_the_source_and_none_stays_none(distro: str, shift_us: int) -> None:
     topic = topic_of(QUAD, "raw")
@@ -110,6 +128,32 @@ def test_integers_of_each_type(distro: str, kind: str, channels: int) -> None:
     )
     [message] = published(topic, payload, distro).values()
     assert message.values.tolist() == values
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize(
+    "kind", ["u8", "i16", "u32", "f64", "bool", "array(u8, 3)", "array(i32, 2)"]
+)
+@pytest.mark.parametrize("channels", [1, 2, 3, 5])
+@pytest.mark.parametrize("queue", [0, 7])
+def test_bytes_are_those_of_rosbags(distro: str, kind: str, channels: int, queue: int) -> None:
+    more = f", (queue, {queue})" if queue else ""
+    topic = topic_of(f"SENSOR(s, 0, s, M, {channels}, {kind}, none{more})", "raw")
+    size, ros = topic.transducer.type.size, RosMessages(distro)
+    store, name = ros.store_of(topic.descriptors), ros.type_of(topic)
+    for number in range(1, 8) if queue else (channels,):
+        entries = b"".join(
+            bytes([at % channels] * bool(queue))
+            + struct.pack("<Q", (at % 3) * 1_500_000_000 + at)
+            + bytes((at + one) % 2 for one in range(size))
+            for at in range(number)
+        )
+        payload = (b"\5\1" if queue else b"") + entries
+        [message] = ros.messages(topic)
+        data = message.pack(update_of(topic, payload, 123_456))
+        read = store.deserialize_ros1 if ros.is_ros1 else store.deserialize_cdr
+        write = store.serialize_ros1 if ros.is_ros1 else store.serialize_cdr
+        assert bytes(write(read(data, name), name)) == data
 
 
 @pytest.mark.parametrize("distro", DISTROS)
