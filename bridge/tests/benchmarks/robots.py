@@ -4,7 +4,7 @@ What flows in: a board that is a process, whose samples say when they were sent.
 subscribers of other processes see it: how old samples are when they come, as a distribution, beside
 those that came without a bridge; and whether 16 topics at 1 kHz come without loss, with CPU time.
 Rules: all processes are on this computer and read one clock; the subscriber of ROS 2 is Fast DDS in
-C++, that of ROS 1 is rospy; where these are missing, so are their lines.
+C++, that of ROS 1 speaks TCPROS itself; where ROS is missing, so are its lines.
 """
 
 import contextlib
@@ -128,7 +128,7 @@ class Ros2:
 
 
 class Ros1:
-    """Subscribers of ROS 1, by rospy."""
+    """Subscribers of ROS 1."""
 
     sink = "ros1"
 

@@ -4,33 +4,83 @@ usage: ros1_node.py count TOPICS      counts messages and how old they are, unti
        ros1_node.py relay PORT TOPIC  publishes what comes from a TCP port, as rosserial does
 
 A message is time[] times and int64[] values, each with one element; the value is when it was sent.
+To count, it speaks TCPROS itself: rospy would take longer for a message than the bridge does.
 """
 
+import os
+import selectors
 import socket
 import struct
 import sys
 import threading
 import time
-
-import genpy.dynamic
-import rospy
+import xmlrpc.client
+import xmlrpc.server
 
 TEXT = "time[] times\nint64[] values\n"
+SIZE = 4 + 8 + 4 + 8
 ages = []
+
+
+class Subscriber:
+    """Subscribes by the protocol of ROS 1, and reads what comes."""
+
+    def __init__(self, topics):
+        self._selector = selectors.DefaultSelector()
+        server = xmlrpc.server.SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        self._uri = f"http://127.0.0.1:{server.server_address[1]}/"
+        server.register_function(self._update, "publisherUpdate")
+        server.register_function(lambda caller: [1, "", os.getpid()], "getPid")
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        self._known = set()
+        self._lock = threading.Lock()
+        master = xmlrpc.client.ServerProxy(os.environ["ROS_MASTER_URI"])
+        for topic in topics:
+            code, why, found = master.registerSubscriber("/count", topic, "*", self._uri)
+            assert code == 1, why
+            self._update("", topic, found)
+
+    def _update(self, _caller, topic, publishers):
+        for uri in publishers:
+            with self._lock:
+                if (topic, uri) in self._known:
+                    continue
+                self._known.add((topic, uri))
+            threading.Thread(target=self._connect, args=(topic, uri), daemon=True).start()
+        return [1, "", 0]
+
+    def _connect(self, topic, uri):
+        ask = xmlrpc.client.ServerProxy(uri).requestTopic
+        _, _, (_, host, port) = ask("/count", topic, [["TCPROS"]])
+        link = socket.create_connection((host, port))
+        fields = "callerid=/count", f"topic={topic}", "type=*", "md5sum=*", "tcp_nodelay=1"
+        body = b"".join(struct.pack("<I", len(one)) + one.encode() for one in fields)
+        link.sendall(struct.pack("<I", len(body)) + body)
+        file = link.makefile("rb", buffering=0)
+        [size] = struct.unpack("<I", file.read(4))
+        while size:
+            size -= len(file.read(size))
+        self._selector.register(link, selectors.EVENT_READ, bytearray())
+
+    def run(self):
+        """Read without end."""
+        step = 4 + SIZE
+        while True:
+            for key, _ in self._selector.select(0.05):
+                data = key.data
+                data += key.fileobj.recv(1 << 20)
+                now = time.time_ns()
+                count = len(data) // step
+                for at in range(count):
+                    [sent] = struct.unpack_from("<q", data, at * step + 20)
+                    ages.append((now - sent) // 1000)
+                del data[: count * step]
 
 
 def count(topics):
     """Count messages."""
-    lock = threading.Lock()
-
-    def take(message):
-        now = time.time_ns()
-        [sent] = struct.unpack_from("<q", message._buff, 16)
-        with lock:
-            ages.append((now - sent) // 1000)
-
-    for topic in topics:
-        rospy.Subscriber(topic, rospy.AnyMsg, take, tcp_nodelay=True, queue_size=100000)
+    subscriber = Subscriber(topics)
+    threading.Thread(target=subscriber.run, daemon=True).start()
     print("ready", flush=True)
     sys.stdin.readline()
     print(len(ages), flush=True)
@@ -39,6 +89,10 @@ def count(topics):
 
 def relay(port, topic):
     """Publish what comes: an id, a length and a checksum before and behind, as rosserial has it."""
+    import genpy.dynamic  # noqa: PLC0415
+    import rospy  # noqa: PLC0415
+
+    rospy.init_node("bench", anonymous=True, disable_signals=True)
     kind = genpy.dynamic.generate_dynamic("bench/Relayed", TEXT)["bench/Relayed"]
     publisher = rospy.Publisher(topic, kind, queue_size=1000, tcp_nodelay=True)
     with socket.create_connection(("127.0.0.1", port)) as link:
@@ -60,7 +114,6 @@ def relay(port, topic):
             publisher.publish(message)
 
 
-rospy.init_node("bench", anonymous=True, disable_signals=True)
 if sys.argv[1] == "count":
     count(sys.argv[2:])
 else:
