@@ -1,10 +1,8 @@
 /* See srf02.h. Registers: 0 takes commands, 2 and 3 hold the range, the higher byte first. */
 #include "srf02.h"
 
-#include <stdbool.h>
-
-#include "j2a_port.h"
 #include "twi.h"
+#include "wait.h"
 
 enum { COMMAND, RANGE = 2, MEASURE_CM = 0x51 };
 enum { TELLING, MEASURING, READING };
@@ -13,16 +11,12 @@ static void (*callback)(uint8_t channel, uint32_t cm);
 static uint8_t phase;
 static uint8_t channel;
 static bool is_under_way; /* the transfer of this channel */
-static uint16_t since;    /* tick at which it began, or the measurement */
+static wait_t begun;      /* it, or the measurement */
 static uint8_t bytes[2];
 static uint16_t found[SRF02_COUNT]; /* centimetres, 0 for none */
 
 void srf02_set_cb(void (*new_value)(uint8_t channel, uint32_t cm)) {
     callback = new_value;
-}
-
-static bool is_over(uint16_t limit_ms) {
-    return (uint16_t)(j2a_port_ticks() - since) >= limit_ms * J2A_TICKS_PER_MS;
 }
 
 static void begin(void) {
@@ -32,7 +26,7 @@ static void begin(void) {
         twi_transfer((uint8_t)(SRF02_ADDRESS + channel), bytes, 2, 0);
     else
         twi_transfer((uint8_t)(SRF02_ADDRESS + channel), bytes, 1, 2);
-    since = j2a_port_ticks();
+    wait_begin(&begun);
     is_under_way = true;
 }
 
@@ -47,7 +41,7 @@ static void report(void) {
 void srf02_task(void) {
     uint8_t state;
     if (phase == MEASURING) {
-        if (!is_over(SRF02_MEASURES_MS))
+        if (!wait_is_over(&begun, SRF02_MEASURES_MS))
             return;
         phase = READING;
     }
@@ -57,7 +51,7 @@ void srf02_task(void) {
     }
     state = twi_state();
     if (state == TWI_BUSY) {
-        if (!is_over(SRF02_LIMIT_MS))
+        if (!wait_is_over(&begun, SRF02_LIMIT_MS))
             return;
         twi_stop();
     }
@@ -68,7 +62,7 @@ void srf02_task(void) {
         return;
     channel = 0;
     if (phase == TELLING) {
-        since = j2a_port_ticks();
+        wait_begin(&begun);
         phase = MEASURING;
     } else {
         report();

@@ -1,4 +1,5 @@
-/* Arithmetic with the ticks of timer 1, which avr-serial lets run freely at F_CPU / 64: 4 us a tick at 16 MHz.
+/* Arithmetic with the ticks of timer 1, which avr-serial lets run freely: at 16 MHz a tick is 4 us, and 0.5 us where
+ * the host disciplines the clock.
  * In: a servo's deflection. Out: ticks. */
 #ifndef TICKS_H
 #define TICKS_H
@@ -6,9 +7,22 @@
 #include <stdint.h>
 
 #if F_CPU == 16000000 || F_CPU == 8000000 || F_CPU == 4000000 || F_CPU == 2000000 || F_CPU == 1000000
-#define TICK_US (64000000 / F_CPU)
+/* As AVR_CLOCK_DIVIDER of the port. */
+#if defined J2A_WITH_SYNC && J2A_WITH_SYNC
+#define TICK_CYCLES 8
 #else
-#error "F_CPU must be 1, 2, 4, 8 or 16 MHz: then a tick is a whole number of microseconds"
+#define TICK_CYCLES 64
+#endif
+#if TICK_CYCLES * 1000000 >= F_CPU
+#define TICK_US (TICK_CYCLES * 1000000 / F_CPU)
+#define TICKS_PER_US 1
+#else
+#define TICK_US 1
+#define TICKS_PER_US (F_CPU / 1000000 / TICK_CYCLES)
+#endif
+#define TICKS_OF_US(us) ((us) / TICK_US * TICKS_PER_US)
+#else
+#error "F_CPU must be 1, 2, 4, 8 or 16 MHz: then a tick is no odd part of a microsecond"
 #endif
 
 /* A servo's pulse: middle, and what full deflection adds. Each servo bears 500 us; many go to 1000, where

@@ -7,7 +7,7 @@
 #include "pins.h"
 #include "ticks.h"
 
-#define PERIOD (SERVO_PERIOD_US / TICK_US)
+#define PERIOD TICKS_OF_US(SERVO_PERIOD_US)
 
 static uint16_t widths[SERVO_COUNT]; /* ticks of the pulses; 0: none */
 static uint16_t highs[SERVO_COUNT];  /* ticks of the pulse that is on the pin; 0: none */

@@ -2,13 +2,13 @@
 #include "sharp_sensor.h"
 
 #include "adc.h"
-#include "j2a_port.h"
 #include "pins.h"
 #include "sharp.h"
+#include "wait.h"
 
 #ifdef ADC_INPUTS
 static void (*callback)(uint8_t channel, uint16_t mm);
-static uint16_t since;
+static wait_t pause;
 static bool is_scanning;
 
 void sharp_set_cb(void (*new_value)(uint8_t channel, uint16_t mm)) {
@@ -24,8 +24,8 @@ void sharp_task(void) {
         for (channel = 0; channel < ADC_COUNT; channel++)
             if (callback)
                 callback(channel, sharp_mm(adc_get(channel)));
-    } else if ((uint16_t)(j2a_port_ticks() - since) >= SHARP_PERIOD_MS * J2A_TICKS_PER_MS) {
-        since = j2a_port_ticks();
+    } else if (wait_is_over(&pause, SHARP_PERIOD_MS)) {
+        wait_begin(&pause);
         is_scanning = true;
         adc_start();
     }
