@@ -113,6 +113,7 @@ class Bridge:
         chosen = {key: name for key, name in chosen.items() if name}
         self._names = Names(with_board=config.with_board, boards=chosen)
         self._boards: dict[str, _Board] = {}
+        self._serials: dict[str, str] = {}
         self._flows: dict[str, _Flow] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._fleet: j2a.AsyncFleet | None = None
@@ -143,7 +144,8 @@ class Bridge:
             for runner in self.runners:
                 await asyncio.to_thread(runner.opened.wait)
             on_open()
-            async with j2a.AsyncFleet(usb=self._config.usb, **self._options) as fleet:
+            options = {"identify": self._identify, **self._options}
+            async with j2a.AsyncFleet(usb=self._config.usb, **options) as fleet:
                 self._fleet = fleet
                 fleet.on_change(self._change)
                 fleet.on_sample(self._take)
@@ -178,7 +180,16 @@ class Bridge:
 
     # ------------------------------------------------------------------ boards
 
+    async def _identify(self, client: j2a.AsyncClient) -> str:
+        """Return the serial number of a board, or its URL: boards may be built with equal ones."""
+        serial = (await client.properties()).get("serial")
+        if not serial or self._serials.setdefault(serial, client.url) != client.url:
+            return client.url
+        return serial
+
     async def _change(self, change: BoardChange) -> None:
+        if not change.is_here:
+            self._serials = {one: url for one, url in self._serials.items() if url != change.url}
         if change.board is None:
             _logger.warning("%s", change.reason)
             return

@@ -65,6 +65,12 @@ class TestTopics:
         assert {"quad", "servo"} <= set(found)
 
     @in_event_loop
+    async def test_boards_that_were_built_with_equal_serial_numbers_are_both_there(self, kept):
+        with served(board_of(serial="0001")) as first, served(board_of(serial="0001")) as second:
+            async with bridging(config_for(first, second)):
+                await announced(kept[0], "robot/quad", "robot_0001/quad")
+
+    @in_event_loop
     async def test_a_board_keeps_its_name_wherever_it_is_plugged_in(self, kept):
         ports = free_port(), free_port()
         urls = [f"tcp://127.0.0.1:{port}" for port in ports]

@@ -312,7 +312,7 @@ def test_sifs_and_debug_text_are_in_the_log():
 
 def test_spikes_stay_visible_when_samples_are_thinned():
     topic = topic_of("SENSOR(s, 0, s, M, 1, i16, none)")
-    span = _Span()
+    span = _Span({})
     values = [0] * 500
     values[123], values[321] = 30000, -30000
     for at, value in enumerate(values):
@@ -327,14 +327,14 @@ def test_spikes_stay_visible_when_samples_are_thinned():
 
 def test_values_are_shown_with_unit_and_what_is_none_as_such():
     topic = topic_of("SENSOR(s, 0, s, M, 3, i16, -1, (unit, mV), (scale, 0.1))")
-    span = _Span()
+    span = _Span({})
     span.add(update_of(topic, struct.pack("<QhQhQh", 1, 12345, 1, -1, 0, 0)))
     assert span.object()["v"] == ["1234.5 mV", "N/A", "none yet"]
-    span = _Span()
+    span = _Span({})
     span.add(update_of(topic_of(IMU), struct.pack("<Q9h", 7, *range(9))))
     assert span.object()["v"] == ["rate  0  1  2\nacceleration  3  4  5\nfield  6  7  8"]
     queue = topic_of("SENSOR(s, 0, s, M, 2, u8, none, (queue, 4))")
-    span = _Span()
+    span = _Span({})
     span.add(update_of(queue, struct.pack("<HBQB", 0, 1, 1, 9)))
     span.add(update_of(queue, struct.pack("<HBQB", 0, 0, 1, 8)))
     assert span.object()["v"] == ["8", "9"]

@@ -170,7 +170,7 @@ function takeStatus(about) {
 function showRate(status) {
   const topic = topics.get(status.name);
   if (topic?.rate === undefined) return;
-  const latency = status.latency_ms === null ? "clock not known" : `${status.latency_ms.toFixed(2)} ms`;
+  const latency = status.latency_ms === null ? "" : `${status.latency_ms.toFixed(2)} ms`;
   const lost = make("span", status.lost ? { class: "bad" } : {}, `${status.lost} lost`);
   topic.rate.replaceChildren(
     make("span", {}, `${status.rate_hz.toFixed(1)} per s`),

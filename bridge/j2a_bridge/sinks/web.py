@@ -34,16 +34,20 @@ _NS_PER_MS: Final = 1_000_000
 
 
 class _Span:
-    """What came of one topic since pages were told last."""
+    """What came of one topic since pages were told last.
 
-    def __init__(self) -> None:
-        self.values: list[str] = []
+    Args:
+        newest: what is shown of each channel; it is brought up to date.
+    """
+
+    def __init__(self, newest: dict[int, str]) -> None:
+        self._newest = newest
         self.series: dict[str, list[tuple[int, float]]] = {}
 
     def add(self, update: Update) -> None:
         """Take a sample in: of each series the least, the greatest and the newest are kept."""
         unit = f" {update.sample.unit}" if update.sample.unit else ""
-        channels: dict[int, str] = {}
+        channels = self._newest
         for one in update.sample.readings:
             if one.time_us is None:
                 channels[one.channel] = "none yet"
@@ -51,11 +55,6 @@ class _Span:
                 channels[one.channel] = "N/A"
             else:
                 channels[one.channel] = f"{_shown(one.value)}{unit}"
-        if update.topic.transducer.queue:
-            known = dict(enumerate(self.values))
-            channels = known | channels
-        most = max(channels, default=-1) + 1
-        self.values = [channels.get(channel, "none yet") for channel in range(most)]
         for stamp, name, value in numbers(update):
             point = stamp // _NS_PER_MS, value
             kept = self.series.get(name)
@@ -76,7 +75,9 @@ class _Span:
             name: [part for point in points for part in point]
             for name, points in self.series.items()
         }
-        return {"v": self.values, "s": series}
+        most = max(self._newest, default=-1) + 1
+        values = [self._newest.get(channel, "none yet") for channel in range(most)]
+        return {"v": values, "s": series}
 
 
 def _shown(value: Any) -> str:
@@ -108,6 +109,7 @@ class WebSink(Sink):
         self._lock = threading.Lock()
         self._topics: dict[str, Topic] = {}
         self._spans: dict[str, _Span] = {}
+        self._newest: dict[str, dict[int, str]] = {}
         self._status: Status | None = None
         self._log: deque[dict[str, Any]] = deque(maxlen=_LOG)
         self._recorder: McapSink | None = None
@@ -124,6 +126,7 @@ class WebSink(Sink):
         with self._lock:
             self._topics.clear()
             self._spans.clear()
+            self._newest.clear()
         started: list[str] = []
         ready = threading.Event()
 
@@ -174,6 +177,7 @@ class WebSink(Sink):
         with self._lock:
             self._topics.pop(topic.name, None)
             self._spans.pop(topic.name, None)
+            self._newest.pop(topic.name, None)
         self._tell(self.topics())
 
     def publish(self, update: Update) -> None:
@@ -181,7 +185,8 @@ class WebSink(Sink):
         with self._lock:
             span = self._spans.get(update.topic.name)
             if span is None:
-                span = self._spans[update.topic.name] = _Span()
+                newest = self._newest.setdefault(update.topic.name, {})
+                span = self._spans[update.topic.name] = _Span(newest)
             span.add(update)
         if self._recorder is not None:
             self._record(lambda recorder: recorder.publish(update))
