@@ -23,6 +23,11 @@ demo-servo: $(INSTALLED)  ## an encoder turns a servo through the host, in the A
 	@sh tools/system.sh demo
 	@$(BIN)/python tools/demo_servo.py
 
+demo-robot: $(INSTALLED)  ## two simulated boards in ROS 1 and on a live page (needs rospy, chromium, npm)
+	@sh tools/system.sh test
+	@sh tools/page.sh
+	@$(BIN)/python tools/demo_robot.py
+
 test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these steps
 	@sh tools/system.sh test
 	@bash tools/check.sh

@@ -227,11 +227,13 @@ class Bridge:
         if self._config.clock == "off":
             return
         try:
-            await client.clock.measure(2)
-            board.has_clock = True
-            board.uncertainty_us = client.clock.uncertainty_us
-            is_set = self._config.clock == "discipline" and client.clock.read().can_be_set
+            # So that the first samples have their times; a keeper tries again where this is late.
+            with contextlib.suppress(j2a.CallTimeout):
+                board.uncertainty_us = (await client.clock.measure(2)).uncertainty_us
+            can_be_set = "clock" in await client.capabilities()
+            is_set = self._config.clock == "discipline" and can_be_set
             await (client.clock.discipline() if is_set else client.clock.follow())
+            board.has_clock = True
         except j2a.J2AError as error:
             _logger.info("%s: times are those of arrival: %s", board.name, error)
 

@@ -246,12 +246,13 @@ function draw() {
 
 function drawValues(topic) {
   const items = topic.values.children;
+  if (items.length > 0 && items.length < topic.newest.length) topic.values.replaceChildren();
   topic.newest.forEach((text, at) => {
     if (items[at] === undefined) {
       const name = make("small", {}, topic.newest.length > 1 ? `channel ${at}` : "");
       const series = [...topic.series.keys()].indexOf(String(at));
       if (series >= 0 && topic.newest.length > 1) name.prepend(dot(series));
-      const isWide = text.includes("\n") ? { class: "wide" } : {};
+      const isWide = text.length > 20 ? { class: "wide" } : {};
       topic.values.append(make("li", isWide, name, make("span")));
     }
     const value = items[at].lastElementChild;

@@ -1,0 +1,352 @@
+"""`make demo-robot`: two simulated boards, their samples in ROS 1 and on a live page.
+
+One board is an ATmega328P with the encoders and servos of the thesis' chapter 9; edges at its pins
+turn an encoder. The other one is an ATmega32U4 on USB with the sensors of a robot (table 5.1).
+`j2a bridge` opens both, keeps their clocks and publishes them; a node of ROS 1 that knows nothing
+of J2A prints samples as listing 9.8 does, and commands the servo; a browser looks at the page and
+moves the slider.
+
+What flows in: firmware. What flows out: what was seen, the picture build/demo-robot.png, and exit
+status 0 when the pulses at the servo's pin were what ROS and the page had set. Rule: simulated time
+passes as fast as real time. Without rospy or chromium that part is left out, and said.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import j2a_transports
+from demo_servo import MIDDLE_US, TICK_US, US_PER_PERCENT, _drive, turns
+from j2a_bridge.browser import Page, browser
+from j2a_sim import AvrSim, SimLink, pulses
+from j2a_sim._usb.link import UsbLink
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+PICTURE: Final = ROOT / "build/demo-robot.png"
+PYTHON: Final = "/usr/bin/python3"
+SWINGS: Final = 30
+SLOWER: Final = 4.0
+PATIENCE_S: Final = 60.0
+SERVO_PIN: Final = "PB1"
+LISTENER: Final = r"""
+import sys, time, rospy, genpy.dynamic
+text = "time[] times\nint16[] values\n"
+quad = genpy.dynamic.generate_dynamic("j2a_msgs/quad", text)["j2a_msgs/quad"]
+sets = genpy.dynamic.generate_dynamic("j2a_msgs/servo", "time[] times\nint8[] values\n")
+servo = sets["j2a_msgs/servo"]
+rospy.init_node("listener", disable_signals=True)
+count = 0
+def show(message):
+    global count
+    count += 1
+    if count % 50 == 1:
+        stamp = message.times[0].to_sec()
+        when = time.strftime("%H:%M:%S", time.localtime(stamp)) + ("%.6f" % (stamp % 1))[1:]
+        print("Received quad value %d from %s" % (message.values[0], when), flush=True)
+rospy.Subscriber("/shafts/quad", quad, show)
+orders = rospy.Publisher("/shafts/servo", servo, queue_size=1)
+while orders.get_num_connections() == 0:
+    time.sleep(0.05)
+for line in sys.stdin:
+    orders.publish(servo(values=[int(line), 0]))
+"""
+
+
+class Board:
+    """Serves a simulated board over TCP, in a thread of its own, at the pace of real time.
+
+    Args:
+        link: to the board.
+        url: of a listener for one host at a time.
+    """
+
+    def __init__(self, link: Any) -> None:
+        self._link = link
+        self._listener = j2a_transports.listen("tcp://127.0.0.1:0")
+        self._ended = threading.Event()
+        self._lock = threading.Lock()
+        self._host: Any = None
+        self.url = self._listener.url
+        self._threads = [
+            threading.Thread(target=self._run, daemon=True),
+            threading.Thread(target=self._serve, daemon=True),
+        ]
+        for one in self._threads:
+            one.start()
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            data = self._link.read(0.01)
+            host = self._host
+            if data and host is not None:
+                with contextlib.suppress(j2a_transports.TransportError):
+                    host.write(data)
+
+    def _serve(self) -> None:
+        while not self._ended.is_set():
+            try:
+                host = self._listener.accept(0.5)
+            except j2a_transports.TransportError:
+                return
+            if host is None:
+                continue
+            self._host = host
+            with contextlib.suppress(j2a_transports.TransportError):
+                while not self._ended.is_set():
+                    data = host.read(0.1)
+                    if data:
+                        self._link.write(data)
+            self._host = None
+            host.close()
+
+    def close(self) -> None:
+        """End."""
+        self._ended.set()
+        self._listener.close()
+        for one in self._threads:
+            one.join(10)
+
+
+def build(app: str, port: str) -> Path:
+    """Build firmware; return the program."""
+    out = f"build/demo-robot-{app}"
+    command = ["make", "-s", "-C", "firmware", f"PORT={port}", f"APP={app}", f"OUT={out}"]
+    command += ["OPTIONS=-DJ2A_WITH_SYNC=1", f"PYTHON={sys.executable}"]
+    subprocess.run(command, cwd=ROOT, check=True, stdout=sys.stderr)
+    return ROOT / "firmware" / out / f"{app}.elf"
+
+
+def free_port() -> int:
+    """Return a port of the loopback that nobody uses now."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+@contextlib.contextmanager
+def process(*command: object, **more: Any) -> Iterator[subprocess.Popen[str]]:
+    """Run a process; it ends with the block."""
+    words = [str(word) for word in command]
+    one = subprocess.Popen(words, text=True, **more)
+    try:
+        yield one
+    finally:
+        one.terminate()
+        try:
+            one.wait(10)
+        except subprocess.TimeoutExpired:
+            one.kill()
+            one.wait()
+
+
+def serve(app: str, program: Path) -> None:
+    """Be a board: print its URL; a line on standard input asks for the newest width of a pulse."""
+    if app == "servo":
+        sim = AvrSim(program)
+        for wire in ("PD2", "PD3", "PD4", "PD5"):
+            sim.pins.drive(wire, 0)
+        sim.pins.watch(SERVO_PIN)
+        start = sim.cycle + sim.cycles(2.0)
+        place = 0
+        for seconds, step in turns(SWINGS):
+            place = _drive(sim, start + sim.cycles(SLOWER * seconds), [step], place)
+        board = Board(SimLink(sim, speed=1, patience_s=None))
+    else:
+        sim = AvrSim(program, mcu="atmega32u4")
+        board = Board(UsbLink(sim, speed=1, patience_s=None))
+    print(board.url, flush=True)
+    mhz = sim.frequency_hz / 1e6
+    edges: list[Any] = []
+    for _ in sys.stdin:
+        edges += sim.pins.edges(SERVO_PIN)
+        found = [one.cycles / mhz for one in pulses(edges)][-1:]
+        print(*(found or [0.0]), flush=True)
+    board.close()
+
+
+class Served:
+    """A board that is a process.
+
+    Args:
+        app: of the firmware.
+        program: what was built of it.
+        stack: ends the process.
+    """
+
+    def __init__(self, app: str, program: Path, stack: contextlib.ExitStack) -> None:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        command = sys.executable, __file__, "--board", app, program
+        self._process = stack.enter_context(process(*command, **pipes))
+        self.url = self._read()
+
+    def _read(self) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline().strip()
+        if not line:
+            raise SystemExit("a board has ended")
+        return line
+
+    def width_us(self) -> float:
+        """Return the width of the newest pulse at the pin of its servo."""
+        assert self._process.stdin is not None
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        return float(self._read())
+
+
+@contextlib.contextmanager
+def roscore() -> Iterator[bool]:
+    """Run the master of ROS 1; yields whether there is one."""
+    if shutil.which("rosmaster") is None:
+        print("ROS 1 is left out: there is no rosmaster (python3-rosmaster, python3-rospy)")
+        yield False
+        return
+    port = free_port()
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ |= {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"}
+        os.environ |= {"ROS_HOME": folder, "ROS_LOG_DIR": folder, "TMPDIR": folder}
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        with process(PYTHON, "/usr/bin/rosmaster", "--core", "-p", port, **quiet):
+            code = (
+                "import xmlrpc.client, os, time\n"
+                "m = xmlrpc.client.ServerProxy(os.environ['ROS_MASTER_URI'])\n"
+                "for _ in range(1000):\n"
+                "    try: m.setParam('/demo', '/run_id', 'demo'); break\n"
+                "    except OSError: time.sleep(0.03)\n"
+            )
+            subprocess.run([PYTHON, "-c", code], check=True)
+            yield True
+
+
+async def wait_for_width(board: Served, percent: int) -> float:
+    """Wait until the pulses are those of a value; return the width."""
+    wanted = MIDDLE_US + US_PER_PERCENT * percent
+    for _ in range(int(PATIENCE_S / 0.1)):
+        found = board.width_us()
+        if abs(found - wanted) <= TICK_US:
+            return found
+        await asyncio.sleep(0.1)
+    raise SystemExit(f"the servo did not get a pulse of {wanted} us: {found} us")
+
+
+async def tell_clocks(page: Page) -> None:
+    """Print what the page says of the clocks, as soon as both are disciplined.
+
+    The simulator passes time in steps, so beside a browser they may only settle.
+    """
+    script = (
+        "[...document.querySelectorAll('.board')]"
+        ".map((one) => one.querySelector('h2').textContent + ': ' +"
+        "  (one.innerText.match(/clock (locked|settling|holdover)[^\\n]*/) ?? [''])[0])"
+        ".filter((one) => !one.endsWith(': '))"
+    )
+    await page.until(f"({script}).length === 2", PATIENCE_S)
+    for line in await page.run(script):
+        print(f"the page: {line}")
+
+
+async def look(url: str, board: Served, picture: Path) -> None:
+    """Look at the page as a person would, and move the slider."""
+    if shutil.which("chromium") is None:
+        print("the page is left out: there is no chromium")
+        return
+    async with browser() as chromium:
+        page = await chromium.page()
+        await page.resize(1280, 1290)
+        await page.prefer("dark")
+        await page.open(url)
+        await page.until("document.querySelectorAll('.card').length >= 8", PATIENCE_S)
+        await page.until("document.querySelectorAll('form.call').length > 0", PATIENCE_S)
+        await tell_clocks(page)
+        await page.run(
+            "(() => { const form = [...document.querySelectorAll('form.call')]"
+            ".find((one) => one.textContent.startsWith('measure'));"
+            "form.querySelector('select').value = 'true'; form.requestSubmit(); })()"
+        )
+        await page.until("document.body.innerText.includes('infrared')", PATIENCE_S)
+        await page.run(
+            "(() => { const slider = document.getElementById('set-shafts/servo-0');"
+            "slider.value = '-40'; slider.dispatchEvent(new Event('input')); })()"
+        )
+        width = await wait_for_width(board, -40)
+        print(f"the page: slider to -40 %, the pulse at the pin is {width:.0f} us")
+        await asyncio.sleep(8)
+        rates = await page.run(
+            "[...document.querySelectorAll('.card')]"
+            ".filter((one) => one.querySelector('.facts span'))"
+            ".map((one) => one.querySelector('h3').textContent + ': ' +"
+            " one.querySelector('.facts').innerText.replaceAll('\\n', ', '))"
+        )
+        for line in rates:
+            print(f"the page: {line}")
+        picture.parent.mkdir(exist_ok=True)
+        await page.picture(picture)
+        print(f"wrote {picture.relative_to(ROOT) if picture.is_relative_to(ROOT) else picture}")
+        if page.errors:
+            raise SystemExit(f"the page had errors: {page.errors}")
+
+
+def main() -> int:
+    """Run the demonstration; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--picture", type=Path, default=PICTURE, help="where the picture goes")
+    parser.add_argument("--board", nargs=2, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.board:
+        serve(args.board[0], Path(args.board[1]))
+        return 0
+    programs = build("servo", "avr-serial"), build("robot", "avr-usb")
+    port, token = free_port(), "demo-robot"
+    with (
+        roscore() as has_ros,
+        tempfile.NamedTemporaryFile("w", suffix=".toml") as file,
+        contextlib.ExitStack() as boards,
+    ):
+        one, other = (
+            Served(app, program, boards)
+            for app, program in zip(("servo", "robot"), programs, strict=True)
+        )
+        sinks = ["ros1"] * has_ros + [f"web:{port},token={token}"]
+        file.write(
+            f'names = "board"\nsinks = {sinks!r}\n'
+            f'[[boards]]\nurl = "{one.url}"\nname = "shafts"\n'
+            f'[[boards]]\nurl = "{other.url}"\nname = "robot"\n'
+        )
+        file.flush()
+        command = sys.executable, "-m", "j2a", "bridge", "--config", file.name
+        with process(*command, stderr=subprocess.PIPE) as bridge:
+            assert bridge.stderr is not None
+            while "the page is at" not in (line := bridge.stderr.readline()):
+                if not line:
+                    raise SystemExit("the bridge has ended")
+                print(line.strip())
+            threading.Thread(target=bridge.stderr.read, daemon=True).start()
+            with contextlib.ExitStack() as stack:
+                if has_ros:
+                    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+                    listener = stack.enter_context(process(PYTHON, "-c", LISTENER, **pipes))
+                    assert listener.stdout is not None and listener.stdin is not None
+                    for _ in range(4):
+                        print(listener.stdout.readline().strip())
+                    threading.Thread(target=listener.stdout.read, daemon=True).start()
+                    listener.stdin.write("60\n")
+                    listener.stdin.flush()
+                    width = asyncio.run(wait_for_width(one, 60))
+                    print(f"ROS 1: servo to 60 %, the pulse at the pin is {width:.0f} us")
+                url = f"http://127.0.0.1:{port}/{token}/"
+                asyncio.run(look(url, one, args.picture))
+    print("the demonstration is over")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
