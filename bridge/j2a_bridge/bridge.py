@@ -114,6 +114,7 @@ class Bridge:
         self._names = Names(with_board=config.with_board, boards=chosen)
         self._boards: dict[str, _Board] = {}
         self._serials: dict[str, str] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
         self._flows: dict[str, _Flow] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._fleet: j2a.AsyncFleet | None = None
@@ -224,18 +225,32 @@ class Bridge:
     async def _begin_clock(self, board: _Board, client: j2a.AsyncClient) -> None:
         """Know the clock of a board, and keep it right, as far as it can be."""
         board.has_clock = False
-        if self._config.clock == "off":
+        if self._config.clock == "off" or await self._try_clock(board, client):
             return
+        # Its samples need not wait for that.
+        task = asyncio.create_task(self._keep_trying(board, client))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _keep_trying(self, board: _Board, client: j2a.AsyncClient) -> None:
+        while client.is_open and not self._ended.is_set():
+            await asyncio.sleep(_EACH_S)
+            if await self._try_clock(board, client):
+                return
+
+    async def _try_clock(self, board: _Board, client: j2a.AsyncClient) -> bool:
+        """Begin to keep a clock; return whether there is no more to try."""
         try:
-            # So that the first samples have their times; a keeper tries again where this is late.
-            with contextlib.suppress(j2a.CallTimeout):
-                board.uncertainty_us = (await client.clock.measure(2)).uncertainty_us
+            board.uncertainty_us = (await client.clock.measure(2)).uncertainty_us
             can_be_set = "clock" in await client.capabilities()
             is_set = self._config.clock == "discipline" and can_be_set
             await (client.clock.discipline() if is_set else client.clock.follow())
             board.has_clock = True
-        except j2a.J2AError as error:
+        except j2a.NoClock as error:
             _logger.info("%s: times are those of arrival: %s", board.name, error)
+        except j2a.J2AError:
+            return not client.is_open
+        return True
 
     async def _learn(self, board: _Board) -> None:
         """Announce the transducers of a board, and take those back that it has no more."""

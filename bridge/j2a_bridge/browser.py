@@ -18,7 +18,7 @@ import aiohttp
 
 __all__ = ["Browser", "Page", "browser"]
 
-_START_S: Final = 60.0
+_START_S: Final = 120.0
 _FLAGS: Final = (
     "--headless=new",
     "--no-sandbox",  # as root; it opens pages of this computer alone
