@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
+from j2a_spec.printable import printable
+
 import j2a
 from j2a.cli._exit import OK, REMOTE, CommandFailed, UsageError
 from j2a.cli._link import (
@@ -139,7 +141,8 @@ def write_files(files: Mapping[Path, str]) -> None:
     Raises:
         UsageError: one cannot be written.
     """
-    for path, text in files.items():
+    for path, foreign in files.items():
+        text = printable(foreign, "\n\t")  # what a board says turns no line around
         part = path.with_name(f"{path.name}.part")  # a full disk spoils no file that is there
         try:
             path.parent.mkdir(parents=True, exist_ok=True)

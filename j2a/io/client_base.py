@@ -94,7 +94,7 @@ class ClientBase:
         self._generation = 0
         # The epoch whose samples the descriptors are of, -1 while they are being learnt.
         self._described = -1
-        self._failed_restarts = 0
+        self._failed_restarts = self._failed_doubts = 0
         self._has_changed = False
         # Of the device when all of it was last learnt.
         self._identity: tuple[Sequence[str], str | None] | None = None
@@ -223,8 +223,10 @@ class ClientBase:
     def _failed_relearning(self, restart: Restart, error: J2AError) -> Restart:
         """Return what handlers are told when what the device has could not be learnt."""
         if isinstance(restart, Doubt):
-            what = "%s may have restarted; no SIF is a sample until it says what it has: %s"
-            _logger.warning(what, self._url, error)
+            self._failed_doubts += 1
+            if is_told(self._failed_doubts):
+                what = "%s may have restarted; no SIF is a sample until it says what it has: %s"
+                _logger.warning(what, self._url, error)
             return restart
         self._failed_restarts += 1
         if is_told(self._failed_restarts):  # a device may do nothing else

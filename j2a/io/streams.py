@@ -15,6 +15,7 @@ from j2a.errors import CallTimeout, J2AError, LinkClosed, LocalError, Outcome
 from j2a.events import Sif
 from j2a.io.handlers import Handlers, Wanted
 from j2a.io.opening import WAIT_S
+from j2a.io.threads import process
 from j2a.protocol.arguments import check_timeout
 
 __all__ = ["MAX_SIFS", "SifStream", "SifStreamBase", "slice_of"]
@@ -62,6 +63,7 @@ class SifStreamBase(Generic[_EventT]):
         if not isinstance(max_waiting, int) or max_waiting < 1:
             raise LocalError(f"max_waiting is a number of SIFs from 1 on, not {max_waiting!r}")
         self.lost = 0
+        self._pid = process.pid
         self._came = came
         self._dispatcher = dispatcher
         self._slice_s = slice_s
@@ -94,8 +96,13 @@ class SifStreamBase(Generic[_EventT]):
         """Return the next SIF, or None if none has come.
 
         Raises:
-            J2AError: none will come any more.
+            J2AError: none will come any more, also in a process that was forked since.
         """
+        if process.pid != self._pid:
+            raise LocalError(
+                "what is iterated here was made before this process was forked, and nothing comes "
+                "in the child: connect again there"
+            )
         try:
             return self._sifs.popleft()
         except IndexError:

@@ -162,6 +162,15 @@ def _lower_case(name: str) -> str:
     return _plain(re.sub(r"_+", "_", apart).strip("_") or "x")
 
 
+def _used(kind: Type, names: set[str]) -> set[str]:
+    """Add the names of the structures that values of a type consist of, each once; return them."""
+    if isinstance(kind.element, Structure) and kind.element.name not in names:
+        names.add(kind.element.name)
+        for field in kind.element.fields:
+            _used(field.type, names)
+    return names
+
+
 def ros1_messages(descriptors: Descriptors) -> dict[str, str]:
     """Return the messages of ROS 1 by their name, such as `quad`; those of sensors come first."""
     return _Dialect("time", _plain, _plain).messages(descriptors)
@@ -183,8 +192,15 @@ def ros2_definition(descriptors: Descriptors, name: str) -> tuple[str, str]:
     messages = dialect.messages(descriptors)
     own = list(messages)[[one.name for one in descriptors.transducers].index(name)]
     others = list(messages)[len(descriptors.transducers) :]
+    structures = [one for one in descriptors.types if isinstance(one, Structure)]
+    # Not all of the board: each recorded channel has a definition of its own.
+    used = _used(descriptors[name].type, set())
     parts = [messages[own], f"MSG: builtin_interfaces/Time\n{_TIME}"]
-    parts += [f"MSG: {PACKAGE}/{other}\n{messages[other]}" for other in others]
+    parts += [
+        f"MSG: {PACKAGE}/{other}\n{messages[other]}"
+        for other, one in zip(others, structures, strict=True)
+        if one.name in used
+    ]
     return f"{PACKAGE}/msg/{own}", f"{'=' * 80}\n".join(parts)
 
 

@@ -117,6 +117,17 @@ def test_what_a_board_says_is_escaped(run, tmp_path):
     assert "&lt;b&gt;" in page
 
 
+def test_characters_that_turn_lines_around_are_shown_in_files(run, tmp_path):
+    path = tmp_path / "transds.def"
+    path.write_text('SENSOR(a, 1, a, X, 1, u8, none, "one\u202etwo\x9bthree\u2028four")\n')
+    names = {"--html": "a.html", "--c": "a.h", "--python": "a.py", "--def": "b.def"}
+    run("transds", path, *(word for key, name in names.items() for word in (key, tmp_path / name)))
+    for name in names.values():
+        text = (tmp_path / name).read_text()
+        assert text.replace("\n", "").replace("\t", "").isprintable(), name
+        assert "two" in text
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -344,6 +344,25 @@ class TestFork:
             assert self.child(works) == "Outcome.NOT_SENT"
             assert client.echo(b"still there") == b"still there"
 
+    def test_what_is_iterated_says_so_too(self):
+        with (
+            served(DemoDevice(), "tcp://127.0.0.1:0") as url,
+            j2a.connect(url) as client,
+            j2a.Fleet(url) as fleet,
+        ):
+            fleet.wait(1, timeout=PATIENCE_S)
+            with client.sifs() as sifs, fleet.changes() as changes, fleet.samples() as samples:
+
+                def works():
+                    for one in (sifs, changes, samples):
+                        with pytest.raises(j2a.LocalError, match="connect again there"):
+                            next(one)
+                        with pytest.raises(j2a.LocalError, match="connect again there"):
+                            one.wait(0.1)
+                    return "refused"
+
+                assert self.child(works) == "refused"
+
     def test_in_whatever_state_the_parent_is(self):
         """Locks that another thread held at the fork stay locked in the child."""
         with Wire() as wire:

@@ -91,6 +91,18 @@ class TestMessages:
             "MSG: j2a_msgs/Xyz\nbool ok\nint16[3] rate\nfloat64 level\n",
         ]
 
+    def test_the_definition_has_nothing_that_it_does_not_use(self):
+        """So many structures that all use each other would be a definition of that length each."""
+        lines = ["J2A_STRUCT(s0, (u8, x))"]
+        for at in range(1, 7):
+            fields = ", ".join(f"(s{at - 1}, f{number})" for number in range(2))
+            lines.append(f"J2A_STRUCT(s{at}, {fields})")
+        lines += [f"SENSOR(a{at}, {at}, a{at}, X, 1, s{at}, none)" for at in range(5)]
+        file = read_transds("\n".join(lines))
+        for at in range(5):
+            _, text = ros2_definition(file, f"a{at}")
+            assert text.count("MSG: j2a_msgs/") == at + 1
+
     @pytest.mark.parametrize(
         ("board", "topic", "due"),
         [("", "quad", "/quad"), ("", "left/wheel-1", "/left/wheel_1"), ("a b", "/x/", "/a_b/x")],
