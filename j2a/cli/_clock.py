@@ -24,7 +24,7 @@ from j2a.cli._link import (
     whole_number,
 )
 from j2a.cli._output import note, show, show_json
-from j2a.io.clock import MAX_PERIOD_S, ROUNDS
+from j2a.io.clock import MAX_PERIOD_S, ROUNDS, ClockKeeper
 from j2a.io.clock_base import ClockReading
 
 NOTES: Final = """\
@@ -85,10 +85,11 @@ def run(args: argparse.Namespace) -> int:
         boards = [stack.enter_context(connect_to(args, url)) for url in args.urls]
         if not args.discipline and not args.watch:
             return _once(boards, args)
+        keepers = []
         for board in boards:
             keep = board.clock.discipline if args.discipline else board.clock.follow
-            stack.enter_context(keep(args.period))
-        return _watch(boards, args)
+            keepers.append(stack.enter_context(keep(args.period)))
+        return _watch(boards, keepers, args)
 
 
 def _once(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
@@ -109,15 +110,21 @@ def _once(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
     return code
 
 
-def _watch(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
+def _watch(
+    boards: Sequence[j2a.Client], keepers: Sequence[ClockKeeper], args: argparse.Namespace
+) -> int:
     """Print until the end; returns the exit code."""
     if not args.json:
         show(HEAD)
     begun = time.monotonic()
     last: dict[str, tuple[str, int]] = {}
     gone: set[str] = set()
+    failed: set[str] = set()
     while True:
-        for board in boards:
+        for board, keeper in zip(boards, keepers, strict=True):
+            if keeper.error is not None and not keeper.rounds and board.url not in failed:
+                failed.add(board.url)  # once, whatever it answers each time
+                note(f"j2a: {board.url}: no exchange has succeeded yet: {keeper.error}")
             if not board.is_open and board.url not in gone:
                 gone.add(board.url)
                 note(f"j2a: lost {board.url}")
@@ -133,7 +140,8 @@ def _watch(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
         if args.seconds is not None:
             left_s = min(left_s, begun + args.seconds - time.monotonic())
         if left_s <= 0:
-            return LINK if gone else OK
+            never = [one.error for one in keepers if one.error is not None and not one.rounds]
+            return LINK if gone else (exit_code(never[0]) or OK) if never else OK
         time.sleep(left_s)
 
 

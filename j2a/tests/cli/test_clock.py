@@ -88,6 +88,17 @@ def test_clocks_are_kept_right_for_so_long(run, board, other):
     assert all(abs(one["offset_us"]) < 100_000 for one in last.values())
 
 
+@pytest.mark.parametrize("word", ["--discipline", "--watch"])
+@pytest.mark.parametrize("answer", [b"", b"nonsense", bytes(255)])
+def test_a_board_that_answers_nonsense_is_told_once(run, word, answer):
+    device = ClockedDevice()
+    device.spoil = lambda payload: (0, answer)
+    for url in served(device):
+        result = run("clock", url, word, "--period", "0.2", "--seconds", "1")
+        assert (result.code, result.out.count("\n")) == (5, 1)  # the head of the table
+        assert result.err.count("no exchange has succeeded yet") == 1
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_it_goes_on_until_it_is_stopped(board, number, code):
     command = [sys.executable, "-m", "j2a", "clock", board, "--watch", "--period", "0.1"]
