@@ -7,6 +7,7 @@ wave of its own, so that a plot tells them apart.
 
 import math
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -33,8 +34,7 @@ class VirtualBoard(Device):
 
     Args:
         transducers: a transds.def, or what `load_transds` returns.
-        properties: as of `Device`.
-        trace: as of `Device`.
+        properties, clock, trace: as of `Device`.
 
     Raises:
         SignatureError: the transds.def is wrong.
@@ -46,11 +46,12 @@ class VirtualBoard(Device):
         transducers: str | Path | Descriptors,
         properties: Mapping[str, str] | None = None,
         *,
+        clock: float | None = None,
         trace: Trace | None = None,
     ) -> None:
         known = transducers if isinstance(transducers, Descriptors) else load_transds(transducers)
         given = {"name": "J2A virtual board", **(properties or {})}
-        super().__init__(given, transducers=known, trace=trace)
+        super().__init__(given, transducers=known, clock=clock, trace=trace)
         self._sensors = [one for one in known.transducers if one.is_sensor]
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
@@ -69,11 +70,12 @@ class VirtualBoard(Device):
         self._ended.set()
         super().stop()
 
-    def _now_s(self) -> float:
-        return self._transducers().now_us() / _US
+    @staticmethod
+    def _now_s() -> float:
+        return time.monotonic()  # the clock of the device may be set meanwhile
 
     def _work(self) -> None:
-        due = dict.fromkeys(range(len(self._sensors)), 0.0)
+        due = dict.fromkeys(range(len(self._sensors)), self._now_s())
         while self._sensors:
             number = min(due, key=lambda one: due[one])
             if self._ended.wait(max(0.0, due[number] - self._now_s())):

@@ -24,6 +24,7 @@ from j2a.cli._link import (
     add_verbose_argument,
     check_listen_url,
     conditions_of,
+    finite_number,
     seconds,
     takes_stdio,
     whole_number,
@@ -62,6 +63,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the property serial of the board of a transds.def, by which fleets tell boards apart",
     )
     parser.add_argument(
+        "--clock",
+        type=finite_number,
+        metavar="PPM",
+        help="give the demo or the board of a transds.def a clock that hosts discipline, whose "
+        "crystal is off by so many ppm, such as 0 or -40.5",
+    )
+    parser.add_argument(
         "--max-hosts",
         type=whole_number(1),
         metavar="N",
@@ -84,11 +92,15 @@ def run(args: argparse.Namespace) -> int:
     """Serve until the end; returns the exit code."""
     check_listen_url(args.listen)
     if args.transds is not None:
-        device: j2a.Device = virtual_board(args.transds, conditions_of(args), args.serial)
+        device: j2a.Device = virtual_board(
+            args.transds, conditions_of(args), args.serial, args.clock
+        )
     else:
         if args.define or args.undefine or args.serial is not None:
             raise UsageError("-D, -U and --serial are for --transds")
-        device = _demo() if args.device is None else load_device(args.device)
+        if args.clock is not None and args.device is not None:
+            raise UsageError("a device of yours has its clock by j2a.Device(clock=...)")
+        device = _demo(args.clock) if args.device is None else load_device(args.device)
     if args.verbose:
         # A Device takes its trace when it is made, which was before the command line was read.
         device.trace = TracePrinter(raw=args.verbose > 1, is_device=True)
@@ -142,7 +154,10 @@ def load_device(name: str) -> j2a.Device:
 
 
 def virtual_board(
-    path: str, options: Mapping[str, str | None], serial: str | None = None
+    path: str,
+    options: Mapping[str, str | None],
+    serial: str | None = None,
+    clock: float | None = None,
 ) -> j2a.Device:
     """Return a device with the transducers of a transds.def, which measures."""
     from j2a.virtual import VirtualBoard  # noqa: PLC0415 - only needed for this option
@@ -150,12 +165,13 @@ def virtual_board(
     descriptors, _ = read_transds_argument(path, options)
     if not descriptors.transducers:
         note(f"j2a: {path} lists no transducers")
-    board = VirtualBoard(descriptors, {} if serial is None else {"serial": serial})
+    properties = {} if serial is None else {"serial": serial}
+    board = VirtualBoard(descriptors, properties, clock=clock)
     board.measure()
     return board
 
 
-def _demo() -> j2a.Device:
+def _demo(clock: float | None = None) -> j2a.Device:
     from j2a.demo import DemoDevice  # noqa: PLC0415 - only needed without --device
 
-    return DemoDevice()
+    return DemoDevice(clock=clock)

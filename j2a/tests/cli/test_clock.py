@@ -10,6 +10,7 @@ from j2a_spec import constants as c
 
 import j2a
 from j2a.cli._clock import offset_text, time_text
+from j2a.cli._serve import virtual_board
 from j2a.tests.library.clocked import ClockedDevice
 
 from .conftest import WAIT_S, served
@@ -97,6 +98,21 @@ def test_a_board_that_answers_nonsense_is_told_once(run, word, answer):
         result = run("clock", url, word, "--period", "0.2", "--seconds", "1")
         assert (result.code, result.out.count("\n")) == (5, 1)  # the head of the table
         assert result.err.count("no exchange has succeeded yet") == 1
+
+
+def test_a_virtual_board_has_a_clock_and_measures_on_when_it_is_set(tmp_path):
+    """The first adjustment moves its clock by decades, and its waves must not wait for that."""
+    path = tmp_path / "transds.def"
+    path.write_text("SENSOR(a, 0, a, X, 1, u8, none, (period, 10000))\n")
+    for url in served(virtual_board(str(path), {}, clock=40.0)):
+        with j2a.connect(url, timeout=WAIT_S) as client:
+            sensor = client.transducers["a"]
+            sensor.wait(WAIT_S)
+            reading = client.clock.sync(2)
+            assert (reading.can_be_set, reading.epoch) == (True, 1)
+            before = sensor.time_us()
+            samples = [sensor.wait(WAIT_S) for _ in range(20)]
+            assert samples[-1].time_us > before - 1_000_000
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
