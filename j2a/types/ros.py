@@ -146,6 +146,7 @@ def _constants(types: list[Type], taken: set[str]) -> Iterator[str]:
 def _plain(name: str) -> str:
     """Return a name that begins with a letter, and that C++ and Python do not reserve."""
     made = name if name[0].isalpha() else f"x{name}"
+    made = re.sub(r"__+", "_", made).rstrip("_")  # which not all tools of ROS take
     return f"x_{made}" if is_reserved(made) else made
 
 

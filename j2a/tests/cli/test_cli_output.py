@@ -115,6 +115,7 @@ def test_numbers_that_are_not_finite(run, demo, kind, number, text):
         (["echo", "DEMO", "--size", "999"], 2, "UsageError", None),
         (["clock", "DEMO"], 2, "NoClock", "not_sent"),
         (["sync", "status"], 3, "CommandFailed", None),
+        (["fleet", "--connect", "tcp/127.0.0.1:1"], 3, "CommandFailed", None),
         (["list", "--nonsense"], 2, "UsageError", None),
         (["transds", "DEMO"], 5, "CommandFailed", None),
         (["transds", "nowhere.def"], 2, "UsageError", None),
