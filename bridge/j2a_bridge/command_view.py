@@ -81,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
         def tell(bridge: Bridge) -> None:
             sink = bridge.runners[0].sink
             assert isinstance(sink, WebSink)
-            if bridge.runners[0].problem:
+            if bridge.runners[0].problem:  # such as a port that is taken
+                bridge.stop()
                 return
             url = sink.server.url
             show(url, flush=True)

@@ -1,0 +1,54 @@
+"""A board that is unplugged and plugged in again and again, beside others."""
+
+import asyncio
+import gc
+import os
+import threading
+
+from .support import board_of, bridging, config_for, free_port, served, until
+
+TIMES = 100
+
+
+def descriptors():
+    return len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - a folder that changes
+
+
+def test_topics_come_back_the_others_have_no_gap_and_nothing_grows(kept):
+    text = "SENSOR(s, 0, s, M, 1, u32, none)\n"
+    counts = []
+
+    async def work():
+        port = free_port()
+        steady = board_of(text, name="steady"), board_of(text, name="calm")
+        with served(steady[0]) as one, served(steady[1]) as other:
+            urls = one, other, f"tcp://127.0.0.1:{port}"
+            async with bridging(config_for(*urls, names="board"), boot_time=0.05) as bridge:
+                await until(lambda: {"steady/s", "calm/s"} <= set(bridge._flows))
+                sent = 0
+                for number in range(TIMES):
+                    moving = board_of(text, name="moving", serial="M")
+                    with served(moving, port):
+                        await until(lambda: "moving/s" in bridge._flows)
+                        for device in (*steady, moving):
+                            device.sense("s", 0, number)
+                        sent += 1
+                        await until(lambda count=sent: len(values("steady/s")) >= count)
+                        await until(lambda count=sent: len(values("calm/s")) >= count)
+                        await until(lambda count=sent: len(values("moving/s")) >= count)
+                    await until(lambda: "moving/s" not in bridge._flows)
+                    if number in (TIMES // 2, TIMES - 1):
+                        gc.collect()
+                        counts.append((descriptors(), threading.active_count()))
+
+    def values(topic):
+        return [
+            one.sample.readings[0].raw for one in list(kept[0].updates) if one.topic.name == topic
+        ]
+
+    asyncio.run(work())
+    for topic in ("steady/s", "calm/s", "moving/s"):
+        assert values(topic) == list(range(TIMES))
+    (files, threads), (files_then, threads_then) = counts
+    assert files_then <= files + 2
+    assert threads_then <= threads + 2

@@ -1,0 +1,108 @@
+"""`j2a view`, as a user runs it."""
+
+import asyncio
+import json
+import signal
+import subprocess
+import sys
+
+import aiohttp
+import pytest
+
+from j2a.recording import Recorder
+
+from .support import PATIENCE_S, board_of, bridging, config_for, served, until
+
+
+def view(*words):
+    return subprocess.Popen(
+        [sys.executable, "-m", "j2a", "view", "--no-browser", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+async def first_of(url, op, is_right):
+    async with aiohttp.ClientSession() as session:
+        origin = "/".join(url.split("/")[:3])
+        async with session.ws_connect(url + "ws", headers={"Origin": origin}) as page:
+            while True:
+                about = json.loads((await page.receive(timeout=PATIENCE_S)).data)
+                if about["op"] == op and is_right(about):
+                    return about
+
+
+def test_it_prints_the_address_of_the_page_and_ends_by_ctrl_c():
+    device = board_of()
+    with served(device) as url:
+        process = view(url)
+        page = process.stdout.readline().strip()
+        assert page.startswith("http://127.0.0.1:")
+        topics = asyncio.run(first_of(page, "topics", lambda about: len(about["topics"]) == 3))
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert "servo" in topics["topics"]
+    assert process.returncode == 130
+    assert "Traceback" not in err
+
+
+def test_a_recording_is_played(tmp_path):
+    path = tmp_path / "drive.mcap"
+
+    async def record():
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url, sinks=(f"mcap:{path}", "kept"))) as bridge:
+                await until(lambda: "quad" in bridge._flows)
+                for value in range(20):
+                    device.sense("quad", 0, value, raw=True)
+                    await until(lambda count=value: bridge.runners[0].published > count)
+
+    asyncio.run(record())
+    process = view(path)
+    page = process.stdout.readline().strip()
+    data = asyncio.run(first_of(page, "data", lambda about: "quad" in about["d"]))
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert data["d"]["quad"]["v"][0].endswith(" deg")
+    assert process.returncode == 143
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "name a board or a recording"),
+        (("missing.mcap",), "missing.mcap"),
+        (("tcp://127.0.0.1:1", "--folder", "/nowhere/at/all"), "there is no folder"),
+        (("tcp://127.0.0.1:1", "--port", "70000"), "70000"),
+        (("nonsense://x",), "nonsense"),
+    ],
+)
+def test_what_is_wrong_is_told(words, told):
+    process = view(*words)
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2, err
+    assert told in err
+    assert "Traceback" not in out + err
+
+
+def test_an_empty_recording_is_told(tmp_path):
+    path = tmp_path / "empty.mcap"
+    with Recorder(path):
+        pass
+    process = view(path)
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2
+    assert "has no boards" in err
+
+
+def test_a_port_that_is_taken_is_told():
+    device = board_of()
+    with served(device) as url:
+        port = url.rsplit(":", 1)[1]
+        process = view(url, "--port", port)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert "cannot be served" in err
