@@ -28,6 +28,8 @@ __all__ = ["Bridge"]
 
 _EARLY: Final = 1024
 """So many samples of a board wait until its topics are known."""
+_MAX_BOARDS: Final = 1000
+_OPEN_S: Final = 30.0
 _EACH_S: Final = 1.0
 _CLOCK_S: Final = 0.1
 _US: Final = 1_000_000
@@ -143,7 +145,7 @@ class Bridge:
             for runner in self.runners:
                 runner.start()
             for runner in self.runners:
-                await asyncio.to_thread(runner.opened.wait)
+                await asyncio.to_thread(runner.opened.wait, _OPEN_S)
             on_open()
             options = {"identify": self._identify, **self._options}
             async with j2a.AsyncFleet(usb=self._config.usb, **options) as fleet:
@@ -206,6 +208,7 @@ class Bridge:
         try:
             properties = await client.properties()
             if board is None:
+                self._forget_boards()
                 name = self._names.board(identity, url, properties)
                 board = self._boards[identity] = _Board(name, url, self._wanted(identity, url))
             board.client, board.url = client, url
@@ -216,6 +219,13 @@ class Bridge:
             _logger.warning("%s: %s", url, error)
             if board is not None:
                 board.problem = str(error)
+
+    def _forget_boards(self) -> None:
+        """Forget the boards that went first, where there have been very many."""
+        gone = [key for key, one in self._boards.items() if one.client is None]
+        for identity in gone[: max(0, len(self._boards) - _MAX_BOARDS)]:
+            del self._boards[identity]
+            self._names.forget_board(identity)
 
     def _wanted(self, identity: str, url: str) -> BoardConfig:
         found = [one for one in self._config.boards if one.identity == identity]
@@ -291,6 +301,8 @@ class Bridge:
         for name, flow in before.items():
             if flows.get(name) is not flow:
                 self._retract(flow)
+            if name not in flows:
+                self._names.forget(board.name, name)
         for name, flow in flows.items():
             if before.get(name) is not flow:
                 self._announce(flow)

@@ -101,6 +101,16 @@ class Names:
         self._topics[name] = owner
         return name
 
+    def forget(self, board: str, transducer: str) -> None:
+        """Let the topic of a transducer that its board has no more be free."""
+        owner = board, transducer
+        self._topics = {one: who for one, who in self._topics.items() if who != owner}
+
+    def forget_board(self, identity: str) -> None:
+        """Let the name of a board be free, with those of all its topics."""
+        name = self._boards.pop(identity, None)
+        self._topics = {one: who for one, who in self._topics.items() if who[0] != name}
+
 
 def _free(name: str, taken: object) -> str:
     made, number = name, 1

@@ -71,6 +71,19 @@ class TestTopics:
                 await announced(kept[0], "robot/quad", "robot_0001/quad")
 
     @in_event_loop
+    async def test_very_many_boards_are_not_remembered_for_ever(self, kept, monkeypatch):
+        monkeypatch.setattr("j2a_bridge.bridge._MAX_BOARDS", 3)
+        port = free_port()
+        async with bridging(config_for(f"tcp://127.0.0.1:{port}", names="board")) as bridge:
+            for number in range(8):
+                with served(board_of(serial=f"S{number}"), port):
+                    await until(lambda: bridge._flows)
+                await until(lambda: not bridge._flows)
+            assert len(bridge._boards) <= 4
+            assert len(bridge._names._boards) <= 4
+            assert len(bridge._names._topics) <= 4 * 3
+
+    @in_event_loop
     async def test_a_board_keeps_its_name_wherever_it_is_plugged_in(self, kept):
         ports = free_port(), free_port()
         urls = [f"tcp://127.0.0.1:{port}" for port in ports]
