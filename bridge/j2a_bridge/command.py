@@ -57,7 +57,7 @@ examples:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
-    parser.add_argument("urls", metavar="URL", nargs="*", help="a board, such as usb:")
+    parser.add_argument("urls", metavar="URL", nargs="*", help="a board, such as usb://")
     parser.add_argument(
         "--sink",
         action="append",
