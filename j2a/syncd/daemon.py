@@ -19,6 +19,7 @@ import j2a_transports
 
 import j2a
 from j2a.io.threads import JOIN_S, join_threads, start_thread
+from j2a.protocol.clock.reference import ReferenceClock
 from j2a.syncd.history import History
 from j2a.syncd.sync_board import SyncBoard
 from j2a.syncd.url_boards import LinkBoards
@@ -66,6 +67,7 @@ class Daemon:
         self._history = History()
         self._boards: dict[tuple[int, int, str], SyncBoard] = {}
         self._buses: dict[str, Bus] = {}
+        self._clock = ReferenceClock()
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._is_stopped = False
@@ -78,6 +80,7 @@ class Daemon:
         try:
             while not self._is_stopped:
                 self._wake.clear()
+                self.observe(time.monotonic_ns() / 1000, time.time_ns() // 1000)
                 self._look()
                 self._links.look()
                 self._wake.wait(_LOOK_S)
@@ -89,6 +92,17 @@ class Daemon:
             for one in boards:
                 one.stop()
             join_threads([one.thread for one in boards], JOIN_S)
+
+    def observe(self, counter_us: float, unix_us: int) -> None:
+        """Note that the clock of this computer was set, which boards are told at once.
+
+        Args:
+            counter_us: the steady counter of this computer.
+            unix_us: the time that people and NTP set.
+        """
+        if self._clock.observe(counter_us, unix_us):
+            by_s = self._clock.last_step_us / 1e6
+            _logger.warning("the clock of this computer was set by %+.6f s", by_s)
 
     def stop(self) -> None:
         """End `run`; may be called from a signal handler."""
@@ -111,12 +125,11 @@ class Daemon:
         """Return what `j2a sync status --json` prints."""
         with self._lock:
             boards = [one.facts() for one in self._boards.values()]
-            steps = sum(one.steps for one in self._buses.values())
         links = self._links.facts()
         return {
             "pid": os.getpid(),
             "uptime_s": round(time.monotonic() - self._began_s),
-            "steps": steps,
+            "steps": self._clock.steps,
             "problem": self._problem,
             "boards": boards + links,
         }

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import j2a_transports
 
+from j2a.io.handlers import is_told
 from j2a.io.threads import start_thread
 from j2a.protocol.clock import LOOK_S
 from j2a.syncd.usb_bus import Bus
@@ -117,6 +118,8 @@ class SyncBoard:
         except j2a_transports.WriteTimeout as error:
             self._lost += 1
             self.problem = str(error)
+            if is_told(self._lost):
+                _logger.warning("%s: %d packets were lost so far: %s", self.name, self._lost, error)
         else:
             self._packets += 1
             self.problem = None

@@ -43,9 +43,6 @@ class Bus:
         name: of what the frames come from, such as "usb bus 1".
         interval_s: between two rounds.
         history: gets a record of each round.
-
-    Attributes:
-        steps: how often the clock of the host was set.
     """
 
     def __init__(self, name: str, interval_s: float, history: History) -> None:
@@ -60,11 +57,6 @@ class Bus:
         self._number = 0
         self._is_extra = False
         self._offset_us = 0.0
-
-    @property
-    def steps(self) -> int:
-        """How often the clock of the host was set since the first packet."""
-        return self._reference.steps
 
     def now_us(self) -> float:
         """Return the host's counter, in microseconds."""

@@ -183,12 +183,13 @@ def test_a_board_that_hangs_delays_no_other(running):
     stuck.wait_for(1)
 
 
-def test_a_board_that_takes_no_packet_is_counted_and_tried_again(running):
+def test_a_board_that_takes_no_packet_is_counted_and_tried_again(running, caplog):
     port = FakePort(FakeBus())
     one = running([port])
     port.wait_for(1)
     port.send = lambda *packet: (_ for _ in ()).throw(j2a_transports.WriteTimeout("takes none"))
     until(lambda: one.status()["boards"][0]["lost"] >= 2)
+    assert "packets were lost so far: takes none" in caplog.text
     assert one.status()["boards"][0]["problem"] == "takes none"
 
 
@@ -204,6 +205,17 @@ def test_boards_come_and_go(running):
     ports.remove(first)
     until(lambda: len(one.status()["boards"]) == 1)
     assert (first.opened, first.closed) == (1, 1)
+
+
+@pytest.mark.parametrize("by_us", [3_600_000_000, -3_600_000_000, 250_000])
+def test_each_step_of_the_clock_of_this_computer_is_told_once(caplog, by_us):
+    one = Daemon(interval_s=1.0, ports=None)
+    for number in range(10):
+        moved = by_us if number >= 5 else 0
+        one.observe(number * 1e6, 1_700_000_000_000_000 + number * 1_000_000 + moved)
+    assert one.status()["steps"] == 1
+    told = [record.message for record in caplog.records if "was set by" in record.message]
+    assert told == [f"the clock of this computer was set by {by_us / 1e6:+.6f} s"]
 
 
 def test_a_lost_board_is_opened_anew_when_it_is_there(running):
