@@ -143,6 +143,8 @@ def _serve(args: argparse.Namespace, daemon: Daemon, server: Server, user: _User
             _become(user)
         server.start()
         _logger.info("runs, socket %s", server.path)
+        if not args.daemon and not args.verbose and sys.stderr.isatty():
+            note("j2a: syncd runs until Ctrl-C; in another terminal: j2a sync status")
         daemon.run()
     return INTERRUPTED if ended_by[:1] == [signal.SIGINT] else OK
 
