@@ -15,7 +15,7 @@ from j2a.types.transducers import Descriptors, Transducer
 
 __all__ = ["Names", "Topic", "plain_name"]
 
-_NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
+_BETWEEN: Final = re.compile(r"[^A-Za-z0-9]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +40,9 @@ class Topic:
 
 
 def plain_name(text: str) -> str:
-    """Return a name of letters, digits and "_" that begins with no digit."""
-    name = _NOT_IN_NAMES.sub("_", text).strip("_")
-    if not name:
-        return "_"
-    return f"_{name}" if name[0].isdigit() else name
+    """Return a name that ROS 1, ROS 2 and brokers take: letters and digits with one "_" between."""
+    name = _BETWEEN.sub("_", text).strip("_")
+    return name if name[:1].isalpha() else f"x{name}"
 
 
 class Names:

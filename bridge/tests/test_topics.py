@@ -1,0 +1,68 @@
+"""Names of boards and topics."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from j2a_bridge.topics import Names, plain_name
+
+from j2a.types.transds_file import read_transds
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*")
+
+
+@given(st.text())
+def test_each_name_is_one_for_ros(text):
+    assert NAME.fullmatch(plain_name(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("quad", "quad"),
+        ("right one", "right_one"),
+        ("a__b_", "a_b"),
+        ("5 V", "x5_V"),
+        ("", "x"),
+        ("_", "x"),
+        ("\u00e4rger", "rger"),
+    ],
+)
+def test_names_stay_near_to_what_they_were(text, name):
+    assert plain_name(text) == name
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["a", "b", "a_2"]), st.sampled_from(["x", "x/y", "/", "x_2"])),
+        unique=True,
+        max_size=12,
+    ),
+    st.booleans(),
+)
+def test_no_two_share_a_topic_and_each_keeps_its_own(pairs, with_board):
+    names = Names(with_board=with_board)
+    transducers = {
+        topic: read_transds(f"SENSOR(s{at}, {at}, s, M, 1, u8, none)").transducers[0]
+        for at, topic in enumerate(("x", "x/y", "/", "x_2"))
+    }
+    found = {
+        (board, topic): names.topic(board, transducers[topic], topic) for board, topic in pairs
+    }
+    assert len(set(found.values())) == len(pairs)
+    for (board, topic), name in found.items():
+        assert names.topic(board, transducers[topic], topic) == name
+        for part in name.split("/"):
+            assert NAME.fullmatch(part)
+
+
+def test_a_board_that_is_here_again_has_its_name():
+    names = Names(with_board=True, boards={"B7": "left"})
+    assert names.board("A3", "u1", {"name": "arm"}) == "arm"
+    assert names.board("A4", "u2", {"name": "arm", "serial": "A4"}) == "arm_A4"
+    assert names.board("A5", "u3", {"name": "arm"}) == "arm_2"
+    assert names.board("B7", "u4", {"name": "arm"}) == "left"
+    assert names.board("A4", "u9", {"name": "other"}) == "arm_A4"
+    names.forget_board("A3")
+    assert names.board("A6", "u5", {"name": "arm"}) == "arm"
