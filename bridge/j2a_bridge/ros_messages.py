@@ -14,9 +14,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
 from j2a import LocalError
 from j2a.types.arrays import Batch
 from j2a.types.model import Structure
@@ -31,6 +28,12 @@ from j2a.types.transducers import (
 from j2a_bridge.quantities import Quantity, quantity_of
 from j2a_bridge.sink import Status, Update
 from j2a_bridge.topics import Topic
+
+try:
+    import numpy as np
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+except ImportError:
+    raise LocalError('messages of ROS need rosbags: pip install "j2a[ros]"') from None
 
 __all__ = ["DISTROS", "Message", "RosMessages"]
 

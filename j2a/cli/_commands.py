@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Final, Protocol, cast
 
 from j2a.cli._exit import UsageError
+from j2a.errors import LocalError
 
 __all__ = ["BUILT_IN", "ENTRY_POINT_GROUP", "Command", "load", "names", "summaries"]
 
@@ -87,6 +88,8 @@ def load(name: str) -> tuple[Command, str] | None:
     try:
         module = point.load()
         return module, module.SUMMARY
+    except LocalError as error:  # says what to install
+        raise UsageError(f"the command {name!r} does not load: {error}") from None
     except Exception as error:
         package = point.dist.name if point.dist else point.value
         raise UsageError(

@@ -15,8 +15,6 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
-import numpy as np
-
 import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
@@ -181,6 +179,8 @@ class Ros2Sink(Sink):
 
     def _tell_graph(self) -> None:
         """Tell which writers and readers the node has, as the tools of ROS 2 expect it."""
+        import numpy as np  # noqa: PLC0415 - ros_messages tells where it is missing
+
         types = self._ros.store.types
         gid = types["rmw_dds_common/msg/Gid"]
 
