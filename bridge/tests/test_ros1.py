@@ -148,7 +148,7 @@ def test_samples_are_messages_of_the_thesis_and_standard_ones(peer):
                 assert not bridge.runners[0].problem
                 peer.tell("subscribe", "/quad", "the_missing_link/quad", QUAD)
                 before = time.time_ns()
-                message = await heard(peer, device, lambda: device.sense("quad", 0, 45.5), "/quad")
+                message = await heard(peer, device, lambda: device.sense("quad", 0, 90), "/quad")
                 joints = "sensor_msgs/JointState"
                 peer.tell("subscribe", "/quad/joints", joints, text_of(joints))
                 joint = await heard(
@@ -157,7 +157,7 @@ def test_samples_are_messages_of_the_thesis_and_standard_ones(peer):
                 diagnostics = "diagnostic_msgs/DiagnosticArray"
                 peer.tell("subscribe", "/diagnostics", diagnostics, text_of(diagnostics))
                 found = await heard(peer, device, lambda: None, "/diagnostics")
-        assert message["values"] == [91, 0]
+        assert message["values"] == [180, 0]
         assert message["times"][1] == 0
         assert before - 2 * 10**9 < message["times"][0] < time.time_ns() + 2 * 10**9
         assert joint["position"] == [pytest.approx(1.5708, abs=1e-4)]

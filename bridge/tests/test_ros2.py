@@ -120,7 +120,7 @@ def test_samples_reach_fast_dds_and_its_messages_actuators(program, domain, capl
                 peer.tell("sub", "rt/quad", "j2a_msgs::msg::dds_::Quad_", "best")
                 [data] = await first(
                     device,
-                    lambda: device.sense("quad", 1, 45.5),
+                    lambda: device.sense("quad", 1, 90),
                     lambda: peer.next("got", "rt/quad"),
                 )
                 joint = "sensor_msgs::msg::dds_::JointState_"
@@ -168,7 +168,7 @@ def test_samples_reach_fast_dds_and_its_messages_actuators(program, domain, capl
 
     data, joints, told = asyncio.run(work())
     message = store.deserialize_cdr(bytes.fromhex(data), "j2a_msgs/msg/Quad")
-    assert message.values.tolist() == [0, 91]
+    assert message.values.tolist() == [0, 180]
     joint = store.deserialize_cdr(bytes.fromhex(joints), "sensor_msgs/msg/JointState")
     assert joint.position.tolist() == [pytest.approx(1.5708, abs=1e-4)]
     kind = "diagnostic_msgs/msg/DiagnosticArray"
