@@ -127,12 +127,12 @@ def test_infrared_and_encoders_beside_them(board):
     volts = (2.30, 1.30, 0.74, 0.0)
     for channel, value in enumerate(volts):
         board.sim.adc.set_volts(channel, value)
-    at = board.sim.cycle + 40_000
+    at = board.sim.cycle + board.sim.cycles(0.5)  # the reader of the client lets time pass, too
     for step in range(300):
         wire = step % 2
         pin = CHIPS["atmega328p"].encoders[wire]
         board.sim.pins.drive(pin, FORWARD[step % 4][wire], at + 4000 * step)
-    board.run()
+    board.run(1.0)
     assert [one.value for one in board.client.transducers["quad"].read()] == [300, None]
     found = [one.value for one in board.client.transducers["dist_ir"].read()]
     assert found[:3] == [pytest.approx(mm, rel=0.04) for mm in (100, 200, 400)]

@@ -237,7 +237,8 @@ class Codec:
 
 def tuple_class(name: str, fields: Sequence[Field]) -> type[Any]:
     """Return a named tuple for fields."""
-    return namedtuple(name, python_names([field.name for field in fields]))
+    [own] = python_names([name])
+    return namedtuple(own, python_names([field.name for field in fields]))
 
 
 def python_names(names: Iterable[str]) -> list[str]:

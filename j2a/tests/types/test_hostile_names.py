@@ -14,11 +14,19 @@ import j2a
 from j2a.errors import LocalError
 from j2a.recording import topic_of
 from j2a.types.arrays import Batch
-from j2a.types.coding import PythonTypes
+from j2a.types.coding import PythonTypes, tuple_class
 from j2a.types.datasheet import data_sheets
 from j2a.types.descriptors import parse_descriptors
 from j2a.types.header import c_header
-from j2a.types.model import Described, Enumeration, Interface, Structure, integer_range
+from j2a.types.model import (
+    Described,
+    Enumeration,
+    Field,
+    Interface,
+    Structure,
+    Type,
+    integer_range,
+)
 from j2a.types.ros import ros1_package, ros2_definition, ros2_package
 from j2a.types.samples import SampleCodec
 from j2a.types.transds_file import read_transds, transds_text
@@ -221,3 +229,9 @@ def test_topics_are_such(board, topic):
 @given(descriptors())
 def test_a_board_that_says_so_is_understood_the_same(board):
     assert str(parse_descriptors(str(board))) == str(board)
+
+
+@pytest.mark.parametrize("name", ["class", "None", "import", "lambda"])
+def test_a_structure_whose_name_python_reserves_has_a_class(name):
+    kind = tuple_class(name, [Field(name, Type("u8"))])
+    assert (kind.__name__, kind(5)[0]) == (f"{name}_", 5)
