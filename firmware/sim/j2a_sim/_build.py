@@ -53,7 +53,7 @@ _PACKAGES = "on Debian and Ubuntu: apt install gcc libc6-dev libsimavr-dev"
 
 
 def cache_directory() -> Path:
-    """The folder that keeps the compiled library: `$XDG_CACHE_HOME/j2a`, or `~/.cache/j2a`."""
+    """The folder that keeps what was compiled: `$XDG_CACHE_HOME/j2a`, or `~/.cache/j2a`."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "j2a"
 
@@ -88,7 +88,8 @@ def _header_stamp(flags: list[str]) -> str:
     return "".join(stamps)
 
 
-def _not_writable(folder: Path, error: OSError) -> SimError:
+def not_writable(folder: Path, error: OSError) -> SimError:
+    """What to say when a folder of the cache cannot be written to."""
     return SimError(f"cannot write to {folder}: {error.strerror}; set XDG_CACHE_HOME")
 
 
@@ -131,7 +132,7 @@ def build() -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         workplace = tempfile.TemporaryDirectory(prefix="build-", dir=target.parent)
     except OSError as error:
-        raise _not_writable(target.parent, error) from None
+        raise not_writable(target.parent, error) from None
     with workplace as folder:
         made = Path(folder) / target.name
         modules = [str(path) for path in sources if path.suffix == ".c"]
@@ -150,7 +151,7 @@ def build() -> Path:
             made.write_bytes(_sealed(made.read_bytes()))
             made.replace(target)
         except OSError as error:
-            raise _not_writable(target.parent, error) from None
+            raise not_writable(target.parent, error) from None
     return target
 
 

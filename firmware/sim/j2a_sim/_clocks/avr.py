@@ -16,7 +16,6 @@ import numpy as np
 from numpy.random import Generator
 
 from j2a_sim._avr import AvrSim, chip_serial
-from j2a_sim._build import cache_directory
 from j2a_sim._clocks.delays import BAUD
 from j2a_sim._clocks.frames import BoardFrames
 from j2a_sim._clocks.memory import ClockMemory
@@ -38,10 +37,9 @@ LATEST_START_S: Final = 0.2
 
 
 def build_firmware(link: str) -> Path:
-    """Build the firmware of a board with the clock; make does nothing when it is up to date."""
+    """Build the firmware of a board with the clock."""
     port, mcu = CHIPS[link]
-    folder = cache_directory() / f"clocks-{mcu}"
-    make(folder, f"PORT={port}", f"MCU={mcu}", "APP=builtins", "OPTIONS=-DJ2A_WITH_SYNC=1")
+    folder = make(mcu, f"PORT={port}", f"MCU={mcu}", "APP=builtins", "OPTIONS=-DJ2A_WITH_SYNC=1")
     return folder / "builtins.elf"
 
 

@@ -9,6 +9,8 @@ interrupts and the main loop are is drawn from what the AVR engine has measured.
 from __future__ import annotations
 
 import ctypes
+import fcntl
+import hashlib
 import os
 import shutil
 import subprocess
@@ -23,7 +25,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from j2a_sim import _prototypes
-from j2a_sim._build import cache_directory
+from j2a_sim._build import cache_directory, not_writable
 from j2a_sim._clocks.delays import BOARD_BYTE_S, HOST_BYTE_S, Delay, board_delay, rfcomm, tcp
 from j2a_sim._clocks.frames import BoardFrames
 from j2a_sim._clocks.report import UNKNOWN, Readings
@@ -52,8 +54,18 @@ def firmware_folder() -> Path:
     return folder
 
 
-def make(folder: Path, *arguments: str) -> None:
-    """Build firmware into a folder.
+def make(name: str, *arguments: str) -> Path:
+    """Build firmware into a folder of the cache; make does nothing when it is up to date.
+
+    Each checkout has folders of its own, and one process at a time builds in one: two at once would
+    read what the other has half written.
+
+    Args:
+        name: of the folder.
+        arguments: of make.
+
+    Returns:
+        The folder.
 
     Raises:
         ToolMissing: no make.
@@ -61,20 +73,30 @@ def make(folder: Path, *arguments: str) -> None:
     """
     if shutil.which("make") is None:
         raise ToolMissing("no make to build the firmware; on Debian and Ubuntu: apt install make")
-    command = ["make", "-s", "-C", str(firmware_folder()), f"OUT={folder}"]
+    sources = firmware_folder()
+    of = hashlib.sha256(os.fsencode(sources)).hexdigest()[:12]
+    folder = cache_directory() / f"clocks-{of}" / name
+    command = ["make", "-s", "-C", str(sources), f"OUT={folder}"]
     command += [f"PYTHON={sys.executable}", *arguments]
-    kept = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
-    result = subprocess.run(command, capture_output=True, text=True, check=False, env=kept)
+    kept = {key: value for key, value in os.environ.items() if key != "MAKEFLAGS"}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / "lock").open("w")
+    except OSError as error:
+        raise not_writable(folder, error) from None
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        result = subprocess.run(command, capture_output=True, text=True, check=False, env=kept)
     if result.returncode:
         raise SimError(f"cannot build the firmware:\n{result.stderr.strip()}")
+    return folder
 
 
 def build_board(link: str) -> Path:
-    """Build the library of a board; make does nothing when it is up to date."""
+    """Build the library of a board."""
     frames = int(link == "usb")
-    folder = cache_directory() / f"clocks-{frames}"
     port = (f"PORT_DIR={_HERE / 'board'}", f"FRAMES={frames}")
-    make(folder, *port, "APP=builtins", "OPTIONS=-DJ2A_WITH_SYNC=1")
+    folder = make(f"native-{frames}", *port, "APP=builtins", "OPTIONS=-DJ2A_WITH_SYNC=1")
     return folder / "builtins.so"
 
 
