@@ -64,5 +64,5 @@ def test_a_cache_that_cannot_be_written_to_is_told(fake_make, monkeypatch, tmp_p
     fake_make("#!/bin/sh\n")
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    with pytest.raises(SimError, match="cannot write to .*; set XDG_CACHE_HOME"):
+    with pytest.raises(SimError, match=r"cannot write to .*; set XDG_CACHE_HOME"):
         native.make("board")
