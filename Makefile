@@ -23,7 +23,7 @@ demo-servo: $(INSTALLED)  ## an encoder turns a servo through the host, in the A
 	@sh tools/system.sh demo
 	@$(BIN)/python tools/demo_servo.py
 
-demo-robot: $(INSTALLED)  ## two simulated boards in ROS 1 and on a live page (needs rospy, chromium, npm)
+demo-robot: $(INSTALLED)  ## two simulated boards in ROS 1, in ROS 2 and on a live page (needs rospy, chromium, npm)
 	@sh tools/system.sh test
 	@sh tools/page.sh
 	@$(BIN)/python tools/demo_robot.py

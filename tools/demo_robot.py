@@ -1,10 +1,10 @@
-"""`make demo-robot`: two simulated boards, their samples in ROS 1 and on a live page.
+"""`make demo-robot`: two simulated boards in ROS 1, in ROS 2 and on a live page.
 
 One board is an ATmega328P with the encoders and servos of the thesis' chapter 9; edges at its pins
 turn an encoder. The other one is an ATmega32U4 on USB with the sensors of a robot (table 5.1).
 `j2a bridge` opens both, keeps their clocks and publishes them; a node of ROS 1 that knows nothing
-of J2A prints samples as listing 9.8 does, and commands the servo; a browser looks at the page and
-moves the slider.
+of J2A prints samples as listing 9.8 does, and commands the servo; so does a node of ROS 2; a
+browser looks at the page and moves the slider.
 
 What flows in: firmware. What flows out: what was seen, the picture build/demo-robot.png, and exit
 status 0 when the pulses at the servo's pin were what ROS and the page had set. Rule: simulated time
@@ -21,11 +21,19 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
+import cyclonedds.idl.types as idl_types
 import j2a_transports
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.pub import DataWriter
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
 from demo_servo import MIDDLE_US, TICK_US, US_PER_PERCENT, _drive, turns
 from j2a_bridge.browser import Page, browser
 from j2a_sim import AvrSim, SimLink, pulses
@@ -60,6 +68,44 @@ while orders.get_num_connections() == 0:
 for line in sys.stdin:
     orders.publish(servo(values=[int(line), 0]))
 """
+
+
+LOOPBACK: Final = """\
+<General>
+  <Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>
+  <AllowMulticast>false</AllowMulticast>
+</General>
+<Discovery>
+  <ParticipantIndex>auto</ParticipantIndex>
+  <Peers><Peer address="127.0.0.1"/></Peers>
+</Discovery>"""
+"""How two programs on one computer find each other in DDS without a network."""
+
+
+# What `ros2 topic pub /shafts/servo/cmd std_msgs/msg/Float64MultiArray` would send.
+@dataclass
+class Dimension(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayDimension_"):
+    """A dimension of an array."""
+
+    label: str
+    size: idl_types.uint32
+    stride: idl_types.uint32
+
+
+@dataclass
+class Layout(IdlStruct, typename="std_msgs::msg::dds_::MultiArrayLayout_"):
+    """How numbers lie in an array."""
+
+    dim: idl_types.sequence[Dimension]  # type: ignore[type-arg]
+    data_offset: idl_types.uint32
+
+
+@dataclass
+class Floats(IdlStruct, typename="std_msgs::msg::dds_::Float64MultiArray_"):
+    """Numbers, one for each channel."""
+
+    layout: Layout
+    data: idl_types.sequence[float]  # type: ignore[type-arg]
 
 
 class Board:
@@ -238,6 +284,24 @@ async def wait_for_width(board: Served, percent: int) -> float:
     raise SystemExit(f"the servo did not get a pulse of {wanted} us: {found} us")
 
 
+def set_by_ros2(domain: int, percent: int) -> None:
+    """Set the servo as a node of ROS 2 would."""
+    config = Domain(domain, f"<CycloneDDS><Domain>{LOOPBACK}</Domain></CycloneDDS>")
+    participant = DomainParticipant(domain)
+    topic = Topic(participant, "rt/shafts/servo/cmd", Floats)
+    orders = DataWriter(participant, topic)
+    for _ in range(int(PATIENCE_S / 0.1)):
+        if orders.get_matched_subscriptions():
+            break
+        time.sleep(0.1)
+    else:
+        raise SystemExit("no node of ROS 2 takes rt/shafts/servo/cmd")
+    layout, floats = cast("Any", (Layout, Floats))  # its sequences take lists
+    orders.write(floats(layout([], 0), [float(percent)]))
+    orders.wait_for_acks(duration(seconds=PATIENCE_S))
+    del config
+
+
 async def tell_clocks(page: Page) -> None:
     """Print what the page says of the clocks, which takes a few seconds to be good news.
 
@@ -320,7 +384,8 @@ def main() -> int:
             Served(app, program, boards)
             for app, program in zip(("servo", "robot"), programs, strict=True)
         )
-        sinks = ["ros1"] * has_ros + [f"web:{port},token={token}"]
+        domain = 1 + os.getpid() % 200  # so that two demonstrations do not hear each other
+        sinks = [*["ros1"] * has_ros, f"ros2:domain={domain}", f"web:{port},token={token}"]
         file.write(
             f'names = "board"\nsinks = {sinks!r}\n'
             f'[[boards]]\nurl = "{one.url}"\nname = "shafts"\n'
@@ -347,6 +412,9 @@ def main() -> int:
                     listener.stdin.flush()
                     width = asyncio.run(wait_for_width(one, 60))
                     print(f"ROS 1: servo to 60 %, the pulse at the pin is {width:.0f} us")
+                set_by_ros2(domain, 20)
+                width = asyncio.run(wait_for_width(one, 20))
+                print(f"ROS 2: servo to 20 %, the pulse at the pin is {width:.0f} us")
                 url = f"http://127.0.0.1:{port}/{token}/"
                 asyncio.run(look(url, one, args.picture))
     print("the demonstration is over")

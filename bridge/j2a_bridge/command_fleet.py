@@ -30,7 +30,7 @@ Each computer runs `j2a bridge ... --sink zenoh`; one of them, or rmw_zenohd, is
 _MAX_BYTES: Final = 1 << 20
 _MAX_BRIDGES: Final = 1000
 _HEAD: Final = (
-    f"{'computer':<14} {'board':<16} {'state':<9} {'clock':<9} "
+    f"{'computer':<14} {'board':<24} {'state':<9} {'clock':<9} "
     f"{'topic':<28} {'per s':>8} {'ms':>7} {'lost':>6}"
 )
 
@@ -144,7 +144,7 @@ def lines(status: dict[str, Any]) -> Iterator[str]:
     for board in status["boards"]:
         name = board["name"] or board["url"]
         state = "here" if board["is_here"] else "gone"
-        head = f"{host:<14.14} {name:<16.16} {state:<9} {board['clock'] or '-':<9.9} "
+        head = f"{host:<14.14} {name:<24.24} {state:<9} {board['clock'] or '-':<9.9} "
         if not board["topics"]:
             yield head + (board["problem"] or "no sensors")
         for topic in board["topics"]:

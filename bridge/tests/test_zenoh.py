@@ -176,6 +176,56 @@ def test_fleet_tells_of_all_computers_and_of_a_board_that_moves(locator, monkeyp
     assert all("arm/tank/level" in table for _, table in found)
 
 
+def test_another_bridge_takes_a_board_over_when_its_bridge_is_killed(locator):
+    def start(url, sink):
+        words = "-m", "j2a", "bridge", url, "--sink", f"zenoh:{sink}", "--names", "board"
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        return subprocess.Popen([sys.executable, *words], **quiet)
+
+    def seen():
+        """Of each bridge: the topics of the boards that it has."""
+        result = fleet("--connect", locator, "--json")
+        assert result.returncode in (0, 3), result.stderr
+        bridges = json.loads(result.stdout)["bridges"] if result.returncode == 0 else []
+        return sorted(
+            [
+                topic["name"]
+                for board in one["boards"]
+                if board["is_here"]
+                for topic in board["topics"]
+            ]
+            for one in bridges
+        )
+
+    async def saw(what):
+        while await asyncio.to_thread(seen) != what:
+            await asyncio.sleep(0.1)
+
+    topics = ["arm/quad", "arm/tank/level"]
+    urls = [f"tcp://127.0.0.1:{free_port()}" for _ in range(3)]  # the last board is never there
+    boards = [board_of(name="arm", serial="S1") for _ in range(2)]
+
+    async def work(bridges):
+        bridges.append(start(urls[2], f"mode=router,listen={locator}"))
+        await saw([[]])
+        bridges += [start(url, f"connect={locator}") for url in urls[:2]]
+        with served(boards[0], int(urls[0].rpartition(":")[2])):
+            await saw([[], [], topics])
+            bridges[1].kill()  # its computer is gone, and nobody is told
+            bridges[1].wait()
+            await saw([[], []])
+        with served(boards[1], int(urls[1].rpartition(":")[2])):
+            await saw([[], topics])
+
+    bridges = []
+    try:
+        asyncio.run(asyncio.wait_for(work(bridges), 2 * PATIENCE_S))
+    finally:
+        for one in bridges:
+            one.terminate()
+            one.wait(PATIENCE_S)
+
+
 def _host(at):
     return ("alpha", "beta")[at]
 
