@@ -27,6 +27,9 @@ _REQUESTS = {
 }
 
 
+Off = Fraction | int | None
+
+
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """What STATUS may say: pairs are the smallest and the largest value."""
@@ -85,7 +88,7 @@ class Clock:
         self._last: _Adjustment | None = None
         self._epoch = epoch
 
-    def code(self, request: bytes, local: int, early: int = 0, off: int | None = None) -> int:
+    def code(self, request: bytes, local: int, early: int = 0, off: Off = None) -> int:
         """Return the code of the reply to a request, and take an adjustment (J2A-CLOCK-003).
 
         Args:
@@ -108,7 +111,7 @@ class Clock:
             self._adjust(fields, local, early, off)
         return 0
 
-    def _adjust(self, adjust: cs.Container, local: int, early: int, off: int | None) -> None:
+    def _adjust(self, adjust: cs.Container, local: int, early: int, off: Off) -> None:
         is_step = self._last is None or adjust.mode == c.CLOCK_STEP
         rate, wander = Fraction(adjust.rate, _PPB), Fraction(adjust.wander, _PPB)
         told = (local, adjust.local, adjust.time, rate, adjust.uncertainty, wander)
@@ -120,7 +123,7 @@ class Clock:
         moved = new.target(local) - self._last.target(local)
         low, high = (bound + moved for bound in self._last.distance(local))
         if off is not None:
-            low, high = Fraction(off - 1), Fraction(off + 1)
+            low, high = Fraction(off) - 1, Fraction(off) + 1
         lag = (abs(rate - self._last.rate) + _SLEW) * (_LAG_US + early)
         before = self._rate(local)
         self._last = replace(new, low=low - lag, high=high + lag, before=before)

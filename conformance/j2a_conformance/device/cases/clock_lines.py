@@ -1,6 +1,7 @@
 """How the clock of a device follows its targets (J2A-CLOCK-011 to 020); see `clock`."""
 
 import struct
+from contextlib import ExitStack
 from itertools import pairwise
 from typing import Any, Final
 
@@ -11,6 +12,7 @@ from j2a_conformance._judge import fail
 
 from . import transducers
 from .clock import UNIX, Board, ClockCase, S
+from .sif import frames
 
 _HOUR: Final = 3600 * S
 _REACHED_US: Final = 2_050_000
@@ -80,9 +82,9 @@ class Slews(ClockCase):
             board.adjust(off)
             board.wait(20_000)
             self._check_rates(list(board.watch(600_000)))
-        for off in (400, -400, 7, -7, 4, -3):
+        for off in (400, -400, 7, -7, 4, -3, 2600, -6000):
             board.adjust(off, uncertainty=3)
-            board.wait(_REACHED_US + 1000 * abs(off))
+            board.wait(_REACHED_US + 1000 * abs(off), 0.02 if abs(off) < 1000 else 0.1)
         board.adjust(300)
         board.wait(200_000)
         board.adjust(-300)
@@ -115,6 +117,12 @@ class Far(ClockCase):
         for off in (10_000, -10_000, _HOUR, -_HOUR):
             board.adjust(off)
             board.wait(600_000)
+        # From the target, and at once from another one.
+        for fields in ({}, {"uncertainty": c.CLOCK_UNKNOWN}, {"rate": -70_000, "wander": 900}):
+            for off in (20, -20, 2000, -2000, 5000, -5000, 3 * S, -3 * S):
+                board.adjust(0, **fields)
+                board.adjust(off, **fields)
+                board.wait(20_000)
         board.adjust(base=2**63 - 1)
         board.wait(100_000)
         board.step()
@@ -135,6 +143,30 @@ class Rates(ClockCase):
         for rate in (-7, 33_333, -c.CLOCK_MAX_RATE):
             board.adjust(rate=rate)
             board.wait(_REACHED_US + 200_000)
+
+
+class Ages(ClockCase):
+    """Adjusts by targets of earlier local times, as a host does that has thought for a while."""
+
+    ID = "clock.ages"
+    EXPECTATION = "The target holds since then, uncertainty and state count from the request on."
+    REQUIREMENTS = ("J2A-CLOCK-009", "J2A-CLOCK-012", "J2A-CLOCK-013", "J2A-CLOCK-017")
+    _AGES_US = (1, 1000, 1_500_000, 12 * S, c.CLOCK_MAX_BEHIND - 2 * S)
+
+    def _judge(self, board: Board) -> None:
+        if (now := board.status().local) < 2 * S:
+            board.wait(2 * S - now)
+        for age_us in self._AGES_US:
+            if age_us > board.status().local:
+                board.peer.link.note(f"the device has not run for {age_us} us")
+                return
+            for rate in (0, 9_345_678, -c.CLOCK_MAX_RATE):
+                for given, wander in ((0, 0), (300, c.CLOCK_MAX_RATE), (c.CLOCK_UNKNOWN, 1)):
+                    fields = {"rate": rate, "uncertainty": given, "wander": wander}
+                    board.step(age_us=age_us, **fields)
+                    for off in (0, 3000, -3000):
+                        board.adjust(off, age_us=age_us, **fields)
+                        board.status()
 
 
 class States(ClockCase):
@@ -162,7 +194,7 @@ class Uncertainties(ClockCase):
     REQUIREMENTS = ("J2A-CLOCK-017",)
 
     def _judge(self, board: Board) -> None:
-        for given in (0, 1, 300, 2**31, c.CLOCK_UNKNOWN - 5000, c.CLOCK_UNKNOWN):
+        for given in (0, 1, 300, 2**31, c.CLOCK_UNKNOWN - 500, c.CLOCK_UNKNOWN):
             for wander in (0, 1000, c.CLOCK_MAX_RATE):
                 board.step(uncertainty=given, wander=wander)
                 board.wait(100_000)
@@ -178,8 +210,28 @@ class Holdover(ClockCase):
     """Leaves the clock alone for more than 10 s of its local time, and adjusts it again."""
 
     ID = "clock.holdover"
-    EXPECTATION = "HOLDOVER after 10 s, the rate goes on, the uncertainty grows; then LOCKED."
-    REQUIREMENTS = ("J2A-CLOCK-015", "J2A-CLOCK-016", "J2A-CLOCK-017")
+    EXPECTATION = "HOLDOVER after 10 s, the rate goes on, the uncertainty grows; then as before."
+    REQUIREMENTS = ("J2A-CLOCK-011", "J2A-CLOCK-015", "J2A-CLOCK-016", "J2A-CLOCK-017")
+    # How it is stepped, how it is led from there, and what ends HOLDOVER.
+    _ROUNDS: tuple[tuple[dict[str, int], dict[str, int] | None, dict[str, int]], ...] = (
+        (
+            {"uncertainty": 10, "wander": 40_000},
+            {"rate": -50_000, "uncertainty": 10, "wander": 40_000},
+            {"off_us": -2500, "rate": -50_000},
+        ),
+        (
+            {"rate": c.CLOCK_MAX_RATE, "uncertainty": c.CLOCK_UNKNOWN},
+            None,
+            {"off_us": 3 * S, "uncertainty": 7, "age_us": 10 * S},
+        ),
+        ({}, {"off_us": 40_000, "wander": 1_000_000}, {"off_us": 0, "rate": 1000}),
+        (
+            {"rate": -c.CLOCK_MAX_RATE, "wander": c.CLOCK_MAX_RATE},
+            {"off_us": -300, "rate": 9, "uncertainty": c.CLOCK_UNKNOWN},
+            {"off_us": 2500, "mode": c.CLOCK_STEP},
+        ),
+        ({"uncertainty": 2**31}, {"off_us": -20_000}, {"off_us": -3600 * S}),
+    )
 
     def _judge(self, board: Board) -> None:
         link = board.peer.link
@@ -188,14 +240,17 @@ class Holdover(ClockCase):
         if not link.transport.is_simulated and passed / S < _FAST * (link.now_s() - at_s):
             link.note("10 s of this device are too long on a real link")
             return
-        board.step(uncertainty=10, wander=40_000)
-        board.adjust(rate=-50_000, uncertainty=10, wander=40_000)
-        board.wait(9_700_000, 0.1)
-        board.wait(1_200_000, 0.1)
-        if board.status().state != c.CLOCK_HOLDOVER:
-            fail("the state is not HOLDOVER after 10 s")
-        board.adjust(rate=-50_000)
-        board.wait(100_000)
+        rounds = self._ROUNDS[:2] if link.transport.is_simulated else self._ROUNDS
+        for stepped, led, again in rounds:
+            board.step(**stepped)
+            if led is not None:
+                board.adjust(**led)
+            board.wait(9_700_000, 0.1)
+            board.wait(1_200_000, 0.1)
+            if board.status().state != c.CLOCK_HOLDOVER:
+                fail("the state is not HOLDOVER after 10 s")
+            board.adjust(**again)
+            board.wait(100_000)
 
 
 def _transducers(board: Board) -> transducers.Board | None:
@@ -243,41 +298,158 @@ class TransducerTime(ClockCase):
             fail(f"{one.name} was set at {time} us, not between {before} and {after} us")
 
 
-class Waiting(ClockCase):
-    """Steps the clock while SET waits for its time."""
+class Intervals(ClockCase):
+    """Steps the clock within the period of each sensor, and within the watchdogs of actuators."""
 
-    ID = "clock.waiting"
-    EXPECTATION = "SET happens at the same instant as without the step."
-    REQUIREMENTS = ("J2A-CLOCK-019", "J2A-CLOCK-020")
-    _AHEAD_US: Final = 300_000
-    _LATE_US: Final = 5 * S  # a busy device
+    ID = "clock.intervals"
+    EXPECTATION = "The sample SIF comes when the period is over, and what is safe is so in time."
+    REQUIREMENTS = ("J2A-CLOCK-019",)
+    _PERIOD_US: Final = 200_000
+    _LIMIT_MS: Final = 200
 
     def _judge(self, board: Board) -> None:
         devices = _transducers(board)
-        if devices is None or not (actuators := devices.actuators()):
+        if devices is None:
             return
-        for by in (_HOUR, -_HOUR, 100_000, -100_000):
-            board.step(UNIX)
-            self._wait(board, devices, actuators[0], by)
+        for by in (_HOUR, -_HOUR):
+            board.step()
+            if board.peer.has(transducers.STIMULUS):
+                for one in devices.sensors():
+                    with devices.tuned(one):
+                        self._period(board, devices, one, by)
+            for one in devices.actuators("watchdog"):
+                before = devices.read(one, c.TRANSD_WATCHDOG)
+                devices.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self._LIMIT_MS))
+                self._watchdog(board, devices, one, by)
+                devices.write(one, c.TRANSD_WATCHDOG, before)
 
-    def _wait(
+    def _period(
         self, board: Board, devices: transducers.Board, one: types.Transducer, by: int
     ) -> None:
-        first = board.status()
+        devices.write(one, c.TRANSD_PERIOD, struct.pack("<I", self._PERIOD_US))
+        since, begin = devices.seen, board.status().local
+        devices.stimulate(one, (0, devices.value(one)))
+        first, _ = devices.sif(one, since)
+        devices.stimulate(one, (0, devices.value(one)))
+        board.step(board.status().time + by)
+        for _ in board.watch(self._PERIOD_US + 5 * S):
+            if one.id in [frame.opcode for frame in frames(board.peer.link.sifs[first + 1 :])]:
+                break
+        else:
+            fail(f"no sample SIF of {one.name} came behind a step by {by} us")
+        passed = board.status().local - begin
+        if passed < self._PERIOD_US:
+            fail(f"two SIFs of {one.name} came in {passed} us, its period is {self._PERIOD_US} us")
+
+    def _watchdog(
+        self, board: Board, devices: transducers.Board, one: types.Transducer, by: int
+    ) -> None:
+        safe = transducers.safe(devices, one)
+        values = (transducers.settable(devices, one) for _ in range(100))
+        value = next((value for value in values if value != safe), safe)
+        devices.write(one, c.TRANSD_SET, bytes(9) + value)
+        before = board.status()
+        board.step(before.time + by)
+        is_safe = self._newest(devices, one) == safe
+        passed_ms = (board.status().local - before.local) / 1000
+        if is_safe and passed_ms < self._LIMIT_MS and value != safe:
+            fail(f"{one.name} is safe after {passed_ms} ms, its watchdog is {self._LIMIT_MS} ms")
+        board.peer.silence(2.6 * self._LIMIT_MS / 1000, "while nothing was asked")
+        if self._newest(devices, one) != safe:
+            fail(f"{one.name} was not made safe behind a step by {by} us", suspect=True)
+
+    @staticmethod
+    def _newest(devices: transducers.Board, one: types.Transducer) -> bytes:
+        return transducers.slots(devices, one, devices.read(one, c.TRANSD_SAMPLE))[0][1]
+
+
+class Waiting(ClockCase):
+    """Steps the clock while SET of each channel and TRIGGER wait for their time."""
+
+    ID = "clock.waiting"
+    EXPECTATION = "They happen at the same instant as without the step, and the last time never."
+    REQUIREMENTS = ("J2A-CLOCK-019", "J2A-CLOCK-020")
+    _AHEAD_US: Final = 300_000
+    _LATE_US: Final = 5 * S  # a busy device
+    _NEVER: Final = 2**64 - 1
+
+    def _judge(self, board: Board) -> None:
+        devices = _transducers(board)
+        if devices is None:
+            return
+        with ExitStack() as stack:
+            for one in devices.sensors("trigger"):
+                stack.enter_context(devices.tuned(one))
+            for by in (_HOUR, -_HOUR, 100_000, -100_000):
+                board.step(UNIX)
+                self._wait(board, devices, by)
+            board.step(UNIX)
+            self._never(board, devices)
+
+    @staticmethod
+    def _set(devices: transducers.Board, due: int) -> list[tuple[types.Transducer, int, bytes]]:
+        """Set all channels that fit into a request, of each actuator.
+
+        Returns: the actuator, how many channels these are, and its sample before.
+        """
+        before = []
+        for one in devices.actuators():
+            count = min(one.channels, (devices.peer.longest - 11) // devices.size(one))
+            values = b"".join(transducers.settable(devices, one) for _ in range(count))
+            before.append((one, count, devices.read(one, c.TRANSD_SAMPLE)))
+            devices.write(one, c.TRANSD_SET, struct.pack("<BQ", 0, due) + values)
+        return before
+
+    def _wait(self, board: Board, devices: transducers.Board, by: int) -> None:
+        first, since = board.status(), devices.seen
         due = first.time + self._AHEAD_US
-        value = transducers.settable(devices, one)
-        unset = devices.read(one, c.TRANSD_SAMPLE)
-        devices.write(one, c.TRANSD_SET, struct.pack("<BQ", 0, due) + value)
+        left = self._set(devices, due)
+        triggered = devices.sensors("trigger")
+        for sensor in triggered:
+            devices.write(sensor, c.TRANSD_TRIGGER, struct.pack("<Q", due))
         before = board.status()
         after = board.step(before.time + by)
         if after.local - first.local >= self._AHEAD_US:
             fail("the time came before the step", suspect=True)
         moved = after.time - before.time - (after.local - before.local)
+        found: list[tuple[str, int]] = []
         for _ in board.watch(self._AHEAD_US + self._LATE_US):
-            if (sample := devices.read(one, c.TRANSD_SAMPLE)) != unset:
+            for one, count, unset in [*left]:
+                if (sample := devices.read(one, c.TRANSD_SAMPLE)) != unset:
+                    newest = transducers.slots(devices, one, sample)[:count]
+                    found += ((f"SET of {one.name}", time) for time, _ in newest)
+                    left.remove((one, count, unset))
+            if not left:
                 break
-        else:
-            fail(f"SET for {due + moved} us did not happen")
-        time = int.from_bytes(sample[:8], "little")
-        if not due + moved - 2 <= time <= due + moved + self._LATE_US:
-            fail(f"SET for {due + moved} us happened at {time} us")
+        for one, _, _ in left:
+            fail(f"SET of {one.name} for {due + moved} us did not happen")
+        for sensor in triggered:
+            _, payload = devices.sif(sensor, since)
+            times = _times(devices, sensor, payload)
+            found += ((f"TRIGGER of {sensor.name}", time) for time in times)
+        for name, time in found:
+            if not due + moved - 2 <= time <= due + moved + self._LATE_US:
+                fail(f"{name} for {due + moved} us happened at {time} us")
+
+    def _never(self, board: Board, devices: transducers.Board) -> None:
+        """Step the clock while what waits is so far ahead that its time cannot be moved."""
+        waiting = self._set(devices, self._NEVER)
+        since = devices.seen
+        for sensor in devices.sensors("trigger"):
+            devices.write(sensor, c.TRANSD_TRIGGER, struct.pack("<Q", self._NEVER))
+        board.step(UNIX + _HOUR)
+        board.wait(50_000)
+        for one, _, sample in waiting:
+            if devices.read(one, c.TRANSD_SAMPLE) != sample:
+                fail(f"SET of {one.name} for {self._NEVER} us happened behind a step")
+        for sensor in devices.sensors("trigger"):
+            devices.no_sif(sensor, since, "though its trigger was far ahead")
+            devices.write(sensor, c.TRANSD_TRIGGER, bytes(8))
+        self._set(devices, 0)
+
+
+def _times(devices: transducers.Board, one: types.Transducer, payload: bytes) -> list[int]:
+    """Return the times of a sample SIF."""
+    if "queue" in one.attributes:
+        return [time for _, time, _ in transducers.queued(devices, one, payload)]
+    return [time for time, _ in transducers.slots(devices, one, payload)]

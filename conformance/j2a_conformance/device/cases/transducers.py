@@ -324,6 +324,14 @@ def settable(board: Board, one: oracle.Transducer) -> bytes:
     return board.packed(one, board.rng.choice([low, high, board.rng.randint(low, high)]))
 
 
+def safe(board: Board, one: oracle.Transducer) -> bytes:
+    """Return the value to which a watchdog sets an actuator."""
+    if one.attributes.get("safe", "none") == "none":
+        return bytes(board.size(one))
+    number = oracle.raw(one, one.attributes["safe"], board.descriptors.definitions)
+    return board.packed(one, number)
+
+
 class _TransducerCase(Case):
     """A case for devices with the capability."""
 
@@ -1157,13 +1165,10 @@ class Watchdog(_TransducerCase):
                     board.write(one, c.TRANSD_WATCHDOG, before)
 
     def _actuator(self, board: Board, one: oracle.Transducer) -> None:
-        safe = bytes(board.size(one))
-        if one.attributes.get("safe", "none") != "none":
-            number = oracle.raw(one, one.attributes["safe"], board.descriptors.definitions)
-            safe = board.packed(one, number)
-        others = (value for _ in range(_TRIES) if (value := settable(board, one)) != safe)
-        value = next(others, safe)
-        if value == safe:  # it has one value only
+        safe_value = safe(board, one)
+        others = (value for _ in range(_TRIES) if (value := settable(board, one)) != safe_value)
+        value = next(others, safe_value)
+        if value == safe_value:  # it has one value only
             return
         fit = min(one.channels, (board.peer.longest - 11) // board.size(one))
         board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
@@ -1184,7 +1189,7 @@ class Watchdog(_TransducerCase):
         found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
         end_us = board.time_us()
         for channel, (time_us, raw) in enumerate(found):
-            if raw != safe:
+            if raw != safe_value:
                 fail(f"channel {channel} of {one.name} is {raw.hex()} after the silence, not safe")
             if not begin_us + self.LIMIT_MS * 900 <= time_us <= end_us:
                 fail(f"{one.name} was made safe at {time_us} us, the silence began at {begin_us}")
