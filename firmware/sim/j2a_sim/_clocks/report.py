@@ -23,6 +23,7 @@ from j2a_sim._clocks.delays import BOARD_BYTE_S, HOST_BYTE_S
 from j2a_sim._clocks.frames import CABLE_S, HUB_S, TIERS
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import UNIX_US, Floats, HostClock
+from j2a_sim._errors import SimError
 
 __all__ = ["UNKNOWN", "Readings", "Report", "allan", "make_report"]
 
@@ -56,12 +57,12 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The figures of a run; see docs/simulator.md for each.
+    """The figures of a run; docs/clock-bench.md says what each is.
 
     Attributes:
         settings: of the run.
         figures: name -> value.
-        bounds: name of a figure -> what analysis gives for it.
+        bounds: name of a figure -> what analysis gives for it; none of a run that is too short.
         times_s, errors_us: for plots: true times, and for each board its error to the host.
         counted: which of these times are in the figures.
         cpu_us: processor time of the host for each exchange, on this machine.
@@ -98,17 +99,21 @@ class Report:
             bound = f"{self.bounds[name]:.6g}" if name in self.bounds else ""
             text = f"{value:.6g}" if isinstance(value, float) else str(value)
             lines.append(f"{name:24}{text:>14}{bound:>14}".rstrip())
+        if not s.is_settled:
+            lines.append("too short for the clocks to settle: no bounds")
         lines.append(f"the host took {self.cpu_us:.0f} us of processor time for each exchange")
         return "\n".join(lines)
 
 
 def counted(settings: Settings, times_s: Floats) -> NDArray[np.bool_]:
-    """Which readings count: those behind the start and each disturbance by the time to settle."""
+    """Which readings count: those behind the start and each disturbance by the time to settle.
+
+    A slew of the host's clock is none: boards have to follow it.
+    """
     settle = settings.settle_s
     good = times_s >= settle
     for at, lasts in (
         (settings.step_at, 0.0),
-        (settings.slew_at, 60.0),
         (settings.suspend_at, settings.suspend_for),
         (settings.unplug_at, settings.unplug_for),
     ):
@@ -139,12 +144,20 @@ def make_report(
         slack_us: the least of what the exchanges' round trips left unexplained.
         cpu_us: processor time of the host for each exchange.
         drift_us: how far the oscillators take the clocks from the host's in holdover, at most.
+
+    Raises:
+        SimError: no reading counts.
     """
     host_us = host.unix_us(times_s)
     errors = np.array([board.error_us(host_us) for board in boards])
     good = counted(settings, times_s)
     if settings.holdover_at is not None:
         good &= times_s < settings.holdover_at
+    if not good.any():
+        raise SimError(
+            f"no clock is read after it has settled, which takes {settings.settle_s:g} s from the "
+            "start and from each disturbance: choose more --seconds"
+        )
     figures: dict[str, Any] = _pairs(errors[:, good])
     figures["host_rms_us"] = _rms(errors[:, good])
     figures["host_peak_us"] = float(np.abs(errors[:, good]).max(initial=0))
@@ -159,7 +172,7 @@ def make_report(
     return Report(
         settings,
         figures,
-        bounds(settings, slack_us, drift_us),
+        bounds(settings, slack_us, drift_us) if settings.is_settled else {},
         times_s[::step],
         errors[:, ::step],
         good[::step],
@@ -196,10 +209,12 @@ def _uncertainty(boards: list[Readings], errors: Floats, good: NDArray[np.bool_]
 def bounds(settings: Settings, slack_us: float, drift_us: float = 0.0) -> dict[str, float]:
     """What analysis gives.
 
-    Between two boards on a USB: both show whole microseconds, which differ by 1/sqrt(6) rms and by
-    1 at most when the clocks behind them agree; the counter ticks each half microsecond, which the
-    filter hardly lets through; a hub and its cable take up to 70 ns, and an interrupt is up to
-    four cycles late, 0.25 us at 16 MHz, behind the instruction that it met. To the host: half of
+    Between two boards on a USB: a board takes the whole microseconds of its local time to whole
+    microseconds of its clock, which cuts off two parts, each as likely as another from 0 to 1 us.
+    So two clocks that agree show times that differ by sqrt(4/12) us rms, and by less than 2 us. The
+    counter ticks each half microsecond, which the filter hardly lets through; a hub and its cable
+    take up to 70 ns, and an interrupt is up to four cycles late, 0.25 us at 16 MHz, behind the
+    instruction that it met. What is shown differs by whole microseconds. To the host: half of
     what a round trip leaves unexplained, and half a microsecond of rounding; by UART also half of
     what the board's bit rate, which is not the nominal one, takes off the reply. In holdover: what
     the oscillators do, the error at its begin, twice, and what a rate can be off that is true for
@@ -218,8 +233,9 @@ def bounds(settings: Settings, slack_us: float, drift_us: float = 0.0) -> dict[s
     hubs = 1e6 * (TIERS * HUB_S[1] + CABLE_S)
     latency = 0.25 / math.sqrt(12)
     counter = 0.5 / math.sqrt(12)
-    rms = math.sqrt(1 / 6 + 2 * latency**2 + 2 * counter**2 + hubs**2)
-    return {**found, "pair_rms_us": rms, "pair_peak_us": 1 + hubs + 2 * 0.25 + 0.5}
+    rms = math.sqrt(4 / 12 + 2 * latency**2 + 2 * counter**2 + hubs**2)
+    peak = math.floor(2 + hubs + 2 * 0.25 + 0.5)
+    return {**found, "pair_rms_us": rms, "pair_peak_us": peak}
 
 
 def allan(errors_us: Floats, interval_s: float) -> tuple[Floats, Floats]:

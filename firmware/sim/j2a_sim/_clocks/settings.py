@@ -19,6 +19,15 @@ LOADS: Final = ("light", "heavy")
 AVR_BOARD_SECONDS: Final = 160
 SETTLE_S: Final = {"usb": 10.0, "serial": 30.0, "tcp": 30.0, "rfcomm": 30.0}
 READINGS: Final = 1_000_000
+# What only goes with something else: a disturbance with the time at which it happens.
+DISTURBANCES: Final = (
+    ("step_at", "step_by"),
+    ("slew_at", "slew_ppm"),
+    ("suspend_at", "suspend_for"),
+    ("unplug_at", "unplug_for"),
+    ("holdover_at", None),
+)
+USB_ONLY: Final = ("lost_sof", "sof_jitter_ns", "suspend_at")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +79,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name, low, high in (
             ("boards", 1, 64),
-            ("seconds", 1, 86_400),
+            ("seconds", 3, 86_400),
             ("seed", 0, 2**63 - 1),
             ("ppm", 0, 10_000),
             ("lost_sof", 0, 0.5),
@@ -78,19 +87,35 @@ class Settings:
             ("period_s", 0.1, 60),
             ("slew_ppm", -10_000, 10_000),
             ("step_by", -1e9, 1e9),
+            ("suspend_for", 0.001, 86_400),
+            ("unplug_for", 0.001, 86_400),
             ("readings", 100, 100_000_000),
         ):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise SimError(f"{name} {value:g} is out of range {low:g}..{high:g}")
+                raise SimError(f"{_option(name)} {value:g} is out of range {low:g}..{high:g}")
         for name, known in (("link", LINKS), ("load", LOADS), ("engine", ENGINES)):
             value = getattr(self, name)
             if value not in known and (name != "engine" or value is not None):
-                raise SimError(f"{name} {value!r} is none of {', '.join(known)}")
+                raise SimError(f"{_option(name)} {value!r} is none of {', '.join(known)}")
         if self.engine == "avr" and self.link not in {"usb", "serial"}:
             raise SimError(f"the AVR engine has no link {self.link!r}: choose the engine native")
-        if self.suspend_at is not None and self.link != "usb":
-            raise SimError("only a USB can be suspended")
+        for name in USB_ONLY:
+            if self.link != "usb" and self._is_chosen(name):
+                raise SimError(f"{_option(name)} needs --link usb: only a USB has frames")
+        for at, how in DISTURBANCES:
+            self._check_disturbance(at, how)
+
+    def _is_chosen(self, name: str) -> bool:
+        return bool(getattr(self, name) != type(self).__dataclass_fields__[name].default)
+
+    def _check_disturbance(self, name: str, how: str | None) -> None:
+        at = getattr(self, name)
+        if at is None:
+            if how is not None and self._is_chosen(how):
+                raise SimError(f"{_option(how)} needs {_option(name)}, the time when it happens")
+        elif not 0 <= at < self.seconds:
+            raise SimError(f"{_option(name)} {at:g} is out of the run, 0..{self.seconds:g} s")
 
     @property
     def chosen_engine(self) -> str:
@@ -101,6 +126,11 @@ class Settings:
         return "avr" if short and self.link in {"usb", "serial"} else "native"
 
     @property
+    def is_settled(self) -> bool:
+        """Whether the run is long enough for the clocks to settle: only then bounds hold."""
+        return self.settle_s == SETTLE_S[self.link]
+
+    @property
     def settle_s(self) -> float:
         """After how long figures begin: that of the link, or half of the run if that is shorter."""
         return min(SETTLE_S[self.link], self.seconds / 2)
@@ -108,3 +138,8 @@ class Settings:
     def as_dict(self) -> dict[str, Any]:
         """For a report."""
         return {**asdict(self), "engine": self.chosen_engine, "settle_s": self.settle_s}
+
+
+def _option(name: str) -> str:
+    """The option of the command line that sets it."""
+    return "--" + name.replace("_", "-")

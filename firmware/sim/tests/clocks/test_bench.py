@@ -15,7 +15,11 @@ SEEDS = range(1, 21)
 
 
 def figures(**settings):
-    return run(Settings(**{"readings": READINGS, **settings})).figures
+    """The figures of a run, after a look whether they are within their bounds."""
+    report = run(Settings(**{"readings": READINGS, **settings}))
+    for name, bound in report.bounds.items():
+        assert report.figures[name] <= bound, name
+    return report.figures
 
 
 def assert_honest(found):
@@ -59,16 +63,12 @@ def test_a_board_at_115200_baud_follows_its_host(seed):
 
 @pytest.mark.parametrize("link", ["tcp", "rfcomm"])
 def test_asymmetry_of_networks_is_in_the_uncertainty(link):
-    report = run(Settings(seconds=60, link=link, boards=4, readings=READINGS))
-    assert_honest(report.figures)
-    assert report.figures["host_rms_us"] <= report.bounds["host_rms_us"]
+    assert_honest(figures(seconds=60, link=link, boards=4))
 
 
-@pytest.mark.parametrize("link", ["usb", "serial"])
-@pytest.mark.parametrize("hours", [1, -1])
-def test_boards_follow_a_step_of_the_hosts_clock(link, hours):
+def assert_follows_a_step(link, hours, seed=1):
     settings = Settings(
-        boards=3, seconds=100, link=link, engine="native", readings=READINGS,
+        boards=3, seconds=100, link=link, engine="native", readings=READINGS, seed=seed,
         step_at=35.0, step_by=3600.0 * hours,
     )  # fmt: skip
     report = run(settings)
@@ -76,14 +76,22 @@ def test_boards_follow_a_step_of_the_hosts_clock(link, hours):
     assert report.figures["host_peak_us"] < 1000
     jumps = abs(report.errors_us) > 1e6
     late = report.times_s > 35.0 + 2 * settings.period_s
-    assert not jumps[:, late & (report.times_s > 35.0)].any(), "told within two rounds"
+    assert not jumps[:, late].any(), "told within two rounds"
     assert report.figures["epochs"] == [2, 2, 2], "one step at the start, and one for the host's"
 
 
 @pytest.mark.parametrize("link", ["usb", "serial"])
+@pytest.mark.parametrize("hours", [1, -1])
+def test_boards_follow_a_step_of_the_hosts_clock(link, hours):
+    assert_follows_a_step(link, hours)
+
+
+@pytest.mark.parametrize("link", ["usb", "serial"])
 def test_a_slew_of_the_hosts_clock_is_no_step_and_not_missed(link):
-    """It runs faster from 40 s to 100 s, by as much as NTP does at most."""
+    """It runs faster from 40 s to 100 s, by as much as NTP does at most; all of it counts."""
     found = figures(boards=3, seconds=120, engine="native", slew_at=40.0, link=link)
+    if link == "usb":
+        assert_pairs(found)
     assert found["epochs"] == [1, 1, 1]
     assert_honest(found)
 
@@ -98,9 +106,9 @@ def test_boards_find_back_after_suspend_and_unplugging():
 
 
 def test_holdover_drifts_as_the_crystal_does():
-    report = run(Settings(boards=3, seconds=300, link="serial", holdover_at=100.0))
-    assert report.figures["holdover_end_us"] <= report.bounds["holdover_end_us"]
-    assert_honest(report.figures)
+    found = figures(boards=3, seconds=300, link="serial", holdover_at=100.0)
+    assert found["holdover_end_us"] > 0
+    assert_honest(found)
 
 
 def test_the_same_seed_gives_the_same_run():
@@ -144,7 +152,7 @@ def test_the_command_prints_its_figures_as_json(capsys, tmp_path):
 
 def test_the_command_says_what_is_wrong(capsys, monkeypatch):
     assert main(["sim", "clocks", "--boards", "0"]) == USAGE
-    assert "boards 0 is out of range" in capsys.readouterr().err
+    assert "--boards 0 is out of range" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "numpy", None)
     for name in [name for name in sys.modules if name.startswith("j2a_sim._clocks.")]:
         monkeypatch.delitem(sys.modules, name)
@@ -184,10 +192,7 @@ def test_time_never_goes_back_in_ten_million_readings():
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("link", ["usb", "serial"])
 def test_an_hour_of_holdover(link, seed):
-    settings = Settings(boards=4, seconds=3900, link=link, holdover_at=300.0, seed=seed)
-    report = run(settings)
-    assert report.figures["holdover_end_us"] <= report.bounds["holdover_end_us"]
-    assert_honest(report.figures)
+    assert_honest(figures(boards=4, seconds=3900, link=link, holdover_at=300.0, seed=seed))
 
 
 @pytest.mark.exhaustive
@@ -201,3 +206,30 @@ def test_twenty_seeds_of_a_minute(link, seed):
     else:
         assert found["host_rms_us"] <= 20
     assert_honest(found)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("link", ["usb", "serial"])
+@pytest.mark.parametrize("hours", [1, -1])
+def test_twenty_seeds_of_a_step(link, hours, seed):
+    assert_follows_a_step(link, hours, seed)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("link", ["usb", "serial"])
+def test_twenty_seeds_of_a_slew(link, seed):
+    found = figures(boards=4, seconds=130, engine="native", slew_at=40.0, link=link, seed=seed)
+    assert found["epochs"] == [1, 1, 1, 1]
+    assert_honest(found)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("link", ["tcp", "rfcomm"])
+def test_twenty_seeds_of_networks(link, seed):
+    assert_honest(figures(seconds=120, link=link, seed=seed))

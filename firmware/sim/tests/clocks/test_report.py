@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from j2a_sim import SimError
 from j2a_sim._clocks.plot import picture
-from j2a_sim._clocks.report import UNKNOWN, Readings, allan, make_report
+from j2a_sim._clocks.report import UNKNOWN, Readings, allan, bounds, make_report
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import UNIX_US, HostClock
 
@@ -99,11 +99,23 @@ def test_a_report_is_json_text_and_a_picture(times, clock):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"boards": 0}, "boards 0 is out of range"),
+        ({"boards": 0}, "--boards 0 is out of range"),
+        ({"seconds": 2}, "--seconds 2 is out of range"),
+        ({"seconds": float("nan")}, "--seconds nan is out of range"),
         ({"link": "can"}, "none of usb"),
         ({"engine": "avr", "link": "tcp"}, "choose the engine native"),
-        ({"link": "serial", "suspend_at": 1.0}, "suspended"),
-        ({"lost_sof": 0.9}, "lost_sof"),
+        ({"link": "serial", "suspend_at": 1.0}, "--suspend-at needs --link usb"),
+        ({"link": "tcp", "lost_sof": 0.1}, "--lost-sof needs --link usb"),
+        ({"link": "rfcomm", "sof_jitter_ns": 0.0}, "--sof-jitter-ns needs --link usb"),
+        ({"lost_sof": 0.9}, "--lost-sof"),
+        ({"step_by": 1.0}, "--step-by needs --step-at"),
+        ({"slew_ppm": 1.0}, "--slew-ppm needs --slew-at"),
+        ({"suspend_for": 1.0}, "--suspend-for needs --suspend-at"),
+        ({"unplug_for": 1.0}, "--unplug-for needs --unplug-at"),
+        ({"suspend_at": 1.0, "suspend_for": 0.0}, "--suspend-for 0 is out of range"),
+        ({"holdover_at": 20.0}, "--holdover-at 20 is out of the run"),
+        ({"step_at": -1.0}, "--step-at -1 is out of the run"),
+        ({"unplug_at": float("nan")}, "--unplug-at nan is out of the run"),
     ],
 )
 def test_settings_are_checked(wrong, said):
@@ -111,7 +123,38 @@ def test_settings_are_checked(wrong, said):
         Settings(**wrong)
 
 
+def test_a_run_that_ends_before_its_clocks_have_settled_has_no_figures(times, clock):
+    with pytest.raises(SimError, match="choose more --seconds"):
+        report(times, clock, [np.zeros(len(times))], step_at=95.0, holdover_at=9.0)
+
+
+def test_bounds_are_those_of_clocks_that_have_settled(times, clock):
+    short = times[times < 19]
+    host = clock.unix_us(short)
+    for seconds, bounded in ((19, False), (20, True)):
+        made = make_report(
+            Settings(boards=1, seconds=seconds), short, [readings(host, 0 * short)], clock,
+            more={}, slack_us=30.0,
+        )  # fmt: skip
+        assert bool(made.bounds) == bounded
+        assert ("too short" in made.as_text()) == (not bounded)
+
+
+def test_two_clocks_that_agree_differ_by_what_both_cut_off():
+    """Each shows whole microseconds of a sum of whole microseconds and an offset."""
+    rng = np.random.default_rng(5)
+    true_us = rng.uniform(0, 1e6, 1_000_000)
+    shown = []
+    for _ in range(2):
+        ahead_us = rng.uniform(0, 1000, true_us.size)  # crystals that differ: each is as likely
+        shown.append(np.floor(np.floor(true_us + ahead_us) - ahead_us))
+    apart = shown[0] - shown[1]
+    alone = bounds(Settings(boards=2), 0.0)["pair_rms_us"]
+    assert np.abs(apart).max() == 1 or np.abs(apart).max() == 2
+    assert np.sqrt(np.mean(apart**2)) == pytest.approx(np.sqrt(1 / 3), rel=0.01) < alone
+
+
 def test_long_runs_choose_the_fast_engine():
     assert Settings(boards=8, seconds=20).chosen_engine == "avr"
     assert Settings(boards=8, seconds=21).chosen_engine == "native"
-    assert Settings(boards=1, seconds=2, link="rfcomm").chosen_engine == "native"
+    assert Settings(boards=1, seconds=3, link="rfcomm").chosen_engine == "native"
