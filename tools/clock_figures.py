@@ -40,8 +40,8 @@ ROWS: Final = (
     ),
     Row("USB, 64 boards, 60 s", {"boards": 64, "seconds": 60}),
     Row(
-        "115200 baud, 4 boards, 40 s, real firmware",
-        {"link": "serial", "boards": 4, "seconds": 40, "engine": "avr", "readings": 40_000},
+        "115200 baud, 4 boards, 60 s, real firmware",
+        {"link": "serial", "boards": 4, "seconds": 60, "engine": "avr", "readings": 40_000},
     ),
     Row("115200 baud, 8 boards, 120 s", {"link": "serial", "seconds": 120}),
     Row(

@@ -29,6 +29,10 @@ extern volatile uint8_t usb_trouble;
 #endif
 /* The starts of frames lead the clock. */
 #define J2A_PORT_FRAMES (J2A_WITH_SYNC && J2A_WITH_SYNCUSB)
+#if J2A_PORT_FRAMES
+void usb_frames_off(void);
+#define AVR_CLOCK_QUIET() usb_frames_off()
+#endif
 
 #if ((J2A_WITH_SYNCUSB | J2A_USB_SLEEP) & ~1) != 0
 #error "J2A_WITH_SYNCUSB and J2A_USB_SLEEP must be 0 or 1"

@@ -31,6 +31,19 @@ void usb_frame_started(void) {
     last.is_known = true;
 }
 
+/* From the end of a wait until the next turn of the main loop: what an interrupt would delay is worth more than a
+ * start of frame, of which others may be lost, too. */
+void usb_frames_off(void) {
+    UDIEN &= (uint8_t)~_BV(SOFE);
+}
+
+static void frames_on(void) {
+    if ((UDIEN & _BV(SOFE)) || (usb_trouble & USB_SUSPENDED))
+        return;
+    UDINT = (uint8_t)~_BV(SOFI); /* nobody knows how long ago it was */
+    UDIEN |= _BV(SOFE);
+}
+
 /* Returns the ticks from that start until now; with interrupts off. */
 static uint32_t age(uint32_t *started) {
     const uint16_t ticks = TCNT1;
@@ -45,6 +58,7 @@ bool j2a_port_frame(j2a_frame *frame) {
     uint32_t started;
     bool is_known;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        frames_on();
         if (age(&started) > OLD_TICKS)
             last.is_known = false;
         is_known = last.is_known;

@@ -150,8 +150,10 @@ def test_two_clocks_that_agree_differ_by_what_both_cut_off():
         shown.append(np.floor(np.floor(true_us + ahead_us) - ahead_us))
     apart = shown[0] - shown[1]
     alone = bounds(Settings(boards=2), 0.0)["pair_rms_us"]
-    assert np.abs(apart).max() == 1 or np.abs(apart).max() == 2
-    assert np.sqrt(np.mean(apart**2)) == pytest.approx(np.sqrt(1 / 3), rel=0.01) < alone
+    rms = np.sqrt(np.mean(apart**2))
+    assert np.abs(apart).max() < 2
+    assert rms == pytest.approx(np.sqrt(1 / 3), rel=0.01)
+    assert rms < alone
 
 
 def test_long_runs_choose_the_fast_engine():
