@@ -54,3 +54,18 @@ def test_every_system_package_says_who_needs_it_and_how_it_is_found():
     for row in rows:
         assert len(row) == 3, row
         assert row[1] in {"demo", "test"}, row
+
+
+def test_pages_that_sources_name_exist():
+    kinds = (".py", ".c", ".h", ".toml", ".sh", ".mk")
+    listed = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
+    sources = [ROOT / name for name in listed.splitlines() if name.endswith(kinds)]
+    named = {
+        (page, path.name)
+        for path in sources
+        for page in re.findall(r"\bdocs/[a-z0-9/-]+\.md\b", path.read_text("utf-8", "ignore"))
+    }
+    assert len(named) > 5
+    assert not [(page, name) for page, name in sorted(named) if not (ROOT / page).exists()]
