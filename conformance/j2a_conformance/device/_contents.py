@@ -52,8 +52,11 @@ def check_writes(peer: Peer, name: str, what: str, content: bytes) -> None:
 def check_end(peer: Peer, name: str) -> None:
     """Read at the end and at many offsets behind it; an empty last chunk must come."""
     size = len(peer.read_all(name))
-    bytes_up = [size + (1 << shift) for shift in range(31)]
-    for offset in (size, *bytes_up, 0xFFFFFFFF - 255, 0xFFFFFFFE, 0xFFFFFFFF):
+    ends = [size + (1 << shift) for shift in range(31)]
+    # Where offsets of fewer bits would be in the contents.
+    cut = [(1 << shift) + at for shift in range(8, 32) for at in (0, size // 2, size - 1)]
+    behind = (*ends, *cut, 0xFFFFFFFF - 255, 0xFFFFFFFE, 0xFFFFFFFF)
+    for offset in (size, *(offset for offset in behind if offset > size)):
         reply = peer.ask_many(peer.many(name, offset=offset))
         if reply.data or not reply.flags & c.FLAG_LAST or reply.offset != offset:
             fail(f"{reply} in a read at offset {offset}, the end is {size}")

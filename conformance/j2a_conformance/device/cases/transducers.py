@@ -36,6 +36,8 @@ _PERIODS_S: Final = (0.12, 0.06)
 _DUE_US: Final = 120_000
 _LATER_US: Final = 20_000
 _SLACK_US: Final = 1_000_000  # a busy device, or a simulated one
+# Times that none of us will see, also for who takes them for fewer bits or for a sign.
+_FAR_US: Final = (1 << 62, (1 << 63) - 1, 1 << 63, (1 << 63) + 12345, (1 << 64) - 1)
 _BYTES: Final = (0x00, 0x01, 0x11, 0x12, 0x7C, 0x7D, 0x7F, 0x80, 0xEC, 0xED, 0xFF)
 _TRIES: Final = 100
 _WRAP: Final = 65536
@@ -521,12 +523,22 @@ _WRONG_TOPICS: Final = (
     "\u00e4".encode() + b"\x84",
     b"\xe2\x28\xa1",
     *(b"a" * (length - 1) + b"\xff" for length in range(2, 33)),
+    *(
+        before + wrong + behind
+        for wrong in (
+            b"\xc0\xaf", b"\xc1\xbf", b"\xe0\x9f\xbf", b"\xed\xa0\x80", b"\xed\xbf\xbf",
+            b"\xf0\x8f\xbf\xbf", b"\xf4\x90\x80\x80", b"\xe2\x82", b"\x7f", b"\x1f",
+        )
+        for before, behind in (
+            (b"", b"b"), (b"a", b""), ("\u00e4".encode(), b""), (b"a" * 27, b"b")
+        )
+    ),
 )  # fmt: skip
 _RIGHT_TOPICS: Final = (
     b"a", b"left/wheel", bytes(range(0x20, 0x40)), bytes(range(0x5F, 0x7F)), b"~" * 32,
     "\u00e4".encode(), "\u07ff".encode(), "\u0800".encode(), "\ud7ff\ue000".encode(),
     "\uffff".encode(), "\U00010000\U0010ffff".encode(), ("\u00e4" * 16).encode(),
-    ("\U0001f916" * 8).encode(), b"x",
+    ("\U0001f916" * 8).encode(), b" a", b"a ", b" ", b" " * 32, b"x",
 )  # fmt: skip
 
 
@@ -815,10 +827,10 @@ class Enabled(_TransducerCase):
 
 
 class Waiting(_TransducerCase):
-    """Disables sensors with a queue whose values wait for the end of the period."""
+    """Disables sensors whose values wait for the end of the period, and enables those that are."""
 
     ID = "transducers.waiting"
-    EXPECTATION = "What waits is dropped and counts as lost."
+    EXPECTATION = "What waits is dropped and counts as lost; where ENABLED stays 1, it is sent."
     REQUIREMENTS = ("J2A-TRANS-006", "J2A-TRANS-010")
     NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
 
@@ -827,6 +839,50 @@ class Waiting(_TransducerCase):
             with board.tuned(one):
                 for count in range(1, min(int(one.attributes["queue"]), 5) + 1):
                     self._drop(board, one, count)
+                    self._keep(board, one, count)
+        for one in board.sensors(queue=False):
+            with board.tuned(one):
+                for channel in spread(one):
+                    self._keep_newest(board, one, channel)
+
+    @staticmethod
+    def _hold(board: Board, one: oracle.Transducer, *given: tuple[int, bytes]) -> int:
+        """Have values wait for the end of a period; return how many SIFs had come before."""
+        since = board.seen
+        board.stimulate(one, (0, board.value(one)))
+        board.sif(one, since)
+        board.write(one, c.TRANSD_PERIOD, struct.pack("<I", 0xFFFFFFFF))
+        since = board.seen
+        for each in given:
+            board.stimulate(one, each)
+        board.no_sif(one, since, "before the period was over")
+        return since
+
+    def _keep(self, board: Board, one: oracle.Transducer, count: int) -> None:
+        given = [(number % one.channels, board.value(one)) for number in range(count)]
+        since = self._hold(board, one, *given)
+        board.write(one, c.TRANSD_ENABLED, b"\1")  # it is
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        found: list[tuple[int, bytes]] = []
+        while len(found) < count:
+            since, payload = board.sif(one, since)
+            found += [(channel, value) for channel, _, value in queued(board, one, payload)]
+            since += 1
+        if found != given:
+            fail(f"{one.name} sent {found} after it was enabled, which it was; {given} waited")
+
+    def _keep_newest(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        value = board.value(one)
+        since = self._hold(board, one, (channel, value))
+        board.write(one, c.TRANSD_ENABLED, b"\1")  # it is
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        if slots(board, one, board.sif(one, since)[1])[channel][1] != value:
+            fail(f"{one.name} has not sent the value that waited when it was enabled, which it was")
+        since = self._hold(board, one, (channel, board.value(one)))
+        board.write(one, c.TRANSD_ENABLED, b"\0")
+        board.write(one, c.TRANSD_ENABLED, b"\1")
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        board.no_sif(one, since, "for a value that waited when it was disabled")
 
     @staticmethod
     def _drop(board: Board, one: oracle.Transducer, count: int) -> None:
@@ -953,16 +1009,35 @@ class Decimation(_Taken):
                     for channel in channels:
                         is_due = (number + 1) % every == 0
                         self._give(board, one, channel, board.value(one), is_due)
+        self._disabled(board, one)
         board.write(one, c.TRANSD_DECIMATION, b"\xff")
         for number in range(255):
             board.stimulate(one, (0, board.value(one))) if number < 253 else self._give(
                 board, one, 0, board.value(one), number == 254
             )
 
+    def _disabled(self, board: Board, one: oracle.Transducer) -> None:
+        """Count on over times without ENABLED, and with values in them where there is no queue."""
+        board.write(one, c.TRANSD_DECIMATION, b"\3")
+        for number in range(9):
+            for channel in spread(one):
+                is_meanwhile = "queue" not in one.attributes and number % 4 == 1
+                board.write(one, c.TRANSD_ENABLED, b"\0")
+                if not is_meanwhile:
+                    board.write(one, c.TRANSD_ENABLED, b"\1")
+                    self._give(board, one, channel, board.value(one), number % 3 == 2)
+                    continue
+                before, value = board.read(one, c.TRANSD_SAMPLE), board.value(one)
+                board.stimulate(one, (channel, value))
+                if (board.read(one, c.TRANSD_SAMPLE) != before) != (number % 3 == 2):
+                    fail(f"value {number} of {one.name}, which was disabled, was counted wrongly")
+                board.write(one, c.TRANSD_ENABLED, b"\1")
+
 
 class Threshold(_Taken):
     """Gives values to sensors with threshold that differ from the last one by less, as much and
-    more, up and down, across the whole range, and the value na.
+    more, up and down, across the whole range, over times without ENABLED, the value na, and
+    infinities.
     """
 
     ID = "transducers.threshold"
@@ -976,6 +1051,9 @@ class Threshold(_Taken):
                     if "queue" not in one.attributes:
                         self._first(board, one, channel)
                     self._sensor(board, one, channel)
+                    self._disabled(board, one, channel)
+                    if one.type.element in _FORMATS:
+                        self._infinite(board, one, channel)
                 if "decimation" in one.attributes:
                     self._decimated(board, one)
 
@@ -1036,6 +1114,38 @@ class Threshold(_Taken):
         board.write(one, c.TRANSD_THRESHOLD, most)
         self._give(board, one, channel, bytes(size), due=True)
 
+    def _disabled(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        """Compare with what was taken last: before ENABLED was 0, and meanwhile without queue."""
+        has_queue = "queue" in one.attributes
+        last = 40
+        board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+        self._give(board, one, channel, board.packed(one, last), due=True)
+        board.write(one, c.TRANSD_THRESHOLD, board.packed(one, 8))
+        for meanwhile in (None, 60, 64, None, 20):
+            board.write(one, c.TRANSD_ENABLED, b"\0")
+            if meanwhile is not None:
+                board.stimulate(one, (channel, board.packed(one, meanwhile)))
+                last = last if has_queue or abs(meanwhile - last) < 8 else meanwhile
+            board.write(one, c.TRANSD_ENABLED, b"\1")
+            for number in (last + 7, last - 7, last + 8):
+                is_due = number == last + 8
+                self._give(board, one, channel, board.packed(one, number), is_due)
+            last += 8
+
+    def _infinite(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        inf = math.inf
+        for limit in (1.0, 1e30, inf):
+            board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+            self._give(board, one, channel, board.packed(one, 3.0), due=True)
+            board.write(one, c.TRANSD_THRESHOLD, board.packed(one, limit))
+            last = 3.0
+            for number in (inf, inf, -inf, -inf, 5.0, -inf, inf, inf, 0.0, 0.0):
+                self._give(board, one, channel, board.packed(one, number), number != last)
+                last = number
+        board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+        for number in (inf, inf, -inf, -inf):
+            self._give(board, one, channel, board.packed(one, number), due=True)
+
     def _decimated(self, board: Board, one: oracle.Transducer) -> None:
         """Leave the values that decimation leaves to the threshold."""
         board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
@@ -1069,6 +1179,8 @@ class Set(_TransducerCase):
             self._ahead(board, one)
             for channel in spread(one):
                 self._replaced(board, one, channel)
+                self._far(board, one, channel)
+            self._replaced_together(board, one)
             if guarded:
                 board.write(one, c.TRANSD_WATCHDOG, before)
 
@@ -1146,6 +1258,50 @@ class Set(_TransducerCase):
                 text = f"{one.name} was set at {due_us} us, though a later SET had replaced that"
                 fail(text, suspect=True)  # a device that stalls is late, too
 
+    @staticmethod
+    def _far(board: Board, one: oracle.Transducer, channel: int) -> None:
+        """Set a channel for times that are years ahead, each in place of one that is near."""
+        before = board.read(one, c.TRANSD_SAMPLE)
+        due_us = board.time_us() + _DUE_US
+        for far_us in _FAR_US:
+            for at_us in (due_us, far_us):
+                value = settable(board, one)
+                board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(at_us) + value)
+        is_in_time = board.time_us() < due_us
+        board.wait_until(due_us + _LATER_US)
+        if is_in_time and board.read(one, c.TRANSD_SAMPLE) != before:
+            fail(f"{one.name} was set, for a time that is far ahead or one that was replaced")
+        # So that nothing waits.
+        board.write(one, c.TRANSD_SET, bytes((channel,)) + bytes(8) + settable(board, one))
+
+    @staticmethod
+    def _replaced_together(board: Board, one: oracle.Transducer) -> None:
+        """Set all channels that fit for a time, and then some of them for another one."""
+        room = min(one.channels, (board.peer.longest - 11) // board.size(one))
+        parts = {(0, 1), (0, room), (room - 1, 1), (room // 2, room - room // 2), (0, room - 1)}
+        for first, count in sorted(part for part in parts if part[1]):
+            early, late = ([settable(board, one) for _ in range(room)] for _ in range(2))
+            begin_us = board.time_us()
+            due_us = begin_us + _DUE_US
+            later_us = due_us + _DUE_US
+            board.write(one, c.TRANSD_SET, b"\0" + _US.pack(due_us) + b"".join(early))
+            some = b"".join(late[first : first + count])
+            board.write(one, c.TRANSD_SET, bytes((first,)) + _US.pack(later_us) + some)
+            is_in_time = board.time_us() < due_us
+            board.wait_until(later_us + _LATER_US)
+            found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+            for channel in range(room):
+                is_late = first <= channel < first + count
+                time_us, raw = found[channel]
+                if raw != (late if is_late else early)[channel]:
+                    text = f"channel {channel} of {one.name} is {raw.hex()}; {count} channels from "
+                    fail(text + f"{first} on were set anew for later", suspect=True)
+                if is_in_time and not (later_us if is_late else due_us) <= time_us:
+                    fail(f"channel {channel} of {one.name} was set at {time_us} us, too early")
+                if not is_late and time_us >= later_us:
+                    text = f"channel {channel} of {one.name} was set at {time_us} us, as others"
+                    fail(text, suspect=True)
+
 
 class Watchdog(_TransducerCase):
     """Is silent for shorter and longer than the watchdog of an actuator."""
@@ -1171,6 +1327,8 @@ class Watchdog(_TransducerCase):
         if value == safe_value:  # it has one value only
             return
         fit = min(one.channels, (board.peer.longest - 11) // board.size(one))
+        self._long(board, one, value)
+        self._others_untouched(board, one, value)
         board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
         board.write(one, c.TRANSD_SET, bytes(9) + value * fit)
         board.write(one, c.TRANSD_WATCHDOG, bytes(2))
@@ -1200,6 +1358,30 @@ class Watchdog(_TransducerCase):
         if slots(board, one, board.read(one, c.TRANSD_SAMPLE)) != found:
             fail(f"{one.name} has changed after it was made safe", suspect=True)
 
+    def _others_untouched(self, board: Board, one: oracle.Transducer, value: bytes) -> None:
+        """Set the last channel only: the others must be safe, too, also if none was ever set."""
+        board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
+        board.write(one, c.TRANSD_SET, bytes((one.channels - 1,)) + bytes(8) + value)
+        begin_us = board.time_us()
+        self._silence(board, self.LIMIT_MS * 2)
+        safe_value = safe(board, one)
+        for channel, (time_us, raw) in enumerate(
+            slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+        ):
+            if raw != safe_value or time_us < begin_us:
+                fail(f"channel {channel} of {one.name} was not made safe, but {raw.hex()}")
+
+    def _long(self, board: Board, one: oracle.Transducer, value: bytes) -> None:
+        """Be silent for far less than long watchdogs, whose limits do not fit into fewer bits."""
+        for limit_ms in (256, 0x1010, 32767, 32768, 40000, 65535):
+            board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", limit_ms))
+            board.write(one, c.TRANSD_SET, bytes(9) + value)
+            self._silence(board, self.LIMIT_MS * 0.8)
+            if slots(board, one, board.read(one, c.TRANSD_SAMPLE))[0][1] != value:
+                text = f"{one.name} was made safe after less than its watchdog of {limit_ms} ms"
+                fail(text, suspect=True)
+        board.write(one, c.TRANSD_WATCHDOG, bytes(2))
+
     @staticmethod
     def _silence(board: Board, time_ms: float) -> None:
         board.peer.silence(time_ms / 1e3, "while nothing was asked")
@@ -1227,8 +1409,10 @@ class Trigger(_TransducerCase):
                     begin_us, since = board.time_us(), board.seen
                     board.write(one, c.TRANSD_TRIGGER, _US.pack(at_us))
                     self._measured(board, one, since, begin_us)
-                for later_us in (None, _DUE_US // 2, 2 * _DUE_US):
+                for later_us in (None, _DUE_US // 2, 2 * _DUE_US, 0):
                     since, now_us = board.seen, board.time_us()
+                    for far_us in _FAR_US:
+                        board.write(one, c.TRANSD_TRIGGER, _US.pack(far_us))
                     board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + _DUE_US))
                     if later_us is not None:
                         board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + later_us))
