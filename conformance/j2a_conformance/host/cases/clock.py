@@ -4,6 +4,7 @@ The suite is a device whose clock it makes up: exact, late, reset, or wrong. Rul
 is what the host sends and reports, and never how fast it is.
 """
 
+import time
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Final
@@ -27,6 +28,7 @@ from j2a_conformance.host._outcomes import Request
 _S: Final = 1_000_000
 _ROUNDS: Final = 12
 _MOST: Final = 500  # requests in a job
+_WRONG_US: Final = (0, 100_000, 1_500_000, 2_500_000, 10 * _S)  # with room for what a link adds
 BOARD: Final = replace(
     DEMO,
     names=(*c.BUILTINS, c.CLOCK, PING, FETCH, STORE),
@@ -63,6 +65,8 @@ class _Scripted:
         delay_s: how long it keeps each exchange.
         spoil: changes the code and the payload of a reply to EXCHANGE.
         refuses: answers ADJUST by BAD_VALUE.
+        back_us: by so much its local time goes back at the next exchange.
+        state: what it says that its clock is, where that is not what it is.
         nonces: of the exchanges that came.
         adjusts: the adjustments that came.
         others: items that came and are none of these.
@@ -73,6 +77,8 @@ class _Scripted:
     delay_s: float = 0.0
     spoil: _Spoilt = field(default_factory=_Spoilt)
     refuses: bool = False
+    back_us: int = 0
+    state: int | None = None
     nonces: list[int] = field(default_factory=list)
     adjusts: list[cs.Container] = field(default_factory=list)
     others: list[int] = field(default_factory=list)
@@ -80,6 +86,7 @@ class _Scripted:
     def __post_init__(self) -> None:
         self._began_s = self.host.link.now_s()
         self._clock = Clock()
+        self._received_us = 0
 
     @property
     def local_us(self) -> int:
@@ -90,6 +97,16 @@ class _Scripted:
         self.start_us = 1000
         self._began_s = self.host.link.now_s()
         self._clock = Clock()
+
+    def set_wrong(self, by_us: int) -> None:
+        """Have something else set the clock, so that it is wrong by that."""
+        fields = dict.fromkeys(("item", "rate", "uncertainty", "wander"), 0) | {
+            "item": c.CLOCK_ADJUST,
+            "mode": c.CLOCK_STEP,
+            "local": self.local_us,
+            "time": round(time.time() * _S) + by_us,
+        }
+        self._clock.code(CLOCK_ADJUST.build(fields), self.local_us)
 
     def play(self, job: str) -> None:
         """Give the host a job, and answer its requests until it reports."""
@@ -103,9 +120,13 @@ class _Scripted:
 
     def answer(self, request: Request) -> None:
         """Answer a request to a2jClock."""
-        received = self.local_us
         item = request.payload[0] if request.payload else -1
+        if item == c.CLOCK_EXCHANGE and self.back_us:
+            self.start_us, self.back_us = self._received_us - self.back_us, 0
+            self._began_s = self.host.link.now_s()
+        received = self.local_us
         if item == c.CLOCK_EXCHANGE:
+            self._received_us = received
             nonce = CLOCK_EXCHANGE.parse(request.payload).nonce
             self.nonces.append(nonce)
             self.host.link.wait_until(self.host.link.now_s() + self.delay_s)
@@ -123,7 +144,8 @@ class _Scripted:
 
     def _status(self, local: int) -> bytes:
         bounds = self._clock.bounds(local)
-        fields = {"local": local, "state": bounds.states[0], "epoch": bounds.epoch}
+        state = bounds.states[0] if self.state is None else self.state
+        fields = {"local": local, "state": state, "epoch": bounds.epoch}
         for name in ("time", "rate", "uncertainty"):
             fields[name] = sum(getattr(bounds, name)) // 2
         return bytes(CLOCK_STATUS.build(fields))
@@ -225,7 +247,7 @@ class Uncertain(_ClockCase):
     REQUIREMENTS = ("J2A-CLOCK-025",)
 
     def _run(self, host: Host) -> None:
-        for delay_s in (0.01, 0.04):
+        for delay_s in (0.01, 0.04, 0.2):
             host.become(DEMO)
             host.become(BOARD)
             device = _Scripted(host, delay_s=delay_s)
@@ -258,11 +280,54 @@ class Resets(_ClockCase):
             fail("no ADJUST came after the reset")
         device.refuses = True
         self._sync(device, rounds=1)
-        device.refuses, device.delay_s = False, 0.04  # now exchanges are worse than before
+        device.refuses = False
+        self._forgotten(device, "it was answered by BAD_VALUE")
+        for back_us in (1, 300, 999, 1000, 5 * _S):
+            device.delay_s = 0.0
+            self._sync(device, "clock", rounds=2 * _ROUNDS)
+            device.back_us = back_us
+            self._forgotten(device, f"the local time went back by {back_us} us")
+
+    def _forgotten(self, device: _Scripted, why: str) -> None:
+        """Make exchanges that are worse than those before, which must not count any more."""
+        device.delay_s = 0.04
         device.adjusts.clear()
         self._sync(device, "clock", rounds=2 * _ROUNDS)
+        if not device.adjusts:
+            fail(f"no ADJUST came after {why}")
         if any(adjust.uncertainty < 0.02 * _S for adjust in device.adjusts):
-            fail("ADJUST rests on exchanges from before it was answered by BAD_VALUE")
+            fail(f"ADJUST rests on exchanges from before {why}")
+
+
+class Modes(_ClockCase):
+    """Is free, follows the host, is alone for long, and was set by something else."""
+
+    ID = "host.clock.modes"
+    EXPECTATION = "ADJUST sets the clock only if something else has set it wrong by 2 s or more."
+    REQUIREMENTS = ("J2A-CLOCK-028",)
+
+    def _run(self, host: Host) -> None:
+        device = _Scripted(host)
+        for state in (None, c.CLOCK_HOLDOVER, c.CLOCK_SETTLING, c.CLOCK_LOCKED):
+            device.state = state
+            self._modes(device, c.CLOCK_SLEW, f"to a device in the state {state or 0}")
+        step_us = c.CLOCK_FRAME_STEP_S * _S
+        for wrong_us in (*_WRONG_US, 3600 * _S):
+            for by_us in (wrong_us, -wrong_us):
+                host.become(DEMO)
+                host.become(BOARD)
+                device = _Scripted(host)
+                device.set_wrong(by_us)
+                mode = c.CLOCK_STEP if wrong_us >= step_us else c.CLOCK_SLEW
+                self._modes(device, mode, f"to a clock that is wrong by {by_us} us")
+
+    def _modes(self, device: _Scripted, first: int, what: str) -> None:
+        """Have the host set the clock; the first ADJUST has this mode, the others are SLEW."""
+        device.adjusts.clear()
+        self._sync(device, "clock")
+        modes = [adjust.mode for adjust in device.adjusts]
+        if not modes or modes != [first, *[c.CLOCK_SLEW] * (len(modes) - 1)]:
+            fail(f"ADJUST has the modes {modes} {what}")
 
 
 class Single(_ClockCase):

@@ -300,10 +300,23 @@ class WrongSamples(_TransducerCase):
         wrong_imu += [(18, whole[:2] + bytes((n,)) + whole[3:]) for n in (1, 2, 127, 128, 255)]
         wrong_imu += [(18, whole + bytes((n,)) + whole[3:]) for n in (1, 255)]
         taken(host, "imu", wrong_imu, [])
-        taken(host, "many", [(34, b"\0\0\2" + bytes(8) + b"\1")], [])
+        wrong_many = [
+            (
+                34,
+                bytes(2)
+                + b"".join(
+                    struct.pack("<BQB", channel if n == at else n % 2, 5, n) for n in range(count)
+                ),
+            )
+            for channel in (2, 3, 128, 255)
+            for count in (1, 2, 9)
+            for at in sorted({0, 1, count - 1})
+            if at < count
+        ]
+        taken(host, "many", wrong_many, [])
         wrong_long = [(33, bytes(length)) for length in (0, 1, 10, 240, 249, 251, 255)]
         taken(host, "long", wrong_long, [])
-        count = len(wrong) + len(wrong_imu) + 1 + len(wrong_long)
+        count = len(wrong) + len(wrong_imu) + len(wrong_many) + len(wrong_long)
         if self._count(host) - before != count:
             fail(f"the host reports {self._count(host) - before} wrong samples of {count}")
         taken(host, "quad", [(254, b"\1"), (200, b"abc"), good], [(0, 5, 1), (1, 5, 2)], count=1)
@@ -358,9 +371,13 @@ class Clock(_TransducerCase):
         times = ((5, 9, 0), (5, 9, 0), (6, 9, 0), (6, 8, 1), (6, 8, 0), (5, 9, 1),
                  (2**32, 2**40, 0), (2**32 + 1, 2**32 + 5, 1), (0, 2**32 + 5, 0),
                  (2**32 + 1, 2**33, 0),
-                 (2**32, 2**33, 1), (1, 1, 1))  # fmt: skip
+                 (2**32, 2**33, 1), (1, 1, 1), (100, 90, 0), (0, 90, 0), (0, 91, 0), (50, 91, 1),
+                 (50, 0, 0), (51, 40, 1), (51, 40, 0))  # fmt: skip
         for left, right, resets in times:
-            readings = [(0, left or None, 1 if left else None), (1, right, 2)]
+            readings = [
+                (0, left or None, 1 if left else None),
+                (1, right or None, 2 if right else None),
+            ]
             taken(host, "quad", [sample("quad", [(left, 1), (right, 2)])], readings, resets=resets)
         host.send(host.sif(*queued("many", 0, [(0, 30, 1), (1, 30, 1)])))
         host.do(f"samples many 1 {host.limit_ms}", "samples")  # what was lost before is not known
@@ -373,6 +390,7 @@ class Clock(_TransducerCase):
             (((0, 60), (0, 59)), 1), (((0, 60), (1, 50), (0, 60)), 0),
             (((1, 55), (0, 61), (1, 54)), 1),
             (((1, 0), (0, 62)), 0), (((0, 70), (1, 69), (0, 71), (1, 70)), 0),
+            (((0, 0), (0, 60), (1, 70)), 1), (((1, 0),), 0), (((1, 69),), 1),
         ):  # fmt: skip
             sif = queued("many", 0, [(channel, time_us, 1) for channel, time_us in entries])
             given = [
@@ -426,6 +444,12 @@ class Restart(_TransducerCase):
         host.become(BOOTING)
 
 
+# Of no more than 32 characters, and of 33 bytes and more.
+_LONG_TOPICS: Final = (
+    "\u00e4" * 17, "\u00e4" * 32, "x" * 31 + "\u00e4", "\u20ac" * 11, "\U0001f916" * 9,
+)  # fmt: skip
+
+
 class Refused(_TransducerCase):
     """Has the host write settings and values that a transducer cannot have, and others."""
 
@@ -444,6 +468,7 @@ class Refused(_TransducerCase):
             ("servo", "topic", '"x"'), ("many", "decimation", "0"), ("many", "decimation", "256"),
             ("many", "threshold", "256"), ("many", "threshold", "-1"), ("many", "topic", '""'),
             ("many", "topic", json.dumps("x" * 33)), ("many", "topic", '"a\\nb"'),
+            *(("many", "topic", json.dumps(text)) for text in _LONG_TOPICS),
             ("many", "period", "-1"), ("many", "period", "4295"), ("servo", "watchdog", "65.6"),
             ("servo", "watchdog", "-1"), ("servo", "watchdog", "-0.001"),
             ("many", "watchdog", "1"), ("motor", "watchdog", "1"),
@@ -454,6 +479,10 @@ class Refused(_TransducerCase):
             ("many", "decimation", "255", c.TRANSD_DECIMATION, b"\xff"),
             ("many", "threshold", "255", c.TRANSD_THRESHOLD, b"\xff"),
             ("many", "topic", '"left/wheel"', c.TRANSD_TOPIC, b"left/wheel"),
+            *(
+                ("many", "topic", json.dumps(text), c.TRANSD_TOPIC, text.encode())
+                for text in ("x" * 32, "\u00e4" * 16, "\u20ac" * 10 + "ab", "\U0001f916" * 8)
+            ),
             ("many", "period", "0.25", c.TRANSD_PERIOD, struct.pack("<I", 250000)),
             ("quad", "enabled", "false", c.TRANSD_ENABLED, b"\0"),
             ("servo", "watchdog", "65.535", c.TRANSD_WATCHDOG, b"\xff\xff"),
