@@ -300,7 +300,11 @@ class Resets(_ClockCase):
 
 
 class Modes(_ClockCase):
-    """Is free, follows the host, is alone for long, and was set by something else."""
+    """Is free, follows the host, is alone for long, and was set by something else.
+
+    What a host does when the clock of its own machine is set, which no suite may do, tests of the
+    library show.
+    """
 
     ID = "host.clock.modes"
     EXPECTATION = "ADJUST sets the clock only if something else has set it wrong by 2 s or more."
