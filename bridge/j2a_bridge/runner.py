@@ -2,8 +2,9 @@
 
 What flows in: topics and samples, from the loop of the bridge. What flows out: calls of the sink,
 in order.
-Rules: so many samples may wait; then the oldest are dropped and counted, and no news of a topic
-ever is. A sink that fails is told once, closed, and opened anew after a while with all its topics.
+Rules: so many samples may wait; then the oldest are dropped and counted. No news of a topic ever
+is, but where very many wait only the last ones of each topic stay. A sink that fails is told once,
+closed, and opened anew after a while with all its topics.
 """
 
 import contextlib
@@ -20,6 +21,8 @@ from j2a_bridge.topics import Topic
 __all__ = ["SinkRunner"]
 
 _CLOSE_S: Final = 5.0
+_MOST_NEWS: Final = 10_000
+"""Boards that come and go all the time must not fill the memory while a sink is blocked."""
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -42,6 +45,7 @@ class SinkRunner:
         self._news: deque[tuple[bool, Topic]] = deque()  # which no sample before it overtakes
         self._waiting: deque[Update | tuple[bool, Topic]] = deque()
         self._samples = 0
+        self._most = self.sink.WAITING + _MOST_NEWS
         self._status: Status | None = None
         self._is_ended = False
         self._topics: dict[str, Topic] = {}
@@ -69,7 +73,24 @@ class SinkRunner:
     def _tell(self, news: tuple[bool, Topic]) -> None:
         with self._wake:
             self._waiting.append(news)
+            if len(self._waiting) + len(self._news) > self._most:
+                self._shorten()
             self._wake.notify()
+
+    def _shorten(self) -> None:
+        """Keep the last news of each topic only; `_change` knows which topic it had before."""
+        kept: deque[Update | tuple[bool, Topic]] = deque()
+        seen: set[str] = set()
+        for item in reversed((*self._news, *self._waiting)):
+            if not isinstance(item, Update):
+                if item[1].name in seen:
+                    continue
+                seen.add(item[1].name)
+            kept.appendleft(item)
+        self._news.clear()
+        self._waiting = kept
+        # So that this is seldom done where there are very many topics.
+        self._most = max(self.sink.WAITING + _MOST_NEWS, 2 * len(kept))
 
     def publish(self, update: Update) -> None:
         """Pass a sample on; returns at once."""

@@ -15,6 +15,8 @@ from j2a.types.transducers import Descriptors, Transducer
 
 __all__ = ["Names", "Topic", "plain_name"]
 
+_LONGEST: Final = 64
+"""Of the name that a board gives itself: names of topics in ROS 2 are not longer than 250."""
 _BETWEEN: Final = re.compile(r"[^A-Za-z0-9]+")
 
 
@@ -70,8 +72,8 @@ class Names:
         if identity in self._boards:
             return self._boards[identity]
         chosen = self._chosen.get(identity) or self._chosen.get(url)
-        own = plain_name(chosen or properties.get("name") or "board")
-        serial = properties.get("serial")
+        own = plain_name(chosen or properties.get("name", "")[:_LONGEST] or "board")
+        serial = properties.get("serial", "")[:_LONGEST]
         name = own
         if own in self._boards.values() and serial:
             name = plain_name(f"{own}_{serial}")

@@ -57,6 +57,14 @@ def test_no_two_share_a_topic_and_each_keeps_its_own(pairs, with_board):
             assert NAME.fullmatch(part)
 
 
+def test_a_board_that_calls_itself_a_novel_has_a_name_for_ros():
+    names = Names(with_board=True)
+    novel = {"name": "n" * 5000, "serial": "s" * 5000}
+    assert names.board("1", "u1", novel) == "n" * 64
+    assert names.board("2", "u2", novel) == "n" * 64 + "_" + "s" * 64
+    assert names.board("3", "u3", {"name": "\u00e4" * 5000}) != "n" * 64
+
+
 def test_a_board_that_is_here_again_has_its_name():
     names = Names(with_board=True, boards={"B7": "left"})
     assert names.board("A3", "u1", {"name": "arm"}) == "arm"

@@ -1,0 +1,112 @@
+"""The thread of a sink: what waits for it has a limit, and comes in order."""
+
+import struct
+import threading
+
+import pytest
+from j2a_bridge import Sink
+from j2a_bridge.runner import _MOST_NEWS, SinkRunner
+
+from .support import PATIENCE_S
+from .test_ros_messages import topic_of, update_of
+
+
+class Blocked(Sink):
+    """A sink that is not open before it is let go; notes what it was told."""
+
+    SUMMARY = "for tests"
+    WAITING = 50
+
+    def __init__(self):
+        super().__init__("", {}, None)
+        self.let_go = threading.Event()
+        self.topics = {}
+        self.values = []
+
+    def open(self):
+        assert self.let_go.wait(PATIENCE_S)
+
+    def announce(self, topic):
+        assert topic.name not in self.topics
+        self.topics[topic.name] = topic
+
+    def retract(self, topic):
+        assert self.topics.pop(topic.name) is topic
+
+    def publish(self, update):
+        assert self.topics[update.topic.name] is update.topic
+        self.values.append(struct.unpack("<QB", update.sample.payload)[1])
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def sink():
+    return Blocked()
+
+
+@pytest.fixture
+def runner(sink):
+    runner = SinkRunner("blocked", sink)
+    runner.start()
+    yield runner
+    sink.let_go.set()
+    runner.end()
+    assert runner.join(PATIENCE_S)
+
+
+def topic(name):
+    return topic_of("SENSOR(level, 0, level, M, 1, u8, none)", name=name)
+
+
+def value(of, number):
+    return update_of(of, struct.pack("<QB", 5, number))
+
+
+def test_boards_that_come_and_go_do_not_fill_the_memory_while_a_sink_is_blocked(runner, sink):
+    one, other, stays = topic("one"), topic("other"), topic("stays")
+    runner.announce(stays)
+    most = 0
+    for number in range(2 * _MOST_NEWS):
+        runner.announce(one if number % 2 else other)
+        runner.publish(value(stays, number % 256))
+        runner.retract(one if number % 2 else other)
+        most = max(most, len(runner._waiting) + len(runner._news))
+    runner.announce(one)
+    assert most <= _MOST_NEWS + sink.WAITING
+    sink.let_go.set()
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert sink.topics == {"one": one, "stays": stays}
+    assert sink.values == [number % 256 for number in range(2 * _MOST_NEWS)][-sink.WAITING :]
+    assert runner.status.dropped == 2 * _MOST_NEWS - sink.WAITING
+
+
+def test_the_limit_grows_with_the_topics_that_there_are(runner, sink):
+    topics = [topic(f"t{number}") for number in range(_MOST_NEWS + 200)]
+    for each in topics:
+        runner.announce(each)
+    runner.publish(value(topics[-1], 7))
+    sink.let_go.set()
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert list(sink.topics.values()) == topics
+    assert sink.values == [7]
+
+
+def test_a_topic_that_has_changed_while_a_sink_was_blocked_is_taken_back_first(runner, sink):
+    before, after = topic("level"), topic("level")
+    runner.announce(before)
+    sink.let_go.set()
+    assert runner.opened.wait(PATIENCE_S)
+    for _ in range(_MOST_NEWS):
+        runner.retract(before)
+        runner.announce(after)
+        runner.retract(after)
+        runner.announce(before)
+    runner.announce(after)
+    runner.publish(value(after, 9))
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert sink.topics == {"level": after} and sink.values == [9]
