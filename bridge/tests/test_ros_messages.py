@@ -2,9 +2,12 @@
 
 import math
 import struct
+from concurrent.futures import Future
+from typing import Any
 
 import numpy as np
 import pytest
+from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sink import BoardStatus, SinkStatus, Status, Times, TopicStatus, Update
 from j2a_bridge.topics import Topic
@@ -305,3 +308,108 @@ def test_types_of_boards_that_differ_do_not_meet() -> None:
     one, other = topic_of(QUAD), topic_of("SENSOR(quad, 0, quad, M, 2, u8, none)")
     assert ros.definition(one, ros.type_of(one)) != ros.definition(other, ros.type_of(other))
     assert get_typestore(Stores.ROS2_JAZZY).types.keys() == ros.store.types.keys()
+
+
+def test_an_actuator_is_not_published() -> None:
+    for distro in DISTROS:
+        topic = topic_of("ACTUATOR(servo, 1, servo, M, 2, int8_t, 0, (unit, deg))")
+        assert RosMessages(distro).messages(topic) == []
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_a_time_beyond_what_a_message_can_hold_is_the_nearest(distro: str) -> None:
+    last = (1 << 32 if distro == "noetic" else 1 << 31) - 1
+    ros = RosMessages(distro)
+    for seconds in (0, 1, (1 << 31) - 1, 1 << 31, (1 << 32) - 1, 1 << 32, 1 << 40):
+        time = ros.time(seconds * 1_000_000_000 + 5)
+        is_inside = seconds <= last
+        assert (time.sec, time.nanosec) == ((seconds, 5) if is_inside else (last, 999_999_999))
+    assert (ros.time(-1).sec, ros.time(-1).nanosec) == (0, 0)
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize(("scale", "ends"), [(1, (0.15, 6.0)), (-1, (-6.0, -0.15))])
+def test_the_lower_end_of_a_range_is_the_lower_one(
+    distro: str, scale: int, ends: tuple[float, float]
+) -> None:
+    definition = f"SENSOR(d, 0, s, M, 1, i16, 0, (unit, cm), (scale, {scale}), (range, 15, 600))"
+    one = published(topic_of(definition), struct.pack("<Qh", 7, 100), distro)["d/range"]
+    assert (one.min_range, one.max_range) == pytest.approx(ends)
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_each_channel_of_a_structure_has_its_own_time(distro: str) -> None:
+    topic = topic_of(IMU.replace("M, 1, motion", "M, 2, motion"))
+    values = struct.pack("<9h", *range(9))
+    payload = b"".join(struct.pack("<Q", time) + values for time in (5_000_000, 9_000_000))
+    found = published(topic, payload, distro)
+    stamps = {name: one.header.stamp.sec for name, one in found.items() if "/" in name}
+    assert stamps == {
+        "imu/imu_0": 5, "imu/imu_1": 9, "imu/magnetic_field_0": 5, "imu/magnetic_field_1": 9,
+    }  # fmt: skip
+    found = published(topic, bytes(8) + values + payload[-26:], distro)
+    assert set(found) == {"imu", "imu/imu_1", "imu/magnetic_field_1"}
+
+
+FIX = """
+J2A_STRUCT(gps, (f32, accuracy, m), (i32, lap, deg), (f64, latitude, deg), (f64, longitude, rad),
+           (i32, alt, cm))
+SENSOR(gps, 3, gps, M, 1, gps, none)
+"""
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_a_position_has_degrees_and_metres_of_the_fields_that_are_called_so(distro: str) -> None:
+    payload = struct.pack("<Qfiddi", 7, 3.5, 99, 52.25, math.pi / 18, 3400)
+    fix = published(topic_of(FIX), payload, distro)["gps/fix"]
+    assert fix.latitude == pytest.approx(52.25)
+    assert fix.longitude == pytest.approx(10)
+    assert fix.altitude == pytest.approx(34)
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_values_of_an_actuator_with_arrays_are_grouped(distro: str) -> None:
+    topic = topic_of("ACTUATOR(leds, 1, leds, M, 2, array(u8, 3), none)")
+    ros = RosMessages(distro)
+    store, kind = ros.store_of(topic.descriptors), ros.type_of(topic)
+    write = store.serialize_ros1 if ros.is_ros1 else store.serialize_cdr
+    data = write(store.types[kind]([], np.arange(6, dtype="u1")), kind)
+    assert ros.read_own(topic, data) == ([[0, 1, 2], [3, 4, 5]], 0)
+
+
+class Orders:
+    """Takes what is ordered."""
+
+    def __init__(self) -> None:
+        self.given: list[Any] = []
+
+    def set(self, *order: Any, **more: Any) -> "Future[None]":
+        self.given.append((*order, more))
+        future: Future[None] = Future()
+        future.set_result(None)
+        return future
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_orders_have_the_values_and_the_time_of_this_computer(distro: str) -> None:
+    servo = topic_of("ACTUATOR(servo, 1, servo, M, 2, int8_t, 0)")
+    ros, orders = RosMessages(distro), Orders()
+    store, kind = ros.store_of(servo.descriptors), ros.type_of(servo)
+    write = store.serialize_ros1 if ros.is_ros1 else store.serialize_cdr
+    values = np.array([3, -4], "i1")
+    for times, shift_ns in (([], 7), ([ros.time(50)] * 2, 20), ([ros.time(50)] * 2, -20)):
+        data = write(store.types[kind](times, values), kind)
+        set_by_own(orders, ros, servo, data, shift_ns)  # type: ignore[arg-type]
+    at = [0, 30, 70]
+    assert orders.given == [("servo", [3, -4], {"at_ns": one, "raw": True}) for one in at]
+    orders.given.clear()
+    empty = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    floats = store.types[FLOATS](empty, np.array([3.0, -4.0, 1.5]))
+    command = write(floats, FLOATS)
+    leds = topic_of("ACTUATOR(leds, 1, leds, M, 2, array(u8, 3), none)")
+    motor = topic_of("ACTUATOR(motor, 1, m, M, 3, f32, none)")
+    for topic in (servo, leds, motor):
+        set_by_command(orders, ros, topic, command)  # type: ignore[arg-type]
+    assert [order[1] for order in orders.given] == [[3, -4, 1.5], [[3, -4, 1.5]], [3, -4, 1.5]]
+    assert [type(one) for one in orders.given[0][1]] == [int, int, float]
+    assert [type(one) for one in orders.given[2][1]] == [float, float, float]

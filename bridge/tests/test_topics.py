@@ -65,6 +65,18 @@ def test_a_board_that_calls_itself_a_novel_has_a_name_for_ros():
     assert names.board("3", "u3", {"name": "\u00e4" * 5000}) != "n" * 64
 
 
+def test_a_name_that_is_taken_with_the_board_before_it_gets_a_number():
+    names = Names(with_board=False)
+    text = "".join(f"SENSOR(s{at}, {at}, s, M, 1, u8, none)\n" for at in range(3))
+    one, two, three = read_transds(text).transducers
+    assert names.topic("arm", one, "level") == "level"
+    assert names.topic("leg", one, "arm/level") == "arm/level"
+    assert names.topic("arm", two, "level") == "arm/level_2"
+    assert names.topic("arm", three, "level") == "arm/level_3"
+    names.forget("arm", "s1")
+    assert names.topic("arm", three, "level") == "arm/level_2"
+
+
 def test_a_board_that_is_here_again_has_its_name():
     names = Names(with_board=True, boards={"B7": "left"})
     assert names.board("A3", "u1", {"name": "arm"}) == "arm"
