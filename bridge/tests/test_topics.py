@@ -67,7 +67,7 @@ def test_a_board_that_calls_itself_a_novel_has_a_name_for_ros():
 
 def test_a_name_that_is_taken_with_the_board_before_it_gets_a_number():
     names = Names(with_board=False)
-    text = "".join(f"SENSOR(s{at}, {at}, s, M, 1, u8, none)\n" for at in range(3))
+    text = "".join(f"SENSOR(s{at}, {at}, s{at}, M, 1, u8, none)\n" for at in range(3))
     one, two, three = read_transds(text).transducers
     assert names.topic("arm", one, "level") == "level"
     assert names.topic("leg", one, "arm/level") == "arm/level"
