@@ -61,8 +61,9 @@ class _Flow:
         if now_us < self._next_us:
             self.skipped += 1
             return False
-        # On a grid, so that jitter does not lower the rate; late samples do not make up for any.
-        self._next_us = max(self._next_us, now_us - self._least_us) + self._least_us
+        # On a grid, so that jitter does not lower the rate; what comes behind a gap begins another.
+        is_behind_gap = now_us >= self._next_us + self._least_us
+        self._next_us = (now_us if is_behind_gap else self._next_us) + self._least_us
         return True
 
     def status(self, span_s: float) -> TopicStatus:

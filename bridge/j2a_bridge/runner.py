@@ -50,6 +50,7 @@ class SinkRunner:
         self._is_ended = False
         self._topics: dict[str, Topic] = {}
         self._is_open = False
+        self._is_flushed = True
         self._told = ""
         self.problem = ""
         self.published = 0
@@ -187,13 +188,15 @@ class SinkRunner:
                 elif item.topic.name in self._topics:
                     self.sink.publish(item)
                     self.published += 1
-                    if not self._waiting:
-                        self.sink.flush()
+                    self._is_flushed = False
             elif isinstance(item, Status):
                 if self._is_open:
                     self.sink.status(item)
             elif not isinstance(item, bool):
                 self._change(*item)
+            if self._is_open and not self._is_flushed and not self._waiting:
+                self._is_flushed = True
+                self.sink.flush()
         except Exception as error:  # of a sink of anybody
             self._fail(error)
             return False

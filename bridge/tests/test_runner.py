@@ -22,6 +22,7 @@ class Blocked(Sink):
         self.let_go = threading.Event()
         self.topics = {}
         self.values = []
+        self.kept_back = 0
 
     def open(self):
         assert self.let_go.wait(PATIENCE_S)
@@ -36,6 +37,10 @@ class Blocked(Sink):
     def publish(self, update):
         assert self.topics[update.topic.name] is update.topic
         self.values.append(struct.unpack("<QB", update.sample.payload)[1])
+        self.kept_back += 1
+
+    def flush(self):
+        self.kept_back = 0
 
     def close(self):
         pass
@@ -80,6 +85,7 @@ def test_boards_that_come_and_go_do_not_fill_the_memory_while_a_sink_is_blocked(
     assert runner.join(PATIENCE_S)
     assert sink.topics == {"one": one, "stays": stays}
     assert sink.values == [number % 256 for number in range(2 * _MOST_NEWS)][-sink.WAITING :]
+    assert sink.kept_back == 0
     assert runner.status.dropped == 2 * _MOST_NEWS - sink.WAITING
 
 
