@@ -30,8 +30,8 @@ extern volatile uint8_t usb_trouble;
 /* The starts of frames lead the clock. */
 #define J2A_PORT_FRAMES (J2A_WITH_SYNC && J2A_WITH_SYNCUSB)
 #if J2A_PORT_FRAMES
-void usb_frames_off(void);
-#define AVR_CLOCK_QUIET() usb_frames_off()
+void usb_quiet(uint16_t due);
+#define AVR_CLOCK_QUIET(due) usb_quiet(due)
 #endif
 
 #if ((J2A_WITH_SYNCUSB | J2A_USB_SLEEP) & ~1) != 0

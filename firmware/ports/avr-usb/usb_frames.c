@@ -17,6 +17,17 @@ static volatile struct {
     bool is_known;
 } last;
 
+/* Ends what usb_quiet() began with the overflow of the timer, and counts one that has waited; with interrupts off. */
+static void overflow_on(void) {
+    if (TIMSK1 & _BV(TOIE1))
+        return;
+    if (TIFR1 & _BV(TOV1)) {
+        TIFR1 = _BV(TOV1);
+        avr_clock_overflows++;
+    }
+    TIMSK1 |= _BV(TOIE1);
+}
+
 void usb_frame_started(void) {
     const uint16_t ticks = TCNT1;
     uint16_t overflows = (uint16_t)avr_clock_overflows;
@@ -29,15 +40,23 @@ void usb_frame_started(void) {
     last.overflows = overflows;
     last.number = UDFNUM;
     last.is_known = true;
+    overflow_on();
 }
 
-/* From the end of a wait until the next turn of the main loop: what an interrupt would delay is worth more than a
- * start of frame, of which others may be lost, too. */
-void usb_frames_off(void) {
-    UDIEN &= (uint8_t)~_BV(SOFE);
+/* Before an action at a time, an interrupt waits that would come between the end of the wait and the action on one
+ * board and not on the others. A start of frame may be lost, as others are: until the next turn of the main loop. The
+ * overflow of the timer must not be, however long the action takes: it waits for the next start of frame, and counts
+ * meanwhile as j2a_port_time_us() has it. */
+void usb_quiet(uint16_t due) {
+    enum { BEFORE = 20 * TICKS_PER_US, BEHIND = 32 * TICKS_PER_US };
+    if (last.is_known && (uint16_t)(due + BEHIND) < BEFORE + BEHIND)
+        TIMSK1 &= (uint8_t)~_BV(TOIE1);
+    else
+        UDIEN &= (uint8_t)~_BV(SOFE);
 }
 
 static void frames_on(void) {
+    overflow_on();
     if ((UDIEN & _BV(SOFE)) || (usb_trouble & USB_SUSPENDED))
         return;
     UDINT = (uint8_t)~_BV(SOFI); /* nobody knows how long ago it was */

@@ -28,20 +28,20 @@ uint16_t j2a_port_ticks(void) {
 
 #if J2A_PORT_WAIT
 #ifndef AVR_CLOCK_QUIET
-#define AVR_CLOCK_QUIET() ((void)0)
+#define AVR_CLOCK_QUIET(due) ((void)0)
 #endif
 
 void j2a_port_wait(uint32_t local_us) {
     enum { TICKS_PER_US = F_CPU / 1000000 / AVR_CLOCK_DIVIDER, LAST_TICKS = 20 * TICKS_PER_US };
     const uint16_t due = (uint16_t)(local_us * TICKS_PER_US);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        AVR_CLOCK_QUIET();
-        while ((int16_t)(due - TCNT1) > 0) {
-            if ((int16_t)(due - TCNT1) > LAST_TICKS) {
-                NONATOMIC_BLOCK(NONATOMIC_FORCEOFF) {
-                    __asm__ volatile("nop\n\tnop"); /* an interrupt that is due is taken here; simavr needs two */
-                }
+        while ((int16_t)(due - TCNT1) > LAST_TICKS) {
+            NONATOMIC_BLOCK(NONATOMIC_FORCEOFF) {
+                __asm__ volatile("nop\n\tnop"); /* an interrupt that is due is taken here; simavr needs two */
             }
+        }
+        AVR_CLOCK_QUIET(due);
+        while ((int16_t)(due - TCNT1) > 0) {
         }
     }
 }

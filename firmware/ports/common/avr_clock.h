@@ -31,9 +31,9 @@
 extern uint32_t avr_clock_overflows;
 #endif
 
-/* The clock waits by this timer, see j2a_clock.h. A port whose interrupts come often may hold them back until the next
- * turn of the main loop, where they would delay what is done at the end of the wait: by AVR_CLOCK_QUIET() in its
- * j2a_port_config.h, which is called with interrupts off. */
+/* The clock waits by this timer, see j2a_clock.h. A port may hold interrupts back that would delay what is done at the
+ * end of the wait: by AVR_CLOCK_QUIET(due) in its j2a_port_config.h, which is called with interrupts off. due: the end
+ * of the wait, in ticks of timer 1. */
 #define J2A_PORT_WAIT (J2A_WITH_SYNC && F_CPU % 8000000 == 0)
 
 /* Starts it; called once. */
