@@ -6,6 +6,7 @@ import itertools
 import time
 
 import pytest
+from j2a_bridge.bridge import Bridge
 from j2a_bridge.config import BoardConfig, Config, SensorConfig
 from j2a_bridge.sink import SinkError, SinkRequest
 
@@ -157,6 +158,51 @@ class TestSamples:
         assert flow.skipped > 0
         assert all(before < after for before, after in itertools.pairwise(times))
         assert len(times) <= (times[-1] - times[0]) / 100_000 + 2
+
+    @in_event_loop
+    async def test_what_a_board_says_that_it_lost_is_told(self, kept):
+        device = board_of("SENSOR(s, 0, s, M, 1, u8, none, (queue, 2), (period, 300000))")
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                await announced(kept[0], "s")
+                device.sense("s", 0, 1)
+                await until(lambda: kept[0].updates)
+                for value in range(7):
+                    device.sense("s", 0, value)
+                await until(lambda: len(kept[0].updates) >= 2)
+                told = await until(
+                    lambda: [
+                        topic.lost
+                        for status in list(kept[0].statuses)
+                        for board in status.boards
+                        for topic in board.topics
+                        if topic.samples >= 2
+                    ]
+                )
+                assert bridge._flows["s"].lost == 5
+        assert set(told) == {5}
+
+    @in_event_loop
+    async def test_samples_that_come_before_the_topics_are_known_are_not_lost(
+        self, kept, monkeypatch
+    ):
+        device, learn, may_learn = board_of(), Bridge._learn, asyncio.Event()
+
+        async def late(self, board):
+            await may_learn.wait()
+            await learn(self, board)
+
+        monkeypatch.setattr(Bridge, "_learn", late)
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                await until(lambda: bridge._boards)
+                board = next(iter(bridge._boards.values()))
+                for value in range(5):
+                    device.sense("quad", 0, value, raw=True)
+                    await until(lambda count=value + 1: len(board.early) == count)
+                may_learn.set()
+                await until(lambda: len(kept[0].updates) == 5)
+        assert [update.sample.readings[0].raw for update in kept[0].updates] == list(range(5))
 
     @in_event_loop
     async def test_a_board_that_comes_back_goes_on(self, kept):

@@ -1,7 +1,7 @@
 """The file of a bridge: what it says, and what is wrong with it."""
 
 import pytest
-from j2a_bridge.config import SensorConfig, load_config
+from j2a_bridge.config import BoardConfig, Config, SensorConfig, load_config
 from j2a_bridge.sink import SinkRequest, make_sink
 
 from j2a import LocalError
@@ -116,3 +116,16 @@ def test_sinks_of_the_command_line(text, request_):
 def test_sinks_that_cannot_be_are_told(text, told):
     with pytest.raises(LocalError, match=told):
         make_sink(SinkRequest.parse(text), None)
+
+
+@pytest.mark.parametrize(
+    ("names", "usb", "urls", "expected"),
+    [
+        ("", False, 1, False), ("", False, 2, True), ("", False, 0, True), ("", True, 0, True),
+        ("", True, 1, True), ("short", True, 3, False), ("board", False, 1, True),
+    ],
+)  # fmt: skip
+def test_only_one_board_alone_has_short_names(names, usb, urls, expected):
+    boards = tuple(BoardConfig(url=f"tcp://127.0.0.1:{number}") for number in range(urls))
+    config = Config((*boards, BoardConfig(identity="S")), usb=usb, names=names)
+    assert config.with_board == expected
