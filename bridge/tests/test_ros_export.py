@@ -34,7 +34,7 @@ def export(*words):
 @needs_rosidl
 def test_the_parser_of_ros2_takes_each_message(tmp_path):
     folder = tmp_path / "j2a_msgs"
-    result = export(FILE, folder)
+    result = export(FILE, folder, "-D", "TRANSDUCERS_NUMBERS")
     assert result.returncode == 0, result.stderr
     parsed = subprocess.run(
         [PYTHON, "-c", PARSE, str(folder)],

@@ -11,7 +11,10 @@ from tempfile import TemporaryDirectory
 
 from j2a.demo import DemoDevice
 from j2a.errors import Fail
+from j2a.io.transds_file import load_transds
 
+# As firmware for the posix port.
+_OPTIONS = {"TRANSDUCERS_NUMBERS": "1"}
 _FILE = Path(__file__).parents[2] / "firmware/apps/transducers/transds.def"
 _SENSORS = {
     0: ("plain", 2, "<h"),
@@ -20,6 +23,12 @@ _SENSORS = {
     3: ("imu", 1, "<9h"),
     4: ("level", 1, "<f"),
     5: ("slow", 1, "<B"),
+    20: ("count32", 2, "<I"),
+    21: ("count64", 1, "<Q"),
+    22: ("place64", 2, "<q"),
+    23: ("exact", 2, "<d"),
+    24: ("small", 2, "<b"),
+    25: ("flag", 2, "<?"),
     254: ("wide", 12, "<H"),
 }
 
@@ -42,7 +51,11 @@ def device(clock: float | None = None) -> DemoDevice:
     """
     folder = TemporaryDirectory(prefix="j2a-settings-")
     atexit.register(folder.cleanup)
-    made = DemoDevice(transducers=_FILE, settings=Path(folder.name) / "settings.json", clock=clock)
+    made = DemoDevice(
+        transducers=load_transds(_FILE, _OPTIONS),
+        settings=Path(folder.name) / "settings.json",
+        clock=clock,
+    )
     count = 0
 
     @made.function

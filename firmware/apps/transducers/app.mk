@@ -3,3 +3,4 @@ include apps/demo/app.mk
 OWN_MAIN := 1
 APP_OPTIONS += -DJ2A_WITH_INTERFACE=1
 PORT_SOURCES += apps/demo/app.c
+APP_OPTIONS += -DTRANSDUCERS_NUMBERS=$(if $(filter posix,$(PORT)),1,0)

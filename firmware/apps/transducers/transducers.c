@@ -2,9 +2,6 @@
  * actuators that only take. */
 #include "transds.h"
 
-/* The id of the last sensor. */
-enum { WIDE = 254 };
-
 #define DRIVER(prefix, type) \
     static void (*prefix##_cb) J2A_VALUE_OF(type); \
     void prefix##_set_cb(void (*callback) J2A_VALUE_OF(type)) { \
@@ -17,6 +14,14 @@ DRIVER(imu, motion)
 DRIVER(level, f32)
 DRIVER(slow, u8)
 DRIVER(wide, u16)
+#if TRANSDUCERS_NUMBERS
+DRIVER(count32, u32)
+DRIVER(count64, u64)
+DRIVER(place64, i64)
+DRIVER(exact, f64)
+DRIVER(small, i8)
+DRIVER(flag, bool)
+#endif
 
 /* Each measurement is one more than the one before. */
 void imu_trigger(void) {
@@ -26,29 +31,57 @@ void imu_trigger(void) {
     imu_cb(0, &value);
 }
 
-void servo_set(uint8_t channel, int8_t value) {
-    (void)channel;
-    (void)value;
-}
+#define TAKER(prefix, type) \
+    void prefix##_set(uint8_t channel, type value) { \
+        (void)channel; \
+        (void)value; \
+    }
+TAKER(servo, int8_t)
+TAKER(motor, float)
+TAKER(pose, const motion *)
+TAKER(lights, uint16_t)
+TAKER(valve, float)
+#if TRANSDUCERS_NUMBERS
+TAKER(far64, int64_t)
+TAKER(mask64, uint64_t)
+TAKER(stock, uint32_t)
+TAKER(fine, double)
+TAKER(gate, bool)
+#endif
 
-void motor_set(uint8_t channel, float value) {
-    (void)channel;
-    (void)value;
-}
-
-void pose_set(uint8_t channel, const motion *value) {
-    (void)channel;
-    (void)value;
-}
-
-void lights_set(uint8_t channel, uint16_t value) {
-    (void)channel;
-    (void)value;
-}
-
-void valve_set(uint8_t channel, float value) {
-    (void)channel;
-    (void)value;
+/* Has the driver of a sensor report a value; returns how many bytes the value has, 0 without such a sensor. A channel
+ * that is null: nothing is reported. */
+static uint8_t report(uint8_t id, const uint8_t *channel, const uint8_t *value) {
+    motion moved;
+#define REPORT(number, size, call) \
+    case number: \
+        if (channel) \
+            call; \
+        return size
+    switch (id) {
+        REPORT(0, 2, plain_cb(*channel, j2a_get_i16(value)));
+        REPORT(1, 2, queued_cb(*channel, j2a_get_u16(value)));
+        REPORT(2, 4, tuned_cb(*channel, j2a_get_i32(value)));
+        REPORT(4, 4, level_cb(*channel, j2a_get_f32(value)));
+        REPORT(5, 1, slow_cb(*channel, *value));
+        REPORT(254, 2, wide_cb(*channel, j2a_get_u16(value)));
+#if TRANSDUCERS_NUMBERS
+        REPORT(20, 4, count32_cb(*channel, j2a_get_u32(value)));
+        REPORT(21, 8, count64_cb(*channel, j2a_get_u64(value)));
+        REPORT(22, 8, place64_cb(*channel, j2a_get_i64(value)));
+        REPORT(23, 8, exact_cb(*channel, j2a_get_f64(value)));
+        REPORT(24, 1, small_cb(*channel, (int8_t)*value));
+        REPORT(25, 1, flag_cb(*channel, *value != 0));
+#endif
+    case 3:
+        if (channel) {
+            j2a_take_motion(&moved, value);
+            imu_cb(*channel, &moved);
+        }
+        return 18;
+    default:
+        return 0;
+    }
 }
 
 /* Takes an id, and then values, each with its channel before; the driver of the sensor reports them at once. */
@@ -56,29 +89,12 @@ uint8_t transducers_stimulus(uint8_t *const length, uint8_t **const payload) {
     const uint8_t *at = *payload;
     const uint8_t *const end = at + *length;
     const uint8_t id = *at++;
-    static const uint8_t sizes[] = {2, 2, 4, 18, 4, 1};
-    const uint8_t size = id < sizeof sizes ? sizes[id] : sizeof(uint16_t);
+    const uint8_t size = at > end ? 0 : report(id, 0, 0);
     *length = 0;
-    if (at > end || (id >= sizeof sizes && id != WIDE))
+    if (size == 0)
         return J2A_RET_FAILED;
-    for (; end - at > size; at += 1 + size) {
-        motion value;
-        if (id == 0)
-            plain_cb(at[0], j2a_get_i16(at + 1));
-        else if (id == 1)
-            queued_cb(at[0], j2a_get_u16(at + 1));
-        else if (id == 2)
-            tuned_cb(at[0], j2a_get_i32(at + 1));
-        else if (id == 3) {
-            j2a_take_motion(&value, at + 1);
-            imu_cb(at[0], &value);
-        } else if (id == 4)
-            level_cb(at[0], j2a_get_f32(at + 1));
-        else if (id == WIDE)
-            wide_cb(at[0], j2a_get_u16(at + 1));
-        else
-            slow_cb(at[0], at[1]);
-    }
+    for (; end - at > size; at += 1 + size)
+        (void)report(id, at, at + 1);
     return at == end ? 0 : J2A_RET_FAILED;
 }
 

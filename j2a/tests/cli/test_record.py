@@ -21,6 +21,11 @@ from .conftest import served
 FILE = Path(__file__).parents[3] / "firmware/apps/transducers/transds.def"
 
 
+def board_file():
+    """Return the transducers of the file, without those that some ports have only."""
+    return j2a.load_transds(FILE, {"TRANSDUCERS_NUMBERS": None})
+
+
 FILE_BEFORE = "SENSOR(quad, 0, quad, X, 1, i16, none)\nSENSOR(same, 1, same, X, 1, u8, none)\n"
 FILE_AFTER = FILE_BEFORE.replace("i16", "u16")
 SAME = struct.pack("<QB", 2, 9)
@@ -28,7 +33,7 @@ SAME = struct.pack("<QB", 2, 9)
 
 @pytest.fixture
 def board():
-    device = VirtualBoard(FILE)
+    device = VirtualBoard(board_file())
     device.measure()
     yield from served(device)
 
@@ -91,7 +96,7 @@ def test_a_program_that_is_ended_leaves_its_samples(board, tmp_path, number, cod
 
 
 def test_a_board_that_is_lost_ends_it(tmp_path):
-    device = VirtualBoard(FILE)
+    device = VirtualBoard(board_file())
     device.measure()
     serving = served(device)
     path = tmp_path / "a.mcap"
@@ -153,7 +158,10 @@ def test_boards_of_one_name_are_told_apart_by_their_serial_numbers(run, tmp_path
     with contextlib.ExitStack() as stack:
         urls = []
         for serial in ("B7", "A3"):
-            device = VirtualBoard(FILE, {"serial": serial, "name": "cart"})
+            device = VirtualBoard(
+                j2a.load_transds(FILE, {"TRANSDUCERS_NUMBERS": None}),
+                {"serial": serial, "name": "cart"},
+            )
             device.measure()
             serving = served(device)
             urls.append(next(serving))

@@ -13,6 +13,7 @@ from j2a.cli import main
 from j2a.tests.types.test_transds_file import DESCRIPTORS_9_2, LISTING_9_2
 
 FILE = Path(__file__).parents[3] / "firmware/apps/transducers/transds.def"
+NUMBERS = "TRANSDUCERS_NUMBERS"
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def board():
     """The URL of a board that `j2a serve --transds` is."""
     command = [sys.executable, "-m", "j2a", "serve", "--listen", "tcp://127.0.0.1:0"]
     process = subprocess.Popen(
-        [*command, "--transds", str(FILE)], stdout=subprocess.PIPE, text=True
+        [*command, "--transds", str(FILE), "-D", NUMBERS], stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     yield process.stdout.readline().split()[-1]
@@ -58,16 +59,16 @@ def test_json(run, transds):
 
 def test_files_of_a_board_are_those_of_its_file(run, board, tmp_path):
     names = {"--def": "a.def", "--c": "a.h", "--python": "a.py", "--html": "a.html"}
-    for source, folder in ((board, "board"), (FILE, "file")):
+    for source, folder in (((board,), "board"), ((FILE, "-D", NUMBERS), "file")):
         arguments = [
             word for key, name in names.items() for word in (key, tmp_path / folder / name)
         ]
-        result = run("transds", source, *arguments, "--ros1", tmp_path / folder / "ros1")
+        result = run("transds", *source, *arguments, "--ros1", tmp_path / folder / "ros1")
         assert f"wrote {tmp_path / folder / 'a.def'}" in result.out
     for name in (*names.values(), "ros1/msg/plain.msg", "ros1/package.xml"):
         one, other = ((tmp_path / folder / name).read_text() for folder in ("board", "file"))
         assert one.replace(board, "transds.def") == other, name
-    assert j2a.load_transds(tmp_path / "board/a.def") == j2a.load_transds(FILE)
+    assert j2a.load_transds(tmp_path / "board/a.def") == j2a.load_transds(FILE, {NUMBERS: "1"})
 
 
 def test_files_are_what_they_should_be(run, transds, tmp_path, need):

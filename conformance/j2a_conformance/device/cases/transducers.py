@@ -1070,6 +1070,7 @@ class Threshold(_Taken):
         if not is_float:
             limits = (1, 2, min(100, high), high // 2 + 1, *sorted({top, high}))
         start = (low + high) // 2
+        start += start == na_number
         for limit in limits:
             board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
             self._give(board, one, channel, board.packed(one, start), due=True)
