@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import hmac
 import json
+import logging
 import re
 import secrets
 from collections.abc import Callable, Sequence
@@ -26,6 +27,7 @@ from j2a_bridge.sink import Control
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
+    from aiohttp.http_exceptions import HttpProcessingError
 except ImportError:
     raise LocalError('this needs aiohttp: pip install "j2a[view]"') from None
 
@@ -58,6 +60,7 @@ _HEADERS: Final = {
     "Cache-Control": "no-store",
 }
 SPAN_S: Final = 0.05
+_logger = logging.getLogger("j2a.bridge.page")
 """So often pages are told of new values."""
 _HEX: Final = re.compile(r"[0-9A-Fa-f\s]*")
 
@@ -84,6 +87,14 @@ class Source(Protocol):
 
     def want_recording(self, is_wanted: bool) -> None:
         """Begin or end a recording."""
+
+
+def _is_ours(record: logging.LogRecord) -> bool:
+    """Whether a line of the log is not about a request of a stranger that is no HTTP."""
+    return not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
+
+
+_logger.addFilter(_is_ours)
 
 
 class PageServer:
@@ -120,7 +131,7 @@ class PageServer:
         app.router.add_get("/{token}/ws", self._socket)
         app.router.add_get("/{token}/{name:[a-z.]*}", self._file)
         app.on_response_prepare.append(_add_headers)
-        self._runner = web.AppRunner(app, access_log=None, keepalive_timeout=5.0)
+        self._runner = web.AppRunner(app, access_log=None, logger=_logger, keepalive_timeout=5.0)
         await self._runner.setup()
         make = self._runner.server
         loop = asyncio.get_running_loop()

@@ -177,6 +177,27 @@ def test_strangers_are_refused(headers, path):
     in_loop(work)
 
 
+def test_what_is_no_http_is_refused_without_a_word(caplog):
+    async def work():
+        found = []
+        async with paged(board_of()) as (_, server, _):
+            port = int(re.search(r":(\d+)/", server.url)[1])
+            for request in (
+                b"\x00\xff\x16\x03 garbage\r\n\r\n",
+                b"GET / HTTP/1.1\r\nX: " + b"a" * 20_000 + b"\r\n\r\n",
+                b"GET / HTTP/9.9\r\n\r\n",
+                b"GET / HTTP/1.1\r\nContent-Length: -1\r\n\r\n",
+            ):
+                reader, writer = await asyncio.open_connection("127.0.0.1", port)
+                writer.write(request)
+                found.append(await asyncio.wait_for(reader.readline(), PATIENCE_S))
+                writer.close()
+        return found
+
+    assert all(b" 400 " in line or b" 404 " in line for line in in_loop(work))
+    assert not [one for one in caplog.records if one.exc_info]
+
+
 def test_the_page_allows_no_foreign_scripts_and_no_frames():
     async def work():
         async with paged(board_of()) as (session, server, _):
