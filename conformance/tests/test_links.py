@@ -213,7 +213,7 @@ SAME_AGAIN = (
 )
 
 
-@pytest.mark.parametrize("baud", [1200, 9600])
+@pytest.mark.parametrize("baud", [1200, pytest.param(9600, marks=pytest.mark.exhaustive)])
 def test_a_slow_link_makes_no_false_failure(baud, slow):
     cases = [case for case in load() if case.LEVEL != "many" and case.ID not in SAME_AGAIN]
     found = run(lambda: SlowLink(slow, baud / 10), cases, baud=baud)

@@ -47,6 +47,7 @@ def test_a_request_of_its_own_before_the_first_job_is_no_fault(host_reference, h
     assert {r.case: r.reason for r in run.results if r.verdict is not Verdict.OK} == {}
 
 
+@pytest.mark.exhaustive  # `make test` has the whole suite judge both anyway
 @pytest.mark.parametrize("name", ["client", "aio"])
 def test_our_hosts_conform(name, capsys):
     assert main(["host", "--", sys.executable, str(HOSTS / f"{name}.py")]) == 0
