@@ -22,10 +22,10 @@ def figures(**settings):
     return report.figures
 
 
-def assert_honest(found):
+def assert_honest(found, inside=0.997):
     assert found["backwards"] == 0
     assert found["known_uncertainty"] > 0.99
-    assert found["inside_uncertainty"] >= 0.997
+    assert found["inside_uncertainty"] >= inside
 
 
 def assert_pairs(found):
@@ -224,7 +224,8 @@ def test_twenty_seeds_of_a_step(link, hours, seed):
 def test_twenty_seeds_of_a_slew(link, seed):
     found = figures(boards=4, seconds=130, engine="native", slew_at=40.0, link=link, seed=seed)
     assert found["epochs"] == [1, 1, 1, 1]
-    assert_honest(found)
+    # What was told before the end of the slew is wrong until boards hear of it.
+    assert_honest(found, inside=0.995)
 
 
 @pytest.mark.exhaustive
