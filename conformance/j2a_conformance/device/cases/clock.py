@@ -85,7 +85,14 @@ class Board:
         time = wanted - round(age_us * (1 + rate))
         usual = {"mode": c.CLOCK_SLEW, "rate": 0, "uncertainty": 0, "wander": 0}
         told = {"local": before.local - age_us, "time": time}
-        request = CLOCK_ADJUST.build({**told, **usual, **fields})
+        return self._adjusted(before, CLOCK_ADJUST.build({**told, **usual, **fields}))
+
+    def again(self) -> cs.Container:
+        """Send the last ADJUST once more; the target is on the same line. Return the status."""
+        return self._adjusted(self.status(), self._request)
+
+    def _adjusted(self, before: cs.Container, request: bytes) -> cs.Container:
+        self._request = request
         payload = self.ask(request)
         if self.oracle is None:
             self.oracle = Clock(before.epoch)
@@ -94,7 +101,9 @@ class Board:
         local = CLOCK_STATUS.parse(payload).local
         if local < before.local:
             fail(f"the local time went back, from {before.local} us to {local} us")
-        off = time + age_us * (1 + rate) - before.time
+        told = CLOCK_ADJUST.parse(request)
+        passed = (before.local - told.local) * (1 + Fraction(told.rate, 10**9))
+        off = told.time + passed - before.time
         self.oracle.code(request, local, local - before.local, off)
         return self._check(payload)
 
@@ -231,7 +240,7 @@ class Free(ClockCase):
 
 
 class First(ClockCase):
-    """Adjusts a device that is FREE by the mode SLEW, far from its time."""
+    """Adjusts a device that is FREE by the mode SLEW, far away, by the line of a while ago."""
 
     ID = "clock.first"
     EXPECTATION = "It steps to the target, in the epoch 1, and is SETTLING."
@@ -248,7 +257,8 @@ class First(ClockCase):
             board.peer.link.note("the device was adjusted before")
             return
         board.oracle = Clock()
-        board.adjust(base=UNIX, rate=12_345, uncertainty=77, wander=10_000)
+        age_us = min(board.status().local // 2, 100_000)
+        board.adjust(base=UNIX, age_us=age_us, rate=12_345, uncertainty=77, wander=10_000)
         board.wait(50_000)
 
 

@@ -85,6 +85,7 @@ class Slews(ClockCase):
         for off in (400, -400, 7, -7, 4, -3, 2600, -6000):
             board.adjust(off, uncertainty=3)
             board.wait(_REACHED_US + 1000 * abs(off), 0.02 if abs(off) < 1000 else 0.1)
+            board.again()
         board.adjust(300)
         board.wait(200_000)
         board.adjust(-300)
@@ -118,7 +119,12 @@ class Far(ClockCase):
             board.adjust(off)
             board.wait(600_000)
         # From the target, and at once from another one.
-        for fields in ({}, {"uncertainty": c.CLOCK_UNKNOWN}, {"rate": -70_000, "wander": 900}):
+        for fields in (
+            {},
+            {"uncertainty": c.CLOCK_UNKNOWN},
+            {"rate": -70_000, "wander": 900},
+            {"rate": 70_000},
+        ):
             for off in (20, -20, 2000, -2000, 5000, -5000, 3 * S, -3 * S):
                 board.adjust(0, **fields)
                 board.adjust(off, **fields)
