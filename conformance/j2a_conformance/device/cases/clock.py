@@ -23,7 +23,7 @@ from j2a_spec.grammar import (
     CLOCK_STATUS,
 )
 
-from j2a_conformance._judge import fail, lack
+from j2a_conformance._judge import Judged, fail, lack
 from j2a_conformance.device._case import Case
 from j2a_conformance.device._contents import check_all_or_none
 from j2a_conformance.device._peer import Peer
@@ -244,13 +244,23 @@ class First(ClockCase):
 
     ID = "clock.first"
     EXPECTATION = "It steps to the target, in the epoch 1, and is SETTLING."
-    REQUIREMENTS = ("J2A-CLOCK-008", "J2A-CLOCK-010", "J2A-CLOCK-011", "J2A-CLOCK-015")
+    REQUIREMENTS = (
+        "J2A-CLOCK-008",
+        "J2A-CLOCK-010",
+        "J2A-CLOCK-011",
+        "J2A-CLOCK-013",
+        "J2A-CLOCK-015",
+    )
 
     def _run(self, peer: Peer) -> None:
         if peer.link.lossy or not peer.announces(c.CAP_CLOCK):
             super()._run(peer)
-        else:
-            self._judge(Board(peer))  # once: behind a failure it is not FREE any more
+            return
+        try:
+            self._judge(Board(peer))
+        except Judged as judged:
+            judged.final = True  # behind a failure it is not FREE any more
+            raise
 
     def _judge(self, board: Board) -> None:
         if board.status().state != c.CLOCK_FREE:
