@@ -156,7 +156,7 @@ def test_the_command_says_what_is_wrong(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "numpy", None)
     for name in [name for name in sys.modules if name.startswith("j2a_sim._clocks.")]:
         monkeypatch.delitem(sys.modules, name)
-    assert main(["sim", "clocks", "--seconds", "2"]) == USAGE
+    assert main(["sim", "clocks", "--seconds", "4"]) == USAGE
     assert "pip install numpy" in capsys.readouterr().err
 
 
