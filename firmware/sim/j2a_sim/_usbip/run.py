@@ -45,6 +45,12 @@ def summary(busid: str, sim: AvrSim, wall_s: float) -> str:
     )
 
 
+def _tell(file: TextIO, line: str) -> None:
+    """Write a line at once: print() writes its end apart, and another thread may come in between."""
+    file.write(f"{line}\n")
+    file.flush()
+
+
 class _Commands:
     """Reads `plug BUSID` and `unplug BUSID` from a file, as far as it can be read."""
 
@@ -68,9 +74,9 @@ class _Commands:
                 raise SimError(f"{' '.join(words)!r} is neither plug BUSID nor unplug BUSID")
             actions[words[0]](words[1])
         except SimError as error:
-            print(f"j2a sim: {error}", file=self._err, flush=True)
+            _tell(self._err, f"j2a sim: {error}")
         else:
-            print(f"{words[1]}: {words[0]}ged", file=self._err, flush=True)
+            _tell(self._err, f"{words[1]}: {words[0]}ged")
 
 
 def run_usbip(
@@ -113,7 +119,7 @@ def run_usbip(
     began_s = time.monotonic()
 
     def say(text: str) -> None:
-        print(text, file=err, flush=True)
+        _tell(err, text)
 
     with ExitStack() as stack:
         sims = [
