@@ -46,7 +46,7 @@ def summary(busid: str, sim: AvrSim, wall_s: float) -> str:
 
 
 def _tell(file: TextIO, line: str) -> None:
-    """Write a line at once: print() writes its end apart, and another thread may come in between."""
+    """Write a line at once; print() writes its end apart, behind what another thread writes."""
     file.write(f"{line}\n")
     file.flush()
 
