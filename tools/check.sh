@@ -15,7 +15,7 @@ begin_tests() {
     set -m
     # The benchmarks only prove that they run. conftest.py says which files come first.
     timed pytest python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable \
-        -m 'not exhaustive' --durations=40 --durations-min=10 </dev/null >build/pytest.log 2>&1 &
+        -m 'not exhaustive' --durations=40 --durations-min=10 </dev/null >build/steps/pytest.log 2>&1 &
     tests=$!
     set +m
     trap '[[ -z "$tests" ]] || kill -INT -- "-$tests"' EXIT
@@ -23,7 +23,7 @@ begin_tests() {
 
 show_tests() {
     printf '\n==> pytest: tests\n'
-    tail -n +1 -f --pid="$tests" build/pytest.log
+    tail -n +1 -f --pid="$tests" build/steps/pytest.log
     wait "$tests" || failed+=(pytest)
     tests=
     said_time pytest

@@ -9,7 +9,7 @@ export PATH
 # What the user gave to make is not meant for the builds that happen in here.
 unset MAKEFLAGS MAKEOVERRIDES MFLAGS MAKELEVEL PYTHON
 
-mkdir -p build
+mkdir -p build/steps
 times=build/step-times
 : >"$times"
 failed=()
@@ -36,7 +36,7 @@ step() {
     shift 2
     chosen "$name" || return
     printf '\n==> %s: %s\n' "$name" "$title"
-    timed "$name" "$@" </dev/null || status=$?
+    timed "$name" "$@" </dev/null 2>&1 | tee "build/steps/$name.log" || status=$?
     said_time "$name"
     if ((status)); then
         failed+=("$name")
@@ -50,6 +50,11 @@ end_steps() {
     awk '{ print $3 + $4, $2, $1 }' "$times" | sort -rn | awk -v row="$row" '{ printf row, $3, $2, $1 }'
     awk -v row="$row" -v s="$SECONDS" '{ cpu += $3 + $4 } END { printf row, "all", s, cpu }' "$times"
     if ((${#failed[@]})); then
+        local name
+        for name in "${failed[@]}"; do # again: who reads only the end must see why
+            printf '\n==> %s FAILED, the last that it said:\n' "$name"
+            tail -n 20 "build/steps/$name.log"
+        done
         printf '\n==> FAILED steps: %s\n' "${failed[*]}"
         exit 1
     fi

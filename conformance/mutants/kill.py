@@ -160,14 +160,20 @@ def _dimensions(args: argparse.Namespace) -> int:
 
 
 def _likely(chosen: Iterable[tuple[str, Mutant]], rows: dict[str, Row]) -> dict[str, Row]:
-    """Return rows for mutants that `matrix.json` does not have: first what kills their like."""
+    """Return rows for mutants that `matrix.json` does not have: first what kills their like.
+
+    Both parts are in the order of the suite, and so is all of a rule of the clock: `clock.first`
+    needs a clock that no other case has adjusted.
+    """
     found = {}
     for target, mutant in chosen:
         like = [row for row in rows.values() if row.requirement == mutant.requirement]
-        first = dict.fromkeys(name for row in like for name in row.killed_by[:3])
         naming = matrix.killers(mutant.requirement, cases(target), cases(target))
-        order = [name for name in first if name in naming]
-        found[mutant.id] = matrix.row(mutant, (*order, *sorted(naming.difference(order))))
+        first = {name for row in like for name in row.killed_by[:3]}
+        if "clock.first" in naming:
+            first.update(naming)
+        ordered = [name for name in cases(target) if name in naming]
+        found[mutant.id] = matrix.row(mutant, sorted(ordered, key=lambda name: name not in first))
     return found
 
 

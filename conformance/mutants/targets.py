@@ -157,8 +157,10 @@ class _Trial:
         naming = sorted(killers(mutant.requirement, known, known))
         if self._job.every:
             return self._twice(naming)
-        if self._job.quick or self._job.is_any:
+        if self._job.is_any:
             return self._confirmed(self._job.cases)
+        if self._job.quick:
+            return self._confirmed_kill(mutant)
         for attempt in range(_ATTEMPTS):
             try:
                 for name in naming if attempt else self._job.cases:
@@ -189,6 +191,20 @@ class _Trial:
             if failed[-1] in self._first(names[:end]):
                 return failed
             names = names[end:]
+        return ()
+
+    def _confirmed_kill(self, mutant: Mutant) -> tuple[str, ...]:
+        """Return what is confirmed to fail of the rule; try again where nothing is."""
+        known = cases(self._job.how.target)
+        for _ in range(_ATTEMPTS):
+            self.gone = ""
+            try:
+                failed = self._confirmed(self._job.cases)
+            except HarnessError as error:
+                self.gone = str(error)
+                continue
+            if killers(mutant.requirement, failed, known):
+                return failed
         return ()
 
     def _failed(self, name: str) -> tuple[str, ...]:

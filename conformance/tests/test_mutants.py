@@ -242,7 +242,8 @@ def test_all_cases_of_the_rule_are_done_when_no_known_kill_comes(judge):
     assert "stuff.needless kills it, says matrix.json; not seen this time" in printed
 
 
-def test_a_kill_may_come_late(monkeypatch, tmp_path):
+@pytest.mark.parametrize(("quick", "runs"), [(False, 2), (True, 3)])
+def test_a_kill_may_come_late(monkeypatch, tmp_path, quick, runs):
     done = []
 
     def run(trial, names, heard):
@@ -253,9 +254,10 @@ def test_a_kill_may_come_late(monkeypatch, tmp_path):
         )
 
     monkeypatch.setattr(targets._Trial, "_run", run)
-    job = targets.Job(targets.variant("core", EXAMPLE), EXAMPLE, ("stuff.escape-ff",))
+    how = targets.variant("core", EXAMPLE)
+    job = targets.Job(how, EXAMPLE, ("stuff.escape-ff",), quick=quick)
     assert targets._Trial(job, tmp_path).mutated(EXAMPLE) == ("stuff.escape-ff",)
-    assert done.count("stuff.escape-ff") == 2
+    assert done.count("stuff.escape-ff") == runs
 
 
 @pytest.mark.parametrize("count", ["0", "-1", "many"])
