@@ -302,11 +302,11 @@ class Bridge:
         for name, flow in before.items():
             if flows.get(name) is not flow:
                 self._retract(flow)
-            if name not in flows:
-                self._names.forget(board.name, name)
         for name, flow in flows.items():
             if before.get(name) is not flow:
                 self._announce(flow)
+        # Of what it had before it was away, too.
+        self._names.keep(board.name, flows)
         board.flows = flows
         missing = sorted(board.wanted.transducers.keys() - transducers.keys())
         board.problem = transducers.why if not transducers else ""

@@ -7,7 +7,7 @@ transducers never share a topic.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -101,10 +101,13 @@ class Names:
         self._topics[name] = owner
         return name
 
-    def forget(self, board: str, transducer: str) -> None:
-        """Let the topic of a transducer that its board has no more be free."""
-        owner = board, transducer
-        self._topics = {one: who for one, who in self._topics.items() if who != owner}
+    def keep(self, board: str, transducers: Container[str]) -> None:
+        """Let the topics of all others that the board had be free."""
+        self._topics = {
+            name: (owner, transducer)
+            for name, (owner, transducer) in self._topics.items()
+            if owner != board or transducer in transducers
+        }
 
     def forget_board(self, identity: str) -> None:
         """Let the name of a board be free, with those of all its topics."""

@@ -1,6 +1,7 @@
 """The bridge: boards in, sinks out."""
 
 import asyncio
+import dataclasses
 import functools
 import itertools
 import time
@@ -83,6 +84,34 @@ class TestTopics:
             assert len(bridge._boards) <= 4
             assert len(bridge._names._boards) <= 4
             assert len(bridge._names._topics) <= 4 * 3
+
+    @in_event_loop
+    async def test_the_topic_of_a_transducer_that_is_gone_is_free(self, kept):
+        first, second = free_port(), free_port()
+        urls = [f"tcp://127.0.0.1:{port}" for port in (first, second)]
+        async with bridging(config_for(*urls, names="short")):
+            with served(board_of(serial="1"), first):
+                await announced(kept[0], "quad")
+            await until(lambda: "quad" in names(kept[0], "retract"))
+            with served(board_of("SENSOR(only, 0, o, M, 1, u8, none)", serial="1"), first):
+                await announced(kept[0], "only")
+                kept[0].events.clear()
+                with served(board_of(serial="2"), second):
+                    await announced(kept[0], "quad", "servo")
+
+    @in_event_loop
+    async def test_what_is_learnt_of_a_board_that_has_gone_meanwhile_changes_nothing(self, kept):
+        with served(board_of()) as url:
+            async with bridging(config_for(url)) as bridge:
+                await announced(kept[0], "quad", "tank/level", "servo")
+                [board] = bridge._boards.values()
+                before, client = board.flows, board.client
+                learning = asyncio.create_task(bridge._learn(board))
+                await asyncio.sleep(0)
+                board.client = None
+                await learning
+                assert board.flows is before
+                board.client = client
 
     @in_event_loop
     async def test_a_board_keeps_its_name_wherever_it_is_plugged_in(self, kept):
@@ -181,6 +210,28 @@ class TestSamples:
                 )
                 assert bridge._flows["s"].lost == 5
         assert set(told) == {5}
+
+    @in_event_loop
+    async def test_what_the_link_lost_counts_as_lost(self, kept):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                await announced(kept[0], "quad")
+                device.sense("quad", 0, 1)
+                [update] = await until(lambda: list(kept[0].updates))
+                [board] = bridge._boards.values()
+                bridge._take_of(board, dataclasses.replace(update.sample, missed=3, lost=4))
+                assert bridge._flows["quad"].lost == 7
+
+    @in_event_loop
+    async def test_a_clock_that_is_lost_has_no_uncertainty(self, kept):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                [board] = await until(lambda: list(bridge._boards.values()))
+                await until(lambda: board.has_clock and board.uncertainty_us is not None)
+                board.has_clock = False
+                await until(lambda: board.uncertainty_us is None)
 
     @in_event_loop
     async def test_samples_that_come_before_the_topics_are_known_are_not_lost(

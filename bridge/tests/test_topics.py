@@ -73,7 +73,7 @@ def test_a_name_that_is_taken_with_the_board_before_it_gets_a_number():
     assert names.topic("leg", one, "arm/level") == "arm/level"
     assert names.topic("arm", two, "level") == "arm/level_2"
     assert names.topic("arm", three, "level") == "arm/level_3"
-    names.forget("arm", "s1")
+    names.keep("arm", {"s0", "s2"})
     assert names.topic("arm", three, "level") == "arm/level_2"
 
 

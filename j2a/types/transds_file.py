@@ -36,6 +36,8 @@ _KIND_OF: Final = {
     **dict.fromkeys(("period", "enabled", "queue", "decimation", "threshold", "trigger"), "sensor"),
 }
 _OCTAL: Final = re.compile(r"-?0[0-9]+")
+_WHOLE: Final = re.compile(r"-?[0-9]{19,400}")
+_TOP: Final = 1 << 63
 _STRING: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"')
 _C_NAMES: Final = {name: c_name for c_name, name in _C_TYPES.items()}
 
@@ -183,6 +185,8 @@ class _Entry:
         if _OCTAL.fullmatch(text):
             least = text.lstrip("-0") or "0"
             raise self._reader.error(f"{text} is octal in C; for {least} leave the zeros out", node)
+        if (written := _c_number(text)) != text:
+            raise self._reader.error(f"C has no decimal number {text}; write {written}", node)
 
     def _type(self, node: Node) -> str:
         try:
@@ -317,6 +321,14 @@ def _field(field: Field) -> str:
     return f"({_element(str(field.type).partition(' ')[0])}, {field.name}{unit})"
 
 
+def _c_number(text: str) -> str:
+    """Return a number as C can read it: decimal constants end at the largest int64_t."""
+    if not _WHOLE.fullmatch(text) or -_TOP < int(text) < _TOP:
+        return text
+    number = int(text)
+    return f"{number:#X}".replace("X", "x") if -_TOP <= number < 2 * _TOP else f"{text}.0"
+
+
 def _element(text: str) -> str:
     name, bracket, count = text.rstrip("]").partition("[")
     return f"array({name}, {count})" if bracket else name
@@ -327,11 +339,13 @@ def _entry(one: Transducer) -> str:
     key = "na" if one.is_sensor else "safe"
     first: list[str] = [one.name, str(one.id), one.prefix or one.name]
     first += [_argument(one, "model", one.model or "unknown"), str(one.channels)]
-    first += [_C_NAMES.get(kind, _element(kind)), one.get(key) or NONE]
+    first += [_C_NAMES.get(kind, _element(kind)), _c_number(one.get(key) or NONE)]
     items = [f"(unit, {one.unit})"] if one.unit else []
     for name, value in one.attributes:
         if name not in ("prefix", "model", key):
-            text = _argument(one, name, value, can_have_commas=True)
+            numbers = ", ".join(map(_c_number, value.split(", ")))
+            written = numbers if name in KEYS and name != "topic" else value
+            text = _argument(one, name, written, can_have_commas=True)
             items.append(f"({name}, {text})" if text else f"({name})")
     if one.doc:
         text = one.doc.replace("\\", "\\\\").replace('"', '\\"')

@@ -196,6 +196,12 @@ WRONG = [
     ("SENSOR(a, 1, a, X, 1, i8, -07)", 1, 27, "-07 is octal in C"),
     ("ACTUATOR(a, 1, a, X, 1, u8, none, (range, 0, 0100))", 1, 43, "0100 is octal in C"),
     ("SENSOR(a, 1, a, X, 1, u8, none, (period, 05))", 1, 42, "05 is octal in C"),
+    ("SENSOR(a, 1, a, X, 1, u64, 9223372036854775808)", 1, 28, "write 0x8000000000000000"),
+    ("SENSOR(a, 1, a, X, 1, u64, 18446744073709551615)", 1, 28, "write 0xFFFFFFFFFFFFFFFF"),
+    ("SENSOR(a, 1, a, X, 1, i64, -9223372036854775808)", 1, 28, "write -0x8000000000000000"),
+    ("SENSOR(a, 1, a, X, 1, f64, 18446744073709551616)", 1, 28, "write 18446744073709551616.0"),
+    ("SENSOR(a, 1, a, X, 1, u64, none, (threshold, 9999999999999999999))", 1, 46, "0x8AC72304"),
+    ("SENSOR(a, 1, a, X, 1, u64, none, (range, 1, 9223372036854775808))", 1, 42, "0x80000000"),
     ("\ufeff" + GOOD + "SENSOR(b, 1, b, X, 1, u8, none)", 2, 11, "a has the id 1, too"),
     (GOOD.replace("\n", "\r\n") + "\tSENSOR(b,\t1, b, X, 1, u8, none)", 2, 12, "the id 1, too"),
     (GOOD + "\0", 2, 1, 'a "(" is expected'),
@@ -301,6 +307,19 @@ class TestWriting:
             )
         descriptors = parse_descriptors(text)
         assert read_transds(transds_text(descriptors, "x */ y")) == descriptors
+
+    def test_numbers_beyond_those_of_c_are_written_in_another_way(self):
+        text = (
+            "\nsensor a 1 1 u64\n na 18446744073709551615\n range 5, 9223372036854775808\n"
+            "sensor b 2 1 i64\n na -9223372036854775808\n threshold 9223372036854775807\n"
+            "sensor c 3 1 f64\n na 18446744073709551616\n"
+        )
+        written = transds_text(parse_descriptors(text), "a board")
+        a, b, c = read_transds(written).transducers
+        assert (a.na, a.range) == (2**64 - 1, (5, 2**63))
+        assert (b.na, b.threshold, c.na) == (-(2**63), 2**63 - 1, 2.0**64)
+        assert "9223372036854775807)" in written
+        assert not any(number in written for number in ("18446744073709551615", "775808"))
 
     def test_what_a_board_does_not_say(self):
         [found] = read_transds(
