@@ -13,7 +13,7 @@ import socket
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import Future
 from typing import Any, Final
 
@@ -33,6 +33,7 @@ _OPEN_S: Final = 30.0
 _EACH_S: Final = 1.0
 _CLOCK_S: Final = 0.1
 _US: Final = 1_000_000
+_YEAR_US: Final = 365 * 86_400 * _US
 _NS_PER_US: Final = 1000
 _NS_PER_MS: Final = 1e6
 _SETTINGS: Final = ("enabled", "period", "decimation", "threshold", "topic", "watchdog")
@@ -195,7 +196,8 @@ class Bridge:
         if not change.is_here:
             self._serials = {one: url for one, url in self._serials.items() if url != change.url}
         if change.board is None:
-            _logger.warning("%s", change.reason)
+            if change.reason is not None:  # or the bridge ends before it came
+                _logger.warning("%s", change.reason)
             return
         if change.is_here:
             await self._come(change.board, change.url)
@@ -205,6 +207,10 @@ class Bridge:
     async def _come(self, identity: str, url: str) -> None:
         assert self._fleet is not None
         client = self._fleet[identity]
+        await self._persist(client, lambda: self._meet(identity, url, client))
+
+    async def _meet(self, identity: str, url: str, client: j2a.AsyncClient) -> bool:
+        """Get to know a board that is here; return whether there is no more to try."""
         board = self._boards.get(identity)
         try:
             properties = await client.properties()
@@ -213,13 +219,33 @@ class Bridge:
                 name = self._names.board(identity, url, properties)
                 board = self._boards[identity] = _Board(name, url, self._wanted(identity, url))
             board.client, board.url = client, url
-            client.on_restart(lambda _restart: self._learn(board))
+            client.on_restart(lambda _restart: self._persist(client, lambda: self._learn(board)))
             await self._begin_clock(board, client)
-            await self._learn(board)
         except j2a.J2AError as error:
             _logger.warning("%s: %s", url, error)
             if board is not None:
                 board.problem = str(error)
+            return False
+        await self._persist(client, lambda: self._learn(board))
+        return True
+
+    async def _persist(
+        self, client: j2a.AsyncClient, attempt: Callable[[], Awaitable[bool]]
+    ) -> None:
+        """Try something, and where that fails, each second while the board is here."""
+        if await attempt():
+            return
+
+        async def again() -> None:
+            while client.is_open and not self._ended.is_set():
+                await asyncio.sleep(_EACH_S)
+                if await attempt():
+                    return
+
+        # Neither its samples nor other boards need wait for that.
+        task = asyncio.create_task(again())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     def _forget_boards(self) -> None:
         """Forget the boards that went first, where there have been very many."""
@@ -236,18 +262,8 @@ class Bridge:
     async def _begin_clock(self, board: _Board, client: j2a.AsyncClient) -> None:
         """Know the clock of a board, and keep it right, as far as it can be."""
         board.has_clock = False
-        if self._config.clock == "off" or await self._try_clock(board, client):
-            return
-        # Its samples need not wait for that.
-        task = asyncio.create_task(self._keep_trying(board, client))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _keep_trying(self, board: _Board, client: j2a.AsyncClient) -> None:
-        while client.is_open and not self._ended.is_set():
-            await asyncio.sleep(_EACH_S)
-            if await self._try_clock(board, client):
-                return
+        if self._config.clock != "off":
+            await self._persist(client, lambda: self._try_clock(board, client))
 
     async def _try_clock(self, board: _Board, client: j2a.AsyncClient) -> bool:
         """Begin to keep a clock; return whether there is no more to try."""
@@ -263,17 +279,21 @@ class Bridge:
             return not client.is_open
         return True
 
-    async def _learn(self, board: _Board) -> None:
-        """Announce the transducers of a board, and take those back that it has no more."""
+    async def _learn(self, board: _Board) -> bool:
+        """Announce the transducers of a board, and take those back that it has no more.
+
+        Returns:
+            There is no more to try.
+        """
         client = board.client
         if client is None:
-            return
+            return True
         try:
             transducers = await client.transducers()
         except j2a.J2AError as error:
             board.problem = str(error)
             _logger.warning("%s: %s", board.name, error)
-            return
+            return False
         descriptors = transducers.descriptors
         before = board.flows or {}
         flows: dict[str, _Flow] = {}
@@ -298,7 +318,7 @@ class Bridge:
             else:
                 flows[name] = _Flow(topic, transducer, wanted)
         if client is not board.client:
-            return  # it has gone meanwhile
+            return True  # it has gone meanwhile
         for name, flow in before.items():
             if flows.get(name) is not flow:
                 self._retract(flow)
@@ -317,6 +337,7 @@ class Bridge:
         early, board.early = board.early, deque(maxlen=_EARLY)
         for sample in early:
             self._take_of(board, sample)
+        return True
 
     async def _topic_setting(self, transducer: Any) -> str:
         """Return the topic that was chosen at run time, where there is one."""
@@ -375,6 +396,9 @@ class Bridge:
             return  # `_learn` is under way
         times = flow.times.of(sample.payload)
         newest = max(times)
+        if newest - min(times) > _YEAR_US:
+            # The clock was set behind these readings, by decades: the shift is not theirs.
+            times = tuple(one if newest - one <= _YEAR_US else 0 for one in times)
         if not flow.is_due(sample, newest):
             return
         arrived_ns = time.time_ns()

@@ -59,7 +59,8 @@ class Names:
         self._with_board = with_board
         self._chosen = dict(boards or {})
         self._boards: dict[str, str] = {}
-        self._topics: dict[str, tuple[str, str]] = {}
+        # What the bridge says of itself has its topic in ROS.
+        self._topics: dict[str, tuple[str, str]] = {"diagnostics": ("", "")}
 
     def board(self, identity: str, url: str, properties: Mapping[str, str]) -> str:
         """Return the name of a board: one that was chosen, its own, or with its serial number.

@@ -4,6 +4,7 @@ import asyncio
 import dataclasses
 import functools
 import itertools
+import struct
 import time
 
 import pytest
@@ -12,6 +13,7 @@ from j2a_bridge.config import BoardConfig, Config, SensorConfig
 from j2a_bridge.sink import SinkError, SinkRequest
 
 import j2a
+from j2a.aio import AsyncTransducers
 
 from .support import (
     PATIENCE_S,
@@ -83,7 +85,7 @@ class TestTopics:
                 await until(lambda: not bridge._flows)
             assert len(bridge._boards) <= 4
             assert len(bridge._names._boards) <= 4
-            assert len(bridge._names._topics) <= 4 * 3
+            assert len(bridge._names._topics) <= 1 + 4 * 3
 
     @in_event_loop
     async def test_the_topic_of_a_transducer_that_is_gone_is_free(self, kept):
@@ -98,6 +100,29 @@ class TestTopics:
                 kept[0].events.clear()
                 with served(board_of(serial="2"), second):
                     await announced(kept[0], "quad", "servo")
+
+    # The fleet asks for the properties first, to know the board.
+    @pytest.mark.parametrize(
+        ("kind", "name", "late"),
+        [(j2a.AsyncClient, "properties", 2), (AsyncTransducers, "__call__", 1)],
+    )
+    @in_event_loop
+    async def test_a_board_that_did_not_answer_is_asked_again(
+        self, kept, monkeypatch, kind, name, late
+    ):
+        answer, calls = getattr(kind, name), []
+
+        async def once_late(self):
+            calls.append(name)
+            if len(calls) == late:
+                raise j2a.CallTimeout("no answer")
+            return await answer(self)
+
+        monkeypatch.setattr(kind, name, once_late)
+        with served(board_of()) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "quad", "tank/level", "servo")
+        assert len(calls) > late
 
     @in_event_loop
     async def test_what_is_learnt_of_a_board_that_has_gone_meanwhile_changes_nothing(self, kept):
@@ -167,6 +192,32 @@ class TestSamples:
         assert update.stamps_ns[0] == update.stamp_ns
         assert update.stamps_ns[1] is None
         assert (update.uncertainty_us is None) == (clock == "off")
+
+    @in_event_loop
+    async def test_a_channel_that_was_read_before_the_clock_was_set_has_no_stamp(self, kept):
+        device = board_of()
+        with served(device) as url:
+            device.sense("quad", 0, 7, raw=True)
+            async with bridging(config_for(url)) as bridge:
+                await announced(kept[0], "quad")
+                [board] = bridge._boards.values()
+                await until(lambda: board.has_clock)
+                year_us = 365 * 86_400 * 1_000_000
+                device.sense("quad", 1, 8, raw=True)
+                [update] = await until(lambda: list(kept[0].updates))
+                early, payload = update.sample, bytearray(update.sample.payload)
+                for now, then, stamps in [
+                    (2 * year_us, year_us, [True, True]),
+                    (2 * year_us, year_us - 1, [False, True]),
+                    (2 * year_us, 0, [False, True]),
+                ]:
+                    kept[0].updates.clear()
+                    struct.pack_into("<Q", payload, 0, then)
+                    struct.pack_into("<Q", payload, 10, now)
+                    bridge._take_of(board, dataclasses.replace(early, payload=bytes(payload)))
+                    [update] = await until(lambda: list(kept[0].updates))
+                    assert [one is not None for one in update.stamps_ns] == stamps
+                    assert max(update.times_us) == now
 
     @in_event_loop
     async def test_rates_are_limited_by_the_times_of_the_source(self, kept):

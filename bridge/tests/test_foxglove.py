@@ -12,6 +12,7 @@ from j2a_bridge.sink import SinkRequest, make_sink
 from j2a import LocalError
 
 from .support import PATIENCE_S, board_of, bridging, config_for, free_port, served, until
+from .test_ros_messages import topic_of
 from .test_zenoh import _descriptors
 
 SUBPROTOCOL = "foxglove.sdk.v1"
@@ -39,7 +40,7 @@ def test_samples_come_as_messages_of_ros2_and_commands_go_back(caplog):
     async def work():
         device = board_of()
         with served(device) as url:
-            config = config_for(url, sinks=("foxglove:127.0.0.1:0",))
+            config = config_for(url, sinks=("foxglove:127.0.0.1:0,commands=yes",))
             async with bridging(config) as bridge, aiohttp.ClientSession() as session:
                 port = bridge.runners[0].sink.port
                 socket = await connect(session, port)
@@ -85,6 +86,17 @@ def test_samples_come_as_messages_of_ros2_and_commands_go_back(caplog):
     ros = RosMessages("jazzy")
     message = ros.store_of(_descriptors()).deserialize_cdr(data, "j2a_msgs/msg/Quad")
     assert message.values.tolist() == [0, 91]
+
+
+def test_no_page_commands_actuators_unless_the_user_says_so(caplog):
+    sink = make_sink(SinkRequest.parse("foxglove:127.0.0.1:0"), None)
+    sink.open()
+    try:
+        sink.announce(topic_of("ACTUATOR(servo, 1, servo, M, 1, i8, 0)"))
+        sink.take("/servo/cmd", b'{"values": [1]}')
+        assert "the option commands=yes" in caplog.text
+    finally:
+        sink.close()
 
 
 async def binary(socket):

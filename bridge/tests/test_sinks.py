@@ -12,10 +12,13 @@ import sys
 import time
 
 import pytest
+from j2a_bridge.sink import SinkRequest, make_sink
 from j2a_bridge.sinks.udp import numbers
+from j2a_bridge.topics import Topic
 from mcap.reader import make_reader
 
 from j2a.recording import Recorder, Recording
+from j2a.types.transds_file import read_transds
 
 from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, free_port, served, until
 from .test_ros_messages import IMU, topic_of, update_of
@@ -47,6 +50,33 @@ async def sent(device, url, sink, receiver):
         await until(lambda: "quad" in bridge._flows)
         device.sense("quad", 1, 45.5)
         return await asyncio.to_thread(receiver.recv, 65536)
+
+
+def test_a_recording_goes_on_when_a_board_comes_back_with_other_firmware(tmp_path):
+    sink = make_sink(SinkRequest.parse(f"mcap:{tmp_path / 'a.mcap'}"), None)
+    sink.open()
+    for kind, names, value in [("u8", "ab", b"\1"), ("u16", "cb", b"\2\0"), ("u8", "ab", b"\3")]:
+        text = "".join(f"SENSOR({n}, {i}, {n}, M, 1, {kind}, none)" for i, n in enumerate(names))
+        descriptors = read_transds(text)
+        topics = [Topic(one.name, "arm", one, descriptors, "") for one in descriptors.transducers]
+        for topic in topics:
+            sink.announce(topic)
+        for topic in topics:
+            sink.publish(update_of(topic, struct.pack("<Q", 7) + value))
+        for topic in topics:
+            sink.retract(topic)
+    sink.close()
+    found = [
+        (one.board, one.sensor.name, one.payload[8:]) for one in Recording(tmp_path / "a.mcap")
+    ]
+    assert sorted(found) == [
+        ("arm", "a", b"\1"),
+        ("arm", "b", b"\1"),
+        ("arm_2", "b", b"\2\0"),
+        ("arm_2", "c", b"\2\0"),
+        ("arm_3", "a", b"\3"),
+        ("arm_3", "b", b"\3"),
+    ]
 
 
 def test_json_for_plotjuggler(receiver):

@@ -86,3 +86,9 @@ def test_a_board_that_is_here_again_has_its_name():
     assert names.board("A4", "u9", {"name": "other"}) == "arm_A4"
     names.forget_board("A3")
     assert names.board("A6", "u5", {"name": "arm"}) == "arm"
+
+
+def test_the_topic_of_the_diagnostics_is_taken():
+    names = Names(with_board=False)
+    [one] = read_transds("SENSOR(diagnostics, 1, d, M, 1, u8, none)").transducers
+    assert names.topic("arm", one) == "arm/diagnostics"

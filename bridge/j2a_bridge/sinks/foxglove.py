@@ -2,7 +2,8 @@
 
 What flows in: samples. What flows out: messages of ROS 2 with their definitions, each under its
 topic, own type and standard ones; back come commands in JSON for actuators.
-Rules: it listens on this computer alone unless it is told another address; viewers that are slow
+Rules: it listens on this computer alone unless it is told another address, and takes commands only
+where the option says so; viewers that are slow
 lose messages of their own.
 """
 
@@ -31,6 +32,7 @@ class FoxgloveSink(Sink):
     ARGUMENT = "[HOST:PORT]"
     OPTIONS: ClassVar[Mapping[str, Option]] = {
         "distro": Option(str, "jazzy", "whose messages: humble or jazzy"),
+        "commands": Option(bool, False, "take commands for actuators, from any page that is open"),
     }
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
@@ -60,7 +62,10 @@ class FoxgloveSink(Sink):
                 host=host,
                 port=port,
                 context=self._context,
-                capabilities=[foxglove.Capability.ClientPublish],
+                # Its protocol knows no password, and a page of anybody may connect.
+                capabilities=[foxglove.Capability.ClientPublish]
+                if self.options["commands"]
+                else [],
                 supported_encodings=["json"],
                 server_listener=_Listener(self),
             )
@@ -108,7 +113,7 @@ class FoxgloveSink(Sink):
                 continue
             data = message.pack(update)
             if data is not None:
-                channel.log(data, log_time=update.arrived_ns)
+                channel.log(data, log_time=update.stamp_ns)
 
     def close(self) -> None:
         """Listen no more."""
@@ -120,6 +125,8 @@ class FoxgloveSink(Sink):
         """Take a command, such as {"values": [10]} or {"data": [10]} at /servo/cmd."""
         topic = self._topics.get(name)
         try:
+            if not self.options["commands"]:
+                raise LocalError("commands are taken with the option commands=yes only")
             if topic is None:
                 raise LocalError(f"no actuator takes commands at {name!r:.80}")
             if len(data) > _MAX_ORDER_BYTES:

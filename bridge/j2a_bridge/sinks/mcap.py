@@ -1,6 +1,7 @@
 """The sink `mcap`: a recording, as `j2a record` writes it.
 
-What flows in: samples. What flows out: a file of messages of ROS 2 with the times of the host.
+What flows in: samples. What flows out: a file of messages of ROS 2, each at the time when it came;
+its readings have times of the board's clock, which `j2a replay` needs.
 Rules: each second all samples are in the file; a full disk ends the sink, and what was written
 before stays readable.
 """
@@ -68,25 +69,30 @@ class McapSink(Sink):
         board = update.topic.board
         name, topics = self._added.get(board, ("", {}))
         if topics.get(update.topic.transducer.name) != update.topic:
-            name = self._add(board)
+            name = self._add(update.topic)
         try:
             self._recorder.write(name, update.sample, update.arrived_ns)
         except ValueError as error:
             raise SinkError(f"{update.topic.name} cannot be recorded: {error}") from None
 
-    def _add(self, board: str) -> str:
+    def _add(self, topic: Topic) -> str:
         """Announce a board as it is now, under a name that the file does not have yet."""
         assert self._recorder is not None
-        topics = dict(self._topics[board])
+        board, descriptors = topic.board, topic.descriptors
+        topics = {
+            sensor: one
+            for sensor, one in self._topics[board].items()
+            if one.descriptors == descriptors  # the others are of what it was before
+        }
+        self._topics[board] = topics
         name, number = board, 1
         while name in self._names:
             number += 1
             name = f"{board}_{number}"
         self._names.add(name)
-        descriptors = next(iter(topics.values())).descriptors
         names = {sensor: topic.name for sensor, topic in topics.items()}
         self._recorder.add_board(name, descriptors, topics=names)
-        self._added[board] = name, topics
+        self._added[board] = name, dict(topics)
         return name
 
     def flush(self) -> None:
