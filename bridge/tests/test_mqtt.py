@@ -8,13 +8,16 @@ import shutil
 import socket
 import subprocess
 import time
+from concurrent.futures import CancelledError, Future
 
 import paho.mqtt.client as paho
 import pytest
+from j2a_bridge.sink import Control
 from j2a_bridge.sinks.mqtt import MqttSink
 from j2a_bridge.topics import plain_name
 
 from .support import PATIENCE_S, board_of, bridging, config_for, free_port, served, until
+from .test_ros_messages import topic_of
 
 pytestmark = [pytest.mark.broker]
 if not shutil.which("mosquitto", path="/usr/sbin:/usr/bin") and not os.environ.get(
@@ -138,6 +141,92 @@ def test_births_samples_orders_and_deaths(broker, listener):
     assert all(one["message"] for one in answers[1:])
     assert settings["settings"] == {"enabled": True, "period": 0.5}
     assert "4096 bytes" in long["message"]
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        *(
+            f'{{"values": [1], "channel": {channel}}}'
+            for channel in ("NaN", "Infinity", "1e999", "1.5", "true", '"0"', "null", "9" * 4000)
+        ),
+        '{"values": [1], "at_ns": true}',
+        f'{{"values": [1], "at_ns": {"9" * 4000}}}',
+        '{"values": [NaN]}',
+        '{"values": [' + "[" * 900 + "]" * 900 + "]}",
+        "[" * 100_000,
+        "[" * 2000,
+        "{",
+    ],
+    ids=lambda order: order[:40],
+)
+def test_an_order_that_makes_no_sense_is_refused_and_the_next_one_done(broker, listener, order):
+    async def work():
+        device = board_of()
+        heard = lambda *words: asyncio.to_thread(listener.next, *words)  # noqa: E731
+        sink = f"mqtt:127.0.0.1:{broker.port}"
+        with served(device) as url:
+            async with bridging(config_for(url, sinks=(sink,))):
+                await heard(
+                    f"j2a/DBIRTH/{HOST}/robot", lambda about: len(about.get("topics", ())) == 3
+                )
+                answers = []
+                for about in (order, '{"values": [5]}'):
+                    listener.client.publish(f"j2a/DCMD/{HOST}/robot/servo", about, qos=1)
+                    answers.append(await heard(f"j2a/DRES/{HOST}/robot/servo"))
+        return device, answers
+
+    device, (refused, done) = asyncio.run(work())
+    assert not refused["ok"] and refused["message"]
+    assert done["ok"]
+    assert device.was_set == [("servo", 0, 5)]
+
+
+class Answers(Control):
+    """What orders end with; notes what is published instead of a client of paho."""
+
+    def __init__(self, result=None, fails_at_once=None):
+        self.sent = []
+        self._result = result
+        self._fails_at_once = fails_at_once
+
+    def configure(self, topic, settings):
+        if self._fails_at_once:
+            raise self._fails_at_once
+        future = Future()
+        if isinstance(self._result, Exception):
+            future.set_exception(self._result)
+        else:
+            future.set_result(self._result)
+        return future
+
+    def publish(self, topic, data, qos, retain):
+        self.sent.append((topic, json.loads(data)))
+
+
+def answer_of(control, topic=f"j2a/DCMD/{HOST}/board/s"):
+    sink = MqttSink("", {"group": "j2a", "password": "", "ca": ""}, control)
+    sink._boards = {"board": {"s": topic_of("SENSOR(s, 0, s, M, 1, u8, none)")}}
+    sink._client = control
+    sink._connected.set()
+    message = paho.MQTTMessage(topic=topic.encode("utf-8", "surrogateescape"))
+    message.payload = b'{"settings": {}}'
+    sink._on_message(None, None, message)
+    (sent,) = control.sent
+    return sent
+
+
+def test_whatever_goes_wrong_with_an_order_is_answered():
+    name = f"j2a/DRES/{HOST}/board/s"
+    refused = {"ok": False, "settings": None}
+    error = RuntimeError("the loop is closed")
+    assert answer_of(Answers(error)) == (name, refused | {"message": str(error)})
+    assert answer_of(Answers(fails_at_once=error)) == (name, refused | {"message": str(error)})
+    assert answer_of(Answers(CancelledError())) == (name, refused | {"message": "CancelledError"})
+    assert not answer_of(Answers({"period": object()}))[1]["ok"]
+    assert answer_of(Answers({"period": float("nan")}))[1]["settings"] == {"period": "nan"}
+    topic, answer = answer_of(Answers(), topic="j2a/DCMD/\udcff")
+    assert topic == f"j2a/DRES/{HOST}" and "utf-8" in answer["message"]
 
 
 def test_a_board_that_goes_dies_and_comes_again(broker, listener):

@@ -18,7 +18,6 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-import j2a
 from j2a import LocalError
 from j2a.cli._typed import json_of
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Update
@@ -133,10 +132,11 @@ class MqttSink(Sink):
         return "/".join([self.options["group"], kind, self._node, *parts])
 
     def _send(self, kind: str, about: Any, *parts: str, qos: int = 1, retain: bool = False) -> None:
-        if self._client is None or not self._connected.is_set():
+        client = self._client  # `close` may take it away while an order is answered
+        if client is None or not self._connected.is_set():
             raise SinkError(f"the broker at {self._host}:{self._port} is gone: {self._why}")
         data = json.dumps(about, allow_nan=False)
-        self._client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
+        client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
 
     def announce(self, topic: Topic) -> None:
         """Tell what the board has now."""
@@ -168,17 +168,21 @@ class MqttSink(Sink):
 
     def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
         head = self._topic("DCMD") + "/"
-        board, _, name = message.topic.removeprefix(head).partition("/")
+        board = name = ""
         try:
+            board, _, name = message.topic.removeprefix(head).partition("/")
             if message.retain:
                 raise LocalError("an order that is retained would come again and again")
             future = self._order(board, name, message.payload)
-        except j2a.J2AError as error:
-            self._answer(board, name, None, error)
+        except Exception as error:  # would end the thread of paho, and with it all orders
+            self._answer(board, name, error=error)
             return
 
         def told(done: "Future[Any]") -> None:
-            self._answer(board, name, done, done.exception())
+            try:
+                self._answer(board, name, _finite(done.result()))
+            except Exception as error:
+                self._answer(board, name, error=error)
 
         future.add_done_callback(told)
 
@@ -197,22 +201,21 @@ class MqttSink(Sink):
         if isinstance(about.get("settings"), dict):
             return self.control.configure(topic.name, about["settings"])
         values, channel, at_ns = about.get("values"), about.get("channel", 0), about.get("at_ns", 0)
-        if not isinstance(values, list) or not isinstance(channel, int | float):
+        if not isinstance(values, list):
             raise LocalError('an order has "values", a list, or "settings", an object')
-        if not isinstance(at_ns, int) or at_ns < 0:
+        if type(channel) is not int:
+            raise LocalError("the channel of an order is a whole number")
+        if type(at_ns) is not int or at_ns < 0:
             raise LocalError("at_ns is a time in nanoseconds since 1970")
-        return self.control.set(topic.name, values, channel=int(channel), at_ns=at_ns)
+        return self.control.set(topic.name, values, channel=channel, at_ns=at_ns)
 
     def _answer(
-        self, board: str, name: str, done: "Future[Any] | None", error: BaseException | None
+        self, board: str, name: str, settings: Any = None, error: Exception | None = None
     ) -> None:
+        message = "" if error is None else str(error) or type(error).__name__
         if error is not None:
-            _logger.warning("%s of %s was not set: %s", name, board, error)
-        about = {
-            "ok": error is None,
-            "message": str(error or ""),
-            "settings": done.result() if done is not None and error is None else None,
-        }
+            _logger.warning("%s of %s was not set: %s", name, board, message)
+        about = {"ok": error is None, "message": message, "settings": settings}
         with contextlib.suppress(SinkError):  # the broker has gone meanwhile
             self._send("DRES", about, *filter(None, (board, name)))
 
