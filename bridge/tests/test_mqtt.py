@@ -5,19 +5,22 @@ import json
 import os
 import queue
 import shutil
+import signal
 import socket
+import struct
 import subprocess
 import time
 from concurrent.futures import CancelledError, Future
 
 import paho.mqtt.client as paho
 import pytest
-from j2a_bridge.sink import Control
+from j2a_bridge.sink import Control, SinkError
+from j2a_bridge.sinks import mqtt
 from j2a_bridge.sinks.mqtt import MqttSink
 from j2a_bridge.topics import plain_name
 
 from .support import PATIENCE_S, board_of, bridging, config_for, free_port, served, until
-from .test_ros_messages import topic_of
+from .test_ros_messages import topic_of, update_of
 
 pytestmark = [pytest.mark.broker]
 if not shutil.which("mosquitto", path="/usr/sbin:/usr/bin") and not os.environ.get(
@@ -204,8 +207,13 @@ class Answers(Control):
         self.sent.append((topic, json.loads(data)))
 
 
+def sink_of(port, control=None):
+    options = {name: option.default for name, option in MqttSink.OPTIONS.items()}
+    return MqttSink(f"127.0.0.1:{port}", options, control)
+
+
 def answer_of(control, topic=f"j2a/DCMD/{HOST}/board/s"):
-    sink = MqttSink("", {"group": "j2a", "password": "", "ca": ""}, control)
+    sink = sink_of(1883, control)
     sink._boards = {"board": {"s": topic_of("SENSOR(s, 0, s, M, 1, u8, none)")}}
     sink._client = control
     sink._connected.set()
@@ -227,6 +235,42 @@ def test_whatever_goes_wrong_with_an_order_is_answered():
     assert answer_of(Answers({"period": float("nan")}))[1]["settings"] == {"period": "nan"}
     topic, answer = answer_of(Answers(), topic="j2a/DCMD/\udcff")
     assert topic == f"j2a/DRES/{HOST}" and "utf-8" in answer["message"]
+
+
+def test_a_broker_that_reads_nothing_does_not_fill_the_memory(broker, monkeypatch):
+    monkeypatch.setattr(mqtt, "_TAKEN_S", 0.5)
+    topic = topic_of("SENSOR(s, 0, s, M, 1, array(u8, 200), none)")
+    update = update_of(topic, struct.pack("<Q200s", 5, bytes(200)))
+    sink = sink_of(broker.port)
+    sink.open()
+    sink.announce(topic)
+    broker._process.send_signal(signal.SIGSTOP)
+    try:
+        with pytest.raises(SinkError, match="takes no samples"):
+            for _ in range(50_000):  # 40 MB, more than the buffers of the kernel
+                sink.publish(update)
+        # Births, and what paho sends by itself.
+        assert len(sink._client._out_packet) <= mqtt._MOST_UNSENT + 10
+    finally:
+        broker._process.send_signal(signal.SIGCONT)
+        sink.close()
+
+
+def test_a_connection_that_ends_while_a_sample_waits_fails_the_sink(monkeypatch):
+    class Lost:
+        def publish(self, *args, **more):
+            info = paho.MQTTMessageInfo(1)
+            info.rc = paho.MQTT_ERR_CONN_LOST
+            return info
+
+    monkeypatch.setattr(mqtt, "_MOST_UNSENT", 2)
+    topic = topic_of("SENSOR(s, 0, s, M, 1, u8, none)")
+    sink = sink_of(1883)
+    sink._client = Lost()
+    sink._connected.set()
+    sink.publish(update_of(topic, bytes(9)))
+    with pytest.raises(SinkError, match="takes no samples"):
+        sink.publish(update_of(topic, bytes(9)))
 
 
 def test_a_board_that_goes_dies_and_comes_again(broker, listener):

@@ -28,6 +28,9 @@ __all__ = ["MqttSink", "sample_object", "transducer_object"]
 _WAIT_S: Final = 5.0
 _MAX_ORDER_BYTES: Final = 4096
 _WAITING: Final = 1000
+_TAKEN_S: Final = 15.0
+_MOST_UNSENT: Final = 100
+"""So many samples are given to paho, which has no limit for them, before they must be sent."""
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -64,6 +67,7 @@ class MqttSink(Sink):
         self._connected = threading.Event()
         self._why = ""
         self._boards: dict[str, dict[str, Topic]] = {}
+        self._given = 0
 
     # ------------------------------------------------------------------ life
 
@@ -131,12 +135,12 @@ class MqttSink(Sink):
     def _topic(self, kind: str, *parts: str) -> str:
         return "/".join([self.options["group"], kind, self._node, *parts])
 
-    def _send(self, kind: str, about: Any, *parts: str, qos: int = 1, retain: bool = False) -> None:
+    def _send(self, kind: str, about: Any, *parts: str, qos: int = 1, retain: bool = False) -> Any:
         client = self._client  # `close` may take it away while an order is answered
         if client is None or not self._connected.is_set():
             raise SinkError(f"the broker at {self._host}:{self._port} is gone: {self._why}")
         data = json.dumps(about, allow_nan=False)
-        client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
+        return client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
 
     def announce(self, topic: Topic) -> None:
         """Tell what the board has now."""
@@ -160,9 +164,19 @@ class MqttSink(Sink):
         self._send("DBIRTH", {"topics": about}, board, retain=True)
 
     def publish(self, update: Update) -> None:
-        """Publish a sample."""
+        """Publish a sample; wait now and then until all are sent."""
         topic = update.topic
-        self._send("DDATA", sample_object(update), topic.board, topic.name, qos=0)
+        sent = self._send("DDATA", sample_object(update), topic.board, topic.name, qos=0)
+        self._given += 1
+        if self._given % _MOST_UNSENT:
+            return
+        try:
+            sent.wait_for_publish(_TAKEN_S)
+            is_taken = sent.is_published()
+        except RuntimeError:  # the connection has ended meanwhile
+            is_taken = False
+        if not is_taken:
+            raise SinkError(f"the broker at {self._host}:{self._port} takes no samples")
 
     # ------------------------------------------------------------------ orders
 
