@@ -186,9 +186,7 @@ class SinkRunner:
                 if not self._is_open:
                     self.dropped += 1
                 elif item.topic.name in self._topics:
-                    self.sink.publish(item)
-                    self.published += 1
-                    self._is_flushed = False
+                    self._publish(item)
             elif isinstance(item, Status):
                 if self._is_open:
                     self.sink.status(item)
@@ -201,6 +199,15 @@ class SinkRunner:
             self._fail(error)
             return False
         return True
+
+    def _publish(self, update: Update) -> None:
+        try:
+            self.sink.publish(update)
+        except Exception:
+            self.dropped += 1
+            raise
+        self.published += 1
+        self._is_flushed = False
 
     def _change(self, has_come: bool, topic: Topic) -> None:
         before = self._topics.pop(topic.name, None)

@@ -4,7 +4,7 @@ import struct
 import threading
 
 import pytest
-from j2a_bridge import Sink
+from j2a_bridge import Sink, SinkError
 from j2a_bridge.runner import _MOST_NEWS, SinkRunner
 
 from .support import PATIENCE_S
@@ -23,6 +23,7 @@ class Blocked(Sink):
         self.topics = {}
         self.values = []
         self.kept_back = 0
+        self.fails_at = ""
 
     def open(self):
         assert self.let_go.wait(PATIENCE_S)
@@ -35,11 +36,15 @@ class Blocked(Sink):
         assert self.topics.pop(topic.name) is topic
 
     def publish(self, update):
+        if self.fails_at == "publish":
+            raise SinkError("the disk is full")
         assert self.topics[update.topic.name] is update.topic
         self.values.append(struct.unpack("<QB", update.sample.payload)[1])
         self.kept_back += 1
 
     def flush(self):
+        if self.fails_at == "flush":
+            raise SinkError("the disk is full")
         self.kept_back = 0
 
     def close(self):
@@ -116,3 +121,20 @@ def test_a_topic_that_has_changed_while_a_sink_was_blocked_is_taken_back_first(r
     runner.end()
     assert runner.join(PATIENCE_S)
     assert sink.topics == {"level": after} and sink.values == [9]
+
+
+@pytest.mark.parametrize(("fails_at", "published"), [("publish", 0), ("flush", 2)])
+def test_each_sample_counts_once_when_the_sink_fails(
+    runner, sink, monkeypatch, fails_at, published
+):
+    monkeypatch.setattr(Blocked, "RETRY_S", None)
+    sink.fails_at = fails_at
+    level = topic("level")
+    runner.announce(level)
+    for number in range(2):
+        runner.publish(value(level, number))
+    sink.let_go.set()
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert runner.problem == "the disk is full"
+    assert (runner.published, runner.dropped) == (published, 2 - published)
