@@ -188,6 +188,27 @@ def test_actuators_are_set_by_both_messages_and_refuse_with_a_reason(peer, caplo
     assert "servo is -100 % to 100 %, not 101 %" in caplog.text
 
 
+def test_a_message_that_fails_leaves_those_behind_it(peer, caplog, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("of the test")
+
+    monkeypatch.setattr(j2a_bridge.sinks.ros1, "set_by_command", fail)
+
+    async def work():
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url, sinks=("ros1",))):
+                floats = "std_msgs/Float64MultiArray"
+                cmd = "/servo/cmd", floats, text_of(floats)
+                peer.tell("publish", *cmd, {"data": [33.0]})
+                await until(lambda: "of the test" in caplog.text)
+                own = "/servo", "j2a_msgs/servo", "time[] times\nint8[] values\n"
+                peer.tell("publish", *own, {"values": [10, -20]})
+                await until(lambda: ("servo", 1, -20) in device.was_set)
+
+    asyncio.run(work())
+
+
 def test_settings_are_a_service(peer):
     async def work():
         device = board_of()
@@ -199,6 +220,8 @@ def test_settings_are_a_service(peer):
                     (["period", "enabled"], ["0.25", "false"]),
                     (["period"], ["-1"]),
                     (["colour"], ["red"]),
+                    (["period"], ["[" * 100_000]),
+                    ([], []),
                 ):
                     peer.tell("call", "/quad/configure", names, values)
                     answers.append(await asyncio.to_thread(peer.next, "answer"))
@@ -207,6 +230,8 @@ def test_settings_are_a_service(peer):
         assert answers[2][0] is False
         assert "period is 0 to" in answers[2][1]
         assert "colour is no setting" in answers[3][1]
+        assert answers[4][0] is False
+        assert answers[5] == answers[1]
 
     asyncio.run(work())
 

@@ -276,6 +276,8 @@ class Ros1Sink(Sink):
                     take(body)
             except j2a.J2AError as error:
                 _logger.warning("a message of ROS 1 was refused: %s", error)
+            except Exception:  # those behind it are to be read all the same
+                _logger.exception("a message of ROS 1 was not taken")
 
     def _read_errors(self, process: "subprocess.Popen[bytes]") -> None:
         assert process.stderr is not None
@@ -332,7 +334,7 @@ def _value(text: str) -> Any:
     """Return the value of a setting: a number or true or false in JSON, else the text."""
     try:
         value = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
     return text if isinstance(value, str | list | dict) or value is None else value
 
