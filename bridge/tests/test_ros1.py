@@ -7,6 +7,7 @@ import os
 import queue
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -14,6 +15,7 @@ from pathlib import Path
 import j2a_bridge.sinks.ros1_node
 import pytest
 from j2a_bridge.ros_messages import RosMessages
+from j2a_bridge.sink import SinkError, SinkRequest, make_sink
 from j2a_bridge.sinks.ros1 import Ros1Sink
 from rosbags.typesys import Stores, get_typestore
 
@@ -234,6 +236,45 @@ def test_settings_are_a_service(peer):
         assert answers[5] == answers[1]
 
     asyncio.run(work())
+
+
+def test_answers_keep_neither_the_loop_nor_the_reader_waiting(peer, monkeypatch):
+    threads = []
+    send = Ros1Sink._send
+
+    def note(sink, what, *frame):
+        if what == j2a_bridge.sinks.ros1_node.ANSWER:
+            threads.append(threading.current_thread())
+        send(sink, what, *frame)
+
+    monkeypatch.setattr(Ros1Sink, "_send", note)
+
+    async def work():
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url, sinks=("ros1",))) as bridge:
+                for names, values in (([], []), (["colour"], ["red"])):
+                    peer.tell("call", "/quad/configure", names, values)
+                    await asyncio.to_thread(peer.next, "answer")
+                return bridge.runners[0].sink._reader
+
+    reader = asyncio.run(work())
+    assert len(threads) == 2
+    assert not {threading.current_thread(), reader} & set(threads)
+
+
+def test_a_node_that_takes_a_part_of_a_frame_gets_no_other(monkeypatch):
+    monkeypatch.setattr(j2a_bridge.sinks.ros1, "_WRITE_S", 0.01)
+    sink = make_sink(SinkRequest.parse("ros1"), None)
+    command = [sys.executable, "-c", "import time; time.sleep(600)"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, bufsize=0) as process:
+        os.set_blocking(process.stdin.fileno(), False)
+        sink._process = process
+        with pytest.raises(SinkError, match="takes nothing"):
+            sink._send(j2a_bridge.sinks.ros1_node.ANSWER, 0, bytes(1 << 20))
+        assert process.wait(PATIENCE_S)
+        with pytest.raises(SinkError, match="has ended: it took nothing"):
+            sink._send(j2a_bridge.sinks.ros1_node.PUBLISH, 0)
 
 
 def test_a_roscore_that_is_killed_and_started_anew_is_found_again(ros_home, monkeypatch):

@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -98,6 +98,7 @@ class Ros1Sink(Sink):
             self._scratch.cleanup()
             raise SinkError(f"{command[0]} does not start: {error}") from None
         self._process = process
+        self._answers = ThreadPoolExecutor(1, thread_name_prefix="j2a ros1 answers")
         assert process.stdin is not None
         os.set_blocking(process.stdin.fileno(), False)
         errors = threading.Thread(target=self._read_errors, args=(process,), daemon=True)
@@ -122,6 +123,7 @@ class Ros1Sink(Sink):
         if process is None:
             return
         assert process.stdin is not None
+        self._answers.shutdown(cancel_futures=True)
         process.stdin.close()
         try:
             process.wait(_END_S)
@@ -213,11 +215,14 @@ class Ros1Sink(Sink):
 
     def _configure(self, topic: Topic, data: bytes) -> None:
         about = json.loads(data)
+        answers = self._answers
 
         def answer(is_done: bool, text: str) -> None:
             told = {"id": about["id"], "success": is_done, "message": text}
-            with contextlib.suppress(SinkError, OSError, ValueError):  # it has ended meanwhile
-                self._send_json(node.ANSWER, 0, told)
+            # The loop of the bridge must not wait for the node, nor may the reader. Each client
+            # waits for its answer, so there are no more of them than clients.
+            with contextlib.suppress(RuntimeError):  # it has ended meanwhile
+                answers.submit(self._send_json, node.ANSWER, 0, told)
 
         try:
             names, values = about["names"], about["values"]
@@ -326,6 +331,9 @@ class Ros1Sink(Sink):
                 end = end or time.monotonic() + _WRITE_S
                 left = end - time.monotonic()
                 if left <= 0:
+                    # Frames behind a part of one would be none, whoever sends them.
+                    process.kill()
+                    self._said.append(f"it took nothing for {_WRITE_S:g} s")
                     raise SinkError(f"the node of ROS 1 takes nothing for {_WRITE_S:g} s")
                 select.select([], [fd], [], left)
 
