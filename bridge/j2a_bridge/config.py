@@ -15,10 +15,24 @@ from typing import Any, Final
 from j2a import LocalError
 from j2a_bridge.sink import SinkRequest
 
-__all__ = ["CLOCKS", "NAMES", "BoardConfig", "Config", "SensorConfig", "load_config"]
+__all__ = ["CLOCKS", "MESSAGES", "NAMES", "BoardConfig", "Config", "SensorConfig", "load_config"]
 
 CLOCKS: Final = ("discipline", "follow", "off")
 NAMES: Final = ("short", "board")
+MESSAGES: Final = (
+    "auto",
+    "raw",
+    "sensor_msgs/FluidPressure",
+    "sensor_msgs/Illuminance",
+    "sensor_msgs/Imu",
+    "sensor_msgs/JointState",
+    "sensor_msgs/MagneticField",
+    "sensor_msgs/NavSatFix",
+    "sensor_msgs/Range",
+    "sensor_msgs/RelativeHumidity",
+    "sensor_msgs/Temperature",
+)
+"""What a sensor can be published as; standard ones may also have "/msg/" in them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +147,12 @@ def _sensor(name: str, table: Any) -> SensorConfig:
     rate = table.get("rate")
     if rate is not None and not 0 < rate < float("inf"):
         raise LocalError(f"the rate of {name} is a number of samples a second, not {rate}")
+    message = table.get("message", "auto")
+    _one_of(f"the message of {name}", message.replace("/msg/", "/"), MESSAGES)
     return SensorConfig(
         table.get("topic", ""),
         None if rate is None else float(rate),
-        table.get("message", "auto"),
+        message,
         table.get("publish", True),
     )
 

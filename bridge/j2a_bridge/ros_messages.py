@@ -8,6 +8,7 @@ under the topic with a name of that type behind it; a value that is N/A is not s
 standard message has no way to say so. Types come from rosbags (`pip install "j2a[ros]"`).
 """
 
+import logging
 import math
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -46,6 +47,7 @@ _NS: Final = 1_000_000_000
 _NS_PER_US: Final = 1000
 _TIME: Final = "builtin_interfaces/msg/Time"
 _UNKNOWN: Final = -1.0
+_logger = logging.getLogger("j2a.bridge")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +131,7 @@ class RosMessages:
     def messages(self, topic: Topic) -> list[Message]:
         """Return how a sensor is published.
 
-        Raises:
-            LocalError: the topic asks for a standard message that its sensor does not fit.
+        Where it does not fit the standard message that is asked for, it has its own alone.
         """
         if not topic.transducer.is_sensor:
             return []
@@ -144,9 +145,10 @@ class RosMessages:
             standard = [one for one, kind in zip(standard, fits, strict=True) if kind == wanted]
             if not standard:
                 which = ", ".join(sorted(set(fits))) or "none"
-                raise LocalError(
-                    f"{topic.name} does not fit into {topic.message}; what fits is: {which}"
+                _logger.warning(
+                    "%s does not fit into %s; what fits is: %s", topic.name, topic.message, which
                 )
+                return [self._own(topic)]
         return found + standard
 
     def _own(self, topic: Topic) -> Message:

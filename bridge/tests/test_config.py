@@ -1,7 +1,7 @@
 """The file of a bridge: what it says, and what is wrong with it."""
 
 import pytest
-from j2a_bridge.config import BoardConfig, Config, SensorConfig, load_config
+from j2a_bridge.config import MESSAGES, BoardConfig, Config, SensorConfig, load_config
 from j2a_bridge.sink import SinkRequest, make_sink
 
 from j2a import LocalError
@@ -67,6 +67,8 @@ def test_all_that_it_may_say(tmp_path):
         ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = nan}", "rate of q"),
         ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = true}", "cannot be True"),
         ("[[boards]]\nurl = 'x'\ntransducers.q = {topc = 'x'}", "did you mean topic"),
+        ("[[boards]]\nurl = 'x'\ntransducers.q = {message = 'Range'}", "message of q is one of"),
+        ("[[boards]]\nurl = 'x'\ntransducers.q = {message = 'a/msg/Imu'}", "sensor_msgs/Imu, "),
         ("[[sinks]]\nto = 'x'", "says which one"),
         ("sinks = [1]", "says which one"),
         ("names = ", "Invalid value"),
@@ -78,6 +80,13 @@ def test_what_is_wrong_is_told_with_the_name_of_the_file(tmp_path, text, told):
     with pytest.raises(LocalError, match=told) as caught:
         load_config(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("message", [*MESSAGES, "sensor_msgs/msg/Imu"])
+def test_messages_that_a_sensor_can_be(tmp_path, message):
+    path = tmp_path / "robot.toml"
+    path.write_text(f'[[boards]]\nurl = "x"\ntransducers.q = {{ message = "{message}" }}')
+    assert load_config(path).boards[0].transducers["q"].message == message
 
 
 @pytest.mark.parametrize(

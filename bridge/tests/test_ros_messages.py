@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
+from j2a_bridge.config import MESSAGES
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sink import BoardStatus, SinkStatus, Status, Times, TopicStatus, Update
 from j2a_bridge.topics import Topic
@@ -250,14 +251,33 @@ def test_angles_are_positions_of_joints_in_radians() -> None:
     assert joints.header.stamp.sec == 9
 
 
-def test_a_chosen_message_is_the_only_one_and_one_that_does_not_fit_is_told() -> None:
+@pytest.mark.parametrize("kind", ["sensor_msgs/Imu", "sensor_msgs/Nonsense"])
+def test_a_message_that_does_not_fit_is_told_and_the_own_one_stays(kind: str, caplog: Any) -> None:
+    topic = topic_of("SENSOR(d, 0, s, M, 1, u16, 0, (unit, cm))", kind)
+    assert [one.topic for one in RosMessages("jazzy").messages(topic)] == ["d"]
+    assert f"d does not fit into {kind}; what fits is: sensor_msgs/Range" in caplog.text
+
+
+def test_a_chosen_message_is_the_only_one() -> None:
     definition = "SENSOR(d, 0, s, M, 1, u16, 0, (unit, cm))"
     ros = RosMessages("jazzy")
     assert [one.type for one in ros.messages(topic_of(definition, "sensor_msgs/Range"))] == [
         "sensor_msgs/msg/Range"
     ]
-    with pytest.raises(LocalError, match="what fits is: sensor_msgs/Range"):
-        ros.messages(topic_of(definition, "sensor_msgs/Imu"))
+
+
+UNITS = ("Pa", "lx", "deg", "m", "%", "Cel")
+
+
+def test_the_configuration_knows_the_standard_messages() -> None:
+    definitions = [f"SENSOR(humid, 0, s, M, 1, u8, none, (unit, {unit}))" for unit in UNITS]
+    ros = RosMessages("noetic")
+    found = {
+        one.type.replace("/msg/", "/")
+        for definition in (*definitions, IMU, FIX)
+        for one in ros.messages(topic_of(definition))[1:]
+    }
+    assert found == set(MESSAGES[2:])
 
 
 @pytest.mark.parametrize("distro", DISTROS)
