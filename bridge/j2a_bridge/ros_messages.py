@@ -5,7 +5,8 @@ as, with name, type and serialized bytes.
 Rules: each sample is a message of its own type with all times and raw values (thesis, listing 8.2).
 Where unit and shape say what is measured, it also is one of a standard type in the unit of ROS,
 under the topic with a name of that type behind it; a value that is N/A is not sent there, as a
-standard message has no way to say so. Types come from rosbags (`pip install "j2a[ros]"`).
+standard message has no way to say so, nor is a channel that was not read since the sample before.
+Types come from rosbags (`pip install "j2a[ros]"`).
 """
 
 import logging
@@ -15,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from j2a import LocalError
+from j2a import LocalError, Reading
 from j2a.types.arrays import Batch
 from j2a.types.model import Structure
 from j2a.types.ros import PACKAGE, ros1_messages, ros2_messages
@@ -333,6 +334,27 @@ def _plain(value: Any) -> Any:
 # ---------------------------------------------------------------------- standard messages
 
 
+class _Newest:
+    """Finds what is new of one channel: a sample has all channels, whichever was read.
+
+    Args:
+        sensor: without a queue.
+        channel: of it.
+    """
+
+    def __init__(self, sensor: Transducer, channel: int) -> None:
+        self._is_alone = sensor.channels == 1
+        self._channel = channel
+        self._before: Reading | None = None
+
+    def of(self, update: Update) -> tuple[Any, int] | None:
+        """Return the value and its stamp; None where there is none, or it was there before."""
+        reading, stamp = update.sample.readings[self._channel], update.stamps_ns[self._channel]
+        is_old = reading == self._before and not (self._is_alone or update.sample.is_reset)
+        self._before = reading
+        return None if is_old or reading.value is None or stamp is None else (reading.value, stamp)
+
+
 def _standard(topic: Topic, ros: RosMessages) -> Iterator[Message]:
     """Yield the standard messages that fit a sensor."""
     sensor = topic.transducer
@@ -359,16 +381,17 @@ def _standard(topic: Topic, ros: RosMessages) -> Iterator[Message]:
     for channel in range(sensor.channels):
         make = store.types[f"sensor_msgs/msg/{name}"]
         serialize = ros._serializer(store, f"sensor_msgs/msg/{name}")
+        newest = _Newest(sensor, channel)
         behind = suffix if sensor.channels == 1 else f"{suffix}_{channel}"
 
         def pack(
-            update: Update, channel: int = channel, make: Any = make, serialize: Any = serialize
+            update: Update, newest: _Newest = newest, make: Any = make, serialize: Any = serialize
         ) -> bytes | None:
-            reading = update.sample.readings[channel]
-            stamp = update.stamps_ns[channel]
-            if reading.value is None or stamp is None:
+            found = newest.of(update)
+            if found is None:
                 return None
-            value = reading.value * quantity.factor + quantity.offset
+            number, stamp = found
+            value = number * quantity.factor + quantity.offset
             header = ros.header(store, stamp, topic.name)
             return bytes(serialize(make(header, **fill(sensor, quantity, value, make))))
 
@@ -473,12 +496,14 @@ def _structured(
     channels = topic.transducer.channels
     for channel in range(channels):
         behind = suffix if channels == 1 else f"{suffix}_{channel}"
+        newest = _Newest(topic.transducer, channel)
 
-        def pack(update: Update, channel: int = channel) -> bytes | None:
-            reading, stamp = update.sample.readings[channel], update.stamps_ns[channel]
-            if reading.value is None or stamp is None:
+        def pack(update: Update, newest: _Newest = newest) -> bytes | None:
+            found = newest.of(update)
+            if found is None:
                 return None
-            fields = fields_of(reading.value)
+            value, stamp = found
+            fields = fields_of(value)
             if fields is None:
                 return None
             return serialize(make(header=ros.header(store, stamp, topic.name), **fields))

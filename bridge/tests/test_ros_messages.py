@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections.abc import Container
 from concurrent.futures import Future
 from typing import Any
 
@@ -345,6 +346,53 @@ def test_a_time_beyond_what_a_message_can_hold_is_the_nearest(distro: str) -> No
         is_inside = seconds <= last
         assert (time.sec, time.nanosec) == ((seconds, 5) if is_inside else (last, 999_999_999))
     assert (ros.time(-1).sec, ros.time(-1).nanosec) == (0, 0)
+
+
+def stamps_of(definition: str, *samples: Any, resets: Container[int] = ()) -> list[Any]:
+    """Return of each sample the standard messages, with the seconds of their stamps."""
+    ros, topic = RosMessages("noetic"), topic_of(definition)
+    messages = ros.messages(topic)[1:]
+    found = []
+    for number, payload in enumerate(samples):
+        update = update_of(topic, payload)
+        object.__setattr__(update.sample, "is_reset", number in resets)
+        packed = [(one, one.pack(update)) for one in messages]
+        found.append(
+            {
+                one.topic: ros.read(one.type, data).header.stamp.sec
+                for one, data in packed
+                if data is not None
+            }
+        )
+    return found
+
+
+RANGE = "SENSOR(d, 0, s, M, {}, u16, 0, (unit, cm))"
+
+
+def test_a_channel_that_was_not_read_is_not_published_again() -> None:
+    first = struct.pack("<QHQH", 1_000_000, 50, 2_000_000, 60)
+    later = struct.pack("<QHQH", 1_000_000, 50, 3_000_000, 60)
+    other = struct.pack("<QHQH", 1_000_000, 51, 3_000_000, 60)
+    both = {"d/range_0": 1, "d/range_1": 2}
+    found = stamps_of(RANGE.format(2), first, later, other, other, first, first, resets={5})
+    assert found == [both, {"d/range_1": 3}, {"d/range_0": 1}, {}, both, both]
+
+
+def test_a_structure_that_was_not_read_is_not_published_again() -> None:
+    values = struct.pack("<9h", *range(9))
+    samples = [
+        b"".join(struct.pack("<Q", time * 1_000_000) + values for time in times)
+        for times in ((1, 2), (1, 3))
+    ]
+    found = stamps_of(IMU.replace("M, 1, motion", "M, 2, motion"), *samples)
+    assert found[1] == {"imu/imu_1": 3, "imu/magnetic_field_1": 3}
+    assert len(found[0]) == 4
+
+
+def test_of_a_channel_that_is_alone_each_sample_is_published() -> None:
+    sample = struct.pack("<QH", 1_000_000, 50)
+    assert stamps_of(RANGE.format(1), sample, sample) == [{"d/range": 1}] * 2
 
 
 @pytest.mark.parametrize("distro", DISTROS)

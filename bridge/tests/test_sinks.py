@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 from j2a_bridge.sink import SinkRequest, make_sink
@@ -43,6 +44,41 @@ def test_numbers_of_structures_and_none_of_what_is_none():
     parts = [(7, 1.5), (7, float("inf")), (0, 2.5), (7, -1.0)]
     payload = b"".join(struct.pack("<Qf", *part) for part in parts)
     assert list(numbers(update_of(floats, payload))) == [(7000, "0", 1.5)]
+
+
+def test_a_channel_that_was_not_read_is_not_sent_again(receiver):
+    sink = make_sink(SinkRequest.parse(f"udp:127.0.0.1:{receiver.getsockname()[1]}"), None)
+    topic = topic_of("SENSOR(s, 0, s, M, 2, u8, none)")
+    alone = topic_of("SENSOR(s, 0, s, M, 1, u8, none)", name="alone")
+    queue = topic_of("SENSOR(s, 0, s, M, 2, u8, none, (queue, 2))", name="queue")
+
+    def sent(topic, *parts, **more):
+        update = update_of(topic, struct.pack(*parts))
+        sink.publish(replace(update, sample=replace(update.sample, **more)))
+        sink.publish(update_of(end, struct.pack("<QB", 1, 1)))
+        found = []
+        while "end" not in (data := json.loads(receiver.recv(65536))):
+            found += [(data["timestamp"], name, value) for name, value in data[topic.name].items()]
+        return found
+
+    end = topic_of("SENSOR(s, 0, s, M, 1, u8, none)", name="end")
+    sink.open()
+    try:
+        sink.announce(topic)
+        both = [(1.0, "0", 5), (2.0, "1", 6)]
+        first = "<QBQB", 1_000_000, 5, 2_000_000, 6
+        assert sent(topic, *first) == both
+        assert sent(topic, "<QBQB", 1_000_000, 5, 3_000_000, 6) == [(3.0, "1", 6)]
+        assert sent(topic, "<QBQB", 1_000_000, 7, 3_000_000, 6) == [(1.0, "0", 7)]
+        assert sent(topic, *first, is_reset=True) == both
+        assert sent(topic, *first) == []
+        sink.announce(topic)
+        assert sent(topic, *first) == both
+        for _ in range(2):
+            assert sent(alone, "<QB", 1_000_000, 5) == [(1.0, "0", 5)]
+            assert sent(queue, "<HBQB", 0, 1, 1_000_000, 5) == [(1.0, "1", 5)]
+    finally:
+        sink.close()
 
 
 async def sent(device, url, sink, receiver):

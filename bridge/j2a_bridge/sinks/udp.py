@@ -1,15 +1,16 @@
 """The sink `udp`: datagrams for plotters, as PlotJuggler (JSON) and Teleplot take them.
 
 What flows in: samples. What flows out: a datagram for each; numbers only, as plotters draw these.
-Rules: a datagram that nobody takes is no error; N/A is left out.
+Rules: a datagram that nobody takes is no error; N/A is left out, and so is a channel that was
+not read since the sample before.
 """
 
 import json
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from typing import Any, ClassVar
 
-from j2a import LocalError
+from j2a import LocalError, Reading
 from j2a_bridge.sink import Control, Option, Sink, Update
 from j2a_bridge.topics import Topic
 
@@ -45,6 +46,7 @@ class UdpSink(Sink):
             )
         self._address = host.strip("[]"), int(port)
         self._socket: socket.socket | None = None
+        self._before: dict[str, Container[Reading]] = {}
 
     def open(self) -> None:
         """Find the address."""
@@ -54,16 +56,28 @@ class UdpSink(Sink):
         self._target = address
 
     def announce(self, topic: Topic) -> None:
-        """Nothing to do: receivers learn names from datagrams."""
+        """Begin anew with a topic; receivers learn its name from datagrams."""
+        self._before.pop(topic.name, None)
 
     def retract(self, topic: Topic) -> None:
-        """Nothing to do."""
+        """Forget what it had."""
+        self._before.pop(topic.name, None)
 
     def publish(self, update: Update) -> None:
         """Send a sample."""
         assert self._socket is not None
-        for data in self._json(update) if self._is_json else self._teleplot(update):
+        found = numbers(update, self._unread(update))
+        for data in (self._json if self._is_json else self._teleplot)(update, found):
             self._socket.sendto(data, self._target)
+
+    def _unread(self, update: Update) -> Container[Reading]:
+        """Return the readings that a sample may have from the one before it."""
+        sensor, name = update.topic.transducer, update.topic.name
+        if sensor.queue or sensor.channels == 1:
+            return ()
+        before = () if update.sample.is_reset else self._before.get(name, ())
+        self._before[name] = update.sample.readings
+        return before
 
     def close(self) -> None:
         """End."""
@@ -72,21 +86,21 @@ class UdpSink(Sink):
             self._socket = None
 
     @staticmethod
-    def _json(update: Update) -> Iterator[bytes]:
+    def _json(update: Update, found: Iterable[tuple[int, str, float]]) -> Iterator[bytes]:
         # PlotJuggler has one time for a datagram, so values of other times are in others.
         by_time: dict[int, dict[str, float]] = {}
-        for stamp, name, value in numbers(update):
+        for stamp, name, value in found:
             by_time.setdefault(stamp, {})[name] = value
         for stamp, values in by_time.items():
             tree: dict[str, Any] = {"timestamp": stamp / _NS_PER_S}
             yield json.dumps(tree | {update.topic.name: values}, allow_nan=False).encode()
 
     @staticmethod
-    def _teleplot(update: Update) -> Iterator[bytes]:
+    def _teleplot(update: Update, found: Iterable[tuple[int, str, float]]) -> Iterator[bytes]:
         unit = update.sample.unit
         suffix = f"§{unit}" if unit and unit.isprintable() else ""
         lines = b""
-        for stamp, name, value in numbers(update):
+        for stamp, name, value in found:
             line = f"{update.topic.name}/{name}:{stamp / _NS_PER_MS:.3f}:{value!r}{suffix}".encode()
             if lines and len(lines) + len(line) > _MAX_DATAGRAM:
                 yield lines
@@ -96,13 +110,13 @@ class UdpSink(Sink):
             yield lines
 
 
-def numbers(update: Update) -> Iterator[tuple[int, str, float]]:
+def numbers(update: Update, before: Container[Reading] = ()) -> Iterator[tuple[int, str, float]]:
     """Yield the numbers of a sample: when each was taken in ns, its name such as "0/x", and it.
 
-    N/A, infinities and what is no number are left out.
+    N/A, infinities and what is no number are left out, and readings that were there before.
     """
     for reading, stamp in zip(update.sample.readings, update.stamps_ns, strict=True):
-        if stamp is None or reading.value is None:
+        if stamp is None or reading.value is None or reading in before:
             continue
         for name, value in _flat(str(reading.channel), reading.value):
             yield stamp, name, value
