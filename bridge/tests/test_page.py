@@ -162,6 +162,27 @@ def test_a_board_that_goes_and_comes_and_a_server_that_does():
 
 
 @needs_browser
+def test_a_state_from_before_the_topics_takes_no_cards_away():
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            sink = bridge.runners[0].sink
+            sink.state = lambda: {"op": "status", "host": "before", "boards": [], "problem": ""}
+            await page.until("document.getElementById('host').textContent === 'on before'")
+            del sink.state
+            await page.until("document.getElementById('host').textContent !== 'on before'")
+            await page.until("document.querySelectorAll('section.board .card').length === 3")
+            # A board goes with its last topic.
+            sink.state = lambda: {"op": "status", "host": "after", "boards": [], "problem": ""}
+            for flow in list(bridge._flows.values()):
+                bridge._retract(flow)
+            await page.until("document.querySelectorAll('section.board').length === 0")
+            del sink.state
+            assert page.errors == []
+
+    asyncio.run(work())
+
+
+@needs_browser
 def test_16_channels_at_1_khz_are_thinned_and_memory_does_not_grow():
     text = "SENSOR(fast, 0, fast, M, 16, i16, none)\n"
 

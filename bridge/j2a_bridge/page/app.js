@@ -150,6 +150,8 @@ function takeStatus(about) {
     if (!status.is_here) board.isKnown = false;
     board.functions.hidden = !status.is_here;
   }
+  // The topics of a board may come before the state that has it.
+  for (const topic of topics.values()) seen.add(topic.board);
   for (const [name, board] of boards) {
     if (!seen.has(name) && about.boards) {
       board.element.remove();
