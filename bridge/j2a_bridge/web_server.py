@@ -299,10 +299,11 @@ class _Page:
             async for message in self._socket:
                 if message.type is not WSMsgType.TEXT:
                     break
+                about, key = _read(message.data)
                 if len(self._orders) >= _MAX_ORDERS:
-                    self._answer(None, "too many orders wait: the last one was not done")
+                    self._answer(key, "too many orders wait: this one was not done")
                     continue
-                task = asyncio.create_task(self._order(message.data))
+                task = asyncio.create_task(self._order(about, key))
                 self._orders.add(task)
                 task.add_done_callback(self._orders.discard)
         finally:
@@ -318,22 +319,26 @@ class _Page:
         about = {"op": "answer", "id": key, "ok": not problem, "message": problem, "result": result}
         self.send(json.dumps(about, default=str))
 
-    async def _order(self, text: str) -> None:
-        key = None
+    async def _order(self, about: Any, key: int | None) -> None:
         try:
-            try:
-                about = json.loads(text)
-            except (ValueError, RecursionError):
-                about = None
             if not isinstance(about, dict):
                 raise LocalError("an order is an object of JSON")
-            key = about.get("id") if isinstance(about.get("id"), int) else None
             work = _ORDERS.get(str(about.get("op")))
             if work is None:
                 raise LocalError("there is no such order")
             self._answer(key, result=await work(self._sink, about))
         except (j2a.J2AError, UsageError) as error:
             self._answer(key, str(error) or type(error).__name__)
+
+
+def _read(text: str) -> tuple[Any, int | None]:
+    """Return an order and its id; None for what has none."""
+    try:
+        about = json.loads(text)
+    except (ValueError, RecursionError):
+        return None, None
+    key = about.get("id") if isinstance(about, dict) else None
+    return about, key if isinstance(key, int) else None
 
 
 def _text(about: dict[str, Any], key: str) -> str:

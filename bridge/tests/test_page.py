@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import os
 import re
 import shutil
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import j2a_bridge
 import pytest
+from j2a_bridge import web_server
 from j2a_bridge.browser import browser
 
 import j2a
@@ -178,6 +180,32 @@ def test_a_state_from_before_the_topics_takes_no_cards_away():
             await page.until("document.querySelectorAll('section.board').length === 0")
             del sink.state
             assert page.errors == []
+
+    asyncio.run(work())
+
+
+@needs_browser
+def test_functions_are_asked_for_again_after_a_refusal(monkeypatch):
+    orders = web_server._ORDERS
+    real, count = orders["functions"], itertools.count()
+
+    async def busy_once(sink, about):
+        if next(count) == 0:
+            raise j2a.LocalError("too many orders wait")
+        return await real(sink, about)
+
+    monkeypatch.setitem(orders, "functions", busy_once)
+
+    async def work():
+        device = board_of()
+
+        @device.function("add")
+        def add(a: j2a.u8) -> j2a.u8:
+            return a
+
+        async with shown(device) as (page, _):
+            await page.until("document.querySelectorAll('form.call').length > 0")
+            assert await page.run("!document.body.textContent.includes('too many orders wait')")
 
     asyncio.run(work())
 

@@ -416,6 +416,7 @@ async function learn(board) {
   board.isKnown = true;
   const reply = await order({ op: "functions", board: board.name });
   if (!reply.ok) {
+    board.isKnown = false; // the next state asks again
     board.list.replaceChildren(make("output", { class: "bad" }, reply.message));
     return;
   }
