@@ -60,8 +60,8 @@ _HEADERS: Final = {
     "Cache-Control": "no-store",
 }
 SPAN_S: Final = 0.05
+"""So often pages are told what is new."""
 _logger = logging.getLogger("j2a.bridge.page")
-"""So often pages are told of new values."""
 _HEX: Final = re.compile(r"[0-9A-Fa-f\s]*")
 
 
@@ -76,8 +76,8 @@ class Source(Protocol):
     def state(self) -> dict[str, Any]:
         """Return the state of all."""
 
-    def values(self) -> dict[str, Any] | None:
-        """Return what came since the last time; None for nothing."""
+    def news(self) -> list[dict[str, Any]]:
+        """Return what came since the last time."""
 
     def log(self) -> dict[str, Any]:
         """Return the lines of the log."""
@@ -153,8 +153,7 @@ class PageServer:
             while not self._ended.is_set():
                 with contextlib.suppress(TimeoutError):
                     await asyncio.wait_for(self._ended.wait(), SPAN_S)
-                about = self._sink.values()
-                if about is not None:
+                for about in self._sink.news():
                     self.tell(about)
         finally:
             self._listener.close()
@@ -248,7 +247,7 @@ class PageServer:
             while client.is_open and name in self._watched:
                 text = (await client.read_debug()).strip()
                 if text:
-                    self._sink.note(name, "debug", text[:2000])
+                    self._sink.note(name, "debug", text)
                 await asyncio.sleep(_DEBUG_S)
         except j2a.J2AError:
             return  # it is gone, or has no debug text

@@ -9,7 +9,7 @@ import struct
 
 import aiohttp
 import pytest
-from j2a_bridge.sinks.web import _Span
+from j2a_bridge.sinks.web import WebSink, _Span
 
 import j2a
 from j2a.recording import Recording
@@ -332,6 +332,43 @@ def test_sifs_and_debug_text_are_in_the_log():
     found = in_loop(work)
     assert {"0xc8  12 ed"} == {one["text"] for one in found if one["kind"] == "SIF"}
     assert any("all is well" in one["text"] for one in found if one["kind"] == "debug")
+
+
+def lines_in(lines):
+    """How many lines of the log these stand for."""
+    return sum(int(one["text"].split()[0]) if one["kind"] == "log" else 1 for one in lines)
+
+
+def test_many_lines_and_many_topics_at_once_close_no_page():
+    async def work():
+        async with paged(board_of()) as (session, server, bridge):
+            sink = bridge.runners[0].sink
+            page = await opened(session, server)
+            await next_of(page, "log")  # the last of what a page gets first
+            for number in range(300):
+                sink.note("robot", "SIF", str(number))
+            told = []
+            while lines_in(told) < 300:
+                told += (await next_of(page, "log"))["lines"]
+            for number in range(200):
+                sink.announce(topic_of(f"SENSOR(s{number}, {number}, s, M, 1, u8, none)"))
+            await next_of(page, "topics", lambda about: len(about["topics"]) == 203)
+        return lines_in(told)
+
+    assert in_loop(work) == 300
+
+
+def test_news_are_bounded_and_count_what_they_leave_out():
+    sink = WebSink("", {"folder": ".", "token": ""}, None)
+    sink.announce(topic_of("SENSOR(one, 0, s, M, 1, u8, none)"))
+    sink.announce(topic_of("SENSOR(two, 1, s, M, 1, u8, none)"))
+    for _ in range(1000):
+        sink.note("robot", "debug", "x" * 5000)
+    topics, log = sink.news()
+    assert sorted(topics["topics"]) == ["one", "two"]
+    assert len(json.dumps(log)) < 200_000
+    assert lines_in(log["lines"]) == 1000
+    assert sink.news() == []
 
 
 def test_spikes_stay_visible_when_samples_are_thinned():

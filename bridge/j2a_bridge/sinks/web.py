@@ -3,7 +3,8 @@
 What flows in: topics, samples and the state of all. What flows out: a page on this computer that
 shows them and sends orders back.
 Rules: samples are thinned to what a picture can show, least and greatest of each span included, so
-no spike is lost; the server runs in a loop of its own and has a bounded queue for each page.
+no spike is lost; topics and lines of the log are gathered between two looks of the server, which
+runs in a loop of its own and has a bounded queue for each page.
 """
 
 import asyncio
@@ -29,6 +30,9 @@ __all__ = ["WebSink"]
 
 _SERIES: Final = 32
 _LOG: Final = 200
+_LINES: Final = 50
+"""So many lines of the log go to pages at once."""
+_TEXT: Final = 2000
 _START_S: Final = 10.0
 _NS_PER_MS: Final = 1_000_000
 
@@ -91,6 +95,10 @@ def _shown(value: Any) -> str:
     return plain(value)
 
 
+def _line(board: str, kind: str, text: str) -> dict[str, Any]:
+    return {"t": time.time_ns() // _NS_PER_MS, "board": board, "kind": kind, "text": text}
+
+
 class WebSink(Sink):
     """Serves the live page."""
 
@@ -112,6 +120,9 @@ class WebSink(Sink):
         self._newest: dict[str, dict[int, str]] = {}
         self._status: Status | None = None
         self._log: deque[dict[str, Any]] = deque(maxlen=_LOG)
+        self._lines: list[dict[str, Any]] = []
+        self._left_out = 0
+        self._has_changed = False
         self._recorder: McapSink | None = None
         self._wanted: str | None = None
         self._problem = ""
@@ -168,9 +179,9 @@ class WebSink(Sink):
         """Show a transducer."""
         with self._lock:
             self._topics[topic.name] = topic
+            self._has_changed = True
         if self._recorder is not None:
             self._recorder.announce(topic)
-        self._tell(self.topics())
 
     def retract(self, topic: Topic) -> None:
         """Show it no more."""
@@ -178,7 +189,7 @@ class WebSink(Sink):
             self._topics.pop(topic.name, None)
             self._spans.pop(topic.name, None)
             self._newest.pop(topic.name, None)
-        self._tell(self.topics())
+            self._has_changed = True
 
     def publish(self, update: Update) -> None:
         """Take a sample in."""
@@ -205,12 +216,9 @@ class WebSink(Sink):
         elif wanted is None and self._recorder is not None:
             self._end_recording()
         self.flush()
-        self._tell(self.state())
-
-    def _tell(self, about: dict[str, Any]) -> None:
         loop = self._loop
         if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(self.server.tell, about)
+            loop.call_soon_threadsafe(self.server.tell, self.state())
 
     # ------------------------------------------------------------------ for the server
 
@@ -229,23 +237,36 @@ class WebSink(Sink):
         recording = None if self._recorder is None else self._recorder.argument
         return {"op": "status", **about, "recording": recording, "problem": self._problem}
 
-    def values(self) -> dict[str, Any] | None:
-        """Return what came since the last time; None for nothing."""
+    def news(self) -> list[dict[str, Any]]:
+        """Return what came since the last time."""
         with self._lock:
             spans, self._spans = self._spans, {}
-        if not spans:
-            return None
-        return {"op": "data", "d": {name: span.object() for name, span in spans.items()}}
+            lines, self._lines = self._lines, []
+            left_out, self._left_out = self._left_out, 0
+            has_changed, self._has_changed = self._has_changed, False
+        news = [self.topics()] if has_changed else []
+        if spans:
+            news.append({"op": "data", "d": {name: span.object() for name, span in spans.items()}})
+        if left_out:
+            lines.append(_line("", "log", f"{left_out} more lines are not shown"))
+        if lines:
+            news.append({"op": "log", "lines": lines})
+        return news
 
     def note(self, board: str, kind: str, text: str) -> None:
         """Put a line into the log of pages; from any thread."""
-        line = {"t": time.time_ns() // _NS_PER_MS, "board": board, "kind": kind, "text": text}
-        self._log.append(line)
-        self._tell({"op": "log", "lines": [line]})
+        line = _line(board, kind, text[:_TEXT])
+        with self._lock:
+            self._log.append(line)
+            if len(self._lines) < _LINES:
+                self._lines.append(line)
+            else:
+                self._left_out += 1
 
     def log(self) -> dict[str, Any]:
         """Return the lines of the log."""
-        return {"op": "log", "lines": list(self._log)}
+        with self._lock:
+            return {"op": "log", "lines": list(self._log)}
 
     def want_recording(self, is_wanted: bool) -> None:
         """Begin or end a recording, with the next state at the latest."""
