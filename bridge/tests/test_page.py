@@ -82,6 +82,32 @@ def test_values_are_seen_and_a_slider_moves_the_servo():
 
 
 @needs_browser
+def test_a_slider_moves_by_steps_of_the_raw_value():
+    text = (
+        "ACTUATOR(arm, 0, a, M, 1, i16, none, (unit, rad), (scale, -0.001), (range, -1570, 1570))\n"
+        "ACTUATOR(servo, 1, s, M, 1, i8, none, (range, -100, 100))\n"
+        "ACTUATOR(gain, 2, g, M, 1, f32, none, (range, -0.5, 0.5))\n"
+    )
+
+    async def work():
+        device = board_of(text)
+        async with shown(device) as (page, _):
+            await page.until("document.querySelectorAll('input[type=range]').length === 3")
+            for name, value in (("arm", 0.789), ("servo", 7.3), ("gain", 0.123456)):
+                await page.run(
+                    f"(() => {{ const slider = document.getElementById('set-{name}-0');"
+                    f"slider.value = '{value}'; slider.dispatchEvent(new Event('input')); }})()"
+                )
+            await until(lambda: len(device.was_set) == 3)
+        return sorted(device.was_set)
+
+    arm, gain, servo = asyncio.run(work())
+    assert arm[2] == pytest.approx(0.789)
+    assert gain[2] == pytest.approx(0.123456)
+    assert servo[2] == 7
+
+
+@needs_browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_at_390_pixels_nothing_is_cut_off(scheme):
     async def work():

@@ -376,13 +376,12 @@ function control(name, about, channel, send) {
     return make("div", { class: "slider" }, label, form);
   }
   const [low, high] = [Math.min(...range), Math.max(...range)];
-  const isWhole = /^[ui]\d/.test(type) && !about.is_scaled;
   const input = make("input", {
     id,
     type: "range",
     min: String(low),
     max: String(high),
-    step: isWhole ? "1" : String((high - low) / 1000),
+    step: String(about.step),
     value: String(Math.min(high, Math.max(low, 0))),
   });
   const shown = make("output", { for: id });

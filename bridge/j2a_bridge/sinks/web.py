@@ -95,6 +95,12 @@ def _shown(value: Any) -> str:
     return plain(value)
 
 
+def _step(topic: Topic) -> float | str:
+    """Return what a slider moves by: one step of the raw value, or "any" as of HTML."""
+    one = topic.transducer
+    return "any" if one.type.element in ("f32", "f64") else abs(one.scale)
+
+
 def _line(board: str, kind: str, text: str) -> dict[str, Any]:
     return {"t": time.time_ns() // _NS_PER_MS, "board": board, "kind": kind, "text": text}
 
@@ -228,7 +234,10 @@ class WebSink(Sink):
             topics = list(self._topics.values())
         return {
             "op": "topics",
-            "topics": {one.name: {"board": one.board, **transducer_object(one)} for one in topics},
+            "topics": {
+                one.name: {"board": one.board, **transducer_object(one), "step": _step(one)}
+                for one in topics
+            },
         }
 
     def state(self) -> dict[str, Any]:
