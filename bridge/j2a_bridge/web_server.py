@@ -14,7 +14,7 @@ import json
 import logging
 import re
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection
 from importlib.resources import files
 from typing import Any, Final, Protocol
 
@@ -112,7 +112,7 @@ class PageServer:
         self._token = token or secrets.token_urlsafe(24)
         self._pages: dict[_Page, None] = {}
         self._ended: asyncio.Event
-        self._watched: dict[str, Any] = {}
+        self._watched: dict[str, j2a.AsyncClient] = {}
         self._runner: Any = None
 
     @property
@@ -172,7 +172,8 @@ class PageServer:
             for page in list(self._pages):
                 page.send(text, is_lossy=about["op"] == "data")
         if about["op"] == "status":
-            self._watch(about.get("boards", ()))
+            here = {one["name"] for one in about.get("boards", ()) if one["is_here"]}
+            self._sink.control.submit(self._watch(here))
 
     # ------------------------------------------------------------------ requests
 
@@ -222,35 +223,42 @@ class PageServer:
 
     # ------------------------------------------------------------------ the log of boards
 
-    def _watch(self, boards: Sequence[Any]) -> None:
-        """Note the SIFs of boards that are no samples, and their debug text."""
-        here = {one["name"] for one in boards if one["is_here"]}
-        for name in here - self._watched.keys():
-            self._watched[name] = None
-            self._sink.control.submit(self._watch_board(name))
-        for name in self._watched.keys() - here:
+    async def _watch(self, names: Collection[str]) -> None:
+        """Watch boards that are here and are not watched yet; in the loop of the bridge."""
+        for name in self._watched.keys() - names:
             del self._watched[name]
+        for name in names:
+            with contextlib.suppress(j2a.UnknownBoard):
+                client = self._sink.control.client(name)
+                if self._watched.get(name) is not client:
+                    self._watched[name] = client
+                    self._sink.control.submit(self._watch_board(name, client))
 
-    async def _watch_board(self, name: str) -> None:
-        """Watch a board for as long as it is here; in the loop of the bridge."""
+    async def _watch_board(self, name: str, client: j2a.AsyncClient) -> None:
+        """Note the SIFs of a board that are no samples, and its debug text, while it is here."""
         try:
-            client = self._sink.control.client(name)
             descriptors = (await client.transducers()).descriptors
-            samples = {one.id for one in descriptors.transducers} if descriptors else set()
-
-            def take(sif: j2a.Sif) -> None:
-                if sif.opcode not in samples:
-                    text = f"0x{sif.opcode:02x}  {sif.payload.hex(' ') or 'no payload'}"
-                    self._sink.note(name, "SIF", text)
-
-            client.on_sif(handler=take)
-            while client.is_open and name in self._watched:
-                text = (await client.read_debug()).strip()
-                if text:
-                    self._sink.note(name, "debug", text)
-                await asyncio.sleep(_DEBUG_S)
         except j2a.J2AError:
-            return  # it is gone, or has no debug text
+            self._watched.pop(name, None)  # the next state begins anew
+            return
+        samples = {one.id for one in descriptors.transducers} if descriptors else set()
+
+        def take(sif: j2a.Sif) -> None:
+            if sif.opcode not in samples:
+                text = f"0x{sif.opcode:02x}  {sif.payload.hex(' ') or 'no payload'}"
+                self._sink.note(name, "SIF", text)
+
+        client.on_sif(handler=take)
+        while client.is_open and self._watched.get(name) is client:
+            try:
+                text = (await client.read_debug()).strip()
+            except (j2a.UnknownFunction, j2a.OpcodeRefused):
+                return  # it has no debug text
+            except j2a.J2AError:
+                text = ""
+            if text:
+                self._sink.note(name, "debug", text)
+            await asyncio.sleep(_DEBUG_S)
 
 
 class _Refused(asyncio.Protocol):

@@ -14,7 +14,7 @@ from j2a_bridge.sinks.web import WebSink, _Span
 import j2a
 from j2a.recording import Recording
 
-from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, served, until
+from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, free_port, served, until
 from .test_ros_messages import IMU, topic_of, update_of
 
 
@@ -332,6 +332,47 @@ def test_sifs_and_debug_text_are_in_the_log():
     found = in_loop(work)
     assert {"0xc8  12 ed"} == {one["text"] for one in found if one["kind"] == "SIF"}
     assert any("all is well" in one["text"] for one in found if one["kind"] == "debug")
+
+
+def test_the_log_goes_on_when_a_board_is_back_before_anybody_saw_it_gone():
+    async def work():
+        port = free_port()
+        config = config_for(f"tcp://127.0.0.1:{port}", sinks=("web",))
+        async with bridging(config) as bridge:
+            sink = bridge.runners[0].sink
+            for life in range(2):
+                device = board_of(serial="7")
+                with served(device, port):
+                    await until(lambda: bridge._flows)
+                    bridge.__dict__.pop("_tick", None)
+                    while not any(one["text"].startswith(f"0x{200 + life:x}") for one in sink._log):
+                        device.send_sif(200 + life, b"")
+                        await asyncio.sleep(0.01)
+                    bridge._tick = lambda: None
+                await until(lambda: not bridge._flows)
+
+    asyncio.run(asyncio.wait_for(work(), PATIENCE_S))
+
+
+def test_a_read_of_debug_text_that_fails_does_not_end_the_log(monkeypatch):
+    real, failures = j2a.AsyncClient.read_debug, [j2a.CallTimeout("no answer")]
+
+    async def read_debug(self):
+        if failures:
+            raise failures.pop()
+        return await real(self)
+
+    monkeypatch.setattr(j2a.AsyncClient, "read_debug", read_debug)
+
+    async def work():
+        device = board_of()
+        async with paged(device) as (session, server, _):
+            page = await opened(session, server)
+            await until(lambda: not failures)
+            device.debug("all is well\n")
+            await next_of(page, "log", lambda about: about["lines"])
+
+    asyncio.run(asyncio.wait_for(work(), PATIENCE_S))
 
 
 def lines_in(lines):
