@@ -22,8 +22,10 @@ import j2a
 from j2a import LocalError
 from j2a.cli._exit import UsageError
 from j2a.cli._typed import json_of, values_of
+from j2a.io.transducers import SETTINGS
 from j2a.types.model import Enumeration, Field, Structure
 from j2a_bridge.sink import Control
+from j2a_bridge.sinks.mqtt import _finite
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
@@ -248,7 +250,7 @@ class PageServer:
                 text = f"0x{sif.opcode:02x}  {sif.payload.hex(' ') or 'no payload'}"
                 self._sink.note(name, "SIF", text)
 
-        client.on_sif(handler=take)
+        client.on_sif(None, take)
         while client.is_open and self._watched.get(name) is client:
             try:
                 text = (await client.read_debug()).strip()
@@ -323,8 +325,9 @@ class _Page:
                 await self._socket.send_str(await self._queue.get())
 
     def _answer(self, key: Any, problem: str = "", result: Any = None) -> None:
-        about = {"op": "answer", "id": key, "ok": not problem, "message": problem, "result": result}
-        self.send(json.dumps(about, default=str))
+        about = {"op": "answer", "id": key, "ok": not problem, "message": problem}
+        about["result"] = _finite(result)
+        self.send(json.dumps(about, default=str, allow_nan=False))
 
     async def _order(self, about: Any, key: int | None) -> None:
         try:
@@ -336,6 +339,8 @@ class _Page:
             self._answer(key, result=await work(self._sink, about))
         except (j2a.J2AError, UsageError) as error:
             self._answer(key, str(error) or type(error).__name__)
+        except Exception as error:  # the page waits for an answer, whatever it has ordered
+            self._answer(key, f"{type(error).__name__}: {error}")
 
 
 def _read(text: str) -> tuple[Any, int | None]:
@@ -368,6 +373,8 @@ async def _configure(sink: Source, about: dict[str, Any]) -> dict[str, Any]:
         return await asyncio.wrap_future(sink.control.settings(_text(about, "topic")))
     if not isinstance(settings, dict):
         raise LocalError("settings are an object")
+    if unknown := settings.keys() - SETTINGS:
+        raise LocalError(f"{min(unknown)!r:.80} is no setting; there are: {', '.join(SETTINGS)}")
     future = sink.control.configure(_text(about, "topic"), settings)
     return await asyncio.wrap_future(future)
 

@@ -3,12 +3,14 @@
 import asyncio
 import contextlib
 import json
+import math
 import re
 import socket
 import struct
 
 import aiohttp
 import pytest
+from j2a_bridge import web_server
 from j2a_bridge.sinks.web import WebSink, _Span
 
 import j2a
@@ -121,6 +123,46 @@ def test_orders_are_done_or_refused_with_a_reason():
     assert "add" in names
     assert answers[10]["result"] == 5
     assert all(one["message"] for one in answers if not one["ok"])
+
+
+def test_what_is_odd_is_answered_in_json_as_of_its_standard(monkeypatch):
+    async def fail(sink, about):
+        raise ZeroDivisionError("of a driver")
+
+    monkeypatch.setitem(web_server._ORDERS, "fail", fail)
+
+    def strict(text):
+        raise AssertionError(f"{text} is no JSON")
+
+    async def work():
+        device = board_of()
+
+        @device.function("nan")
+        def nan() -> j2a.f32:
+            return math.nan
+
+        async with paged(device) as (session, server, _):
+            page = await opened(session, server)
+            found = []
+            for order in (
+                {"op": "call", "board": "robot", "function": "nan", "words": []},
+                {"op": "settings", "topic": "quad", "settings": {"self": 1}},
+                {"op": "settings", "topic": "quad", "settings": {"nonsense": 1}},
+                {"op": "fail"},
+            ):
+                await page.send_json({"id": 7, **order})
+                while (text := (await page.receive(timeout=PATIENCE_S)).data) is not None:
+                    about = json.loads(text, parse_constant=strict)
+                    if about["op"] == "answer":
+                        found.append(about)
+                        break
+        return found
+
+    nan, own, unknown, failed = in_loop(work)
+    assert nan["result"] == "nan"
+    assert "'self' is no setting" in own["message"]
+    assert "'nonsense' is no setting" in unknown["message"]
+    assert "of a driver" in failed["message"]
 
 
 def test_bytes_of_a_call_name_no_file(tmp_path):
