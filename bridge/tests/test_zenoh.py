@@ -262,6 +262,8 @@ def test_what_comes_is_checked():
         ('"name": "n"', '"name": null'),
         ('"is_here": true', '"is_here": 1'),
         ('"rate_hz": 1.0', '"rate_hz": "1"'),
+        ('"rate_hz": 1.0', f'"rate_hz": {10**400}'),
+        ('"rate_hz": 1.0', '"rate_hz": NaN'),
         ('"lost": 0', '"lost": true'),
         ('"latency_ms": null', '"latency_ms": []'),
         ('"topics": [', '"topics": [1, '),
