@@ -219,6 +219,26 @@ def test_strangers_are_refused(headers, path):
     in_loop(work)
 
 
+@pytest.mark.parametrize(
+    ("token", "is_right"),
+    [
+        ("", True),
+        ("sixteen_letters-", True),
+        ("fifteen_letters", False),
+        ("a/b" * 10, False),
+        ("sixteen_letters-\n", False),
+        ("ä" * 16, False),
+    ],
+)
+def test_a_token_is_long_and_stays_as_it_is_in_an_address(token, is_right):
+    options = {"folder": ".", "token": token}
+    if is_right:
+        assert WebSink("", options, None).server.url.endswith(f"{token}/")
+    else:
+        with pytest.raises(j2a.LocalError, match="16 or more of"):
+            WebSink("", options, None)
+
+
 def test_what_is_no_http_is_refused_without_a_word(caplog):
     async def work():
         found = []

@@ -9,6 +9,7 @@ runs in a loop of its own and has a bounded queue for each page.
 
 import asyncio
 import dataclasses
+import re
 import threading
 import time
 from collections import deque
@@ -34,6 +35,8 @@ _LINES: Final = 50
 """So many lines of the log go to pages at once."""
 _TEXT: Final = 2000
 _START_S: Final = 10.0
+_TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,}")
+"""What nobody guesses, and what is the same in an address."""
 _NS_PER_MS: Final = 1_000_000
 
 
@@ -112,7 +115,7 @@ class WebSink(Sink):
     ARGUMENT = "[PORT]"
     OPTIONS: ClassVar[Mapping[str, Option]] = {
         "folder": Option(str, ".", "where recordings are written"),
-        "token": Option(str, "", "what the address of the page ends with (another one each time)"),
+        "token": Option(str, "", "the end of the address: 16 or more of A-Za-z0-9_- (random)"),
     }
     WAITING = 1 << 15
 
@@ -120,6 +123,8 @@ class WebSink(Sink):
         super().__init__(argument, options, control)
         if argument and not (argument.isdecimal() and int(argument) < 1 << 16):
             raise LocalError(f"web takes a port, not {argument!r:.40}")
+        if options["token"] and not _TOKEN.fullmatch(options["token"]):
+            raise LocalError("the token of web is 16 or more of A-Z, a-z, 0-9, _ and -")
         self._lock = threading.Lock()
         self._topics: dict[str, Topic] = {}
         self._spans: dict[str, _Span] = {}
