@@ -118,9 +118,11 @@ class TransducerRunner:
     def request(self, payload: bytes) -> tuple[int, bytes]:
         """Execute a2jTransd; the lock `calling` is held."""
         with self._changed:
-            code, reply, actions = self._server.request(payload, self.now_us())
+            now_us = self.now_us()
+            due = self._server.catch_up(now_us)  # the thread may be late
+            code, reply, actions = self._server.request(payload, now_us)
             self._wake()
-        _run(actions)
+        _run([*due, *actions])
         return code, reply
 
     def move(self, by_us: int) -> None:

@@ -225,6 +225,16 @@ class TransducerServer:
             for channel, (due_us, data) in actuator.waiting.items():
                 actuator.waiting[channel] = due_us + by_us, data
 
+    def catch_up(self, now_us: int) -> list[Action]:
+        """Set the channels whose time has come, before a request is answered (J2A-TRANS-015).
+
+        Returns: what is to be called.
+        """
+        actions: list[Action] = []
+        for actuator in self._actuators:
+            self._move(actuator, now_us, actions)
+        return actions
+
     def turn(
         self, now_us: int, local_us: int
     ) -> tuple[list[tuple[int, bytes]], list[Action], float]:

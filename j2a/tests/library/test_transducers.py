@@ -15,6 +15,7 @@ from j2a_spec import constants as c
 import j2a
 from j2a import Batch
 from j2a.demo import DemoDevice
+from j2a.io.transducer_runner import TransducerRunner
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard, wave
 
@@ -587,6 +588,25 @@ class TestActuators:
         assert times == []
         assert moved.wait(PATIENCE_S)
         assert times == [50]
+
+    def test_an_answer_tells_what_is_due_though_the_thread_is_late(self):
+        now, moved = 100, []
+        runner = TransducerRunner(
+            read_transds(FILE),
+            lambda *_: None,
+            threading.Lock(),
+            local_us=lambda: now,
+            clock_us=lambda: now,
+            pace=1.0,
+        )
+        runner.on_set("servo", lambda channel, value: moved.append((channel, value)))
+        order = bytes((10, c.TRANSD_SET, 1)) + struct.pack("<Qb", 200, 50)
+        assert runner.request(order) == (c.RET_OK, b"")
+        for time, at, value in [(199, 0, 0), (200, 200, 50), (300, 200, 50)]:
+            now = time
+            code, sample = runner.request(bytes((10, c.TRANSD_SAMPLE)))
+            assert (code, struct.unpack("<QbQb", sample)[2:]) == (c.RET_OK, (at, value))
+            assert moved == [(1, 50)] * (value == 50)
 
     def test_a_host_that_falls_silent(self, device, board):
         moved = threading.Event()
