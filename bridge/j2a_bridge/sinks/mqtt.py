@@ -243,7 +243,6 @@ def transducer_object(topic: Topic) -> dict[str, Any]:
         "type": str(one.type),
         "channels": one.channels,
         "unit": one.unit,
-        "is_scaled": one.is_scaled,
         "model": one.model,
         "doc": one.doc,
     }
