@@ -374,7 +374,7 @@ def main() -> int:
         serve(args.board[0], Path(args.board[1]))
         return 0
     programs = build("servo", "avr-serial"), build("robot", "avr-usb")
-    port, token = free_port(), "demo-robot"
+    port, token = free_port(), "demo-robot-of-j2a"
     with (
         roscore() as has_ros,
         tempfile.NamedTemporaryFile("w", suffix=".toml") as file,

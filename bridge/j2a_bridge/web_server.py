@@ -25,7 +25,7 @@ from j2a.cli._typed import json_of, values_of
 from j2a.io.transducers import SETTINGS
 from j2a.types.model import Enumeration, Field, Structure
 from j2a_bridge.sink import Control
-from j2a_bridge.sinks.mqtt import _finite
+from j2a_bridge.sinks.mqtt import finite
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
@@ -326,7 +326,7 @@ class _Page:
 
     def _answer(self, key: Any, problem: str = "", result: Any = None) -> None:
         about = {"op": "answer", "id": key, "ok": not problem, "message": problem}
-        about["result"] = _finite(result)
+        about["result"] = finite(result)
         self.send(json.dumps(about, default=str, allow_nan=False))
 
     async def _order(self, about: Any, key: int | None) -> None:

@@ -290,7 +290,8 @@ def test_a_board_that_goes_dies_and_comes_again(broker, listener):
     asyncio.run(work())
 
 
-def test_a_broker_that_dies_is_found_again(tmp_path, monkeypatch):
+@pytest.mark.parametrize("is_quiet", [False, True])
+def test_a_broker_that_dies_is_found_again(tmp_path, monkeypatch, is_quiet):
     monkeypatch.setattr(MqttSink, "RETRY_S", 0.1)
     port = free_port()
 
@@ -313,9 +314,12 @@ def test_a_broker_that_dies_is_found_again(tmp_path, monkeypatch):
                             device.sense("quad", 0, value, raw=True)
                             await asyncio.wait([got], timeout=0.05)
                         assert got.result()["values"][0] == value / 2
+                        order = json.dumps({"values": [value + 1]})
+                        listener.client.publish(f"j2a/DCMD/{HOST}/robot/servo", order, qos=1)
+                        await until(lambda wanted=value + 1: ("servo", 0, wanted) in device.was_set)
                         listener.end()
                     finally:
                         broker.end()
-                    await until(lambda: (device.sense("quad", 0, 5), runner.problem)[1])
+                    await until(lambda: (is_quiet or device.sense("quad", 0, 5), runner.problem)[1])
 
     asyncio.run(work())

@@ -20,10 +20,10 @@ from typing import Any, ClassVar, Final
 
 from j2a import LocalError
 from j2a.cli._typed import json_of
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Update
+from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
 from j2a_bridge.topics import Topic, plain_name
 
-__all__ = ["MqttSink", "sample_object", "transducer_object"]
+__all__ = ["MqttSink", "finite", "sample_object", "transducer_object"]
 
 _WAIT_S: Final = 5.0
 _MAX_ORDER_BYTES: Final = 4096
@@ -77,7 +77,10 @@ class MqttSink(Sink):
         self._boards.clear()
         self._connected.clear()
         self._why = ""
-        client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="")
+        # `open` connects again, for paho would do so without the subscription and the births.
+        client = paho.Client(
+            paho.CallbackAPIVersion.VERSION2, client_id="", reconnect_on_failure=False
+        )
         client.max_queued_messages_set(_WAITING)
         if self.options["user"]:
             password = None
@@ -136,11 +139,19 @@ class MqttSink(Sink):
         return "/".join([self.options["group"], kind, self._node, *parts])
 
     def _send(self, kind: str, about: Any, *parts: str, qos: int = 1, retain: bool = False) -> Any:
+        client = self._here()
+        data = json.dumps(about, allow_nan=False)
+        return client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
+
+    def _here(self) -> Any:
         client = self._client  # `close` may take it away while an order is answered
         if client is None or not self._connected.is_set():
             raise SinkError(f"the broker at {self._host}:{self._port} is gone: {self._why}")
-        data = json.dumps(about, allow_nan=False)
-        return client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
+        return client
+
+    def status(self, status: Status) -> None:
+        """Notice that the broker is gone, also while no samples come."""
+        self._here()
 
     def announce(self, topic: Topic) -> None:
         """Tell what the board has now."""
@@ -194,7 +205,7 @@ class MqttSink(Sink):
 
         def told(done: "Future[Any]") -> None:
             try:
-                self._answer(board, name, _finite(done.result()))
+                self._answer(board, name, finite(done.result()))
             except Exception as error:
                 self._answer(board, name, error=error)
 
@@ -247,7 +258,7 @@ def transducer_object(topic: Topic) -> dict[str, Any]:
         "doc": one.doc,
     }
     if one.range is not None:
-        about["range"] = [_finite(end * one.scale + one.offset) for end in one.range]
+        about["range"] = [finite(end * one.scale + one.offset) for end in one.range]
     return about
 
 
@@ -255,7 +266,7 @@ def sample_object(update: Update) -> dict[str, Any]:
     """Return what JSON has of a sample: each value in the unit, null for N/A, and its time."""
     sample = update.sample
     return {
-        "values": [_finite(json_of(one.value)) for one in sample.readings],
+        "values": [finite(json_of(one.value)) for one in sample.readings],
         "channels": list(sample.channels),
         "times_ns": list(update.stamps_ns),
         "sequence": sample.sequence,
@@ -264,14 +275,14 @@ def sample_object(update: Update) -> dict[str, Any]:
     }
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """Return a value with texts for what JSON has no number: "inf", "-inf" and "nan"."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     if isinstance(value, list):
-        return [_finite(one) for one in value]
+        return [finite(one) for one in value]
     if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
+        return {key: finite(one) for key, one in value.items()}
     return value
 
 
