@@ -24,8 +24,8 @@ from j2a.cli._exit import UsageError
 from j2a.cli._typed import json_of, values_of
 from j2a.io.transducers import SETTINGS
 from j2a.types.model import Enumeration, Field, Structure
+from j2a_bridge.json_values import finite
 from j2a_bridge.sink import Control
-from j2a_bridge.sinks.mqtt import finite
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web

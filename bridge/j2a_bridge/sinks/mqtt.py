@@ -10,7 +10,6 @@ deaths at least once.
 import contextlib
 import json
 import logging
-import math
 import socket
 import threading
 from collections.abc import Mapping
@@ -20,10 +19,11 @@ from typing import Any, ClassVar, Final
 
 from j2a import LocalError
 from j2a.cli._typed import json_of
+from j2a_bridge.json_values import finite
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
 from j2a_bridge.topics import Topic, plain_name
 
-__all__ = ["MqttSink", "finite", "sample_object", "transducer_object"]
+__all__ = ["MqttSink", "sample_object", "transducer_object"]
 
 _WAIT_S: Final = 5.0
 _MAX_ORDER_BYTES: Final = 4096
@@ -273,17 +273,6 @@ def sample_object(update: Update) -> dict[str, Any]:
         "lost": sample.lost + sample.missed,
         "uncertainty_us": update.uncertainty_us,
     }
-
-
-def finite(value: Any) -> Any:
-    """Return a value with texts for what JSON has no number: "inf", "-inf" and "nan"."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    if isinstance(value, list):
-        return [finite(one) for one in value]
-    if isinstance(value, dict):
-        return {key: finite(one) for key, one in value.items()}
-    return value
 
 
 def _paho() -> Any:
