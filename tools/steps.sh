@@ -36,7 +36,11 @@ step() {
     shift 2
     chosen "$name" || return
     printf '\n==> %s: %s\n' "$name" "$title"
-    timed "$name" "$@" </dev/null 2>&1 | tee "build/steps/$name.log" || status=$?
+    # What it says goes where it went, errors apart, and into a file, too.
+    : >"build/steps/$name.log"
+    {
+        timed "$name" "$@" </dev/null 2>&1 >&4 4>&- | tee -a "build/steps/$name.log" >&2
+    } 4>&1 | tee -a "build/steps/$name.log" || status=$?
     said_time "$name"
     if ((status)); then
         failed+=("$name")

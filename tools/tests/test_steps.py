@@ -33,12 +33,8 @@ def run(tmp_path, **environment):
 def test_each_step_has_its_time_and_the_most_expensive_comes_first(tmp_path):
     done = run(tmp_path)
     assert done.returncode == 1
-    assert done.stderr == ""
-    assert re.search(
-        r"^==> broken: fails\ntrouble\n==> broken: .*\n==> broken FAILED with status 3$",
-        done.stdout,
-        re.MULTILINE,
-    )
+    assert done.stderr == "trouble\n"
+    assert "==> broken FAILED with status 3" in done.stdout
     assert "==> broken FAILED, the last that it said:\ntrouble\n" in done.stdout
     assert "behind: 4\n" in done.stdout
     assert re.search(
