@@ -119,6 +119,7 @@ class Bridge:
         self._boards: dict[str, _Board] = {}
         self._serials: dict[str, str] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+        self._retried: set[tuple[j2a.AsyncClient, Callable[..., Awaitable[bool]]]] = set()
         self._flows: dict[str, _Flow] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._fleet: j2a.AsyncFleet | None = None
@@ -207,7 +208,7 @@ class Bridge:
     async def _come(self, identity: str, url: str) -> None:
         assert self._fleet is not None
         client = self._fleet[identity]
-        await self._persist(client, lambda: self._meet(identity, url, client))
+        await self._persist(client, self._meet, identity, url, client)
 
     async def _meet(self, identity: str, url: str, client: j2a.AsyncClient) -> bool:
         """Get to know a board that is here; return whether there is no more to try."""
@@ -219,28 +220,34 @@ class Bridge:
                 name = self._names.board(identity, url, properties)
                 board = self._boards[identity] = _Board(name, url, self._wanted(identity, url))
             board.client, board.url = client, url
-            client.on_restart(lambda _restart: self._persist(client, lambda: self._learn(board)))
+            client.on_restart(lambda _restart: self._persist(client, self._learn, board))
             await self._begin_clock(board, client)
         except j2a.J2AError as error:
             _logger.warning("%s: %s", url, error)
             if board is not None:
                 board.problem = str(error)
             return False
-        await self._persist(client, lambda: self._learn(board))
+        await self._persist(client, self._learn, board)
         return True
 
     async def _persist(
-        self, client: j2a.AsyncClient, attempt: Callable[[], Awaitable[bool]]
+        self, client: j2a.AsyncClient, attempt: Callable[..., Awaitable[bool]], *args: Any
     ) -> None:
         """Try something, and where that fails, each second while the board is here."""
-        if await attempt():
+        what = client, attempt
+        # A board that restarts again and again must not have it tried side by side.
+        if await attempt(*args) or what in self._retried:
             return
+        self._retried.add(what)
 
         async def again() -> None:
-            while client.is_open and not self._ended.is_set():
-                await asyncio.sleep(_EACH_S)
-                if await attempt():
-                    return
+            try:
+                while client.is_open and not self._ended.is_set():
+                    await asyncio.sleep(_EACH_S)
+                    if await attempt(*args):
+                        return
+            finally:
+                self._retried.discard(what)
 
         # Neither its samples nor other boards need wait for that.
         task = asyncio.create_task(again())
@@ -263,7 +270,7 @@ class Bridge:
         """Know the clock of a board, and keep it right, as far as it can be."""
         board.has_clock = False
         if self._config.clock != "off":
-            await self._persist(client, lambda: self._try_clock(board, client))
+            await self._persist(client, self._try_clock, board, client)
 
     async def _try_clock(self, board: _Board, client: j2a.AsyncClient) -> bool:
         """Begin to keep a clock; return whether there is no more to try."""

@@ -125,6 +125,28 @@ class TestTopics:
         assert len(calls) > late
 
     @in_event_loop
+    async def test_a_board_that_restarts_again_and_again_is_asked_by_one_at_a_time(
+        self, kept, monkeypatch
+    ):
+        answer, may_answer = AsyncTransducers.__call__, False
+
+        async def late(self):
+            if not may_answer:
+                raise j2a.CallTimeout("no answer")
+            return await answer(self)
+
+        monkeypatch.setattr(AsyncTransducers, "__call__", late)
+        with served(board_of()) as url:
+            async with bridging(config_for(url, clock="off")) as bridge:
+                [board] = await until(lambda: list(bridge._boards.values()))
+                for _ in range(20):
+                    await bridge._persist(board.client, bridge._learn, board)
+                assert len(bridge._tasks) == 1
+                may_answer = True
+                await announced(kept[0], "quad")
+                await until(lambda: not bridge._tasks and not bridge._retried)
+
+    @in_event_loop
     async def test_what_is_learnt_of_a_board_that_has_gone_meanwhile_changes_nothing(self, kept):
         with served(board_of()) as url:
             async with bridging(config_for(url)) as bridge:

@@ -3,8 +3,7 @@
 What flows in: samples. What flows out: messages of ROS 2 with their definitions, each under its
 topic, own type and standard ones; back come commands in JSON for actuators.
 Rules: it listens on this computer alone unless it is told another address, and takes commands only
-where the option says so; viewers that are slow
-lose messages of their own.
+where the option says so; viewers that are slow lose messages of their own.
 """
 
 import json
