@@ -23,7 +23,16 @@ from multiprocessing import get_context
 from conformance.mutants import dimensional, judged, matrix
 from conformance.mutants.matrix import Row
 from conformance.mutants.tables import TARGETS, Mutant, Table, TableError, load
-from conformance.mutants.targets import Job, Outcome, Variant, cases, judge, prepare, variant
+from conformance.mutants.targets import (
+    Job,
+    Outcome,
+    Variant,
+    cases,
+    judge,
+    needing_start,
+    prepare,
+    variant,
+)
 
 __all__ = ["main"]
 
@@ -162,15 +171,15 @@ def _dimensions(args: argparse.Namespace) -> int:
 def _likely(chosen: Iterable[tuple[str, Mutant]], rows: dict[str, Row]) -> dict[str, Row]:
     """Return rows for mutants that `matrix.json` does not have: first what kills their like.
 
-    Both parts are in the order of the suite, and so is all of a rule of the clock: `clock.first`
-    needs a clock that no other case has adjusted.
+    Both parts are in the order of the suite, and so is all of a rule with a case that needs a
+    device on which no other was done.
     """
     found = {}
     for target, mutant in chosen:
         like = [row for row in rows.values() if row.requirement == mutant.requirement]
         naming = matrix.killers(mutant.requirement, cases(target), cases(target))
         first = {name for row in like for name in row.killed_by[:3]}
-        if "clock.first" in naming:
+        if not needing_start(target).isdisjoint(naming):
             first.update(naming)
         ordered = [name for name in cases(target) if name in naming]
         found[mutant.id] = matrix.row(mutant, sorted(ordered, key=lambda name: name not in first))

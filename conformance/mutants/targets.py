@@ -31,7 +31,17 @@ from j2a_transports import Transport
 from conformance.mutants.matrix import killers
 from conformance.mutants.tables import ROOT, Mutant, TableError, copy
 
-__all__ = ["Job", "Outcome", "Variant", "cases", "judge", "prepare", "variant", "written"]
+__all__ = [
+    "Job",
+    "Outcome",
+    "Variant",
+    "cases",
+    "judge",
+    "needing_start",
+    "prepare",
+    "variant",
+    "written",
+]
 
 _DEVICE_CASES: Final = {case.ID: case for case in (*SMOKE, *load())}
 _HOST_CASES: Final = {case.ID: case for case in (host.START, *host.load())}
@@ -115,6 +125,12 @@ def cases(target: str) -> dict[str, tuple[str, ...]]:
     return {name: case.REQUIREMENTS for name, case in known.items()}
 
 
+def needing_start(target: str) -> frozenset[str]:
+    """Return the ids of the cases that need a target on which no other case was done."""
+    known = () if target == "host" else _DEVICE_CASES.values()
+    return frozenset(case.ID for case in known if case.NEEDS_START)
+
+
 def judge(job: Job) -> Outcome:
     """Do a job; in a process of its own, because standard error is taken away from it."""
     with TemporaryDirectory(prefix="j2a-mutant-") as name:
@@ -159,18 +175,26 @@ class _Trial:
             return self._twice(naming)
         if self._job.is_any:
             return self._confirmed(self._job.cases)
-        if self._job.quick:
-            return self._confirmed_kill(mutant)
         for attempt in range(_ATTEMPTS):
+            self.gone = ""
             try:
-                for name in naming if attempt else self._job.cases:
-                    failed = self._failed(name)
-                    if killers(mutant.requirement, failed, known):
-                        return failed
+                failed = (
+                    self._confirmed(self._job.cases)
+                    if self._job.quick
+                    else self._one_by_one(naming if attempt else self._job.cases, naming)
+                )
             except HarnessError as error:  # so no other case can be done either
                 self.gone = str(error)
-            if attempt and self.gone:
-                break
+                continue
+            if killers(mutant.requirement, failed, known):
+                return failed
+        return ()
+
+    def _one_by_one(self, names: Iterable[str], naming: Collection[str]) -> tuple[str, ...]:
+        """Do cases up to one at which one of `naming` fails; return what failed then."""
+        for name in names:
+            if not set(failed := self._failed(name)).isdisjoint(naming):
+                return failed
         return ()
 
     def _twice(self, naming: Collection[str]) -> tuple[str, ...]:
@@ -191,20 +215,6 @@ class _Trial:
             if failed[-1] in self._first(names[:end]):
                 return failed
             names = names[end:]
-        return ()
-
-    def _confirmed_kill(self, mutant: Mutant) -> tuple[str, ...]:
-        """Return what is confirmed to fail of the rule; try again where nothing is."""
-        known = cases(self._job.how.target)
-        for _ in range(_ATTEMPTS):
-            self.gone = ""
-            try:
-                failed = self._confirmed(self._job.cases)
-            except HarnessError as error:
-                self.gone = str(error)
-                continue
-            if killers(mutant.requirement, failed, known):
-                return failed
         return ()
 
     def _failed(self, name: str) -> tuple[str, ...]:

@@ -18,9 +18,12 @@ class Case(BaseCase):
 
     Attributes:
         NEEDS: names of functions without which the case is not run.
+        NEEDS_START: it shows something only on a device with which no other case has dealt since
+            its start, so it comes before the others of its rules.
     """
 
     NEEDS: tuple[str, ...] = ()
+    NEEDS_START = False
 
     def run(self, peer: Peer) -> None:
         """Judge the device behind `peer`.

@@ -251,6 +251,7 @@ class First(ClockCase):
         "J2A-CLOCK-013",
         "J2A-CLOCK-015",
     )
+    NEEDS_START = True
 
     def _run(self, peer: Peer) -> None:
         if peer.link.lossy or not peer.announces(c.CAP_CLOCK):
