@@ -18,12 +18,12 @@ from typing import Any, Final, Protocol
 import j2a_transports
 
 import j2a
+from j2a.io.host_time import HostTime
 from j2a.io.threads import JOIN_S, join_threads, start_thread
-from j2a.protocol.clock.reference import ReferenceClock
 from j2a.syncd.history import History
 from j2a.syncd.sync_board import SyncBoard
 from j2a.syncd.url_boards import LinkBoards
-from j2a.syncd.usb_bus import Bus
+from j2a.syncd.usb_bus import Bus, host_time
 
 __all__ = ["Daemon", "start"]
 
@@ -51,6 +51,7 @@ class Daemon:
         urls: of boards without SyncUSB, whose links belong to the daemon.
         ports: returns the boards with SyncUSB; None where there is no USB to look at.
         only: bus and address of the one board that is meant; None for what may be any.
+        host: the time of this computer, for counting how often it was set.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Daemon:
         urls: Sequence[str] = (),
         ports: Callable[[], list[Any]] | None,
         only: tuple[int | None, int | None] = (None, None),
+        host: HostTime | None = None,
     ) -> None:
         self._interval_s = interval_s
         self._ports = ports
@@ -67,7 +69,7 @@ class Daemon:
         self._history = History()
         self._boards: dict[tuple[int, int, str], SyncBoard] = {}
         self._buses: dict[str, Bus] = {}
-        self._clock = ReferenceClock()
+        self._host = host_time() if host is None else host
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._is_stopped = False
@@ -80,7 +82,7 @@ class Daemon:
         try:
             while not self._is_stopped:
                 self._wake.clear()
-                self.observe(time.monotonic_ns() / 1000, time.time_ns() // 1000)
+                self.observe()
                 self._look()
                 self._links.look()
                 self._wake.wait(_LOOK_S)
@@ -93,15 +95,12 @@ class Daemon:
                 one.stop()
             join_threads([one.thread for one in boards], JOIN_S)
 
-    def observe(self, counter_us: float, unix_us: int) -> None:
-        """Note that the clock of this computer was set, which boards are told at once.
-
-        Args:
-            counter_us: the steady counter of this computer.
-            unix_us: the time that people and NTP set.
-        """
-        if self._clock.observe(counter_us, unix_us):
-            by_s = self._clock.last_step_us / 1e6
+    def observe(self) -> None:
+        """Note whether the clock of this computer was set, which boards are told at once."""
+        steps = self._host.reference.steps
+        self._host.observe()
+        if self._host.reference.steps != steps:
+            by_s = self._host.reference.last_step_us / 1e6
             _logger.warning("the clock of this computer was set by %+.6f s", by_s)
 
     def stop(self) -> None:
@@ -129,7 +128,7 @@ class Daemon:
         return {
             "pid": os.getpid(),
             "uptime_s": round(time.monotonic() - self._began_s),
-            "steps": self._clock.steps,
+            "steps": self._host.reference.steps,
             "problem": self._problem,
             "boards": boards + links,
         }

@@ -1,7 +1,7 @@
 """One USB bus: when its frames begin, by the boards on it.
 
 In: what boards say of frames. Out: the time of a frame, the same for all boards of a round.
-Rules: the host's counter is `time.monotonic`, which nobody sets; several threads use a bus.
+Rules: several threads use a bus, one at a time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import threading
 import time
 from typing import Any, Final
 
-from j2a.protocol.clock import BusClock, Exchange, Frame, ReferenceClock
+from j2a.io.host_time import _HOST, HostTime
+from j2a.protocol.clock import BusClock, Exchange, Frame
 from j2a.syncd.history import History, Round
 
 __all__ = ["Bus", "host_time"]
@@ -21,19 +22,13 @@ LEAST: Final = 8
 """So many exchanges come before the first packet."""
 
 
-def host_time() -> tuple[float, int]:
-    """Return the host's counter and its Unix time at the same instant, in microseconds.
+def host_time() -> HostTime:
+    """Return the counter and the clock of this computer, with a reference of its own.
 
-    Of three readings the quickest one counts, because the program may be interrupted in one.
+    What belongs to one lock needs no other: a bus tells a time and remembers after how many steps
+    of the clock, and no other thread may count one in between.
     """
-    readings = []
-    for _ in range(3):
-        before_ns = time.monotonic_ns()
-        unix_ns = time.time_ns()
-        after_ns = time.monotonic_ns()
-        readings.append((after_ns - before_ns, (before_ns + after_ns) / 2000, unix_ns // 1000))
-    _, counter_us, unix_us = min(readings)
-    return counter_us, unix_us
+    return HostTime(_HOST.counter_us, lambda: time.time_ns() // 1000)
 
 
 class Bus:
@@ -43,15 +38,18 @@ class Bus:
         name: of what the frames come from, such as "usb bus 1".
         interval_s: between two rounds.
         history: gets a record of each round.
+        host: the time of the host, which belongs to this bus; None for that of this computer.
     """
 
-    def __init__(self, name: str, interval_s: float, history: History) -> None:
+    def __init__(
+        self, name: str, interval_s: float, history: History, host: HostTime | None = None
+    ) -> None:
         self.name = name
         self._interval_us = interval_s * 1e6
         self._history = history
         self._lock = threading.Lock()
-        self._reference = ReferenceClock()
-        self._clock = BusClock(self._reference)
+        self._host = host_time() if host is None else host
+        self._clock = BusClock(self._host.reference)
         self._told: Frame | None = None
         self._told_at_us = float("-inf")
         self._number = 0
@@ -60,7 +58,7 @@ class Bus:
 
     def now_us(self) -> float:
         """Return the host's counter, in microseconds."""
-        return time.monotonic_ns() / 1000
+        return self._host.counter_us()
 
     def until_next_round_s(self) -> float:
         """Return the seconds until a round begins; rounds of all boards begin at the same time."""
@@ -83,7 +81,7 @@ class Bus:
             number: of the packet that this board was sent last.
         """
         with self._lock:
-            self._reference.observe(*host_time())
+            self._host.observe()
             return self._clock.is_outdated or (self._is_extra and self._number != number)
 
     def packet(self) -> tuple[int, Frame | None]:
@@ -93,8 +91,7 @@ class Bus:
             little is known.
         """
         with self._lock:
-            now_us, unix_us = host_time()
-            self._reference.observe(now_us, unix_us)
+            now_us = self._host.observe()
             is_due = now_us - self._told_at_us > min(FRESH_US, 0.9 * self._interval_us)
             is_outdated = self._clock.is_outdated
             if is_due or is_outdated:
@@ -103,7 +100,7 @@ class Bus:
                 ready = len(self._clock.estimator) >= LEAST
                 self._told = self._clock.frame_at(now_us) if ready else None
                 self._told_at_us = now_us
-                self._note(unix_us)
+                self._note(self._host.reference.to_unix(now_us))
             return self._number, self._told
 
     def _note(self, unix_us: int) -> None:

@@ -10,6 +10,7 @@ import j2a_transports
 import pytest
 
 import j2a
+from j2a.io.host_time import HostTime
 from j2a.protocol.clock import LOOK_S
 from j2a.syncd import daemon as daemon_module
 from j2a.syncd import usb_bus as bus_module
@@ -79,10 +80,10 @@ def test_boards_of_a_bus_are_told_the_same(running):
 
 
 @pytest.mark.requirement("SYNC-005")
-def test_a_round_has_one_packet(monkeypatch):
+def test_a_round_has_one_packet():
     now_us = 5e6
-    monkeypatch.setattr(bus_module, "host_time", lambda: (now_us, round(1.7e15 + now_us)))
-    one = Bus("usb bus 1", 1.0, History())
+    host = HostTime(lambda: now_us, lambda: round(1.7e15 + now_us))
+    one = Bus("usb bus 1", 1.0, History(), host)
     for number in range(bus_module.LEAST):
         assert one.packet()[1] is None
         now_us += 1e6
@@ -101,11 +102,11 @@ def test_a_round_has_one_packet(monkeypatch):
 
 
 @pytest.mark.parametrize("change", ["slewed", "set"])
-def test_all_boards_hear_at_once_that_the_clock_was_slewed_or_set(change, monkeypatch):
+def test_all_boards_hear_at_once_that_the_clock_was_slewed_or_set(change):
     """Of 500 ppm a second would make 500 us; all are told the same, each once."""
     now_us, unix_us = 5e6, 1.7e15
-    monkeypatch.setattr(bus_module, "host_time", lambda: (now_us, round(unix_us)))
-    bus = Bus("usb bus 1", 5.0, History())
+    host = HostTime(lambda: now_us, lambda: round(unix_us))
+    bus = Bus("usb bus 1", 5.0, History(), host)
 
     def run(seconds, rate=0.0):
         nonlocal now_us, unix_us
@@ -209,13 +210,39 @@ def test_boards_come_and_go(running):
 
 @pytest.mark.parametrize("by_us", [3_600_000_000, -3_600_000_000, 250_000])
 def test_each_step_of_the_clock_of_this_computer_is_told_once(caplog, by_us):
-    one = Daemon(interval_s=1.0, ports=None)
+    now_us = moved_us = 0
+    host = HostTime(lambda: now_us, lambda: 1_700_000_000_000_000 + now_us + moved_us)
+    one = Daemon(interval_s=1.0, ports=None, host=host)
     for number in range(10):
-        moved = by_us if number >= 5 else 0
-        one.observe(number * 1e6, 1_700_000_000_000_000 + number * 1_000_000 + moved)
+        now_us, moved_us = number * 1_000_000, by_us if number >= 5 else 0
+        one.observe()
     assert one.status()["steps"] == 1
     told = [record.message for record in caplog.records if "was set by" in record.message]
     assert told == [f"the clock of this computer was set by {by_us / 1e6:+.6f} s"]
+
+
+def test_a_look_that_was_interrupted_is_no_step():
+    """Between the readings of the counter and of the clock others may run for a while."""
+    now = [0]
+
+    def counter_us():
+        if now[0] >= 5_000_000:
+            now[0] += 20_000
+        return now[0]
+
+    one = Daemon(interval_s=1.0, ports=None, host=HostTime(counter_us, lambda: 10**15 + now[0]))
+    one.observe()
+    for _ in range(9):
+        now[0] += 1_000_000
+        one.observe()
+    assert one.status()["steps"] == 0
+
+
+@pytest.mark.skipif(not hasattr(time, "CLOCK_MONOTONIC_RAW"), reason="the system has no such clock")
+def test_the_counter_is_one_that_ntp_does_not_slew():
+    bus = Bus("usb bus 1", 1.0, History())
+    before = time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
+    assert before <= 1000 * bus.now_us() <= time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
 
 
 def test_a_lost_board_is_opened_anew_when_it_is_there(running):
