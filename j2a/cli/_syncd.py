@@ -14,19 +14,20 @@ import logging.handlers
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import j2a_transports
 
-from j2a.cli._exit import INTERRUPTED, OK, UsageError
+from j2a.cli._exit import INTERRUPTED, LINK, OK, CommandFailed, UsageError
 from j2a.cli._link import finite_seconds
 from j2a.cli._output import note, show
 from j2a.cli._setup import GROUP
 from j2a.syncd.daemon import Daemon
 from j2a.syncd.realtime import realtime
-from j2a.syncd.singleton import NotRunning, Server, Taken, ask, folders
+from j2a.syncd.singleton import LIMIT_S, NotRunning, Server, Taken, ask, folders
 
 NOTES = """\
 examples:
@@ -41,6 +42,7 @@ to look for boards, hands its URLs over, and ends."""
 SHORTEST_S: Final = 0.05
 _SYSLOG: Final = Path("/dev/log")
 _ROOT_BECOMES: Final = "nobody"
+_RETRY_S: Final = 0.05
 
 _logger = logging.getLogger("j2a.syncd")
 
@@ -109,9 +111,9 @@ def run(args: argparse.Namespace) -> int:
         only=(args.busnum, args.device),
     )
     try:
-        server = Server(folders()[0], daemon.answer)
+        server = Server(folders()[0], daemon.answer, user)
     except Taken:  # since it was asked
-        show(_tell(args.urls) or "another daemon has just begun")
+        show(_tell_soon(args.urls))
         return OK
     except OSError as error:
         raise UsageError(
@@ -169,6 +171,20 @@ def _tell(urls: Sequence[str]) -> str | None:
                 raise UsageError(f"the daemon that runs already says: {reply['error']}")
             return f"a daemon runs already (process {reply.get('pid')}) and looks for boards"
     return None
+
+
+def _tell_soon(urls: Sequence[str]) -> str:
+    """Tell a daemon that has just begun, and whose socket may come in a moment.
+
+    Raises:
+        CommandFailed: it does not answer.
+    """
+    deadline = time.monotonic() + LIMIT_S
+    while (told := _tell(urls)) is None:
+        if time.monotonic() >= deadline:
+            raise CommandFailed(f"the daemon of {folders()[0]} does not answer", LINK)
+        time.sleep(_RETRY_S)
+    return told
 
 
 def _user(name: str) -> _User:

@@ -2,8 +2,8 @@
 
 In: requests of other instances and of `j2a sync`, a line of JSON each. Out: a line of JSON each.
 Rules: who holds the lock of the folder is the daemon; the system releases it with the process, so
-a daemon that died leaves nothing to clean up. A connection carries one request; its length, its
-time and the number of connections at a time are bounded.
+a daemon that died leaves nothing in the way. A connection carries one request; its length, its time
+and the number of connections at a time are bounded, and none waits for another.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import logging
 import os
+import selectors
 import socket
 import stat
 import struct
@@ -25,16 +27,21 @@ from j2a.io.threads import JOIN_S, join_threads, start_thread
 
 __all__ = ["NotRunning", "Server", "Taken", "ask", "folders"]
 
+_logger = logging.getLogger("j2a.syncd")
+SOCKET: Final = "syncd.sock"
+LOCK: Final = "syncd.lock"
 MAX_REQUEST: Final = 4096
-MAX_REPLY: Final = 64 * 1024 * 1024
+MAX_REPLY: Final = 4 * 1024 * 1024
 LIMIT_S: Final = 5.0
 """For so long whoever asks waits."""
-_SERVE_S: Final = 1.0
-"""For so long a connection may take the daemon's time, in each direction."""
+_SERVE_S: Final = 2.0
+"""For so long a connection may last."""
+MAX_CONNECTIONS: Final = 32
+"""At a time; the oldest makes room for one that comes."""
 _RETRY_S: Final = 0.05
-_BACKLOG: Final = 16
+_BACKLOG: Final = 128
 _SYSTEM: Final = Path("/run/j2a")
-_ACCEPT_S: Final = 0.5
+_LOOK_S: Final = 0.5
 _PEER: Final = struct.Struct("=iII")  # process, user, group
 
 Answer = Callable[[dict[str, Any], bool], dict[str, Any]]
@@ -70,44 +77,62 @@ class Server:
     Args:
         folder: see `folders`; it is made where it is not there.
         answer: returns the reply to a request; runs in a thread of this object, one at a time.
+        owner: user and group that root becomes afterwards. They get the folder, for without it
+            they could not remove the socket at the end.
 
     Raises:
         Taken: another daemon has the folder.
         OSError: the folder cannot be made or used.
     """
 
-    def __init__(self, folder: Path, answer: Answer) -> None:
+    def __init__(self, folder: Path, answer: Answer, owner: tuple[int, int] | None = None) -> None:
         self._answer = answer
         self._is_closed = threading.Event()
-        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
-        owner = folder.stat()
-        if owner.st_uid != os.geteuid() or owner.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            raise PermissionError(f"{folder} belongs to another user, or others may write into it")
-        self.path = folder / "syncd.sock"
-        self._lock = os.open(folder / "syncd.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        try:
-            self._take(folder)
-        except BaseException:
-            os.close(self._lock)
-            raise
         self._thread: threading.Thread | None = None
+        self.path = folder / SOCKET
+        folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+        with contextlib.ExitStack() as undo:
+            # By its descriptor the socket can be removed, whatever the user may do above it.
+            self._folder = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            undo.callback(os.close, self._folder)
+            if owner is None:
+                _check_owner(folder, os.fstat(self._folder))
+            else:
+                before = _take_back(folder, self._folder)
+                undo.callback(os.fchown, self._folder, *before)
+            self._lock = os.open(
+                LOCK,
+                os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW,
+                0o600,  # who may read it could lock it
+                dir_fd=self._folder,
+            )
+            undo.callback(os.close, self._lock)
+            self._take()
+            if owner is not None:
+                undo.callback(self._socket.close)
+                os.fchown(self._folder, *owner)
+            undo.pop_all()
 
-    def _take(self, folder: Path) -> None:
+    def _take(self) -> None:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise Taken(f"a daemon runs for {folder}") from None
-        self.path.unlink(missing_ok=True)  # of one that died: nobody else has the lock
+            raise Taken(f"a daemon runs for {self.path.parent}") from None
+        self._unlink()  # of one that died: nobody else has the lock
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.bind(os.fspath(self.path))
             # The status is no secret, and whoever may be a client may only ask and name boards.
-            self.path.chmod(0o666)
+            os.chmod(SOCKET, 0o666, dir_fd=self._folder)
             self._socket.listen(_BACKLOG)
-            self._socket.settimeout(_ACCEPT_S)
+            self._socket.setblocking(False)
         except BaseException:
             self._socket.close()
             raise
+
+    def _unlink(self) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(SOCKET, dir_fd=self._folder)
 
     def start(self) -> None:
         """Answer from now on, in a thread; after a fork or a change of the user, if any."""
@@ -120,36 +145,135 @@ class Server:
             join_threads([self._thread], JOIN_S)
         self._socket.close()
         with contextlib.suppress(OSError):
-            self.path.unlink()
+            self._unlink()
         os.close(self._lock)
+        os.close(self._folder)
 
     def _serve(self) -> None:
-        while not self._is_closed.is_set():
-            try:
-                connection, _ = self._socket.accept()
-            except TimeoutError:
-                continue
-            except OSError:
-                # Out of descriptors, or aborted: the next one may do.
-                self._is_closed.wait(_ACCEPT_S)
-                continue
-            with connection, contextlib.suppress(OSError):
-                self._reply(connection)
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._socket, selectors.EVENT_READ)
+            open_ones: dict[int, _Connection] = {}  # the oldest first
+            while not self._is_closed.is_set():
+                for key, _ in selector.select(_LOOK_S):
+                    if key.data is None:
+                        self._accept(selector, open_ones)
+                        continue
+                    is_open = open_ones.get(key.fd) is key.data
+                    if is_open and not key.data.go_on(selector, self._answer):
+                        _end(selector, open_ones, key.fd)
+                now = time.monotonic()
+                for number in [k for k, one in open_ones.items() if one.deadline <= now]:
+                    _end(selector, open_ones, number)
+            for number in list(open_ones):
+                _end(selector, open_ones, number)
 
-    def _reply(self, connection: socket.socket) -> None:
+    def _accept(self, selector: selectors.BaseSelector, open_ones: dict[int, _Connection]) -> None:
+        if len(open_ones) >= MAX_CONNECTIONS:
+            _end(selector, open_ones, next(iter(open_ones)))
         try:
-            request = json.loads(_line(connection, MAX_REQUEST, _SERVE_S))
+            accepted, _ = self._socket.accept()
+        except BlockingIOError:  # it has gone
+            return
+        except OSError:
+            # Out of descriptors, or aborted: the next one may do.
+            self._is_closed.wait(_RETRY_S)
+            return
+        accepted.setblocking(False)
+        open_ones[accepted.fileno()] = one = _Connection(accepted)
+        selector.register(accepted, selectors.EVENT_READ, one)
+
+
+class _Connection:
+    """A request that comes and its reply that goes, without waiting.
+
+    Attributes:
+        deadline: when it ends in any case, on the monotonic clock.
+    """
+
+    def __init__(self, accepted: socket.socket) -> None:
+        self.socket = accepted
+        self.deadline = time.monotonic() + _SERVE_S
+        self._request = bytearray()
+        self._reply: memoryview | None = None
+
+    def go_on(self, selector: selectors.BaseSelector, answer: Answer) -> bool:
+        """Do what the socket allows now; return whether something is left to do."""
+        try:
+            if self._reply is None:
+                if self._read():
+                    return True
+                self._reply = memoryview(self._answered(answer))
+                selector.modify(self.socket, selectors.EVENT_WRITE, self)
+            self._reply = self._reply[self.socket.send(self._reply) :]
+        except BlockingIOError:
+            return True
+        except OSError:  # it has hung up
+            return False
+        return bool(self._reply)
+
+    def _read(self) -> bool:
+        """Return whether more has to come."""
+        part = self.socket.recv(MAX_REQUEST + 1)
+        self._request += part
+        return bool(part) and len(self._request) <= MAX_REQUEST and not part.endswith(b"\n")
+
+    def _answered(self, answer: Answer) -> bytes:
+        try:
+            if len(self._request) > MAX_REQUEST:
+                raise ValueError(f"it is longer than {MAX_REQUEST} bytes")
+            request = json.loads(self._request)
             if not isinstance(request, dict):
                 raise ValueError("a request is an object")
-            reply = self._answer(request, _is_trusted(connection))
         except (ValueError, RecursionError) as error:
-            reply = {"error": f"that is no request: {error}"}
-        connection.settimeout(_SERVE_S)  # sendall takes it for the limit of the whole
-        connection.sendall(json.dumps(reply, allow_nan=False).encode() + b"\n")
+            return _packed({"error": f"that is no request: {error}"})
+        try:
+            return _packed(answer(request, _is_trusted(self.socket)))
+        except Exception as error:
+            _logger.exception("a request had no answer")
+            return _packed({"error": f"the daemon failed: {error!r:.100}"})
+
+
+def _end(selector: selectors.BaseSelector, open_ones: dict[int, _Connection], number: int) -> None:
+    one = open_ones.pop(number)
+    selector.unregister(one.socket)
+    one.socket.close()
+
+
+def _packed(reply: dict[str, Any]) -> bytes:
+    return json.dumps(reply, allow_nan=False).encode() + b"\n"
+
+
+def _check_owner(folder: Path, facts: os.stat_result) -> None:
+    """Refuse a folder in which others can put something in the place of the socket.
+
+    Raises:
+        PermissionError: always then.
+    """
+    if facts.st_uid != os.geteuid() or facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise PermissionError(f"{folder} belongs to another user, or others may write into it")
+
+
+def _take_back(folder: Path, number: int) -> tuple[int, int]:
+    """Let the folder be root's again, so that nobody else changes what root works on.
+
+    Returns: user and group that had it.
+
+    Raises:
+        PermissionError: there is something else in it; such a folder is not given away.
+    """
+    others = set(os.listdir(number)) - {SOCKET, LOCK}
+    facts = os.fstat(number)
+    if others or facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise PermissionError(f"{folder} is not for syncd alone, or others may write into it")
+    if facts.st_uid != 0:
+        os.fchown(number, 0, 0)
+    return (facts.st_uid, facts.st_gid) if facts.st_uid != 0 else (-1, -1)
 
 
 def _is_trusted(connection: socket.socket) -> bool:
     """Tell whether the other end belongs to the user of this process, or to root."""
+    if not hasattr(socket, "SO_PEERCRED"):  # on macOS nobody is known
+        return False
     facts = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
     return _PEER.unpack(facts)[1] in (0, os.geteuid())
 
@@ -160,7 +284,7 @@ def ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     Raises:
         NotRunning: there is none, or it does not answer within LIMIT_S.
     """
-    path = folder / "syncd.sock"
+    path = folder / SOCKET
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
             connection.settimeout(LIMIT_S)

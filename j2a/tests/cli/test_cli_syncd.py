@@ -1,5 +1,6 @@
 """`j2a syncd` and `j2a sync` as processes: one daemon, which later ones tell and signals end."""
 
+import fcntl
 import json
 import os
 import signal
@@ -48,10 +49,11 @@ def test_status_and_plot(run, daemon, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_it_in_order(run, daemon, number):
+def test_signals_end_it_in_order(run, daemon, folder, number):
     daemon.process.send_signal(number)
     assert daemon.process.wait(WAIT_S) == (130 if number == signal.SIGINT else 0)
     assert run("sync", "status").code == 3
+    assert not (folder / "syncd.sock").exists()
 
 
 def test_a_second_one_tells_the_first_and_ends(run, daemon):
@@ -64,6 +66,26 @@ def test_after_kill_9_the_next_one_begins(daemon, start):
     daemon.process.kill()
     daemon.process.wait(WAIT_S)
     start("syncd", "--no-usb", "-v").line_with("runs, socket", "err")
+
+
+def test_many_that_begin_at_once_are_one(start, run):
+    begun = [start("syncd", "--no-usb") for _ in range(4)]
+    end = time.monotonic() + WAIT_S
+    while sum(one.process.poll() is None for one in begun) > 1:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    [stays] = [one for one in begun if one.process.poll() is None]
+    assert {one.process.poll() for one in begun if one is not stays} == {0}
+    assert json.loads(run("sync", "status", "--json").out)["pid"] == stays.process.pid
+
+
+def test_a_daemon_that_does_not_answer_is_told(run, folder):
+    folder.mkdir()
+    with (folder / "syncd.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        result = run("syncd", "--no-usb")
+    assert result.code == 3
+    assert "does not answer" in result.err
 
 
 def test_in_the_background(run, folder):

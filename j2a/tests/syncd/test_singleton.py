@@ -4,6 +4,7 @@ import json
 import os
 import socket
 import threading
+import time
 
 import pytest
 
@@ -79,6 +80,79 @@ def test_a_daemon_that_was_killed_leaves_nothing_in_the_way(folder):
     assert not (folder / "syncd.sock").exists()
 
 
+root = pytest.mark.skipif(os.geteuid() != 0, reason="only root may become somebody else")
+OTHER, ANOTHER = (65534, 65534), (65533, 65533)
+
+
+def live(folder, owner):
+    """Be the daemon, and end as the user that root becomes."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            server = Server(folder, echo, owner)
+            os.setgroups([])
+            os.setgid(owner[1])
+            os.setuid(owner[0])
+            server.close()
+            code = 0
+        finally:
+            os._exit(code)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+@root
+def test_who_gives_its_rights_away_removes_its_socket(folder):
+    for owner in (OTHER, OTHER, ANOTHER, OTHER):
+        live(folder, owner)
+        assert not (folder / "syncd.sock").exists()
+        assert folder.stat().st_uid == owner[0]
+
+
+@root
+def test_a_socket_of_one_that_was_killed_is_in_nobodys_way(folder):
+    folder.mkdir()
+    for owner in (OTHER, ANOTHER):
+        with socket.socket(socket.AF_UNIX) as stale:
+            stale.bind(os.fspath(folder / "syncd.sock"))
+        (folder / "syncd.lock").touch()
+        live(folder, owner)
+        assert not (folder / "syncd.sock").exists()
+
+
+@root
+def test_one_that_begins_leaves_the_folder_to_the_one_that_runs(folder):
+    server = Server(folder, echo, OTHER)
+    with pytest.raises(Taken):
+        Server(folder, echo, ANOTHER)
+    assert folder.stat().st_uid == OTHER[0]
+    server.close()
+
+
+@root
+def test_a_folder_for_something_else_is_not_given_away(folder):
+    folder.mkdir()
+    (folder / "treasure").touch()
+    with pytest.raises(PermissionError, match="not for syncd alone"):
+        Server(folder, echo, OTHER)
+    assert folder.stat().st_uid == 0
+
+
+@root
+def test_root_follows_no_link_that_another_user_has_left(folder, tmp_path):
+    folder.mkdir()
+    (tmp_path / "treasure").touch(mode=0o600)
+    (folder / "syncd.lock").symlink_to(tmp_path / "treasure")
+    os.chown(folder, *OTHER)
+    with pytest.raises(OSError, match="symbolic"):
+        Server(folder, echo, OTHER)
+    (folder / "syncd.lock").unlink()
+    (folder / "syncd.sock").symlink_to(tmp_path / "treasure")
+    live(folder, OTHER)
+    facts = (tmp_path / "treasure").stat()
+    assert (facts.st_uid, facts.st_mode & 0o777) == (0, 0o600)
+
+
 def test_without_a_daemon_it_says_where_it_looked(folder):
     with pytest.raises(NotRunning, match=r"syncd\.sock: No such file.*start one: j2a syncd"):
         ask(folder, {})
@@ -94,17 +168,70 @@ def test_what_is_no_request_is_answered_by_an_error(folder, server, text):
     assert ask(folder, {})["trusted"]
 
 
-def test_who_says_nothing_or_too_much_holds_it_up_for_a_moment(folder, server, monkeypatch):
-    monkeypatch.setattr(singleton, "_SERVE_S", 0.05)
-    monkeypatch.setattr(singleton, "LIMIT_S", 60)
-    idle = [socket.socket(socket.AF_UNIX) for _ in range(8)]
-    for one in idle:
-        one.connect(os.fspath(server.path))
-    idle[1].sendall(b"{")
-    idle[2].sendall(b" " * (singleton.MAX_REQUEST + 1))
+def connected(server, text=b""):
+    one = socket.socket(socket.AF_UNIX)
+    one.settimeout(60)
+    while True:
+        try:
+            one.connect(os.fspath(server.path))
+        except BlockingIOError:
+            time.sleep(0.01)
+        else:
+            break
+    one.sendall(text)
+    return one
+
+
+def test_who_says_nothing_or_too_much_holds_nobody_up(folder, server, monkeypatch):
+    """Each of them has a limit that is longer than the one of who asks."""
+    monkeypatch.setattr(singleton, "_SERVE_S", 600)
+    idle = [connected(server, text) for text in [b"", b"{", b" " * (singleton.MAX_REQUEST + 1)] * 8]
     assert ask(folder, {})["trusted"]
     for one in idle:
         one.close()
+
+
+def test_a_thousand_connections_hold_nobody_up(folder, server, monkeypatch):
+    monkeypatch.setattr(singleton, "_SERVE_S", 600)
+    idle = []
+    for number in range(1000):
+        idle.append(connected(server, b"{" if number % 2 else b""))
+        if number % 100 == 99:
+            assert ask(folder, {})["trusted"]
+    # The oldest have made room for those that came.
+    assert idle[0].recv(1) == b""
+    for one in idle:
+        one.close()
+
+
+def test_who_reads_nothing_of_a_long_reply_holds_nobody_up(folder, monkeypatch):
+    monkeypatch.setattr(singleton, "_SERVE_S", 600)
+    server = Server(folder, lambda request, _: {"long": "x" * request.get("length", 0)})
+    server.start()
+    deaf = [connected(server, b'{"length": 3000000}\n') for _ in range(8)]
+    assert ask(folder, {}) == {"long": ""}
+    assert len(ask(folder, {"length": 3_000_000})["long"]) == 3_000_000
+    for one in deaf:
+        one.close()
+    server.close()
+
+
+def test_who_takes_too_long_is_hung_up(folder, server, monkeypatch):
+    monkeypatch.setattr(singleton, "_SERVE_S", 0.05)
+    with connected(server, b"{") as slow:
+        assert slow.recv(1) == b""
+
+
+@pytest.mark.parametrize("reply", [{"x": float("nan")}, {"x": object()}, {}])
+def test_an_answer_that_fails_is_told_and_is_not_the_last_one(folder, reply):
+    def answer(request, _):
+        return {"good": True} if request else reply or reply["missing"]
+
+    server = Server(folder, answer)
+    server.start()
+    assert "the daemon failed" in ask(folder, {})["error"]
+    assert ask(folder, {"a": 1}) == {"good": True}
+    server.close()
 
 
 def test_who_hangs_up_disturbs_nobody(folder, server):
