@@ -20,7 +20,7 @@ from j2a.cli._link import (
 )
 from j2a.cli._output import show, show_json
 from j2a.cli._sync_verify import verify
-from j2a.syncd.history import rounds_of
+from j2a.syncd.history import Round, rounds_of
 from j2a.syncd.plot import draw, panels_of
 from j2a.syncd.singleton import NotRunning, ask, folders
 
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "verify":
         return verify(args)
     if args.what == "plot":
-        boards = rounds_of(_ask({"command": "history"}).get("boards", {}))
+        boards = _history()
         try:
             args.output.write_text(draw("Clocks of J2A boards", panels_of(boards)), "utf-8")
         except OSError as error:
@@ -101,6 +101,23 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(status)
     return OK
+
+
+def _history() -> dict[str, list[Round]]:
+    """Ask for the rounds of each board that has some."""
+    try:
+        return {
+            str(board): rounds_of(_ask({"command": "history", "board": str(board)})["rounds"])
+            for board in _list(_ask({"command": "history"})["boards"])
+        }
+    except (KeyError, ValueError) as error:
+        raise CommandFailed(f"the daemon told no history: {error}", LINK) from None
+
+
+def _list(value: object) -> list[object]:
+    if not isinstance(value, list):
+        raise ValueError(f"{value!r:.40} is no list")
+    return value
 
 
 def _ask(request: dict[str, object]) -> dict[str, object]:

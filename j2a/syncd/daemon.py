@@ -114,7 +114,10 @@ class Daemon:
         if command == "status":
             return self.status()
         if command == "history":
-            return {"boards": self._history.facts()}
+            board = request.get("board")
+            if board is None:
+                return {"boards": self._history.boards}
+            return {"rounds": self._history.facts(str(board))}
         if command == "look":
             self._wake.set()
             return self._add(request.get("urls", []), is_trusted)

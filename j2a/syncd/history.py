@@ -1,22 +1,27 @@
 """What the daemon remembers of each board, for `j2a sync plot`.
 
 In: a record of each round. Out: the same, the oldest dropped, and its Allan deviation.
-Rules: bounded; a board that is gone keeps its records until others need the room.
+Rules: bounded; a board that is gone keeps its records until others need the room. What is told is
+of one board at a time, because JSON is made without a pause in which other threads could run.
 """
 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict, deque
+import threading
+from array import array
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 __all__ = ["History", "Round", "allan_deviation"]
 
 MAX_ROUNDS: Final = 7200
 """Of a board: two hours of a round each second."""
 MAX_BOARDS: Final = 256
+MAX_TOLD: Final = 2000
+"""Rounds of a board; more are thinned."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,42 +41,57 @@ class Round:
     uncertainty_us: float
 
 
+_FIELDS: Final = 4
+
+
 class History:
-    """The rounds of the boards that were seen last."""
+    """The rounds of the boards that were seen last; may be used by several threads."""
 
     def __init__(self) -> None:
-        self._boards: OrderedDict[str, deque[Round]] = OrderedDict()
+        self._lock = threading.Lock()
+        # Of each board the fields of its rounds, one after the other: 32 bytes a round.
+        self._boards: OrderedDict[str, array[float]] = OrderedDict()
 
     def add(self, board: str, one: Round) -> None:
         """Remember a round of a board."""
-        rounds = self._boards.pop(board, None)
-        if rounds is None:
-            rounds = deque(maxlen=MAX_ROUNDS)
-        rounds.append(one)
-        self._boards[board] = rounds  # the last one is the one that was heard last
-        while len(self._boards) > MAX_BOARDS:
-            self._boards.popitem(last=False)
+        with self._lock:
+            rounds = self._boards.setdefault(board, array("d"))
+            self._boards.move_to_end(board)  # the last one is the one that was heard last
+            rounds.extend((one.time_s, one.offset_us, one.rate_ppb, one.uncertainty_us))
+            # Many at once: what is behind them has to move.
+            if len(rounds) >= _FIELDS * (MAX_ROUNDS + MAX_ROUNDS // 8):
+                del rounds[: len(rounds) - _FIELDS * MAX_ROUNDS]
+            while len(self._boards) > MAX_BOARDS:
+                self._boards.popitem(last=False)
 
-    def facts(self) -> dict[str, list[list[float]]]:
-        """Return all rounds as JSON has them: time, offset, rate and uncertainty of each."""
-        return {
-            board: [[r.time_s, r.offset_us, r.rate_ppb, r.uncertainty_us] for r in tuple(rounds)]
-            for board, rounds in tuple(self._boards.items())
-        }
+    @property
+    def boards(self) -> list[str]:
+        """The boards that have rounds, the one that was heard last at the end."""
+        with self._lock:
+            return list(self._boards)
+
+    def facts(self, board: str) -> list[list[float]]:
+        """Return the rounds of a board as JSON has them: time, offset, rate and uncertainty.
+
+        Of more than MAX_TOLD only each second one is told, or each third and so on, the newest
+        among them: what is left is as regular as it was, for the Allan deviation.
+        """
+        with self._lock:
+            rounds = self._boards.get(board, array("d"))[-_FIELDS * MAX_ROUNDS :]
+        last = len(rounds) - _FIELDS
+        step = _FIELDS * max(1, math.ceil(len(rounds) / _FIELDS / MAX_TOLD))
+        return [rounds[at : at + _FIELDS].tolist() for at in range(last % step, last + 1, step)]
 
 
-def rounds_of(facts: Any) -> dict[str, list[Round]]:
+def rounds_of(facts: object) -> list[Round]:
     """Return what `History.facts` has made.
 
     Raises:
         ValueError: it is something else.
     """
     try:
-        return {
-            str(board): [Round(*(float(value) for value in one)) for one in rounds]
-            for board, rounds in facts.items()
-        }
-    except (AttributeError, TypeError) as error:
+        return [Round(*(float(value) for value in one)) for one in facts]  # type: ignore[attr-defined]
+    except (TypeError, ValueError) as error:
         raise ValueError(f"no history: {error}") from None
 
 

@@ -170,7 +170,7 @@ def test_boards_of_usbip_have_frames_of_their_own(running):
     for port in ports:
         port.wait_for(5)
     assert {row["state"] for row in one.status()["boards"]} == {"syncing"}
-    assert one.answer({"command": "history"}, True)["boards"].keys() == {"usb 1-1", "usb 1-2"}
+    assert set(one.answer({"command": "history"}, True)["boards"]) == {"usb 1-1", "usb 1-2"}
 
 
 def test_a_board_that_hangs_delays_no_other(running):
@@ -287,7 +287,7 @@ def test_requests(running):
     port = FakePort(FakeBus())
     one = running([port])
     port.wait_for(3)
-    rounds = one.answer({"command": "history"}, False)["boards"]["usb bus 1"]
+    rounds = one.answer({"command": "history", "board": "usb bus 1"}, False)["rounds"]
     assert rounds and all(len(one) == 4 for one in rounds)
     assert "no command 'x'" in one.answer({"command": "x"}, True)["error"]
     assert "list of texts" in one.answer({"command": "look", "urls": [1]}, True)["error"]

@@ -1,6 +1,7 @@
 """What the daemon remembers, and the plots of it."""
 
 import itertools
+import json
 import math
 import random
 import xml.etree.ElementTree as ET
@@ -21,7 +22,8 @@ def test_rounds_come_back_from_json():
     kept = History()
     for one in some(5):
         kept.add("left", one)
-    assert rounds_of(kept.facts()) == {"left": some(5)}
+    assert rounds_of(kept.facts("left")) == some(5)
+    assert kept.facts("right") == []
 
 
 def test_memory_is_bounded(monkeypatch):
@@ -32,12 +34,36 @@ def test_memory_is_bounded(monkeypatch):
         for one in some(9):
             kept.add("first", one)
             kept.add(f"board {number}", one)
-    found = kept.facts()
-    assert list(found) == ["board 8", "first", "board 9"]
-    assert all(len(rounds) == 4 for rounds in found.values())
+    assert kept.boards == ["board 8", "first", "board 9"]
+    assert all(rounds_of(kept.facts(board)) == some(9)[-4:] for board in kept.boards)
+    assert sum(map(len, kept._boards.values())) <= 3 * 4 * 5
 
 
-@pytest.mark.parametrize("facts", [None, [], {"a": 1}, {"a": [1]}, {"a": [[1, 2, 3]]}])
+@pytest.mark.parametrize("count", [1, 2, 1999, 2000, 2001, 3999, 4001, 7200, 20_000])
+def test_what_is_told_is_thinned_regularly_and_ends_with_the_newest(count):
+    kept = History()
+    rounds = some(count)
+    for one in rounds:
+        kept.add("left", one)
+    told = rounds_of(kept.facts("left"))
+    assert min(count, 1000) <= len(told) <= 2000
+    assert told[-1] == rounds[-1]
+    assert set(told) <= set(rounds)
+    steps = {later.time_s - one.time_s for one, later in itertools.pairwise(told)}
+    assert len(steps) <= 1
+    # The oldest are there, too: as many as are kept, less one step.
+    kept_s = min(count, history.MAX_ROUNDS) - 1
+    assert told[-1].time_s - told[0].time_s > kept_s - max(steps, default=1)
+
+
+def test_a_reply_is_small_enough_to_delay_no_board():
+    kept = History()
+    for number in range(20_000):
+        kept.add("left", Round(1.7e9 + number / 7, -number / 7e3, 1e5 / 7, number / 11))
+    assert len(json.dumps({"rounds": kept.facts("left")})) < 200_000
+
+
+@pytest.mark.parametrize("facts", [None, 1, [1], [[1, 2, 3]], [[1, 2, 3, "x"]], {"a": 1}])
 def test_what_is_no_history_is_refused(facts):
     with pytest.raises(ValueError, match="no history"):
         rounds_of(facts)
