@@ -10,6 +10,7 @@ import j2a_transports
 import pytest
 
 import j2a
+from j2a.clock import Clock
 from j2a.io.host_time import HostTime
 from j2a.protocol.clock import LOOK_S
 from j2a.syncd import daemon as daemon_module
@@ -49,6 +50,10 @@ def until(condition):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+def rows_of(one):
+    return {row["board"]: row for row in one.status()["boards"]}
 
 
 @pytest.mark.requirement("SYNC-005")
@@ -299,15 +304,28 @@ def test_requests(running):
 
 
 @pytest.fixture
-def board():
+def serve():
+    """A function that serves a device, and returns its URL."""
+    begun = []
+
+    def run(device):
+        listener = j2a_transports.listen("tcp://127.0.0.1:0")
+        thread = threading.Thread(target=device.serve_forever, args=(listener,))
+        thread.start()
+        begun.append((device, thread))
+        return listener.url
+
+    yield run
+    for device, thread in begun:
+        device.stop()
+        thread.join(60)
+
+
+@pytest.fixture
+def board(serve):
     """The URL of a device with a clock that is 80 ppm fast, and the device."""
     device = j2a.Device(clock=80.0)
-    listener = j2a_transports.listen("tcp://127.0.0.1:0")
-    thread = threading.Thread(target=device.serve_forever, args=(listener,))
-    thread.start()
-    yield listener.url, device
-    device.stop()
-    thread.join(60)
+    return serve(device), device
 
 
 def test_a_board_by_url_is_disciplined(running, board):
@@ -320,15 +338,44 @@ def test_a_board_by_url_is_disciplined(running, board):
     assert len(one.status()["boards"]) == 1
 
 
-def test_a_board_by_url_that_has_no_clock_is_told(running):
-    device = j2a.Device()
-    listener = j2a_transports.listen("tcp://127.0.0.1:0")
-    thread = threading.Thread(target=device.serve_forever, args=(listener,))
-    thread.start()
-    one = running([], urls=[listener.url])
+def test_boards_by_url_that_are_silent_delay_no_other(running, serve, board, monkeypatch):
+    """They answer when they are opened, and not when they are asked for the clock."""
+    silent = [serve(j2a.Device(clock=0.0)) for _ in range(10)]
+    asked, may_end = set(), threading.Event()
+    discipline = Clock.discipline
+
+    def hang(clock, *args):
+        if clock._url not in silent:
+            return discipline(clock, *args)
+        asked.add(clock._url)
+        may_end.wait(60)
+        raise j2a.CallTimeout("it is silent")
+
+    monkeypatch.setattr(Clock, "discipline", hang)
+    url, _ = board
+    ports = []
+    one = running(ports, urls=silent)
+    until(lambda: asked == set(silent))
+    # What comes when all of them hang: a board by URL, one with SyncUSB, and questions.
+    assert one.answer({"command": "look", "urls": [url]}, True)["added"] == 1
+    ports.append(FakePort(FakeBus()))
+    ports[0].wait_for(1)
+    rows = {}
+    until(
+        lambda: (
+            rows.update({row["board"]: row for row in one.status()["boards"]})
+            or rows[url]["packets"] > 9
+        )
+    )
+    assert rows[url]["state"] in ("settling", "locked")
+    assert {rows[name]["state"] for name in silent} == {"waiting"}
+    may_end.set()
+    until(lambda: "it is silent" in str(one.status()["boards"][1]["problem"]))
+
+
+def test_a_board_by_url_that_has_no_clock_is_told(running, serve):
+    one = running([], urls=[serve(j2a.Device())])
     until(lambda: "capability clock" in (one.status()["boards"][0]["problem"] or ""))
-    device.stop()
-    thread.join(60)
 
 
 def test_nothing_is_opened_before_the_daemon_runs():
