@@ -93,7 +93,7 @@ class Daemon:
                 self._boards.clear()
             for one in boards:
                 one.stop()
-            join_threads([one.thread for one in boards], JOIN_S)
+            join_threads([one.thread for one in boards if one.thread is not None], JOIN_S)
 
     def observe(self) -> None:
         """Note whether the clock of this computer was set, which boards are told at once."""
@@ -163,7 +163,7 @@ class Daemon:
             return
         there = {one.key: one for one in found if self._is_meant(one.key)}
         with self._lock:
-            ended = [key for key, one in self._boards.items() if not one.thread.is_alive()]
+            ended = [key for key, one in self._boards.items() if not one.is_running]
             for key in ended:  # the next look begins anew with a board that is still there
                 one = self._boards.pop(key)
                 _logger.info("%s: %s", one.name, one.problem or "gone")
@@ -179,7 +179,9 @@ class Daemon:
 
     def _start(self, port: Any) -> SyncBoard:
         bus = self._buses.setdefault(port.frames, Bus(port.frames, self._interval_s, self._history))
-        return SyncBoard(port, bus)
+        board = SyncBoard(port, bus)
+        board.start()
+        return board
 
 
 def start(daemon: Daemon) -> threading.Thread:

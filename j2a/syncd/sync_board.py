@@ -35,7 +35,7 @@ class SyncBoard:
 
     Attributes:
         name: bus and ports, such as "usb 1-2.3".
-        thread: has ended when the board is gone or refuses.
+        thread: has ended when the board is gone or refuses; None before `start`.
         problem: why the board gets no time; None where it does.
     """
 
@@ -49,7 +49,20 @@ class SyncBoard:
         self._lost = 0
         self._number = 0
         self._tells_frames: bool | None = None
-        self.thread = start_thread(self._run, f"j2a syncd {port.name}")
+        self.thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin.
+
+        Raises:
+            OpenFailed: the system has no thread to give.
+        """
+        self.thread = start_thread(self._run, f"j2a syncd {self._port.name}")
+
+    @property
+    def is_running(self) -> bool:
+        """The board is there, as far as is known."""
+        return self.thread is not None and self.thread.is_alive()
 
     def stop(self) -> None:
         """Let the thread end."""
@@ -75,12 +88,13 @@ class SyncBoard:
             self._port.open()
             _logger.info("%s: gets the time", self.name)
             while not self._stop.is_set():
-                self._ask()
+                self.ask()
                 if self._wait():
-                    self._tell()
+                    self.tell()
         except j2a_transports.TransportError as error:
             self.problem = str(error)
         finally:
+            self._bus.forget(self)
             self._port.close()
 
     def _wait(self) -> bool:
@@ -90,21 +104,36 @@ class SyncBoard:
             if self._stop.wait(min(left_s, LOOK_S)):
                 return False
             left_s -= LOOK_S
-            if left_s > 0 and self._bus.has_news(self._number):
-                self._tell()
+            if left_s > 0 and self.has_news:
+                self.tell()
         return not self._stop.is_set()
 
-    def _ask(self) -> None:
+    @property
+    def has_news(self) -> bool:
+        """The board should hear before the next round that the clock was set or slewed."""
+        return self._bus.has_news(self._number)
+
+    def ask(self) -> None:
+        """Ask the board for its frame.
+
+        Raises:
+            LinkLost: the board is gone.
+        """
         for _ in range(_EXCHANGES):
             sent_us = self._bus.now_us()
             seen = self._port.frame(random.randrange(1 << 16))
             if seen is not None:
                 self._tells_frames = True
-                self._bus.add(sent_us, self._bus.now_us(), seen.frame, seen.age_us)
+                self._bus.add(self, sent_us, self._bus.now_us(), seen.frame, seen.age_us)
             elif self._tells_frames is None:
                 self._tells_frames = False
 
-    def _tell(self) -> None:
+    def tell(self) -> None:
+        """Tell the board what all boards of its bus are told in this round.
+
+        Raises:
+            LinkLost: the board is gone.
+        """
         self._number, packet = self._bus.packet()
         if packet is None:
             self.problem = (
@@ -112,6 +141,9 @@ class SyncBoard:
                 if self._tells_frames is False
                 else "the frames of the bus are being measured"
             )
+            return
+        if self._bus.is_odd(self):
+            self.problem = "it tells other frames than the other boards of this bus"
             return
         try:
             self._port.send(packet.time_us, packet.frame)

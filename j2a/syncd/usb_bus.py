@@ -1,17 +1,24 @@
 """One USB bus: when its frames begin, by the boards on it.
 
 In: what boards say of frames. Out: the time of a frame, the same for all boards of a round.
-Rules: several threads use a bus, one at a time.
+Rules: several threads use a bus, one at a time. Of all answers of a round the quickest counts, so
+that what is known spans as long a time with many boards as with one; a board whose answers
+contradict those of most others counts for nothing.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from typing import Any, Final
 
+from j2a_spec.constants import CLOCK_MAX_TURNAROUND
+
 from j2a.io.host_time import _HOST, HostTime
 from j2a.protocol.clock import BusClock, Exchange, Frame
+from j2a.protocol.clock.bus import FRAME_US, FRAMES
+from j2a.syncd.following import Following
 from j2a.syncd.history import History, Round
 
 __all__ = ["Bus", "host_time"]
@@ -19,7 +26,13 @@ __all__ = ["Bus", "host_time"]
 FRESH_US: Final = 300_000
 """A packet about an older frame may come too late for a board (SYNC-005)."""
 LEAST: Final = 8
-"""So many exchanges come before the first packet."""
+"""So many exchanges come before the first packet, and of two rounds: one tells no rate."""
+ODD: Final = 4
+"""A board is an odd one after so many answers in a row that contradict the line."""
+_JUMP_US: Final = 500.0
+_RATE_CHANGE: Final = 2e-3
+"""Of an answer that is off by more than both, the estimator would say that it contradicts."""
+_MOST_UNSURE_US: Final = 100_000
 
 
 def host_time() -> HostTime:
@@ -49,8 +62,11 @@ class Bus:
         self._history = history
         self._lock = threading.Lock()
         self._host = host_time() if host is None else host
-        self._clock = BusClock(self._host.reference)
+        self._begin()
+        # Of each board: how many of its last answers in a row contradicted the line.
+        self._contradicting: dict[object, int] = {}
         self._told: Frame | None = None
+        self._following = Following()
         self._told_at_us = float("-inf")
         self._number = 0
         self._is_extra = False
@@ -64,15 +80,93 @@ class Bus:
         """Return the seconds until a round begins; rounds of all boards begin at the same time."""
         return (self._interval_us - self.now_us() % self._interval_us) / 1e6
 
-    def add(self, sent_us: float, came_us: float, frame: int, age_us: int) -> None:
-        """Take what a board has said: in which frame a request came."""
+    def _begin(self) -> None:
+        """Know nothing of the frames yet."""
+        self._clock = BusClock(self._host.reference)
+        self._best: Exchange | None = None
+        self._rounds = 0
+
+    def add(self, board: object, sent_us: float, came_us: float, frame: int, age_us: int) -> None:
+        """Take what a board has said: in which frame a request came.
+
+        Args:
+            board: names it.
+            sent_us, came_us: when it was asked, and when the answer came, on the host's counter.
+            frame: the number of the frame, modulo 2048.
+            age_us: since its begin; 65535 stands for more, which tells nothing (SYNC-008).
+        """
+        if age_us >= CLOCK_MAX_TURNAROUND:
+            return
+        exchange = Exchange(sent_us, came_us, 0, frame=frame, age_us=age_us)
         with self._lock:
-            estimate = self._clock.estimate
-            self._clock.add(Exchange(sent_us, came_us, 0, frame=frame, age_us=age_us))
-            newest = self._clock.estimator.newest
-            if estimate is not None and newest is not None:
-                expected_us = estimate.to_host(newest.received_us)
-                self._offset_us = (newest.sent_us + newest.came_us) / 2 - expected_us
+            if self._fits(exchange):
+                self._contradicting[board] = 0
+            else:
+                self._contradicting[board] = self._contradicting.get(board, 0) + 1
+                odd = sum(map(self._is_odd, self._contradicting))
+                if 2 * odd <= len(self._contradicting):
+                    return
+                # Most boards say so: the frames themselves have begun anew.
+                self._begin()
+                self._contradicting = dict.fromkeys(self._contradicting, 0)
+            if len(self._clock.estimator) < LEAST:
+                self._clock.add(exchange)
+            elif self._best is None or exchange.came_us - exchange.sent_us < (
+                self._best.came_us - self._best.sent_us
+            ):
+                self._best = exchange
+
+    def is_odd(self, board: object) -> bool:
+        """Return whether the frames of a board are not those of this bus."""
+        with self._lock:
+            return self._is_odd(board)
+
+    def _is_odd(self, board: object) -> bool:
+        return self._contradicting.get(board, 0) >= ODD
+
+    def forget(self, board: object) -> None:
+        """Let a board count no more; it is gone."""
+        with self._lock:
+            self._contradicting.pop(board, None)
+
+    def _fits(self, exchange: Exchange) -> bool:
+        """Return whether an answer can be true if the line is."""
+        estimate, frame = self._clock.estimate, exchange.frame
+        if estimate is None or frame is None:
+            return True
+        low_us = exchange.sent_us - exchange.age_us
+        high_us = exchange.came_us - exchange.age_us
+        expected = estimate.to_counter((low_us + high_us) / 2) / FRAME_US
+        off = (frame - expected + FRAMES / 2) % FRAMES - FRAMES / 2
+        counter_us = FRAME_US * round(expected + off)
+        began_us = estimate.to_host(counter_us)
+        allowed_us = estimate.uncertainty_us(counter_us) + _JUMP_US
+        allowed_us += _RATE_CHANGE * abs(counter_us - estimate.counter_us)
+        return low_us - allowed_us <= began_us <= high_us + allowed_us
+
+    def _take_best(self) -> None:
+        """Let the line know the quickest answer since the last round."""
+        self._rounds += len(self._clock.estimator) > 0
+        if self._best is None:
+            return
+        estimate = self._clock.estimate
+        self._clock.add(self._best)
+        self._best = None
+        newest = self._clock.estimator.newest
+        if estimate is not None and newest is not None:
+            expected_us = estimate.to_host(newest.received_us)
+            self._offset_us = (newest.sent_us + newest.came_us) / 2 - expected_us
+
+    def _frame(self, now_us: float) -> Frame | None:
+        """Return a frame and its time, None while too little is known.
+
+        It is one that has surely begun: boards take a number for that of a frame before (SYNC-004).
+        """
+        estimate = self._clock.estimate
+        if estimate is None or self._rounds < 2 or len(self._clock.estimator) < LEAST:
+            return None
+        unsure_us = estimate.uncertainty_us(estimate.to_counter(now_us))
+        return self._clock.frame_at(now_us - unsure_us) if unsure_us < _MOST_UNSURE_US else None
 
     def has_news(self, number: int) -> bool:
         """Return whether boards should hear before the next round that the clock was set or slewed.
@@ -97,11 +191,17 @@ class Bus:
             if is_due or is_outdated:
                 self._is_extra = is_outdated
                 self._number += 1
-                ready = len(self._clock.estimator) >= LEAST
-                self._told = self._clock.frame_at(now_us) if ready else None
+                self._take_best()
+                self._told = self._frame(now_us)
+                if self._told is not None:
+                    self._following.tell(self._told, now_us)
                 self._told_at_us = now_us
                 self._note(self._host.reference.to_unix(now_us))
             return self._number, self._told
+
+    def _uncertainty_us(self, told: Frame) -> int:
+        """Return a bound of the error of boards that follow this packet."""
+        return math.ceil((told.uncertainty_us or 0) + self._following.lag_us)
 
     def _note(self, unix_us: int) -> None:
         estimate = self._clock.estimate
@@ -112,7 +212,7 @@ class Bus:
                     unix_us / 1e6,
                     self._offset_us,
                     1e9 * estimate.rate,
-                    self._told.uncertainty_us or 0,
+                    self._uncertainty_us(self._told),
                 ),
             )
 
@@ -125,5 +225,5 @@ class Bus:
             return {
                 "offset_us": round(self._offset_us, 1),
                 "rate_ppb": round(1e9 * estimate.rate),
-                "uncertainty_us": told.uncertainty_us,
+                "uncertainty_us": self._uncertainty_us(told),
             }

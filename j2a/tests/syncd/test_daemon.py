@@ -52,6 +52,10 @@ def until(condition):
         time.sleep(0.01)
 
 
+def row_of(one, place):
+    return next((row for row in one.status()["boards"] if row["place"] == place), {})
+
+
 def rows_of(one):
     return {row["board"]: row for row in one.status()["boards"]}
 
@@ -92,7 +96,7 @@ def test_a_round_has_one_packet():
     for number in range(bus_module.LEAST):
         assert one.packet()[1] is None
         now_us += 1e6
-        one.add(now_us, now_us + 100, number * 1000 % 2048, 40)
+        one.add(1, now_us, now_us + 100, number * 1000 % 2048, 40)
     number, first = one.packet()
     assert first is not None
     now_us += 0.2e6
@@ -120,7 +124,7 @@ def test_all_boards_hear_at_once_that_the_clock_was_slewed_or_set(change):
 
     for number in range(bus_module.LEAST + 1):
         run(1)
-        bus.add(now_us, now_us + 100, number * 1000 % 2048, 40)
+        bus.add(1, now_us, now_us + 100, number * 1000 % 2048, 40)
         told, first = bus.packet()
     assert first is not None
     for _ in range(20):
@@ -176,6 +180,23 @@ def test_boards_of_usbip_have_frames_of_their_own(running):
         port.wait_for(5)
     assert {row["state"] for row in one.status()["boards"]} == {"syncing"}
     assert set(one.answer({"command": "history"}, True)["boards"]) == {"usb 1-1", "usb 1-2"}
+
+
+def test_a_board_with_frames_of_its_own_gets_no_time_and_disturbs_no_other(running):
+    bus = FakeBus()
+    ports = [FakePort(bus, f"1-{n}", address=n) for n in range(1, 4)]
+    one = running(ports)
+    for port in ports:
+        port.wait_for(3)
+    odd = FakePort(FakeBus(), "1-9", address=9)
+    odd._frames._start -= 700_000_000
+    ports.append(odd)
+    until(lambda: "other frames" in str(row_of(one, "usb 1-9").get("problem")))
+    counts = [len(port.packets) for port in ports]
+    for port, count in zip(ports[:3], counts, strict=False):
+        port.wait_for(count + 5)
+    assert len(odd.packets) <= counts[3] + 1
+    assert {row_of(one, f"usb 1-{n}")["problem"] for n in range(1, 4)} == {None}
 
 
 def test_a_board_that_hangs_delays_no_other(running):

@@ -11,4 +11,5 @@ Rules: one truth for all; nothing here reads a clock or waits; the same settings
 #   native.c, native   boards whose firmware is compiled for this machine: hours in minutes
 #   avr                boards in simavr: the real firmware, cycle by cycle
 #   host               the program on the host: the library's estimator
+#   usb_host           the daemon syncd, which gives boards on a USB the time
 #   run, report, plot  a run; its figures with their bounds; pictures

@@ -8,11 +8,13 @@ Readings are of the memory that the firmware's clock is made of, and disturb not
 
 from __future__ import annotations
 
+import struct
 from collections import deque
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from j2a_spec import constants as c
 from numpy.random import Generator
 
 from j2a_sim._avr import AvrSim, chip_serial
@@ -22,7 +24,8 @@ from j2a_sim._clocks.memory import ClockMemory
 from j2a_sim._clocks.native import REPLY_S, make
 from j2a_sim._clocks.report import UNKNOWN, Readings
 from j2a_sim._clocks.truth import Floats, Oscillator
-from j2a_sim._usb.descriptors import parse_configuration
+from j2a_sim._errors import SimError
+from j2a_sim._usb.descriptors import Described, parse_configuration
 from j2a_sim._usb.link import find_endpoints
 
 __all__ = ["AvrBoard", "build_firmware"]
@@ -41,6 +44,14 @@ def build_firmware(link: str) -> Path:
     port, mcu = CHIPS[link]
     folder = make(mcu, f"PORT={port}", f"MCU={mcu}", "APP=builtins", "OPTIONS=-DJ2A_WITH_SYNC=1")
     return folder / "builtins.elf"
+
+
+def _sync_interface(configuration: Described) -> int:
+    """Return the number of the interface SyncUSB."""
+    for interface in configuration.parts:
+        if interface.fields.bInterfaceSubClass == c.SYNCUSB_SUBCLASS:
+            return int(interface.fields.bInterfaceNumber)
+    raise SimError("the firmware has no interface SyncUSB")
 
 
 class AvrBoard:
@@ -116,6 +127,7 @@ class AvrBoard:
         found = bus.enumerate()
         self._in, self._out = find_endpoints(parse_configuration(found.configuration))
         self.out_address = self._out.address
+        self._sync_interface = _sync_interface(parse_configuration(found.configuration))
         self._waiting: set[int] = set()
         for _ in range(WAITING):
             self._listen()
@@ -142,6 +154,37 @@ class AvrBoard:
             elif data:
                 break
         return (data, self.true_s(came)) if data else None
+
+    def frame_seen(self, at_s: float) -> tuple[int, int, float]:
+        """Ask the board by SyncUSB in which frame a request comes; see NativeBoard.frame_seen()."""
+        self.run(at_s)
+        setup = struct.pack(
+            "<BBHHH", c.SYNCUSB_REQUEST_TYPE, c.SYNCUSB_SEEN, 0, self._sync_interface,
+            c.SYNCUSB_SEEN_SIZE,
+        )  # fmt: skip
+        answer, cycle = self._finish(self.sim.usb.submit_control(setup), at_s + REPLY_S)
+        _, frame, age_us = struct.unpack("<HHH", answer)
+        return frame, age_us, self.true_s(cycle)
+
+    def packet(self, at_s: float, packet: bytes) -> float:
+        """Send a packet to SyncUSB; see NativeBoard.packet()."""
+        self.run(at_s)
+        sent = self.sim.usb.submit_out(c.SYNCUSB_OUT, packet)
+        return self.true_s(self._finish(sent, at_s + REPLY_S)[1])
+
+    def _finish(self, transfer: int, end_s: float) -> tuple[bytes, int]:
+        """Run until a transfer has ended; returns what came, and the cycle of its end."""
+        end = int(self._cycle_of(end_s))
+        while self.sim.cycle < end:
+            self._advance(end, True)
+            for done in self.sim.usb.completed():
+                self.ends.append((done.cycle, len(done.data)))
+                if done.id == transfer and done.status == "ok":
+                    return bytes(done.data), done.cycle
+                if done.id in self._waiting:
+                    self._waiting.discard(done.id)
+                    self._listen()
+        raise SimError("a board does not answer at SyncUSB")
 
     def take(self) -> tuple[bytes, int]:
         """Take what the board has sent; returns it, and the cycle at which the last of it came."""

@@ -1,7 +1,7 @@
 """The program on the host: what it sends to the boards, when, and what it makes of their replies.
 
 In: boards that can be called at true times, the host's clocks, recorded delays. Out: disciplined
-boards. The estimator, the bus and the messages are those of the library.
+boards. The estimator and the messages are those of the library. Boards on a USB have usb_host.
 Rules: the host sees its own clocks only: it stamps when it begins to send, and when the program
 has the reply, which is as late as its scheduler was on the machine that was recorded. One board is
 asked after the other; then all are told the time, without waiting for their replies in between, for
@@ -22,18 +22,15 @@ from j2a.errors import ProtocolError
 from j2a.events import Frame as WireFrame
 from j2a.protocol.clock import (
     LOOK_S,
-    BusClock,
     Discipline,
     Estimator,
     Exchange,
-    Frame,
     ReferenceClock,
     Verdict,
     pack_exchange,
     unpack_exchange,
     unpack_status,
 )
-from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.codec import encode
 from j2a.protocol.deframer import Deframer
 from j2a_sim._clocks.delays import HOST_BYTE_S, host_delay
@@ -113,7 +110,6 @@ class Host:
         self._write = host_delay(settings.load, "write")
         self._reference = ReferenceClock()
         self._byte_us = 1e6 * HOST_BYTE_S if settings.link == "serial" else 0.0
-        self._bus = BusClock(self._reference) if settings.link == "usb" else None
         self._members = [
             _Member(board, Discipline(self._reference, Estimator(self._byte_us)))
             for board in boards
@@ -157,8 +153,6 @@ class Host:
         while now_s + LOOK_S < due_s:
             now_s += LOOK_S
             self._reference.observe(self._monotonic_us(now_s), self._unix_us(now_s))
-            if self._bus is not None and self._bus.is_outdated:
-                return now_s
             if any(member.discipline.is_outdated for member in self._members):
                 return now_s
         return due_s
@@ -176,7 +170,7 @@ class Host:
                 self._replugged = True
                 member.board.restart(s.unplug_at, back_s)
                 member.discipline.reset()
-        return s.suspend_at is not None and s.suspend_at <= now_s < s.suspend_at + s.suspend_for
+        return False
 
     def _round(self, now_s: float) -> float:
         """Ask all boards and tell them the time; returns when that is done."""
@@ -187,32 +181,18 @@ class Host:
         for member in present:
             if member.discipline.status is None:
                 now_s = self._ask(member, now_s)
-        frame, done_s = self._frame(now_s), now_s
+        done_s = now_s
         for member in present:
-            done_s = max(done_s, self._tell(member, now_s, frame))
+            done_s = max(done_s, self._tell(member, now_s))
             now_s += TOLD_APART_S
         return done_s
 
-    def _frame(self, now_s: float) -> Frame | None:
-        """The time of a frame, for all boards of the bus; None until it is known well enough."""
-        if self._bus is None or self._bus.estimator.taken < BURST:
-            return None
-        return self._bus.frame_at(self._monotonic_us(now_s))
-
-    def _tell(self, member: _Member, now_s: float, frame: Frame | None) -> float:
-        """Tell a board the time; returns when it has it.
-
-        A frame is told even if the exchanges with this board are doubted just now: boards of a bus
-        agree as long as all are told the same.
-        """
+    def _tell(self, member: _Member, now_s: float) -> float:
+        """Tell a board the time; returns when it has it."""
         adjust = member.discipline.next_adjust(self._monotonic_us(now_s))
-        if frame is not None and (adjust is None or not adjust.is_step):
-            adjust, payload = None, frame.pack()
-        elif adjust is not None:
-            payload = adjust.pack()
-        else:
+        if adjust is None:
             return now_s
-        reply = self._call(member, now_s, payload)
+        reply = self._call(member, now_s, adjust.pack())
         if reply is None:
             return now_s
         code, data, _, done_s = reply
@@ -256,8 +236,6 @@ class Host:
     def _take(self, member: _Member, exchange: Exchange) -> None:
         began_ns = time.process_time_ns()
         verdict = member.discipline.add(exchange)
-        if self._bus is not None and exchange.frame is not None:
-            self._bus.add(exchange)
         self._cpu_ns += time.process_time_ns() - began_ns
         self._taken += 1
         if verdict is Verdict.TAKEN:

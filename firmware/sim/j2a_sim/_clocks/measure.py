@@ -6,6 +6,8 @@ the native engine draws:
     sof          from the start of a frame to the reading of the counter in its interrupt
     usb_out      from the submission of a request to the end of its packet
     usb_turn     from there to the received time, for which the main loop has to come round
+    control_out  from the submission of the request of SyncUSB to what the board tells of it
+    control_in   from there to the end of the transfer
     usb_in       from the end of the turnaround to the end of the packet of the reply
     serial_turn  from the end of the last byte of a request to the received time
     serial_reply from the end of the turnaround to the start bit of the reply
@@ -105,6 +107,26 @@ def measure_usb() -> Found:
     return found
 
 
+def measure_control() -> Found:
+    """Measure the request of SyncUSB."""
+    board, rng = _board("usb"), np.random.default_rng(4)
+    now_s = 1.0
+    found: Found = {"control_out": [], "control_in": []}
+    for _ in range(ROUNDS):
+        now_s += rng.uniform(0.011, 0.013)
+        board.run(now_s)
+        submitted = board.sim.cycle
+        _, age_us, came_s = board.frame_seen(now_s)
+        # Whole microseconds are told, and the counter ticks each half.
+        told = board.memory.captured() + (age_us + 0.5) * US
+        if told > board.ends[-1][0]:  # a frame has begun since
+            told -= board.sim.usb.frame_cycles
+        found["control_out"].append(max(0.0, (told - submitted) / US))
+        found["control_in"].append(max(0.0, (board.ends[-1][0] - told) / US))
+        now_s = came_s
+    return found
+
+
 def measure_serial() -> Found:
     """Measure a board at 115200 baud."""
     board, rng = _board("serial"), np.random.default_rng(3)
@@ -133,7 +155,7 @@ def main() -> int:
         "about": "microseconds at these shares; see measure.py",
         "shares": list(SHARES),
     }
-    for name, values in {**measure_usb(), **measure_serial()}.items():
+    for name, values in {**measure_usb(), **measure_serial(), **measure_control()}.items():
         rows[name] = quantiles(values)
     text = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in rows.items())
     FILE.write_text(f"{{\n{text}\n}}\n", "utf-8")

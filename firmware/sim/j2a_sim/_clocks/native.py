@@ -147,6 +147,7 @@ class NativeBoard:
         self._library, self._rng, self._wire = library, rng, _wire(link)
         self._oscillator, self._frames, self._times_s = oscillator, frames, times_s
         self._kind = "usb" if link == "usb" else "serial"
+        self._control_out, self._control_in = map(board_delay, ("control_out", "control_in"))
         self._backwards = 0
         self.readings = Readings(
             np.zeros(len(times_s), np.uint64),
@@ -243,6 +244,29 @@ class NativeBoard:
         times = (ctypes.c_double * ROOM)()
         count = self._lib.board_sent(data, times, ROOM)
         return bytes(data[:count]), times[count - 1] if count else 0.0
+
+    def frame_seen(self, at_s: float) -> tuple[int, int, float]:
+        """Ask the board by SyncUSB in which frame a request comes (SYNC-008).
+
+        Args:
+            at_s: the true time at which the host's controller has the request.
+
+        Returns:
+            The number of the frame, microseconds since its start, and the true time at which the
+            host's controller has the answer.
+        """
+        came_s = at_s + self._control_out.one_s(self._rng)
+        answer = self._lib.board_frame_seen(came_s)
+        return answer & 0xFFFF, answer >> 16, came_s + self._control_in.one_s(self._rng)
+
+    def packet(self, at_s: float, packet: bytes) -> float:
+        """Send a packet to SyncUSB; returns the true time at which the board has it."""
+        assert self._wire.there is not None
+        came_s = at_s + self._wire.there.one_s(self._rng)
+        self.run(at_s)
+        if self._lib.board_packet(came_s, packet):
+            raise SimError("a board has not taken the last packet of SyncUSB")
+        return came_s
 
     def run(self, until_s: float) -> None:
         """Let true time pass."""

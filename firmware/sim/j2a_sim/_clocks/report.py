@@ -41,7 +41,7 @@ class Readings:
     Attributes:
         clock_us: its time, microseconds since 1970.
         state, epoch: as SPEC numbers them.
-        uncertainty_us: what it announced; UNKNOWN: nothing.
+        uncertainty_us: what it announced, or the daemon for it; UNKNOWN: nothing.
     """
 
     clock_us: NDArray[np.uint64]
@@ -161,7 +161,9 @@ def make_report(
     figures: dict[str, Any] = _pairs(errors[:, good])
     figures["host_rms_us"] = _rms(errors[:, good])
     figures["host_peak_us"] = float(np.abs(errors[:, good]).max(initial=0))
-    figures.update(_uncertainty(boards, errors, counted(settings, times_s)))
+    # In holdover nobody announces anything for a board on a USB: the daemon is gone.
+    announced = good if settings.link == "usb" else counted(settings, times_s)
+    figures.update(_uncertainty(boards, errors, announced))
     states = np.concatenate([board.state[good] for board in boards])
     figures["locked"] = float(np.mean(states == STATES.index("locked"))) if states.size else 0.0
     figures["epochs"] = [int(board.epoch[-1]) for board in boards]
@@ -194,7 +196,7 @@ def _pairs(errors: Floats) -> dict[str, Any]:
 
 
 def _uncertainty(boards: list[Readings], errors: Floats, good: NDArray[np.bool_]) -> dict[str, Any]:
-    """How honest the announced uncertainties are; also in holdover."""
+    """How honest the announced uncertainties are."""
     told = np.array([board.uncertainty_us for board in boards])[:, good]
     known = told != UNKNOWN
     inside = np.abs(errors[:, good]) <= told

@@ -5,6 +5,7 @@ In: settings. Out: a report. The same settings give the same one.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,11 +14,12 @@ from numpy.random import Generator
 from j2a.protocol.clock.estimator import WINDOW
 from j2a_sim._clocks.avr import AvrBoard, build_firmware
 from j2a_sim._clocks.frames import BoardFrames, Bus, hub_delay_s
-from j2a_sim._clocks.host import START_S, Board, Host
+from j2a_sim._clocks.host import START_S, Host
 from j2a_sim._clocks.native import NativeBoard, build_board
 from j2a_sim._clocks.report import Report, make_report
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import Floats, HostClock, Oscillator, Slew, Step, crystal, temperature
+from j2a_sim._clocks.usb_host import UsbHost
 
 __all__ = ["run"]
 
@@ -114,8 +116,8 @@ def run(settings: Settings) -> Report:
             for_boards.spawn(settings.boards), crystals, frames, strict=True
         )
     ]
-    members: list[Board] = list(boards)
-    host = Host(settings, for_calls, clock, members)
+    is_usb = settings.link == "usb"
+    host: Any = (UsbHost if is_usb else Host)(settings, for_calls, clock, boards)
     host.run()
     more: dict[str, Any] = {
         "backwards": sum(board.backwards for board in boards),
@@ -124,6 +126,9 @@ def run(settings: Settings) -> Report:
         "refused": host.refused,
     }
     readings = [board.readings for board in boards]
+    if is_usb:
+        announced_us = host.announced_us(times_s)
+        readings = [replace(one, uncertainty_us=announced_us) for one in readings]
     return make_report(
         settings,
         times_s,

@@ -1,4 +1,4 @@
-"""Four boards on one USB, disciplined by the host of the bench, act at one time."""
+"""Four boards on one USB, disciplined by the daemon, act at one time."""
 
 import struct
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from j2a_sim._clocks.avr import AvrBoard
 from j2a_sim._clocks.frames import Bus, hub_delay_s
-from j2a_sim._clocks.host import Host
 from j2a_sim._clocks.native import make
 from j2a_sim._clocks.settings import Settings
 from j2a_sim._clocks.truth import UNIX_US, HostClock, crystal, temperature
+from j2a_sim._clocks.usb_host import UsbHost
 from j2a_spec import constants as c
 
 from j2a.events import Frame as WireFrame
@@ -74,7 +74,7 @@ def edges_s(board, pin):
 def test_edges_of_four_disciplined_boards_are_within_three_microseconds(boards, seeds):
     settings = Settings(boards=4, seconds=SETTLED_S, engine="avr")
     clock = HostClock(np.random.default_rng(seeds[1]), SECONDS)
-    Host(settings, np.random.default_rng(seeds[2]), clock, boards).run()
+    UsbHost(settings, np.random.default_rng(seeds[2]), clock, boards).run()
     names = call(boards[0], SETTLED_S, 0, b"").payload.rstrip(b"\0").split(b"\0")
     opcode = names.index(b"a2jTransd")
     spreads = []

@@ -23,6 +23,7 @@ def figures(**settings):
 
 
 def assert_honest(found, inside=0.997):
+    """What boards announce is true, or on a USB what the daemon announces for them."""
     assert found["backwards"] == 0
     assert found["known_uncertainty"] > 0.99
     assert found["inside_uncertainty"] >= inside
@@ -52,6 +53,20 @@ def test_lost_starts_of_frames_and_a_busy_host_change_little():
 
 def test_a_time_of_a_frame_whose_start_was_lost_is_understood():
     assert_pairs(figures(boards=4, seconds=40, seed=5, engine="native", lost_sof=0.1))
+
+
+def test_many_boards_are_told_the_time_as_well_as_few():
+    """The daemon keeps so many answers, and gets four of each board in a round."""
+    found = figures(boards=64, seconds=20, seed=2, engine="native")
+    assert_pairs(found)
+    assert_honest(found)
+    assert found["host_peak_us"] < 100 and found["uncertainty_us"] < 150
+
+
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_no_board_takes_the_first_packet_for_one_of_a_second_before(seed):
+    found = figures(boards=2, seconds=20, seed=seed, engine="native")
+    assert found["host_peak_us"] < 200
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -28,6 +28,11 @@ void board_readings(const double *times, uint32_t count, uint64_t *clock, uint8_
                     uint32_t *uncertainty);
 /* Bytes that arrive, the first one after `first` seconds, the others `gap` apart. Returns 0, or -1: no room. */
 int board_receive(double first, double gap, const uint8_t *bytes, uint32_t count);
+/* The request of SyncUSB comes at that time, on a board with USB. Returns the number of the frame, plus 2^16 times the
+ * microseconds since its start. */
+uint32_t board_frame_seen(double time);
+/* A packet of SyncUSB comes at that time, on a board with USB. Returns 0, or -1: the last one was not taken yet. */
+int board_packet(double time, const uint8_t *bytes);
 /* Switches the board on, after all of the above; frames and readings before that time are not given. */
 void board_start(double time);
 /* Runs until then. */

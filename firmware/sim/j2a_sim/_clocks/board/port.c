@@ -45,6 +45,11 @@ static struct {
     uint64_t last, backwards;
     uint8_t last_epoch;
 } readings;
+static struct {
+    uint8_t bytes[J2A_SYNCUSB_SIZE];
+    bool is_there;
+    double time; /* when it comes; NEVER: it has come */
+} packet = {{0}, false, 1e300};
 static timed_byte coming[ROOM], sent[ROOM];
 static uint32_t coming_from, coming_to, arrived_to, sent_from, sent_to;
 static double now, turn_at, wire_free;
@@ -108,6 +113,12 @@ void j2a_port_tx(uint8_t byte) {
 }
 
 void j2a_port_idle(void) {
+#if J2A_PORT_FRAMES
+    if (packet.is_there && packet.time == NEVER) {
+        packet.is_there = false;
+        j2a_clock_packet(packet.bytes);
+    }
+#endif
 }
 
 /* ---- what happens ---- */
@@ -177,6 +188,8 @@ void board_run(double until) {
             first = byte;
         if (frames.late < first)
             first = frames.late;
+        if (packet.time < first)
+            first = packet.time;
         if (turn_at < first)
             first = turn_at;
         if (first >= until)
@@ -185,6 +198,9 @@ void board_run(double until) {
             read_clock();
         } else if (first == frames.late) {
             take_frame();
+        } else if (first == packet.time) {
+            packet.time = NEVER;
+            wake_main_loop(first);
         } else if (first == byte) {
             arrived_to++;
             wake_main_loop(byte);
@@ -240,6 +256,25 @@ int board_receive(double first, double gap, const uint8_t *bytes, uint32_t count
         return -1;
     for (i = 0; i < count; i++)
         coming[coming_to++ % ROOM] = (timed_byte){first + gap * i, bytes[i]};
+    return 0;
+}
+
+uint32_t board_frame_seen(double time) {
+    uint64_t ticks, age_us;
+    board_run(time);
+    ticks = (uint64_t)(elapsed(time) * 2e6) - (uint64_t)(frames.captured * 2e6);
+    if (frames.seen == 0 || ticks > J2A_CLOCK_FRAMES_MS * 2000u)
+        return J2A_CLOCK_NO_FRAME;
+    age_us = ticks / 2 < 0xFFFF ? ticks / 2 : 0xFFFF;
+    return frames.number | (uint32_t)age_us << 16;
+}
+
+int board_packet(double time, const uint8_t *bytes) {
+    if (packet.is_there)
+        return -1;
+    memcpy(packet.bytes, bytes, sizeof packet.bytes);
+    packet.is_there = true;
+    packet.time = time;
     return 0;
 }
 

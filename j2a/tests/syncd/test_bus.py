@@ -1,0 +1,170 @@
+"""What boards say of their frames becomes one line, however many they are and whatever one says."""
+
+import random
+
+import pytest
+
+from j2a.io.host_time import HostTime
+from j2a.syncd import usb_bus
+from j2a.syncd.history import History
+from j2a.syncd.usb_bus import Bus
+
+UNIX_US = 1_700_000_000_000_000
+EXCHANGES = 4
+
+
+class Frames:
+    """A bus whose frames are 1 ms of a controller that is fast, and the daemon's line of them.
+
+    Attributes:
+        now_us: the host's counter.
+        ahead: frames that were left out, as by a controller that began anew.
+        packets: that were told, as (true time of the frame less the one told, age of the frame).
+    """
+
+    def __init__(self, ppm=60.0, seed=1, interval_s=1.0):
+        self.now_us = 5e6
+        self.ahead = 0
+        self.packets = []
+        self.random = random.Random(seed)
+        self.interval_us = interval_s * 1e6
+        self._rate = 1 + ppm * 1e-6
+        host = HostTime(lambda: self.now_us, lambda: UNIX_US + round(self.now_us))
+        self.bus = Bus("usb bus 1", interval_s, History(), host)
+
+    def frames(self, host_us):
+        """Frames since the start, with their part."""
+        return host_us * self._rate / 1000 + self.ahead
+
+    def ask(self, board, frames_off=0, slow_us=0.0, age_us=None):
+        sent_us = self.now_us
+        there, back = (20 + self.random.expovariate(1 / 60) + slow_us for _ in range(2))
+        at = self.frames(sent_us + there)
+        self.now_us = came_us = sent_us + there + back
+        age = int(at % 1 * 1000 / self._rate) if age_us is None else age_us
+        self.bus.add(board, sent_us, came_us, (int(at) + frames_off) % 2048, age)
+
+    def round(self, boards, odd=(), frames_off=0):
+        """Do what the threads do in a round; return what is told, None for nothing."""
+        self.now_us += self.bus.until_next_round_s() * 1e6
+        _, told = self.bus.packet()
+        if told is not None:
+            age = (int(self.frames(self.now_us)) - told.frame + 1024) % 2048 - 1024
+            number = int(self.frames(self.now_us)) - age
+            began_us = (number - self.ahead) * 1000 / self._rate
+            self.packets.append((told.time_us - UNIX_US - began_us, age))
+        for board in boards:
+            for _ in range(EXCHANGES):
+                self.ask(board, frames_off if board in odd else 0)
+        return told
+
+
+@pytest.mark.parametrize("boards", [1, 2, 8, 64])
+def test_many_boards_are_known_as_well_as_one(boards):
+    frames = Frames()
+    for _ in range(30):
+        frames.round(range(boards))
+    errors_us = [abs(error) for error, _ in frames.packets[10:]]
+    assert max(errors_us) < 100
+    assert frames.bus.facts()["uncertainty_us"] < 100
+
+
+@pytest.mark.parametrize("boards", [1, 2, 8, 64])
+@pytest.mark.parametrize("ppm", [-2000, -100, 0, 100, 2000])
+@pytest.mark.requirement("SYNC-004", "SYNC-005")
+def test_what_is_told_is_of_a_frame_that_has_begun_from_the_first_packet_on(boards, ppm):
+    """A board would take a number that is ahead for that of a frame a second before."""
+    for seed in range(20):
+        frames = Frames(ppm, seed)
+        for _ in range(6):
+            frames.round(range(boards))
+        ages = [age for _, age in frames.packets]
+        assert len(ages) >= 3
+        assert all(0 <= age < 500 for age in ages), (seed, ages)
+
+
+def test_an_answer_that_came_late_tells_little_and_does_no_harm():
+    frames = Frames()
+    for number in range(20):
+        frames.round([1])
+        if number > 3:
+            frames.ask(2, slow_us=200_000)
+    assert max(abs(error) for error, _ in frames.packets[10:]) < 100
+
+
+def test_an_age_that_stands_for_more_counts_for_nothing():
+    frames = Frames()
+    for _ in range(4):
+        for _ in range(EXCHANGES):
+            frames.ask(1, age_us=65_535)
+        frames.now_us += 1e6
+        assert frames.bus.packet()[1] is None
+
+
+@pytest.mark.parametrize("frames_off", [3, -3, 50, 700, 1024])
+@pytest.mark.parametrize("odd", [1, 4])
+def test_a_board_that_tells_wrong_frames_disturbs_no_other(frames_off, odd):
+    frames = Frames()
+    for _ in range(4):
+        frames.round(range(2, 5))
+    for number in range(20):
+        frames.round(range(5), odd={odd} if number else set(), frames_off=frames_off)
+    assert len(frames.packets) >= 20
+    assert max(abs(error) for error, _ in frames.packets[10:]) < 100
+
+
+def test_a_board_that_tells_any_frames_disturbs_no_other():
+    frames = Frames()
+    for _ in range(20):
+        frames.round(range(1, 4))
+        for _ in range(EXCHANGES):
+            frames.ask(0, frames.random.randrange(2048), age_us=frames.random.randrange(65_536))
+    assert len(frames.packets) >= 17
+    assert max(abs(error) for error, _ in frames.packets[10:]) < 100
+
+
+@pytest.mark.parametrize("boards", [1, 2, 3, 8])
+@pytest.mark.parametrize("ahead", [5, 400, 1500])
+def test_frames_that_begin_anew_are_found_by_most_boards(boards, ahead):
+    frames = Frames()
+    for _ in range(10):
+        frames.round(range(boards))
+    frames.ahead += ahead
+    del frames.packets[:]
+    for _ in range(12):
+        frames.round(range(boards))
+    assert max(abs(error) for error, _ in frames.packets[-5:]) < 100
+
+
+def test_a_board_that_is_gone_has_no_vote():
+    frames = Frames()
+    for _ in range(5):
+        frames.round(range(5))
+    for board in range(1, 5):
+        frames.bus.forget(board)
+    frames.ahead += 300
+    for _ in range(12):
+        frames.round([0])
+    assert max(abs(error) for error, _ in frames.packets[-5:]) < 100
+
+
+def test_two_boards_that_contradict_each_other_do_not_turn_it_over_and_over():
+    frames = Frames()
+    for _ in range(5):
+        frames.round([0])
+    del frames.packets[:]
+    for _ in range(20):
+        frames.round([0, 1], odd={1}, frames_off=100)
+    assert len(frames.packets) == 20
+    assert max(abs(error) for error, _ in frames.packets) < 200
+
+
+def test_the_line_costs_one_fit_a_round_however_many_boards_there_are(monkeypatch):
+    frames = Frames()
+    for _ in range(5):
+        frames.round(range(64))
+    taken = frames.bus._clock.estimator.taken
+    for _ in range(10):
+        frames.round(range(64))
+    assert frames.bus._clock.estimator.taken == taken + 10
+    assert usb_bus.LEAST <= taken <= usb_bus.LEAST + 5
