@@ -83,8 +83,11 @@ class Daemon:
             while not self._is_stopped:
                 self._wake.clear()
                 self.observe()
-                self._look()
-                self._links.look()
+                problems = [self._problem_of(look) for look in (self._look, self._links.look)]
+                problem = "; ".join(filter(None, problems)) or None
+                if problem is not None and problem != self._problem:
+                    _logger.warning("%s", problem)
+                self._problem = problem
                 self._wake.wait(_LOOK_S)
         finally:
             self._links.close()
@@ -94,6 +97,15 @@ class Daemon:
             for one in boards:
                 one.stop()
             join_threads([one.thread for one in boards if one.thread is not None], JOIN_S)
+
+    @staticmethod
+    def _problem_of(look: Callable[[], None]) -> str | None:
+        """Look for boards; return why that failed, as while devices come and go."""
+        try:
+            look()
+        except (j2a.J2AError, j2a_transports.TransportError) as error:
+            return str(error)
+        return None
 
     def observe(self) -> None:
         """Note whether the clock of this computer was set, which boards are told at once."""
@@ -152,15 +164,7 @@ class Daemon:
         """Compare the boards that are there with those that were."""
         if self._ports is None:
             return
-        try:
-            found = self._ports()
-            self._problem = None
-        except j2a_transports.TransportError as error:
-            # A moment in which devices come and go; the next look will tell.
-            if self._problem != str(error):
-                self._problem = str(error)
-                _logger.warning("%s", error)
-            return
+        found = self._ports()
         there = {one.key: one for one in found if self._is_meant(one.key)}
         with self._lock:
             ended = [key for key, one in self._boards.items() if not one.is_running]

@@ -221,7 +221,7 @@ class _Connection:
         try:
             if len(self._request) > MAX_REQUEST:
                 raise ValueError(f"it is longer than {MAX_REQUEST} bytes")
-            request = json.loads(self._request)
+            request = json.loads(self._request.decode())  # of bytes it would guess the encoding
             if not isinstance(request, dict):
                 raise ValueError("a request is an object")
         except (ValueError, RecursionError) as error:

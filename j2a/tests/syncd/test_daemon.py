@@ -14,6 +14,7 @@ from j2a.clock import Clock
 from j2a.io.host_time import HostTime
 from j2a.protocol.clock import LOOK_S
 from j2a.syncd import daemon as daemon_module
+from j2a.syncd import sync_board, url_boards
 from j2a.syncd import usb_bus as bus_module
 from j2a.syncd.daemon import Daemon
 from j2a.syncd.history import History
@@ -299,6 +300,35 @@ def test_a_usb_that_cannot_be_listed_is_told_and_tried_again(running, monkeypatc
     answers.pop(0)
     port.wait_for(1)
     assert one.status()["problem"] is None
+
+
+@pytest.mark.parametrize("kind", ["usb", "url"])
+def test_a_system_without_a_thread_to_give_is_told_and_asked_again(
+    running, board, monkeypatch, kind
+):
+    module = sync_board if kind == "usb" else url_boards
+    begin = module.start_thread
+
+    def refuse(target, name):
+        raise j2a.OpenFailed(f"{name}: can't start new thread")
+
+    monkeypatch.setattr(module, "start_thread", refuse)
+    port = FakePort(FakeBus())
+    one = running([port] if kind == "usb" else [], urls=[board[0]] if kind == "url" else [])
+    until(lambda: "new thread" in str(one.status()["problem"]))
+    monkeypatch.setattr(module, "start_thread", begin)
+    until(lambda: one.status()["boards"] and one.status()["boards"][0]["packets"])
+    assert one.status()["problem"] is None
+
+
+def test_a_usb_that_cannot_be_listed_keeps_no_board_by_url_waiting(running, board):
+    class Unlisted(list):
+        def __iter__(self):
+            raise j2a_transports.OpenFailed("no list")
+
+    one = running(Unlisted(), urls=[board[0]])
+    until(lambda: one.status()["boards"] and one.status()["boards"][0]["packets"])
+    assert one.status()["problem"] == "no list"
 
 
 def test_only_the_board_that_is_meant(running):

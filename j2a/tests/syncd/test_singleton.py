@@ -158,7 +158,9 @@ def test_without_a_daemon_it_says_where_it_looked(folder):
         ask(folder, {})
 
 
-@pytest.mark.parametrize("text", [b"", b"\n", b"[]\n", b"nonsense\n", b"\xff\xfe\n", b"[" * 4000])
+@pytest.mark.parametrize(
+    "text", [b"", b"\n", b"[]\n", b"nonsense\n", b"\xff\xfe\n", b"[" * 4000, "{}".encode("utf-16")]
+)
 def test_what_is_no_request_is_answered_by_an_error(folder, server, text):
     with socket.socket(socket.AF_UNIX) as connection:
         connection.connect(os.fspath(server.path))
