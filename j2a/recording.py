@@ -3,7 +3,8 @@
 What flows in: samples of boards, or a file. What flows out: a file that stock viewers read, or the
 samples in it, bit for bit.
 Rules: what was flushed stays readable whatever happens then; a file that ends early is read up to
-there, and says so. Needs the package mcap (`pip install "j2a[record]"`).
+there, and says so; what is damaged in between is left out. Needs the package mcap
+(`pip install "j2a[record]"`).
 """
 
 import json
@@ -17,6 +18,7 @@ from typing import IO, Any, Final, Self
 
 from j2a.errors import LocalError
 from j2a.events import Sample
+from j2a.io.mcap_file import About, ChannelRecord, McapFile
 from j2a.types.cdr import SampleMessage
 from j2a.types.descriptors import parse_descriptors
 from j2a.types.ros import ros2_definition
@@ -25,9 +27,9 @@ from j2a.types.transducers import Descriptors, Transducer
 __all__ = ["Recorded", "RecordedBoard", "Recorder", "Recording", "check_package", "topic_of"]
 
 _BOARD: Final = "j2a.board"
-_MAGIC_BYTES: Final = 8
 _CHUNK_BYTES: Final = 1 << 16
-_MAX_RECORD_BYTES: Final = 1 << 28
+_MOST_DESCRIBED: Final = 1 << 24
+"""So many characters say what the boards of a file are, which stay in memory."""
 _NOT_IN_TOPICS: Final = re.compile(r"[^A-Za-z0-9_/]")
 
 
@@ -254,79 +256,88 @@ class Recording:
     Attributes:
         boards: by name; known once the iteration has come to a sample of theirs.
         is_whole: the file has its end; known when the iteration is over.
-
-    Raises:
-        LocalError: the package mcap is missing.
     """
 
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
-        self._reader = _mcap("stream_reader")
         self.boards: dict[str, RecordedBoard] = {}
         self.is_whole = False
 
     def __iter__(self) -> Iterator[Recorded]:
-        """Yield the samples.
+        """Yield the samples; what is damaged is left out, and told at the end.
 
         Raises:
-            LocalError: the file is no recording, or it is damaged.
+            LocalError: the file is no recording, or parts of it are damaged. All samples that could
+                be read have been given then.
             OSError: it cannot be read.
         """
+        file = McapFile(self._path)
+        described = 0
         sensors: dict[int, tuple[str, Transducer, SampleMessage]] = {}
-        for record in self._records():
-            kind = type(record).__name__
-            if kind == "Metadata" and record.name == _BOARD:
-                self._add_board(record.metadata)
-            elif kind == "Channel":
-                found = self._sensor(record.metadata)
-                if found is not None:
-                    sensors[record.id] = *found, SampleMessage(found[1])
-            elif kind == "Message" and record.channel_id in sensors:
-                board, sensor, message = sensors[record.channel_id]
-                try:
+        for record in file.records():
+            try:
+                if isinstance(record, About):
+                    described += self._add_board(record, described)
+                elif isinstance(record, ChannelRecord):
+                    found = self._sensor(record.about)
+                    if found is not None:
+                        sensors[record.id] = *found, SampleMessage(found[1])
+                elif record.channel in sensors:
+                    board, sensor, message = sensors[record.channel]
                     payload = message.unpack(record.data)
-                except ValueError as error:
-                    raise LocalError(f"{self._path}: {sensor.name}: {error}") from None
-                yield Recorded(board, sensor, record.log_time, record.sequence, payload)
+                    yield Recorded(board, sensor, record.time_ns, record.sequence, payload)
+            except ValueError as error:
+                file.damaged(error)
+        self.is_whole = file.is_whole
+        self._check(file)
 
     def read_boards(self) -> dict[str, RecordedBoard]:
-        """Return the boards, without reading more samples than it takes.
+        """Return all boards, without reading the samples.
 
-        Raises: as the iteration.
+        Raises:
+            LocalError: the file is no recording, or it is so damaged that it has no boards.
+            OSError: it cannot be read.
         """
-        next(iter(self), None)
+        file = McapFile(self._path)
+        described = 0
+        for record in file.records(chunks=False):
+            if isinstance(record, About):
+                try:
+                    described += self._add_board(record, described)
+                except ValueError as error:
+                    file.damaged(error)
+        if not self.boards:
+            self._check(file)
         return self.boards
 
-    def _records(self) -> Iterator[Any]:
-        exceptions = _mcap("exceptions")
-        with self._path.open("rb") as file:
-            reader = self._reader.StreamReader(
-                file, validate_crcs=True, record_size_limit=_MAX_RECORD_BYTES
-            )
-            try:
-                yield from reader.records
-                self.is_whole = True
-            except OSError:
-                raise
-            except Exception as error:  # whatever the packages raise for damaged bytes
-                if isinstance(error, exceptions.InvalidMagic) and file.tell() <= _MAGIC_BYTES:
-                    raise LocalError(f"{self._path} is no MCAP file") from None
-                if not file.read(1):
-                    return  # whoever wrote it was killed
-                what = f"{type(error).__name__}: {error}"
-                raise LocalError(f"{self._path} is damaged: {what}") from error
+    def _check(self, file: McapFile) -> None:
+        if file.problems:
+            others = f", and {file.problems - 1} other parts" if file.problems > 1 else ""
+            raise LocalError(f"{self._path} is damaged: {file.problem}{others}; it was left out")
 
-    def _add_board(self, about: Mapping[str, str]) -> None:
+    def _add_board(self, record: About, described: int) -> int:
+        """Take a board in; return the length of what is said of it.
+
+        Raises:
+            ValueError: it is not described right, or with those before too long.
+        """
+        if record.name != _BOARD:
+            return 0
+        about = record.about
+        length = sum(map(len, about.values()))
+        if described + length > _MOST_DESCRIBED:
+            raise ValueError(f"the boards are described by more than {_MOST_DESCRIBED} characters")
         try:
             name = about["name"]
             descriptors = parse_descriptors(about["descriptors"])
             properties = json.loads(about.get("properties", "{}"))
-        except (KeyError, ValueError, LocalError) as error:
-            raise LocalError(f"{self._path}: a board is not described right: {error}") from None
+        except (KeyError, ValueError, LocalError, RecursionError) as error:
+            raise ValueError(f"a board is not described right: {error}") from None
         if not isinstance(properties, dict):
             properties = {}
         texts = {str(key): str(value) for key, value in properties.items()}
         self.boards[name] = RecordedBoard(name, about.get("url", ""), descriptors, texts)
+        return length
 
     def _sensor(self, about: Mapping[str, str]) -> tuple[str, Transducer] | None:
         board = self.boards.get(about.get("board", ""))

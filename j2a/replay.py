@@ -5,13 +5,15 @@ a board, whose sample SIFs are those of the recording, bit for bit.
 """
 
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 from j2a.device import Device
-from j2a.errors import LocalError
+from j2a.errors import LocalError, RegistrationError
+from j2a.io.functions import pack_properties
 from j2a.protocol.trace import Trace
-from j2a.recording import RecordedBoard, Recording
+from j2a.recording import Recorded, RecordedBoard, Recording
 
 __all__ = ["ReplayBoard"]
 
@@ -30,6 +32,7 @@ class ReplayBoard(Device):
 
     Attributes:
         is_whole: the recording had its end; known when it was played.
+        problem: what of it was damaged, and left out, or ""; known when it was played.
 
     Raises:
         LocalError: the file is no recording, or has no such board.
@@ -44,7 +47,8 @@ class ReplayBoard(Device):
         self._described = threading.Event()
         self._ended = threading.Event()
         self.is_whole = False
-        kept = {k: v for k, v in self._board.properties.items() if not k.startswith(_OWN)}
+        self.problem = ""
+        kept = {k: v for k, v in self._board.properties.items() if _is_kept(k, v)}
         super().__init__(kept, transducers=self._board.descriptors, trace=trace)
 
     def stop(self) -> None:
@@ -62,8 +66,9 @@ class ReplayBoard(Device):
         Args:
             speed: 2 is twice as fast as they came.
 
+        What is damaged of it is left out; see `problem`.
+
         Raises:
-            LocalError: the recording is damaged.
             OSError: it cannot be read.
         """
         self._described.wait()
@@ -71,7 +76,7 @@ class ReplayBoard(Device):
         recording = Recording(self._path)
         first_ns: int | None = None
         count = 0
-        for sample in recording:
+        for sample in self._samples(recording):
             if sample.board != self._board.name:
                 continue
             if first_ns is None:
@@ -83,6 +88,20 @@ class ReplayBoard(Device):
             count += 1
         self.is_whole = recording.is_whole
         return count
+
+    def _samples(self, recording: Recording) -> Iterator[Recorded]:
+        try:
+            yield from recording
+        except LocalError as error:
+            self.problem = str(error)
+
+
+def _is_kept(key: str, value: str) -> bool:
+    """Whether a property is one of the application, and one that a device can have."""
+    try:
+        return bool(pack_properties({key: value})) and not key.startswith(_OWN)
+    except (RegistrationError, UnicodeEncodeError):
+        return False
 
 
 def _chosen(path: str | Path, boards: dict[str, RecordedBoard], name: str | None) -> RecordedBoard:

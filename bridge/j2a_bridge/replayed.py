@@ -4,6 +4,7 @@ What flows in: a recording. What flows out: URLs of devices that play it again a
 """
 
 import contextlib
+import logging
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from j2a.replay import ReplayBoard
 __all__ = ["replayed"]
 
 _END_S = 5.0
+_logger = logging.getLogger("j2a.bridge")
 
 
 @contextlib.contextmanager
@@ -38,8 +40,14 @@ def replayed(path: Path) -> Iterator[list[str]]:
             ended = threading.Event()
 
             def play(board: ReplayBoard = board, ended: threading.Event = ended) -> None:
-                while not ended.is_set() and board.play():
-                    pass
+                problem = ""
+                try:
+                    while not ended.is_set() and board.play():
+                        if board.problem != problem:
+                            problem = board.problem
+                            _logger.warning("%s", problem)
+                except OSError as error:
+                    _logger.warning("%s cannot be read any more: %s", path, error.strerror)
 
             threads = [
                 threading.Thread(target=board.serve_forever, args=(listener,), daemon=True),

@@ -53,13 +53,14 @@ def run(args: argparse.Namespace) -> int:
         size = Path(args.file).stat().st_size
     except OSError as error:
         raise UsageError(f"{error.filename}: {error.strerror}") from None
-    tables: dict[tuple[str, str], _Table] = {}
+    tables: dict[tuple[str, Transducer], _Table] = {}
+    problems: list[j2a.LocalError] = []
     with contextlib.ExitStack() as stack:
         progress = stack.enter_context(Progress(f"reading {args.file}"))
         try:
             done = 0
-            for one in recording:
-                key = one.board, one.sensor.name
+            for one in _samples(recording, problems):
+                key = one.board, one.sensor
                 if key not in tables:
                     name = f"{_plain(one.board)}_{one.sensor.name}"
                     taken = {table.path.stem for table in tables.values()}
@@ -76,11 +77,23 @@ def run(args: argparse.Namespace) -> int:
             raise CommandFailed(f"cannot write the tables: {error.strerror}", FAILED) from None
     for table in tables.values():
         show(f"wrote {table.path}: {table.rows} rows")
-    if not tables:
+    if not tables and not problems:
         note(f"j2a: {args.file} has no samples")
+    if problems:
+        if tables:
+            raise CommandFailed(f"{problems[0]}; the rest is written", FAILED)
+        raise problems[0]
     if not recording.is_whole:
         note(f"j2a: {args.file} ends early; what it has is written")
     return OK
+
+
+def _samples(recording: Recording, problems: list[j2a.LocalError]) -> Iterator[Recorded]:
+    """Yield what can be read of a recording; that it is damaged is told behind that."""
+    try:
+        yield from recording
+    except j2a.LocalError as error:
+        problems.append(error)
 
 
 def _plain(name: str) -> str:

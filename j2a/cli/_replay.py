@@ -14,7 +14,7 @@ from typing import Final
 
 import j2a_transports
 
-from j2a.cli._exit import OK, UsageError, end_on_sigterm
+from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError, end_on_sigterm
 from j2a.cli._link import add_listen_argument, check_listen_url, positive_number, takes_stdio
 from j2a.cli._output import note, show
 from j2a.replay import ReplayBoard
@@ -64,4 +64,6 @@ def run(args: argparse.Namespace) -> int:
         if not board.is_whole:
             note(f"j2a: {args.file} ends early; whoever wrote it did not end it")
         tell(f"replayed {count} samples")
+    if board.problem:
+        raise CommandFailed(board.problem, FAILED)
     return OK

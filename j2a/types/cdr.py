@@ -9,6 +9,8 @@ import struct
 from collections.abc import Iterator
 from typing import Final
 
+from j2a_spec.constants import MAX_PAYLOAD
+
 from j2a.types.model import Structure, Type, element_size
 from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Transducer
 
@@ -31,6 +33,7 @@ class SampleMessage:
 
     def __init__(self, sensor: Transducer) -> None:
         self._has_queue = sensor.queue > 0
+        self._channels = sensor.channels
         self._sizes = tuple(_sizes(sensor.type))
         self._bytes = sensor.type.size
         # Of an array the elements are elements of the message, which has no array in an array.
@@ -77,7 +80,10 @@ class SampleMessage:
         """
         source = _Reader(message)
         times = []
-        for _ in range(source.count(_TIME.size)):
+        count = source.count(_TIME.size)
+        if not (1 <= count <= MAX_PAYLOAD if self._has_queue else count == self._channels):
+            raise ValueError(f"a message has {count} times, which no sample has")
+        for _ in range(count):
             seconds, ns = _TIME.unpack(source.take(_TIME.size, 4))
             times.append((seconds * _US + ns // _NS_PER_US).to_bytes(TIME_BYTES, "little"))
         if source.count(1) != len(times) * self._elements:
@@ -88,9 +94,14 @@ class SampleMessage:
         if source.count(1) != len(times):
             raise ValueError("a message has more times than channels, or fewer")
         channels = [source.take(1, 1) for _ in times]
+        if max(channels)[0] >= self._channels:
+            raise ValueError(f"a message has channel {max(channels)[0]}, which is not there")
         lost = source.take(LOST_BYTES, LOST_BYTES)
         entries = zip(channels, times, values, strict=True)
-        return lost + b"".join(map(b"".join, entries))
+        payload = lost + b"".join(map(b"".join, entries))
+        if len(payload) > MAX_PAYLOAD:
+            raise ValueError(f"a message is a sample of {len(payload)} bytes")
+        return payload
 
 
 def _sizes(kind: Type) -> Iterator[int]:

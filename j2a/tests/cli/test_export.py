@@ -155,3 +155,26 @@ def test_a_recording_that_ends_early(run, path, tmp_path):
     assert result.code == 0
     assert "ends early" in result.err
     assert len(list((tmp_path / "out").iterdir())) == len(SAMPLES)
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_all_that_can_be_read_of_a_damaged_recording_is_written(run, path, tmp_path, form):
+    data = bytearray(path.read_bytes())
+    at = data.index(b"zstd") + 60
+    data[at] ^= 0xFF
+    path.write_bytes(data)
+    with Recorder(tmp_path / "more.mcap") as recorder:
+        recorder.add_board("left/cart", read_transds(FILE))
+        sample = j2a.Sample("b", "quad", 0, (), 0.0, payload=SAMPLES["quad"][0])
+        recorder.write("left/cart", sample, NOW_NS)
+    more = (tmp_path / "more.mcap").read_bytes()
+    footer = data.rindex(b"\x0f\x04\0\0\0\0\0\0\0")  # where the data end
+    end = more.rindex(b"\x0f\x04\0\0\0\0\0\0\0")
+    path.write_bytes(data[:footer] + more[8:end] + data[footer:])
+    out = tmp_path / "out"
+    result = run("export", path, out, "--format", form)
+    assert result.code == 1
+    assert "is damaged: " in result.err
+    assert "Traceback" not in result.err
+    read = {"csv": pandas.read_csv, "parquet": pandas.read_parquet}[form]
+    assert read(out / f"left_cart_quad.{form}")["value"].tolist() == [2.0]

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -239,6 +240,81 @@ os.kill(os.getpid(), signal.SIGKILL)
             read(path)
         with pytest.raises(FileNotFoundError):
             read(path.with_name("gone.mcap"))
+
+    def test_boards_that_come_late_are_known(self, path, tmp_path):
+        """Also those of a file that ends early, which has no index."""
+        with Recorder(path) as recorder:
+            for number in range(50):
+                name = f"board{number}"
+                recorder.add_board(name, FILE, prefix=name)
+                for n in range(3000):
+                    recorder.write(name, sample("quad", struct.pack("<QhQh", 1, n, 1, n), n), n)
+        names = [f"board{number}" for number in range(50)]
+        assert list(Recording(path).read_boards()) == names
+        ReplayBoard(path, "board49").stop()
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        found = list(Recording(cut).read_boards())
+        assert 10 < len(found) < 50
+        assert found == names[: len(found)]
+
+    def test_what_stands_behind_a_damaged_part_is_read(self, path):
+        """The one thing that a chunk with wrong bytes costs is what is in it."""
+        written = write_hour(path, 600)
+        data = bytearray(path.read_bytes())
+        chunk = data.index(b"zstd", len(data) // 3) + 100
+        data[chunk] ^= 1
+        path.write_bytes(data)
+        recording, found = Recording(path), []
+        with pytest.raises(j2a.LocalError, match=r"damaged: .*chunk.*left out$"):
+            for one in recording:
+                found.append((one.sensor.name, one.time_ns, one.sequence, one.payload))
+        assert recording.is_whole
+        assert len(written) - 3000 < len(found) < len(written)
+        at = next(n for n, row in enumerate(found) if row != written[n])
+        assert found == written[:at] + written[at + len(written) - len(found) :]
+
+    def test_a_file_of_which_the_power_left_zeros_ends_early(self, path):
+        written = write_hour(path, 30)
+        data = path.read_bytes()
+        path.write_bytes(data[: data.index(b"zstd") - 41] + bytes(100_000))
+        recording = Recording(path)
+        assert list(recording) == []
+        assert not recording.is_whole
+        path.write_bytes(data + bytes(100))
+        assert read(path) == written
+
+    @pytest.mark.parametrize("compression", ["NONE", "ZSTD", "LZ4"])
+    def test_files_that_others_have_written_anew(self, path, tmp_path, compression):
+        mcap_reader, writer = (import_module(f"mcap.{name}") for name in ("reader", "writer"))
+        written = write_hour(path, 60)
+        other = tmp_path / "other.mcap"
+        with other.open("wb") as file, path.open("rb") as source:
+            reader = mcap_reader.make_reader(source)
+            kind = writer.CompressionType[compression]
+            made = writer.Writer(file, compression=kind, enable_data_crcs=True)
+            made.start()
+            for metadata in reader.iter_metadata():
+                made.add_metadata(metadata.name, metadata.metadata)
+            known: dict[int, int] = {}
+            for schema, channel, message in reader.iter_messages(log_time_order=False):
+                if channel.id not in known:
+                    number = made.register_schema(schema.name, schema.encoding, schema.data)
+                    known[channel.id] = made.register_channel(
+                        channel.topic, channel.message_encoding, number, channel.metadata
+                    )
+                made.add_message(
+                    known[channel.id],
+                    message.log_time,
+                    message.data,
+                    message.publish_time,
+                    message.sequence,
+                )
+            made.finish()
+        recording = Recording(other)
+        found = [(s.sensor.name, s.time_ns, s.sequence, s.payload) for s in recording]
+        assert sorted(found) == sorted(written)
+        assert recording.is_whole
 
     def test_mistakes_of_the_writer(self, path):
         with Recorder(path) as recorder:
