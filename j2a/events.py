@@ -208,8 +208,8 @@ class Sample:
             each value, in the order in which they were measured.
         host_time: when it came, in seconds on the clock of `Client.now`.
         unit: of the values, a symbol of UCUM, or "".
-        lost: values that were lost before this sample, because the queue of the device was full
-            (J2A-TRANS-026).
+        lost: values that were lost before this sample, because the queue of the device was full;
+            where the clock shows that the device was reset, those since then (J2A-TRANS-026).
         missed: SIFs of any kind that the link lost just before this one; see `Sif.missed`.
         is_reset: the clock of the device went back since the sample before (J2A-TRANS-027).
         payload: of the SIF.

@@ -39,7 +39,24 @@ class _State:
         self.latest: Sample | None = None
         self.count = count()
         self.lost: int | None = None
+        self.last_us = 0
         self.times_us: dict[int, int] = {}
+
+    def losses(self, told: int, times: tuple[int, ...]) -> int:
+        """Return how many values were lost since the SIF before (J2A-TRANS-026).
+
+        Args:
+            told: so many the device has lost, modulo 65536.
+            times: of the values in the SIF, 0 for none.
+        """
+        before, self.lost = self.lost, told
+        last_us, first_us = self.last_us, next(filter(None, times), 0)
+        self.last_us = next(filter(None, reversed(times)), last_us)
+        if before is None:
+            return 0
+        if told < before and 0 < first_us < last_us:
+            return told  # the device was reset in between, and counts anew
+        return (told - before) % _LOST_MODULO
 
     def goes_back(self, channels: Iterable[int], times: tuple[int, ...]) -> bool:
         """Note the times of channels, 0 for none; return whether one is before that of its last."""
@@ -161,9 +178,7 @@ class SampleSource:
         channels: Iterable[int]
         if state.transducer.queue:
             told, readings, channels, times = state.codec.times_queued(sif.payload)
-            if state.lost is not None:
-                lost = (told - state.lost) % _LOST_MODULO
-            state.lost = told
+            lost = state.losses(told, times)
         else:
             readings, times = state.codec.times(sif.payload)
             channels = range(len(times))

@@ -170,7 +170,6 @@ class TestSamples:
         assert math.isnan(reading.raw)
         assert reading.value is None
 
-    @pytest.mark.requirement("J2A-TRANS-026")
     @pytest.mark.requirement("J2A-TRANS-024")
     def test_an_na_value_is_what_is_left_of_it_in_its_type(self, device, board):
         with board.transducers["cold"].samples() as samples:
@@ -178,6 +177,16 @@ class TestSamples:
                 device.sense("cold", 0, value)
                 assert samples.wait(PATIENCE_S).values == (value,)
 
+    @pytest.mark.requirement("J2A-TRANS-026")
+    def test_a_reset_without_a_boot_sif_is_no_loss_of_65000_values(self, device, board):
+        sifs = [(500, 1, 1000), (3, 1, 10), (3, 1, 5), (2, 0, 4), (1, 0, 9), (0, 0, 0)]
+        with board.transducers["log"].samples() as samples:
+            for count, channel, time_us in sifs:
+                device.send_sif(1, struct.pack("<HBQB", count, channel, time_us, 9))
+            found = [samples.wait(PATIENCE_S).lost for _ in sifs]
+        assert found == [0, 3, 0, 2, 65535, 65535]
+
+    @pytest.mark.requirement("J2A-TRANS-026")
     def test_losses_of_a_queue_are_counted_over_its_wrap(self, device, board):
         lost = [65534, 65534, 1, 3]
         with board.transducers["log"].samples() as samples:

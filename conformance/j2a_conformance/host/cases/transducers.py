@@ -359,6 +359,36 @@ class Lost(_TransducerCase):
         taken(host, name, [sif], [(0, time_us, value)], lost=lost)
 
 
+class LostReset(_TransducerCase):
+    """Sends samples of a sensor with a queue whose numbers and times go on, stay and go back."""
+
+    ID = "host.transducers.lost-reset"
+    EXPECTATION = "So many are lost as the number says where both go back, else as it has grown."
+    REQUIREMENTS = ("J2A-TRANS-026",)
+
+    def _run(self, host: Host) -> None:
+        self._watch(host, "many")
+        taken(host, "many", [queued("many", 500, [(0, 1000, 1)])], [(0, 1000, 1)])
+        for number, times, lost, resets in (
+            (3, [(0, 10)], 3, 1), (3, [(0, 5)], 0, 1), (9, [(0, 2)], 6, 1),
+            (8, [(0, 3)], 65535, 0), (0, [(1, 1)], 0, 0), (65535, [(1, 2)], 65535, 0),
+            (0, [(0, 2), (1, 9)], 1, 1), (700, [(1, 10)], 700, 0),
+            (6, [(1, 0), (0, 4)], 6, 0), (5, [(1, 0)], 65535, 0), (4, [(0, 3)], 4, 1),
+            (2, [(0, 9), (0, 1)], 65534, 1), (1, [(0, 1)], 65535, 0),
+            (300, [(0, 8), (1, 0)], 299, 0), (299, [(0, 7), (0, 20)], 299, 1),
+            (298, [(0, 9), (1, 0)], 298, 1), (297, [(0, 12)], 65535, 0),
+            (40000, [(0, 2**40)], 39703, 0), (39999, [(0, 2**32 + 5)], 39999, 1),
+            (255, [(0, 2**32 + 4)], 255, 1), (254, [(1, 2**32 + 3)], 254, 0),
+            (253, [(1, 2**63)], 65535, 0), (252, [(1, 2**63 - 1)], 252, 1),
+            (251, [(0, 2**64 - 1)], 65535, 0), (250, [(0, 1)], 250, 1),
+        ):  # fmt: skip
+            sif = queued("many", number, [(channel, time_us, 1) for channel, time_us in times])
+            given = [
+                (channel, time_us or None, 1 if time_us else None) for channel, time_us in times
+            ]
+            taken(host, "many", [sif], given, lost=lost, resets=resets)
+
+
 class Clock(_TransducerCase):
     """Sends samples whose times go on, stay and go back, on each channel."""
 
