@@ -46,6 +46,7 @@ from j2a.protocol.boot import pack_boot
 from j2a.protocol.device_clock import DeviceClock
 from j2a.protocol.server import Server
 from j2a.protocol.trace import Trace
+from j2a.protocol.transducers import TransducerServer
 from j2a.types.transducers import Descriptors
 
 if TYPE_CHECKING:
@@ -244,7 +245,7 @@ class Device(FunctionRegistry):
         known = source if isinstance(source, Descriptors) else load_transds(source)
         path = Path(settings) if settings is not None else None
         runner = TransducerRunner(
-            known,
+            self._transducer_server(known),
             self.send_sif,
             self._calling,
             path,
@@ -255,6 +256,9 @@ class Device(FunctionRegistry):
         self._table.add_content(GET_TRANSDS, self._tell_descriptors)
         self._table.add_call(TRANSD, runner.request)
         return runner
+
+    def _transducer_server(self, known: Descriptors) -> TransducerServer:
+        return TransducerServer(known)
 
     def _tell_descriptors(self) -> bytes:
         """Return what a2jGetTransds returns; a host reads it before it uses samples."""

@@ -16,11 +16,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Final, Self
 
+from j2a_spec.constants import TRANSD_TOPIC
+
 from j2a.errors import LocalError
 from j2a.events import Sample
 from j2a.io.mcap_file import About, ChannelRecord, McapFile
+from j2a.protocol.saved_settings import SavedSettings, dump
 from j2a.types.cdr import SampleMessage
 from j2a.types.descriptors import parse_descriptors
+from j2a.types.naming import free_name
 from j2a.types.ros import ros2_definition
 from j2a.types.transducers import Descriptors, Transducer
 
@@ -42,12 +46,15 @@ class RecordedBoard:
         url: where it was.
         descriptors: what it said of its transducers.
         properties: its properties.
+        settings: those of its sensors when the recording began, as `Device(settings=...)` keeps
+            them; "" where they are not known.
     """
 
     name: str
     url: str
     descriptors: Descriptors
     properties: Mapping[str, str]
+    settings: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +105,7 @@ class Recorder:
         self._segment_bytes = segment_bytes
         self._lock = threading.Lock()
         self._boards: list[tuple[RecordedBoard, Mapping[str, str]]] = []
+        self._topics: set[str] = set()
         self._channels: dict[tuple[str, str], tuple[int, SampleMessage]] = {}
         self.paths: list[Path] = []
         self.samples = 0
@@ -120,6 +128,7 @@ class Recorder:
         properties: Mapping[str, str] | None = None,
         prefix: str = "",
         topics: Mapping[str, str] | None = None,
+        settings: SavedSettings | None = None,
     ) -> None:
         """Announce a board before its samples.
 
@@ -129,17 +138,31 @@ class Recorder:
             url, properties: kept for who reads the file.
             prefix: of its topics; needed where there are several boards.
             topics: names of topics by sensor, in place of those that the descriptors give.
+            settings: by sensor the bytes of items of a2jTransd, which `j2a replay` needs; a TOPIC
+                names the topic.
 
         Raises:
             LocalError: there is a board of that name.
         """
-        names = {one.name: topic_of(prefix, one.topic) for one in descriptors.transducers}
-        names |= {sensor: topic_of("", topic) for sensor, topic in (topics or {}).items()}
+        named = {one.name: one.topic for one in descriptors.transducers if one.is_sensor}
+        named |= {
+            sensor: items[TRANSD_TOPIC].decode(errors="replace")
+            for sensor, items in (settings or {}).items()
+            if TRANSD_TOPIC in items
+        }
+        kept = dump(settings, str(descriptors).encode()).decode() if settings else ""
         with self._lock:
+            names: dict[str, str] = {}
+            for sensor, topic in named.items():
+                taken = {*names.values(), *self._topics}
+                names[sensor] = free_name(topic_of(prefix, topic), taken)
+            names |= {sensor: topic_of("", topic) for sensor, topic in (topics or {}).items()}
             if any(board.name == name for board, _ in self._boards):
                 raise LocalError(f"the recording has a board {name!r} already")
-            self._boards.append((RecordedBoard(name, url, descriptors, properties or {}), names))
-            self._announce(*self._boards[-1])
+            board = RecordedBoard(name, url, descriptors, properties or {}, kept)
+            self._boards.append((board, names))
+            self._topics |= set(names.values())
+            self._announce(board, names)
 
     def write(self, board: str, sample: Sample, time_ns: int) -> None:
         """Write a sample.
@@ -219,15 +242,15 @@ class Recorder:
             self._announce(board, topics)
 
     def _announce(self, board: RecordedBoard, topics: Mapping[str, str]) -> None:
-        self._writer.add_metadata(
-            _BOARD,
-            {
-                "name": board.name,
-                "url": board.url,
-                "descriptors": str(board.descriptors),
-                "properties": json.dumps(dict(board.properties)),
-            },
-        )
+        about = {
+            "name": board.name,
+            "url": board.url,
+            "descriptors": str(board.descriptors),
+            "properties": json.dumps(dict(board.properties)),
+        }
+        if board.settings:
+            about["settings"] = board.settings
+        self._writer.add_metadata(_BOARD, about)
         for one in board.descriptors.transducers:
             if not one.is_sensor:
                 continue
@@ -336,7 +359,8 @@ class Recording:
         if not isinstance(properties, dict):
             properties = {}
         texts = {str(key): str(value) for key, value in properties.items()}
-        self.boards[name] = RecordedBoard(name, about.get("url", ""), descriptors, texts)
+        url, settings = about.get("url", ""), about.get("settings", "")
+        self.boards[name] = RecordedBoard(name, url, descriptors, texts, settings)
         return length
 
     def _sensor(self, about: Mapping[str, str]) -> tuple[str, Transducer] | None:

@@ -1,23 +1,29 @@
 """A recording as a device: its samples come again, in the time in which they came.
 
 What flows in: a file that `j2a.recording` wrote. What flows out: a device with the transducers of
-a board, whose sample SIFs are those of the recording, bit for bit.
+a board, whose sample SIFs are those of the recording, bit for bit, until a host changes settings.
+Its clock goes on as that of the recorded board.
 """
 
 import threading
+import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from j2a.device import Device
 from j2a.errors import LocalError, RegistrationError
 from j2a.io.functions import pack_properties
+from j2a.protocol.replayed import ReplayServer
 from j2a.protocol.trace import Trace
+from j2a.protocol.transducers import TransducerServer
 from j2a.recording import Recorded, RecordedBoard, Recording
+from j2a.types.transducers import Descriptors
 
 __all__ = ["ReplayBoard"]
 
-_NS: Final = 1_000_000_000
+_LONGEST_WAIT_S: Final = 3600.0
 _BEGIN_S: Final = 0.5
 _OWN: Final = "j2a."
 
@@ -44,6 +50,10 @@ class ReplayBoard(Device):
     ) -> None:
         self._path = path
         self._board = _chosen(path, Recording(path).read_boards(), board)
+        self._server = ReplayServer(self._board.descriptors, self._board.settings.encode())
+        self._pace = time.monotonic_ns(), 0, 1.0
+        self._shift_us = 0
+        self._newest_us: dict[str, int] = {}
         self._described = threading.Event()
         self._ended = threading.Event()
         self.is_whole = False
@@ -56,38 +66,79 @@ class ReplayBoard(Device):
         self._ended.set()
         super().stop()
 
+    @property
+    def clock_us(self) -> int:
+        """The time of the recorded board; before its first sample that since the start."""
+        return self._local_us() + self._shift_us
+
+    def _local_us(self) -> int:
+        base_ns, base_us, speed = self._pace
+        return base_us + int((time.monotonic_ns() - base_ns) * speed / 1000)
+
+    def _transducer_server(self, known: Descriptors) -> TransducerServer:
+        return self._server
+
     def _tell_descriptors(self) -> bytes:
         self._described.set()
         return super()._tell_descriptors()
 
     def play(self, speed: float = 1.0) -> int:
-        """Send the samples, from when a host has read the descriptors on; returns how many.
+        """Play the samples, from when a host has read the descriptors on; returns how many.
+
+        A sample is sent as it was, unless a host has changed settings of its sensor. What is
+        damaged of the recording is left out; see `problem`.
 
         Args:
-            speed: 2 is twice as fast as they came.
-
-        What is damaged of it is left out; see `problem`.
+            speed: 2 is twice as fast as they came; the time of the board is, too.
 
         Raises:
             OSError: it cannot be read.
         """
         self._described.wait()
         self._ended.wait(_BEGIN_S)  # until the host knows them
+        self._pace = time.monotonic_ns(), self._local_us(), speed
+        self._transducers().set_pace(speed)
         recording = Recording(self._path)
-        first_ns: int | None = None
+        due_us, last_ns = self._local_us(), None
         count = 0
         for sample in self._samples(recording):
             if sample.board != self._board.name:
                 continue
-            if first_ns is None:
-                first_ns, start_us = sample.time_ns, self._transducers().now_us()
-            due_us = start_us + (sample.time_ns - first_ns) / 1000 / speed
-            if self._ended.wait(max(0.0, due_us - self._transducers().now_us()) / 1e6):
+            if last_ns is not None:
+                # Where the clock of the computer was set back meanwhile, it goes on at once.
+                due_us += max(0, sample.time_ns - last_ns) // 1000
+            last_ns = sample.time_ns
+            if not self._wait_until(due_us):
                 return count
-            self.send_sif(sample.sensor.id, sample.payload)
+            self._transducers().give(partial(self._replay, sample))
             count += 1
         self.is_whole = recording.is_whole
         return count
+
+    def _wait_until(self, due_us: int) -> bool:
+        """Wait until a local time; return False when the device was stopped."""
+        while not self._ended.is_set():
+            left_s = (due_us - self._local_us()) / self._pace[2] / 1e6
+            if left_s <= 0:
+                return True
+            self._ended.wait(min(left_s, _LONGEST_WAIT_S))
+        return False
+
+    def _replay(self, sample: Recorded, local_us: int) -> list[tuple[int, bytes]]:
+        name = sample.sensor.name
+        newest_us = self._server.newest_us(name, sample.payload)
+        if newest_us:
+            self._set_clock(name, newest_us, local_us)
+        return self._server.replay(name, sample.payload, local_us)
+
+    def _set_clock(self, name: str, newest_us: int, local_us: int) -> None:
+        """Set the clock so that no value is ahead of it; back only where that of the board went."""
+        shift_us = newest_us - local_us
+        is_back = newest_us < self._newest_us.get(name, 0)
+        if not self._newest_us or is_back or shift_us > self._shift_us:
+            moved_us, self._shift_us = shift_us - self._shift_us, shift_us
+            self._transducers().move(moved_us)
+        self._newest_us[name] = newest_us
 
     def _samples(self, recording: Recording) -> Iterator[Recorded]:
         try:

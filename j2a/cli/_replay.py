@@ -24,7 +24,8 @@ examples:
   j2a replay drive.mcap --listen tcp://127.0.0.1:5000
   j2a replay two.mcap --board left --speed 4 --listen tcp://127.0.0.1:5000
 
-It begins when a host has read what the board says of its transducers."""
+It begins when a host has read what the board says of its transducers. Hosts may change settings of
+sensors; what would need values that were not recorded is refused, such as a shorter period."""
 _DELIVER_S: Final = 0.5
 
 

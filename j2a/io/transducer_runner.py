@@ -18,7 +18,6 @@ from typing import Any, Final
 
 from j2a.errors import LocalError
 from j2a.protocol.transducers import Action, TransducerServer
-from j2a.types.transducers import Descriptors
 
 __all__ = ["TransducerRunner"]
 
@@ -33,7 +32,7 @@ class TransducerRunner:
     """The transducers of a device.
 
     Args:
-        descriptors: what the device says of them.
+        server: what the device says of them, and what they do.
         send: sends a SIF to each host.
         calling: is held while a function of the device runs.
         settings: the file that keeps settings; None keeps none.
@@ -44,7 +43,7 @@ class TransducerRunner:
 
     def __init__(
         self,
-        descriptors: Descriptors,
+        server: TransducerServer,
         send: Callable[[int, bytes], object],
         calling: threading.Lock,
         settings: Path | None = None,
@@ -53,7 +52,7 @@ class TransducerRunner:
         clock_us: Callable[[], int],
         pace: float,
     ) -> None:
-        self._server = TransducerServer(descriptors)
+        self._server = server
         if settings is not None:
             if settings.exists():
                 self._server.restore(settings.read_bytes())
@@ -64,7 +63,8 @@ class TransducerRunner:
         self._is_due = False
         self._local_us = local_us
         self._clock_us = clock_us
-        self._seconds = _SLOWEST / (_US * pace)
+        self._seconds = 0.0
+        self.set_pace(pace)
         self._thread: threading.Thread | None = None
         self._is_stopped = False
 
@@ -107,6 +107,18 @@ class TransducerRunner:
             self._server.sense(name, channel, value, self.now_us(), is_raw=is_raw)
             self._wake()
 
+    def give(self, values: Callable[[int], list[tuple[int, bytes]]]) -> None:
+        """Have something given to the server at this local time, and send the SIFs that it returns.
+
+        It is done between two functions of the device, so that no setting changes meanwhile.
+        """
+        with self._calling:
+            with self._changed:
+                sifs = values(self._local_us())
+                self._wake()
+            for opcode, payload in sifs:
+                self._send(opcode, payload)
+
     # ------------------------------------------------------------------ requests
 
     def hear(self) -> None:
@@ -124,6 +136,12 @@ class TransducerRunner:
             self._wake()
         _run([*due, *actions])
         return code, reply
+
+    def set_pace(self, pace: float) -> None:
+        """Notice that so many local microseconds pass in one from now on."""
+        with self._changed:
+            self._seconds = _SLOWEST / (_US * pace)
+            self._wake()
 
     def move(self, by_us: int) -> None:
         """Notice that the clock was adjusted, and stepped by so much."""

@@ -21,7 +21,7 @@ from j2a.types.coding import PythonTypes
 from j2a.types.samples import SampleCodec
 from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Descriptors, Transducer
 
-__all__ = ["Action", "TransducerServer"]
+__all__ = ["Action", "SensorState", "TransducerServer"]
 
 Action = Callable[[], object]
 """A call of a function of the user."""
@@ -72,20 +72,21 @@ class TransducerServer:
         self.codecs = {one.name: SampleCodec(one, types) for one in descriptors.transducers}
         self.on_set: dict[str, Callable[[int, Any], object]] = {}
         self.on_trigger: dict[str, Callable[[], object]] = {}
-        self._sensors = [
-            _Sensor(one, self.codecs[one.name]) for one in descriptors.transducers if one.is_sensor
-        ]
+        self._sensors = [self._sensor(one) for one in descriptors.transducers if one.is_sensor]
         self._actuators = [
             _Actuator(one, self.codecs[one.name])
             for one in descriptors.transducers
             if not one.is_sensor
         ]
-        everything: list[_Sensor | _Actuator] = [*self._sensors, *self._actuators]
+        everything: list[SensorState | _Actuator] = [*self._sensors, *self._actuators]
         self._by_id = {one.transducer.id: one for one in everything}
         self._by_name = {one.transducer.name: one for one in everything}
         self._heard_us = 0
         self.keep: Callable[[bytes], bool] | None = None
         self._saved: saved_settings.SavedSettings = {}
+
+    def _sensor(self, transducer: Transducer) -> "SensorState":
+        return SensorState(transducer, self.codecs[transducer.name])
 
     # ------------------------------------------------------------------ drivers
 
@@ -103,7 +104,7 @@ class TransducerServer:
             LocalError: there is no such sensor or channel, or the value is not of its type.
         """
         sensor = self._by_name.get(name)
-        if not isinstance(sensor, _Sensor):
+        if not isinstance(sensor, SensorState):
             known = ", ".join(one.transducer.name for one in self._sensors) or "none"
             raise LocalError(f"the device has no sensor {name!r}, but {known}")
         if not isinstance(channel, int) or not 0 <= channel < sensor.transducer.channels:
@@ -161,7 +162,7 @@ class TransducerServer:
 
     def _write(
         self,
-        one: "_Sensor | _Actuator",
+        one: "SensorState | _Actuator",
         item: int,
         value: bytes,
         now_us: int,
@@ -169,7 +170,7 @@ class TransducerServer:
     ) -> bool:
         if item == c.TRANSD_TOPIC:
             return one.write_topic(value)
-        if isinstance(one, _Sensor):
+        if isinstance(one, SensorState):
             if item == c.TRANSD_TRIGGER:
                 one.trigger_us = int.from_bytes(value, "little")
                 self._start(one, now_us, actions)
@@ -196,7 +197,7 @@ class TransducerServer:
                 if _has_item(one.transducer, item, True) and len(value) in _lengths(one, item):
                     self._write(one, item, value, 0, [])
 
-    def _save(self, one: "_Sensor | _Actuator", value: bytes) -> int:
+    def _save(self, one: "SensorState | _Actuator", value: bytes) -> int:
         """Execute a write of SAVE (J2A-TRANS-028); return the code."""
         if len(value) != 1:
             return c.TRANSD_BAD_LENGTH
@@ -263,7 +264,7 @@ class TransducerServer:
             next_us = min(next_us, self._move(actuator, now_us, actions))
         return sifs, actions, min(next_us - now_us, next_local_us - local_us)
 
-    def _start(self, sensor: "_Sensor", now_us: int, actions: list[Action]) -> float:
+    def _start(self, sensor: "SensorState", now_us: int, actions: list[Action]) -> float:
         due_us = sensor.trigger_us
         if due_us is None:
             return _NEVER
@@ -345,7 +346,9 @@ class _Transducer:
         return True
 
 
-class _Sensor(_Transducer):
+class SensorState(_Transducer):
+    """A sensor: its settings, and the values that wait."""
+
     def __init__(self, transducer: Transducer, codec: SampleCodec) -> None:
         super().__init__(transducer, codec)
         self.is_enabled = transducer.is_enabled
@@ -478,7 +481,7 @@ def _has_item(one: Transducer, item: int, is_write: bool) -> bool:
     return key is None or one.has(key)
 
 
-def _lengths(one: _Sensor | _Actuator, item: int) -> Sequence[int]:
+def _lengths(one: SensorState | _Actuator, item: int) -> Sequence[int]:
     """Return how long an item may be that is written."""
     size = one.transducer.type.size
     if item == c.TRANSD_SET:
@@ -488,7 +491,7 @@ def _lengths(one: _Sensor | _Actuator, item: int) -> Sequence[int]:
     return (_BYTES.get(item, size),)
 
 
-def _read(one: _Sensor | _Actuator, item: int, now_us: int) -> bytes:
+def _read(one: SensorState | _Actuator, item: int, now_us: int) -> bytes:
     if item == c.TRANSD_SAMPLE:
         return one.sample()
     if item == c.TRANSD_TOPIC:

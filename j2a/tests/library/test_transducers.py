@@ -16,6 +16,7 @@ import j2a
 from j2a import Batch
 from j2a.demo import DemoDevice
 from j2a.io.transducer_runner import TransducerRunner
+from j2a.protocol.transducers import TransducerServer
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard, wave
 
@@ -601,7 +602,7 @@ class TestActuators:
     def test_an_answer_tells_what_is_due_though_the_thread_is_late(self):
         now, moved = 100, []
         runner = TransducerRunner(
-            read_transds(FILE),
+            TransducerServer(read_transds(FILE)),
             lambda *_: None,
             threading.Lock(),
             local_us=lambda: now,
