@@ -21,6 +21,7 @@ from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_si
 from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._progress import size_text
+from j2a.protocol.saved_settings import SavedSettings
 from j2a.recording import Recorder, check_package
 
 NOTES: Final = """\
@@ -150,10 +151,23 @@ def _begin(session: _Session, board: j2a.Client, name: str, *, is_alone: bool) -
         url=board.url,
         properties=board.properties,
         prefix="" if is_alone else name,
+        settings=_settings(board),
     )
     for sensor in board.transducers.values():
         if isinstance(sensor, j2a.Sensor):
             sensor.on_sample(session.keep(name, sensor))
+
+
+def _settings(board: j2a.Client) -> SavedSettings:
+    """Return the settings that sensors have now, without those that the board does not tell."""
+    found: SavedSettings = {}
+    try:
+        for sensor in board.transducers.values():
+            if isinstance(sensor, j2a.Sensor):
+                found[sensor.name] = sensor._settings()
+    except j2a.J2AError as error:  # an older board, or one that is being lost
+        note(f"j2a: {board.url}: {error}")
+    return found
 
 
 def _record(session: _Session, boards: list[j2a.Client], seconds: float | None) -> int:

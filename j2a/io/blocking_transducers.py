@@ -27,6 +27,10 @@ class _Blocking(RemoteTransducer):
     def _get(self, setting: str) -> Any:
         return self._unpack(setting, self._ask(self._request(SETTINGS[setting])))
 
+    def _settings(self) -> dict[int, bytes]:
+        """Ask for all settings, as the bytes of items of a2jTransd."""
+        return {item: self._ask(self._request(item)) for item in self._items()}
+
     def configure(self, **settings: Any) -> None:
         """Change settings: enabled, period, decimation, threshold, topic, watchdog.
 

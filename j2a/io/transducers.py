@@ -146,6 +146,12 @@ class RemoteTransducer:
             raise WrongArgument(f"{self.name} has no {key}: its descriptor does not name the key")
         return bytes([self.descriptor.id, item]) + value
 
+    def _items(self) -> list[int]:
+        """Return the settings that it has."""
+        common = (c.TRANSD_ENABLED, c.TRANSD_PERIOD) if self.descriptor.is_sensor else ()
+        keys = [item for item in SETTINGS.values() if self.descriptor.has(_NEEDS.get(item, ""))]
+        return [*common, *keys]
+
     def _answer(self, reply: Reply) -> bytes:
         """Return the item that a reply holds.
 

@@ -10,9 +10,12 @@ from pathlib import Path
 
 import pytest
 from j2a_spec.constants import BOOT
+from mcap import reader as mcap_reader
 
 import j2a
 from j2a.recording import Recording
+from j2a.replay import ReplayBoard
+from j2a.tests.library.support import linked
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard
 
@@ -168,6 +171,51 @@ def test_boards_of_one_name_are_told_apart_by_their_serial_numbers(run, tmp_path
             stack.callback(next, serving, None)
         assert run("record", *urls, "-o", path, "--seconds", "1.5").code == 0
     assert {one.board for one in Recording(path)} == {"cart_B7", "cart_A3"}
+
+
+def test_topics_and_settings_are_those_of_the_board_at_run_time(run, tmp_path):
+    lines = "".join(
+        f"SENSOR({name}, {n}, {name}, X, 1, u8, none, (topic, {name}), (period, 500000))\n"
+        for n, name in enumerate(("quad", "other", "third"))
+    )
+    device, path = VirtualBoard(read_transds(lines)), tmp_path / "a.mcap"
+    device.measure()
+    serving = served(device)
+    try:
+        url = next(serving)
+        with j2a.connect(url) as client:
+            client.transducers["quad"].configure(topic="left/wheel", period=0.01)
+            client.transducers["other"].topic = "third"
+        assert run("record", url, "-o", path, "--seconds", "1.5").code == 0
+    finally:
+        next(serving, None)
+    with path.open("rb") as file:
+        channels = mcap_reader.make_reader(file).get_summary().channels.values()
+    topics = {one.metadata["sensor"]: one.topic for one in channels}
+    assert topics == {"quad": "/left/wheel", "other": "/third", "third": "/third2"}
+    replayed = ReplayBoard(path)
+    with replayed, linked(replayed) as board:
+        quad = board.transducers["quad"]
+        assert (quad.topic, quad.period) == ("left/wheel", 0.01)
+        quad.period = 0.02
+        with pytest.raises(j2a.FunctionFailed, match="out of range"):
+            quad.period = 0.005
+
+
+def test_names_that_make_the_same_topics(run, tmp_path):
+    path = tmp_path / "a.mcap"
+    with contextlib.ExitStack() as stack:
+        urls = []
+        for name in ("my cart", "my-cart"):
+            device = VirtualBoard(read_transds(FILE_BEFORE), {"name": name})
+            device.measure()
+            serving = served(device)
+            urls.append(next(serving))
+            stack.callback(next, serving, None)
+        assert run("record", *urls, "-o", path, "--seconds", "1.5").code == 0
+    with path.open("rb") as file:
+        channels = mcap_reader.make_reader(file).get_summary().channels.values()
+    assert len({one.topic for one in channels}) == 4
 
 
 def test_there_and_back(board, run, start, tmp_path):
