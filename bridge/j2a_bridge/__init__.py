@@ -6,13 +6,14 @@ adds another way out.
 
 from j2a_bridge.bridge import Bridge
 from j2a_bridge.config import Config, load_config
-from j2a_bridge.sink import Control, Option, Sink, SinkError, SinkRequest, Status, Update
+from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, SinkRequest, Status, Update
 from j2a_bridge.topics import Topic
 
 __all__ = [
     "Bridge",
     "Config",
     "Control",
+    "NotTaken",
     "Option",
     "Sink",
     "SinkError",

@@ -4,7 +4,8 @@ What flows in: topics and samples, from the loop of the bridge. What flows out: 
 in order.
 Rules: so many samples may wait; then the oldest are dropped and counted. No news of a topic ever
 is, but where very many wait only the last ones of each topic stay. A sink that fails is told once,
-closed, and opened anew after a while with all its topics.
+closed, and opened anew after a while with all its topics; one that cannot take a single topic goes
+on with the others.
 """
 
 import contextlib
@@ -15,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from j2a_bridge.sink import Sink, SinkError, SinkStatus, Status, Update
+from j2a_bridge.sink import NotTaken, Sink, SinkError, SinkStatus, Status, Update
 from j2a_bridge.topics import Topic
 
 __all__ = ["SinkRunner"]
@@ -49,6 +50,8 @@ class SinkRunner:
         self._status: Status | None = None
         self._is_ended = False
         self._topics: dict[str, Topic] = {}
+        self._refused: set[str] = set()  # topics that the sink cannot take
+        self._warned: set[str] = set()  # topics of which it could not take a sample
         self._is_open = False
         self._is_flushed = True
         self._told = ""
@@ -140,7 +143,9 @@ class SinkRunner:
         is_given_up = False
         try:
             while True:
-                if not self._is_open and not is_given_up and time.monotonic() >= due:
+                # At the end a sink that has failed is not opened once more.
+                may_open = not is_given_up and not (self._is_ended and self.opened.is_set())
+                if not self._is_open and may_open and time.monotonic() >= due:
                     if not self._open():
                         is_given_up = self.sink.RETRY_S is None
                         due = time.monotonic() + (self.sink.RETRY_S or 0.0)
@@ -165,15 +170,16 @@ class SinkRunner:
             while True:
                 if self._news:
                     return self._news.popleft()
+                # Before samples: there are always some where a sink is slower than they come.
+                if self._status is not None and not self._is_ended:
+                    status, self._status = self._status, None
+                    return status
                 if self._waiting:
                     item = self._waiting.popleft()
                     self._samples -= isinstance(item, Update)
                     return item
                 if self._is_ended:
                     return None
-                if self._status is not None:
-                    status, self._status = self._status, None
-                    return status
                 left = None if due is None else due - time.monotonic()
                 if left is not None and left <= 0:
                     return True
@@ -183,10 +189,13 @@ class SinkRunner:
         """Do one thing; return whether the sink did not fail."""
         try:
             if isinstance(item, Update):
-                if not self._is_open:
-                    self.dropped += 1
-                elif item.topic.name in self._topics:
+                name = item.topic.name
+                # Of a topic that has changed, the news may be gone while samples of before wait.
+                is_known = self._topics.get(name) is item.topic and name not in self._refused
+                if self._is_open and is_known:
                     self._publish(item)
+                else:
+                    self.dropped += 1
             elif isinstance(item, Status):
                 if self._is_open:
                     self.sink.status(item)
@@ -203,6 +212,13 @@ class SinkRunner:
     def _publish(self, update: Update) -> None:
         try:
             self.sink.publish(update)
+        except NotTaken as error:
+            self.dropped += 1
+            name = update.topic.name
+            if name not in self._warned:
+                self._warned.add(name)
+                _logger.warning("sink %s: a sample of %s is left out: %s", self.name, name, error)
+            return
         except Exception:
             self.dropped += 1
             raise
@@ -213,21 +229,41 @@ class SinkRunner:
         before = self._topics.pop(topic.name, None)
         if has_come:
             self._topics[topic.name] = topic
-        if not self._is_open:
+        if not self._is_open or (has_come and before is topic):
             return
-        if before is not None and before is not topic:
-            self.sink.retract(before)
+        if before is not None:
+            self._warned.discard(before.name)
+            if before.name in self._refused:
+                self._refused.discard(before.name)
+            else:
+                self.sink.retract(before)
         if has_come:
-            if before is not topic:
-                self.sink.announce(topic)
-        elif before is topic:
-            self.sink.retract(topic)
+            self._announce(topic)
+
+    def _announce(self, topic: Topic) -> None:
+        try:
+            self.sink.announce(topic)
+        except (SinkError, OSError):
+            raise
+        except Exception as error:  # what a board says may be more than a sink can bear
+            self._refused.add(topic.name)
+            _logger.warning(
+                "sink %s does not take %s: %s: %s",
+                self.name,
+                topic.name,
+                type(error).__name__,
+                error,
+                exc_info=None if isinstance(error, NotTaken) else error,
+            )
+            with contextlib.suppress(Exception):  # what was done of it
+                self.sink.retract(topic)
 
     def _open(self) -> bool:
+        self._refused.clear()
         try:
             self.sink.open()
             for topic in self._topics.values():
-                self.sink.announce(topic)
+                self._announce(topic)
         except Exception as error:
             self._fail(error)
             return False

@@ -23,6 +23,7 @@ from j2a_bridge.topics import Topic
 __all__ = [
     "BoardStatus",
     "Control",
+    "NotTaken",
     "Option",
     "Sink",
     "SinkError",
@@ -41,6 +42,10 @@ _NS_PER_US: Final = 1000
 
 class SinkError(Exception):
     """A sink cannot go on; the message says what to do. It is opened anew after a while."""
+
+
+class NotTaken(Exception):  # noqa: N818 - the sink itself has not failed
+    """A sink cannot take this topic or this sample; the message says why. The others go on."""
 
 
 @dataclass(frozen=True)
@@ -292,7 +297,12 @@ class Sink(ABC):
 
     @abstractmethod
     def announce(self, topic: Topic) -> None:
-        """Take in a topic, of a sensor or an actuator, before its first sample."""
+        """Take in a topic, of a sensor or an actuator, before its first sample.
+
+        Raises:
+            SinkError, OSError: the sink has failed. Whatever else it raises is about this topic
+                alone, which it is then told to let go, and gets no samples of.
+        """
 
     @abstractmethod
     def retract(self, topic: Topic) -> None:
@@ -300,7 +310,12 @@ class Sink(ABC):
 
     @abstractmethod
     def publish(self, update: Update) -> None:
-        """Publish a sample."""
+        """Publish a sample.
+
+        Raises:
+            NotTaken: this one cannot be published.
+            SinkError, OSError: the sink has failed.
+        """
 
     def status(self, status: Status) -> None:  # noqa: B027 - most sinks have no use for it
         """Take in the state of all; called once a second."""

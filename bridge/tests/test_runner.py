@@ -4,7 +4,7 @@ import struct
 import threading
 
 import pytest
-from j2a_bridge import Sink, SinkError
+from j2a_bridge import NotTaken, Sink, SinkError, Status
 from j2a_bridge.runner import _MOST_NEWS, SinkRunner
 
 from .support import PATIENCE_S
@@ -24,6 +24,9 @@ class Blocked(Sink):
         self.values = []
         self.kept_back = 0
         self.fails_at = ""
+        self.refused = None
+        self.too_great = None
+        self.statuses = []
 
     def open(self):
         assert self.let_go.wait(PATIENCE_S)
@@ -31,6 +34,8 @@ class Blocked(Sink):
     def announce(self, topic):
         assert topic.name not in self.topics
         self.topics[topic.name] = topic
+        if topic is self.refused:
+            raise TypeError("a name that is reserved")
 
     def retract(self, topic):
         assert self.topics.pop(topic.name) is topic
@@ -39,6 +44,8 @@ class Blocked(Sink):
         if self.fails_at == "publish":
             raise SinkError("the disk is full")
         assert self.topics[update.topic.name] is update.topic
+        if update.sample.readings[0].raw == self.too_great:
+            raise NotTaken("it is too great")
         self.values.append(struct.unpack("<QB", update.sample.payload)[1])
         self.kept_back += 1
 
@@ -46,6 +53,9 @@ class Blocked(Sink):
         if self.fails_at == "flush":
             raise SinkError("the disk is full")
         self.kept_back = 0
+
+    def status(self, status):
+        self.statuses.append((status, len(self.values)))
 
     def close(self):
         pass
@@ -138,3 +148,86 @@ def test_each_sample_counts_once_when_the_sink_fails(
     assert runner.join(PATIENCE_S)
     assert runner.problem == "the disk is full"
     assert (runner.published, runner.dropped) == (published, 2 - published)
+
+
+def test_a_topic_that_is_gone_while_a_sink_was_blocked_is_taken_back(runner, sink):
+    before, between, after = topic("level"), topic("level"), topic("level")
+    runner.announce(before)
+    sink.let_go.set()
+    assert runner.opened.wait(PATIENCE_S)
+    with runner._wake:  # the thread waits
+        runner.publish(value(before, 1))
+        runner.retract(before)
+        runner.announce(between)
+        runner.publish(value(between, 2))
+        runner.retract(between)
+        runner._shorten()
+        runner.announce(after)
+        runner.publish(value(after, 3))
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert sink.topics == {"level": after} and sink.values == [1, 3]
+    assert (runner.published, runner.dropped) == (2, 1)
+
+
+def test_a_topic_that_a_sink_cannot_take_disturbs_no_other(runner, sink, caplog):
+    odd, good, better = topic("odd"), topic("good"), topic("odd")
+    sink.refused = odd
+    sink.let_go.set()
+    for each in (odd, good):
+        runner.announce(each)
+        runner.publish(value(each, 1))
+    runner.retract(odd)
+    runner.announce(better)
+    runner.publish(value(better, 2))
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert sink.topics == {"odd": better, "good": good} and sink.values == [1, 2]
+    assert (runner.published, runner.dropped, runner.problem) == (2, 1, "")
+    assert caplog.text.count("does not take odd: TypeError: a name that is reserved") == 1
+
+
+def test_a_sample_that_a_sink_cannot_take_is_left_out_and_counted(runner, sink, caplog):
+    level = topic("level")
+    sink.too_great = 255
+    sink.let_go.set()
+    runner.announce(level)
+    for number in (1, 255, 255, 2):
+        runner.publish(value(level, number))
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert sink.values == [1, 2]
+    assert (runner.published, runner.dropped, runner.problem) == (2, 2, "")
+    assert caplog.text.count("a sample of level is left out: it is too great") == 1
+
+
+def test_a_sink_that_is_never_done_hears_of_the_state_all_the_same(runner, sink):
+    level = topic("level")
+    runner.announce(level)
+    for number in range(9):
+        runner.publish(value(level, number))
+    runner.tell_status(Status("host"))
+    sink.let_go.set()
+    runner.publish(value(level, 9))
+    while not sink.statuses:
+        assert runner._thread.is_alive()
+    [(_, count)] = sink.statuses
+    assert count == 0
+
+
+def test_a_sink_that_has_failed_is_not_opened_once_more_at_the_end(runner, sink, monkeypatch):
+    monkeypatch.setattr(Blocked, "RETRY_S", 0.0)
+    opened = []
+    sink.let_go.set()
+    assert runner.opened.wait(PATIENCE_S)
+    sink.open = lambda: opened.append(1)
+    sink.fails_at = "publish"
+    level = topic("level")
+    with runner._wake:  # the thread waits
+        runner.announce(level)
+        runner.publish(value(level, 1))
+        runner.publish(value(level, 2))
+        runner.end()
+    assert runner.join(PATIENCE_S)
+    assert not opened
+    assert (runner.published, runner.dropped) == (0, 2)

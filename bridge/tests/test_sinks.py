@@ -177,6 +177,31 @@ def test_two_boards_and_one_that_changes_are_apart_in_a_recording(tmp_path):
     assert names == [("robot", "u8", b"\5"), ("robot_2", "u16", b"\5\0")]
 
 
+def test_a_time_that_a_message_cannot_have_ends_no_recording(tmp_path):
+    path = tmp_path / "a.mcap"
+
+    async def work(device, url):
+        async with bridging(config_for(url, sinks=(f"mcap:{path}", "kept"))) as bridge:
+            await until(lambda: "quad" in bridge._flows)
+            device.sense("quad", 0, 1, raw=True)
+            await until(lambda: bridge.runners[0].published)
+            [board] = bridge._boards.values()
+            times = struct.pack("<Qh", (1 << 64) - 1, 2) + struct.pack("<Qh", 0, 0)
+            level = bridge._flows["quad"]
+            sample = update_of(level.topic, times).sample
+            bridge._take_of(board, sample, time.time_ns())
+            await until(lambda: bridge.runners[0].dropped)
+            device.sense("quad", 0, 3, raw=True)
+            await until(lambda: bridge.runners[0].published == 2)
+            assert bridge.runners[0].problem == ""
+
+    device = board_of()
+    with served(device) as url:
+        asyncio.run(work(device, url))
+    values = [one.payload[8] for one in Recording(path)]
+    assert values == [1, 3]
+
+
 def _is_kind(bridge, kind):
     flow = bridge._flows.get("s")
     return flow is not None and str(flow.topic.transducer.type) == kind

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final
 
 from j2a import LocalError
 from j2a.recording import Recorder, check_package
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Update
+from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, Update
 from j2a_bridge.topics import Topic
 
 __all__ = ["McapSink"]
@@ -73,7 +73,7 @@ class McapSink(Sink):
         try:
             self._recorder.write(name, update.sample, update.arrived_ns)
         except ValueError as error:
-            raise SinkError(f"{update.topic.name} cannot be recorded: {error}") from None
+            raise NotTaken(str(error)) from None
 
     def _add(self, topic: Topic) -> str:
         """Announce a board as it is now, under a name that the file does not have yet."""
