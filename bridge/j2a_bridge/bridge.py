@@ -12,7 +12,7 @@ import logging
 import socket
 import statistics
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import Future
 from typing import Any, Final
@@ -29,11 +29,16 @@ __all__ = ["Bridge"]
 _EARLY: Final = 1024
 """So many samples of a board wait until its topics are known."""
 _MAX_BOARDS: Final = 1000
+_MAX_ORDERS: Final = 256
+"""So many orders of all sinks may wait for boards; whoever sends more is refused."""
 _OPEN_S: Final = 30.0
+_LOOK_S: Final = 0.01
 _EACH_S: Final = 1.0
 _CLOCK_S: Final = 0.1
 _US: Final = 1_000_000
 _YEAR_US: Final = 365 * 86_400 * _US
+_LATEST_US: Final = (1 << 63) // 1000
+"""Until 2262; nanoseconds of what is later do not fit into 64 bits."""
 _NS_PER_US: Final = 1000
 _NS_PER_MS: Final = 1e6
 _SETTINGS: Final = ("enabled", "period", "decimation", "threshold", "topic", "watchdog")
@@ -93,7 +98,9 @@ class _Board:
         self.wanted = wanted
         self.client: j2a.AsyncClient | None = None
         self.flows: dict[str, _Flow] | None = None
-        self.early: deque[j2a.Sample] = deque(maxlen=_EARLY)
+        self.early: deque[tuple[j2a.Sample, int]] = deque()  # and when they came
+        self.early_lost: Counter[str] = Counter()  # by transducer
+        self.learning = asyncio.Lock()  # what two had learnt at once would be announced twice
         self.problem = ""
         self.has_clock = False
         self.uncertainty_us: float | None = None
@@ -121,6 +128,7 @@ class Bridge:
         self._tasks: set[asyncio.Task[None]] = set()
         self._retried: set[tuple[j2a.AsyncClient, Callable[..., Awaitable[bool]]]] = set()
         self._flows: dict[str, _Flow] = {}
+        self._orders: set[Future[Any]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._fleet: j2a.AsyncFleet | None = None
         self._ended = asyncio.Event()
@@ -147,8 +155,9 @@ class Bridge:
         try:
             for runner in self.runners:
                 runner.start()
-            for runner in self.runners:
-                await asyncio.to_thread(runner.opened.wait, _OPEN_S)
+            await self._until_open()
+            if self._ended.is_set():
+                return
             on_open()
             options = {"identify": self._identify, **self._options}
             async with j2a.AsyncFleet(usb=self._config.usb, **options) as fleet:
@@ -169,9 +178,18 @@ class Bridge:
             self._fleet = None
             for runner in self.runners:
                 runner.end()
-            for runner in self.runners:
-                if not await asyncio.to_thread(runner.join):
+            joins = [asyncio.to_thread(runner.join) for runner in self.runners]
+            for runner, has_ended in zip(self.runners, await asyncio.gather(*joins), strict=True):
+                if not has_ended:
                     _logger.warning("sink %s does not end", runner.name)
+
+    async def _until_open(self) -> None:
+        """Wait until each sink was opened, or could not be; not behind `stop`, nor for ever."""
+        end = time.monotonic() + _OPEN_S
+        while not all(runner.opened.is_set() for runner in self.runners):
+            if time.monotonic() >= end or self._ended.is_set():
+                return
+            await asyncio.sleep(_LOOK_S)
 
     def stop(self) -> None:
         """End; from the loop only."""
@@ -292,6 +310,10 @@ class Bridge:
         Returns:
             There is no more to try.
         """
+        async with board.learning:
+            return await self._learn_alone(board)
+
+    async def _learn_alone(self, board: _Board) -> bool:
         client = board.client
         if client is None:
             return True
@@ -341,9 +363,14 @@ class Bridge:
             board.problem = f"it has no transducer {', '.join(missing)}"
         if board.problem:
             _logger.warning("%s: %s", board.name, board.problem)
-        early, board.early = board.early, deque(maxlen=_EARLY)
-        for sample in early:
-            self._take_of(board, sample)
+        early, board.early = board.early, deque()
+        lost, board.early_lost = board.early_lost, Counter()
+        for name, count in lost.items():
+            if name in flows:
+                flows[name].samples += count
+                flows[name].lost += count
+        for sample, arrived_ns in early:
+            self._take_of(board, sample, arrived_ns)
         return True
 
     async def _topic_setting(self, transducer: Any) -> str:
@@ -363,6 +390,7 @@ class Bridge:
         board.problem = str(reason) if reason is not None else "taken out"
         flows, board.flows = board.flows, None
         board.early.clear()
+        board.early_lost.clear()
         for flow in (flows or {}).values():
             self._retract(flow)
         if not self._ended.is_set():
@@ -385,12 +413,16 @@ class Bridge:
         board = self._boards.get(sample.board)
         if board is None:
             return  # its properties are still asked for; at the first time only
+        arrived_ns = time.time_ns()
         if board.flows is None:
-            board.early.append(sample)
+            if len(board.early) >= _EARLY:
+                oldest, _ = board.early.popleft()
+                board.early_lost[oldest.name] += 1
+            board.early.append((sample, arrived_ns))
             return
-        self._take_of(board, sample)
+        self._take_of(board, sample, arrived_ns)
 
-    def _take_of(self, board: _Board, sample: j2a.Sample) -> None:
+    def _take_of(self, board: _Board, sample: j2a.Sample, arrived_ns: int) -> None:
         assert board.flows is not None
         flow = board.flows.get(sample.name)
         if flow is None:
@@ -408,11 +440,11 @@ class Bridge:
             times = tuple(one if newest - one <= _YEAR_US else 0 for one in times)
         if not flow.is_due(sample, newest):
             return
-        arrived_ns = time.time_ns()
         uncertainty = None
         if not newest:
             shift = 0
-        elif sample.host_us is None:
+        elif sample.host_us is None or not _YEAR_US < sample.host_us < _LATEST_US:
+            # A time of a board that is out of its mind counts as none that is known.
             shift = arrived_ns // _NS_PER_US - newest
         else:
             shift = sample.host_us - newest
@@ -478,10 +510,25 @@ class Bridge:
 
     def submit(self, coroutine: Coroutine[Any, Any, Any]) -> "Future[Any]":
         """Run a coroutine in the loop of the bridge."""
-        if self._loop is None:
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                return asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+        coroutine.close()
+        raise j2a.LocalError("the bridge does not run")
+
+    def _order(self, coroutine: Coroutine[Any, Any, Any]) -> "Future[Any]":
+        """Run an order of a sink, unless too many wait already."""
+        if len(self._orders) >= _MAX_ORDERS:
             coroutine.close()
-            raise j2a.LocalError("the bridge does not run")
-        return asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+            refused: Future[Any] = Future()
+            refused.set_exception(
+                j2a.LocalError(f"{_MAX_ORDERS} orders wait already: this one was not done")
+            )
+            return refused
+        future = self.submit(coroutine)
+        self._orders.add(future)
+        future.add_done_callback(self._orders.discard)
+        return future
 
     def client(self, board: str) -> j2a.AsyncClient:
         """Return the client of a board, by its name among the topics.
@@ -514,7 +561,7 @@ class Bridge:
                 at_us = self.client(flow.topic.board).clock.to_device(at_ns // _NS_PER_US)
             await flow.transducer.set(*values, channel=channel, at_us=at_us, raw=raw)
 
-        return self.submit(order())
+        return self._order(order())
 
     def configure(self, topic: str, settings: Mapping[str, Any]) -> "Future[dict[str, Any]]":
         """Change settings of a transducer."""
@@ -529,7 +576,7 @@ class Bridge:
                         await self._learn(board)
             return found
 
-        return self.submit(order())
+        return self._order(order())
 
     def settings(self, topic: str) -> "Future[dict[str, Any]]":
         """Return the settings of a transducer."""
@@ -537,7 +584,7 @@ class Bridge:
         async def order() -> dict[str, Any]:
             return await self._settings(self._flow(topic))
 
-        return self.submit(order())
+        return self._order(order())
 
     async def _settings(self, flow: _Flow) -> dict[str, Any]:
         has = flow.topic.transducer.has
@@ -554,7 +601,7 @@ class Bridge:
             functions = await self.client(board).functions()
             return await functions[function](*values)
 
-        return self.submit(order())
+        return self._order(order())
 
     def _flow(self, topic: str) -> _Flow:
         found = self._flows.get(topic)

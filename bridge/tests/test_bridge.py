@@ -6,9 +6,10 @@ import functools
 import itertools
 import struct
 import time
+from collections import Counter
 
 import pytest
-from j2a_bridge.bridge import Bridge
+from j2a_bridge.bridge import _EARLY, _MAX_ORDERS, Bridge
 from j2a_bridge.config import BoardConfig, Config, SensorConfig
 from j2a_bridge.sink import SinkError, SinkRequest
 
@@ -236,7 +237,7 @@ class TestSamples:
                     kept[0].updates.clear()
                     struct.pack_into("<Q", payload, 0, then)
                     struct.pack_into("<Q", payload, 10, now)
-                    bridge._take_of(board, dataclasses.replace(early, payload=bytes(payload)))
+                    bridge._take(dataclasses.replace(early, payload=bytes(payload)))
                     [update] = await until(lambda: list(kept[0].updates))
                     assert [one is not None for one in update.stamps_ns] == stamps
                     assert max(update.times_us) == now
@@ -292,8 +293,7 @@ class TestSamples:
                 await announced(kept[0], "quad")
                 device.sense("quad", 0, 1)
                 [update] = await until(lambda: list(kept[0].updates))
-                [board] = bridge._boards.values()
-                bridge._take_of(board, dataclasses.replace(update.sample, missed=3, lost=4))
+                bridge._take(dataclasses.replace(update.sample, missed=3, lost=4))
                 assert bridge._flows["quad"].lost == 7
 
     @in_event_loop
@@ -327,6 +327,77 @@ class TestSamples:
                 may_learn.set()
                 await until(lambda: len(kept[0].updates) == 5)
         assert [update.sample.readings[0].raw for update in kept[0].updates] == list(range(5))
+
+    @pytest.mark.parametrize("clock", ["discipline", "off"])
+    @in_event_loop
+    async def test_those_before_the_topics_are_known_have_the_time_when_they_came(
+        self, kept, monkeypatch, clock
+    ):
+        device, learn, may_learn = board_of(), Bridge._learn, asyncio.Event()
+
+        async def late(self, board):
+            await may_learn.wait()
+            await learn(self, board)
+
+        monkeypatch.setattr(Bridge, "_learn", late)
+        with served(device) as url:
+            async with bridging(config_for(url, clock=clock)) as bridge:
+                board = (await until(lambda: list(bridge._boards.values())))[0]
+                device.sense("quad", 0, 1, raw=True)
+                await until(lambda: board.early)
+                come_ns = time.time_ns()
+                monkeypatch.setattr(time, "time_ns", lambda: come_ns + 60_000_000_000)
+                may_learn.set()
+                [update] = await until(lambda: list(kept[0].updates))
+        assert update.arrived_ns <= come_ns
+        assert update.stamp_ns <= come_ns + 1_000_000_000  # of the error of the clock
+
+    @in_event_loop
+    async def test_those_that_are_too_many_before_the_topics_are_known_count_as_lost(
+        self, kept, monkeypatch
+    ):
+        device, learn, may_learn = board_of(), Bridge._learn, asyncio.Event()
+
+        async def late(self, board):
+            await may_learn.wait()
+            await learn(self, board)
+
+        monkeypatch.setattr(Bridge, "_learn", late)
+        monkeypatch.setattr(Kept, "WAITING", 2 * _EARLY)
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                board = (await until(lambda: list(bridge._boards.values())))[0]
+                device.sense("quad", 0, 1, raw=True)
+                await until(lambda: board.early)
+                [(sample, _)] = board.early
+                for _ in range(_EARLY + 6):
+                    bridge._take(sample)
+                assert len(board.early) == _EARLY
+                may_learn.set()
+                await until(lambda: len(kept[0].updates) == _EARLY)
+                flow = bridge._flows["quad"]
+                assert (flow.samples, flow.lost) == (_EARLY + 7, 7)
+
+    @pytest.mark.parametrize("host_us", [-1, 0, (1 << 64) - 1])
+    @in_event_loop
+    async def test_a_time_that_cannot_be_counts_as_that_of_arrival(self, kept, host_us):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                await announced(kept[0], "quad")
+                device.sense("quad", 0, 1, raw=True)
+                [update] = await until(lambda: list(kept[0].updates))
+                for time_us in (1, (1 << 64) - 1):
+                    payload = bytearray(update.sample.payload)
+                    struct.pack_into("<Q", payload, 0, time_us)
+                    made = dataclasses.replace(
+                        update.sample, payload=bytes(payload), host_us=host_us
+                    )
+                    kept[0].updates.clear()
+                    bridge._take(made)
+                    [found] = await until(lambda: list(kept[0].updates))
+                    assert 0 <= found.arrived_ns - found.stamp_ns < 1000
+                    assert found.uncertainty_us is None
 
     @in_event_loop
     async def test_a_board_that_comes_back_goes_on(self, kept):
@@ -464,6 +535,75 @@ class TestOrders:
                 assert "tank/level" in names(kept[0], "retract")
                 device.sense("level", 0, 3)
                 await until(lambda: "pool/depth" in names(kept[0], "publish"))
+
+    @in_event_loop
+    async def test_topics_that_are_learnt_twice_at_once_leave_none_behind(self, kept, monkeypatch):
+        chosen, may_tell = iter(("first", "second")), asyncio.Event()
+
+        async def tell(self, transducer):
+            if transducer.descriptor.name != "level":
+                return ""
+            name = next(chosen)
+            if name == "first":
+                await may_tell.wait()
+            return name
+
+        with served(board_of()) as url:
+            async with bridging(config_for(url)) as bridge:
+                await announced(kept[0], "tank/level")
+                monkeypatch.setattr(Bridge, "_topic_setting", tell)
+                [board] = bridge._boards.values()
+                tasks = [asyncio.create_task(bridge._learn(board)) for _ in range(2)]
+                await asyncio.wait(tasks, timeout=0.2)
+                may_tell.set()
+                await asyncio.gather(*tasks)
+                await announced(kept[0], "first", "second")
+                there, events = set(bridge._flows), list(kept[0].events)
+        counts = Counter()
+        for kind, name in events:
+            counts[name] += {"announce": 1, "retract": -1}.get(kind, 0)
+        assert there == {"quad", "servo", "second"}
+        assert {name: count for name, count in counts.items() if count} == dict.fromkeys(there, 1)
+
+    @in_event_loop
+    async def test_those_that_are_too_many_are_refused(self, kept):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)):
+                await announced(kept[0], "servo")
+                control = kept[0].control
+                futures = [control.set("servo", [0]) for _ in range(_MAX_ORDERS + 5)]
+                done = await asyncio.gather(
+                    *map(asyncio.wrap_future, futures), return_exceptions=True
+                )
+                assert [str(one) for one in done if one is not None] == [
+                    f"{_MAX_ORDERS} orders wait already: this one was not done"
+                ] * 5
+                await asyncio.wrap_future(control.set("servo", [7]))
+        assert device.was_set[-1] == ("servo", 0, 7)
+
+
+@in_event_loop
+async def test_it_ends_while_a_sink_is_not_open_yet(kept):
+    bridge = Bridge(config_for(f"tcp://127.0.0.1:{free_port()}"))
+    kept[0].may_go.clear()
+    task = asyncio.create_task(bridge.run(lambda: pytest.fail("it is not open")))
+    await until(bridge.runners[0]._thread.is_alive)
+    bridge.stop()
+    _, late = await asyncio.wait([task], timeout=PATIENCE_S / 3)
+    kept[0].may_go.set()
+    assert not late
+    await task
+
+
+@in_event_loop
+async def test_orders_behind_the_end_are_refused(kept):
+    bridge = Bridge(config_for(f"tcp://127.0.0.1:{free_port()}"))
+    loop = asyncio.new_event_loop()
+    bridge._loop = loop
+    loop.close()
+    with pytest.raises(j2a.LocalError, match="does not run"):
+        bridge.set("servo", [1])
 
 
 def test_nothing_flows_after_the_end(kept):
