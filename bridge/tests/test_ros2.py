@@ -292,6 +292,8 @@ J2A_ENUM(state, u8, (off, 0), (on, 1))
 SENSOR(imu, 0, imu, M, 2, motion, none)
 SENSOR(mode, 1, mode, M, 1, state, none, (queue, 3))
 SENSOR(flags, 4, flags, M, 1, array(bool, 3), none)
+J2A_STRUCT(odd, (u8, serialize), (u8, deserialize), (u8, j2a_data), (u16, other))
+SENSOR(odd, 6, odd, M, 1, odd, none)
 ACTUATOR(pose, 5, pose, M, 1, motion, none)
 """
 
@@ -300,9 +302,11 @@ ACTUATOR(pose, 5, pose, M, 1, motion, none)
         with served(device) as url:
             config = config_for(url, sinks=(f"ros2:domain={domain},distro={distro}", "kept"))
             async with bridging(config) as bridge:
-                await until(lambda: len(bridge.runners[0].sink._writers) == 4)
+                await until(lambda: len(bridge.runners[0].sink._writers) == 5)
                 device.sense("flags", 0, [True, False, True])
-                await until(lambda: bridge.runners[0].published)
+                device.sense("odd", 0, [1, 2, 3, 4])
+                await until(lambda: bridge.runners[0].published == 2)
+                assert bridge.runners[0].sink._writers["odd"]
                 return bridge.runners[0].problem
 
     assert asyncio.run(work()) == ""

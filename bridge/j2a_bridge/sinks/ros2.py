@@ -316,7 +316,7 @@ class _Dds:
                 field: self._field(store, kind) for field, kind in store.fielddefs[name][1]
             } or {"structure_needs_at_least_one_member": self._types.uint8}
             found = self._idl.make_idl_struct(
-                f"{short}_", f"{package}.msg.dds_.{short}_", fields, dataclassify=True
+                f"{short}_", f"{package}.msg.dds_.{short}_", fields, dataclassify=False
             )
             found.serialize = _serialized
             found.deserialize = classmethod(_deserialized)
