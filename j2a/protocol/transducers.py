@@ -114,10 +114,9 @@ class TransducerServer:
         if value is None and not is_raw:
             if sensor.transducer.na is None:
                 raise LocalError(f"{name} has no value for N/A: each of its values is one")
-            raw = sensor.transducer.na
-        else:
-            raw = value if is_raw else sensor.codec.raw_of(value)
-        sensor.take(channel, sensor.codec.pack_raw(raw), now_us)
+            value, is_raw = sensor.transducer.na, True
+        codec = sensor.codec
+        sensor.take(channel, codec.pack_raw(value) if is_raw else codec.pack(value), now_us)
 
     # ------------------------------------------------------------------ requests
 
@@ -315,7 +314,7 @@ class TransducerServer:
         actuator.slots[channel] = now_us, data
         function = self.on_set.get(actuator.transducer.name)
         if function is not None:
-            value = actuator.codec.physical(actuator.codec.unpack_raw(data))
+            value = actuator.codec.unpack_one(data)
             actions.append(lambda: function(channel, value))
 
 

@@ -9,7 +9,8 @@ here, before anything is sent (J2A-TRANS-025).
 import contextlib
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any, Final
 
@@ -47,7 +48,14 @@ class SampleCodec:
 
     def __init__(self, transducer: Transducer, types: PythonTypes) -> None:
         self.transducer = transducer
+        element = number_element(transducer.type)
         self._codec = Codec((Field(transducer.name, transducer.type),), types)
+        self._raw_codec = self._codec
+        self._numbers: Mapping[str, int] = {}
+        if isinstance(named := transducer.type.element, Enumeration) and element is not None:
+            integer = replace(transducer.type, element=named.integer)
+            self._raw_codec = Codec((Field(transducer.name, integer),), types)
+            self._numbers = dict(named.values)
         self._size = transducer.type.size
         self._na = transducer.na
         self._na_is_nan = self._na is not None and math.isnan(self._na)
@@ -56,7 +64,6 @@ class SampleCodec:
         numbers = numbers_element(transducer.type)
         self._is_scaled = transducer.is_scaled
         self._is_array = transducer.type.count is not None
-        element = number_element(transducer.type)
         self._is_float = element in ("f32", "f64")
         self._is_integer = numbers is not None and numbers[0] in "ui"
         # Any bytes are numbers, so it is enough to look later.
@@ -191,7 +198,7 @@ class SampleCodec:
         raws = [value if is_raw else self.raw_of(value) for value in values]
         for raw in raws:
             self.check_range(raw)
-        data = b"".join(map(self.pack_raw, raws))
+        data = b"".join(self._codec.pack([raw]) for raw in raws)
         payload = bytes([first]) + pack_time(time_us) + data
         if len(payload) > c.MAX_PAYLOAD - 2:
             raise WrongArgument(f"{name}: {len(values)} values do not fit into a frame")
@@ -232,6 +239,7 @@ class SampleCodec:
         if self._range is None:
             return
         low, high = self._range
+        raw = self._number(raw)
         try:
             if self._is_float:
                 raw = nearest(str(self.transducer.type.element), raw)
@@ -256,7 +264,7 @@ class SampleCodec:
     # ------------------------------------------------------------------ settings
 
     def pack_threshold(self, raw: Any) -> bytes:
-        """Return what THRESHOLD writes.
+        """Return what THRESHOLD writes; of an enumeration it is an integer, as differences are.
 
         Raises:
             WrongArgument: it is not of the type, or below 0.
@@ -265,17 +273,33 @@ class SampleCodec:
             data = self.pack_raw(raw)
         except WrongArgument as error:
             raise WrongArgument(f"the threshold is a raw value: {error}") from None
-        if not raw >= 0:
+        if isinstance(raw, str) or not raw >= 0:
             raise WrongArgument(f"the threshold is a raw value from 0 on, not {raw!r}")
         return data
 
+    def pack(self, value: Any) -> bytes:
+        """Return the bytes of a value in the unit.
+
+        Raises:
+            WrongArgument: it is not of the type, or no value that the enumeration names.
+        """
+        return self._codec.pack([self.raw_of(value)])
+
+    def unpack_one(self, data: bytes) -> Any:
+        """Return the value in the unit that these bytes of one value hold, None for N/A.
+
+        Raises:
+            PayloadMismatchError: they are none.
+        """
+        return self.physical(self._codec.unpack(data)[0])
+
     def pack_raw(self, raw: Any) -> bytes:
-        """Return the bytes of a raw value.
+        """Return the bytes of a raw value; of an enumeration each integer is one.
 
         Raises:
             WrongArgument: it is not of the type.
         """
-        return self._codec.pack([raw])
+        return self._raw_codec.pack([self._number(raw)])
 
     def unpack_raw(self, payload: bytes) -> Any:
         """Return the raw value that a payload holds, such as the threshold.
@@ -283,7 +307,11 @@ class SampleCodec:
         Raises:
             PayloadMismatchError: it is none.
         """
-        return self._codec.unpack(payload)[0]
+        return self._raw_codec.unpack(payload)[0]
+
+    def _number(self, raw: Any) -> Any:
+        """Return the integer that a name of the enumeration stands for, anything else as it is."""
+        return self._numbers.get(raw, raw) if isinstance(raw, str) else raw
 
 
 def _is_any(kind: Type) -> bool:

@@ -434,6 +434,88 @@ class TestSamples:
             assert sifs.wait(PATIENCE_S).payload[8:10] == b"\2\0"
 
 
+MOODS = """
+J2A_ENUM(mood, u8, (calm, 1), (alert, 2), (asleep, 254))
+J2A_ENUM(phase, i16, (back, -2), (idle, 0), (ahead, 300))
+SENSOR(state, 0, state, X, 1, mood, 255, (threshold, 0))
+SENSOR(turn, 1, turn, X, 1, phase, -2, (threshold, 2), (queue, 9))
+ACTUATOR(gear, 2, gear, X, 1, phase, 1, (range, -2, 100), (watchdog, 0))
+"""
+
+
+class TestEnumerations:
+    """Values are what the enumeration names; na, safe and threshold are any of its integers."""
+
+    @pytest.fixture
+    def device(self):
+        with make_device(MOODS) as made:
+            yield made
+
+    def test_na_is_none_whether_it_has_a_name_or_not(self, device, board):
+        state, turn = board.transducers["state"], board.transducers["turn"]
+        with state.samples() as samples:
+            found = []
+            for value, is_raw in (("calm", False), (None, False), (2, False), (255, True)):
+                device.sense("state", 0, value, raw=is_raw)
+                found.append(samples.wait(PATIENCE_S).values[0])
+        assert found == [1, None, 2, None]
+        assert [getattr(one, "name", None) for one in found] == ["calm", None, "alert", None]
+        with turn.samples() as samples:
+            device.sense("turn", 0, None)
+            [reading] = samples.wait(PATIENCE_S).readings
+        assert (reading.raw.name, reading.value) == ("back", None)
+
+    def test_a_driver_may_report_what_has_no_name_as_raw_only(self, device, board):
+        with board.transducers["state"].samples() as samples:
+            device.sense("state", 0, 77, raw=True)
+            assert samples.wait(PATIENCE_S).values == (77,)
+        for value, is_raw in ((77, False), ("no", False), (256, True), ("no", True), (None, True)):
+            with pytest.raises(j2a.WrongArgument, match="state"):
+                device.sense("state", 0, value, raw=is_raw)
+
+    def test_the_threshold_is_a_number(self, device, board):
+        turn = board.transducers["turn"]
+        assert turn.threshold == 2
+        turn.threshold = 3
+        assert turn.threshold == 3
+        for wrong in ("idle", -1, 1 << 15, 0.5, None):
+            with pytest.raises(j2a.WrongArgument, match="threshold"):
+                turn.threshold = wrong
+        with turn.samples() as samples:
+            for value in (0, 2, 3, 300):
+                device.sense("turn", 0, value, raw=True)
+            found = []
+            while 300 not in found:
+                found += samples.wait(PATIENCE_S).values
+        assert found == [0, 3, 300]
+
+    def test_an_actuator_takes_what_has_a_name_and_is_in_range(self, device, board):
+        gear, got = board.transducers["gear"], []
+        device.actuator("gear")(lambda _channel, value: got.append(value))
+        for value in ("back", -2, 0):
+            gear.set(value)
+            gear.set(value, raw=True)
+        assert got == [-2, -2, -2, -2, 0, 0]
+        assert {one.name for one in got} == {"back", "idle"}
+        for wrong in ("ahead", 300, 1, "no", 0.5):
+            for is_raw in (False, True):
+                with pytest.raises(j2a.WrongArgument, match="gear"):
+                    gear.set(wrong, raw=is_raw)
+
+    def test_a_safe_value_needs_no_name(self, device, board):
+        gear, moved = board.transducers["gear"], threading.Event()
+        got = []
+
+        @device.actuator("gear")
+        def take(_channel, value):
+            got.append(value)
+            moved.set()
+
+        gear.watchdog = 0.01
+        assert moved.wait(PATIENCE_S)
+        assert got == [1]
+
+
 class TestSettings:
     def test_each_setting(self, board):
         quad, servo = board.transducers["quad"], board.transducers["servo"]
