@@ -50,8 +50,10 @@
 
 /* ------------------------------------------------------------------------- types ------ */
 
-/* How values of a type are ordered; none where they are structures or arrays, which have no raw values. */
-#define J2A_ORDER(type) J2A_SECOND(J2A_PASTE4(J2A_ORDER_, type), none)
+/* How values of a type are ordered: none of arrays, which have no raw values. Whether a name is that of an enumeration,
+ * which has the order of its integer, or of a structure, which has none, is known to the compiler only. */
+#define J2A_ORDER(type) J2A_SECOND(J2A_PASTE4(J2A_ORDER_, type), named(type))
+#define J2A_ORDER_array(...) ~, none
 #define J2A_ORDER__Bool ~, unsigned
 #define J2A_ORDER_bool ~, unsigned
 #define J2A_ORDER_u8 ~, unsigned
@@ -66,8 +68,15 @@
 #define J2A_ORDER_f64 ~, f64
 #define J2A_COMPARE(order) J2A_INNER_SECOND(J2A_COMPARE_##order, j2a_compare_##order)
 #define J2A_COMPARE_none ~, 0
+#define J2A_COMPARE_named(type) ~, J2A_BY_SIGN(type, j2a_compare)
 #define J2A_NEAR(order) J2A_INNER_SECOND(J2A_NEAR_##order, j2a_near_##order)
 #define J2A_NEAR_none ~, 0
+#define J2A_NEAR_named(type) ~, J2A_BY_SIGN(type, j2a_near)
+#define J2A_BY_SIGN(type, function) \
+    (!j2a_has_raw_##type ? 0 : (j2a_c_raw_##type)-1 > 0 ? function##_unsigned : function##_signed)
+#define J2A_HAS_RAW(order) J2A_INNER_SECOND(J2A_HAS_RAW_##order, 1)
+#define J2A_HAS_RAW_none ~, 0
+#define J2A_HAS_RAW_named(type) ~, j2a_has_raw_##type
 #define J2A_OF_ORDER(macro, type) macro(type)
 
 /* The raw values that a transds.def gives: puts one into `to`, returns false where it gives none. */
@@ -77,7 +86,10 @@
 #define J2A_RAW_OF_f32(name, type, na, ...) J2A_RAW_FUNCTION(J2A_NAN, name, type, na, __VA_ARGS__)
 #define J2A_RAW_OF_f64(name, type, na, ...) J2A_RAW_FUNCTION(J2A_NAN, name, type, na, __VA_ARGS__)
 #define J2A_RAW_OF_none(name, type, na, ...)
-#define J2A_RAW_OR_NOT(order, name) J2A_INNER_SECOND(J2A_RAW_OR_NOT_##order, j2a_raw_of_##name)
+#define J2A_RAW_OF_named(type) J2A_RAW_OF_NAMED
+#define J2A_RAW_OF_NAMED(name, type, na, ...) J2A_RAW_FUNCTION(, name, raw_##type, na, __VA_ARGS__)
+#define J2A_RAW_OR_NOT(order, name) \
+    J2A_INNER_SECOND(J2A_RAW_OR_NOT_##order, (J2A_HAS_RAW(order) ? j2a_raw_of_##name : 0))
 #define J2A_RAW_OR_NOT_none ~, 0
 #define J2A_IS_NONE(text) (sizeof text == 5 && text[0] == 'n' && text[1] == 'o')
 #define J2A_NAN \
@@ -155,6 +167,9 @@ enum {
             j2a_most_of_##name * j2a_entry_of_##name, \
         id_of_##name##_is_0_to_254 = 1 / ((id) >= 0 && (id) <= J2A_TRANSD_MAX_ID), \
         channels_of_##name##_are_1_to_255 = 1 / ((channels) >= 1 && (channels) <= 255), \
+        threshold_range_and_na_of_##name##_need_a_number_or_an_enumeration = 1 / \
+            (J2A_OF_ORDER(J2A_HAS_RAW, J2A_ORDER(type)) || (sizeof #na == sizeof "none" && \
+            (0 J2A_SAY(threshold, __VA_ARGS__)) == 0 && (0 J2A_SAY(range, __VA_ARGS__)) == 0)), \
         queue_of_##name##_is_1_to_255 = 1 / (j2a_depth_of_##name >= 0 && j2a_depth_of_##name <= 255), \
         a_sample_of_##name##_is_longer_than_a_frame = 1 / (j2a_most_of_##name >= 1 && \
             j2a_longest_of_##name <= (int)J2A_MAX_PAYLOAD && \

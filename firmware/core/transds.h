@@ -48,9 +48,21 @@ void transds_process(void);
 /* The parameter (channel, value) of a callback. */
 #define J2A_VALUE_OF(type) (uint8_t channel J2A_IN(~, (type, value)))
 
+/* Of each type with a name whether it has raw values, as enumerations have, and the element that holds one. */
+#define J2A_DEFINE_RAW(name, has_raw, element) \
+    enum { j2a_has_raw_##name = has_raw }; \
+    typedef j2a_c_##element j2a_c_raw_##name; \
+    J2A_INLINE void j2a_put_raw_##name(uint8_t *bytes, j2a_c_##element value) { \
+        j2a_put_##element(bytes, value); \
+    }
+
 /* The functions of the drivers (listing 8.1). A driver may come twice, for two sensors of one kind. */
-#define J2A_ENUM J2A_DEFINE_ENUM
-#define J2A_STRUCT J2A_DEFINE_STRUCT
+#define J2A_ENUM(name, integer, ...) \
+    J2A_DEFINE_ENUM(name, integer, __VA_ARGS__) \
+    J2A_DEFINE_RAW(name, 1, integer)
+#define J2A_STRUCT(name, ...) \
+    J2A_DEFINE_STRUCT(name, __VA_ARGS__) \
+    J2A_DEFINE_RAW(name, 0, u8)
 #define J2A_TRANSD(KIND, name, id, prefix, model, channels, type, na, ...)
 #include "j2a_transds_list.h"
 #undef J2A_TRANSD

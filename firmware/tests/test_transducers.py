@@ -172,7 +172,7 @@ def test_a_board_says_what_its_file_says(build_firmware, tmp_path):
         content = board.read_many("a2jGetTransds")
     of_file = j2a.load_transds(APP / "transds.def", {"TRANSDUCERS_NUMBERS": "1"})
     assert content.decode() == str(of_file)
-    assert len(oracle.parse(content).transducers) == len(of_file.transducers) == 23
+    assert len(oracle.parse(content).transducers) == len(of_file.transducers) == 28
     assert read_transds(transds_text(of_file, "x")) == of_file
 
 
@@ -182,6 +182,9 @@ CODE = """
 void a_set_cb(void (*callback)(uint8_t channel, uint8_t value)) { (void)callback; }
 void j2a_app_task(void) { transds_process(); }
 """
+
+
+NO_RAW = "threshold_range_and_na_of_a_need_a_number_or_an_enumeration"
 
 
 class TestWrongLists:
@@ -196,12 +199,22 @@ class TestWrongLists:
             (ONE + ONE.replace("(a, 1, a", "(b, 1, b"), "duplicate case value"),
             (ONE.replace("u8", "u7"), "u7"),
             (ONE.replace("u8, none", "u8, none, (threshold, x)"), "'x' undeclared"),
+            *(
+                (ONE.replace("u8, none{more}", more), NO_RAW)
+                for kind in ("array(u8, 2)", "pair")
+                for more in (
+                    f"{kind}, none, (threshold, 1)",
+                    f"{kind}, none, (range, 0, 1)",
+                    f"{kind}, 0",
+                )
+            ),
             (ONE.replace("u8", "uint16_t"), "conflicting types for 'a_set_cb'"),
             (ONE.replace(" 1, a", " 1, c"), "a_set_cb"),  # nobody declares it, or calls it
         ],
     )
     def test_do_not_compile(self, need, tmp_path, transds, said):
         need("cc")
+        transds = "J2A_STRUCT(pair, (u8, x), (u8, y))\n" + transds
         folder = write_app(tmp_path / "app", transds.replace("{more}", ""), CODE, "")
         done = make(folder, tmp_path / "out", PORT="posix")
         assert done.returncode != 0

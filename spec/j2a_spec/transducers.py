@@ -19,7 +19,7 @@ import construct as cs
 from j2a_spec import constants as c
 from j2a_spec import interface as types
 
-__all__ = ["Descriptors", "Transducer", "parse", "queued", "sample", "setting"]
+__all__ = ["Descriptors", "Transducer", "parse", "queued", "raw", "sample", "scalar", "setting"]
 
 _NUMBER = re.compile(r"-?[0-9]{1,20}(?:\.[0-9]{1,20})?(?:e[+-]?[0-9]{1,3})?")
 _HEX = re.compile(r"-?0x[0-9A-Fa-f]{1,16}")
@@ -139,15 +139,19 @@ def _check_type(own: Descriptors, found: Transducer) -> None:
             raise ValueError(f"{found.name}: {key} {values}")
 
 
+def scalar(found: Transducer, definitions: types.Interface) -> str:
+    """Return the element of a transducer's type, of an enumeration its integer."""
+    element = found.type.element
+    return definitions.enums[element][0] if element in definitions.enums else element
+
+
 def raw(found: Transducer, text: str, definitions: types.Interface) -> Any:
     """Return the raw value of a transducer that a text stands for.
 
     Raises:
         ValueError: it is none of its type.
     """
-    element = found.type.element
-    if element in definitions.enums:
-        element = definitions.enums[element][0]
+    element = scalar(found, definitions)
     if found.type.count is not None or element in definitions.structs:
         raise ValueError(f"{found.name}: {element} has no raw values")
     if text == "nan" and element in _FLOATS:

@@ -21,6 +21,9 @@ DRIVER(place64, i64)
 DRIVER(exact, f64)
 DRIVER(small, i8)
 DRIVER(flag, bool)
+DRIVER(state, mood)
+DRIVER(turn, phase)
+DRIVER(event, code)
 #endif
 
 /* Each measurement is one more than the one before. */
@@ -47,6 +50,8 @@ TAKER(mask64, uint64_t)
 TAKER(stock, uint32_t)
 TAKER(fine, double)
 TAKER(gate, bool)
+TAKER(gear, phase)
+TAKER(lamp, mood)
 #endif
 
 /* Has the driver of a sensor report a value; returns how many bytes the value has, 0 without such a sensor. A channel
@@ -72,6 +77,9 @@ static uint8_t report(uint8_t id, const uint8_t *channel, const uint8_t *value) 
         REPORT(23, 8, exact_cb(*channel, j2a_get_f64(value)));
         REPORT(24, 1, small_cb(*channel, (int8_t)*value));
         REPORT(25, 1, flag_cb(*channel, *value != 0));
+        REPORT(26, 1, state_cb(*channel, *value));
+        REPORT(27, 2, turn_cb(*channel, j2a_get_i16(value)));
+        REPORT(28, 4, event_cb(*channel, j2a_get_u32(value)));
 #endif
     case 3:
         if (channel) {

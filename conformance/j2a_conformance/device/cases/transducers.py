@@ -83,6 +83,10 @@ class Board:
         """Return the bytes of a value."""
         return types.size((one.type,), self.descriptors.definitions)
 
+    def scalar(self, one: oracle.Transducer) -> str:
+        """Return what holds a number of the type, such as the integer of an enumeration."""
+        return oracle.scalar(one, self.descriptors.definitions)
+
     def has(self, one: oracle.Transducer, item: int) -> bool:
         """Whether a transducer has an item, to read or to write."""
         if item == c.TRANSD_SAVE:  # of a device that keeps settings; which of them do is not told
@@ -226,14 +230,14 @@ class Board:
 
     def number(self, one: oracle.Transducer, value: bytes) -> Any:
         """Return the number that a value stands for."""
-        element = one.type.element
+        element = self.scalar(one)
         if element in _FORMATS:
             return struct.unpack(_FORMATS[element], value)[0]
         return int.from_bytes(value, "little", signed=element[0] == "i")
 
     def packed(self, one: oracle.Transducer, number: Any) -> bytes:
         """Return the value that stands for a number, cut to the type."""
-        element = one.type.element
+        element = self.scalar(one)
         if element in _FORMATS:
             return struct.pack(_FORMATS[element], number)
         size = self.size(one)
@@ -321,7 +325,7 @@ def settable(board: Board, one: oracle.Transducer) -> bytes:
     if limits is None:
         return board.value(one)
     low, high = limits
-    if one.type.element in _FORMATS:
+    if board.scalar(one) in _FORMATS:
         return board.packed(one, board.rng.uniform(low, high))
     return board.packed(one, board.rng.choice([low, high, board.rng.randint(low, high)]))
 
@@ -501,9 +505,9 @@ class Refused(_TransducerCase):
             yield from (b"\2", b"\x12", b"\x80", b"\xff")
         if item == c.TRANSD_DECIMATION:
             yield b"\0"
-        if item == c.TRANSD_THRESHOLD and one.type.element in ("f32", "f64"):
+        if item == c.TRANSD_THRESHOLD and board.scalar(one) in ("f32", "f64"):
             yield from (board.packed(one, number) for number in (-0.5, float("nan"), -1e30))
-        if item == c.TRANSD_THRESHOLD and one.type.element[0] == "i":
+        if item == c.TRANSD_THRESHOLD and board.scalar(one)[0] == "i":
             lowest = -(1 << 8 * board.size(one) - 1)
             yield from (board.packed(one, number) for number in (-1, lowest, lowest // 2))
         if item == c.TRANSD_TOPIC:
@@ -565,10 +569,10 @@ def _wrong_sets(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
     if limits is None:
         return
     low, high = limits
-    step = 0.5 if one.type.element[0] == "f" else 1
+    step = 0.5 if board.scalar(one)[0] == "f" else 1
     bad = [board.packed(one, number) for number in (low - step, high + step)]
     bad = [value for value in bad if not low <= board.number(one, value) <= high]
-    if one.type.element in _FORMATS:
+    if board.scalar(one) in _FORMATS:
         bad.append(board.packed(one, float("nan")))
     for value in bad:
         for count in range(1, one.channels + 1):
@@ -630,9 +634,9 @@ class Settings(_TransducerCase):
         if item == c.TRANSD_TOPIC:
             return _RIGHT_TOPICS
         size = board.size(one)
-        if one.type.element in _FORMATS:
+        if board.scalar(one) in _FORMATS:
             return [board.packed(one, number) for number in (0.0, 0.5, 1e30, 3.0)]
-        most = (1 << 8 * size - (one.type.element[0] == "i")) - 1
+        most = (1 << 8 * size - (board.scalar(one)[0] == "i")) - 1
         return [number.to_bytes(size, "little") for number in (0, 1, most, most // 3)]
 
 
@@ -1052,18 +1056,18 @@ class Threshold(_Taken):
                         self._first(board, one, channel)
                     self._sensor(board, one, channel)
                     self._disabled(board, one, channel)
-                    if one.type.element in _FORMATS:
+                    if board.scalar(one) in _FORMATS:
                         self._infinite(board, one, channel)
                 if "decimation" in one.attributes:
                     self._decimated(board, one)
 
     def _sensor(self, board: Board, one: oracle.Transducer, channel: int) -> None:
-        is_float = one.type.element in _FORMATS
+        is_float = board.scalar(one) in _FORMATS
         na = one.attributes.get("na", "none")
         definitions = board.descriptors.definitions
         na_number = None if na == "none" else oracle.raw(one, na, definitions)
         most = 1 << 8 * board.size(one)
-        low = 0 if one.type.element[0] == "u" else -(1 << 20) if is_float else -(most // 2)
+        low = 0 if board.scalar(one)[0] == "u" else -(1 << 20) if is_float else -(most // 2)
         high = 1 << 20 if is_float else low + most - 1
         top = high if high != na_number else high - 1
         limits: tuple[Any, ...] = (0.5, 3.0, 100.0, 262144.0)
@@ -1111,7 +1115,7 @@ class Threshold(_Taken):
         if slots(board, one, board.read(one, c.TRANSD_SAMPLE))[channel][0]:
             return
         size = board.size(one)
-        most = board.packed(one, 1e30 if one.type.element in _FORMATS else (1 << 8 * size - 1) - 1)
+        most = board.packed(one, 1e30 if board.scalar(one) in _FORMATS else (1 << 8 * size - 1) - 1)
         board.write(one, c.TRANSD_THRESHOLD, most)
         self._give(board, one, channel, bytes(size), due=True)
 
