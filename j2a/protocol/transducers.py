@@ -390,9 +390,8 @@ class SensorState(_Transducer):
             return False
         if math.isnan(raw) or math.isnan(last):
             return math.isnan(raw) and math.isnan(last) and bool(self.threshold)
-        # Infinity less infinity is no number, though it does not differ from itself.
         assert self.threshold is not None
-        return bool((0 if raw == last else abs(raw - last)) < self.threshold)
+        return self.codec.difference(raw, last) < self.threshold
 
     def report(self, local_us: int) -> tuple[bytes, float]:
         """Return the payload of a sample SIF that is due, and when to look again."""

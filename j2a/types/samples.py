@@ -28,6 +28,7 @@ from j2a.types.transducers import (
     nearest,
     number_element,
     numbers_element,
+    rounded,
 )
 
 __all__ = ["SampleCodec", "pack_time"]
@@ -174,6 +175,14 @@ class SampleCodec:
         return self._na is not None and bool(
             raw == self._na or (self._na_is_nan and math.isnan(raw))
         )
+
+    def difference(self, raw: Any, other: Any) -> Raw:
+        """Return by how much two raw values differ that are numbers (J2A-TRANS-013)."""
+        if raw == other:
+            return 0  # infinity less infinity is no number
+        apart = abs(raw - other)
+        # A double holds enough digits of a difference of f32 to round it twice.
+        return rounded(str(self.transducer.type.element), apart) if self._is_float else apart
 
     # ------------------------------------------------------------------ actuators
 

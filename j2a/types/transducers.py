@@ -27,6 +27,7 @@ __all__ = [
     "number_element",
     "numbers_element",
     "problem",
+    "rounded",
 ]
 
 Raw = int | float | bool
@@ -214,12 +215,18 @@ def nearest(element: str, number: float) -> float:
     Raises:
         ValueError: it is beyond those that the type holds.
     """
+    found = rounded(element, number)
+    if math.isinf(found):
+        raise ValueError(f"{number} is beyond the numbers of an {element}")
+    return found
+
+
+def rounded(element: str, number: float) -> float:
+    """Return the number of a floating-point type that is nearest, infinity beyond the largest."""
     try:
         [found] = _FLOATS[element].unpack(_FLOATS[element].pack(number))
     except OverflowError:
-        found = math.inf
-    if math.isinf(found):
-        raise ValueError(f"{number} is beyond the numbers of an {element}")
+        return math.copysign(math.inf, number)
     return float(found)
 
 

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field as attribute
+from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
@@ -19,7 +20,17 @@ import construct as cs
 from j2a_spec import constants as c
 from j2a_spec import interface as types
 
-__all__ = ["Descriptors", "Transducer", "parse", "queued", "raw", "sample", "scalar", "setting"]
+__all__ = [
+    "Descriptors",
+    "Transducer",
+    "difference",
+    "parse",
+    "queued",
+    "raw",
+    "sample",
+    "scalar",
+    "setting",
+]
 
 _NUMBER = re.compile(r"-?[0-9]{1,20}(?:\.[0-9]{1,20})?(?:e[+-]?[0-9]{1,3})?")
 _HEX = re.compile(r"-?0x[0-9A-Fa-f]{1,16}")
@@ -29,6 +40,7 @@ _TRANSDUCER = re.compile(
 )
 _ATTRIBUTE = re.compile(rf" ({types.NAME})(?: ([^\x00-\x1f\x7f]+))?")
 _FLOATS = {"f32": cs.Float32l, "f64": cs.Float64l}
+_DIGITS = {"f32": (24, 128), "f64": (53, 1024)}
 _INTEGERS = {f"{s}{bits}": (s == "i", bits) for s in "ui" for bits in (8, 16, 32, 64)}
 
 
@@ -217,6 +229,32 @@ _FORMS: dict[str, Callable[[str], bool]] = {
     "watchdog": _is_number(0, 0xFFFF),
     "trigger": lambda text: text == "",
 }
+
+
+def difference(found: Transducer, one: Any, other: Any, definitions: types.Interface) -> Any:
+    """Return by how much two raw values differ, none of which is NaN (J2A-TRANS-013)."""
+    element = scalar(found, definitions)
+    if one == other:
+        return 0
+    if element not in _FLOATS:
+        return abs(int(one) - int(other))
+    if math.isinf(one) or math.isinf(other):
+        return math.inf
+    return _rounded(abs(Fraction(one) - Fraction(other)), *_DIGITS[element])
+
+
+def _rounded(number: Fraction, digits: int, largest: int) -> float:
+    """Return the number of so many binary digits that is nearest, an infinity beyond the largest.
+
+    Args:
+        number: above 0, and no fraction of the smallest number of the type.
+        digits: with the hidden one.
+        largest: the numbers are below 2 to this power.
+    """
+    last = number.numerator.bit_length() - number.denominator.bit_length() - digits
+    last += number >= Fraction(2) ** (last + digits)
+    found = round(number / Fraction(2) ** last) * Fraction(2) ** last  # of two the even one
+    return math.inf if found >= Fraction(2) ** largest else float(found)
 
 
 def sample(found: Transducer, definitions: types.Interface) -> cs.Construct:

@@ -84,7 +84,8 @@ bool j2a_near_signed(const uint8_t *a, const uint8_t *b, const uint8_t *limit, u
     return is_near(a, b, limit, size, 0x80);
 }
 
-/* A number and none differ by more than any limit. */
+/* A number and none differ by more than any limit. A variable rounds a difference to its type where registers hold more
+ * digits (J2A-TRANS-013). */
 #define FLOATING(name, type) \
     int8_t j2a_compare_##name(const uint8_t *a, const uint8_t *b, uint8_t size) { \
         const type of_a = j2a_get_##name(a); \
@@ -96,10 +97,14 @@ bool j2a_near_signed(const uint8_t *a, const uint8_t *b, const uint8_t *limit, u
         const type of_a = j2a_get_##name(a); \
         const type of_b = j2a_get_##name(b); \
         const type least = j2a_get_##name(limit); \
+        type apart; \
         (void)size; \
         if (of_a != of_a || of_b != of_b) \
             return of_a != of_a && of_b != of_b && least > 0; \
-        return of_a == of_b ? least > 0 : (of_a > of_b ? of_a - of_b : of_b - of_a) < least; \
+        if (of_a == of_b) \
+            return least > 0; \
+        apart = of_a > of_b ? of_a - of_b : of_b - of_a; \
+        return apart < least; \
     }
 FLOATING(f32, float)
 #if DBL_MANT_DIG == 53

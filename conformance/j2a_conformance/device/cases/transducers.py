@@ -46,6 +46,8 @@ _WRAP_US: Final = 20_000_000
 _TURNS: Final = 90  # of three values: more than counters of one byte hold
 _STEP: Final = 7
 _FORMATS: Final = {"f32": "<f", "f64": "<d"}
+_DIGITS: Final = {"f32": (24, 128), "f64": (53, 1024)}
+"""Binary digits with the hidden one, and the power of two below which the numbers are."""
 
 
 class Board:
@@ -1040,8 +1042,8 @@ class Decimation(_Taken):
 
 class Threshold(_Taken):
     """Gives values to sensors with threshold that differ from the last one by less, as much and
-    more, up and down, across the whole range, over times without ENABLED, the value na, and
-    infinities.
+    more, up and down, across the whole range, over times without ENABLED, the value na,
+    infinities, and floating-point values whose difference is rounded.
     """
 
     ID = "transducers.threshold"
@@ -1058,6 +1060,7 @@ class Threshold(_Taken):
                     self._disabled(board, one, channel)
                     if board.scalar(one) in _FORMATS:
                         self._infinite(board, one, channel)
+                        self._rounded(board, one, channel)
                 if "decimation" in one.attributes:
                     self._decimated(board, one)
 
@@ -1150,6 +1153,26 @@ class Threshold(_Taken):
         board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
         for number in (inf, inf, -inf, -inf):
             self._give(board, one, channel, board.packed(one, number), due=True)
+
+    def _rounded(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        """Give values whose difference lies between two numbers, or beyond the largest one."""
+        digits, power = _DIGITS[board.scalar(one)]
+        step = 2.0**-digits
+        largest = math.ldexp(1 - step, power)
+        pairs = [(1 - step, -part * step) for part in (0.25, 0.5, 0.75)]
+        pairs += [(1.0, -part * step) for part in (0.75, 1, 1.25, 3)]
+        pairs += [(largest, -largest), (largest, -step), (largest, -largest * step)]
+        for number, last in (*pairs, *((-number, -last) for number, last in pairs)):
+            least = oracle.difference(one, number, last, board.descriptors.definitions)
+            limits = [(board.packed(one, least), True)]
+            if least != math.inf:
+                above = int.from_bytes(limits[0][0], "little") + 1
+                limits.append((above.to_bytes(board.size(one), "little"), False))
+            for limit, is_due in limits:
+                board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+                self._give(board, one, channel, board.packed(one, last), due=True)
+                board.write(one, c.TRANSD_THRESHOLD, limit)
+                self._give(board, one, channel, board.packed(one, number), is_due)
 
     def _decimated(self, board: Board, one: oracle.Transducer) -> None:
         """Leave the values that decimation leaves to the threshold."""
