@@ -5,20 +5,33 @@ functions and those of the file. Rule: what cannot be read is an error that tell
 `j2a.types.macros` for what can.
 """
 
-from collections.abc import Callable, Mapping
-from typing import Final
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Final, TypeGuard
 
 from j2a_spec.capabilities import FUNCTIONS
 from j2a_spec.constants import CAP_CLOCK, CAP_TRANSDUCERS
 
 from j2a.errors import SignatureError
-from j2a.types.macros import MacroReader, Node, bare_text
-from j2a.types.model import Interface
+from j2a.types.macros import Arguments, MacroReader, Node, Word, bare_text
+from j2a.types.model import OPEN, Interface
 from j2a.types.parser import parse_interface
 
-__all__ = ["DEFINITIONS", "interface_text", "read_definition_file", "type_text"]
+__all__ = [
+    "DEFINITIONS",
+    "MAX_ITEMS",
+    "entry_text",
+    "interface_text",
+    "is_group",
+    "read_definition_file",
+    "type_text",
+]
 
-_FLAGS: Final = ("idempotent", "slow")
+MAX_ITEMS: Final = 32
+"""So many fields of a structure, values of an enumeration, or items of a transducer the macros of
+the firmware take."""
+_HEADS: Final = {"J2A_ENUM": 2, "J2A_STRUCT": 1}
+_PLAIN: Final = re.compile(r"-?\w+", re.ASCII)
 
 
 def read_definition_file(
@@ -63,49 +76,92 @@ def interface_text(
     for macro, arguments in reader.entries():
         make = _ENTRIES.get(macro)
         if make is None:
-            raise reader.error(f"{macro} is no entry of functions.def")
-        try:
-            line = make(*arguments)
-        except (TypeError, ValueError, AttributeError):
-            raise reader.error(f"the arguments of {macro} cannot be read") from None
+            raise reader.error(f"{macro} is no entry of functions.def", macro)
+        line = entry_text(reader, make, macro, arguments)
         (definitions if macro in (*DEFINITIONS, "J2A_SIF") else lines).append(line)
     return "".join(f"{line}\n" for line in (*definitions, "", *lines))
 
 
+def entry_text(
+    reader: MacroReader, make: Callable[..., str], macro: Word, arguments: Arguments
+) -> str:
+    """Return the line of an interface that an entry makes.
+
+    Args:
+        reader: of the file, for errors.
+        make: makes the line of the arguments.
+        macro, arguments: of the entry.
+
+    Raises:
+        SignatureError: it has other arguments than it should, or an argument of another form.
+    """
+    most = _HEADS.get(macro, len(arguments)) + MAX_ITEMS
+    if len(arguments) > most:
+        raise reader.error(f"{macro} takes {MAX_ITEMS} of these at most", arguments[most])
+    try:
+        return make(*arguments)
+    except SignatureError:
+        raise
+    except (TypeError, ValueError):
+        raise reader.error(f"the arguments of {macro} cannot be read", macro) from None
+
+
 def type_text(node: Node) -> str:
-    """Return a type: `i32`, `array(i16, 3)`, or one of these with a unit in parentheses.
+    """Return a type: `i32` or `array(i16, 3)`.
 
     Raises:
         ValueError: it is none.
     """
-    if isinstance(node, str):
-        return node
-    if node[0] == "array":
-        element, *count = node[1:]
-        if element in ("text", "bytes"):
-            return f"{element}[{count[0]}]"
-        return f"{element}[{count[0] if count else ''}]"
-    kind, *unit = node
-    return " ".join([type_text(kind), *map(str, unit)])
+    if isinstance(node, Word):
+        return _word(node)
+    if is_group(node):
+        raise ValueError(node)
+    array, element, *count = node
+    if array != "array" or len(count) > 1 or (element in OPEN and not count):
+        raise ValueError(node)
+    return f"{_word(element)}[{''.join(map(_word, count))}]"
+
+
+def is_group(node: Node) -> TypeGuard[Arguments]:
+    """Whether it stands in parentheses, with no word in front of them."""
+    return isinstance(node, Arguments) and node.text.startswith("(")
+
+
+def _word(node: Node) -> str:
+    """Return a name or a number: what no blank, bracket or quotation mark is in."""
+    if not isinstance(node, Word) or not _PLAIN.fullmatch(node):
+        raise ValueError(node)
+    return node
+
+
+def _unit(node: Node) -> str:
+    if not isinstance(node, Word):
+        raise ValueError(node)
+    return f" {node}"
 
 
 def _field(node: Node) -> str:
-    if isinstance(node, str):
+    if not is_group(node):
         raise ValueError(node)
     kind, name, *unit = node
-    return " ".join([str(name), type_text(kind), *map(str, unit)])
+    if len(unit) > 1:
+        raise ValueError(node)
+    return f"{_word(name)} {type_text(kind)}{''.join(map(_unit, unit))}"
 
 
-def _fields(nodes: tuple[Node, ...] | list[Node]) -> str:
+def _fields(nodes: Iterable[Node]) -> str:
     return f"({', '.join(map(_field, nodes))})"
 
 
 def _result(node: Node) -> str:
     if node == "void":
         return ""
-    if isinstance(node, list) and isinstance(node[0], list) and node[0][0] != "array":
+    if not is_group(node):
+        return f" {type_text(node)}"
+    if node and is_group(node[0]):
         return f" {_fields(node)}"
-    return f" {type_text(node)}"
+    kind, unit = node
+    return f" {type_text(kind)}{_unit(unit)}"
 
 
 def _doc(text: Node) -> str:
@@ -114,48 +170,61 @@ def _doc(text: Node) -> str:
 
 
 def _enum(name: Node, integer: Node, *values: Node) -> str:
-    return f"enum {name} {integer} ({', '.join(map(_value, values))})"
+    return f"enum {_word(name)} {_word(integer)} ({', '.join(map(_value, values))})"
 
 
 def _value(node: Node) -> str:
-    if isinstance(node, str):
+    if not is_group(node):
         raise ValueError(node)
     name, number = node
-    return f"{name}={number}"
+    return f"{_word(name)}={_word(number)}"
 
 
 def _struct(name: Node, *fields: Node) -> str:
-    return f"struct {name} {_fields(fields)}"
+    return f"struct {_word(name)} {_fields(fields)}"
 
 
 def _sif(name: Node, opcode: Node, *rest: Node) -> str:
     *fields, text = rest
-    return f"sif {name} {opcode} {_fields(fields)}{_doc(text)}"
+    return f"sif {_word(name)} {_word(opcode)} {_fields(fields)}{_doc(text)}"
 
 
 def _function(name: Node, result: Node, *rest: Node) -> str:
     *items, text = rest
-    is_flag = [item in _FLAGS or (isinstance(item, list) and item[0] in _FLAGS) for item in items]
-    fields = [item for item, flag in zip(items, is_flag, strict=True) if not flag]
-    flags = "".join(
-        f" !{item}" if isinstance(item, str) else f" !{item[0]}({item[1]})"
-        for item, flag in zip(items, is_flag, strict=True)
-        if flag
-    )
-    return f"{name}{_fields(fields)}{_result(result)}{flags}{_doc(text)}"
+    fields = [item for item in items if is_group(item)]
+    flags = "".join(_flag(item) for item in items if not is_group(item))
+    return f"{_word(name)}{_fields(fields)}{_result(result)}{flags}{_doc(text)}"
+
+
+def _flag(node: Node) -> str:
+    if node == "idempotent":
+        return f" !{node}"
+    flag, value = node if isinstance(node, Arguments) else ("", node)
+    if flag != "slow":
+        raise ValueError(node)
+    return f" !{flag}({_word(value)})"
 
 
 def _call(name: Node, _function: Node) -> str:
-    return str(name)
+    return str(_label(name))
 
 
 def _many(name: Node, _function: Node) -> str:
-    return f"{name} many"
+    return f"{_label(name)} many"
+
+
+def _label(node: Node) -> str:
+    if not isinstance(node, Word) or " " in node or node[0] == '"':
+        raise ValueError(node)
+    return node
 
 
 def _buffer(name: Node, kind: Node, count: Node, text: Node) -> str:
-    element, *unit = [kind] if isinstance(kind, str) else kind
-    return " ".join([f"{name} many {element}[{count}]", *map(str, unit)]) + _doc(text)
+    element, *unit = kind if is_group(kind) else [kind]
+    if len(unit) > 1:
+        raise ValueError(kind)
+    what = f"{_word(name)} many {_word(element)}[{_word(count)}]"
+    return f"{what}{''.join(map(_unit, unit))}{_doc(text)}"
 
 
 DEFINITIONS: Final[Mapping[str, Callable[..., str]]] = {"J2A_ENUM": _enum, "J2A_STRUCT": _struct}

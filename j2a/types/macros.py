@@ -1,53 +1,161 @@
 """Reads files that list something by macros of C: functions.def and transds.def.
 
 What flows in: the text of a file, and of those that it includes. What flows out: each macro with
-its arguments. Rules: numbers that a file defines stand for what they are; a condition on a name is
-decided by what the user says of that name, and is an error without, because a build may say either.
+its arguments, as the compiler gets them. Rules: words that a file defines stand for what they are;
+a condition on a name is decided by what the user says of that name, and is an error without,
+because a build may say either. What compilers read in different ways, or in another way each time
+that they read the file, is an error.
 """
 
 import re
+from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping
+from itertools import zip_longest
 from typing import Final
 
 from j2a.errors import SignatureError
 
 __all__ = ["Arguments", "MacroReader", "Node", "Opener", "Word", "bare_text"]
 
-_SKIPPED: Final = re.compile(r"(?:\s|\\\r?\n|//[^\n]*|/\*.*?\*/)+", re.DOTALL)
-_TOKEN: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"|[(),]|(?:[^\s(),"\\/]|/(?![/*])|\\(?!\r?\n))+')
-_DIRECTIVE: Final = re.compile(r"(?:\\\r?\n|[^\n])*")
-_DEFINE: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)\s+(\S+)")
-_BODY: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)(?=\s)")
+# What a compiler does first: it joins lines, and makes one space of a comment.
+_SPLICE: Final = re.compile(r"\\\r?\n")
+_LITERAL: Final = r'"(?:[^"\\\n]|\\[^\n])*"|' r"'(?:[^'\\\n]|\\[^\n])*'"
+_COMMENT: Final = re.compile(
+    rf"(?P<kept>{_LITERAL}|[\"'][^\n]*)|//[^\n]*|/\*(?:.*?\*/|(?P<open>.*))", re.DOTALL
+)
+_TRIGRAPH: Final = re.compile(r"\?\?[=/'()!<>-]")
+_TRIGRAPH_SPLICE: Final = re.compile(r"\?\?/\r?\n")
+
+_SPACE: Final = re.compile(r"[ \t\r\n\v\f]+")
+_TOKEN: Final = re.compile(rf"{_LITERAL}|[(),]|[^ \t\r\n\v\f(),\"'\\]+")
+_PIECE: Final = re.compile(r"\.?[0-9](?:[eEpP][+-]|[\w.])*|[A-Za-z_$][\w$]*")
+_ESCAPE: Final = re.compile(r"\\(.)")
+_DIRECTIVE: Final = re.compile(r"[^\n]*")
+_DEFINE: Final = re.compile(
+    rf"#\s*define\s+([A-Za-z_]\w*)\s+({_LITERAL}|[^\s(),\"'\\#]+)", re.ASCII
+)
+_BODY: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)(?=\s|$)", re.ASCII)
 _ONCE: Final = re.compile(r"#\s*pragma\s+once\b")
-_GUARD: Final = re.compile(r"\s*#\s*define\s+([A-Za-z_]\w*)\s*(?://[^\n]*|/\*[^\n]*)?(?:\n|$)")
+_GUARD: Final = re.compile(r"\s*#\s*define\s+([A-Za-z_]\w*)[ \t\r]*(?:\n|$)")
 _NO_GUARD: Final = "leave the include guard out: the compiler reads this file several times"
-_CONDITION: Final = re.compile(r"#\s*(if|ifdef|ifndef|else|endif)\b(.*?)(?://.*|/\*.*\*/\s*)?")
+_CONDITION: Final = re.compile(r"#\s*(if|ifdef|ifndef|else|endif)\b(.*)")
 _ELIF: Final = re.compile(r"\s*#\s*elif\b")
-_ASKED: Final = re.compile(r"\s*(!?)\s*(?:(defined)\s*\(?\s*)?([A-Za-z_]\w*|[01])\s*\)?\s*")
-_INCLUDE: Final = re.compile(r'#\s*include\s+"([^"\n]+)"\s*(?://.*|/\*.*\*/\s*)?')
-_WORD: Final = re.compile(r"[A-Za-z_]\w*")
+_ASKED: Final = re.compile(
+    r"\s*(!?)\s*(?:defined\s*\(\s*(?P<asked>[A-Za-z_]\w*)\s*\)|defined\s+(?P<named>[A-Za-z_]\w*)"
+    r"|(?P<value>[A-Za-z_]\w*|[01]))\s*"
+)
+_INCLUDE: Final = re.compile(r'#\s*include\s*"([^"\n]+)"\s*')
+_ONLY_A_BUILD: Final = "only a build can decide this; ask a board, by its URL"
+_DIFFERENT: Final = ("true", "false")
 _MAX_INCLUDES: Final = 100
+_MAX_DEPTH: Final = 32
+_MAX_VALUE: Final = 255
 
 Opener = Callable[[str, str], tuple[str, str]]
 """Returns the name and the text of a file that another one includes; takes the name of that one,
 and what stands in the directive. Raises OSError or UnicodeDecodeError."""
 
 
-class Word(str):
-    """A word or a string of a file; `at` and `text` as of `Arguments`."""
+class _Edited:
+    """A text in which something was replaced, and where its characters stood before.
 
+    Args:
+        text: as it was.
+        pattern: of what is replaced, unless a group takes part in the match.
+        replacement: of each.
+    """
+
+    def __init__(self, text: str, pattern: re.Pattern[str], replacement: str) -> None:
+        self._is, self._was = [0], [0]
+        pieces: list[str] = []
+        size = 0
+        for match in pattern.finditer(text):
+            if match.lastgroup is None:
+                pieces += [text[self._was[-1] : match.start()], replacement]
+                size += len(pieces[-2]) + len(replacement)
+                self._is.append(size)
+                self._was.append(match.end())
+        self.text = "".join([*pieces, text[self._was[-1] :]])
+
+    def before(self, at: int) -> int:
+        """Return where a character stood."""
+        found = bisect_right(self._is, at) - 1
+        return self._was[found] + at - self._is[found]
+
+
+class _Source:
+    """A file.
+
+    Args:
+        file: its name, for errors.
+        text: of the file.
+
+    Attributes:
+        text: in which no line is continued and there are no comments.
+    """
+
+    def __init__(self, file: str, text: str) -> None:
+        self.file = file
+        self._original = text
+        self._joined = _Edited(text, _SPLICE, "")
+        self._plain = _Edited(self._joined.text, _COMMENT, " ")
+        self.text = self._plain.text
+
+    def check(self) -> None:
+        """Refuse what each compiler reads in its own way.
+
+        Raises:
+            SignatureError: there is such a thing.
+        """
+        for piece in _COMMENT.finditer(self._joined.text):
+            if piece.lastgroup == "open":
+                raise self._error("this comment has no end", self._joined.before(piece.start()))
+        if match := _TRIGRAPH.search(self.text):
+            what = f'{match[0]} is one character in C; in a text write "?" "{match[0][1:]}"'
+            raise self.error(what, match.start())
+        if match := _TRIGRAPH_SPLICE.search(self._original):
+            raise self._error("??/ continues a line in C", match.start())
+
+    def error(self, what: str, at: int) -> SignatureError:
+        """Return an error that tells a place of the text."""
+        return self._error(what, self._joined.before(self._plain.before(at)))
+
+    def _error(self, what: str, at: int) -> SignatureError:
+        line = self._original.count("\n", 0, at) + 1
+        begin = self._original.rfind("\n", 0, at) + 1
+        shown = self._original[begin:].partition("\n")[0]
+        error = SignatureError.at(what, shown, at - begin, line)
+        error.file = self.file
+        return error
+
+
+_NOWHERE: Final = _Source("", "")
+
+
+class Word(str):
+    """A word or a string of a file; `source`, `at` and `text` as of `Arguments`.
+
+    Attributes:
+        wrong_escape: in a string, where a backslash stands before something else than a quotation
+            mark or a backslash; None without one.
+    """
+
+    source = _NOWHERE
     at = 0
     text = ""
+    wrong_escape: int | None = None
 
 
 class Arguments(list["Node"]):
     """What stands in parentheses.
 
     Attributes:
+        source: the file.
         at: where the argument begins in the file.
         text: all of the argument, as a compiler makes a string of it.
     """
 
+    source = _NOWHERE
     at = 0
     text = ""
 
@@ -61,11 +169,11 @@ class MacroReader:
 
     Args:
         text: of the file.
-        options: what names stand for in conditions such as `#if NAME`; None for one that the build
-            does not define.
+        options: what names stand for, in conditions such as `#if NAME` too; None for one that the
+            build does not define.
         file: its name, for errors.
         opener: opens what the file includes; None includes nothing.
-        bodies: macros without arguments whose body is read as if it stood there.
+        bodies: macros without arguments whose body is read where the file ends.
     """
 
     def __init__(
@@ -77,135 +185,175 @@ class MacroReader:
         opener: Opener | None = None,
         bodies: Collection[str] = (),
     ) -> None:
-        self._text = text
-        self._file = file
+        self._first = _Source(file, text)
+        self._source = self._first
         self._opener = opener
         self._bodies = bodies
         self._options = options
         self._has_else: list[bool] = []  # of the conditions around what is read
         self._at = 0
         self._start = 0
-        self._numbers: dict[str, str] = {}
-        self._outer: list[tuple[str, str, int, list[bool]]] = []
+        self._is_spaced = False  # in front of the last token
+        self._defined: dict[str, str] = {}
+        self._outer: list[tuple[_Source, int, list[bool]]] = []
         self._includes = 0
         self._defined_bodies: set[str] = set()
         self._body_end = 0
 
-    @property
-    def is_in_body(self) -> bool:
-        """The macro that was read last stands in the body of another one."""
-        return self._start < self._body_end
-
-    def error(self, what: str, node: Node | None = None) -> SignatureError:
+    def error(self, what: str, node: Node) -> SignatureError:
         """Return an error that tells a place.
 
         Args:
             what: is wrong.
-            node: where; None is the macro that was read last.
+            node: where.
         """
-        at = self._start if node is None else node.at
-        line = self._text.count("\n", 0, at) + 1
-        begin = self._text.rfind("\n", 0, at) + 1
-        shown = self._text[begin:].partition("\n")[0]
-        error = SignatureError.at(what, shown, at - begin, line)
-        error.file = self._file
-        return error
+        return node.source.error(what, node.at)
 
-    def entries(self) -> Iterator[tuple[Word, Arguments]]:
-        """Yield each macro and its arguments.
+    def entries(self) -> list[tuple[Word, Arguments]]:
+        """Return each macro and its arguments, in the order in which the compiler gets them.
 
         Raises:
             SignatureError: the file cannot be read.
         """
+        before, entries = list(self._read()), list(self._read())
+        for first, second in zip_longest(before, entries):
+            if not first or not second or first[0] + first[1].text != second[0] + second[1].text:
+                what = "the compiler reads this file several times, and this changes with each time"
+                raise self.error(what, (first or second)[0])
+        entries.sort(key=lambda entry: entry[2])
+        return [(name, arguments) for name, arguments, _ in entries]
+
+    def _read(self) -> Iterator[tuple[Word, Arguments, bool]]:
+        """Yield each macro, its arguments, and whether it stands in the body of another one."""
+        self._source, self._at, self._body_end, self._includes = self._first, 0, 0, 0
+        self._defined_bodies.clear()
+        self._source.check()
         while (token := self._next()) is not None:
-            self._start = self._at - len(token)
-            name = Word(token)
-            name.at = self._start
+            name = self._word(token)
+            self._start = name.at
             if self._next(is_inside=True) != "(":
-                raise self.error(f'a "(" is expected behind {token}')
-            yield name, self._list()
+                raise self._wrong(f'a "(" is expected behind {token}')
+            yield name, self._list(), self._start < self._body_end
+
+    def _wrong(self, what: str, at: int | None = None) -> SignatureError:
+        """Return an error at a place of this file, or at the macro that was read last."""
+        return self._source.error(what, self._start if at is None else at)
 
     def _next(self, is_inside: bool = False) -> str | None:
+        begin = self._at
         while True:
-            if match := _SKIPPED.match(self._text, self._at):
+            text = self._source.text
+            if match := _SPACE.match(text, self._at):
                 self._at = match.end()
-            elif self._text.startswith("#", self._at):
+            elif text.startswith("#", self._at) and self._begins_line():
                 if is_inside:
-                    raise self.error("no line with # may stand between the parentheses of this")
+                    raise self._wrong("no line with # may stand between the parentheses of this")
                 self._directive()
-            elif self._at == len(self._text) and self._outer and not is_inside:
+            elif self._at == len(text) and self._outer and not is_inside:
                 self._leave()
             else:
                 break
-        match = _TOKEN.match(self._text, self._at)
+        self._is_spaced = self._at > begin
+        if is_inside and self._start < self._body_end <= self._at:
+            raise self._wrong("the line ends inside of this; let it end in a backslash")
+        match = _TOKEN.match(text, self._at)
         if match is None:
-            if self._at < len(self._text):
-                self._start = self._at
-                raise self.error(self._unreadable())
+            if self._at < len(text):
+                raise self._wrong(self._unreadable(), self._at)
             if self._has_else:
-                raise self.error("an #endif is missing behind this")
+                raise self._wrong("an #endif is missing behind this")
             return None
+        if "##" in match[0] and match[0][0] not in "\"'" and self._at < self._body_end:
+            raise self._wrong("## joins words in the body of a macro", self._at)
         self._at = match.end()
         return match[0]
 
+    def _begins_line(self) -> bool:
+        text = self._source.text
+        line = text[text.rfind("\n", 0, self._at) + 1 : self._at]
+        return _SPACE.fullmatch(line) is not None or not line
+
     def _unreadable(self) -> str:
         """Return what is wrong here, where no token begins."""
-        if self._text.startswith("/*", self._at):
-            return "this comment has no end"
-        if self._text.startswith('"', self._at):
-            return 'a second " is missing in this line'
-        return "this cannot be read"
+        character = self._source.text[self._at]
+        if character == "\\":
+            return 'a backslash stands in a text, in front of " or \\, or at the end of a line'
+        return f"a second {character} is missing in this line"
 
     # ------------------------------------------------------------------ lines with #
 
     def _directive(self) -> None:
         self._start = self._at
-        if (body := _BODY.match(self._text, self._at)) and body[1] in self._bodies:
-            if body[1] in self._defined_bodies:
-                raise self.error(f"{body[1]} is defined a second time, which a compiler refuses")
-            self._defined_bodies.add(body[1])
-            whole = _DIRECTIVE.match(self._text, self._at)
-            assert whole is not None
-            self._at, self._body_end = body.end(), whole.end()
-            return
-        match = _DIRECTIVE.match(self._text, self._at)
+        text = self._source.text
+        match = _DIRECTIVE.match(text, self._at)
         assert match is not None
-        line = match[0].rstrip()
+        line = match[0].rstrip(" \t\r\v\f")
+        if (body := _BODY.match(line)) and body[1] in self._bodies:
+            if body[1] in self._defined_bodies:
+                raise self._wrong(f"{body[1]} is defined a second time, which a compiler refuses")
+            self._defined_bodies.add(body[1])
+            self._at, self._body_end = self._at + body.end(), match.end() + 1
+            return
         self._at = match.end()
         if _ONCE.match(line):
-            raise self.error(_NO_GUARD)
-        if match := _DEFINE.match(line):
-            self._numbers[match[1]] = match[2]
+            raise self._wrong(_NO_GUARD)
+        if match := _DEFINE.fullmatch(line):
+            self._define(match[1], match[2])
         elif match := _CONDITION.fullmatch(line):
             self._condition(match[1], match[2])
         elif self._opener is not None and (match := _INCLUDE.fullmatch(line)):
             self._enter(match[1], self._opener)
+        elif _BODY.match(line):
+            raise self._wrong("a name stands for one word or one text here")
         else:
-            raise self.error("only a build can decide this; ask a board, by its URL")
+            raise self._wrong(_ONLY_A_BUILD)
+
+    def _define(self, name: str, word: str) -> None:
+        value = self._expanded(word, self._start)
+        if len(value) > _MAX_VALUE:
+            raise self._wrong(f"{name} stands for more than {_MAX_VALUE} characters")
+        if self._defined.setdefault(name, value) != value:
+            what = "the compiler reads this file several times, and {} changes with each time: "
+            raise self._wrong(what.format(name) + "define it once, behind the names in it")
+
+    def _expanded(self, token: str, at: int) -> str:
+        """Return a token with what stands for the names in it; `at` is for errors."""
+        if token[0] in "\"'":
+            return token
+
+        def meaning(piece: re.Match[str]) -> str:
+            name = piece[0]
+            if name in _DIFFERENT:
+                raise self._wrong(f"{name} is a number in C99 and a word in C++", at)
+            return self._defined.get(name) or self._options.get(name) or name
+
+        return _PIECE.sub(meaning, token)
 
     def _enter(self, name: str, opener: Opener) -> None:
         self._includes += 1
         if self._includes > _MAX_INCLUDES:
-            raise self.error("a file includes itself, or there are too many of them")
+            raise self._wrong("a file includes itself, or there are too many of them")
         try:
-            file, text = opener(self._file, name)
+            file, text = opener(self._source.file, name)
         except (OSError, UnicodeDecodeError) as error:
-            raise self.error(f"cannot read {name}: {getattr(error, 'strerror', error)}") from None
-        self._outer.append((self._file, self._text, self._at, self._has_else))
-        self._file, self._text, self._at, self._has_else = file, text, 0, []
+            raise self._wrong(f"cannot read {name}: {getattr(error, 'strerror', error)}") from None
+        self._outer.append((self._source, self._at, self._has_else))
+        self._source, self._at, self._has_else = _Source(file, text), 0, []
         self._body_end = 0
+        self._source.check()
 
     def _leave(self) -> None:
         if self._has_else:
-            raise self.error("an #endif is missing behind this")
-        self._file, self._text, self._at, self._has_else = self._outer.pop()
+            raise self._wrong("an #endif is missing behind this")
+        self._source, self._at, self._has_else = self._outer.pop()
+        self._body_end = 0  # an #include stands in no body
 
     def _condition(self, kind: str, asked: str) -> None:
         if kind.startswith("if"):
             is_true = self._decide(kind, asked)
             self._has_else.append(False)
         elif not self._has_else or (kind == "else" and self._has_else[-1]):
-            raise self.error("there is no #if for this")
+            raise self._wrong("there is no #if for this")
         elif kind == "endif":
             self._has_else.pop()
             return
@@ -218,36 +366,37 @@ class MacroReader:
     def _decide(self, kind: str, asked: str) -> bool:
         """Return whether a condition holds."""
         match = _ASKED.fullmatch(asked)
-        if match is None or (kind != "if" and (match[1] or match[2])):
-            raise self.error("only a build can decide this; ask a board, by its URL")
-        negated, defined, name = match.groups()
-        known: dict[str, str | None] = {"0": "0", "1": "1", **self._options, **self._numbers}
+        if match is None or (kind != "if" and (match[1] or not match["value"])):
+            raise self._wrong(_ONLY_A_BUILD)
+        name = match["asked"] or match["named"] or match["value"]
+        known: dict[str, str | None] = {"0": "0", "1": "1", **self._options, **self._defined}
         if name not in known:
-            guard = _GUARD.match(self._text, self._at)
+            guard = _GUARD.match(self._source.text, self._at)
             if kind == "ifndef" and guard is not None and guard[1] == name:
-                raise self.error(_NO_GUARD)
-            raise self.error(
+                raise self._wrong(_NO_GUARD)
+            raise self._wrong(
                 f"give the value of {name} by -D {name}=1, or say by -U {name} that it has none"
             )
         value = known[name]
-        if kind != "if" or defined:
-            return (value is not None) != (bool(negated) or kind == "ifndef")
+        if kind != "if" or not match["value"]:
+            return (value is not None) != (bool(match[1]) or kind == "ifndef")
         try:
-            return bool(int(value or "0", 0)) != bool(negated)
+            return bool(int(value or "0", 0)) != bool(match[1])
         except ValueError:
-            raise self.error(f"{name} is {value}, which is no number") from None
+            raise self._wrong(f"{name} is {value}, which is no number") from None
 
     def _skip_branch(self) -> None:
         """Leave out what stands before the #else or #endif of this condition."""
         depth = 0
-        while self._at < len(self._text):
-            line = self._text[self._at :].partition("\n")[0]
+        text = self._source.text
+        while self._at < len(text):
+            begin = self._at
+            line = text[begin : text.find("\n", begin) % (len(text) + 1)]
             self._at += len(line) + 1
-            match = _CONDITION.fullmatch(line.strip())
+            match = _CONDITION.fullmatch(line.strip(" \t\r\v\f"))
             if match is None:
                 if not depth and _ELIF.match(line):
-                    self._start = self._at - len(line) - 1
-                    raise self.error("only a build can decide this; ask a board, by its URL")
+                    raise self._wrong(_ONLY_A_BUILD, begin)
                 continue
             if match[1].startswith("if"):
                 depth += 1
@@ -255,52 +404,62 @@ class MacroReader:
                 depth -= match[1] == "endif"
             elif match[1] == "endif":
                 self._has_else.pop()
-                return
+                break
             elif self._has_else[-1]:
-                raise self.error("there is a second #else behind this")
+                raise self._wrong("there is a second #else behind this")
             else:
                 self._has_else[-1] = True
-                return
+                break
+        self._at = min(self._at, len(text))
 
     # ------------------------------------------------------------------ arguments
 
-    def _list(self) -> Arguments:
+    def _word(self, token: str) -> Word:
+        """Return the token that was read last as a node."""
+        at = self._at - len(token)
+        word = Word(self._expanded(token, at))
+        word.source, word.at = self._source, at
+        if word[0] == '"':
+            wrong = (match for match in _ESCAPE.finditer(word) if match[1] not in '"\\')
+            if match := next(wrong, None):
+                word.wrong_escape = word.at + (match.start() if word == token else 0)
+        return word
+
+    def _list(self, depth: int = 1) -> Arguments:
         """Read arguments up to and with the ")"; strings side by side are one."""
         found = Arguments()
-        found.at = begin = self._at
+        found.source, found.at = self._source, self._at
         words: list[Node] = []
+        pieces = ["("]
+        begin = 1  # of this argument among the pieces
         while True:
             token = self._next(is_inside=True)
             if token is None:
-                raise self.error('a ")" is missing')
-            at = self._at - len(token)
-            if token in (",", ")"):
-                if token == "," and not words:
-                    comma = Word(token)
-                    comma.at = at
-                    raise self.error("an argument is missing in front of this comma", comma)
-                if words:
-                    node = self._joined(words)
-                    node.text = self._plain(self._text[begin:at])
-                    found.append(node)
-                words, begin = [], self._at
-                if token == ")":
-                    return found
-            elif token == "(":
-                inner = self._list()
+                raise self._wrong('a ")" is missing')
+            word = self._word(token)
+            pieces += [" " * self._is_spaced, word]
+            if token == "(":
+                if depth == _MAX_DEPTH:
+                    raise self.error(f"there are more than {_MAX_DEPTH} parentheses open", word)
+                inner = self._list(depth + 1)
+                pieces[-1] = inner.text
                 if words and isinstance(words[-1], Word):
                     inner.insert(0, words.pop())  # array(u16, 3)
                     inner.at = inner[0].at
                 words.append(inner)
-            else:
-                word = Word(self._numbers.get(token, token))
-                word.at = at
+            elif token not in (",", ")"):
                 words.append(word)
-
-    def _plain(self, text: str) -> str:
-        """Return what the compiler makes a string of: numbers for names, one space for many."""
-        text = _SKIPPED.sub(" ", text).strip()
-        return _WORD.sub(lambda name: self._numbers.get(name[0], name[0]), text)
+            elif words:
+                node = self._joined(words)
+                node.text = "".join(pieces[begin:-1]).strip(" ")
+                found.append(node)
+                words, begin = [], len(pieces)
+            elif token == "," or found:
+                what = "comma" if token == "," else "parenthesis"
+                raise self.error(f"an argument is missing in front of this {what}", word)
+            if token == ")":
+                found.text = "".join(pieces)
+                return found
 
     def _joined(self, words: list[Node]) -> Node:
         first, *rest = words
@@ -315,7 +474,9 @@ class MacroReader:
         joined = Word(
             '"' + "".join(text[1:-1] for text in texts) + '"' if is_string[0] else " ".join(texts)
         )
-        joined.at = first.at
+        joined.source, joined.at = first.source, first.at
+        escapes = (text.wrong_escape for text in texts if text.wrong_escape is not None)
+        joined.wrong_escape = next(escapes, None)
         return joined
 
 
@@ -323,8 +484,12 @@ def bare_text(node: Node) -> str:
     """Return what a string says.
 
     Raises:
+        SignatureError: it has an escape such as `\\n`, which no descriptor can hold.
         ValueError: it is none.
     """
     if not isinstance(node, Word) or not node.startswith('"'):
         raise ValueError(node)
-    return node[1:-1].replace('\\"', '"').replace("\\\\", "\\")
+    if node.wrong_escape is not None:
+        what = 'in a text a backslash stands in front of " or \\ only'
+        raise node.source.error(what, node.wrong_escape)
+    return _ESCAPE.sub(r"\1", node[1:-1])

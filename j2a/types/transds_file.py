@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from typing import Final
 
 from j2a.errors import LocalError, SignatureError
-from j2a.types.definition_file import DEFINITIONS, type_text
+from j2a.types.definition_file import DEFINITIONS, MAX_ITEMS, entry_text, is_group, type_text
 from j2a.types.descriptors import parse_transducer
 from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
 from j2a.types.model import Enumeration, Field, Structure
@@ -39,6 +39,7 @@ _OCTAL: Final = re.compile(r"-?0[0-9]+")
 _WHOLE: Final = re.compile(r"-?[0-9]{19,400}")
 _TOP: Final = 1 << 63
 _STRING: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"')
+_BOOL: Final = re.compile(r"\bbool\b")
 _C_NAMES: Final = {name: c_name for c_name, name in _C_TYPES.items()}
 
 
@@ -66,16 +67,13 @@ def read_transds(
     found: dict[str, Transducer] = {}
     ids: dict[int, str] = {}
     prefixes: dict[str, str] = {}
-    in_body: list[Transducer] = []
-    for macro, arguments in reader.entries():
+    entries = reader.entries()
+    for macro, arguments in entries:  # all of them come first, wherever they stand
         if make := DEFINITIONS.get(macro):
-            try:
-                line = make(*arguments)
-            except (TypeError, ValueError, AttributeError):
-                raise reader.error(f"the arguments of {macro} cannot be read") from None
-            _define(reader, line, types)
-        elif macro in _KINDS:
-            transducer = _Entry(reader, _KINDS[macro], arguments, types).read()
+            _define(reader, macro, entry_text(reader, make, macro, arguments), types)
+    for macro, arguments in entries:
+        if macro in _KINDS:
+            transducer = _Entry(reader, macro, arguments, types).read()
             if transducer.name in found:
                 what = f"another transducer has the name {transducer.name}"
                 raise reader.error(what, arguments[0])
@@ -92,18 +90,16 @@ def read_transds(
                 prefixes[transducer.prefix] = transducer.name
             ids[transducer.id] = transducer.name
             found[transducer.name] = transducer
-            if reader.is_in_body:
-                in_body.append(transducer)
-        else:
+        elif macro not in DEFINITIONS:
             near = get_close_matches(macro, [*_KINDS, *DEFINITIONS], n=1)
             hint = f"; {near[0]} is" if near else ""
             raise reader.error(f"{macro} is no entry of transds.def{hint}", macro)
-    # As the compiler reads them: the body of a macro where the file ends.
-    listed = [one for one in found.values() if one not in in_body] + in_body
-    return Descriptors(tuple(types.values()), tuple(listed))
+    return Descriptors(tuple(types.values()), tuple(found.values()))
 
 
-def _define(reader: MacroReader, line: str, types: dict[str, Enumeration | Structure]) -> None:
+def _define(
+    reader: MacroReader, macro: Word, line: str, types: dict[str, Enumeration | Structure]
+) -> None:
     scanner = Scanner(line)
     try:
         read_definition(scanner, types, [])
@@ -111,7 +107,7 @@ def _define(reader: MacroReader, line: str, types: dict[str, Enumeration | Struc
             raise scanner.error("this type is not defined", scanner.unknown)
     except SignatureError as error:
         near = error.text[error.position :][:20]
-        raise reader.error(f"{error.reason}, at {near!r}") from None
+        raise reader.error(f"{error.reason}, at {near!r}", macro) from None
 
 
 class _Entry:
@@ -120,12 +116,13 @@ class _Entry:
     def __init__(
         self,
         reader: MacroReader,
-        kind: str,
+        macro: Word,
         arguments: Arguments,
         types: Mapping[str, Enumeration | Structure],
     ) -> None:
         self._reader = reader
-        self._kind = kind
+        self._macro = macro
+        self._kind = _KINDS[macro]
         self._arguments = arguments
         self._types = types
 
@@ -138,7 +135,7 @@ class _Entry:
         fields = (*_FIELDS, "the value of N/A" if self._kind == "sensor" else "a safe value")
         if len(self._arguments) < len(fields):
             missing = fields[len(self._arguments)]
-            raise self._reader.error(f"{missing} is missing: {', '.join(fields)}")
+            raise self._reader.error(f"{missing} is missing: {', '.join(fields)}", self._macro)
         words = self._arguments[: len(fields)]
         for word, what in zip(words, fields, strict=True):
             if not isinstance(word, Word) and what not in ("a model", "a type"):
@@ -159,6 +156,9 @@ class _Entry:
             (key, str(na), na),
             *lines,
         ]
+        for key, value, node in (("", str(name), name), *lines):
+            if _BOOL.search(_STRING.sub("", f"{key} {value}")):
+                raise self._reader.error("C99 makes _Bool of bool, where it is no type", node)
         transducer = self._parsed(head, lines)
         nodes = {key: node for key, _, node in lines}
         for key, wrong in _nonsense(transducer):
@@ -191,7 +191,7 @@ class _Entry:
     def _type(self, node: Node) -> str:
         try:
             text = type_text(node)
-        except (ValueError, IndexError, TypeError):
+        except ValueError:
             raise self._reader.error("this is no type", node) from None
         return _C_TYPES.get(text, text)
 
@@ -202,15 +202,21 @@ class _Entry:
         unit: Word | None = None
         doc: Word | None = None
         lines: dict[str, tuple[str, str, Node]] = {}
+        for many, most in ((items, MAX_ITEMS), *((item, MAX_ITEMS + 1) for item in items)):
+            if isinstance(many, list) and len(many) > most:
+                what = f"the compiler takes {MAX_ITEMS} of these at most"
+                raise self._reader.error(what, many[most])
         for item in items:
             if isinstance(item, Word):
                 if not item.startswith('"'):
                     raise self._reader.error(f"write (key, value) in place of {item}", item)
                 if doc is not None:
                     raise self._reader.error("there is a text already", item)
-                doc = item if len(item) > len('""') else None
+                if item == '""':
+                    raise self._reader.error("this text is empty; leave it out", item)
+                doc = item
                 continue
-            key = item[0] if item else None
+            key = item[0] if item and is_group(item) else None
             if not isinstance(key, Word) or not NAME.fullmatch(key):
                 raise self._reader.error("a key is expected behind this parenthesis", item)
             if key in lines or (key == "unit" and unit is not None):
@@ -222,8 +228,7 @@ class _Entry:
                 continue
             if key in ("prefix", "model", "na" if self._kind == "sensor" else "safe"):
                 raise self._reader.error(f"{key} has its place in the first seven", key)
-            inner = item.text[1:-1].strip()
-            value = inner[len(key) :].lstrip().removeprefix(",").lstrip()
+            value = item.text[1:-1].partition(",")[2].strip(" ")
             if key == "range" and len(item) == 3:
                 value = f"{item[1]}, {item[2]}"
             if key in KEYS and key != "topic":
@@ -349,6 +354,7 @@ def _entry(one: Transducer) -> str:
             items.append(f"({name}, {text})" if text else f"({name})")
     if one.doc:
         text = one.doc.replace("\\", "\\\\").replace('"', '\\"')
+        text = re.sub(r"\?(?=\?)", '?" "', text)  # no trigraphs
         items.append(f'"{text}"')
     macro = "ACTUATOR" if not one.is_sensor else "SENSOR_EX" if items else "SENSOR"
     return f"{macro}({', '.join([*first, *items])})"
@@ -363,6 +369,6 @@ def _argument(one: Transducer, key: str, value: str, can_have_commas: bool = Fal
         if depth < 0 or character in "\"'#\\" or (character == "," and not can_have_commas):
             depth = 1
             break
-    if depth or "//" in bare or "/*" in bare or bare != " ".join(bare.split()):
+    if depth or "??" in value or "//" in bare or "/*" in bare or bare != " ".join(bare.split()):
         raise LocalError(f"{one.name}: {key} {value!r} cannot stand in a transds.def")
     return value

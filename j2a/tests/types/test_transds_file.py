@@ -207,7 +207,15 @@ WRONG = [
     (GOOD + "\0", 2, 1, 'a "(" is expected'),
     ("SENSOR(a, 1, a, X, 1, f32, 1e300)", 1, 28, "beyond the numbers of an f32"),
     ("SENSOR(a, 1, a, X, 1, f32, none, (scale, 1e999))", 1, 42, "scale is a decimal number"),
-    ("#define SENSORS \\\nSENSOR(a, 1, a, X, 1, u8, none) \\", 2, 33, 'a "(" is expected'),
+    ("#define SENSORS \\\nSENSOR(a, 1, a, X, 1, u8, none) \\", 2, 33, "a backslash stands in"),
+    ("J2A_STRUCT(s, ((), a))\n" + GOOD, 1, 1, "the arguments of J2A_STRUCT cannot be read"),
+    ("J2A_STRUCT(s, (array(text), a))\n" + GOOD, 1, 1, "J2A_STRUCT cannot be read"),
+    ("J2A_ENUM(m, u8, a(b, 1))\n" + GOOD, 1, 1, "the arguments of J2A_ENUM cannot be read"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (k, " + "(" * 1200, 1, 67, "more than 32 parentheses"),
+    ("SENSOR(a, 1, a, X, 1, u8, none,\n\"a\" \\\n  \"b\\n\")", 3, 5, 'in front of " or \\ only'),
+    (GOOD + "/* a\n */ #if 1\n#else\n", 4, 1, "an #endif is missing"),
+    ("#if definedN\n" + GOOD + "#endif\n", 1, 1, "give the value of definedN"),
+    ("#define N " + "x" * 256 + "\n", 1, 1, "N stands for more than 255 characters"),
 ]  # fmt: skip
 
 
@@ -218,6 +226,22 @@ class TestOrder:
             "SENSOR(c, 3, c, X, 1, u8, none)\n"
         )
         assert [one.name for one in read_transds(text).transducers] == ["c", "a", "b"]
+
+    def test_what_stands_behind_an_include_with_a_body(self, tmp_path):
+        body = (
+            "#define SENSORS SENSOR(a, 1, a, X, 1, u8, none) \\\n SENSOR(b, 2, b, X, 1, u8, none)\n"
+        )
+        (tmp_path / "inner.def").write_text(body + "SENSOR(c, 3, c, X, 1, u8, none)\n")
+        (tmp_path / "transds.def").write_text(
+            '#include "inner.def"\nSENSOR(d, 4, d, X, 1, u8, none)\n'
+        )
+        found = j2a.load_transds(tmp_path / "transds.def").transducers
+        assert [one.name for one in found] == ["c", "d", "a", "b"]
+
+    def test_options_stand_for_their_values_in_entries_too(self):
+        text = GOOD.replace("X, 1", "M, CHANNELS")
+        [found] = read_transds(text, {"CHANNELS": "3", "M": None}).transducers
+        assert (found.channels, found.model) == (3, "M")
 
     def test_a_safe_value_may_be_at_the_ends_of_the_range(self):
         for safe in (-9, 9):
@@ -321,6 +345,14 @@ class TestWriting:
         assert "9223372036854775807)" in written
         assert not any(number in written for number in ("18446744073709551615", "775808"))
 
+    def test_texts_with_trigraphs_are_written_in_pieces(self):
+        descriptors = parse_descriptors(
+            "\nsensor a 1 1 u8 # What???= ??/\n prefix a\n model m\n na none\n"
+        )
+        written = transds_text(descriptors, "a board")
+        assert "??" not in written
+        assert read_transds(written) == descriptors
+
     def test_what_a_board_does_not_say(self):
         [found] = read_transds(
             transds_text(parse_descriptors("\nsensor a 1 1 u8\n"), "x")
@@ -328,7 +360,7 @@ class TestWriting:
         assert (found.prefix, found.model, found.na) == ("a", "unknown", None)
 
     @pytest.mark.parametrize(
-        "model", ["a, b", "a)", "(a", 'a"b', "a\\", "a'b", "a//b", "a/*b", "a  b", "#a"]
+        "model", ["a??=", "a, b", "a)", "(a", 'a"b', "a\\", "a'b", "a//b", "a/*b", "a  b", "#a"]
     )
     def test_what_cannot_stand_in_a_file_is_an_error(self, model):
         descriptors = parse_descriptors(f"\nsensor a 1 1 u8\n model {model}\n")
