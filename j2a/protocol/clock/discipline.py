@@ -54,6 +54,8 @@ class Discipline:
         # What the board said before, each with what it was told then: lines of the same epoch.
         self._lines: deque[tuple[Status, Adjust | None]] = deque(maxlen=_LINES)
         self._course = reference.course
+        # That of the request on its way; the clock may be set before the reply comes.
+        self._asked_course = self._course
         self._since_reset = 0
 
     # ------------------------------------------------------------------ what happens
@@ -86,7 +88,8 @@ class Discipline:
 
         Args:
             status: this.
-            adjust: the request that it answers, which the board has taken; None for another one.
+            adjust: the request of `next_adjust` that it answers, which the board has taken; None
+                for another one.
         """
         before = self.status
         if before is not None and status.epoch != before.epoch:
@@ -96,7 +99,7 @@ class Discipline:
         # Nobody knows what line another request has told it, such as one about a USB frame.
         self._target = adjust
         if adjust is not None:
-            self._course = self.reference.course
+            self._course = self._asked_course
         self.status = status
         self._lines.append((status, adjust))
 
@@ -130,6 +133,7 @@ class Discipline:
         reference, error_us = self.reference, self.error_us
         is_foreign = self._target is None and abs(error_us or 0.0) >= _FOREIGN_US
         is_set = self._course[0] != reference.steps
+        self._asked_course = reference.course
         rate = (1 + reference.rate) * (1 + estimate.rate) - 1
         uncertainty = estimate.uncertainty_us(estimate.to_counter(now_us))
         return Adjust(

@@ -106,6 +106,27 @@ def test_a_step_of_the_host_is_told_as_a_step(step_s: float) -> None:
     assert max(abs(one) for one, _ in host.run(10)) < 60
 
 
+@pytest.mark.requirement("J2A-CLOCK-028")
+@pytest.mark.parametrize("step_s", [-3600, 3600, 1, -1, 0.002])
+def test_a_step_while_an_adjustment_is_on_its_way_is_told_as_a_step(step_s: float) -> None:
+    """What the board answers was calculated from the clock as it was before."""
+    board = Board(random.Random(1))
+    host = Host(board)
+    host.run(30)
+    adjust = host.discipline.next_adjust(board.host_us)
+    assert adjust is not None
+    status = board.adjust(adjust)
+    host.set_clock(step_s * US)
+    host.reference.observe(board.host_us, round(host.unix_us()))
+    host.discipline.take_status(status, adjust)
+    assert host.discipline.is_outdated
+    host.round()
+    assert host.told[-1].is_step
+    assert board.epoch == 2
+    assert max(abs(one) for one, _ in host.run(10)) < 60
+    assert not any(one.is_step for one in host.told[-5:])
+
+
 def test_a_slew_of_500_ppm_is_followed_without_a_step() -> None:
     board = Board(random.Random(2))
     host = Host(board)
