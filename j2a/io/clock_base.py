@@ -30,6 +30,7 @@ from j2a.protocol.clock import (
     unpack_exchange,
     unpack_status,
 )
+from j2a.protocol.clock.reference import STEP_US
 from j2a.protocol.codec import stuff
 from j2a.protocol.transfer import CallRequest, Transfer
 from j2a.types.transducers import TIME_BYTES
@@ -188,15 +189,14 @@ class ClockBase:
 
     def _to_host(self, time_us: int) -> int:
         estimate = self._estimate()
-        local_us = self._discipline.to_local(time_us)
-        since_us = self._discipline.epoch_local_us
-        # Where nobody knows since when: the counter has begun at 0.
-        if local_us < (0 if since_us is None else since_us):
+        now_us = estimate.to_counter(self._host.observe())
+        latest_us = now_us + estimate.uncertainty_us(now_us) + STEP_US
+        if not self._discipline.is_of_epoch(time_us, latest_us):
             raise LocalError(
-                f"{time_us} us was on the clock of {self._url} before it was set, and can no more "
-                "be converted (J2A-CLOCK-027)"
+                f"{time_us} us was on the clock of {self._url} before it was set, or has not come "
+                "yet; it cannot be converted (J2A-CLOCK-027)"
             )
-        self._host.observe()
+        local_us = self._discipline.to_local(time_us)
         return self._host.reference.to_unix(estimate.to_host(local_us))
 
     def _to_device(self, host_us: int) -> int:

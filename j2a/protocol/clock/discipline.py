@@ -7,6 +7,7 @@ Rules: the clock of a board is set once, and then only slewed, unless the host's
 the board began anew (J2A-CLOCK-026, J2A-CLOCK-028). Nothing here waits or sends.
 """
 
+import math
 from collections import deque
 from typing import Final
 
@@ -24,6 +25,8 @@ BURST_S: Final = 0.05
 _FOREIGN_US: Final = CLOCK_FRAME_STEP_S * 1_000_000
 """A board that is off by more, and was not told so, was set by something else (J2A-CLOCK-028)."""
 _PPB: Final = 1e9
+_ON_WAY_US: Final = 10_000_000
+"""A time stamp that comes later than that after it was made is not expected."""
 _LINES: Final = 64
 """So many replies tell how old time stamps were made: a minute and more of them."""
 _HELD_WANDER: Final = CLOCK_FRAME_WANDER / _PPB
@@ -51,6 +54,8 @@ class Discipline:
         self.epoch_local_us: int | None = None
         self.steps = 0
         self._target: Adjust | None = None
+        # The latest time of the epochs before that one, as far as they are known.
+        self._past_us = -math.inf
         # What the board said before, each with what it was told then: lines of the same epoch.
         self._lines: deque[tuple[Status, Adjust | None]] = deque(maxlen=_LINES)
         self._course = reference.course
@@ -93,6 +98,7 @@ class Discipline:
         """
         before = self.status
         if before is not None and status.epoch != before.epoch:
+            self._past_us = max(self._past_us, self.to_time(status.local_us))
             self.epoch_local_us = status.local_us
             self.steps += adjust is not None
             self._lines.clear()
@@ -154,6 +160,22 @@ class Discipline:
         if status is None or estimate is None:
             return None
         return status.time_us - self.reference.to_unix(estimate.to_host(status.local_us))
+
+    def is_of_epoch(self, time_us: float, now_us: float) -> bool:
+        """Return whether a time stamp is of the epoch that lasts (J2A-CLOCK-027).
+
+        One of a time that has not come is from before the clock was set back. One of a time that
+        came twice may be, as long as it can have been on its way since then.
+
+        Args:
+            time_us: on the clock of the board.
+            now_us: the counter of the board now, at the latest.
+        """
+        # Where nobody knows since when: the counter has begun at 0.
+        since_us = 0 if self.epoch_local_us is None else self.epoch_local_us
+        if not since_us <= self.to_local(time_us) <= now_us:
+            return False
+        return time_us > self._past_us or now_us - since_us >= _ON_WAY_US
 
     def to_local(self, time_us: float) -> float:
         """Return the counter of the board at a time of its clock.

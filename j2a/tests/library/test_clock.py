@@ -205,6 +205,46 @@ def test_a_client_that_comes_later_refuses_time_stamps_of_an_earlier_epoch(board
         assert later.clock.to_host(int(device.time_us())) > 0
 
 
+@pytest.mark.requirement("J2A-CLOCK-027")
+@pytest.mark.parametrize("back_s", [3600, 1])
+def test_a_time_stamp_from_before_a_step_back_is_refused(board, device, back_s):
+    """Its time comes again."""
+    host = board.clock._host
+    shift = [0]
+    clock = host_time.HostTime(host.counter_us, lambda: time.time_ns() // 1000 + shift[0])
+    board.clock._host = clock
+    board.clock._discipline.reference = clock.reference
+    with board.clock.discipline(0.02) as keeper:
+        until(lambda: keeper.rounds > 12)
+        assert board.clock.to_host(int(device.time_us())) > 0
+        shift[0] = -int(back_s * 1e6)
+        old = int(device.time_us())
+        until(lambda: board.clock.epoch == 2)
+        until(lambda: board.clock.offset_us < 1e5)
+        with pytest.raises(j2a.LocalError, match="J2A-CLOCK-027"):
+            board.clock.to_host(old)
+        assert board.clock.host_time_of_sample(old) is None
+
+
+@pytest.mark.requirement("J2A-CLOCK-027")
+def test_a_client_that_comes_after_a_step_back_refuses_time_stamps_from_before(board, device):
+    """No time stamp is of a time to come."""
+    board.clock.sync()
+    old = int(device.time_us())
+    device._target = (device._target[0], device._target[1] - 3_600_000_000, device._target[2])
+    device._epoch = 2
+    with linked(device) as later:
+        later.clock.measure(4)
+        with pytest.raises(j2a.LocalError, match="J2A-CLOCK-027"):
+            later.clock.to_host(old)
+        assert later.clock.to_host(int(device.time_us())) > 0
+        device.begin_anew()
+        later.clock.measure(4)
+        assert later.clock.state == "free"
+        with pytest.raises(j2a.LocalError, match="J2A-CLOCK-027"):
+            later.clock.to_host(old)
+
+
 @pytest.mark.requirement("J2A-CLOCK-026")
 def test_a_board_that_begins_anew_is_set_anew(board, device):
     with board.clock.discipline(0.02) as keeper:

@@ -106,6 +106,30 @@ def test_a_step_of_the_host_is_told_as_a_step(step_s: float) -> None:
     assert max(abs(one) for one, _ in host.run(10)) < 60
 
 
+@pytest.mark.requirement("J2A-CLOCK-027")
+@pytest.mark.parametrize("back_s", [0.002, 0.5, 4, 3600])
+def test_a_time_that_came_twice_is_doubted_for_a_while(back_s: float) -> None:
+    """Time stamps from before a step back may still be on their way."""
+    board = Board(random.Random(1))
+    host = Host(board)
+    host.run(30)
+    host.set_clock(-back_s * US)
+    host.reference.observe(board.host_us, round(host.unix_us()))
+    before_us = board.time_us
+    host.round()
+    assert board.epoch == 2
+    stamps = (before_us - back_s * US / 2, before_us)
+    for passed_s in (0, 0.01, 2, 3):
+        host.run(passed_s)
+        for stamp_us in stamps:
+            assert not host.discipline.is_of_epoch(stamp_us, board.counter_us + 20)
+        is_new = board.time_us > before_us + 100
+        assert host.discipline.is_of_epoch(board.time_us, board.counter_us + 20) is is_new
+    host.run(4)
+    assert host.discipline.is_of_epoch(board.time_us, board.counter_us + 20)
+    assert not host.discipline.is_of_epoch(board.time_us + 90, board.counter_us + 20)
+
+
 @pytest.mark.requirement("J2A-CLOCK-028")
 @pytest.mark.parametrize("step_s", [-3600, 3600, 1, -1, 0.002])
 def test_a_step_while_an_adjustment_is_on_its_way_is_told_as_a_step(step_s: float) -> None:
