@@ -9,7 +9,7 @@ error, because it acted at once then (J2A-TRANS-016, J2A-TRANS-018).
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from j2a_spec import constants as c
 
@@ -18,9 +18,6 @@ from j2a.io.clock_base import ClockBase
 from j2a.types.samples import SampleCodec, pack_time
 
 __all__ = ["AsyncFleetAt", "FleetAt"]
-
-_FOLLOWS: Final = ("locked", "holdover")
-"""Such a board has the time of the host, and boards on one USB agree by it better than with us."""
 
 _Pack = Callable[[SampleCodec, int], bytes]
 """Makes what is told to one transducer, for a time on the clock of its board."""
@@ -85,7 +82,7 @@ class _At:
         late_us = self._late_us(clock)
         if late_us >= 0:
             raise LocalError(f"{self._time_us} us is over since {late_us} us; nothing was sent")
-        return self._time_us if clock._state in _FOLLOWS else clock._to_device(self._time_us)
+        return clock._to_act(self._time_us)
 
     def _late_us(self, clock: ClockBase) -> int:
         return clock._host.reference.to_unix(clock._host.observe()) - self._time_us
@@ -140,7 +137,8 @@ class FleetAt(_At):
     ) -> dict[str, int]:
         chosen = self._chosen(name, boards)
         for client in chosen.values():
-            client.clock._ask_once()
+            if not client.clock._is_fresh:
+                client.clock.measure(1)
         orders = self._plan(chosen, name, item, pack)
         errors: list[J2AError] = []
         for order in orders:
@@ -178,7 +176,7 @@ class AsyncFleetAt(_At):
     ) -> dict[str, int]:
         chosen = self._chosen(name, boards)
         clocks = [client.clock for client in chosen.values()]
-        await asyncio.gather(*(one.measure(1) for one in clocks if not one._is_known))
+        await asyncio.gather(*(one.measure(1) for one in clocks if not one._is_fresh))
         orders = self._plan(chosen, name, item, pack)
         sent = (order.transducer._ask(order.request) for order in orders)
         for found in await asyncio.gather(*sent, return_exceptions=True):

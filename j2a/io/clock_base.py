@@ -205,6 +205,26 @@ class ClockBase:
         local_us = estimate.to_counter(self._host.reference.to_counter(host_us))
         return round(self._discipline.to_time(local_us))
 
+    @property
+    def _is_fresh(self) -> bool:
+        """Whether the board was asked so lately that what it said of its state still holds."""
+        newest = self._discipline.estimator.newest
+        if newest is None or not self._is_known:
+            return False
+        return self._host.counter_us() - newest.came_us < c.CLOCK_HOLDOVER_S * _US
+
+    def _to_act(self, host_us: int) -> int:
+        """Return the time of the board at which it acts at a Unix time of this computer.
+
+        Boards that follow this computer's clock are told its time: those on one USB agree by it
+        better with each other than with us. One that is alone or follows another clock is not.
+        """
+        estimate, time_us = self._estimate(), self._to_device(host_us)
+        is_ours = abs(time_us - host_us) <= estimate.uncertainty_us(
+            estimate.to_counter(self._host.counter_us())
+        )
+        return host_us if is_ours and self._state == "locked" else time_us
+
     def host_time_of_sample(self, time_us: int) -> int | None:
         """Return the time of this computer at a time stamp, None where it is not known."""
         if not self._is_known:

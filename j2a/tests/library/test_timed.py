@@ -1,6 +1,7 @@
 """Several boards of a fleet that act at one instant."""
 
 import contextlib
+import dataclasses
 import threading
 import time
 
@@ -8,6 +9,7 @@ import pytest
 from j2a_spec import constants as c
 
 import j2a
+from j2a.protocol.clock import Adjust
 from j2a.types.transds_file import read_transds
 
 from .clocked import ClockedDevice
@@ -134,6 +136,58 @@ def test_a_board_that_refuses_does_not_keep_the_others_from_acting(boards, fleet
     with pytest.raises(j2a.FunctionFailed):
         fleet.at(soon_us(0.3)).set("lamp", 1)
     assert right.has_acted.wait(PATIENCE_S)
+
+
+def set_clock(device, off_us, ago_us=0):
+    """Be told twice by something else: first the clock steps, then it is locked."""
+    device._ask_clock(b"\1")  # knows when it was received
+    local, time_us = device._local_us(), time.time_ns() // 1000 + off_us
+    for is_step in (True, False):
+        told = Adjust(is_step, local, time_us, 0, 50, 0)
+        code, _, _ = device._clock.request(told.pack(), local, local)
+        assert code == 0
+    device._clock._last = device._clock._last._replace(at=local - ago_us)
+
+
+@pytest.mark.parametrize(
+    ("off_us", "ago_us", "state"),
+    [(0, 0, "locked"), (80_000, 0, "locked"), (-3_600_000_000, 0, "locked"), (0, 10**7, "holdover"),
+     (-80_000, 10**7, "holdover")],
+)  # fmt: skip
+def test_a_board_that_follows_another_clock_acts_at_our_time(off_us, ago_us, state):
+    with (
+        j2a.Device({"serial": "one"}, transducers=read_transds(FILE), clock=0) as device,
+        served(device) as url,
+    ):
+        device.actuator("lamp")(lambda *_what: None)
+        set_clock(device, off_us, ago_us)
+        with j2a.Fleet(url, timeout=PATIENCE_S, heartbeat=None) as fleet:
+            fleet.wait(1, timeout=PATIENCE_S)
+            time_us = soon_us(5)
+            told = fleet.at(time_us).set("lamp", 1)["one"]
+            clock = fleet["one"].clock
+            assert clock._state == state
+            assert abs(told - time_us - off_us) <= clock.uncertainty_us + 5000
+            set_clock(device, 700_000)
+            clock._discipline.estimator._exchanges.append(  # long ago
+                dataclasses.replace(clock._discipline.estimator._exchanges.pop(), came_us=-1e12)
+            )
+            told = fleet.at(time_us).set("lamp", 1)["one"]
+            assert abs(told - time_us - 700_000) <= clock.uncertainty_us + 5000
+
+
+def test_boards_that_follow_us_are_told_our_time():
+    """They agree by it better with each other than with us."""
+    with (
+        j2a.Device({"serial": "one"}, transducers=read_transds(FILE), clock=0) as device,
+        served(device) as url,
+    ):
+        device.actuator("lamp")(lambda *_what: None)
+        set_clock(device, 0)
+        with j2a.Fleet(url, timeout=PATIENCE_S, heartbeat=None) as fleet:
+            fleet.wait(1, timeout=PATIENCE_S)
+            time_us = soon_us(0.5)
+            assert fleet.at(time_us).set("lamp", 1) == {"one": time_us}
 
 
 @in_event_loop
