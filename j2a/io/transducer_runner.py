@@ -11,6 +11,7 @@ import math
 import os
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -191,14 +192,19 @@ class TransducerRunner:
 
 def _keep(path: Path, content: bytes) -> bool:
     """Replace a file at once, so that it is whole at any time; return whether that went well."""
+    new: Path | None = None
     try:
         with NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            new = Path(file.name)
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        Path(file.name).replace(path)
+        new.replace(path)
     except OSError:
         _logger.exception("the settings cannot be kept in %s", path)
+        if new is not None:
+            with suppress(OSError):
+                new.unlink()
         return False
     return True
 

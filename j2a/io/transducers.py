@@ -44,6 +44,7 @@ _FAILURES: Final = {
     c.TRANSD_NO_ITEM: "it cannot be read or written there",
     c.TRANSD_BAD_LENGTH: "it has another length there",
     c.TRANSD_BAD_VALUE: "it is out of range there",
+    c.RET_FAILED: "the device could not do it",
     c.TRANSD_BUSY: "the settings of another transducer are being saved there",
 }
 _NEEDS: Final = {

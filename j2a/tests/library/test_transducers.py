@@ -1,10 +1,13 @@
 """Transducers on the host: samples, settings, actuators, and what a device says wrong of them."""
 
 import asyncio
+import errno
 import math
+import os
 import pickle
 import struct
 import threading
+from pathlib import Path
 
 import j2a_transports
 import pytest
@@ -15,6 +18,7 @@ from j2a_spec import constants as c
 import j2a
 from j2a import Batch
 from j2a.demo import DemoDevice
+from j2a.io import transducer_runner
 from j2a.io.transducer_runner import TransducerRunner
 from j2a.protocol.transducers import TransducerServer
 from j2a.types.transds_file import read_transds
@@ -975,10 +979,40 @@ class TestSaving:
 
     def test_a_file_that_cannot_be_written(self, path, caplog):
         with make_device(settings=path / "no folder") as made, linked(made) as client:
-            with pytest.raises(j2a.FunctionFailed):
+            with pytest.raises(j2a.FunctionFailed, match="quad: the device could not do it"):
                 client.transducers["quad"].save()
             assert not client.transducers["quad"].is_saved()
         assert "cannot be kept" in caplog.text
+
+    @pytest.mark.parametrize("broken", ["write", "flush", "fsync", "replace"])
+    def test_a_save_that_fails_leaves_nothing_behind(self, path, monkeypatch, broken):
+        """Neither half a file beside it nor another one in its place, and it may be tried again."""
+
+        def fail(*_args):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        create = transducer_runner.NamedTemporaryFile
+
+        def full(*args, **options):
+            file = create(*args, **options)
+            if broken in ("write", "flush"):
+                setattr(file, broken, fail)
+            return file
+
+        with make_device(settings=path) as made, linked(made) as client:
+            quad = client.transducers["quad"]
+            quad.save()
+            before = path.read_bytes()
+            quad.decimation = 9
+            with monkeypatch.context() as patched:
+                patched.setattr(transducer_runner, "NamedTemporaryFile", full)
+                patched.setattr(*{"replace": (Path, "replace")}.get(broken, (os, "fsync")), fail)
+                with pytest.raises(j2a.FunctionFailed) as caught:
+                    quad.save()
+            assert caught.value.code == c.RET_FAILED
+            assert (path.read_bytes(), list(path.parent.iterdir())) == (before, [path])
+            quad.save()
+            assert path.read_bytes() != before
 
     def test_without_a_file_it_is_refused(self, board):
         with pytest.raises(j2a.FunctionFailed, match="keeps no settings without power"):
