@@ -194,11 +194,24 @@ def test_unknown_room_is_left_to_the_checksum(device):
 
 def test_clock_of_64_bits_goes_on_where_micros_wraps(device):
     ask = f"b {encode(Frame(c.SOF, 1, FIRST)).hex()}"
-    times = [100, 2**32 - 1, 5, 2**31, 4, 7]
+    times = [100, 2**31, 2**32 - 1, 5, 2**31, 4, 7]
     commands = [word for now_us in times for word in (f"m {now_us}", "t")]
-    answers = device(*commands, ask, "t", "m 3", ask, "t")
+    answers = device(*commands, ask, "t", f"m {2**32 - 1}", "t", "m 3", ask, "t")
     due = (2 * 2**32 + 7, 3 * 2**32 + 3)
+    del answers[-2]
     assert answers[len(times) :] == [[reply(1, 0, us.to_bytes(8, "little"))] for us in due]
+
+
+@pytest.mark.parametrize("wraps", [0, 1, 62, 63, 64, 127, 128, 8191, 8192])
+@pytest.mark.parametrize("before_us", [2**31 - 1, 2**32 - 1])
+def test_an_interrupt_may_look_at_the_clock_while_it_wraps(device, wraps, before_us):
+    """Time jumped by 71 minutes where one came between reading micros() and counting its wraps."""
+    ask = f"b {encode(Frame(c.SOF, 1, FIRST)).hex()}"
+    commands = [f"m {2**31}", "t", "m 0", "t"] * wraps + [f"m {before_us}", "t"]
+    after_us = before_us + 5
+    commands += [f"i {after_us % 2**32}", "t", ask, "t"]
+    answers = device(*commands)
+    assert answers[-1] == [reply(1, 0, (wraps * 2**32 + after_us).to_bytes(8, "little"))]
 
 
 def test_nobody_listens_then_somebody_does(device):

@@ -1,15 +1,22 @@
 /* The Arduino library as a device of lines. In, one command a line: "b HEX" bytes arrive, "m N" micros() is
- * N from now on, "c 0" nobody takes what is written, "t" J2A.task(). Out: for each t a line of what was
- * written, as hex. */
+ * N from now on, "i N" it becomes N behind its next call, in an interrupt that looks at the time, "c 0" nobody
+ * takes what is written, "t" J2A.task(). Out: for each t a line of what was written, as hex. */
 #include <stdio.h>
 #include <string.h>
 
 #include <J2A.h>
 
-static uint32_t now_us;
+static uint32_t now_us, later_us;
+static bool interrupts;
 
 uint32_t micros() {
-    return now_us;
+    const uint32_t us = now_us;
+    if (interrupts) {
+        interrupts = false;
+        now_us = later_us;
+        j2a_port_time_us();
+    }
+    return us;
 }
 
 uint32_t millis() {
@@ -96,6 +103,8 @@ int main(int argc, char **argv) {
         } else if (line[0] == 'm') {
             if (sscanf(next, "%u", &value) == 1)
                 now_us = value;
+        } else if (line[0] == 'i') {
+            interrupts = sscanf(next, "%u", &later_us) == 1;
         } else if (line[0] == 'c') {
             port.connected = line[2] != '0';
         } else {

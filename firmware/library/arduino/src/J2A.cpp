@@ -46,14 +46,28 @@ void flush(Link &link) {
 }
 
 #if J2A_WITH_CLOCK
-uint32_t last_us, wraps;
+/* What stands above the 32 bits of micros(). The lowest bit of each byte repeats the highest one below, of the next byte
+ * or of micros(); where it does not, that one has wrapped, and the byte is one behind. So whoever looks, in an interrupt
+ * or in loop(), gets the same from what it reads, whatever comes in between, if it reads the highest byte first. */
+enum { ABOVE = 3 }; /* 53 bits are 285 years */
+volatile uint8_t above[ABOVE];
 
-uint32_t note_time() {
-    const uint32_t now_us = micros();
-    if (now_us < last_us)
-        wraps++;
-    last_us = now_us;
-    return now_us;
+uint64_t note_time() {
+    uint8_t bytes[ABOVE];
+    uint8_t i, half;
+    uint32_t now_us, high = 0;
+
+    for (i = ABOVE; i-- != 0;)
+        bytes[i] = above[i];
+    now_us = micros();
+    half = static_cast<uint8_t>(now_us >> 31);
+    for (i = 0; i < ABOVE; i++) {
+        if ((bytes[i] & 1) != half)
+            above[i] = ++bytes[i];
+        high |= static_cast<uint32_t>(bytes[i] >> 1) << 7 * i;
+        half = bytes[i] >> 7;
+    }
+    return static_cast<uint64_t>(high) << 32 | now_us;
 }
 #endif
 
@@ -109,8 +123,7 @@ uint16_t j2a_port_ticks(void) {
 
 #if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void) {
-    const uint32_t now_us = note_time();
-    return static_cast<uint64_t>(wraps) << 32 | now_us;
+    return note_time();
 }
 #endif
 
@@ -122,7 +135,7 @@ void j2a_port_idle(void) {
     for (Link &link : links)
         flush(link);
 #if J2A_WITH_CLOCK
-    note_time(); /* micros() wraps after 71 minutes, and the sketch may look at the clock less often */
+    note_time(); /* at least every 35 minutes, and the sketch may look at the clock less often */
 #endif
 }
 
