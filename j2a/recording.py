@@ -104,7 +104,9 @@ class Recorder:
         self._first = Path(path)
         self._segment_bytes = segment_bytes
         self._lock = threading.Lock()
-        self._boards: list[tuple[RecordedBoard, Mapping[str, str]]] = []
+        self._boards: dict[str, tuple[RecordedBoard, Mapping[str, str]]] = {}
+        self._announced: set[str] = set()  # boards in the file that is being written
+        self._number = 0
         self._topics: set[str] = set()
         self._channels: dict[tuple[str, str], tuple[int, SampleMessage]] = {}
         self.paths: list[Path] = []
@@ -157,10 +159,10 @@ class Recorder:
                 taken = {*names.values(), *self._topics}
                 names[sensor] = free_name(topic_of(prefix, topic), taken)
             names |= {sensor: topic_of("", topic) for sensor, topic in (topics or {}).items()}
-            if any(board.name == name for board, _ in self._boards):
+            if name in self._boards:
                 raise LocalError(f"the recording has a board {name!r} already")
             board = RecordedBoard(name, url, descriptors, properties or {}, kept)
-            self._boards.append((board, names))
+            self._boards[name] = board, names
             self._topics |= set(names.values())
             self._announce(board, names)
 
@@ -223,6 +225,8 @@ class Recorder:
             raise LocalError("the recorder is closed")
 
     def _channel(self, board: str, sensor: str) -> tuple[int, SampleMessage]:
+        if board in self._boards and board not in self._announced:
+            self._announce(*self._boards[board])
         found = self._channels.get((board, sensor))
         if found is None:
             raise LocalError(f"the recording has no sensor {sensor!r} of a board {board!r}")
@@ -230,16 +234,28 @@ class Recorder:
 
     def _begin(self) -> None:
         writer = _mcap("writer")
-        number = len(self.paths)
-        path = self._first
-        if number:
-            path = path.with_name(f"{path.stem}-{number}{path.suffix}")
-        self._file = path.open("xb")
+        path = self._open()
         self.paths.append(path)
         self._writer = writer.Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._writer.start(profile="ros2", library="j2a")
-        for board, topics in self._boards:
-            self._announce(board, topics)
+        self._announced.clear()  # a segment has the boards of its own samples
+        self._channels.clear()
+
+    def _open(self) -> Path:
+        """Make the next file; a recording that runs passes over names that are there already."""
+        number = self._number
+        while True:
+            name = f"{self._first.stem}-{number}" if number else self._first.stem
+            path = self._first.with_stem(name)
+            try:
+                self._file = path.open("xb")
+            except FileExistsError:
+                if not number:
+                    raise
+                number += 1
+                continue
+            self._number = number + 1
+            return path
 
     def _announce(self, board: RecordedBoard, topics: Mapping[str, str]) -> None:
         about = {
@@ -251,6 +267,7 @@ class Recorder:
         if board.settings:
             about["settings"] = board.settings
         self._writer.add_metadata(_BOARD, about)
+        self._announced.add(board.name)
         for one in board.descriptors.transducers:
             if not one.is_sensor:
                 continue

@@ -18,6 +18,7 @@ from j2a.replay import ReplayBoard
 __all__ = ["replayed"]
 
 _END_S = 5.0
+_MOST_BOARDS = 255
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -32,6 +33,10 @@ def replayed(path: Path) -> Iterator[list[str]]:
     names = list(Recording(path).read_boards())
     if not names:
         raise LocalError(f"{path} has no boards")
+    if len(names) > _MOST_BOARDS:
+        raise LocalError(
+            f"{path} has {len(names)} boards, more than the {_MOST_BOARDS} at once here"
+        )
     with contextlib.ExitStack() as stack:
         urls = []
         for name in names:

@@ -107,11 +107,11 @@ def test_a_recording_goes_on_when_a_board_comes_back_with_other_firmware(tmp_pat
     ]
     assert sorted(found) == [
         ("arm", "a", b"\1"),
+        ("arm", "a", b"\3"),
         ("arm", "b", b"\1"),
+        ("arm", "b", b"\3"),
         ("arm_2", "b", b"\2\0"),
         ("arm_2", "c", b"\2\0"),
-        ("arm_3", "a", b"\3"),
-        ("arm_3", "b", b"\3"),
     ]
 
 

@@ -3,13 +3,17 @@
 import asyncio
 import json
 import signal
+import struct
 import subprocess
 import sys
 
 import aiohttp
 import pytest
+from j2a_bridge.replayed import replayed
 
+import j2a
 from j2a.recording import Recorder
+from j2a.types.transds_file import read_transds
 
 from .support import PATIENCE_S, board_of, bridging, config_for, served, until
 
@@ -68,6 +72,32 @@ def test_a_recording_is_played(tmp_path):
     assert data["d"]["quad"]["v"][0].endswith(" deg")
     assert process.returncode == 143
     assert "Traceback" not in err
+
+
+def test_boards_that_came_while_it_was_recorded_are_served(tmp_path):
+    path = tmp_path / "drive.mcap"
+    sensors = read_transds("SENSOR(quad, 0, quad, X, 1, u8, none)")
+    with Recorder(path) as recorder:
+        for name in ("left", "right"):
+            recorder.add_board(name, sensors, prefix=name)
+            sample = j2a.Sample("b", "quad", 0, (), 0.0, payload=struct.pack("<QB", 1, 2))
+            recorder.write(name, sample, 1)
+            recorder.flush()
+    with replayed(path) as urls:
+        for url in urls:
+            with j2a.connect(url) as board:
+                assert board.transducers["quad"].wait(PATIENCE_S).values == (2,)
+    assert len(urls) == 2
+
+
+def test_a_recording_of_too_many_boards_is_refused(tmp_path):
+    path = tmp_path / "drive.mcap"
+    sensors = read_transds("SENSOR(quad, 0, quad, X, 1, u8, none)")
+    with Recorder(path) as recorder:
+        for number in range(256):
+            recorder.add_board(f"b{number}", sensors)
+    with pytest.raises(j2a.LocalError, match="has 256 boards"), replayed(path):
+        pass
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Final
 
 from j2a import LocalError
 from j2a.recording import Recorder, check_package
+from j2a.types.transducers import Descriptors
 from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, Update
 from j2a_bridge.topics import Topic
 
@@ -44,7 +45,7 @@ class McapSink(Sink):
         self._recorder: Recorder | None = None
         self._topics: dict[str, dict[str, Topic]] = {}
         self._added: dict[str, tuple[str, dict[str, Topic]]] = {}
-        self._names: set[str] = set()
+        self._names: dict[tuple[str, Descriptors, frozenset[tuple[str, str]]], str] = {}
         self._flushed = 0.0
 
     def open(self) -> None:
@@ -76,7 +77,7 @@ class McapSink(Sink):
             raise NotTaken(str(error)) from None
 
     def _add(self, topic: Topic) -> str:
-        """Announce a board as it is now, under a name that the file does not have yet."""
+        """Announce a board as it is now, unless it was so before; return its name in the file."""
         assert self._recorder is not None
         board, descriptors = topic.board, topic.descriptors
         topics = {
@@ -85,13 +86,16 @@ class McapSink(Sink):
             if one.descriptors == descriptors  # the others are of what it was before
         }
         self._topics[board] = topics
-        name, number = board, 1
-        while name in self._names:
-            number += 1
-            name = f"{board}_{number}"
-        self._names.add(name)
         names = {sensor: topic.name for sensor, topic in topics.items()}
-        self._recorder.add_board(name, descriptors, topics=names)
+        known = board, descriptors, frozenset(names.items())
+        name = self._names.get(known)
+        if name is None:
+            name, number = board, 1
+            while name in self._names.values():
+                number += 1
+                name = f"{board}_{number}"
+            self._recorder.add_board(name, descriptors, topics=names)
+            self._names[known] = name
         self._added[board] = name, dict(topics)
         return name
 

@@ -189,6 +189,31 @@ class TestFiles:
         assert [row for one in paths for row in read(one)] == written
         assert all(Recording(one).read_boards() for one in paths)
 
+    def test_a_segment_whose_name_is_taken_gets_the_next_number(self, path):
+        taken = path.with_name("drive-1.mcap")
+        taken.write_text("of another drive")
+        write_hour(path, 600, segment_bytes=50_000)
+        assert taken.read_text() == "of another drive"
+        assert len(read(path.with_name("drive-2.mcap"))) > 100
+        assert path.with_name("drive-3.mcap").exists()
+
+    def test_a_segment_has_the_boards_of_its_own_samples(self, path):
+        """What is said of very many boards must not fill each of them."""
+        with Recorder(path, segment_bytes=20_000) as recorder:
+            for n in range(50):
+                recorder.add_board(f"board{n}", FILE, prefix=f"board{n}")
+            for n in range(9000):
+                payload = struct.pack("<QhQh", n + 1, n, n + 1, n * n % 9973)
+                recorder.write("board49" if n < 8000 else "board7", sample("quad", payload, n), n)
+        first, *others = recorder.paths
+        assert len(Recording(first).read_boards()) == 50
+        assert len(others) > 1
+        for one in others:
+            boards = list(dict.fromkeys(found.board for found in Recording(one)))
+            assert list(Recording(one).read_boards()) == boards
+            assert one.stat().st_size < 60_000
+        assert sum(len(read(one)) for one in recorder.paths) == 9000
+
     def test_a_writer_that_is_killed_loses_what_was_not_flushed(self, path):
         code = f"""
 import os, signal, struct
