@@ -19,6 +19,7 @@ class Frames:
     Attributes:
         now_us: the host's counter.
         ahead: frames that were left out, as by a controller that began anew.
+        set_us: by how much the clock of the host was set.
         packets: that were told, as (true time of the frame less the one told, age of the frame).
     """
 
@@ -29,7 +30,8 @@ class Frames:
         self.random = random.Random(seed)
         self.interval_us = interval_s * 1e6
         self._rate = 1 + ppm * 1e-6
-        host = HostTime(lambda: self.now_us, lambda: UNIX_US + round(self.now_us))
+        self.set_us = 0
+        host = HostTime(lambda: self.now_us, lambda: UNIX_US + round(self.now_us) + self.set_us)
         self.bus = Bus("usb bus 1", interval_s, History(), host)
 
     def frames(self, host_us):
@@ -52,7 +54,7 @@ class Frames:
             age = (int(self.frames(self.now_us)) - told.frame + 1024) % 2048 - 1024
             number = int(self.frames(self.now_us)) - age
             began_us = (number - self.ahead) * 1000 / self._rate
-            self.packets.append((told.time_us - UNIX_US - began_us, age))
+            self.packets.append((told.time_us - UNIX_US - self.set_us - began_us, age))
         for board in boards:
             for _ in range(EXCHANGES):
                 self.ask(board, frames_off if board in odd else 0)
@@ -133,6 +135,32 @@ def test_frames_that_begin_anew_are_found_by_most_boards(boards, ahead):
     del frames.packets[:]
     for _ in range(12):
         frames.round(range(boards))
+    assert max(abs(error) for error, _ in frames.packets[-5:]) < 100
+
+
+@pytest.mark.parametrize("hours", [1, -1])
+def test_after_a_step_the_next_packet_is_right(hours):
+    frames = Frames()
+    for _ in range(10):
+        frames.round(range(3))
+    frames.set_us += hours * 3_600_000_000
+    del frames.packets[:]
+    for _ in range(3):
+        frames.round(range(3))
+    assert len(frames.packets) == 3
+    assert max(abs(error) for error, _ in frames.packets) < 150
+
+
+@pytest.mark.parametrize("ahead", [0, 3, 900])
+def test_after_the_computer_slept_boards_get_its_time_again(ahead):
+    """The counter has stood, as the frames have, which may go on with another number."""
+    frames = Frames()
+    for _ in range(10):
+        frames.round(range(3))
+    frames.set_us += 8 * 3_600_000_000
+    frames.ahead += ahead
+    for _ in range(12):
+        frames.round(range(3))
     assert max(abs(error) for error, _ in frames.packets[-5:]) < 100
 
 
