@@ -43,7 +43,14 @@ def sample_text(sample: j2a.Sample) -> str:
 def _value_text(reading: j2a.Reading, unit: str) -> str:
     if reading.time_us is None:
         return "none yet"
-    return "N/A" if reading.value is None else f"{plain(reading.value)}{unit}"
+    return "N/A" if reading.value is None else f"{plain(_short(reading.value))}{unit}"
+
+
+def _short(value: object) -> object:
+    """Leave out the digits that scaling adds, as in 17.099999999999998; JSON has all of them."""
+    if isinstance(value, float):
+        return float(f"{value:.12g}")
+    return type(value)(map(_short, value)) if type(value) in (list, tuple) else value
 
 
 def sample_facts(sample: j2a.Sample) -> dict[str, Any]:

@@ -224,6 +224,8 @@ def _call_each(client: j2a.Client, calls: Sequence[_Call]) -> None:
         CommandFailed: one failed, so that those after it were not called.
     """
     for function, words in calls:
+        if client.functions and isinstance(function, str) and function not in client.functions:
+            client.call(function)  # raises, and tells which names are near
         described = client.functions.get(function) if isinstance(function, str) else None
         if described is not None and takes_values(described, words):
             try:

@@ -401,6 +401,9 @@ def test_watch_takes_values_and_names(run, url):
     assert [sif["values"] for sif in sifs] == [{"count": 0}, {"count": 1}]
     assert run("watch", url, "--call", "sifPeriod soon").code == 2
     assert run("watch", url, "--call", "divide 1 0").code == 1
+    result = run("watch", url, "--call", "sifPriod 500")
+    assert (result.code, result.out) == (2, "")
+    assert "no function 'sifPriod'; near it are: sifPeriod" in result.err
     result = run("watch", url, "timer")
     assert (result.code, result.out) == (2, "")
     assert "describes no SIF or sensor 'timer', but counter" in result.err

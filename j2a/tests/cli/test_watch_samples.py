@@ -94,6 +94,12 @@ def test_a_name_that_is_none(run, board, demo):
         (sample((0, None, 0, None), (1, 6, -1, None)), "quad  none yet, N/A"),
         (sample((2, 5, 1, 1), (0, 6, 2, 2)), "quad  [2] 1, [0] 2"),
         (sample((0, 5, 1, 1), lost=3), "quad  1  (3 lost)"),
+        (
+            sample((0, 5, 95, 95 * 0.18), (1, 6, 18, 18 * 0.18), unit="deg"),
+            "quad  17.1 deg, 3.24 deg",
+        ),
+        (sample((0, 5, (3, 1), (3 * 0.1, 0.1))), "quad  [0.3, 0.1]"),
+        (sample((0, 5, 0.0, float("nan"))), "quad  NaN"),
         (sample((0, 5, 1, 1), lost=3, is_reset=True), "quad  1  (3 lost, the clock went back)"),
     ],
 )
