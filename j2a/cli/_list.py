@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     if len(missing) == 2:
         raise UsageError("; ".join(missing))
     for text in missing:
-        note(f"j2a: {text}")
+        note(f"j2a: left out: {text}")
     if args.json:
         show_json(found)
         return OK

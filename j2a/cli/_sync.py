@@ -83,7 +83,11 @@ def run(args: argparse.Namespace) -> int:
     if args.what != "verify" and args.urls:
         raise UsageError(f"{args.what} takes no URL")
     if (args.what == "plot") != (args.output is not None):
-        raise UsageError("plot takes -o FILE.svg, and only plot does")
+        raise UsageError(
+            "plot needs -o FILE.svg"
+            if args.what == "plot"
+            else f"{args.what} takes no -o, only plot does"
+        )
     if args.what == "verify":
         return verify(args)
     if args.what == "plot":
@@ -93,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise UsageError(f"cannot write {args.output}: {error.strerror}") from None
         count = sum(map(len, boards.values()))
-        show(f"wrote {args.output}: {count} rounds of {len(boards)} buses and boards")
+        show(f"wrote {args.output}: {count} rounds, buses and boards: {len(boards)}")
         return OK
     status = _ask({"command": "status"})
     if args.json:

@@ -87,7 +87,7 @@ def _characteristics(one: Transducer) -> Rows:
     if one.accuracy is not None:
         yield "Accuracy", f"± {one.accuracy:g}{_unit(one)}"
     if one.is_sensor:
-        yield "No value (N/A)", "each value is one" if one.na is None else f"raw {one.get('na')}"
+        yield "No value (N/A)", "none" if one.na is None else f"raw {one.get('na')}"
 
 
 def _calibration(one: Transducer) -> Rows:
