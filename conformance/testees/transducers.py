@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 
 from j2a.demo import DemoDevice
 from j2a.errors import Fail
+from j2a.io.functions import ManyReply, ManyRequest
 from j2a.io.transds_file import load_transds
 
 # As firmware for the posix port.
@@ -32,6 +33,8 @@ _SENSORS = {
     26: ("state", 2, "<B"),
     27: ("turn", 1, "<h"),
     28: ("event", 1, "<I"),
+    40: ("place16", 2, "<h"),
+    41: ("count8", 2, "<B"),
     254: ("wide", 12, "<H"),
 }
 
@@ -75,6 +78,27 @@ def device(clock: float | None = None) -> DemoDevice:
                 made.sense(name, payload[at], value, raw=True)
         if (len(payload) - 1) % size:
             raise Fail(0xFF)
+
+    @made.many("retMany", doc="")
+    def ret_many(request: ManyRequest) -> ManyReply:
+        """Return the lowest byte of the offset, or fail with it, whatever else it is told."""
+        code = request.offset & 0xFF
+        if request.is_write and 0 < code < 0xF0:
+            raise Fail(code)
+        return ManyReply(code)
+
+    made.function(
+        "echoNote",
+        signature="(first u8, note text[5]) (first u8, note text)",
+        idempotent=True,
+        doc="Returns the text.",
+    )(lambda first, note: (first, note))
+    made.function(
+        "echoBlob",
+        signature="(blob bytes[16]) (blob bytes)",
+        idempotent=True,
+        doc="Returns the bytes.",
+    )(lambda blob: (blob,))
 
     @made.on_trigger("imu")
     def measure() -> None:

@@ -172,7 +172,7 @@ def test_a_board_says_what_its_file_says(build_firmware, tmp_path):
         content = board.read_many("a2jGetTransds")
     of_file = j2a.load_transds(APP / "transds.def", {"TRANSDUCERS_NUMBERS": "1"})
     assert content.decode() == str(of_file)
-    assert len(oracle.parse(content).transducers) == len(of_file.transducers) == 28
+    assert len(oracle.parse(content).transducers) == len(of_file.transducers) == 33
     assert read_transds(transds_text(of_file, "x")) == of_file
 
 

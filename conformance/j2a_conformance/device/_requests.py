@@ -20,7 +20,7 @@ from j2a_conformance.wire._link import Link
 __all__ = ["MANY_ONLY", "Requests"]
 
 _LOSSY_ROOM = 256
-MANY_ONLY = frozenset({"store", *(f.name for f in FUNCTIONS if f.kind == "many")})
+MANY_ONLY = frozenset({"store", "retMany", *(f.name for f in FUNCTIONS if f.kind == "many")})
 """Functions made for a2jMany, which cannot be called directly."""
 
 

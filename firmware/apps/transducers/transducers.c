@@ -20,6 +20,8 @@ DRIVER(count64, u64)
 DRIVER(place64, i64)
 DRIVER(exact, f64)
 DRIVER(small, i8)
+DRIVER(place16, i16)
+DRIVER(count8, u8)
 DRIVER(flag, bool)
 DRIVER(state, mood)
 DRIVER(turn, phase)
@@ -49,6 +51,9 @@ TAKER(far64, int64_t)
 TAKER(mask64, uint64_t)
 TAKER(stock, uint32_t)
 TAKER(fine, double)
+TAKER(shift16, int16_t)
+TAKER(span32, int32_t)
+TAKER(dial8, uint8_t)
 TAKER(gate, bool)
 TAKER(gear, phase)
 TAKER(lamp, mood)
@@ -76,6 +81,8 @@ static uint8_t report(uint8_t id, const uint8_t *channel, const uint8_t *value) 
         REPORT(22, 8, place64_cb(*channel, j2a_get_i64(value)));
         REPORT(23, 8, exact_cb(*channel, j2a_get_f64(value)));
         REPORT(24, 1, small_cb(*channel, (int8_t)*value));
+        REPORT(40, 2, place16_cb(*channel, j2a_get_i16(value)));
+        REPORT(41, 1, count8_cb(*channel, *value));
         REPORT(25, 1, flag_cb(*channel, *value != 0));
         REPORT(26, 1, state_cb(*channel, *value));
         REPORT(27, 2, turn_cb(*channel, j2a_get_i16(value)));
@@ -105,6 +112,30 @@ uint8_t transducers_stimulus(uint8_t *const length, uint8_t **const payload) {
         (void)report(id, at, at + 1);
     return at == end ? 0 : J2A_RET_FAILED;
 }
+
+#if TRANSDUCERS_NUMBERS
+/* Returns the lowest byte of the offset, whatever else it is told. */
+uint8_t transducers_ret_many(bool *is_last, bool is_write, uint32_t *const offset, uint8_t *const length,
+                             uint8_t **const data) {
+    (void)is_last;
+    (void)is_write;
+    (void)data;
+    *length = 0;
+    return (uint8_t)*offset;
+}
+
+void app_echoNote(uint8_t first, const char *note, uint8_t note_length, uint8_t *first_out, char **note_out,
+                  uint8_t *note_out_length) {
+    *first_out = first;
+    *note_out = (char *)note;
+    *note_out_length = note_length;
+}
+
+void app_echoBlob(const uint8_t *blob, uint8_t blob_length, uint8_t **blob_out, uint8_t *blob_out_length) {
+    *blob_out = (uint8_t *)blob;
+    *blob_out_length = blob_length;
+}
+#endif
 
 int main(int argc, char **argv) {
     j2a_selftest();
