@@ -1,0 +1,173 @@
+"""Settings of sensors together: queue, decimation, threshold, period and ENABLED (J2A-TRANS)."""
+
+import struct
+from collections.abc import Iterator
+from typing import Any, Final
+
+from j2a_spec import constants as c
+from j2a_spec import transducers as oracle
+
+from j2a_conformance._judge import fail
+
+from .sif import frames, show
+from .transducers import Board, _Taken, queued, slots, spread
+
+_LIMIT: Final = 5
+_FILL: Final = (0, 10)
+_BEHIND: Final = 60
+_HOLD: Final = b"\xff" * 4
+_PERIOD_S: Final = 0.12
+
+
+class Counted(_Taken):
+    """Gives values to sensors with decimation while they are disabled, up to each place in the
+    count, and then to the next one that is due.
+    """
+
+    ID = "transducers.counted"
+    EXPECTATION = "Every n-th value is taken; those given without ENABLED are counted, too."
+    REQUIREMENTS = ("J2A-TRANS-012",)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors("decimation"):
+            with board.tuned(one):
+                for every in (2, 3, 5):
+                    for meanwhile in range(1, every + 2):
+                        channel = spread(one)[-(meanwhile % 2)]
+                        self._count(board, one, channel, every, meanwhile)
+
+    def _count(
+        self, board: Board, one: oracle.Transducer, channel: int, every: int, meanwhile: int
+    ) -> None:
+        board.write(one, c.TRANSD_DECIMATION, bytes((every,)))
+        board.write(one, c.TRANSD_ENABLED, b"\0")
+        for _ in range(meanwhile):
+            board.stimulate(one, (channel, board.value(one)))
+        board.write(one, c.TRANSD_ENABLED, b"\1")
+        for number in range(meanwhile + 1, meanwhile + every + 1):
+            self._give(board, one, channel, board.value(one), number % every == 0)
+
+
+class FullThreshold(_Taken):
+    """Gives sensors with queue and threshold one value more than fits, and then values that differ
+    from that one, or from the last one in the queue, by less.
+    """
+
+    ID = "transducers.threshold-full"
+    EXPECTATION = "The one that did not fit was taken and is counted; others differ from it."
+    REQUIREMENTS = ("J2A-TRANS-006", "J2A-TRANS-013")
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors("threshold", queue=True):
+            for channel in spread(one):
+                with board.tuned(one):
+                    self._full(board, one, channel)
+
+    def _full(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        depth = int(one.attributes["queue"])
+        since = board.seen
+        board.stimulate(one, (channel, board.packed(one, _BEHIND)))
+        index, payload = board.sif(one, since)
+        before = int.from_bytes(payload[:2], "little")
+        board.write(one, c.TRANSD_PERIOD, _HOLD)
+        board.write(one, c.TRANSD_THRESHOLD, board.packed(one, _LIMIT))
+        values = [board.packed(one, _FILL[number % 2]) for number in range(depth)]
+        for value in (*values, board.packed(one, _BEHIND)):
+            board.stimulate(one, (channel, value))
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        found: list[bytes] = []
+        while len(found) < depth:
+            index, payload = board.sif(one, index + 1)
+            found += [value for _, _, value in queued(board, one, payload)]
+        if found != values:
+            fail(f"{one.name} was given {values}, and sent {found}")
+        lost = (int.from_bytes(payload[:2], "little") - before) % 65536
+        if lost != 1:
+            fail(f"{one.name} says that {lost} values were lost, where one did not fit")
+        last = _FILL[(depth - 1) % 2]
+        for number in (_BEHIND - _LIMIT + 1, _BEHIND + _LIMIT - 1, _BEHIND):
+            self._give(board, one, channel, board.packed(one, number), due=False)
+        self._give(board, one, channel, board.packed(one, last), due=True)
+
+
+class NoThreshold(_Taken):
+    """Gives each value twice to sensors with the threshold 0: ends of the range, na and others."""
+
+    ID = "transducers.threshold-0"
+    EXPECTATION = "Each of them is taken: it differs from the last one by 0."
+    REQUIREMENTS = ("J2A-TRANS-013",)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors("threshold"):
+            with board.tuned(one):
+                for channel in spread(one):
+                    for value in self._values(board, one):
+                        for _ in range(2):
+                            self._give(board, one, channel, value, due=True)
+
+    @staticmethod
+    def _values(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
+        numbers: tuple[Any, ...] = (0.0, 1.5, -1e30, float("inf"))
+        if one.type.element[0] in "ui":
+            most = 1 << 8 * board.size(one)
+            numbers = (0, 1, most // 2 - 1, most // 2, most - 1)
+        yield from (board.packed(one, number) for number in numbers)
+        if (na := one.attributes.get("na", "none")) != "none":
+            yield board.packed(one, oracle.raw(one, na, board.descriptors.definitions))
+
+
+class KeptPeriod(_Taken):
+    """Writes settings of sensors within their period, and gives them a value then."""
+
+    ID = "transducers.period-kept"
+    EXPECTATION = "The next SIF comes when the period since the last one is over, with the value."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _judge(self, board: Board) -> None:
+        period = struct.pack("<I", round(_PERIOD_S * 1e6))
+        disturbed: tuple[tuple[tuple[int, bytes], ...], ...] = (
+            ((c.TRANSD_ENABLED, b"\0"), (c.TRANSD_ENABLED, b"\1")),
+            ((c.TRANSD_PERIOD, _HOLD), (c.TRANSD_PERIOD, period)),
+            ((c.TRANSD_DECIMATION, b"\1"),),
+            ((c.TRANSD_TOPIC, b"other"),),
+        )
+        for one in board.sensors():
+            topic = board.read(one, c.TRANSD_TOPIC) if board.has(one, c.TRANSD_TOPIC) else b""
+            for writes in disturbed:
+                if all(board.has(one, item) for item, _ in writes):
+                    with board.tuned(one, period=period):
+                        board.peer.attempts(lambda one=one, w=writes: self._sensor(board, one, w))  # type: ignore[misc]
+            if topic:
+                board.write(one, c.TRANSD_TOPIC, topic)
+
+    @staticmethod
+    def _sensor(
+        board: Board, one: oracle.Transducer, writes: tuple[tuple[int, bytes], ...]
+    ) -> None:
+        link, channel = board.peer.link, one.channels - 1
+        since = board.seen
+        board.stimulate(one, (channel, board.value(one)))
+        first, _ = board.sif(one, since)
+        for item, value in writes:
+            board.write(one, item, value)
+        value = board.value(one)
+        board.stimulate(one, (channel, value))
+        second, payload = board.sif(one, first + 1)
+        passed_s = link.sifs[second].at_s - link.sifs[first].at_s
+        if passed_s < _PERIOD_S * 0.9 - 0.004:
+            show(board.peer, link.sifs[second])
+            fail(
+                f"two sample SIFs of {one.name} came within {passed_s * 1e3:.1f} ms, the period "
+                f"is {_PERIOD_S * 1e3:.0f} ms",
+                suspect=True,
+            )
+        if "queue" in one.attributes:
+            found = queued(board, one, payload)[-1][2]
+        else:
+            found = slots(board, one, payload)[channel][1]
+        if found != value:
+            fail(f"{one.name} sent {found.hex()}, given {value.hex()}", suspect=True)
+        board.time_us()
+        ids = [frame.opcode for frame in frames(link.sifs[since:])]
+        if ids.count(one.id) != 2:
+            fail(f"{one.name} has sent {ids.count(one.id)} samples for two values", suspect=True)
