@@ -144,7 +144,7 @@ class Clock:
             self._states(local, least, most),
             self._epoch,
             self._rate(local),
-            _uncertainty(last.uncertainty, math.floor(grown + least), math.ceil(late + most) + 1),
+            _uncertainty(last.uncertainty, math.ceil(grown + least), math.ceil(late + most) + 1),
         )
 
     def _rate(self, local: int) -> tuple[int, int]:

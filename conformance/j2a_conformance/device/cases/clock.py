@@ -93,7 +93,10 @@ class Board:
 
     def _adjusted(self, before: cs.Container, request: bytes) -> cs.Container:
         self._request = request
-        payload = self.ask(request)
+        return self.adjusted(before, request, self.ask(request))
+
+    def adjusted(self, before: cs.Container, request: bytes, payload: bytes) -> cs.Container:
+        """Take the reply to an ADJUST, which came behind the status `before`; return the status."""
         if self.oracle is None:
             self.oracle = Clock(before.epoch)
         if len(payload) != CLOCK_STATUS.sizeof():
