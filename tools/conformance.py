@@ -35,6 +35,7 @@ SWEEPS = (
     *("stuff.needless", "sum.every-length", "sif.every-length", "many.echo-lengths"),
     *("types.bools", "types.lengths"),
     *("timing.gives-up-long", "timing.pause-in-long-frame", "timing.trickle-long"),
+    "timing.wraps",
 )
 KINDS = ("simulated", "machine", "emulator")
 
