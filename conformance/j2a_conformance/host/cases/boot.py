@@ -122,15 +122,15 @@ class EndsAll(_BootCase):
     EXPECTATION = "All calls end; those that were not sent are never sent."
     REQUIREMENTS = ("J2A-BOOT-004",)
     DEVICE = booting(rxbuf=str(_RXBUF))
+    COUNTS: tuple[int, ...] = (2, 3, 8)
 
     def _judge(self, host: Host) -> None:
         self._end_all(host)
         host.become(BOOTING)  # whose calls have to wait for each other
         self._end_all(host)
 
-    @staticmethod
-    def _end_all(host: Host) -> None:
-        for count in (2, 3, 8):
+    def _end_all(self, host: Host) -> None:
+        for count in self.COUNTS:
             opcode = host.device.opcode(PING)
             call = f"call @{opcode} aa {host.limit_ms}"
             host.job("together " + " ; ".join([call] * count))
@@ -144,6 +144,13 @@ class EndsAll(_BootCase):
             sent = fates.count("maybe-executed")
             if "" not in fates and sent != len(requests):
                 fail(f"{len(requests)} requests came, but the host says that {sent} were sent")
+
+
+class EndsMost(EndsAll):
+    """Restarts while as many calls wait as one report of the host can tell about."""
+
+    ID = "host.boot.ends-most"
+    COUNTS = (9,)
 
 
 class Map(_BootCase):
