@@ -50,7 +50,9 @@ def _short(value: object) -> object:
     """Leave out the digits that scaling adds, as in 17.099999999999998; JSON has all of them."""
     if isinstance(value, float):
         return float(f"{value:.12g}")
-    return type(value)(map(_short, value)) if type(value) in (list, tuple) else value
+    if isinstance(value, tuple) and not hasattr(value, "_fields"):  # structures have no scale
+        return tuple(map(_short, value))
+    return value
 
 
 def sample_facts(sample: j2a.Sample) -> dict[str, Any]:

@@ -179,8 +179,7 @@ def test_what_needs_a_missing_package_is_left_out(run, ports, monkeypatch):
     assert (result.code, result.out) == (0, "serial:///dev/ttyS0\n")
     assert (
         "left out: usb: a Python package is missing: pip install pyusb libusb-package"
-        " (the extra j2a[usb])"
-        in result.err
+        " (the extra j2a[usb])" in result.err
     )
     assert json.loads(run("list", "--json").out)[0]["kind"] == "serial"
     assert run("list", "--watch").code == 2
