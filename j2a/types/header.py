@@ -93,7 +93,9 @@ class CDefinitions:
                 continue
             yield f"/* {definition.size} bytes in payloads, where there is no padding */"
             yield "typedef struct {"
-            members = CNames(*self._macros)
+            elements = [field.type.element for field in definition.fields]
+            names = [self._types[one.name] for one in elements if not isinstance(one, str)]
+            members = CNames(*self._macros, *names)  # in C++ a member hides a type of its name
             for field in definition.fields:
                 yield f"    {self.member(field, members.give(field.name))}"
             yield from (f"}} {name};", "")

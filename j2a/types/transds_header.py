@@ -55,4 +55,6 @@ def _raw(value: Raw, text: str) -> str:
         if math.isnan(value):
             return "(0.0 / 0.0)"
         return f"(1e999 * {math.copysign(1, value):.0f})" if math.isinf(value) else f"({value!r})"
-    return f"({text})" if "x" in text else c_integer(value)
+    if "x" in text and value > 0:
+        return f"({text})"
+    return c_integer(int(value))  # in C -0x8000000000000000 is above 0, and no bool is a True

@@ -111,22 +111,48 @@ def test_a_module_is_python(board):
 @given(board=descriptors())
 def test_headers_compile(tmp_path_factory, need, board):
     need("gcc")
+    need("g++")
     folder = tmp_path_factory.mktemp("headers")
     (folder / "board.h").write_text(transducers_header(board, "a */ b"), "utf-8")
     interface = Interface(board.types, (), (Described("add"),))
     (folder / "stub.h").write_text(c_header(interface, "00000000", "x /* y"), "utf-8")
     for name in ("board", "stub"):
         (folder / f"{name}.c").write_text(f'#include "{name}.h"\n')
-    flags = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only")
-    done = subprocess.run(
-        ["gcc", *flags, "board.c", "stub.c"],
-        cwd=folder,
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
+    flags = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only")
+    for compiler in (("gcc", "-std=c99"), ("g++", "-std=c++17", "-xc++")):
+        done = subprocess.run(
+            [*compiler, *flags, "board.c", "stub.c"],
+            cwd=folder,
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("compiler", [("gcc", "-std=c99"), ("g++", "-std=c++17", "-xc++")])
+def test_headers_say_the_same_in_c_and_in_cpp(tmp_path, need, compiler):
+    """A member hides the type of its name in C++; hexadecimal numbers of C have no sign."""
+    need(compiler[0])
+    board = parse_descriptors(
+        "enum mode u8 (off=0)\nstruct s (mode mode, first mode)\n"
+        "struct t (s u8, x s[2], y mode)\n\n"
+        "sensor a 1 1 bool\n na 1\nsensor b 2 1 i32\n na -0x80000000\nsensor f 6 1 i16\n na -0x1\n"
+        "sensor c 3 1 i64\n na -0x8000000000000000\nsensor d 4 1 u64\n na 0xFFFFFFFFFFFFFFFF\n"
+        "sensor e 5 1 t\n"
     )
-    assert done.returncode == 0, done.stderr
+    (tmp_path / "board.h").write_text(transducers_header(board, "x"), "utf-8")
+    (tmp_path / "main.c").write_text(
+        '#include "board.h"\n#include <limits.h>\nint main(void) {\n'
+        "bool a = J2A_A_NA; double c = J2A_C_NA, f = J2A_F_NA, d = (double)J2A_D_NA;\n"
+        "int64_t b = J2A_B_NA;\n"
+        "return !(a && b == INT32_MIN && c < -9e18 && f == -1 && d > 18e18);\n}\n"
+    )
+    flags = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
+    command = [*compiler, *flags, "main.c", "-o", "main"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
+    subprocess.run([tmp_path / "main"], check=True, timeout=60)
 
 
 FIELDS = {
