@@ -13,7 +13,7 @@ def finite(value: Any) -> Any:
     """Return a value with texts for what JSON has no number: "inf", "-inf" and "nan"."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [finite(one) for one in value]
     if isinstance(value, dict):
         return {key: finite(one) for key, one in value.items()}

@@ -327,6 +327,8 @@ class _Page:
     def _answer(self, key: Any, problem: str = "", result: Any = None) -> None:
         about = {"op": "answer", "id": key, "ok": not problem, "message": problem}
         about["result"] = finite(result)
+        # With all digits of whole numbers, which a page that reads it as JSON would round.
+        about["text"] = json.dumps(about["result"], default=str, ensure_ascii=False)
         self.send(json.dumps(about, default=str, allow_nan=False))
 
     async def _order(self, about: Any, key: int | None) -> None:
@@ -360,10 +362,20 @@ def _text(about: dict[str, Any], key: str) -> str:
     return value
 
 
+def _value(text: str) -> Any:
+    """Return a value in JSON, else the text: a name of an enumeration."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+
+
 async def _set(sink: Source, about: dict[str, Any]) -> None:
-    values, channel = about.get("values"), about.get("channel", 0)
+    # As text a whole number has all its digits: numbers of a page are exact up to 2**53 only.
+    text, channel = about.get("text"), about.get("channel", 0)
+    values = [_value(text)] if isinstance(text, str) else about.get("values")
     if not isinstance(values, list) or not isinstance(channel, int):
-        raise LocalError("it has values, a list, and a channel")
+        raise LocalError("it has values, a list, or a text, and a channel")
     await asyncio.wrap_future(sink.control.set(_text(about, "topic"), values, channel=channel))
 
 

@@ -163,6 +163,80 @@ def test_texts_of_boards_are_texts():
 
 
 @needs_browser
+def test_whole_numbers_of_64_bits_keep_their_digits():
+    text = (
+        "ACTUATOR(count, 0, c, M, 1, u64, none)\n"
+        "ACTUATOR(wide, 1, w, M, 1, i64, none, (range, -9007199254740993, 9007199254740993))\n"
+        "SENSOR(seen, 2, s, M, 1, u64, none)\n"
+    )
+
+    async def work():
+        device = board_of(text)
+
+        @device.function("most")
+        def most() -> j2a.u64:
+            return (1 << 64) - 1
+
+        async with shown(device) as (page, _):
+            for name, value in (
+                ("count", 9007199254740993),
+                ("count", (1 << 64) - 1),
+                ("wide", -9007199254740993),
+            ):
+                await page.run(
+                    f"(() => {{ const input = document.getElementById('set-{name}-0');"
+                    f"input.value = '{value}'; input.form.requestSubmit(); }})()"
+                )
+                await until(lambda one=(name, 0, value): one in device.was_set, device.was_set)
+            await page.run("document.querySelector('details').open = true")
+            await page.until("document.querySelector('form.call') !== null")
+            told = "document.querySelector('form.call output').textContent"
+            while not (found := await page.run(told)):  # the form may be made anew meanwhile
+                await page.run("document.querySelector('form.call').requestSubmit()")
+                await asyncio.sleep(0.2)
+            assert found == "18446744073709551615"
+            while not await page.run(f"({text_of('seen')}).includes('18446744073709551613')"):
+                device.sense("seen", 0, 18446744073709551613)
+                await asyncio.sleep(0.05)
+            assert page.errors == []
+
+    asyncio.run(work())
+
+
+@needs_browser
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        ("u64", ((1 << 64) - 1,)),
+        ("u64", ((1 << 64) - 1, (1 << 64) - 5000)),
+        ("i64", (-(1 << 63), (1 << 63) - 1)),
+        ("f64", (1.7e308, -1.7e308)),
+        ("f64", (5e-324, 0.0)),
+        ("f64", (1e99, 1e99 * (1 + 2e-16))),
+    ],
+)
+def test_values_that_are_hard_to_draw_end_no_plots(kind, values):
+    text = f"SENSOR(odd, 0, o, M, 1, {kind}, none)\nSENSOR(other, 1, other, M, 1, u8, none)\n"
+
+    async def work():
+        device = board_of(text)
+        async with shown(device) as (page, _):
+            for number in range(30):
+                device.sense("odd", 0, values[number % len(values)])
+                device.sense("other", 0, number)
+                await asyncio.sleep(0.02)
+            for number in (77, 78):
+                device.sense("other", 0, number)
+                await page.until(f"({text_of('other')}).includes('{number}')")
+            await page.until(
+                "document.querySelector('[aria-label=\"plot of other\"] canvas') !== null"
+            )
+            assert page.errors == []
+
+    asyncio.run(work())
+
+
+@needs_browser
 def test_a_board_that_goes_and_comes_and_a_server_that_does():
     async def work():
         port = free_port()

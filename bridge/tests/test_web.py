@@ -11,6 +11,7 @@ import struct
 import aiohttp
 import pytest
 from j2a_bridge import web_server
+from j2a_bridge.sink import BoardStatus, Status
 from j2a_bridge.sinks.web import WebSink, _Span
 
 import j2a
@@ -354,6 +355,37 @@ def test_a_page_that_reads_nothing_disturbs_nobody(kept):
             writer.close()
 
     in_loop(work)
+
+
+def test_a_server_that_has_ended_is_started_anew(kept, monkeypatch):
+    monkeypatch.setattr(WebSink, "RETRY_S", 0.01)
+
+    async def work():
+        device = board_of()
+        async with paged(device) as (session, server, bridge):
+            news, failed = server._sink.news, []
+
+            def fail():
+                failed.append(1)
+                server._sink.news = news
+                raise ZeroDivisionError("a defect")
+
+            thread = bridge.runners[0].sink._thread
+            server._sink.news = fail
+            await until(lambda: failed and not thread.is_alive())
+            await until(lambda: bridge.runners[0].sink._thread not in (None, thread))
+            await until(lambda: bridge.runners[0].status.is_open)
+            page = await opened(session, server)
+            await next_of(page, "topics", lambda about: len(about["topics"]) == 3)
+
+    in_loop(work)
+
+
+def test_a_state_has_no_number_that_json_has_not():
+    sink = WebSink("", {"folder": ".", "token": ""}, None)
+    board = BoardStatus("robot", "", "tcp://x", is_here=True, uncertainty_us=math.inf)
+    sink._status = Status("host", (board,))
+    assert json.loads(json.dumps(sink.state(), allow_nan=False))["boards"][0]["name"] == "robot"
 
 
 def test_recordings_are_begun_and_ended_by_the_page(tmp_path):

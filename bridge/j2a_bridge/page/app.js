@@ -3,6 +3,7 @@
 // drawn follows the frames of the screen, however much comes.
 
 const POINTS = 6000;
+const GREATEST = 1e100; // what is greater is shown as a value, and not drawn
 const COLOURS = 8;
 const byId = (id) => document.getElementById(id);
 const topics = new Map();
@@ -225,7 +226,7 @@ function takeData(all) {
         // A clock that went back begins the plot anew, as its times mean something else.
         if (flat[at] < points.times.at(-1) - 1000) points.times.length = points.values.length = 0;
         points.times.push(flat[at]);
-        points.values.push(flat[at + 1]);
+        points.values.push(Math.abs(flat[at + 1]) <= GREATEST ? flat[at + 1] : null);
       }
       const tooMany = points.times.length - POINTS;
       if (tooMany > POINTS / 10) {
@@ -241,7 +242,15 @@ function draw() {
     if (!topic.isDirty) continue;
     topic.isDirty = false;
     drawValues(topic);
-    if (!isPaused) drawPlot(topic);
+    if (isPaused) continue;
+    try {
+      drawPlot(topic);
+    } catch {
+      // What one board measures must not end the plots of all: this one begins anew.
+      topic.plot?.destroy();
+      topic.plot = undefined;
+      topic.series.clear();
+    }
   }
   requestAnimationFrame(draw);
 }
@@ -297,6 +306,15 @@ function dot(series) {
   return element;
 }
 
+// Without a range of its own a constant would be drawn as a line of noise, and what differs in the last digits alone has
+// no ticks between.
+function around(low, high) {
+  const least = Math.max(Math.abs(low), Math.abs(high)) * 1e-9;
+  if (high - low > least) return uPlot.rangeNum(low, high, 0.1, true);
+  const margin = Math.max(1, 10 * least);
+  return [low - margin, high + margin];
+}
+
 function newPlot(topic, names) {
   const style = getComputedStyle(document.documentElement);
   const axis = {
@@ -321,8 +339,7 @@ function newPlot(topic, names) {
       legend: { show: false },
       scales: {
         x: { auto: false },
-        // Without a range of its own a constant would be drawn as a line of noise.
-        y: { range: (plot, low, high) => (low === high ? [low - 1, high + 1] : uPlot.rangeNum(low, high, 0.1, true)) },
+        y: { range: (plot, low, high) => around(low, high) },
       },
       axes: [{ ...axis, size: 26 }, { ...axis, size: 52 }],
       series: [{}, ...series],
@@ -338,8 +355,8 @@ function actuatorCard(name, about) {
   const element = make("article", { class: "card", "aria-label": `actuator ${name}` }, head(name, about));
   if (about.doc) element.append(make("small", {}, about.doc));
   const answer = make("output", { role: "status" });
-  const send = async (values, channel) => {
-    const reply = await order({ op: "set", topic: name, values, channel });
+  const send = async (text, channel) => {
+    const reply = await order({ op: "set", topic: name, text, channel });
     answer.className = reply.ok ? "good" : "bad";
     answer.textContent = reply.ok ? "set" : reply.message;
   };
@@ -356,22 +373,18 @@ function control(name, about, channel, send) {
   const type = about.type.split(" ")[0];
   if (type === "bool") {
     const input = make("input", { id, type: "checkbox", role: "switch" });
-    input.addEventListener("change", () => send([input.checked], channel));
+    input.addEventListener("change", () => send(String(input.checked), channel));
     return make("div", { class: "slider" }, label, input);
   }
   const range = about.range;
-  if (range === undefined || typeof range[0] !== "number" || typeof range[1] !== "number") {
+  // Whole numbers that are greater cannot be told apart here, so a slider would miss them.
+  const isExact = type[0] === "f" || range?.every((end) => Number.isSafeInteger(Math.round(end)));
+  if (range === undefined || !isExact || typeof range[0] !== "number" || typeof range[1] !== "number") {
     const input = make("input", { id, type: "text", placeholder: type, autocomplete: "off" });
     const form = make("form", {}, input, make("button", {}, "Set"));
     form.addEventListener("submit", (event) => {
       event.preventDefault();
-      let value = input.value;
-      try {
-        value = JSON.parse(input.value);
-      } catch {
-        // a name of an enumeration
-      }
-      send([value], channel);
+      send(input.value, channel);
     });
     return make("div", { class: "slider" }, label, form);
   }
@@ -398,7 +411,7 @@ function control(name, about, channel, send) {
     isBusy = true;
     while (isWanted) {
       isWanted = false;
-      await send([Number(input.value)], channel);
+      await send(String(Number(input.value)), channel);
     }
     isBusy = false;
   };
@@ -452,7 +465,7 @@ function functionForm(board, about) {
     const words = fields.map((input) => input.value);
     const reply = await order({ op: "call", board, function: about.name, words });
     result.className = reply.ok ? "good" : "bad";
-    result.textContent = !reply.ok ? reply.message : reply.result === null ? "done" : JSON.stringify(reply.result);
+    result.textContent = !reply.ok ? reply.message : reply.result === null ? "done" : reply.text;
   });
   return form;
 }

@@ -9,6 +9,7 @@ runs in a loop of its own and has a bounded queue for each page.
 
 import asyncio
 import dataclasses
+import logging
 import re
 import threading
 import time
@@ -20,6 +21,7 @@ from typing import Any, ClassVar, Final
 
 from j2a import LocalError
 from j2a.cli._typed import plain
+from j2a_bridge.json_values import finite
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
 from j2a_bridge.sinks.mcap import McapSink
 from j2a_bridge.sinks.mqtt import transducer_object
@@ -38,6 +40,7 @@ _START_S: Final = 10.0
 _TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,}")
 """What nobody guesses, and what is the same in an address."""
 _NS_PER_MS: Final = 1_000_000
+_logger = logging.getLogger("j2a.bridge")
 
 
 class _Span:
@@ -163,9 +166,13 @@ class WebSink(Sink):
                 ready.set()
             await self.server.run()
 
-        self._thread = threading.Thread(
-            target=lambda: asyncio.run(serve()), name="j2a page", daemon=True
-        )
+        def work() -> None:
+            try:
+                asyncio.run(serve())
+            except Exception:  # `status` notices it
+                _logger.exception("the server of the page has ended")
+
+        self._thread = threading.Thread(target=work, name="j2a page", daemon=True)
         self._thread.start()
         if not ready.wait(_START_S) or started:
             raise SinkError(started[0] if started else "the page cannot be served")
@@ -220,6 +227,8 @@ class WebSink(Sink):
 
     def status(self, status: Status) -> None:
         """Show the state of all; begin or end a recording that was asked for."""
+        if self._thread is not None and not self._thread.is_alive():
+            raise SinkError("the page is served no more; it is served anew")
         self._status = status
         wanted = self._wanted
         if wanted is not None and self._recorder is None:
@@ -247,7 +256,7 @@ class WebSink(Sink):
 
     def state(self) -> dict[str, Any]:
         """Return the state of all."""
-        about = {} if self._status is None else dataclasses.asdict(self._status)
+        about = {} if self._status is None else finite(dataclasses.asdict(self._status))
         recording = None if self._recorder is None else self._recorder.argument
         return {"op": "status", **about, "recording": recording, "problem": self._problem}
 
@@ -297,7 +306,7 @@ class WebSink(Sink):
         try:
             recorder = McapSink(path, defaults, self.control)
             recorder.open()
-        except (LocalError, OSError) as error:
+        except (LocalError, OSError, SinkError) as error:
             self._wanted, self._problem = None, f"no recording: {error}"
             return
         with self._lock:
