@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Iterator
 from typing import Any, Final
@@ -30,6 +29,10 @@ examples:
 Each computer runs `j2a bridge ... --sink zenoh`; one of them, or rmw_zenohd, is the router."""
 _MAX_BYTES: Final = 1 << 20
 _MAX_BRIDGES: Final = 1000
+_DEPTH: Final = 6
+"""Of a state: boards of it, topics of these, and their numbers, with one for what is to come."""
+_GREATEST: Final = 1 << 64
+"""No number of a bridge is as great, and no table is as wide."""
 _HEAD: Final = (
     f"{'computer':<14} {'board':<24} {'state':<9} {'clock':<9} "
     f"{'topic':<28} {'per s':>8} {'ms':>7} {'lost':>6}"
@@ -116,13 +119,17 @@ def read_status(data: bytes) -> dict[str, Any] | None:
         return None
     try:
         status = json.loads(data)
-        if not isinstance(status["host"], str):
+        if not isinstance(status["host"], str) or not _is_within(status, _DEPTH):
+            return None
+        if not isinstance(status["boards"], list):
             return None
         for board in status["boards"]:
             for key in ("name", "identity", "url", "problem", "clock"):
                 if not isinstance(board[key], str):
                     return None
             if not isinstance(board["is_here"], bool):
+                return None
+            if not isinstance(board["topics"], list):
                 return None
             for topic in board["topics"]:
                 numbers = topic["samples"], topic["rate_hz"], topic["lost"]
@@ -138,7 +145,15 @@ def read_status(data: bytes) -> dict[str, Any] | None:
 def _is_number(value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return abs(value) <= sys.float_info.max  # what is greater cannot be shown as a float
+    return abs(value) < _GREATEST
+
+
+def _is_within(value: Any, depth: int) -> bool:
+    """Whether lists and objects are not nested deeper: whoever prints them goes into each."""
+    if not isinstance(value, dict | list):
+        return True
+    inner = value.values() if isinstance(value, dict) else value
+    return depth > 0 and all(_is_within(one, depth - 1) for one in inner)
 
 
 def lines(status: dict[str, Any]) -> Iterator[str]:

@@ -263,7 +263,9 @@ def test_what_comes_is_checked():
         ('"is_here": true', '"is_here": 1'),
         ('"rate_hz": 1.0', '"rate_hz": "1"'),
         ('"rate_hz": 1.0', f'"rate_hz": {10**400}'),
+        ('"rate_hz": 1.0', '"rate_hz": 1e300'),
         ('"rate_hz": 1.0', '"rate_hz": NaN'),
+        ('{"host"', '{"more": ' + "[" * 500 + "]" * 500 + ', "host"'),
         ('"lost": 0', '"lost": true'),
         ('"latency_ms": null', '"latency_ms": []'),
         ('"topics": [', '"topics": [1, '),
@@ -272,6 +274,9 @@ def test_what_comes_is_checked():
     ):
         assert old in text
         assert read_status(text.replace(old, new).encode()) is None, new
+    no_lists = {**GOOD, "boards": {}}, {**GOOD, "boards": [{**GOOD["boards"][0], "topics": {}}]}
+    for about in no_lists:
+        assert read_status(json.dumps(about).encode()) is None
     for data in (b"", b"[]", b"1", b"\xff", b"[" * 100000, b'"' + b"x" * (1 << 20) + b'"'):
         assert read_status(data) is None
 
