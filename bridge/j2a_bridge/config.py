@@ -7,7 +7,7 @@ error that names it and what is near.
 
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +17,9 @@ from j2a_bridge.sink import SinkRequest
 
 __all__ = ["CLOCKS", "MESSAGES", "NAMES", "BoardConfig", "Config", "SensorConfig", "load_config"]
 
+_LEAST_HZ: Final = 1e-6
+_MOST_HZ: Final = 1e6
+"""Times have microseconds."""
 CLOCKS: Final = ("discipline", "follow", "off")
 NAMES: Final = ("short", "board")
 MESSAGES: Final = (
@@ -109,10 +112,12 @@ def load_config(path: Path) -> Config:
         OSError: it cannot be read.
     """
     try:
-        found = tomllib.loads(path.read_text(encoding="utf-8"))
-        return _config(found)
+        config = _config(tomllib.loads(path.read_text(encoding="utf-8-sig")))
+    except RecursionError:
+        raise LocalError(f"{path}: tables and lists are nested too deep") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, LocalError) as error:
         raise LocalError(f"{path}: {error}") from None
+    return replace(config, sinks=tuple(replace(one, source=f"{path}: ") for one in config.sinks))
 
 
 def _config(table: Mapping[str, Any]) -> Config:
@@ -122,8 +127,16 @@ def _config(table: Mapping[str, Any]) -> Config:
     names, clock = table.get("names", ""), table.get("clock", "discipline")
     _one_of("names", names, ("", *NAMES))
     _one_of("clock", clock, CLOCKS)
+    boards = tuple(_board(one) for one in table.get("boards", ()))
+    for key, values in (
+        ("url", [one.url for one in boards]),
+        ("serial", [one.identity for one in boards]),
+    ):
+        twice = {value for value in values if value and values.count(value) > 1}
+        if twice:
+            raise LocalError(f"two [[boards]] have the {key} {min(twice)!r:.60}")
     return Config(
-        tuple(_board(one) for one in table.get("boards", ())),
+        boards,
         tuple(_sink(one) for one in table.get("sinks", ())),
         table.get("usb", False),
         names,
@@ -145,8 +158,8 @@ def _sensor(name: str, table: Any) -> SensorConfig:
     kinds = {"topic": str, "rate": (int, float), "message": str, "publish": bool}
     _check(table, f"the transducer {name}", kinds)
     rate = table.get("rate")
-    if rate is not None and not 0 < rate < float("inf"):
-        raise LocalError(f"the rate of {name} is a number of samples a second, not {rate}")
+    if rate is not None and not _LEAST_HZ <= rate <= _MOST_HZ:
+        raise LocalError(f"the rate of {name} is a number of samples a second, not {rate!r:.40}")
     message = table.get("message", "auto")
     _one_of(f"the message of {name}", message.replace("/msg/", "/"), MESSAGES)
     return SensorConfig(
@@ -162,8 +175,10 @@ def _sink(table: Any) -> SinkRequest:
         return SinkRequest.parse(table)
     if not isinstance(table, dict) or not isinstance(table.get("use"), str):
         raise LocalError('[[sinks]] says which one, as in use = "ros2"')
+    if not isinstance(table.get("to", ""), str):
+        raise LocalError(f"to of [[sinks]] is a text, not {table['to']!r:.60}")
     options = {key: value for key, value in table.items() if key not in ("use", "to")}
-    return SinkRequest(table["use"], str(table.get("to", "")), options)
+    return SinkRequest(table["use"], table.get("to", ""), options)
 
 
 def _check(table: Any, where: str, kinds: Mapping[str, Any]) -> None:

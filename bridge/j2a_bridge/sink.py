@@ -250,8 +250,9 @@ class Option:
                 return words[value.lower()]
         elif self.kind in (int, float) and isinstance(value, str | int | float):
             try:
-                if not isinstance(value, bool):
-                    return self.kind(value)
+                made = self.kind(value)
+                if not isinstance(value, bool) and (isinstance(value, str) or made == value):
+                    return made
             except (ValueError, OverflowError):
                 pass
         elif isinstance(value, self.kind):
@@ -340,11 +341,13 @@ class SinkRequest:
         name: which one.
         argument: what stands behind it.
         options: that were given.
+        source: who asked for it, such as "robot.toml: ", for errors.
     """
 
     name: str
     argument: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
+    source: str = field(default="", compare=False)
 
     @classmethod
     def parse(cls, text: str) -> "SinkRequest":
@@ -387,6 +390,13 @@ def make_sink(request: SinkRequest, control: Control) -> Sink:
     Raises:
         LocalError: there is none of that name, or it refuses its argument or an option.
     """
+    try:
+        return _make_sink(request, control)
+    except LocalError as error:
+        raise LocalError(f"{request.source}{error}") from None
+
+
+def _make_sink(request: SinkRequest, control: Control) -> Sink:
     known = sink_classes()
     if request.name not in known:
         raise LocalError(f"there is no sink {request.name!r:.40}; there are: {', '.join(known)}")

@@ -72,6 +72,12 @@ def test_all_that_it_may_say(tmp_path):
         ("[[sinks]]\nto = 'x'", "says which one"),
         ("sinks = [1]", "says which one"),
         ("names = ", "Invalid value"),
+        (f"[[boards]]\nurl = 'x'\ntransducers.q = {{rate = 1{'0' * 400}}}", "rate of q"),
+        ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = 1e-320}", "rate of q"),
+        ("[[boards]]\nurl = 'x'\n[[boards]]\nurl = 'x'", "two .* have the url 'x'"),
+        ("[[boards]]\nserial = 'x'\n[[boards]]\nserial = 'x'", "two .* have the serial 'x'"),
+        ("[[sinks]]\nuse = 'udp'\nto = 5", r"to of \[\[sinks\]\] is a text, not 5"),
+        ("a = " + "[" * 20000, "nested too deep"),
     ],
 )
 def test_what_is_wrong_is_told_with_the_name_of_the_file(tmp_path, text, told):
@@ -80,6 +86,34 @@ def test_what_is_wrong_is_told_with_the_name_of_the_file(tmp_path, text, told):
     with pytest.raises(LocalError, match=told) as caught:
         load_config(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("use = 'ros3'", "no sink 'ros3'"),
+        ("use = 'mcap'", "needs more"),
+        ("use = 'mcap'\nto = 'a.mcap'\nsegment = -1", "segment has 1 MiB or more, not -1"),
+        ("use = 'udp'\nformt = 'json'", "no option formt"),
+        ("use = 'udp'\nto = 'x'", "HOST:PORT"),
+        ("use = 'zenoh'\ndomain = -5", "a domain is 0 to 232, not -5"),
+        ("use = 'zenoh'\ndomain = 1.5", "domain of a sink is a whole number, not 1.5"),
+        ("use = 'ros2'\ndomain = -5", "a domain is 0 to 232, not -5"),
+    ],
+)
+def test_what_is_wrong_with_a_sink_is_told_with_the_name_of_the_file(tmp_path, text, told):
+    path = tmp_path / "robot.toml"
+    path.write_text(f"[[sinks]]\n{text}\n")
+    [request] = load_config(path).sinks
+    with pytest.raises(LocalError, match=told) as caught:
+        make_sink(request, None)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_file_of_windows_begins_with_a_mark(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text("usb = true\n", encoding="utf-8-sig")
+    assert load_config(path).usb
 
 
 @pytest.mark.parametrize("message", [*MESSAGES, "sensor_msgs/msg/Imu"])

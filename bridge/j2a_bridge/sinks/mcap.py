@@ -41,6 +41,8 @@ class McapSink(Sink):
             raise LocalError(f"{argument}: the name of a recording ends in .mcap")
         if self._path.exists():
             raise LocalError(f"{argument} is there already; choose another name")
+        if options["segment"] < 0:
+            raise LocalError(f"a segment has 1 MiB or more, not {options['segment']}")
         check_package()
         self._recorder: Recorder | None = None
         self._topics: dict[str, dict[str, Topic]] = {}

@@ -65,7 +65,7 @@ class Ros2Sink(Sink):
         super().__init__(argument, options, control)
         if options["distro"] not in ("humble", "jazzy"):
             raise LocalError(f"the distro is humble or jazzy, not {options['distro']!r:.40}")
-        self._domain = options["domain"] if options["domain"] >= 0 else _domain_of_environment()
+        self._domain = options["domain"] if options["domain"] != -1 else _domain_of_environment()
         if not 0 <= self._domain <= _MAX_DOMAIN:
             raise LocalError(f"a domain is 0 to {_MAX_DOMAIN}, not {self._domain}")
         self._dds = _Dds()

@@ -35,6 +35,7 @@ ROUTER: Final = "tcp/127.0.0.1:7447"
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _SENSOR_DATA: Final = "2::,5:,:,:,,"  # best effort, the last five
 _RELIABLE: Final = "::,10:,:,:,,"
+_MAX_DOMAIN: Final = 232
 _MODES: Final = ("peer", "router", "client")
 _logger = logging.getLogger("j2a.bridge")
 
@@ -99,6 +100,8 @@ class ZenohSink(Sink):
             raise LocalError(
                 f"the mode of zenoh is one of {', '.join(_MODES)}, not {options['mode']!r:.40}"
             )
+        if not 0 <= options["domain"] <= _MAX_DOMAIN:
+            raise LocalError(f"a domain is 0 to {_MAX_DOMAIN}, not {options['domain']}")
         _zenoh()
         self._ros = RosMessages(options["distro"])
         self._session: Any = None
