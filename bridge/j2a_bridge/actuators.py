@@ -62,7 +62,7 @@ def _whole(topic: Topic, value: float) -> float | int:
 
 def _watched(topic: Topic, future: "Future[None]") -> "Future[None]":
     def told(done: "Future[None]") -> None:
-        error = done.exception()
+        error = None if done.cancelled() else done.exception()
         if error is not None:
             _logger.warning("%s was not set: %s", topic.name, error)
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import http.client
 import json
 import os
 import queue
@@ -345,6 +346,58 @@ def test_stamps_are_in_the_time_of_ros_where_it_is_simulated(master, monkeypatch
         peer.end()
         clock.end()
     assert 0 < message["times"][0] < 200 * 10**9
+
+
+def test_nothing_is_published_before_the_simulated_time_is_known(master):
+    code = (
+        "import xmlrpc.client, os\n"
+        "xmlrpc.client.ServerProxy(os.environ['ROS_MASTER_URI'])"
+        ".setParam('/t', '/use_sim_time', True)\n"
+    )
+    subprocess.run([PYTHON, "-c", code], check=True, timeout=PATIENCE_S)
+
+    async def work():
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url, sinks=("ros1", "kept"))) as bridge:
+                runner = bridge.runners[0]
+                await until(lambda: "quad" in bridge._flows)
+                device.sense("quad", 0, 1)
+                await until(lambda: runner.published + runner.dropped)
+                return runner.published, runner.problem, runner.sink._shift_ns
+
+    assert asyncio.run(work()) == (0, "", None)
+
+
+def test_a_server_that_is_no_roscore_does_not_end_the_watch(monkeypatch):
+    node, runs = j2a_bridge.sinks.ros1_node, iter([OSError, "garbage", "other"])
+
+    class Master:
+        def __init__(self, uri):
+            pass
+
+        def getParam(self, name, key):  # noqa: N802 - of the API of ROS
+            run = next(runs)
+            if run is OSError:
+                raise run
+            if run == "garbage":
+                raise http.client.BadStatusLine(run)
+            return 1, "", run
+
+        def lookupNode(self, name, other):  # noqa: N802
+            return [1]
+
+    class Ended(BaseException):
+        pass
+
+    def end(why):
+        raise Ended(why)
+
+    monkeypatch.setattr(node.xmlrpc.client, "ServerProxy", Master)
+    monkeypatch.setattr(node.time, "sleep", lambda _s: None)
+    monkeypatch.setattr(node, "end", end)
+    with pytest.raises(Ended, match="another roscore"):
+        node.watch_master("http://127.0.0.1:1", "/j2a", "ours")
 
 
 def test_sums_of_all_types_agree_with_genpy(master):

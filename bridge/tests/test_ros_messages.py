@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
+from j2a_bridge.actuators import FLOATS, _watched, set_by_command, set_by_own
 from j2a_bridge.config import MESSAGES
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sink import BoardStatus, SinkStatus, Status, Times, TopicStatus, Update
@@ -481,3 +481,16 @@ def test_orders_have_the_values_and_the_time_of_this_computer(distro: str) -> No
     assert [order[1] for order in orders.given] == [[3, -4, 1.5], [[3, -4, 1.5]], [3, -4, 1.5]]
     assert [type(one) for one in orders.given[0][1]] == [int, int, float]
     assert [type(one) for one in orders.given[2][1]] == [float, float, float]
+
+
+@pytest.mark.parametrize("is_cancelled", [True, False])
+def test_an_order_that_the_end_of_the_bridge_cancels_is_no_error(caplog, is_cancelled) -> None:
+    future: Future[None] = Future()
+    _watched(topic_of(ONE), future)
+    if is_cancelled:
+        future.cancel()
+    else:
+        future.set_exception(LocalError("out of range"))
+    assert [one.message for one in caplog.records] == (
+        [] if is_cancelled else ["quad was not set: out of range"]
+    )

@@ -143,7 +143,7 @@ class FoxgloveSink(Sink):
             return
 
         def told(done: Any) -> None:
-            error = done.exception()
+            error = None if done.cancelled() else done.exception()
             if error is not None:
                 _logger.warning("%s was not set: %s", topic.name, error)
 

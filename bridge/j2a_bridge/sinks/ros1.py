@@ -28,7 +28,7 @@ from j2a import LocalError
 from j2a.types.transducers import numbers_element
 from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
 from j2a_bridge.ros_messages import Message, RosMessages
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
+from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, Status, Update
 from j2a_bridge.sinks import ros1_node as node
 from j2a_bridge.topics import Topic
 
@@ -40,6 +40,7 @@ _END_S: Final = 3.0
 _LINES: Final = 20
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _NS_PER_US: Final = 1000
+_NO_TIME: Final = "the time of ROS is simulated, and nobody has told it yet"
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -60,7 +61,7 @@ class Ros1Sink(Sink):
         self._reader: threading.Thread | None = None
         self._said: deque[str] = deque(maxlen=_LINES)
         self._ready = threading.Event()
-        self._shift_ns = 0
+        self._shift_ns: int | None = 0  # None before the simulated time of ROS is known
         self._next = 1
         self._messages: dict[str, list[tuple[int, Message]]] = {}
         self._numbers: dict[str, list[int]] = {}
@@ -169,6 +170,8 @@ class Ros1Sink(Sink):
     def publish(self, update: Update) -> None:
         """Publish a sample."""
         shift_ns = self._shift_ns
+        if shift_ns is None:
+            raise NotTaken(_NO_TIME)
         if shift_ns:
             update = replace(
                 update,
@@ -182,8 +185,10 @@ class Ros1Sink(Sink):
 
     def status(self, status: Status) -> None:
         """Publish diagnostics."""
-        data = self._ros.diagnostics(status, time.time_ns() + self._shift_ns)
-        self._send(node.PUBLISH, 0, data)
+        shift_ns = self._shift_ns
+        if shift_ns is not None:
+            data = self._ros.diagnostics(status, time.time_ns() + shift_ns)
+            self._send(node.PUBLISH, 0, data)
 
     def _number(self, numbers: list[int]) -> int:
         number, self._next = self._next, self._next + 1
@@ -208,7 +213,10 @@ class Ros1Sink(Sink):
     # ------------------------------------------------------------------ from ROS
 
     def _set(self, topic: Topic, data: bytes) -> None:
-        set_by_own(self.control, self._ros, topic, data, self._shift_ns)
+        shift_ns = self._shift_ns
+        if shift_ns is None:
+            raise LocalError(f"{topic.name} was not set: {_NO_TIME}")
+        set_by_own(self.control, self._ros, topic, data, shift_ns)
 
     def _cmd(self, topic: Topic, data: bytes) -> None:
         set_by_command(self.control, self._ros, topic, data)
@@ -238,7 +246,7 @@ class Ros1Sink(Sink):
             return
 
         def told(done: "Future[Any]") -> None:
-            error = done.exception()
+            error = LocalError("the bridge ends") if done.cancelled() else done.exception()
             if error is None:
                 answer(True, json.dumps(done.result()))
             else:
@@ -271,7 +279,8 @@ class Ros1Sink(Sink):
             self._name = body.decode()
             self._ready.set()
         elif what == node.TIME:
-            self._shift_ns = struct.unpack("<qq", body)[0]
+            shift_ns, now_ns = struct.unpack("<qq", body)
+            self._shift_ns = shift_ns if now_ns else None
         elif what == node.TOLD:
             _logger.warning("ROS 1: %s", body.decode(errors="replace"))
         else:

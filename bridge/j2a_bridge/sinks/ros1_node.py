@@ -222,8 +222,8 @@ def watch_master(uri: str, name: str, run: str) -> None:
             master: Any = xmlrpc.client.ServerProxy(uri)
             code, _, now = master.getParam(name, "/run_id")
             is_known = master.lookupNode(name, name)[0] == 1
-        except OSError:
-            continue  # what is connected goes on
+        except Exception:  # no roscore, or something else there; what is connected goes on
+            continue
         if code != 1 or now != run or not is_known:
             end(f"another roscore is at {uri}")
 
@@ -236,7 +236,7 @@ def end(why: str, code: int = NO_MASTER) -> None:
 
 
 def tell_time(rospy: Any, pipe: Pipe) -> None:
-    """Tell the time of ROS beside that of this computer, where it is simulated."""
+    """Tell the time of ROS less that of this computer, and it, where it is simulated."""
     while True:
         now = rospy.Time.now().to_nsec()
         if now:
@@ -266,6 +266,7 @@ def main() -> None:
     run = master.getParam(name, "/run_id")[2]
     threading.Thread(target=watch_master, args=(uri, name, run), daemon=True).start()
     if rospy.get_param("/use_sim_time", False):
+        pipe.send(TIME, 0, struct.pack("<qq", 0, 0))  # it is not known yet
         threading.Thread(target=tell_time, args=(rospy, pipe), daemon=True).start()
     pipe.send(READY, 0, name.encode())
     node = Node(rospy, pipe)
