@@ -108,7 +108,7 @@ class NoThreshold(_Taken):
     @staticmethod
     def _values(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
         numbers: tuple[Any, ...] = (0.0, 1.5, -1e30, float("inf"))
-        if one.type.element[0] in "ui":
+        if board.scalar(one)[0] in "ui":
             most = 1 << 8 * board.size(one)
             numbers = (0, 1, most // 2 - 1, most // 2, most - 1)
         yield from (board.packed(one, number) for number in numbers)
