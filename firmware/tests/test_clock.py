@@ -59,6 +59,27 @@ def test_vectors(library: Path, test: dict[str, Any]) -> None:
             assert exchanged.received == step["local"]
 
 
+@pytest.mark.requirement("J2A-CLOCK-018")
+@pytest.mark.parametrize("pause_us", [0, 1, 400, 600, 1000, 1024, 1100, 5000])
+@pytest.mark.parametrize("off_us", [3, 900, -900, 50_000])
+@pytest.mark.parametrize("rate", [0, 5_000_000])
+def test_a_reply_tells_the_rate_that_follows_from_an_adjustment(
+    library: Path, pause_us: int, off_us: int, rate: int
+) -> None:
+    clock = NativeClock(library)
+    clock.local = S
+    clock.call(adjust(S, UNIX))
+    clock.run(clock.local + 3 * S)
+    clock.call(adjust(clock.local, clock.time - off_us))
+    clock.run(clock.local + pause_us)
+    payload = clock.call(adjust(clock.local, clock.time + off_us, rate=rate))[1]
+    assert clock.call(STATUS)[1] == payload
+    told = CLOCK_STATUS.parse(payload)
+    clock.run(clock.local + 5000)
+    assert CLOCK_STATUS.parse(clock.call(STATUS)[1]).rate == told.rate
+    assert abs(told.rate - rate - min(max(off_us / 1.048576 * 1000, -S), S)) <= 12_000
+
+
 @st.composite
 def adjustments(draw: st.DrawFn) -> tuple[int, dict[str, int]]:
     """Return the microseconds until an adjustment, and what it says, relative to the time."""

@@ -56,8 +56,6 @@ class _Adjustment:
     low: Fraction = Fraction(0)
     high: Fraction = Fraction(0)
     """Bounds of target less time, in microseconds, at `at`."""
-    before: tuple[int, int] = (0, 0)
-    """Bounds of the rate at `at`, which may hold a little longer."""
 
     def target(self, local: int) -> Fraction:
         return self.time + (local - self.local) * (1 + self.rate)
@@ -125,8 +123,7 @@ class Clock:
         if off is not None:
             low, high = Fraction(off) - 1, Fraction(off) + 1
         lag = (abs(rate - self._last.rate) + _SLEW) * (_LAG_US + early)
-        before = self._rate(local)
-        self._last = replace(new, low=low - lag, high=high + lag, before=before)
+        self._last = replace(new, low=low - lag, high=high + lag)
 
     def bounds(self, local: int) -> Bounds:
         """Return what STATUS may say at a local time, in us."""
@@ -152,9 +149,7 @@ class Clock:
         assert last is not None
         rate = int(last.rate * _PPB)
         most = 1 if last.is_reached(local) else c.CLOCK_MAX_SLEW_PPM * 1000 + 1
-        if last.is_step or local - last.at > _LAG_US:
-            return rate - most, rate + most
-        return min(rate - most, last.before[0]), max(rate + most, last.before[1])
+        return rate - most, rate + most
 
     def _states(self, local: int, least: Fraction, most: Fraction) -> tuple[int, ...]:
         last = self._last

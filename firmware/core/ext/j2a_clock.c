@@ -238,7 +238,8 @@ static J2A_NOINLINE void put_status(uint8_t *bytes) {
     if (epoch != 0) {
         load_line(&line, now);
         time_us = time_on(&line, now, &part);
-        rate = line.rate + (now - line.at < SEGMENT_US ? line.correction : 0);
+        line = lines[current]; /* also before its begin: what the host was told last is how the time goes on */
+        rate = line.rate + ((int32_t)(now - line.at) < SEGMENT_US ? line.correction : 0);
     }
     j2a_put_u64(bytes, now_us);
     j2a_put_u64(bytes + 8, time_us);
@@ -259,6 +260,11 @@ static J2A_NOINLINE void adjust(uint64_t now_us, uint32_t uncertainty_us, uint32
     if (was_step) {
         step(now_us);
     } else {
+        const uint32_t begin = lines[current].at;
+        if (begin - (uint32_t)now_us <= LEAD_US) { /* ahead: it passes first, so that the next line is planned at once */
+            j2a_port_wait(begin);
+            adjusted_us = j2a_port_time_us();
+        }
         is_told = true;
         j2a_clock_turn();
     }

@@ -22,6 +22,12 @@ uint64_t j2a_port_time_us(void) {
     return fake_local_us;
 }
 
+void j2a_port_wait(uint32_t local_us) {
+    const int32_t left_us = (int32_t)(local_us - (uint32_t)fake_local_us);
+    if (left_us > 0)
+        fake_local_us += (uint32_t)left_us;
+}
+
 uint32_t j2a_get_u32(const uint8_t *bytes) {
     return bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 | (uint32_t)bytes[3] << 24;
 }

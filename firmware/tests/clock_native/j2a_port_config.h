@@ -3,3 +3,4 @@
 #ifndef J2A_PORT_FRAMES
 #define J2A_PORT_FRAMES 1
 #endif
+#define J2A_PORT_WAIT 1

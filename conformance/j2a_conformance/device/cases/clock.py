@@ -80,12 +80,36 @@ class Board:
         Returns: the status of the reply.
         """
         before = self.status()
-        rate = Fraction(fields.get("rate", 0), 10**9)
         wanted = before.time + off_us if base is None else base
-        time = wanted - round(age_us * (1 + rate))
+        return self._adjusted(before, self._adjustment(before.local, wanted, age_us, fields))
+
+    def adjust_back(self, off_us: int) -> cs.Container:
+        """Send ADJUST with a target on the other side, and in the same piece that of `adjust`.
+
+        Returns: the status of the second reply.
+        """
+        peer, before = self.peer, self.status()
+        payloads = [
+            self._adjustment(before.local, before.time + off, 0, {}) for off in (-off_us, off_us)
+        ]
+        requests = [peer.request(peer.opcode(c.CLOCK), one, c.RET_OK) for one in payloads]
+        stream = b"".join(one.wire for one in requests)
+        if len(stream) > peer.room(len(stream)):
+            self.adjust(-off_us)
+            return self.adjust(off_us)
+        for payload, frame in zip(
+            payloads, peer.play(stream, *(one.expected for one in requests)), strict=True
+        ):
+            status = self.adjusted(before, payload, frame.payload)
+        return status
+
+    @staticmethod
+    def _adjustment(local: int, wanted: int, age_us: int, fields: dict[str, int]) -> bytes:
+        """Return a request ADJUST whose target has the time `wanted` at a local time."""
+        rate = Fraction(fields.get("rate", 0), 10**9)
         usual = {"mode": c.CLOCK_SLEW, "rate": 0, "uncertainty": 0, "wander": 0}
-        told = {"local": before.local - age_us, "time": time}
-        return self._adjusted(before, CLOCK_ADJUST.build({**told, **usual, **fields}))
+        told = {"local": local - age_us, "time": wanted - round(age_us * (1 + rate))}
+        return bytes(CLOCK_ADJUST.build({**told, **usual, **fields}))
 
     def again(self) -> cs.Container:
         """Send the last ADJUST once more; the target is on the same line. Return the status."""

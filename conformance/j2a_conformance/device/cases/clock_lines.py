@@ -16,6 +16,7 @@ from .sif import frames
 
 _HOUR: Final = 3600 * S
 _REACHED_US: Final = 2_050_000
+_SHORT_US: Final = 400_000
 _FAST: Final = 2.0
 
 
@@ -77,11 +78,12 @@ class Slews(ClockCase):
     )
 
     def _judge(self, board: Board) -> None:
-        board.step()
         for off in (900, -900):
-            board.adjust(off)
-            board.wait(20_000)
+            board.step()
+            self._check_told(board, board.adjust(off))
             self._check_rates(list(board.watch(600_000)))
+            self._check_told(board, board.adjust_back(off))
+            self._check_told(board, board.status())
         for off in (400, -400, 7, -7, 4, -3, 2600, -6000):
             board.adjust(off, uncertainty=3)
             board.wait(_REACHED_US + 1000 * abs(off), 0.02 if abs(off) < 1000 else 0.1)
@@ -90,6 +92,18 @@ class Slews(ClockCase):
         board.wait(200_000)
         board.adjust(-300)
         board.wait(_REACHED_US + 1_000_000)
+
+    @staticmethod
+    def _check_told(board: Board, told: Any) -> None:
+        """What a reply tells of the rate must show in the time after it."""
+        later = board.wait(100_000)
+        passed = later.local - told.local
+        if passed > _SHORT_US:
+            board.peer.link.note("the link is too slow to compare the rate of a reply")
+            return
+        moved, said = later.time - told.time - passed, passed * told.rate / 1e9
+        if abs(moved - said) > 10 + abs(moved) / 4:
+            fail(f"a reply tells {told.rate} ppb, but the time moved by {moved} us in {passed} us")
 
     @staticmethod
     def _check_rates(readings: list[Any]) -> None:
