@@ -6,7 +6,9 @@ The steady counter is one that NTP does not slew, where the system has it, so th
 computer's clock is not taken for one of a board's crystal.
 """
 
+import math
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -23,7 +25,8 @@ _US: Final = 1e6
 _TRIES: Final = 10
 _QUICK_US: Final = 2.0
 _SLOW_US: Final = 10.0
-_Readings = Callable[[], tuple[float, int]]
+_SLOWEST_US: Final = 250.0
+"""Where no reading is quicker for a second, it is this machine that takes so long."""
 
 
 class HostTime:
@@ -32,17 +35,25 @@ class HostTime:
     Args:
         counter_us: reads the steady counter, in microseconds.
         unix_us: reads the clock, in microseconds since 1970.
+        slewed_us: reads a clock that is slewed like that one and never set, if there is one.
 
     Attributes:
         counter_us: as given.
         reference: turns times of the counter into Unix time.
     """
 
-    def __init__(self, counter_us: Callable[[], float], unix_us: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        counter_us: Callable[[], float],
+        unix_us: Callable[[], int],
+        slewed_us: Callable[[], int | None] = lambda: None,
+    ) -> None:
         self.counter_us = counter_us
         self.reference = ReferenceClock()
         self._unix_us = unix_us
-        self._is_known = False
+        self._slewed_us = slewed_us
+        self._known_at_us = -math.inf
+        self._limit_us = math.inf
         self.renew_lock()
 
     def renew_lock(self) -> None:
@@ -55,18 +66,25 @@ class HostTime:
         A reading that was interrupted again and again is left out, unless it is the first one.
         """
         with self._lock:
-            best = (float("inf"), 0.0, 0)
-            for _ in range(_TRIES):
-                before, unix_us = self.counter_us(), self._unix_us()
-                after = self.counter_us()
-                best = min(best, (after - before, (before + after) / 2, unix_us))
+            best = self._reading()
+            for _ in range(_TRIES - 1):
                 if best[0] < _QUICK_US:
                     break
-            took_us, counter_us, unix_us = best
-            if took_us <= _SLOW_US or not self._is_known:
-                self.reference.observe(counter_us, unix_us)
-                self._is_known = True
+                best = min(best, self._reading())
+            took_us, counter_us, unix_us, slewed_us = best
+            if counter_us - self._known_at_us >= _US:
+                self._limit_us = max(self._limit_us, _SLOWEST_US)
+            if took_us <= self._limit_us:
+                self.reference.observe(counter_us, unix_us, slewed_us)
+                self._known_at_us = counter_us
+                self._limit_us = max(_SLOW_US, min(self._limit_us, 2 * took_us))
         return counter_us
+
+    def _reading(self) -> tuple[float, float, int, int | None]:
+        """Return how long it took, and the time of each of the three in its middle."""
+        before, unix_us, slewed_us = self.counter_us(), self._unix_us(), self._slewed_us()
+        after = self.counter_us()
+        return after - before, (before + after) / 2, unix_us, slewed_us
 
 
 def _counter_us() -> Callable[[], float]:
@@ -77,7 +95,14 @@ def _counter_us() -> Callable[[], float]:
     return lambda: read(clock) / 1000
 
 
-_HOST: Final = HostTime(_counter_us(), lambda: time.time_ns() // 1000)
+def _slewed_us() -> Callable[[], int | None]:
+    """Linux slews CLOCK_MONOTONIC with the clock; elsewhere it is not said what it does."""
+    if sys.platform != "linux":
+        return lambda: None
+    return lambda: time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000
+
+
+_HOST: Final = HostTime(_counter_us(), lambda: time.time_ns() // 1000, _slewed_us())
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_HOST.renew_lock)
 

@@ -3,7 +3,8 @@
 What flows in: readings of the counter and of the clock that people and NTP set, both in
 microseconds. What flows out: times of the one as times of the other, and whether the clock was set.
 Rules: a clock that runs a little faster or slower is followed; one that jumps by 1 ms or more was
-set, which is counted and told (J2A-CLOCK-028).
+set, which is counted and told (J2A-CLOCK-028). Some systems have a clock that is slewed like that
+one and never set: it tells both apart, however long nobody looked.
 """
 
 from collections import deque
@@ -22,6 +23,8 @@ BEND_US: Final = 20
 _BASE_US: Final = 90_000
 _APART_US: Final = 250_000
 _KEPT: Final = 9
+_IDLE_US: Final = 2_500_000
+"""A change of the rate that nobody saw for longer may be over."""
 _US: Final = 1e6
 _RATE_CHANGE: Final = 2e-5
 
@@ -40,23 +43,38 @@ class ReferenceClock:
         self.last_step_us = 0
         self.rate = 0.0
         self._anchor = (0.0, 0)
+        self._set_us: int | None = None
         self._kept: deque[tuple[float, int]] = deque(maxlen=_KEPT)
 
-    def observe(self, counter_us: float, unix_us: int) -> bool:
-        """Take a reading of both; return whether the clock was set since the one before."""
+    def observe(self, counter_us: float, unix_us: int, slewed_us: int | None = None) -> bool:
+        """Take a reading of both; return whether the clock was set since the one before.
+
+        Args:
+            counter_us, unix_us: of the counter and of the clock.
+            slewed_us: of a clock that the system slews like this one and never sets; None where it
+                has none, and then only what is more than a slew in the time since is a step.
+        """
         is_step = False
+        before_us = self._set_us
+        self._set_us = None if slewed_us is None else unix_us - slewed_us
         if self._kept:
             passed = counter_us - self._anchor[0]
             off = unix_us - self.to_unix(counter_us)
-            is_step = abs(off) >= STEP_US + MAX_SLEW * abs(passed)
+            if self._set_us is not None and before_us is not None:
+                off_by_step = self._set_us - before_us
+                is_step = abs(off_by_step) >= STEP_US
+            else:
+                off_by_step = round(off)
+                is_step = abs(off) >= STEP_US + MAX_SLEW * abs(passed)
             if is_step:
                 self.steps += 1
-                self.last_step_us = round(off)
+                self.last_step_us = off_by_step
                 # The rate stays: it is that of the counter, and NTP has not changed it.
                 self._kept.clear()
             elif abs(off) > BEND_US:
                 self._kept.clear()
-                self._kept.append(self._anchor)
+                if passed <= _IDLE_US:
+                    self._kept.append(self._anchor)
         self._anchor = counter_us, unix_us
         if not self._kept or counter_us - self._kept[-1][0] >= _APART_US:
             self._kept.append(self._anchor)

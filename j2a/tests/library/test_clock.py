@@ -479,6 +479,59 @@ def test_the_time_of_this_computer_is_read_in_one_moment():
     assert before - 2 <= unix <= after + 2
 
 
+@pytest.mark.parametrize("took_us", [0.1, 4, 12, 60])
+def test_a_slow_counter_is_read_again_and_again(took_us):
+    """Whatever time a reading takes on this machine, its clock is followed."""
+    now = [0.0]
+    shift = [10**15]
+
+    def counter_us():
+        now[0] += took_us
+        return now[0]
+
+    clock = host_time.HostTime(counter_us, lambda: shift[0] + int(now[0]))
+    for _ in range(40):
+        clock.observe()
+        now[0] += 100_000
+    for _ in range(3):
+        shift[0] += 3_600_000_000
+        steps = clock.reference.steps
+        for _ in range(12):
+            clock.observe()
+            now[0] += 100_000
+        assert clock.reference.steps == steps + 1
+        assert abs(clock.reference.to_unix(now[0]) - shift[0] - now[0]) <= 2 * took_us + 20
+
+
+def test_a_reading_that_was_interrupted_is_left_out():
+    now = [0.0]
+    took_us = [1.0]
+
+    def counter_us():
+        now[0] += took_us[0]
+        return now[0]
+
+    clock = host_time.HostTime(counter_us, lambda: 10**15 + int(now[0]))
+    clock.observe()
+    for late_us in (30, 200, 5000):
+        took_us[0] = late_us
+        now[0] += 300_000
+        before = clock.reference._anchor
+        clock.observe()
+        assert clock.reference._anchor == before
+    now[0] += 10_000_000
+    clock.observe()  # so late that it would look like a step
+    assert clock.reference._anchor == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system tells no steps")
+def test_this_computer_tells_steps_from_slews():
+    slewed_us = host_time._HOST._slewed_us
+    first = time.time_ns() / 1000 - slewed_us()
+    time.sleep(0.01)
+    assert abs(time.time_ns() / 1000 - slewed_us() - first) < 5000  # however busy it is
+
+
 def test_importing_the_library_loads_no_clock():
     code = "import sys, j2a; print([m for m in sys.modules if m.split('.')[2:3] == ['clock']])"
     found = subprocess.run(

@@ -280,6 +280,48 @@ def test_1_ms_is_a_step(step_us: int, steps: int) -> None:
     assert reference.to_unix(2 * US) == EPOCH_US + 2 * US + step_us
 
 
+@pytest.mark.requirement("J2A-CLOCK-028")
+@pytest.mark.parametrize("idle_s", [0.1, 60, 300, 86_400])
+@pytest.mark.parametrize("off_us", [1000, -1000, 200_000, -200_000])
+def test_a_step_after_any_idle_time_is_one_where_the_system_tells_it(
+    idle_s: float, off_us: int
+) -> None:
+    """A clock that is slewed, but never set, tells a step from a slew."""
+    for is_set in (True, False):
+        reference, at = ReferenceClock(), 0.0
+        for _ in range(20):
+            reference.observe(at, EPOCH_US + round(at), round(at))
+            at += 0.1 * US
+        at += idle_s * US
+        unix_us = EPOCH_US + round(at) + off_us
+        told = reference.observe(at, unix_us, round(at) + (0 if is_set else off_us))
+        assert told is is_set
+        assert reference.steps == is_set
+        if is_set:
+            assert reference.last_step_us == off_us
+        assert reference.to_unix(at) == unix_us
+
+
+@pytest.mark.parametrize("idle_s", [10, 300])
+@pytest.mark.parametrize("tells", [True, False])
+def test_what_happened_in_an_idle_time_tells_nothing_of_the_rate(idle_s: int, tells: bool) -> None:
+    reference, at = ReferenceClock(), 0.0
+    gained = -20e-6
+    for _ in range(40):
+        slewed = round(at * (1 + gained))
+        reference.observe(at, EPOCH_US + slewed, slewed if tells else None)
+        at += 0.1 * US
+    assert reference.rate == pytest.approx(gained, abs=5e-6)
+    at += idle_s * US
+    later_us = round(at * (1 + gained)) + idle_s * 500
+    for number in range(40):
+        passed = number * 0.01 * US
+        slewed = later_us + round(passed * (1 + gained))
+        reference.observe(at + passed, EPOCH_US + slewed, slewed if tells else None)
+        assert reference.rate == pytest.approx(gained, abs=25e-6)
+    assert reference.steps == 0
+
+
 # ---------------------------------------------------------------------------- one USB bus
 
 
