@@ -11,6 +11,7 @@ from j2a.io.clock import ROUNDS, check_period, check_rounds
 from j2a.io.clock_base import ClockBase, ClockReading
 from j2a.io.streams import slice_of
 from j2a.protocol.clock import LOOK_S, Exchange, Status
+from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.transfer import Transfer
 
 __all__ = ["AsyncClock", "AsyncClockKeeper"]
@@ -76,7 +77,7 @@ class AsyncClock(ClockBase):
         for number in range(check_rounds(rounds)):
             if number:
                 await self._pause(self._discipline.delay_s(0.05))
-            await self._run(self._adjust, timeout)
+            await self._run(lambda: self._adjust(min(rounds, BURST)), timeout)
         return self._reading()
 
     # ------------------------------------------------------------------ for as long as it lasts

@@ -17,6 +17,7 @@ from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 from j2a.protocol.arguments import check_timeout
 from j2a.protocol.clock import LOOK_S, Exchange, Status
+from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.transfer import Transfer
 
 __all__ = ["ROUNDS", "Clock", "ClockKeeper", "check_period", "check_rounds"]
@@ -106,12 +107,14 @@ class Clock(ClockBase):
     def sync(self, rounds: int = ROUNDS, timeout: float | None = None) -> ClockReading:
         """Make exchanges and set the clock of the board by them, once.
 
-        Args and raises: as `measure`; NoClock also where the clock cannot be set.
+        Args: as `measure`; with less than 8 rounds little is known of the rate of the board.
+
+        Raises: as `measure`; NoClock also where the clock cannot be set.
         """
         for number in range(check_rounds(rounds)):
             if number:
                 self._pause(self._discipline.delay_s(0.05))
-            self._run(self._adjust, timeout)
+            self._run(lambda: self._adjust(min(rounds, BURST)), timeout)
         return self._reading()
 
     # ------------------------------------------------------------------ for as long as it lasts

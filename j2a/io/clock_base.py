@@ -30,6 +30,7 @@ from j2a.protocol.clock import (
     unpack_exchange,
     unpack_status,
 )
+from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.clock.reference import STEP_US
 from j2a.protocol.codec import stuff
 from j2a.protocol.transfer import CallRequest, Transfer
@@ -297,13 +298,13 @@ class ClockBase:
             yield from self._ask_status()
         return exchange
 
-    def _adjust(self) -> Transfer[None]:
-        """Make one exchange, and tell the board what follows from it."""
+    def _adjust(self, least: int = BURST) -> Transfer[None]:
+        """Make one exchange, and tell the board what follows from at least so many of them."""
         yield from self._prepare(to_set=True)
         yield from self._exchange()
         if self._discipline.status is None:
             yield from self._ask_status()
-        adjust = self._discipline.next_adjust(self._host.observe())
+        adjust = self._discipline.next_adjust(self._host.observe(), least)
         if adjust is None:
             return
         [(code, reply)] = yield (self._clock_request(adjust.pack()),)

@@ -123,18 +123,19 @@ class Discipline:
         """The clock of the host was set or slewed since the board was told; it is worth a round."""
         return self._target is not None and self.reference.has_left(self._course)
 
-    def next_adjust(self, now_us: float) -> Adjust | None:
+    def next_adjust(self, now_us: float, least: int = BURST) -> Adjust | None:
         """Return what to tell the board now.
 
         The status must be known before (`take_status`).
 
         Args:
             now_us: the time of the host's counter.
+            least: so many exchanges have to be known since the board began.
 
         Returns: the request; None while too little is known.
         """
         estimate, status = self.estimator.estimate, self.status
-        if estimate is None or status is None or self._since_reset < BURST:
+        if estimate is None or status is None or self._since_reset < least:
             return None
         reference, error_us = self.reference, self.error_us
         is_foreign = self._target is None and abs(error_us or 0.0) >= _FOREIGN_US

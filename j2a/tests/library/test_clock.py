@@ -142,6 +142,17 @@ def test_only_sync_and_discipline_set_a_clock(board, device):
     assert low - 50_000 <= 0 <= high + 50_000
 
 
+@pytest.mark.parametrize("rounds", [1, 2, 7, 8, 9])
+def test_any_number_of_rounds_sets_a_clock(board, device, rounds):
+    reading = board.clock.sync(rounds)
+    assert reading.epoch == 1
+    adjusts = [one for one in device.requests if one[0] == c.CLOCK_ADJUST]
+    assert len(adjusts) == max(rounds - 7, 1)
+    assert abs(reading.offset_us) <= reading.uncertainty_us + 1000
+    low, high = truth_us(device)
+    assert low - 50_000 <= 0 <= high + 50_000
+
+
 @pytest.mark.requirement("J2A-CLOCK-029")
 def test_a_disciplined_clock_follows_until_it_is_stopped(board, device):
     with board.clock.discipline(0.02) as keeper:
@@ -423,6 +434,7 @@ async def test_the_asyncio_client_disciplines_a_clock():
             reading = await board.clock.measure(4)
             assert (reading.state, board.clock.state, reading.can_be_set) == ("free", "free", True)
             assert (await board.clock.exchange()).turnaround_us >= 0
+            assert (await board.clock.sync(2)).epoch == 1
             async with board.clock.discipline(0.02) as keeper:
                 with pytest.raises(j2a.LocalError, match="already"):
                     await board.clock.follow()
