@@ -59,8 +59,9 @@ class Clock(ClockBase):
     def to_host(self, time_us: int) -> int:
         """Return the Unix time of this computer at a time of the board, in microseconds.
 
-        Raises: as `measure`; LocalError for a time from before the clock was set, and for one that
-            has not come yet.
+        A time to come is converted by what is known of the clock now.
+
+        Raises: as `measure`; LocalError for a time from before the clock was set.
         """
         self._ask_once()
         return self._to_host(time_us)

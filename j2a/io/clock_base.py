@@ -188,14 +188,14 @@ class ClockBase:
     def _uncertainty_us(self, estimate: Estimate) -> float:
         return estimate.uncertainty_us(estimate.to_counter(self._host.counter_us()))
 
-    def _to_host(self, time_us: int) -> int:
+    def _to_host(self, time_us: int, *, is_stamp: bool = False) -> int:
         estimate = self._estimate()
         now_us = estimate.to_counter(self._host.observe())
         latest_us = now_us + estimate.uncertainty_us(now_us) + STEP_US
-        if not self._discipline.is_of_epoch(time_us, latest_us):
+        if not self._discipline.is_of_epoch(time_us, latest_us, is_stamp=is_stamp):
             raise LocalError(
-                f"{time_us} us was on the clock of {self._url} before it was set, or has not come "
-                "yet; it cannot be converted (J2A-CLOCK-027)"
+                f"{time_us} us was on the clock of {self._url} before it was set, and can no more "
+                "be converted (J2A-CLOCK-027)"
             )
         local_us = self._discipline.to_local(time_us)
         return self._host.reference.to_unix(estimate.to_host(local_us))
@@ -231,7 +231,7 @@ class ClockBase:
         if not self._is_known:
             return None
         try:
-            return self._to_host(time_us)
+            return self._to_host(time_us, is_stamp=True)
         except LocalError:
             return None
 

@@ -162,19 +162,21 @@ class Discipline:
             return None
         return status.time_us - self.reference.to_unix(estimate.to_host(status.local_us))
 
-    def is_of_epoch(self, time_us: float, now_us: float) -> bool:
-        """Return whether a time stamp is of the epoch that lasts (J2A-CLOCK-027).
+    def is_of_epoch(self, time_us: float, now_us: float, *, is_stamp: bool = True) -> bool:
+        """Return whether a time is of the epoch that lasts (J2A-CLOCK-027).
 
-        One of a time that has not come is from before the clock was set back. One of a time that
-        came twice may be, as long as it can have been on its way since then.
+        A stamp of a time that has not come is from before the clock was set back. One of a time
+        that came twice may be, as long as it can have been on its way since then.
 
         Args:
             time_us: on the clock of the board.
             now_us: the counter of the board now, at the latest.
+            is_stamp: something was stamped with it, so it is no time to come.
         """
         # Where nobody knows since when: the counter has begun at 0.
         since_us = 0 if self.epoch_local_us is None else self.epoch_local_us
-        if not since_us <= self.to_local(time_us) <= now_us:
+        local_us = self.to_local(time_us)
+        if local_us < since_us or (is_stamp and local_us > now_us):
             return False
         return time_us > self._past_us or now_us - since_us >= _ON_WAY_US
 
