@@ -24,8 +24,9 @@ examples:
   j2a ros export serial:///dev/ttyACM0 ~/ws/src/j2a_msgs          (then: colcon build)
   j2a ros export transds.def ~/catkin_ws/src/j2a_msgs --ros1      (then: catkin_make)
 
-Subscribers of standard messages need none of this; neither do tools that read the type off the
-network, such as rostopic and PlotJuggler."""
+Subscribers of standard messages need none of this; neither do tools that read the layout off the
+network, such as PlotJuggler. rostopic echo shows standard messages without it, and needs the
+package for the messages of the board."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
