@@ -10,7 +10,7 @@ from j2a_conformance.cli import _target
 from j2a_conformance.cli._exit import UsageError
 from j2a_conformance.reports._console import report
 from j2a_spec import constants as c
-from j2a_transports import LinkClosed, Transport, faults, pair
+from j2a_transports import LinkClosed, OpenFailed, Transport, faults, pair
 
 LOSSY = 100
 RATES = {"drop": 0.001, "flip": 0.001}
@@ -231,6 +231,17 @@ def test_without_its_rate_a_very_slow_link_names_the_option(slow):
         run(lambda: SlowLink(Long, 120), [], timeout_scale=0.4)
     found = run(lambda: SlowLink(Long, 120), [load()[0]], baud=1200)
     assert of(found, Verdict.FAILED) == {}
+
+
+def test_a_link_that_does_not_open_is_named_once():
+    url = "tcp://127.0.0.1:1"
+
+    def opener():
+        raise OpenFailed(f"{url}: nothing listens there")
+
+    with pytest.raises(HarnessError) as error:
+        run(opener, [], url=url)
+    assert str(error.value) == f"cannot open the link: {url}: nothing listens there"
 
 
 def test_a_broken_device_fails_on_a_slow_link(slow):

@@ -77,7 +77,7 @@ def run(
         try:
             transport = opener()
         except (TransportError, OSError) as error:
-            raise HarnessError(f"cannot open {url or 'the link'}: {error}") from error
+            raise HarnessError(f"cannot open the link: {error}") from error
         link = Link(transport, timeout_scale, baud, lossy)
         return _Device(
             opener,
