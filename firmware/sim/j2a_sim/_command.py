@@ -23,6 +23,11 @@ from j2a_sim._usbip.run import parse_address, run_usbip
 
 SUMMARY: Final = "run firmware for an AVR in the simulator, by its UART or USB"
 
+_FIGURES: Final = (
+    "The last line, on standard error, has the figures of the run: cycles of the MCU, and their "
+    "time in seconds, simulated and by the clock on the wall; {}; and the most that the stack took."
+)
+
 
 def _argument(convert: Callable[[str], Any]) -> Callable[[str], Any]:
     """Make of an option's converter one for argparse, which would name it and not what it takes."""
@@ -44,6 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "avr",
         help="firmware for an AVR, exact to the cycle",
         description="Run AVR firmware in simavr and serve its UART.",
+        epilog=_FIGURES.format(
+            "bytes that the host sent (in) and received (out); those lost as the firmware read too "
+            "slowly (overruns) or had its receiver off (unheard); characters without a stop bit"
+        ),
     )
     avr.add_argument("elf", metavar="ELF", help="the firmware as avr-gcc linked it")
     add_listen_argument(avr)
@@ -62,6 +71,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "usb",
         help="firmware for an AVR with USB, for USB/IP clients such as Linux with vhci-hcd",
         description="Run AVR firmware in simavr and export its USB device over USB/IP.",
+        epilog=_FIGURES.format(
+            "bytes that the host received (in) and sent (out); transactions and the NAKs among "
+            "them; starts of frames; packets dropped as repetitions (wrong_toggles)"
+        ),
     )
     usb.add_argument(
         "elfs", metavar="ELF", nargs="+", help="the firmware of a board; several: several boards"

@@ -248,7 +248,7 @@ def summary(sim: AvrSim, wall_s: float) -> str:
     """One line with the exact figures of a run, as `name=value` words."""
     c = sim.counters
     return (
-        f"cycles={sim.cycle} simulated_s={sim.time_s:.6f} wall_s={wall_s:.3f} "
+        f"figures of the run: cycles={sim.cycle} simulated_s={sim.time_s:.6f} wall_s={wall_s:.3f} "
         f"bytes_in={c.bytes_in} bytes_out={c.bytes_out} overruns={c.overruns} "
         f"unheard={c.unheard} rx_framing_errors={c.rx_framing_errors} "
         f"tx_framing_errors={c.tx_framing_errors} stack_bytes={sim.stack_bytes}"

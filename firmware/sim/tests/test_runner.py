@@ -309,7 +309,7 @@ def test_command_ends_cleanly_by_signal(firmware, number):
         out, err = process.communicate(timeout=WAIT_S)
     assert process.returncode == 128 + number
     assert out == b""
-    assert re.fullmatch(rb"cycles=\d+ .*bytes_in=5 bytes_out=5 .*\n", err)
+    assert re.fullmatch(rb"figures of the run: cycles=\d+ .*bytes_in=5 bytes_out=5 .*\n", err)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

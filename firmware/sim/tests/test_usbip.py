@@ -299,7 +299,7 @@ def test_the_command(firmware):
             Client(port).socket.close()
             process.send_signal(signal.SIGINT)
             assert process.wait(WAIT_S) == 128 + signal.SIGINT
-            assert "busid=1-1 cycles=" in process.stderr.read()
+            assert "figures of the run: busid=1-1 cycles=" in process.stderr.read()
         finally:
             process.kill()
 

@@ -38,7 +38,8 @@ def summary(busid: str, sim: AvrSim, wall_s: float) -> str:
     """One line with the exact figures of a board's run, as `name=value` words."""
     c = sim.usb.counters
     return (
-        f"busid={busid} cycles={sim.cycle} simulated_s={sim.time_s:.6f} wall_s={wall_s:.3f} "
+        f"figures of the run: busid={busid} cycles={sim.cycle} simulated_s={sim.time_s:.6f} "
+        f"wall_s={wall_s:.3f} "
         f"bytes_in={c.bytes_in} bytes_out={c.bytes_out} transactions={c.transactions} "
         f"naks={c.naks} sofs={c.sofs} wrong_toggles={c.wrong_toggles} "
         f"stack_bytes={sim.stack_bytes}"
