@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import sys
 import threading
 import traceback
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 
 import j2a_transports
@@ -140,17 +140,29 @@ def load_device(name: str) -> j2a.Device:
         raise UsageError(f"--device {name}: write MODULE:ATTRIBUTE, as in thermometer:device")
     sys.path.insert(0, str(Path.cwd()))
     try:
-        found = getattr(import_module(module_name), attribute)
+        found = getattr(importlib.import_module(module_name), attribute)
         device = found if isinstance(found, j2a.Device) else found()
     except Exception as error:
-        # The first frames are ours and importlib's; the last one is where the user has to look.
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        raise UsageError(
-            f"--device {name}: {type(error).__name__}: {error} ({where.filename}:{where.lineno})"
-        ) from error
+        place = _place(error, module_name)
+        raise UsageError(f"--device {name}: {type(error).__name__}: {error} ({place})") from error
     if not isinstance(device, j2a.Device):
         raise UsageError(f"--device {name}: is {type(device).__name__}, not a j2a.Device")
     return device
+
+
+def _place(error: Exception, module_name: str) -> str:
+    """Return where the user has to look: not into our frames, nor into those of importlib."""
+    ours = (__file__, importlib.__file__, "<frozen importlib")
+    frames = traceback.extract_tb(error.__traceback__)
+    foreign = [frame for frame in frames if not frame.filename.startswith(ours)]
+    if foreign:
+        return f"{foreign[-1].filename}:{foreign[-1].lineno}"
+    if isinstance(error, SyntaxError):
+        return f"{error.filename}:{error.lineno}"
+    module = sys.modules.get(module_name)
+    if module is None:
+        return f"looked in {Path.cwd()} and in the packages of {sys.executable}"
+    return getattr(module, "__file__", None) or "a module of Python itself"
 
 
 def virtual_board(

@@ -87,10 +87,12 @@ def read_source(args: argparse.Namespace) -> tuple[Descriptors, str]:
     """Return the descriptors of the SOURCE of the command line, and what to call it.
 
     Raises:
-        UsageError: a transds.def is wrong.
+        UsageError: a transds.def is wrong, or SOURCE is a folder.
         CommandFailed: the board describes no transducers.
         J2AError: as `j2a.connect`.
     """
+    if args.url and Path(args.url).is_dir():
+        raise UsageError(f"{args.url} is a folder: name a transds.def in it, or the URL of a board")
     if args.url.endswith(".def") or ("://" not in args.url and Path(args.url).is_file()):
         return read_transds_argument(args.url, conditions_of(args))
     if args.define or args.undefine:

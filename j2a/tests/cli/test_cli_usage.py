@@ -187,6 +187,25 @@ def test_a_device_of_the_user(run, tmp_path, monkeypatch):
     assert "broken_device.py:3" in result.err
 
 
+def test_a_device_that_is_not_found_tells_where_it_was_looked_for(run, tmp_path, monkeypatch):
+    (tmp_path / "wrong_device.py").write_text("device = = 1\n")
+    (tmp_path / "empty_device.py").write_text("")
+    (tmp_path / "needy_device.py").write_text("import no_such_package\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for name, place in (
+        ("no_such_device", f"(looked in {tmp_path} and in the packages of {sys.executable})"),
+        ("wrong_device", "wrong_device.py:1)"),
+        ("empty_device", "empty_device.py)"),
+        ("needy_device", "needy_device.py:1)"),
+    ):
+        result = run("serve", "--device", f"{name}:device")
+        assert result.code == 2
+        assert place in result.err
+        assert "importlib" not in result.err
+        assert "_serve.py" not in result.err
+
+
 def test_every_error_has_an_exit_code():
     errors = [
         *(getattr(j2a, name) for name in j2a.__all__),

@@ -149,6 +149,7 @@ def test_a_wrong_file_is_one_message(run, transds, text, message, tmp_path):
 
 def test_other_mistakes(run, transds, tmp_path):
     assert "cannot read" in failed(run, 2, "transds", tmp_path / "gone.def").err
+    assert "is a folder: name a transds.def" in failed(run, 2, "transds", tmp_path).err
     transds.write_bytes(b"\xff\xfe")
     assert "is no text" in failed(run, 2, "transds", transds).err
     assert "-D and -U" in failed(run, 2, "transds", "tcp://127.0.0.1:1", "-D", "X").err
