@@ -66,9 +66,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         session = open_session(options)
     except SinkError as error:
-        raise CommandFailed(
-            f"{error}; start a router, or a bridge with --sink zenoh:mode=router", LINK
-        ) from None
+        raise CommandFailed(str(error), LINK) from None
     try:
         found, silent = ask(session, args.wait)
     finally:

@@ -235,6 +235,17 @@ def test_fleet_without_a_router_is_told_what_to_do(locator):
     assert result.returncode == 3
     assert "start a router" in result.stderr
     assert "Traceback" not in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert f"answers at {locator}: " in result.stderr
+    assert ".rs" not in result.stderr
+
+
+def test_fleet_shows_no_place_in_sources_of_zenoh():
+    result = fleet("--connect", "nowhere")
+    assert result.returncode == 3
+    assert "Endpoints must be of the form" in result.stderr
+    assert "start a router" not in result.stderr
+    assert ".rs" not in result.stderr
 
 
 GOOD = {

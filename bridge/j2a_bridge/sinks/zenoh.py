@@ -10,6 +10,7 @@ tokens and attachments are those of rmw_zenoh of Jazzy and later.
 import dataclasses
 import json
 import logging
+import re
 import struct
 import time
 from collections.abc import Mapping
@@ -37,6 +38,8 @@ _SENSOR_DATA: Final = "2::,5:,:,:,,"  # best effort, the last five
 _RELIABLE: Final = "::,10:,:,:,,"
 _MAX_DOMAIN: Final = 232
 _MODES: Final = ("peer", "router", "client")
+_SOURCES: Final = re.compile(r" at \S+\.rs:\d+\.?")
+"""Where in its sources Zenoh has seen an error: nothing that a user could look at."""
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -76,7 +79,14 @@ def open_session(options: Mapping[str, Any]) -> Any:
             config.insert_json5(key, json.dumps(value))
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise SinkError(f"zenoh does not open: {error}") from None
+        text = _SOURCES.sub("", str(error))
+        if text.startswith("Unable to connect"):
+            where = options["file"] or " or ".join(connect or [ROUTER])
+            raise SinkError(
+                f"no router of Zenoh answers at {where}: start a router, or a bridge "
+                "with --sink zenoh:mode=router"
+            ) from None
+        raise SinkError(f"zenoh does not open: {text}") from None
 
 
 class ZenohSink(Sink):
