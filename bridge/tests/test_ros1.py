@@ -7,6 +7,7 @@ import json
 import os
 import queue
 import shutil
+import socket
 import subprocess
 import sys
 import threading
@@ -422,3 +423,22 @@ def test_sums_of_all_types_agree_with_genpy(master):
 
     assert asyncio.run(work()) == ""
     assert RosMessages("noetic").is_ros1
+
+
+def test_a_node_whose_bridge_is_killed_ends_while_the_master_hangs(ros_home):
+    port = int(os.environ["ROS_MASTER_URI"].rsplit(":", 1)[1])
+    with socket.create_server(("127.0.0.1", port)) as hanging:
+        hanging.settimeout(PATIENCE_S)
+        process = subprocess.Popen(
+            [PYTHON, j2a_bridge.sinks.ros1_node.__file__, "n"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+        )
+        try:
+            asked, _ = hanging.accept()
+            with asked:
+                process.stdin.close()  # as the kernel does when the bridge is killed
+                assert process.wait(PATIENCE_S) == 0
+        finally:
+            process.kill()
+            process.wait()

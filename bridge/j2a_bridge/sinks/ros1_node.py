@@ -3,11 +3,13 @@
 What flows in: frames from the sink `ros1` by standard input. What flows out: what they say, in ROS;
 and back, by standard output, what came from ROS.
 Rules: messages come and go as bytes, so nothing is serialized twice; the program ends when its
-input does, and when another roscore has taken the place of the one that knew it.
+input does, whatever it waits for then, and when another roscore has taken the place of the one that
+knew it.
 """
 
 import json
 import os
+import select
 import struct
 import sys
 import threading
@@ -21,6 +23,8 @@ READY, MESSAGE, REQUEST, TIME, TOLD = range(5)
 NO_MASTER = 3
 _LOOK_S = 1.0
 _TELL_TIME_S = 0.02
+_LEFT_S = 2.0
+"""So long it may take its leave of the master; the sink kills it after 3 s."""
 _QUEUE = 100
 CONFIGURE = "string[] names\nstring[] values\n---\nbool success\nstring message\n"
 """Of the service NAME/configure; without names it only tells the settings."""
@@ -214,6 +218,15 @@ class Node:
         return self._service._response_class(answers[0]["success"], answers[0]["message"])
 
 
+def watch_bridge() -> None:
+    """End the program a while after its input has ended, where a master that hangs keeps it."""
+    hangup = select.poll()
+    hangup.register(0, 0)  # that nobody can write any more is told without being asked for
+    hangup.poll()
+    time.sleep(_LEFT_S)
+    os._exit(0)
+
+
 def watch_master(uri: str, name: str, run: str) -> None:
     """End the program when another roscore is there, which does not know this node."""
     while True:
@@ -247,6 +260,7 @@ def tell_time(rospy: Any, pipe: Pipe) -> None:
 def main() -> None:
     """Be the node."""
     pipe = Pipe()
+    threading.Thread(target=watch_bridge, daemon=True).start()
     try:
         import rosgraph  # noqa: PLC0415
         import rospy  # noqa: PLC0415
