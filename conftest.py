@@ -50,7 +50,7 @@ COMPILERS = {
 # what boots a guest stands in between, so that seldom two of them share the machine.
 LONGEST = (
     *("guest/test_links.py", "tests/test_proof.py", "guest/test_gadget.py", "tests/test_legacy.py"),
-    *("tests/test_two_links.py", "guest/test_usb.py", "tests/test_porting.py"),
+    *("tests/test_two_links.py", "guest/test_usbip.py", "tests/test_porting.py"),
     *("faults/test_faults.py", "guest/test_bluetooth.py", "tests/test_mutants.py"),
     *("guest/test_guest.py", "tests/test_budget.py", "host/test_host_suite.py"),
     *("guest/test_conformance.py", "tests/test_naive_port.py", "tests/test_links.py"),

@@ -6,7 +6,7 @@ import pytest
 
 from .conftest import ROOT
 
-pytestmark = pytest.mark.guest
+pytestmark = [pytest.mark.guest, pytest.mark.exhaustive]
 SCRIPT = "transports/tests/guest/inside_bluetooth.py"
 INSIDE = ["-m", "pytest", "-q", "-p", "no:cacheprovider", SCRIPT]
 # Debian's own, whose socket module knows Bluetooth; that of the virtual environment may not, and
@@ -24,9 +24,7 @@ def tools(need):
 
 
 @pytest.mark.timeout(PATIENCE_S + 60)
-@pytest.mark.parametrize(
-    "python", ["python", pytest.param(SYSTEM_PYTHON, marks=pytest.mark.exhaustive)]
-)
+@pytest.mark.parametrize("python", ["python", SYSTEM_PYTHON])
 def test_rfcomm_on_the_kernels_bluetooth(guest, python):
     """The suite of the transports, channels, losses, terminals and service discovery."""
     libraries = [sysconfig.get_paths()["purelib"]]

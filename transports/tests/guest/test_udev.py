@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.guest
+pytestmark = [pytest.mark.guest, pytest.mark.exhaustive]
 
 
 def test_the_rule_gives_the_board_to_users_and_a_name(guest, missing):

@@ -2,7 +2,7 @@
 
 import pytest
 
-pytestmark = pytest.mark.guest
+pytestmark = [pytest.mark.guest, pytest.mark.exhaustive]
 SCRIPT = "transports/tests/guest/inside_usb.py"
 INSIDE = ["python", "-m", "pytest", "-q", "-p", "no:cacheprovider", SCRIPT]
 PATIENCE_S = 840
