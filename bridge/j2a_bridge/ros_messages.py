@@ -6,7 +6,7 @@ Rules: each sample is a message of its own type with all times and raw values (t
 Where unit and shape say what is measured, it also is one of a standard type in the unit of ROS,
 under the topic with a name of that type behind it; a value that is N/A is not sent there, as a
 standard message has no way to say so, nor is a channel that was not read since the sample before.
-Types come from rosbags (`pip install "j2a[ros]"`).
+Types come from rosbags, an extra: each sink that needs it tells which one of its own brings it.
 """
 
 import logging
@@ -15,6 +15,9 @@ import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from j2a import LocalError, Reading
 from j2a.types.arrays import Batch
@@ -30,12 +33,6 @@ from j2a.types.transducers import (
 from j2a_bridge.quantities import Quantity, quantity_of
 from j2a_bridge.sink import Status, Update
 from j2a_bridge.topics import Topic
-
-try:
-    import numpy as np
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-except ImportError:
-    raise LocalError('messages of ROS need rosbags: pip install "j2a[ros]"') from None
 
 __all__ = ["DISTROS", "Message", "RosMessages"]
 

@@ -4,6 +4,7 @@ import asyncio
 import errno
 import json
 import os
+import re
 import signal
 import socket
 import struct
@@ -295,6 +296,28 @@ def test_the_list_of_sinks_names_their_options():
     assert process.returncode == 0
     for word in ("mcap:FILE.mcap", "segment=", "udp[:HOST:PORT]", "ros1"):
         assert word in out, err
+
+
+@pytest.mark.parametrize("package", ["numpy", "rosbags"])
+def test_a_sink_whose_packages_are_missing_names_its_own_extra(package):
+    script = f"import sys; sys.modules[{package!r}] = None; from j2a.cli import main; main()"
+
+    def run(*words):
+        command = [sys.executable, "-c", script, *words]
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        )
+
+    listed = run("bridge", "--list").stdout
+    for sink, extra in {
+        "foxglove": "foxglove",
+        "ros1": "ros",
+        "ros2": "ros2",
+        "zenoh": "zenoh",
+    }.items():
+        told = rf'does not load: this needs {package}\S*: pip install "j2a\[{extra}]"'
+        assert re.search(rf"^  {sink} +\({told}\)$", listed, re.MULTILINE)
+    assert 'pip install "j2a[zenoh]"' in run("fleet").stderr
 
 
 def test_a_file_says_all(tmp_path):

@@ -13,9 +13,13 @@ from typing import Any, ClassVar, Final
 
 import j2a
 from j2a import LocalError
-from j2a_bridge.ros_messages import Message, RosMessages
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Update
 from j2a_bridge.topics import Topic
+
+try:
+    from j2a_bridge.ros_messages import Message, RosMessages
+except ModuleNotFoundError as error:
+    raise LocalError(f'this needs {error.name}: pip install "j2a[foxglove]"') from None
 
 __all__ = ["FoxgloveSink"]
 

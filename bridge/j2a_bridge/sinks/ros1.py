@@ -26,11 +26,15 @@ from typing import Any, ClassVar, Final
 import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
-from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
-from j2a_bridge.ros_messages import Message, RosMessages
 from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, Status, Update
 from j2a_bridge.sinks import ros1_node as node
 from j2a_bridge.topics import Topic
+
+try:
+    from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
+    from j2a_bridge.ros_messages import Message, RosMessages
+except ModuleNotFoundError as error:
+    raise LocalError(f'this needs {error.name}: pip install "j2a[ros]"') from None
 
 __all__ = ["Ros1Sink"]
 

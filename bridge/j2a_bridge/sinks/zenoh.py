@@ -20,10 +20,14 @@ from typing import Any, ClassVar, Final
 import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
-from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
-from j2a_bridge.ros_messages import Message, RosMessages
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
 from j2a_bridge.topics import Topic, plain_name
+
+try:
+    from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
+    from j2a_bridge.ros_messages import Message, RosMessages
+except ModuleNotFoundError as error:
+    raise LocalError(f'this needs {error.name}: pip install "j2a[zenoh]"') from None
 
 __all__ = ["FLEET", "ZenohSink", "open_session"]
 
