@@ -9,13 +9,14 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import logging
 import webbrowser
 from pathlib import Path
 from typing import Final
 
-from j2a.cli._exit import UsageError
+from j2a.cli._exit import FAILED, CommandFailed, UsageError
 from j2a.cli._link import seconds, whole_number
-from j2a.cli._output import show
+from j2a.cli._output import note, show
 from j2a.cli._urls import open_help
 from j2a_bridge.bridge import Bridge
 from j2a_bridge.command import log_to_stderr, run_bridge
@@ -23,6 +24,7 @@ from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config
 from j2a_bridge.replayed import replayed
 from j2a_bridge.sink import SinkRequest
 from j2a_bridge.sinks.web import WebSink
+from j2a_bridge.web_server import without_plots
 
 SUMMARY: Final = "a live page of boards: values, plots, actuators, functions, log"
 NOTES: Final = """\
@@ -76,16 +78,20 @@ def run(args: argparse.Namespace) -> int:
             args.names or "",
             args.clock,
         )
-        log_to_stderr()
+        # What fails while the page is opened ends the command, which tells it.
+        logging.getLogger("j2a").addHandler(logging.NullHandler())
 
         def tell(bridge: Bridge) -> None:
             sink = bridge.runners[0].sink
             assert isinstance(sink, WebSink)
-            if bridge.runners[0].problem:  # such as a port that is taken
-                bridge.stop()
-                return
+            if problem := bridge.runners[0].problem:
+                advice = "; choose another with --port, or leave it out" if args.port else ""
+                raise CommandFailed(f"{problem}{advice}", FAILED)
+            log_to_stderr()
             url = sink.server.url
             show(url, flush=True)
+            if missing := without_plots():
+                note(f"j2a: {missing}")
             if not args.no_browser:
                 webbrowser.open(url)
 

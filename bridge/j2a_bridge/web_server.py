@@ -16,6 +16,7 @@ import re
 import secrets
 from collections.abc import Callable, Collection
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from typing import Any, Final, Protocol
 
 import j2a
@@ -33,7 +34,7 @@ try:
 except ImportError:
     raise LocalError('this needs aiohttp: pip install "j2a[view]"') from None
 
-__all__ = ["PageServer", "Source"]
+__all__ = ["PageServer", "Source", "without_plots"]
 
 _MAX_CONNECTIONS: Final = 48
 _BACKLOG: Final = 16
@@ -51,6 +52,7 @@ _FILES: Final = {
     "uplot.js": ("uplot/uPlot.esm.js", "text/javascript"),
     "uplot.css": ("uplot/uPlot.min.css", "text/css"),
 }
+_NO_PLOTS: Final = "plots need uPlot, which is missing here: run make page in the clone"
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' "
     "'unsafe-inline'; img-src 'self' data:; connect-src 'self'; base-uri 'none'; "
@@ -97,6 +99,18 @@ def _is_ours(record: logging.LogRecord) -> bool:
 
 
 _logger.addFilter(_is_ours)
+
+
+def _path(name: str) -> Traversable:
+    return files("j2a_bridge").joinpath("page", name)
+
+
+def without_plots() -> str:
+    """Return why the page shows values alone, and what to do; "" where it has plots.
+
+    Git ignores what draws them, so a clone has none at first.
+    """
+    return "" if _path(_FILES["uplot.js"][0]).is_file() else _NO_PLOTS
 
 
 class PageServer:
@@ -200,9 +214,9 @@ class PageServer:
         found = _FILES.get(request.match_info["name"])
         if found is None:
             raise web.HTTPNotFound(text="There is nothing of that name.\n")
-        path = files("j2a_bridge").joinpath("page", found[0])
+        path = _path(found[0])
         if not path.is_file():
-            raise web.HTTPNotFound(text="Plots need uPlot, which is missing: run make page.\n")
+            raise web.HTTPNotFound(text=f"{_NO_PLOTS}\n")
         return web.Response(body=path.read_bytes(), content_type=found[1], charset="utf-8")
 
     async def _socket(self, request: Any) -> Any:

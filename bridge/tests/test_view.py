@@ -18,9 +18,9 @@ from j2a.types.transds_file import read_transds
 from .support import PATIENCE_S, board_of, bridging, config_for, served, until
 
 
-def view(*words):
+def view(*words, program=("-m", "j2a")):
     return subprocess.Popen(
-        [sys.executable, "-m", "j2a", "view", "--no-browser", *map(str, words)],
+        [sys.executable, *program, "view", "--no-browser", *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -136,3 +136,19 @@ def test_a_port_that_is_taken_is_told():
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert "cannot be served" in err
+    assert err.count(f"port {port} is taken; choose another with --port, or leave it out\n") == 1
+    assert err.count("\n") == 1
+
+
+def test_it_tells_what_to_do_about_plots_that_are_missing():
+    script = (
+        "from j2a_bridge import web_server; from j2a.cli import main\n"
+        "web_server._FILES['uplot.js'] = 'uplot/nothing.js', 'text/javascript'\n"
+        "raise SystemExit(main())"
+    )
+    with served(board_of()) as url:
+        process = view(url, program=("-c", script))
+        assert process.stdout.readline().startswith("http://127.0.0.1:")
+        assert "run make page" in process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=PATIENCE_S)

@@ -9,6 +9,7 @@ runs in a loop of its own and has a bounded queue for each page.
 
 import asyncio
 import dataclasses
+import errno
 import logging
 import re
 import threading
@@ -27,7 +28,7 @@ from j2a_bridge.sinks.mcap import McapSink
 from j2a_bridge.sinks.mqtt import transducer_object
 from j2a_bridge.sinks.udp import numbers
 from j2a_bridge.topics import Topic
-from j2a_bridge.web_server import PageServer
+from j2a_bridge.web_server import PageServer, without_plots
 
 __all__ = ["WebSink"]
 
@@ -160,7 +161,10 @@ class WebSink(Sink):
             try:
                 await self.server.start()
             except OSError as error:
-                started.append(f"the page cannot be served: {error.strerror or error}")
+                why = str(error.strerror or error)
+                if error.errno == errno.EADDRINUSE:  # asyncio tells it at length
+                    why = f"port {self.argument} is taken"
+                started.append(f"the page cannot be served: {why}")
                 return
             finally:
                 ready.set()
@@ -179,7 +183,7 @@ class WebSink(Sink):
 
     def told(self) -> str:
         """Return the address of the page."""
-        return f"the page is at {self.server.url}"
+        return "; ".join(filter(None, (f"the page is at {self.server.url}", without_plots())))
 
     def close(self) -> None:
         """Serve no more, and end a recording."""
