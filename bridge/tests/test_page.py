@@ -236,6 +236,60 @@ def test_values_that_are_hard_to_draw_end_no_plots(kind, values):
     asyncio.run(work())
 
 
+def drawn(name):
+    """Return a script that gives the rows of a plot with the colour of a line, as parts of 1."""
+    return (
+        "(() => { const canvas ="
+        f"  document.querySelector('[aria-label=\"plot of {name}\"] canvas');"
+        "if (canvas === null) return [];"
+        "const { width, height } = canvas;"
+        "const { data } = canvas.getContext('2d').getImageData(0, 0, width, height);"
+        "const rows = [];"
+        "for (let at = 0; at < data.length; at += 4) {"
+        "  const parts = data.slice(at, at + 3);"
+        "  const isLine = data[at + 3] > 200 && Math.max(...parts) - Math.min(...parts) > 80;"
+        "  if (isLine) rows.push(Math.floor(at / 4 / width) / height);"
+        "} return rows; })()"
+    )
+
+
+@needs_browser
+def test_a_single_point_is_seen_also_beside_a_channel_with_many():
+    text = "SENSOR(once, 0, o, M, 1, u8, none)\nSENSOR(two, 1, two, M, 2, u8, none)\n"
+
+    async def work():
+        device = board_of(text)
+        async with shown(device) as (page, _):
+            device.sense("once", 0, 7)
+            await page.until(f"({drawn('once')}).length > 0")
+            # The least of the second channel is at the bottom, where the first one never is.
+            device.sense("two", 1, 0)
+            for number in range(100):
+                device.sense("two", 0, 100 + number % 3)
+                await asyncio.sleep(0.02)
+            await page.until(f"({drawn('two')}).some((row) => row > 0.5)")
+            assert page.errors == []
+
+    asyncio.run(work())
+
+
+@needs_browser
+@pytest.mark.parametrize(("value", "low", "high"), [(True, 0, 0.4), (False, 0.6, 1)])
+def test_the_axis_of_a_bool_has_nothing_but_false_and_true(value, low, high):
+    async def work():
+        device = board_of("SENSOR(on, 0, o, M, 1, bool, none)\n")
+        async with shown(device) as (page, _):
+            device.sense("on", 0, value)
+            await asyncio.sleep(0.1)
+            device.sense("on", 0, value)
+            await page.until(f"({drawn('on')}).length > 0")
+            return await page.run(drawn("on"))
+
+    rows = asyncio.run(work())
+    assert low <= min(rows)
+    assert max(rows) <= high
+
+
 @needs_browser
 def test_a_board_that_goes_and_comes_and_a_server_that_does():
     async def work():

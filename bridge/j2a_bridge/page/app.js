@@ -5,6 +5,7 @@
 const POINTS = 6000;
 const GREATEST = 1e100; // what is greater is shown as a value, and not drawn
 const COLOURS = 8;
+const SPARSE = 30; // so few points are seen as such: a line needs two
 const byId = (id) => document.getElementById(id);
 const topics = new Map();
 const boards = new Map();
@@ -205,7 +206,8 @@ function sensorCard(name, about) {
   const element = make("article", { class: "card", "aria-label": `sensor ${name}` }, head(name, about));
   if (about.doc) element.append(make("small", {}, about.doc));
   element.append(values, plot, rate);
-  return { element, values, where: plot, rate, unit: about.unit, series: new Map(), text: "", isDirty: false };
+  const isBool = about.type.split(" ")[0] === "bool";
+  return { element, values, where: plot, rate, isBool, series: new Map(), text: "", isDirty: false };
 }
 
 function takeData(all) {
@@ -315,6 +317,15 @@ function around(low, high) {
   return [low - margin, high + margin];
 }
 
+// Of one series, as others may have many points between its own.
+function isSparse(plot, series, from, to) {
+  let count = 0;
+  for (let at = from; at <= to && count <= SPARSE; at++) count += plot.data[series][at] != null;
+  return count <= SPARSE;
+}
+
+const TRUTH = { incrs: [1], values: (plot, ticks) => ticks.map((one) => String(one === 1)) };
+
 function newPlot(topic, names) {
   const style = getComputedStyle(document.documentElement);
   const axis = {
@@ -328,7 +339,7 @@ function newPlot(topic, names) {
     stroke: colour(at),
     width: 1.5,
     spanGaps: true,
-    points: { show: false },
+    points: { size: 5, fill: colour(at), show: isSparse },
   }));
   return new uPlot(
     {
@@ -339,9 +350,9 @@ function newPlot(topic, names) {
       legend: { show: false },
       scales: {
         x: { auto: false },
-        y: { range: (plot, low, high) => around(low, high) },
+        y: { range: topic.isBool ? [-0.1, 1.1] : (plot, low, high) => around(low, high) },
       },
-      axes: [{ ...axis, size: 26 }, { ...axis, size: 52 }],
+      axes: [{ ...axis, size: 26 }, { ...axis, size: 52, ...(topic.isBool ? TRUTH : {}) }],
       series: [{}, ...series],
     },
     [[], ...names.map(() => [])],
