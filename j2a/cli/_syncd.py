@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import logging
 import logging.handlers
 import os
@@ -42,6 +43,8 @@ to look for boards, hands its URLs over, and ends."""
 SHORTEST_S: Final = 0.05
 _SYSLOG: Final = Path("/dev/log")
 _ROOT_BECOMES: Final = "nobody"
+_LATE: Final = ("encodings.idna", "serial")
+"""What opening a link imports: by the name of a host, and by an extra that may be missing."""
 _RETRY_S: Final = 0.05
 
 _logger = logging.getLogger("j2a.syncd")
@@ -142,6 +145,7 @@ def _serve(args: argparse.Namespace, daemon: Daemon, server: Server, user: _User
         for what in undo.enter_context(realtime()) if args.realtime else ():
             _logger.warning("the system refuses: %s", what)
         if user is not None:
+            _load_links()
             _become(user)
         server.start()
         _logger.info("runs, socket %s", server.path)
@@ -195,6 +199,22 @@ def _user(name: str) -> _User:
     except KeyError:
         raise UsageError(f"there is no user {name!r}; --user takes another one") from None
     return _User(entry.pw_uid, entry.pw_gid)
+
+
+def _load_links() -> None:
+    """Import what links import when they are opened, as long as root can read it.
+
+    Python may be installed where the new user cannot look, such as in the home folder of root. A
+    later daemon hands URLs over, so links of any scheme may be opened.
+    """
+    for scheme in j2a_transports.schemes():
+        with contextlib.suppress(j2a_transports.TransportError):  # told when it is opened
+            j2a_transports.describe(scheme)
+    with contextlib.suppress(j2a_transports.TransportError):
+        j2a_transports.usb_boards()  # loads libusb, too
+    for name in _LATE:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
 
 
 def _become(user: _User) -> None:

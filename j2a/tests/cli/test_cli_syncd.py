@@ -3,16 +3,22 @@
 import fcntl
 import json
 import os
+import pty
+import select
 import signal
 import stat
 import subprocess
 import sys
+import threading
 import time
+import tty
 import xml.etree.ElementTree as ET
 
+import j2a_transports
 import pytest
 
 from j2a.cli import _setup
+from j2a.demo import DemoDevice
 from j2a.syncd import system
 
 WAIT_S = 60
@@ -138,6 +144,52 @@ def test_a_folder_that_cannot_be_made(run, monkeypatch, tmp_path):
     result = run("syncd", "--no-usb")
     assert result.code == 2
     assert "cannot make the socket" in result.err
+
+
+WITHOUT_ROOT = """
+import os, sys, threading
+from j2a.cli import _syncd, main
+from j2a.syncd import url_boards
+
+known = set()
+_syncd._user = lambda name: _syncd._User(os.getuid(), os.getgid())
+_syncd._become = lambda user: known.update(sys.modules)  # from here on nothing can be imported
+os.geteuid = lambda: 0
+code = main(sys.argv[1:])
+print(*sorted(sys.modules.keys() - known))
+sys.exit(code)
+"""
+
+
+def test_nothing_is_imported_when_root_has_given_its_rights_away(run):
+    """The user that it becomes may be unable to read Python's files."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    with j2a_transports.listen("tcp://127.0.0.1:0") as listener, DemoDevice(clock=0) as board:
+        thread = threading.Thread(target=board.serve_forever, args=(listener,))
+        thread.start()
+        named = listener.url.replace("127.0.0.1", "localhost")  # read by the codec idna
+        process = subprocess.Popen(
+            [sys.executable, "-c", WITHOUT_ROOT, "syncd", "--no-usb", named],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            end = time.monotonic() + WAIT_S
+            while "locked" not in run("sync", "status").out:
+                assert time.monotonic() < end
+                time.sleep(0.05)
+            run("syncd", "--no-usb", f"serial://{os.ttyname(slave)}")
+            assert select.select([master], [], [], WAIT_S)[0]  # the port is open
+            process.send_signal(signal.SIGTERM)
+            out, _ = process.communicate(timeout=WAIT_S)
+        finally:
+            process.kill()
+            os.close(master)
+            os.close(slave)
+            board.stop()
+            thread.join(WAIT_S)
+    assert (process.returncode, out) == (0, "\n")
 
 
 def test_setup_writes_rule_wrapper_and_unit(run, monkeypatch, tmp_path):
