@@ -268,6 +268,8 @@ def test_a_single_point_is_seen_also_beside_a_channel_with_many():
                 device.sense("two", 0, 100 + number % 3)
                 await asyncio.sleep(0.02)
             await page.until(f"({drawn('two')}).some((row) => row > 0.5)")
+            dots = "document.querySelectorAll('[aria-label=\"values of two\"] i').length"
+            await page.until(f"{dots} === 2")
             assert page.errors == []
 
     asyncio.run(work())

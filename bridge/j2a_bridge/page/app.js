@@ -263,10 +263,13 @@ function drawValues(topic) {
   topic.newest.forEach((text, at) => {
     if (items[at] === undefined) {
       const name = make("small", {}, topic.newest.length > 1 ? `channel ${at}` : "");
-      const series = [...topic.series.keys()].indexOf(String(at));
-      if (series >= 0 && topic.newest.length > 1) name.prepend(dot(series));
       const isWide = text.length > 20 ? { class: "wide" } : {};
       topic.values.append(make("li", isWide, name, make("span")));
+    }
+    const name = items[at].firstElementChild;
+    if (topic.newest.length > 1 && name.firstElementChild === null) {
+      const series = [...topic.series.keys()].indexOf(String(at));
+      if (series >= 0) name.prepend(dot(series)); // a channel may be read later than the others
     }
     const value = items[at].lastElementChild;
     if (value.textContent !== text) value.textContent = text;
