@@ -3,11 +3,12 @@
 What flows in: boards with their properties, and their transducers. What flows out: a name for each
 board and a topic for each transducer.
 Rules: a board keeps its name for as long as the program runs, wherever it is plugged in; two
-transducers never share a topic.
+transducers never share a topic, nor has one the name of what sinks publish beside another's.
 """
 
+import logging
 import re
-from collections.abc import Container, Mapping
+from collections.abc import Collection, Container, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +18,11 @@ __all__ = ["Names", "Topic", "plain_name"]
 
 _LONGEST: Final = 64
 """Of the name that a board gives itself: names of topics in ROS 2 are not longer than 250."""
+_BESIDE: Final = re.compile(
+    "(cmd|configure|fix|humidity|illuminance|imu|joints|mag|pressure|range|temperature)(_[0-9]+)?"
+)
+"""What sinks publish or take behind a topic: other messages of its transducer, and orders."""
+_logger = logging.getLogger("j2a.bridge")
 _BETWEEN: Final = re.compile(r"[^A-Za-z0-9]+")
 
 
@@ -94,10 +100,19 @@ class Names:
         short = "/".join(parts) or plain_name(transducer.name)
         owner = board, transducer.name
         name = f"{board}/{short}" if self._with_board else short
-        if self._topics.get(name, owner) != owner:
+        wish = name
+        others = {one for one, who in self._topics.items() if who != owner}
+        if _clashes(name, others):
             name = f"{board}/{short}"
-        if self._topics.get(name, owner) != owner:
-            name = _free(name, self._topics)
+        if _is_beside(name, others):
+            name = "_".join(name.rsplit("/", 1))
+        made, number = name, 1
+        while _clashes(made, others):
+            number += 1
+            made = f"{name}_{number}"
+        name = made
+        if name != wish and self._topics.get(name) != owner:
+            _logger.warning("%s of %s is %s: %s is taken", transducer.name, board, name, wish)
         self._topics = {one: who for one, who in self._topics.items() if who != owner}
         self._topics[name] = owner
         return name
@@ -122,3 +137,16 @@ def _free(name: str, taken: object) -> str:
         number += 1
         made = f"{name}_{number}"
     return made
+
+
+def _is_beside(name: str, others: Container[str]) -> bool:
+    """Whether sinks may have more of another transducer at this name."""
+    before, _, last = name.rpartition("/")
+    return before in others and _BESIDE.fullmatch(last) is not None
+
+
+def _clashes(name: str, others: Collection[str]) -> bool:
+    """Whether a topic is that of another transducer, or beside one, or one is beside it."""
+    return (
+        name in others or _is_beside(name, others) or any(_is_beside(one, {name}) for one in others)
+    )

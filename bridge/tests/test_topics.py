@@ -92,3 +92,30 @@ def test_the_topic_of_the_diagnostics_is_taken():
     names = Names(with_board=False)
     [one] = read_transds("SENSOR(diagnostics, 1, d, M, 1, u8, none)").transducers
     assert names.topic("arm", one) == "arm/diagnostics"
+
+
+@pytest.mark.parametrize("behind", ["range", "cmd", "configure", "joints", "imu_3", "fix"])
+@pytest.mark.parametrize("with_board", [False, True])
+@pytest.mark.parametrize("boards", [("arm", "arm"), ("arm", "leg")])
+@pytest.mark.parametrize("is_reversed", [False, True])
+def test_no_topic_is_what_sinks_publish_beside_another(
+    caplog, behind, with_board, boards, is_reversed
+):
+    text = "SENSOR(one, 0, o, M, 1, u8, none)\nSENSOR(two, 1, t, M, 1, u8, none)\n"
+    pairs = list(zip(boards, read_transds(text).transducers, ("a", f"a/{behind}"), strict=True))
+    pairs = pairs[::-1] if is_reversed else pairs
+    names = Names(with_board=with_board)
+    found = {two.name: names.topic(board, two, wanted) for board, two, wanted in pairs}
+    assert not found["two"].startswith(found["one"] + "/")
+    # With the name of the board before it, those of two boards are apart as they are.
+    assert len(caplog.records) == (0 if with_board and len(set(boards)) == 2 else 1)
+    for board, two, wanted in pairs:
+        assert names.topic(board, two, wanted) == found[two.name]
+    assert len(caplog.records) <= 1
+
+
+def test_a_name_that_sinks_use_is_free_where_no_topic_is_before_it():
+    names = Names(with_board=False)
+    [one] = read_transds("SENSOR(one, 0, o, M, 1, u8, none)").transducers
+    assert names.topic("arm", one, "tank/range") == "tank/range"
+    assert names.topic("arm", one, "range") == "range"
