@@ -424,3 +424,40 @@ def test_colours_have_the_contrast_of_wcag_aa():
                 assert contrast(colours[name], colours[behind]) >= 4.5, (name, behind)
         assert contrast(colours["on-accent"], colours["accent"]) >= 4.5
         assert contrast(colours["field"], colours["card"]) >= 3  # borders of controls
+
+
+@needs_browser
+def test_functions_that_are_asked_for_again_keep_what_is_shown(monkeypatch):
+    orders, asked, refused = web_server._ORDERS, [], []
+    real = orders["functions"]
+
+    async def counted(sink, about):
+        asked.append(about)
+        if refused:
+            raise j2a.LocalError("too many orders wait")
+        return await real(sink, about)
+
+    monkeypatch.setitem(orders, "functions", counted)
+
+    async def work():
+        device = board_of()
+
+        @device.function("one")
+        def one() -> j2a.u8:
+            return 41
+
+        async with shown(device) as (page, _):
+            await page.until("document.querySelector('form.call') !== null")
+            for is_refused in (False, True):
+                refused[:] = [True] * is_refused
+                await page.run("(() => { window.form = document.querySelector('form.call'); })()")
+                await page.run("document.querySelector('details').open = false")
+                await asyncio.sleep(0.1)  # the browser tells several changes at once as one
+                before = len(asked)
+                await page.run("document.querySelector('details').open = true")
+                await until(lambda least=before: len(asked) > least)
+                await page.run("window.form.requestSubmit()")  # is answered after it
+                await page.until("window.form.querySelector('output').textContent === '41'")
+                assert await page.run("window.form.isConnected")
+
+    asyncio.run(work())

@@ -93,7 +93,7 @@ function boardOf(name) {
       cards,
       functions,
     );
-    board = { name, element, state, facts, badges, cards, list, functions, isKnown: false };
+    board = { name, element, state, facts, badges, cards, list, functions, isKnown: false, forms: "" };
     functions.addEventListener("toggle", () => functions.open && learn(board));
     boards.set(name, board);
     byId("boards").append(element);
@@ -443,7 +443,7 @@ async function learn(board) {
   const reply = await order({ op: "functions", board: board.name });
   if (!reply.ok) {
     board.isKnown = false; // the next state asks again
-    board.list.replaceChildren(make("output", { class: "bad" }, reply.message));
+    if (!board.forms) board.list.replaceChildren(make("output", { class: "bad" }, reply.message));
     return;
   }
   const { functions, properties, capabilities } = reply.result;
@@ -451,6 +451,10 @@ async function learn(board) {
   board.badges.textContent = claims.join(" · ");
   board.badges.title = "what the board claims to conform to; j2a-conform checks it";
   board.badges.hidden = false;
+  // New forms would take away what was typed, and the results that are shown.
+  const forms = JSON.stringify(functions);
+  if (forms === board.forms) return;
+  board.forms = forms;
   const known = functions.filter((one) => one.parameters !== null);
   const others = functions.filter((one) => one.parameters === null).map((one) => one.name);
   board.list.replaceChildren(...known.map((one) => functionForm(board.name, one)));
