@@ -124,6 +124,7 @@ class Bridge:
         chosen = {key: name for key, name in chosen.items() if name}
         self._names = Names(with_board=config.with_board, boards=chosen)
         self._boards: dict[str, _Board] = {}
+        self._unmet: dict[str, Counter[str]] = {}  # samples by board and transducer
         self._serials: dict[str, str] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._retried: set[tuple[j2a.AsyncClient, Callable[..., Awaitable[bool]]]] = set()
@@ -237,6 +238,7 @@ class Bridge:
                 self._forget_boards()
                 name = self._names.board(identity, url, properties)
                 board = self._boards[identity] = _Board(name, url, self._wanted(identity, url))
+                board.early_lost = self._unmet.pop(identity, Counter())
             board.client, board.url = client, url
             client.on_restart(lambda _restart: self._persist(client, self._learn, board))
             await self._begin_clock(board, client)
@@ -385,6 +387,7 @@ class Bridge:
     def _go(self, identity: str, reason: j2a.J2AError | None) -> None:
         board = self._boards.get(identity)
         if board is None:
+            self._unmet.pop(identity, None)
             return
         board.client = None
         board.problem = str(reason) if reason is not None else "taken out"
@@ -411,8 +414,9 @@ class Bridge:
 
     def _take(self, sample: j2a.Sample) -> None:
         board = self._boards.get(sample.board)
-        if board is None:
-            return  # its properties are still asked for; at the first time only
+        if board is None:  # its properties are still asked for; at the first time only
+            self._unmet.setdefault(sample.board or "", Counter())[sample.name] += 1
+            return
         arrived_ns = time.time_ns()
         if board.flows is None:
             if len(board.early) >= _EARLY:

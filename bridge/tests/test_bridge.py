@@ -378,6 +378,35 @@ class TestSamples:
                 flow = bridge._flows["quad"]
                 assert (flow.samples, flow.lost) == (_EARLY + 7, 7)
 
+    @in_event_loop
+    async def test_those_that_come_before_the_properties_are_known_count_as_lost(
+        self, kept, monkeypatch
+    ):
+        device, meet, take = board_of(), Bridge._meet, Bridge._take
+        may_meet, taken = asyncio.Event(), []
+
+        async def late(self, *about):
+            await may_meet.wait()
+            return await meet(self, *about)
+
+        def noted(self, sample):
+            take(self, sample)
+            taken.append(sample)
+
+        monkeypatch.setattr(Bridge, "_meet", late)
+        monkeypatch.setattr(Bridge, "_take", noted)
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                while len(taken) < 3:
+                    device.sense("quad", 0, 1, raw=True)
+                    await asyncio.sleep(0.02)
+                assert not bridge._boards
+                may_meet.set()
+                flow = await until(lambda: bridge._flows.get("quad"))
+                await until(lambda: flow.samples == len(taken))
+                assert 3 <= flow.lost <= len(taken)
+                assert not bridge._unmet
+
     @pytest.mark.parametrize("host_us", [-1, 0, (1 << 64) - 1])
     @in_event_loop
     async def test_a_time_that_cannot_be_counts_as_that_of_arrival(self, kept, host_us):
