@@ -12,6 +12,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
+import j2a_transports
+
 from j2a import LocalError
 from j2a_bridge.sink import SinkRequest
 
@@ -148,6 +150,11 @@ def _board(table: Any) -> BoardConfig:
     _check(table, "[[boards]]", {"url": str, "serial": str, "name": str, "transducers": dict})
     if not table.get("url") and not table.get("serial"):
         raise LocalError("[[boards]] has a url, or the serial of one that is found on the USB")
+    if table.get("url"):
+        try:
+            j2a_transports.check(table["url"])
+        except j2a_transports.TransportError as error:
+            raise LocalError(f"url of [[boards]]: {error}") from None
     transducers = {name: _sensor(name, one) for name, one in table.get("transducers", {}).items()}
     return BoardConfig(
         table.get("url", ""), table.get("serial", ""), table.get("name", ""), transducers

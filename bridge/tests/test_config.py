@@ -62,19 +62,28 @@ def test_all_that_it_may_say(tmp_path):
         ("boards = ['x']", r"\[\[boards\]\] is a table"),
         ("[[boards]]\nname = 'x'", "has a url, or the serial"),
         ("[[boards]]\nurl = 'tcp://x'\nnmae = 'x'", "did you mean name"),
-        ("[[boards]]\nurl = 'x'\ntransducers.q = 1", "the transducer q is a table"),
-        ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = 0}", "rate of q"),
-        ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = nan}", "rate of q"),
-        ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = true}", "cannot be True"),
-        ("[[boards]]\nurl = 'x'\ntransducers.q = {topc = 'x'}", "did you mean topic"),
-        ("[[boards]]\nurl = 'x'\ntransducers.q = {message = 'Range'}", "message of q is one of"),
-        ("[[boards]]\nurl = 'x'\ntransducers.q = {message = 'a/msg/Imu'}", "sensor_msgs/Imu, "),
+        ("[[boards]]\nurl = 'loopback:x'\ntransducers.q = 1", "the transducer q is a table"),
+        ("[[boards]]\nurl = 'loopback:x'\ntransducers.q = {rate = 0}", "rate of q"),
+        ("[[boards]]\nurl = 'loopback:x'\ntransducers.q = {rate = nan}", "rate of q"),
+        ("[[boards]]\nurl = 'loopback:x'\ntransducers.q = {rate = true}", "cannot be True"),
+        ("[[boards]]\nurl = 'loopback:x'\ntransducers.q = {topc = 'x'}", "did you mean topic"),
+        (
+            "[[boards]]\nurl = 'loopback:x'\ntransducers.q = {message = 'Range'}",
+            "message of q is one of",
+        ),
+        (
+            "[[boards]]\nurl = 'loopback:x'\ntransducers.q = {message = 'a/msg/Imu'}",
+            "sensor_msgs/Imu, ",
+        ),
         ("[[sinks]]\nto = 'x'", "says which one"),
         ("sinks = [1]", "says which one"),
         ("names = ", "Invalid value"),
-        (f"[[boards]]\nurl = 'x'\ntransducers.q = {{rate = 1{'0' * 400}}}", "rate of q"),
-        ("[[boards]]\nurl = 'x'\ntransducers.q = {rate = 1e-320}", "rate of q"),
-        ("[[boards]]\nurl = 'x'\n[[boards]]\nurl = 'x'", "two .* have the url 'x'"),
+        (f"[[boards]]\nurl = 'loopback:x'\ntransducers.q = {{rate = 1{'0' * 400}}}", "rate of q"),
+        ("[[boards]]\nurl = 'loopback:x'\ntransducers.q = {rate = 1e-320}", "rate of q"),
+        (
+            "[[boards]]\nurl = 'loopback:x'\n[[boards]]\nurl = 'loopback:x'",
+            "two .* have the url 'loopback:x'",
+        ),
         ("[[boards]]\nserial = 'x'\n[[boards]]\nserial = 'x'", "two .* have the serial 'x'"),
         ("[[sinks]]\nuse = 'udp'\nto = 5", r"to of \[\[sinks\]\] is a text, not 5"),
         ("a = " + "[" * 20000, "nested too deep"),
@@ -119,7 +128,7 @@ def test_a_file_of_windows_begins_with_a_mark(tmp_path):
 @pytest.mark.parametrize("message", [*MESSAGES, "sensor_msgs/msg/Imu"])
 def test_messages_that_a_sensor_can_be(tmp_path, message):
     path = tmp_path / "robot.toml"
-    path.write_text(f'[[boards]]\nurl = "x"\ntransducers.q = {{ message = "{message}" }}')
+    path.write_text(f'[[boards]]\nurl = "loopback:x"\ntransducers.q = {{ message = "{message}" }}')
     assert load_config(path).boards[0].transducers["q"].message == message
 
 
@@ -172,3 +181,25 @@ def test_only_one_board_alone_has_short_names(names, usb, urls, expected):
     boards = tuple(BoardConfig(url=f"tcp://127.0.0.1:{number}") for number in range(urls))
     config = Config((*boards, BoardConfig(identity="S")), usb=usb, names=names)
     assert config.with_board == expected
+
+
+@pytest.mark.parametrize(
+    ("url", "why"),
+    [
+        ("tpc://127.0.0.1:5000", "unknown scheme"),
+        ("127.0.0.1:5000", "did you mean"),
+        ("tcp://", "host:port"),
+        ("tcp://127.0.0.1", "host:port"),
+        ("tcp://127.0.0.1:70000", "host:port"),
+        ("tcp://127.0.0.1:5000?colour=red", "unknown option"),
+        ("faults:drop=0.1:tcp://", "host:port"),
+        ("loopback", "write scheme:"),
+    ],
+)
+def test_a_url_that_can_never_be_opened_is_told_with_file_and_key(tmp_path, url, why):
+    file = tmp_path / "robot.toml"
+    file.write_text(f'[[boards]]\nurl = "{url}"\n')
+    with pytest.raises(LocalError) as error:
+        load_config(file)
+    assert str(error.value).startswith(f"{file}: url of [[boards]]: ")
+    assert why in str(error.value)

@@ -131,13 +131,13 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
         """Refuse a URL that cannot be added.
 
         Raises:
-            BadUrl: the URL is of no scheme that is known.
+            BadUrl: the URL can never be opened.
             LocalError: the fleet has the URL, or is closed.
         """
         if not isinstance(url, str):
             raise LocalError(f"a URL is a text such as 'serial:///dev/ttyACM0', not {url!r:.60}")
         try:
-            j2a_transports.innermost(url)
+            j2a_transports.check(url)
         except j2a_transports.TransportError as error:
             raise link_error(error) from None
         with self._lock:

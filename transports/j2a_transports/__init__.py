@@ -27,7 +27,7 @@ from ._base import (
     TransportError,
     WriteTimeout,
 )
-from ._registry import describe, innermost, listen, open, schemes
+from ._registry import check, describe, innermost, listen, open, schemes
 from ._scheme import COMMON_OPTIONS, Option, Scheme, Usage
 from ._url import Url
 
@@ -61,6 +61,7 @@ __all__ = [
     "UsbLeft",
     "UsbWatch",
     "WriteTimeout",
+    "check",
     "describe",
     "innermost",
     "listen",

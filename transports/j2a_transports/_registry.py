@@ -90,6 +90,24 @@ def innermost(url: str) -> tuple[str, Scheme]:
     return url, declared
 
 
+def check(url: str) -> None:
+    """Refuse a URL that can never be opened, as far as its driver tells that without opening it.
+
+    Args:
+        url: such as `tcp://127.0.0.1:5000`; of one that wraps another, the inner one is checked.
+
+    Raises:
+        BadUrl: scheme unknown, or one whose driver has `check_url(url)` and refuses the rest.
+        OpenFailed: a driver does not load.
+    """
+    _parse(url, {})  # tells which URL was probably meant
+    inner, _ = innermost(url)
+    parsed = _parse(inner, {})
+    driver = _driver(parsed.scheme, inner)
+    if hasattr(driver, "check_url"):
+        driver.check_url(parsed)
+
+
 def open(url: str, **options: object) -> Transport:
     """Open the transport that a URL names.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import socket
-from typing import Final
+from typing import Any, Final
 
 from ._base import LinkLost, Listener, OpenFailed, Transport
 from ._poll import CHUNK, PolledTransport
@@ -119,11 +119,15 @@ class TcpListener(SocketListener):
         return TcpTransport(_url_of(address), sock, self._write_timeout_s)
 
 
+def check_url(url: Url) -> tuple[str, int, dict[str, Any]]:
+    """Return host, port and options of `tcp://host:port`; raises BadUrl."""
+    address, parts = url.split_query()
+    return *host_port(url, address), url.options(parts, _OPEN)
+
+
 def open_url(url: Url) -> Transport:
     """Connect to `tcp://host:port`."""
-    address, parts = url.split_query()
-    host, port = host_port(url, address)
-    options = url.options(parts, _OPEN)
+    host, port, options = check_url(url)
     wait_s = options["connect_timeout"]
     try:
         sock = socket.create_connection((host, port), wait_s)
