@@ -323,3 +323,28 @@ def test_a_broker_that_dies_is_found_again(tmp_path, monkeypatch, is_quiet):
                     await until(lambda: (is_quiet or device.sense("quad", 0, 5), runner.problem)[1])
 
     asyncio.run(work())
+
+
+def test_births_that_paho_does_not_take_fail_the_sink_which_tells_them_anew(broker, monkeypatch):
+    monkeypatch.setattr(mqtt, "_WAITING", 5)
+    sink = sink_of(broker.port)
+    sink.open()
+    broker._process.send_signal(signal.SIGSTOP)
+    topic = topic_of("SENSOR(s, 0, s, M, 1, u8, none)")
+    try:
+        with pytest.raises(SinkError, match="takes no births"):
+            for _ in range(100):
+                sink.announce(topic)
+    finally:
+        broker._process.send_signal(signal.SIGCONT)
+        sink.close()
+
+
+def test_bridges_on_one_computer_may_have_names_of_their_own(broker, listener):
+    options = {name: option.default for name, option in MqttSink.OPTIONS.items()}
+    for node in ("left", "right"):
+        sink = MqttSink(f"127.0.0.1:{broker.port}", options | {"node": node}, None)
+        sink.open()
+        listener.next(f"j2a/NBIRTH/{node}")
+        sink.close()
+        listener.next(f"j2a/NDEATH/{node}")

@@ -31,6 +31,8 @@ _WAITING: Final = 1000
 _TAKEN_S: Final = 15.0
 _MOST_UNSENT: Final = 100
 """So many samples are given to paho, which has no limit for them, before they must be sent."""
+_QUEUE_FULL: Final = 15
+"""As paho calls it MQTT_ERR_QUEUE_SIZE: a message was not taken."""
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -41,6 +43,7 @@ class MqttSink(Sink):
     ARGUMENT = "[HOST[:PORT]]"
     OPTIONS: ClassVar[Mapping[str, Option]] = {
         "group": Option(str, "j2a", "what all topics begin with"),
+        "node": Option(str, "", "name of this bridge (that of this computer); each needs its own"),
         "user": Option(str, "", "name for the broker"),
         "password": Option(str, "", "a file that has the password"),
         "ca": Option(str, "", "a file with the certificate of the authority: speak TLS"),
@@ -62,7 +65,7 @@ class MqttSink(Sink):
         for key in ("password", "ca"):
             if options[key] and not Path(options[key]).is_file():
                 raise LocalError(f"there is no file {options[key]}")
-        self._node = plain_name(socket.gethostname())
+        self._node = plain_name(options["node"] or socket.gethostname())
         self._client: Any = None
         self._connected = threading.Event()
         self._why = ""
@@ -141,7 +144,11 @@ class MqttSink(Sink):
     def _send(self, kind: str, about: Any, *parts: str, qos: int = 1, retain: bool = False) -> Any:
         client = self._here()
         data = json.dumps(about, allow_nan=False)
-        return client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
+        sent = client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
+        if qos and sent is not None and sent.rc == _QUEUE_FULL:
+            # Opened anew, it tells all boards that are here then.
+            raise SinkError(f"the broker at {self._host}:{self._port} takes no births")
+        return sent
 
     def _here(self) -> Any:
         client = self._client  # `close` may take it away while an order is answered
