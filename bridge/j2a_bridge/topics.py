@@ -19,7 +19,8 @@ __all__ = ["Names", "Topic", "plain_name"]
 _LONGEST: Final = 64
 """Of the name that a board gives itself: names of topics in ROS 2 are not longer than 250."""
 _BESIDE: Final = re.compile(
-    "(cmd|configure|fix|humidity|illuminance|imu|joints|mag|pressure|range|temperature)(_[0-9]+)?"
+    "(cmd|configure|fix|humidity|illuminance|imu|joints|magnetic_field|pressure|range|temperature)"
+    "(_[0-9]+)?"
 )
 """What sinks publish or take behind a topic: other messages of its transducer, and orders."""
 _logger = logging.getLogger("j2a.bridge")

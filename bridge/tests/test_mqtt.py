@@ -348,3 +348,21 @@ def test_bridges_on_one_computer_may_have_names_of_their_own(broker, listener):
         listener.next(f"j2a/NBIRTH/{node}")
         sink.close()
         listener.next(f"j2a/NDEATH/{node}")
+
+
+def test_boards_that_went_while_the_broker_was_away_are_dead_when_it_is_back(broker, listener):
+    sink = sink_of(broker.port)
+    sink.open()
+    topic = topic_of("SENSOR(s, 0, s, M, 1, u8, none)")
+    birth = f"j2a/DBIRTH/{HOST}/{topic.board}"
+    try:
+        sink.announce(topic)
+        assert listener.next(birth)["topics"]
+        sink.close()
+        sink.open()
+        listener.next(f"j2a/DDEATH/{HOST}/{topic.board}")
+        assert listener.next(birth) == {}  # it stays with the broker, in place of the old one
+        sink.announce(topic)
+        assert listener.next(birth)["topics"]
+    finally:
+        sink.close()

@@ -1,10 +1,12 @@
 """Names of boards and topics."""
 
 import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from j2a_bridge import ros_messages, topics
 from j2a_bridge.topics import Names, plain_name
 
 from j2a.types.transds_file import read_transds
@@ -119,3 +121,12 @@ def test_a_name_that_sinks_use_is_free_where_no_topic_is_before_it():
     [one] = read_transds("SENSOR(one, 0, o, M, 1, u8, none)").transducers
     assert names.topic("arm", one, "tank/range") == "tank/range"
     assert names.topic("arm", one, "range") == "range"
+
+
+def test_all_that_stands_behind_a_topic_is_known():
+    source = Path(ros_messages.__file__).read_text("utf-8")
+    behind = {suffix for suffix, *_ in ros_messages._NUMBERS.values()}
+    behind.update(re.findall(r'makers\.append\(\("(\w+)"', source))
+    behind.update(re.findall(r'topic\.name\}/(\w+)"', source))
+    assert {"range", "imu", "fix", "joints", "magnetic_field"} <= behind
+    assert not [one for one in behind if not topics._BESIDE.fullmatch(one)]

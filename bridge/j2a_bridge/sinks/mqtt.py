@@ -70,6 +70,8 @@ class MqttSink(Sink):
         self._connected = threading.Event()
         self._why = ""
         self._boards: dict[str, dict[str, Topic]] = {}
+        # Boards whose births stay with the broker.
+        self._born: set[str] = set()
         self._given = 0
 
     # ------------------------------------------------------------------ life
@@ -108,6 +110,8 @@ class MqttSink(Sink):
             raise SinkError(f"the broker at {where} takes no connection: {why}")
         client.subscribe(f"{self._topic('DCMD')}/#", qos=1)
         self._send("NBIRTH", {"version": 1}, retain=True)
+        for board in sorted(self._born):  # what is here still is announced anew
+            self._bury(board)
 
     def told(self) -> str:
         """Return where it publishes."""
@@ -174,10 +178,15 @@ class MqttSink(Sink):
             self._tell(topic.board)
         else:
             self._boards.pop(topic.board, None)
-            self._send("DDEATH", {}, topic.board)
-            self._send("DBIRTH", {}, topic.board, retain=True)
+            self._bury(topic.board)
+
+    def _bury(self, board: str) -> None:
+        self._send("DDEATH", {}, board)
+        self._send("DBIRTH", {}, board, retain=True)
+        self._born.discard(board)
 
     def _tell(self, board: str) -> None:
+        self._born.add(board)
         about = {name: transducer_object(one) for name, one in self._boards[board].items()}
         self._send("DBIRTH", {"topics": about}, board, retain=True)
 
