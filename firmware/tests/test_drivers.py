@@ -37,9 +37,20 @@ PAGE = DRIVERS.parent.parent / "docs" / "drivers.md"
 OVERFLOW, CONVERSION = 13, 21  # vectors of the ATmega328P
 US = 16  # cycles
 TICK = 64  # cycles of timer 1
-# Distance in mm and volts: the typical curve in the data sheet of the GP2Y0A21YK.
+# Distance in mm and volts: the typical curves in the data sheets of GP2Y0A21YK and GP2Y0A02YK.
 SHARP = ((100, 2.30), (120, 2.00), (150, 1.64), (200, 1.30), (250, 1.07), (300, 0.92))
 SHARP += ((400, 0.74), (500, 0.60), (600, 0.51), (700, 0.45), (800, 0.40))
+SHARP_02 = (
+    (200, 2.51),
+    (300, 1.99),
+    (400, 1.52),
+    (500, 1.25),
+    (600, 1.04),
+    (700, 0.87),
+    (800, 0.79),
+)
+SHARP_02 += ((900, 0.74), (1000, 0.69), (1100, 0.60), (1200, 0.55), (1300, 0.50), (1400, 0.47))
+SHARP_02 += ((1500, 0.45),)
 
 
 def samples(board, sensor):
@@ -59,8 +70,7 @@ def board(build):
 # -- arithmetic, on this machine ---------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def arithmetic(need, tmp_path_factory):
+def compiled(need, tmp_path_factory, *options):
     """The drivers' hardware-independent parts as a library."""
     need("cc")
     folder = tmp_path_factory.mktemp("arithmetic")
@@ -70,7 +80,7 @@ def arithmetic(need, tmp_path_factory):
     )
     library = folder / "drivers.so"
     command = ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-shared", "-fPIC"]
-    command += ["-DF_CPU=16000000", f"-I{DRIVERS}", f"-I{DRIVERS.parent / 'core'}"]
+    command += [*options, "-DF_CPU=16000000", f"-I{DRIVERS}", f"-I{DRIVERS.parent / 'core'}"]
     sources = (DRIVERS / f"{name}.c" for name in ("quadrature", "sharp", "ticks"))
     command += [*map(str, sources), str(folder / "step.c"), "-o", str(library)]
     subprocess.run(command, check=True)
@@ -79,6 +89,17 @@ def arithmetic(need, tmp_path_factory):
     made.sharp_mm.restype = ctypes.c_uint16
     made.ticks_of_servo.restype, made.ticks_of_servo.argtypes = ctypes.c_uint16, (ctypes.c_int8,)
     return made
+
+
+@pytest.fixture(scope="module")
+def arithmetic(need, tmp_path_factory):
+    return compiled(need, tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def farther(need, tmp_path_factory):
+    """The same for a GP2Y0A02YK."""
+    return compiled(need, tmp_path_factory, "-DSHARP_MODEL=SHARP_GP2Y0A02YK")
 
 
 def test_quadrature_steps(arithmetic):
@@ -117,6 +138,33 @@ def test_distance_of_all_counts(arithmetic):
     assert all(found[first:last])
     assert set(found[found.index(95) + inside.count(95) :]) == {0}
     assert arithmetic.sharp_mm(65535) == 0
+
+
+def test_distance_of_the_farther_model_follows_its_curve(farther):
+    """Within 6 % and half a count at the points that were read from the data sheet."""
+    for mm, volts in SHARP_02:
+        half_a_count = (mm + 70) ** 2 / 144200 / 2
+        found = farther.sharp_mm(round(volts * 1024 / 5))
+        assert abs(found - mm) <= 0.06 * mm + half_a_count, (mm, found)
+
+
+def test_distance_of_the_farther_model_of_all_counts(farther):
+    """It falls with the counts; out of its range is nothing, also where 16 bits would overflow."""
+    found = [farther.sharp_mm(counts) for counts in range(1024)]
+    inside = [mm for mm in found if mm]
+    assert inside == sorted(inside, reverse=True)
+    assert (inside[0], inside[-1]) == (pytest.approx(1600, abs=20), 190)
+    first = found.index(inside[0])
+    assert found == [0] * first + inside + [0] * (1024 - first - len(inside))
+    assert farther.sharp_mm(65535) == 0
+
+
+def test_a_model_that_is_unknown_does_not_compile(need):
+    need("cc")
+    command = ["cc", "-fsyntax-only", "-DSHARP_MODEL=3", str(DRIVERS / "sharp.c")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "SHARP_GP2Y0A21YK or SHARP_GP2Y0A02YK" in done.stderr
 
 
 def test_ticks_of_servos(arithmetic):
