@@ -13,6 +13,7 @@ from j2a.io.streams import slice_of
 from j2a.protocol.clock import LOOK_S, Exchange, Status
 from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.transfer import Transfer
+from j2a.types.samples import check_time
 
 __all__ = ["AsyncClock", "AsyncClockKeeper"]
 
@@ -48,11 +49,11 @@ class AsyncClock(ClockBase):
 
     def to_host(self, time_us: int) -> int:
         """Return the Unix time of this computer at a time of the board; `Clock.to_host`."""
-        return self._to_host(time_us)
+        return self._to_host(check_time(time_us))
 
     def to_device(self, host_us: int) -> int:
         """Return the time of the board at a Unix time of this computer; `Clock.to_device`."""
-        return self._to_device(host_us)
+        return self._to_device(check_time(host_us))
 
     # ------------------------------------------------------------------ calls
 

@@ -19,6 +19,7 @@ from j2a.protocol.arguments import check_timeout
 from j2a.protocol.clock import LOOK_S, Exchange, Status
 from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.transfer import Transfer
+from j2a.types.samples import check_time
 
 __all__ = ["ROUNDS", "Clock", "ClockKeeper", "check_period", "check_rounds"]
 
@@ -61,16 +62,19 @@ class Clock(ClockBase):
 
         A time to come is converted by what is known of the clock now.
 
-        Raises: as `measure`; LocalError for a time from before the clock was set.
+        Raises: as `measure`; LocalError for a time from before the clock was set; WrongArgument for
+            what is no integer from 0 to 2**64 - 1.
         """
+        time_us = check_time(time_us)
         self._ask_once()
         return self._to_host(time_us)
 
     def to_device(self, host_us: int) -> int:
         """Return the time of the board at a Unix time of this computer, in microseconds.
 
-        Raises: as `measure`.
+        Raises: as `measure`; WrongArgument for what is no integer from 0 to 2**64 - 1.
         """
+        host_us = check_time(host_us)
         self._ask_once()
         return self._to_device(host_us)
 

@@ -31,7 +31,7 @@ from j2a.types.transducers import (
     rounded,
 )
 
-__all__ = ["SampleCodec", "pack_time"]
+__all__ = ["SampleCodec", "check_time", "pack_time"]
 
 _NO_TIME: Final = 0
 _TIME_US: Final = struct.Struct("<Q")
@@ -330,12 +330,27 @@ def _is_any(kind: Type) -> bool:
     return isinstance(kind.element, str) and kind.element in NUMBER_CODES
 
 
+def check_time(time_us: object) -> int:
+    """Return a time of the device's clock or of this computer, in microseconds.
+
+    Whole floats are refused, too: above 2**53 they have lost digits.
+
+    Raises:
+        WrongArgument: it is no integer that 64 bits hold.
+    """
+    if isinstance(time_us, Integral) and not isinstance(time_us, bool):  # numpy's, too
+        whole = int(time_us)
+        if 0 <= whole < 1 << 64:
+            return whole
+    raise WrongArgument(
+        f"a time is a whole number of microseconds from 0 to 2**64 - 1, not {time_us!r:.40}"
+    )
+
+
 def pack_time(time_us: int) -> bytes:
     """Return a time of the device's clock as a payload has it.
 
     Raises:
         WrongArgument: it is no number of microseconds.
     """
-    if not isinstance(time_us, Integral) or not 0 <= time_us < 1 << 64:
-        raise WrongArgument(f"a time is a number of microseconds from 0 on, not {time_us!r:.40}")
-    return _TIME_US.pack(int(time_us))
+    return _TIME_US.pack(check_time(time_us))

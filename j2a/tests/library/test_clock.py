@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import math
 import os
 import re
 import subprocess
@@ -191,6 +192,39 @@ def test_a_step_of_this_computer_is_followed_by_a_step(board, device, caplog):
     assert re.search(r"was set by \+(3600\.0|3599\.9)", caplog.text)
     modes = [one[1] for one in device.requests if one[0] == c.CLOCK_ADJUST]
     assert modes.count(c.CLOCK_STEP) == 1
+
+
+NO_TIMES = ["x", None, b"5", math.nan, 1.5, 5.0, True, -1, 2**64, 2**70]
+
+
+@pytest.mark.parametrize("what", NO_TIMES, ids=repr)
+def test_what_is_no_time_is_not_converted(board, device, what):
+    """It is refused before anything is asked."""
+    for convert in (board.clock.to_host, board.clock.to_device):
+        with pytest.raises(j2a.WrongArgument, match="a whole number of microseconds"):
+            convert(what)
+    assert device.requests == []
+
+
+def test_each_time_that_64_bits_hold_is_converted(board, device):
+    board.clock.measure(2)
+    for convert in (board.clock.to_host, board.clock.to_device):
+        first, last = convert(0), convert(2**64 - 1)
+        assert abs((last - first) / 2**64 - 1) < 0.1  # so far away errors of the rate are large
+        numpy = pytest.importorskip("numpy")
+        assert type(convert(numpy.uint64(5))) is int
+
+
+@in_event_loop
+async def test_what_is_no_time_is_not_converted_in_an_event_loop_either():
+    with ClockedDevice() as device, served(device) as url:
+        async with await j2a.aconnect(url, timeout=PATIENCE_S) as board:
+            await board.clock.measure(2)
+            for convert in (board.clock.to_host, board.clock.to_device):
+                for what in NO_TIMES:
+                    with pytest.raises(j2a.WrongArgument, match="a whole number of microseconds"):
+                        convert(what)
+                assert abs(convert(2**64 - 1) / 2**64 - 1) < 0.1
 
 
 @pytest.mark.requirement("J2A-CLOCK-027")
