@@ -57,7 +57,8 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
     Args:
         urls, usb, timeout, boot_time, retry, heartbeat, on_handler_error: as of `j2a.Fleet`.
         identify: returns the identity of a board, from its client; may be a coroutine function.
-            `j2a.aio_fleet.by_serial` if not given, `j2a.fleet.by_url` is another one.
+            `j2a.aio_fleet.by_serial` if not given, `j2a.fleet.by_url` is another one. Equal ones
+            are told apart as by `j2a.Fleet`.
 
     Raises:
         BadUrl: a URL is of no scheme that is known.
@@ -305,7 +306,7 @@ class _Member(Member[AsyncClient]):
                 if name is None:
                     return None, None
                 change = self._fleet._come(self, client, name)
-                board = name
+                board = change.board
                 await self._fleet._tell(change)
                 return board, await self._until_stopped(self._watch(client))
         except J2AError as error:

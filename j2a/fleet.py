@@ -3,8 +3,8 @@
 What flows in: URLs, and what the USB tells about boards. What flows out: a client for each board
 that is there, the samples of all of them, and who has come or gone.
 Rules: each board has a thread of its own, which opens it, watches it and opens it again, so that
-none waits for another (thesis section 9.4). Two boards never share an identity: the second one is
-left out, and `problems` says why.
+none waits for another (thesis section 9.4). Two boards never share an identity: that of the second
+one has its place behind it, and a warning says so.
 """
 
 import threading
@@ -51,7 +51,8 @@ class Fleet(FleetBase[Client, "_Member"]):
         urls: of the boards; `add` takes more.
         usb: take in every J2A board on the USB, and those that are plugged in later.
         identify: returns the identity of a board, from its client; `by_serial` if not given,
-            `by_url` is another one. It runs in the thread of the board.
+            `by_url` is another one. It runs in the thread of the board. Where another board here
+            has the same one, "@" and the URL, on the USB the path of ports, follow it.
         timeout: the time limit of a call, in seconds; see `j2a.connect`.
         boot_time: for how long a board may take to answer when it is opened, in seconds.
         retry: seconds between two tries to open a board.

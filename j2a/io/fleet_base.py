@@ -16,6 +16,7 @@ from difflib import get_close_matches
 from typing import Any, Generic, TypeVar
 
 import j2a_transports
+from j2a_spec.printable import printable
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError, Outcome, UnknownTransducer
 from j2a.events import Sample
@@ -154,17 +155,24 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
     # ------------------------------------------------------------------ members
 
     def _come(self, member: _MemberT, client: _ClientT, board: str) -> BoardChange:
-        """Let a board be here.
+        """Let a board be here; what is told of it has its identity in the fleet.
 
         Raises:
-            LocalError: another board has the same identity.
+            LocalError: another board has the same identity, even with the place.
             LinkClosed: it was taken out meanwhile.
         """
-        client._source.board = board
         with self._lock:
-            change = self._roster.come(member, client, board)
+            is_new_twin = self._roster.is_new_twin(member, board)
+            identity = client._source.board = self._roster.identity(member, board)
+            change = self._roster.come(member, client, identity)
             client._handlers.add(WantedSamples(client._source), self._deliver)
             self._notify()
+        if is_new_twin:
+            _logger.warning(
+                "%s has the identity %r of another board, and is called %r: give each board a "
+                "serial number, or use identify=j2a.fleet.by_url",
+                *(printable(text) for text in (member.url, board, identity)),
+            )
         return change
 
     def _go(

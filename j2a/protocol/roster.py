@@ -76,6 +76,7 @@ class Roster(Generic[_MemberT]):
         self.members: dict[str, _MemberT] = {}
         self.here: dict[str, _MemberT] = {}
         self.is_closed = False
+        self._twins: dict[str, str] = {}  # by URL: an identity that another board had first
 
     def check_new(self, url: str) -> None:
         """Refuse a URL that cannot be added.
@@ -113,8 +114,34 @@ class Roster(Generic[_MemberT]):
         here = ", ".join(sorted(self.here)) or "none"
         raise UnknownBoard(f"board {board!r:.80} is not here, but {here}; `problems` may say why")
 
+    def is_new_twin(self, member: _MemberT, board: str) -> bool:
+        """Note a board that says the same of itself as one that is here; whether that is new.
+
+        It stays so: whichever of the two comes again first, and also where it is taken out
+        meanwhile, as boards on the USB are.
+
+        Args:
+            member: of the board, which is not here yet.
+            board: what it says.
+        """
+        if board not in self.here or self._twins.get(member.url) == board:
+            return False
+        self._twins[member.url] = board
+        return True
+
+    def identity(self, member: _MemberT, board: str) -> str:
+        """Return the identity of a board: what it says, and its place where it is a twin."""
+        if self._twins.get(member.url) != board:
+            return board
+        return f"{board}@{member.url.removeprefix('usb://')}"
+
     def come(self, member: _MemberT, client: Any, board: str) -> BoardChange:
         """Let a board be here.
+
+        Args:
+            member: of the board.
+            client: of the board.
+            board: its `identity`.
 
         Raises:
             LocalError: another board has the same identity.

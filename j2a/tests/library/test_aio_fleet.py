@@ -164,20 +164,24 @@ class TestBoards:
                 assert (await change()).is_here
 
     @in_event_loop
-    async def test_two_with_one_identity(self):
+    async def test_two_with_one_serial_number(self, caplog):
         with served(make_device("A3")) as first, served(make_device("A3")) as second:
             async with fleet_of(first) as fleet:
                 await fleet.wait("A3", timeout=PATIENCE_S)
                 change = changes_of(fleet)
                 fleet.add(second)
-                left_out = await change()
-                assert (left_out.board, left_out.is_here) == (None, False)
-                assert "identify=j2a.fleet.by_url" in str(fleet.problems[second])
-                fleet.remove(first)
-                assert "A3" not in fleet
-                while not (await change()).is_here:
-                    pass
-                assert fleet["A3"].url == second
+                twin = f"A3@{second}"
+                assert (await change()).board == twin
+                assert (fleet["A3"].url, fleet[twin].url) == (first, second)
+                for board in ("A3", twin):
+                    fleet.remove(board)
+                    assert (await change()).board == board
+                for url, board in ((second, twin), (first, "A3")):
+                    fleet.add(url)
+                    assert (await change()).board == board
+                    assert fleet[board].url == url
+                [warning] = [one for one in caplog.messages if "identity" in one]
+                assert "identify=j2a.fleet.by_url" in warning
 
     @in_event_loop
     async def test_identities_of_ones_own(self):

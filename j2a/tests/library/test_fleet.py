@@ -12,6 +12,7 @@ import pytest
 
 import j2a
 from j2a.fleet import by_url
+from j2a.protocol.roster import Member, Roster
 from j2a.types.transds_file import read_transds
 
 from .support import PATIENCE_S, served
@@ -186,7 +187,7 @@ class TestBoards:
             assert changes.get_nowait().is_here
             assert changes.empty()
 
-    def test_two_with_one_identity(self):
+    def test_two_with_one_serial_number(self, caplog):
         with (
             served(make_device("A3")) as first,
             served(make_device("A3")) as second,
@@ -195,34 +196,86 @@ class TestBoards:
             fleet.wait("A3", timeout=PATIENCE_S)
             changes = changes_of(fleet)
             fleet.add(second)
-            left_out = changes.get(timeout=PATIENCE_S)
-            assert (left_out.board, left_out.is_here) == (None, False)
-            assert first in str(left_out.reason)
-            assert "identify=j2a.fleet.by_url" in str(fleet.problems[second])
-            assert fleet["A3"].url == first
-            # When the first one is out, the second one is the board of that name.
-            fleet.remove(first)
-            while not (change := changes.get(timeout=PATIENCE_S)).is_here:
-                pass
-            assert (change.board, fleet["A3"].url) == ("A3", second)
+            change = changes.get(timeout=PATIENCE_S)
+            twin = f"A3@{second}"
+            assert (change.board, change.url, change.is_here) == (twin, second, True)
+            assert (fleet["A3"].url, fleet[twin].url) == (first, second)
+            assert fleet.problems == {}
+            # The names stay, whoever comes again first.
+            for board in ("A3", twin):
+                fleet.remove(board)
+                assert changes.get(timeout=PATIENCE_S).board == board
+            for url, board in ((second, twin), (first, "A3")):
+                fleet.add(url)
+                assert changes.get(timeout=PATIENCE_S).board == board
+                assert fleet[board].url == url
+            [warning] = [one for one in caplog.messages if "identity" in one]
+            assert twin in warning
+            assert "identify=j2a.fleet.by_url" in warning
+
+    def test_a_sample_has_the_place_of_a_second_board(self):
+        board = make_device("A3")
+        with (
+            served(make_device("A3")) as first,
+            served(board) as second,
+            fleet_of(first) as fleet,
+        ):
+            fleet.wait("A3", timeout=PATIENCE_S)
+            samples = queue.SimpleQueue()
+            fleet.on_sample(samples.put)
+            fleet.add(second)
+            fleet.wait(f"A3@{second}", timeout=PATIENCE_S)
+            board.send_sif(1, (5).to_bytes(8, "little") + b"\x07")
+            assert samples.get(timeout=PATIENCE_S).board == f"A3@{second}"
+
+    def test_a_second_board_on_the_usb_is_known_by_its_ports(self):
+        roster = Roster()
+        first, second = Member("usb://A3"), Member("usb://1-2.3")
+        assert not roster.is_new_twin(first, "A3")
+        roster.come(first, object(), "A3")
+        assert roster.is_new_twin(second, "A3")
+        assert roster.identity(second, "A3") == "A3@1-2.3"
+        assert not roster.is_new_twin(second, "A3")
+        # Another board at the same ports has its own serial number.
+        assert roster.identity(second, "B7") == "B7"
+
+    def test_two_that_no_place_tells_apart(self):
+        with served(make_device()) as first, served(make_device()) as second:
+            names = {first: "A3", second: "A3", "x": f"A3@{second}"}
+            with (
+                served(make_device()) as odd,
+                fleet_of(odd, identify=lambda client: names.get(client.url, names["x"])) as fleet,
+            ):
+                fleet.wait(f"A3@{second}", timeout=PATIENCE_S)
+                fleet.add(first)
+                fleet.wait("A3", timeout=PATIENCE_S)
+                changes = changes_of(fleet)
+                fleet.add(second)
+                left_out = changes.get(timeout=PATIENCE_S)
+                assert (left_out.board, left_out.is_here) == (None, False)
+                assert odd in str(left_out.reason)
+                assert "identify=j2a.fleet.by_url" in str(fleet.problems[second])
 
     def test_one_that_is_left_out_is_not_tried_without_a_pause(self):
         asked = queue.SimpleQueue()
 
         def identify(client):
             asked.put(client.url)
-            return "A3"
+            return f"A3@{second}" if client.url == first else "A3"
 
         with (
             served(make_device()) as first,
+            served(make_device()) as other,
             served(make_device()) as second,
             fleet_of(first, identify=identify, retry=PATIENCE_S) as fleet,
         ):
+            fleet.wait(f"A3@{second}", timeout=PATIENCE_S)
+            fleet.add(other)
             fleet.wait("A3", timeout=PATIENCE_S)
             changes = changes_of(fleet)
             fleet.add(second)
             changes.get(timeout=PATIENCE_S)
-            assert [asked.get_nowait(), asked.get_nowait()] == [first, second]
+            assert [asked.get_nowait() for _ in range(3)] == [first, other, second]
             with pytest.raises(queue.Empty):
                 asked.get(timeout=0.3)
 
