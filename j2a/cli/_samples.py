@@ -1,28 +1,25 @@
 """Samples of sensors, as `j2a watch` shows them.
 
 In: samples. Out: a line or an object for each, and for each sensor how regularly they come.
-Rules: the clocks of board and host are not the same one, so a delay is told above that of the
-quickest sample in the same span of time.
+Rules: a delay is that from the time stamp to the arrival, where the clock of the board is known;
+else above that of the quickest sample in the same span of time, as the clocks of board and host are
+not the same one. All delays of a table are of one kind.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Iterator
 from typing import Any, Final
 
 import j2a
 from j2a.cli._typed import json_of, plain
 
-__all__ = ["RATE_HEAD", "Rates", "rate_text", "sample_facts", "sample_text"]
+__all__ = ["Rates", "rate_head", "rate_text", "sample_facts", "sample_text"]
 
-RATE_HEAD: Final = (
-    f"{'sensor':<16} {'samples':>8} {'per s':>8} "
-    f"{'jitter':>10} {'delay':>10} {'most':>10} {'lost':>6}"
-)
 _US: Final = 1e6
 _MS: Final = 1e3
+_Facts = dict[str, float | int | None]
 
 
 def sample_text(sample: j2a.Sample) -> str:
@@ -75,31 +72,47 @@ class _Rate:
     def __init__(self) -> None:
         self.host_s: list[float] = []
         self.device_s: list[float] = []
+        self.true_s: list[float] = []
         self.lost = 0
+        self.missed = 0
 
-    def add(self, sample: j2a.Sample) -> None:
-        self.lost += sample.lost + sample.missed
+    def add(self, sample: j2a.Sample, came_us: float) -> None:
+        self.lost += sample.lost
+        self.missed += sample.missed
         if sample.is_reset:  # times before it are of another count
             self.host_s.clear()
             self.device_s.clear()
+            self.true_s.clear()
+        if sample.host_us is not None:
+            self.true_s.append((came_us - sample.host_us) / _US)
         if sample.time_us is not None:
             self.host_s.append(sample.host_time)
             self.device_s.append(sample.time_us / _US)
 
-    def facts(self) -> dict[str, float | int | None]:
+    @property
+    def is_relative(self) -> bool:
+        """There are samples, and of none it is known how long it took."""
+        return bool(self.host_s) and not self.true_s
+
+    def facts(self, *, is_relative: bool) -> _Facts:
         """Return samples, per second, and in ms: jitter of the board, delay at the median, most."""
         count = len(self.device_s)
         span_s = self.host_s[-1] - self.host_s[0] if count > 1 else 0.0
         periods = [b - a for a, b in zip(self.device_s, self.device_s[1:], strict=False)]
-        delays = [host - device for host, device in zip(self.host_s, self.device_s, strict=True)]
-        least = min(delays, default=0.0)
+        delays, least = self.true_s, 0.0
+        if is_relative:
+            delays = [b - a for a, b in zip(self.device_s, self.host_s, strict=True)]
+            delays = delays if count > 1 else []  # one is the quickest
+            least = min(delays, default=0.0)
         return {
             "samples": count,
             "per_s": (count - 1) / span_s if span_s > 0 else None,
             "jitter_ms": _MS * statistics.pstdev(periods) if len(periods) > 1 else None,
-            "delay_ms": _MS * (statistics.median(delays) - least) if count > 1 else None,
-            "most_ms": _MS * (max(delays) - least) if count > 1 else None,
+            "delay_ms": _MS * (statistics.median(delays) - least) if delays else None,
+            "most_ms": _MS * (max(delays) - least) if delays else None,
+            "is_relative": is_relative,
             "lost": self.lost,
+            "missed": self.missed,
         }
 
 
@@ -109,19 +122,33 @@ class Rates:
     def __init__(self) -> None:
         self._rates: dict[str, _Rate] = {}
 
-    def add(self, sample: j2a.Sample) -> None:
-        """Take a sample into the present span of time."""
-        self._rates.setdefault(sample.name, _Rate()).add(sample)
+    def add(self, sample: j2a.Sample, came_us: float) -> None:
+        """Take a sample into the present span of time.
 
-    def take(self) -> Iterator[tuple[str, dict[str, float | int | None]]]:
-        """Yield each sensor with what was seen of it since the last time; a new span begins."""
+        Args:
+            sample: of a sensor.
+            came_us: when it came, in microseconds since 1970.
+        """
+        self._rates.setdefault(sample.name, _Rate()).add(sample, came_us)
+
+    def take(self) -> dict[str, _Facts]:
+        """Return for each sensor what was seen of it since the last time; a new span begins."""
         rates, self._rates = self._rates, {name: _Rate() for name in self._rates}
-        for name, rate in rates.items():
-            yield name, rate.facts()
+        is_relative = any(rate.is_relative for rate in rates.values())
+        return {name: rate.facts(is_relative=is_relative) for name, rate in rates.items()}
 
 
-def rate_text(name: str, facts: dict[str, float | int | None]) -> str:
-    """Return the line below RATE_HEAD for a sensor."""
+def rate_head(*, is_relative: bool) -> str:
+    """Return the head of the table; it says what the delays are."""
+    delay, most = ("rel. delay", "rel. most") if is_relative else ("delay", "most")
+    return (
+        f"{'sensor':<16} {'samples':>8} {'per s':>8} "
+        f"{'jitter':>10} {delay:>10} {most:>10} {'lost':>6} {'missed':>6}"
+    )
+
+
+def rate_text(name: str, facts: _Facts) -> str:
+    """Return the line below the head for a sensor."""
 
     def cell(key: str, unit: str, width: int) -> str:
         value = facts[key]
@@ -130,5 +157,6 @@ def rate_text(name: str, facts: dict[str, float | int | None]) -> str:
 
     return (
         f"{name:<16} {facts['samples']:>8} {cell('per_s', '', 8)} {cell('jitter_ms', ' ms', 10)} "
-        f"{cell('delay_ms', ' ms', 10)} {cell('most_ms', ' ms', 10)} {facts['lost']:>6}"
+        f"{cell('delay_ms', ' ms', 10)} {cell('most_ms', ' ms', 10)} {facts['lost']:>6} "
+        f"{facts['missed']:>6}"
     )

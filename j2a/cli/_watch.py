@@ -10,6 +10,7 @@ called however the watching ends, unless the link is gone.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import queue
 import shlex
@@ -37,7 +38,7 @@ from j2a.cli._link import (
     whole_number,
 )
 from j2a.cli._output import note, show, show_json
-from j2a.cli._samples import RATE_HEAD, Rates, rate_text, sample_facts, sample_text
+from j2a.cli._samples import Rates, rate_head, rate_text, sample_facts, sample_text
 from j2a.cli._typed import json_of, plain, takes_values, values_of
 from j2a.cli._values import Decoder, payload_of, short_hex, text_of
 from j2a.types.coding import Codec, PythonTypes
@@ -52,8 +53,11 @@ examples:
   j2a watch tcp://127.0.0.1:5000 --rates
 
 --rates shows of each sensor: samples that came in this second; jitter, which is the standard
-deviation of the time between two of them on the clock of the board; delay, the median time to the
-host above that of the quickest one; and the longest one. The clocks are not synchronised."""
+deviation of the time between two of them on the clock of the board; delay, the median time from the
+time stamp to the host, and the longest one; values that were lost because the queue of the board
+was full; and SIFs that the link missed. For the delay the board is asked for its time each second,
+and its clock is not set. Where it does not tell, the head says "rel. delay": above that of the
+quickest sample of this second."""
 _LOOK_S = 0.2
 _RATES_S = 1.0
 _MOST_WAITING = 1 << 18
@@ -78,11 +82,17 @@ class _RateTable:
             raise UsageError(f"{client.url} has no sensors: {client.transducers.why}")
         self._rates = Rates()
         self._now = client.now
+        self._host = client.clock._host
+        with contextlib.suppress(j2a.J2AError):  # then delays are relative
+            client.clock.measure(1)  # now, for the first table
+            client.clock.follow(_RATES_S)  # ends with the client
         self._due = self._now() + _RATES_S
         self._as_json = args.json
 
     def add(self, sample: j2a.Sample) -> None:
-        self._rates.add(sample)
+        # From the arrival on, it may have waited for long.
+        now_us = self._host.reference.to_unix(self._host.observe())
+        self._rates.add(sample, now_us - 1e6 * (self._now() - sample.host_time))
 
     def show_if_due(self) -> None:
         if self._now() >= self._due:
@@ -90,9 +100,10 @@ class _RateTable:
             self.show()
 
     def show(self) -> None:
+        table = self._rates.take()
         if not self._as_json:
-            show(RATE_HEAD)
-        for name, facts in self._rates.take():
+            show(rate_head(is_relative=any(facts["is_relative"] for facts in table.values())))
+        for name, facts in table.items():
             if self._as_json:
                 rounded = {k: round(v, 3) if isinstance(v, float) else v for k, v in facts.items()}
                 show_json({"sensor": name, **rounded})

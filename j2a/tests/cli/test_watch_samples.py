@@ -7,8 +7,9 @@ import pytest
 
 import j2a
 from j2a.cli import _watch
-from j2a.cli._samples import Rates, rate_text, sample_text
+from j2a.cli._samples import Rates, rate_head, rate_text, sample_text
 from j2a.events import Reading
+from j2a.io.clock import Clock
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard
 
@@ -19,6 +20,8 @@ SENSOR(quad, 0, quad, X, 2, i16, -1, (unit, deg), (period, 20000))
 SENSOR(log, 1, log, X, 3, u8, none, (queue, 4), (period, 20000))
 ACTUATOR(lamp, 2, lamp, X, 1, bool, none)
 """
+
+HEAD = ["sensor", "samples", "per", "s", "jitter", "delay", "most", "lost", "missed"]
 
 
 @pytest.fixture
@@ -62,7 +65,7 @@ def test_how_regularly_they_come(run, board):
     result = run("watch", board, "--rates", "--duration", "2.2")
     assert (result.code, result.err) == (0, "")
     lines = result.out.splitlines()
-    assert lines[0].split() == ["sensor", "samples", "per", "s", "jitter", "delay", "most", "lost"]
+    assert lines[0].split() == HEAD
     assert [line.split()[0] for line in lines[:3]] == ["sensor", "quad", "log"]
     assert sum(int(line.split()[1]) for line in lines if line.startswith("quad")) > 10
     facts = [
@@ -71,9 +74,24 @@ def test_how_regularly_they_come(run, board):
     ]
     assert [one["sensor"] for one in facts[:2]] == ["quad", "log"]
     assert set(facts[0]) == {
-        *("sensor", "samples", "per_s", "jitter_ms", "delay_ms", "most_ms", "lost")
+        *("sensor", "samples", "per_s", "jitter_ms", "delay_ms", "most_ms", "is_relative"),
+        *("lost", "missed"),
     }
     assert facts[0]["samples"] > 10
+    assert facts[0]["is_relative"] is False
+
+
+def test_delays_are_relative_where_the_board_does_not_tell_its_time(run, board, monkeypatch):
+    def measure(clock, rounds):
+        raise j2a.NoClock("it tells no time")
+
+    monkeypatch.setattr(Clock, "measure", measure)
+    result = run("watch", board, "--rates", "--duration", "1.2")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.splitlines()[0].split() == [
+        *("sensor", "samples", "per", "s", "jitter", "rel.", "delay", "rel.", "most"),
+        *("lost", "missed"),
+    ]
 
 
 def test_a_name_that_is_none(run, board, demo):
@@ -109,31 +127,62 @@ def test_what_a_line_says(one, text):
 
 def test_rates():
     rates = Rates()
-    assert list(rates.take()) == []
+    assert rates.take() == {}
     # On the board each 10 ms, one 2 ms late; to the host 1 ms, then 1, 4 and 2.
     for device_ms, host_s in ((100, 5.001), (110, 5.011), (122, 5.026), (130, 5.032)):
-        rates.add(sample((0, device_ms * 1000, 1, 1), host_time=host_s, lost=1))
-    [(name, facts)] = list(rates.take())
+        rates.add(sample((0, device_ms * 1000, 1, 1), host_time=host_s, lost=1, missed=2), 0)
+    [(name, facts)] = rates.take().items()
     assert name == "quad"
-    assert (facts["samples"], facts["lost"]) == (4, 4)
+    assert (facts["samples"], facts["lost"], facts["missed"]) == (4, 4, 8)
+    assert facts["is_relative"]
     assert facts["per_s"] == pytest.approx(3 / 0.031)
     assert facts["jitter_ms"] == pytest.approx(1.632993)
     assert facts["delay_ms"] == pytest.approx(0.5)
     assert facts["most_ms"] == pytest.approx(3.0)
     assert rate_text(name, facts).split() == [
-        *("quad", "4", "96.77", "1.63", "ms", "0.50", "ms", "3.00", "ms", "4")
+        *("quad", "4", "96.77", "1.63", "ms", "0.50", "ms", "3.00", "ms", "4", "8")
     ]
     # The next span is empty, and says so.
-    [(name, facts)] = list(rates.take())
-    assert rate_text(name, facts).split() == ["quad", "0", "-", "-", "-", "-", "0"]
+    [(name, facts)] = rates.take().items()
+    assert rate_text(name, facts).split() == ["quad", "0", "-", "-", "-", "-", "0", "0"]
+
+
+def test_delays_are_true_where_the_clock_is_known():
+    rates = Rates()
+    for late_us in (700, 900, 400):
+        rates.add(sample((0, 5000, 1, 1), host_us=1_000_000), 1_000_000 + late_us)
+    rates.add(sample((0, 5000, 1, 1)), 9_000_000)  # before the clock was known
+    [(_, facts)] = rates.take().items()
+    assert facts["is_relative"] is False
+    assert facts["delay_ms"] == pytest.approx(0.7)
+    assert facts["most_ms"] == pytest.approx(0.9)
+    # One is enough: it need not be quicker than others.
+    rates.add(sample((0, 5000, 1, 1), host_us=1_000_000), 1_000_500)
+    [(_, facts)] = rates.take().items()
+    assert facts["delay_ms"] == pytest.approx(0.5)
+
+
+def test_all_delays_of_a_table_are_of_one_kind():
+    rates = Rates()
+    rates.add(sample((0, 5000, 1, 1), host_us=1_000_000), 1_000_500)
+    rates.add(sample((0, 5000, 1, 1), name="log"), 1_000_500)
+    assert [facts["is_relative"] for facts in rates.take().values()] == [True, True]
+
+
+@pytest.mark.parametrize("is_relative", [False, True])
+def test_head_and_lines_have_one_width(is_relative):
+    rates = Rates()
+    rates.add(sample((0, 5000, 1, 1)), 0)
+    [(name, facts)] = rates.take().items()
+    assert len(rate_head(is_relative=is_relative)) == len(rate_text(name, facts))
 
 
 def test_rates_begin_anew_when_the_clock_does():
     rates = Rates()
-    rates.add(sample((0, 9_000_000, 1, 1), host_time=1.0))
-    rates.add(sample((0, 1_000, 1, 1), host_time=2.0, is_reset=True))
-    rates.add(sample((0, None, 0, None), host_time=2.5))
-    rates.add(sample((0, 11_000, 1, 1), host_time=2.01))
-    [(_, facts)] = list(rates.take())
+    rates.add(sample((0, 9_000_000, 1, 1), host_time=1.0, host_us=1), 5)
+    rates.add(sample((0, 1_000, 1, 1), host_time=2.0, is_reset=True), 0)
+    rates.add(sample((0, None, 0, None), host_time=2.5), 0)
+    rates.add(sample((0, 11_000, 1, 1), host_time=2.01), 0)
+    [(_, facts)] = rates.take().items()
     assert facts["samples"] == 2
     assert facts["most_ms"] == pytest.approx(0.0, abs=1e-6)
