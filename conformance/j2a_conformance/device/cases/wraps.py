@@ -11,13 +11,15 @@ from j2a_conformance.device._peer import Peer
 
 from .timing import GivesUp, accepts, awkward
 
-_LASTS_S: Final = 7.0
+_WRAPS_S: Final = 6.7
 _PAUSE_S: Final = 0.005
 _CUT: Final = 5
 
 
 class Wraps(Case):
-    """Stops within a frame again and again for 7 s, and makes pauses within others between them."""
+    """Stops within one frame after the other for 13.4 s, and makes a pause within each of others for
+    6.7 s, so that hardly a wrap comes between two of them.
+    """
 
     ID = "timing.wraps"
     EXPECTATION = "Error 0xF2 for each frame that stops, and the echoes of the others."
@@ -26,8 +28,10 @@ class Wraps(Case):
 
     def _run(self, peer: Peer) -> None:
         wire, due = awkward(peer)
-        end_s = peer.link.now_s() + _LASTS_S
+        end_s = peer.link.now_s() + 2 * _WRAPS_S
         while peer.link.now_s() < end_s:
             peer.attempts(lambda: GivesUp.cut(peer, wire[:_CUT], due.seq))
+        end_s += _WRAPS_S
+        while peer.link.now_s() < end_s:
             accepts(peer, [wire[:_CUT], wire[_CUT:]], _PAUSE_S, due, enough=1)
         peer.barrier()
