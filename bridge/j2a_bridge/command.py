@@ -23,6 +23,7 @@ from j2a.cli._output import note, show
 from j2a.cli._urls import open_help
 from j2a_bridge.bridge import Bridge
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
+from j2a_bridge.log_limit import LogLimit
 from j2a_bridge.sink import SinkRequest, sink_classes
 
 SUMMARY: Final = "publish the sensors of boards to ROS 1 and 2, recordings, plotters and more"
@@ -131,8 +132,10 @@ def log_to_stderr() -> None:
         def emit(self, record: logging.LogRecord) -> None:
             note(f"j2a: {record.getMessage()}")
 
+    notes = Notes()
+    notes.addFilter(LogLimit())
     logger = logging.getLogger("j2a")
-    logger.addHandler(Notes())
+    logger.addHandler(notes)
     logger.propagate = False
 
 
