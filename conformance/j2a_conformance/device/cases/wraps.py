@@ -17,8 +17,8 @@ _CUT: Final = 5
 
 
 class Wraps(Case):
-    """Stops within one frame after the other for 13.4 s, and makes a pause within each of others for
-    6.7 s, so that hardly a wrap comes between two of them.
+    """Stops within one frame after the other for 13.4 s, and pauses in each of others for 6.7 s, so
+    that hardly a wrap comes between two of them.
     """
 
     ID = "timing.wraps"
