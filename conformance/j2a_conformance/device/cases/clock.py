@@ -83,20 +83,23 @@ class Board:
         wanted = before.time + off_us if base is None else base
         return self._adjusted(before, self._adjustment(before.local, wanted, age_us, fields))
 
-    def adjust_back(self, off_us: int) -> cs.Container:
+    def adjust_back(self, off_us: int, **fields: int) -> cs.Container:
         """Send ADJUST with a target on the other side, and in the same piece that of `adjust`.
+
+        Args: as of `adjust`.
 
         Returns: the status of the second reply.
         """
         peer, before = self.peer, self.status()
         payloads = [
-            self._adjustment(before.local, before.time + off, 0, {}) for off in (-off_us, off_us)
+            self._adjustment(before.local, before.time + off, 0, fields)
+            for off in (-off_us, off_us)
         ]
         requests = [peer.request(peer.opcode(c.CLOCK), one, c.RET_OK) for one in payloads]
         stream = b"".join(one.wire for one in requests)
         if len(stream) > peer.room(len(stream)):
-            self.adjust(-off_us)
-            return self.adjust(off_us)
+            self.adjust(-off_us, **fields)
+            return self.adjust(off_us, **fields)
         for payload, frame in zip(
             payloads, peer.play(stream, *(one.expected for one in requests)), strict=True
         ):
@@ -267,12 +270,13 @@ class Free(ClockCase):
 
 
 class First(ClockCase):
-    """Adjusts a device that is FREE by the mode SLEW, far away, by the line of a while ago."""
+    """Adjusts a device that is FREE wrongly, then by SLEW, far away, by the line of a while ago."""
 
     ID = "clock.first"
-    EXPECTATION = "It steps to the target, in the epoch 1, and is SETTLING."
+    EXPECTATION = "It stays FREE, then steps to the target, in the epoch 1, and is SETTLING."
     REQUIREMENTS = (
         "J2A-CLOCK-008",
+        "J2A-CLOCK-009",
         "J2A-CLOCK-010",
         "J2A-CLOCK-011",
         "J2A-CLOCK-013",
@@ -295,6 +299,7 @@ class First(ClockCase):
             board.peer.link.note("the device was adjusted before")
             return
         board.oracle = Clock()
+        Values.refuse(board, c.CLOCK_SLEW)
         age_us = min(board.status().local // 2, 100_000)
         board.adjust(base=UNIX, age_us=age_us, rate=12_345, uncertainty=77, wander=10_000)
         board.wait(50_000)
@@ -407,13 +412,7 @@ class Values(ClockCase):
     def _judge(self, board: Board) -> None:
         for mode in (c.CLOCK_SLEW, c.CLOCK_STEP):
             board.step()
-            for wrong in self._WRONG:
-                status = board.status()
-                fields = {"mode": mode, "local": status.local, "time": 7, "rate": 0, **wrong}
-                fields["local"] += fields.pop("ahead", 0)
-                rest = {"uncertainty": 0, "wander": 0, **fields}
-                board.refuse(bytes(CLOCK_ADJUST.build(rest)), c.CLOCK_BAD_VALUE)
-                board.status()
+            self.refuse(board, mode)
         if (behind := board.status().local - c.CLOCK_MAX_BEHIND - 1) >= 0:
             old = {"mode": 1, "local": behind, "time": 7, "rate": 0}
             request = CLOCK_ADJUST.build({**old, "uncertainty": 0, "wander": 0})
@@ -423,6 +422,17 @@ class Values(ClockCase):
             board.step(fields.pop("time", UNIX), **fields)
             board.status()
         board.step()
+
+    @classmethod
+    def refuse(cls, board: Board, mode: int) -> None:
+        """Send what is out of range, one field at a time."""
+        for wrong in cls._WRONG:
+            status = board.status()
+            fields = {"mode": mode, "local": status.local, "time": 7, "rate": 0, **wrong}
+            fields["local"] += fields.pop("ahead", 0)
+            rest = {"uncertainty": 0, "wander": 0, **fields}
+            board.refuse(bytes(CLOCK_ADJUST.build(rest)), c.CLOCK_BAD_VALUE)
+            board.status()
 
 
 class Frames(ClockCase):

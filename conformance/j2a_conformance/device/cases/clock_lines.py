@@ -78,14 +78,15 @@ class Slews(ClockCase):
     )
 
     def _judge(self, board: Board) -> None:
-        for off in (900, -900):
-            board.step()
-            self._check_told(board, board.adjust(off))
-            self._check_rates(list(board.watch(600_000)))
-            self._check_told(board, board.adjust_back(off))
+        for off, rate in ((900, 0), (-900, 0), (900, -20_000), (-900, 20_000), (900, 70_000)):
+            board.step(rate=rate)
+            self._check_told(board, board.adjust(off, rate=rate))
+            self._check_rates(list(board.watch(300_000 if rate else 600_000)))
+            self._check_told(board, board.adjust_back(off, rate=rate))
             self._check_told(board, board.status())
+        board.step()
         for off in (400, -400, 7, -7, 4, -3, 2600, -6000):
-            board.adjust(off, uncertainty=3)
+            board.adjust(off, uncertainty=c.CLOCK_UNKNOWN if off in (-400, 7) else 3)
             board.wait(_REACHED_US + 1000 * abs(off), 0.02 if abs(off) < 1000 else 0.1)
             board.again()
         board.adjust(300)
@@ -124,12 +125,19 @@ class Far(ClockCase):
     """Adjusts by the mode SLEW to targets that are far away."""
 
     ID = "clock.far"
-    EXPECTATION = "Towards the target at 1000 ppm at most; the same epoch, SETTLING."
-    REQUIREMENTS = ("J2A-CLOCK-012", "J2A-CLOCK-013", "J2A-CLOCK-014", "J2A-CLOCK-015")
+    EXPECTATION = "Towards it at 1000 ppm at most; the same epoch, SETTLING, the uncertainty."
+    REQUIREMENTS = (
+        "J2A-CLOCK-011",
+        "J2A-CLOCK-012",
+        "J2A-CLOCK-013",
+        "J2A-CLOCK-014",
+        "J2A-CLOCK-015",
+        "J2A-CLOCK-017",
+    )
 
     def _judge(self, board: Board) -> None:
         board.step()
-        for off in (10_000, -10_000, _HOUR, -_HOUR):
+        for off in (10_000, -10_000, 2 * _HOUR, -2 * _HOUR):
             board.adjust(off)
             board.wait(600_000)
         # From the target, and at once from another one.
@@ -231,7 +239,13 @@ class Holdover(ClockCase):
 
     ID = "clock.holdover"
     EXPECTATION = "HOLDOVER after 10 s, the rate goes on, the uncertainty grows; then as before."
-    REQUIREMENTS = ("J2A-CLOCK-011", "J2A-CLOCK-015", "J2A-CLOCK-016", "J2A-CLOCK-017")
+    REQUIREMENTS = (
+        "J2A-CLOCK-011",
+        "J2A-CLOCK-013",
+        "J2A-CLOCK-015",
+        "J2A-CLOCK-016",
+        "J2A-CLOCK-017",
+    )
     # How it is stepped, how it is led from there, and what ends HOLDOVER.
     _ROUNDS: tuple[tuple[dict[str, int], dict[str, int] | None, dict[str, int]], ...] = (
         (
