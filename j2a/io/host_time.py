@@ -1,7 +1,8 @@
 """The time of this computer for the clocks of boards.
 
 What flows in: the computer's counters. What flows out: readings of a steady one, and Unix time.
-Rules: there is one per process, and one for each link whose time is simulated, which is then both.
+Rules: there is one per process, one for each bus of `j2a syncd`, and one for each link whose time
+is simulated, which is then both.
 The steady counter is one that NTP does not slew, where the system has it, so that a slew of the
 computer's clock is not taken for one of a board's crystal.
 """
@@ -19,7 +20,7 @@ from j2a.protocol.clock import ReferenceClock
 if TYPE_CHECKING:
     from j2a_transports import Transport
 
-__all__ = ["HostTime", "host_time_of"]
+__all__ = ["HostTime", "host_time", "host_time_of"]
 
 _US: Final = 1e6
 _TRIES: Final = 10
@@ -102,7 +103,15 @@ def _slewed_us() -> Callable[[], int | None]:
     return lambda: time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000
 
 
-_HOST: Final = HostTime(_counter_us(), lambda: time.time_ns() // 1000, _slewed_us())
+def host_time() -> HostTime:
+    """Return the counter and the clock of this computer, with a reference of its own.
+
+    Whoever counts the steps of the clock needs one that nobody else asks: a step is told once.
+    """
+    return HostTime(_counter_us(), lambda: time.time_ns() // 1000, _slewed_us())
+
+
+_HOST: Final = host_time()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_HOST.renew_lock)
 

@@ -18,12 +18,12 @@ from typing import Any, Final, Protocol
 import j2a_transports
 
 import j2a
-from j2a.io.host_time import HostTime
+from j2a.io.host_time import HostTime, host_time
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 from j2a.syncd.history import History
 from j2a.syncd.sync_board import SyncBoard
 from j2a.syncd.url_boards import LinkBoards
-from j2a.syncd.usb_bus import Bus, host_time
+from j2a.syncd.usb_bus import Bus
 
 __all__ = ["Daemon", "start"]
 

@@ -10,18 +10,17 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from typing import Any, Final
 
 from j2a_spec.constants import CLOCK_MAX_TURNAROUND
 
-from j2a.io.host_time import _HOST, HostTime
+from j2a.io.host_time import HostTime, host_time
 from j2a.protocol.clock import BusClock, Exchange, Frame
 from j2a.protocol.clock.bus import FRAME_US, FRAMES
 from j2a.syncd.following import Following
 from j2a.syncd.history import History, Round
 
-__all__ = ["Bus", "host_time"]
+__all__ = ["Bus"]
 
 FRESH_US: Final = 300_000
 """A packet about an older frame may come too late for a board (SYNC-005)."""
@@ -33,15 +32,6 @@ _JUMP_US: Final = 500.0
 _RATE_CHANGE: Final = 2e-3
 """Of an answer that is off by more than both, the estimator would say that it contradicts."""
 _MOST_UNSURE_US: Final = 100_000
-
-
-def host_time() -> HostTime:
-    """Return the counter and the clock of this computer, with a reference of its own.
-
-    What belongs to one lock needs no other: a bus tells a time and remembers after how many steps
-    of the clock, and no other thread may count one in between.
-    """
-    return HostTime(_HOST.counter_us, lambda: time.time_ns() // 1000)
 
 
 class Bus:
