@@ -67,6 +67,14 @@ def board(build):
     made.sim.close()
 
 
+def test_each_source_is_short():
+    """A driver is an example, to be read at a glance: fewer than 150 lines."""
+    sources = [path for path in DRIVERS.rglob("*") if path.suffix in {".c", ".h"}]
+    assert len(sources) > 15
+    lines = {path.name: len(path.read_text("utf-8").splitlines()) for path in sources}
+    assert {name: count for name, count in lines.items() if count >= 150} == {}
+
+
 # -- arithmetic, on this machine ---------------------------------------------------------------
 
 
