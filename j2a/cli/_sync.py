@@ -21,6 +21,7 @@ from j2a.cli._link import (
 from j2a.cli._output import show, show_json
 from j2a.cli._sync_verify import verify
 from j2a.syncd.history import Round, rounds_of
+from j2a.syncd.numbering import SHORT
 from j2a.syncd.plot import draw, panels_of
 from j2a.syncd.singleton import NotRunning, ask, folders
 
@@ -153,6 +154,8 @@ def _show(status: dict[str, object]) -> None:
             f"{_number(one['rate_ppb'], 'ppb'):>12} {_number(one['uncertainty_us'], 'us'):>12} "
             f"{one['lost']:>5}"
         )
+        if one.get("frames_modulo") == SHORT:
+            show(f"  frames modulo {SHORT}")
         if one.get("problem"):
             show(f"  {one['problem']}")
 

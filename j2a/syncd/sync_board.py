@@ -79,6 +79,7 @@ class SyncBoard:
             "packets": self._packets,
             "lost": self._lost,
             "tells_frames": self._tells_frames,
+            "frames_modulo": self._bus.modulo(self),
             "problem": self.problem,
             **line,
         }

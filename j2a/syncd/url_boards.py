@@ -143,6 +143,7 @@ class _LinkBoard:
             "packets": 0 if keeper is None else keeper.rounds,
             "lost": 0 if keeper is None else keeper.failures,
             "tells_frames": None,
+            "frames_modulo": None,
             "problem": self._problem if failed is None else str(failed),
             "offset_us": None if reading is None else round(reading.offset_us, 1),
             "rate_ppb": None if reading is None else round(reading.rate_ppb),

@@ -3,13 +3,15 @@
 In: what boards say of frames. Out: the time of a frame, the same for all boards of a round.
 Rules: several threads use a bus, one at a time. Of all answers of a round the quickest counts, so
 that what is known spans as long a time with many boards as with one; a board whose answers
-contradict those of most others counts for nothing.
+contradict those of most others counts for nothing. One that tells the lower 10 bits of numbers only
+counts as the others do, once that is known.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+from dataclasses import replace
 from typing import Any, Final
 
 from j2a_spec.constants import CLOCK_MAX_TURNAROUND
@@ -19,6 +21,7 @@ from j2a.protocol.clock import BusClock, Exchange, Frame
 from j2a.protocol.clock.bus import FRAME_US, FRAMES
 from j2a.syncd.following import Following
 from j2a.syncd.history import History, Round
+from j2a.syncd.numbering import SHORT, Numbering, nearest
 
 __all__ = ["Bus"]
 
@@ -32,6 +35,8 @@ _JUMP_US: Final = 500.0
 _RATE_CHANGE: Final = 2e-3
 """Of an answer that is off by more than both, the estimator would say that it contradicts."""
 _MOST_UNSURE_US: Final = 100_000
+_MOST_SLOW_US: Final = 200_000
+"""A slower answer does not tell which of 1024 frames it means."""
 
 
 class Bus:
@@ -55,6 +60,7 @@ class Bus:
         self._begin()
         # Of each board: how many of its last answers in a row contradicted the line.
         self._contradicting: dict[object, int] = {}
+        self._numbering: dict[object, Numbering] = {}
         self._told: Frame | None = None
         self._following = Following()
         self._told_at_us = float("-inf")
@@ -89,6 +95,11 @@ class Bus:
             return
         exchange = Exchange(sent_us, came_us, 0, frame=frame, age_us=age_us)
         with self._lock:
+            numbering = self._numbering.setdefault(board, Numbering())
+            if came_us - sent_us < _MOST_SLOW_US:
+                numbering.see(frame, (sent_us + came_us) / 2 - age_us)
+            if numbering.modulo == SHORT:
+                exchange = self._whole(exchange)
             if self._fits(exchange):
                 self._contradicting[board] = 0
             else:
@@ -118,6 +129,27 @@ class Bus:
         """Let a board count no more; it is gone."""
         with self._lock:
             self._contradicting.pop(board, None)
+            self._numbering.pop(board, None)
+
+    def modulo(self, board: object) -> int | None:
+        """Return how many numbers the frames of a board have: 2048 or 1024; None: not known yet."""
+        with self._lock:
+            return self._numbering[board].modulo if board in self._numbering else None
+
+    @property
+    def _is_short(self) -> bool:
+        """Nobody on this bus tells more than the lower 10 bits of a number."""
+        known = {one.modulo for one in self._numbering.values()}
+        return SHORT in known and FRAMES not in known
+
+    def _whole(self, exchange: Exchange) -> Exchange:
+        """Give an answer with the lower 10 bits of a number the one that is nearest to the line."""
+        estimate, frame = self._clock.estimate, exchange.frame
+        if estimate is None or frame is None:
+            return exchange
+        began_us = (exchange.sent_us + exchange.came_us) / 2 - exchange.age_us
+        expected = estimate.to_counter(began_us) / FRAME_US
+        return replace(exchange, frame=nearest(expected, frame, SHORT) % FRAMES)
 
     def _fits(self, exchange: Exchange) -> bool:
         """Return whether an answer can be true if the line is."""
@@ -127,8 +159,7 @@ class Bus:
         low_us = exchange.sent_us - exchange.age_us
         high_us = exchange.came_us - exchange.age_us
         expected = estimate.to_counter((low_us + high_us) / 2) / FRAME_US
-        off = (frame - expected + FRAMES / 2) % FRAMES - FRAMES / 2
-        counter_us = FRAME_US * round(expected + off)
+        counter_us = FRAME_US * nearest(expected, frame, FRAMES)
         began_us = estimate.to_host(counter_us)
         allowed_us = estimate.uncertainty_us(counter_us) + _JUMP_US
         allowed_us += _RATE_CHANGE * abs(counter_us - estimate.counter_us)
@@ -187,7 +218,10 @@ class Bus:
                     self._following.tell(self._told, now_us)
                 self._told_at_us = now_us
                 self._note(self._host.reference.to_unix(now_us))
-            return self._number, self._told
+            told = self._told
+            if told is not None and self._is_short:
+                told = replace(told, frame=told.frame % SHORT)  # the bit above is a guess
+            return self._number, told
 
     def _uncertainty_us(self, told: Frame) -> int:
         """Return a bound of the error of boards that follow this packet."""

@@ -26,6 +26,7 @@ class FakePort:
         packets: that it got, as (time_us, frame, frame of its arrival).
         fails: raised by the next transfer.
         tells: whether it knows the request for frames.
+        modulo: so many numbers its frames have.
         blocks: transfers wait for this event.
     """
 
@@ -37,6 +38,7 @@ class FakePort:
         self.packets = []
         self.fails = None
         self.tells = True
+        self.modulo = 2048
         self.blocks = None
         self.opened = self.closed = 0
         self.got = threading.Condition()
@@ -60,7 +62,7 @@ class FakePort:
         if not self.tells:
             return None
         frame, age_us = self._frames.now()
-        return j2a_transports.FrameSeen(frame % 2048, age_us)
+        return j2a_transports.FrameSeen(frame % self.modulo, age_us)
 
     def send(self, time_us, frame):
         self._meet()

@@ -38,15 +38,15 @@ class Frames:
         """Frames since the start, with their part."""
         return host_us * self._rate / 1000 + self.ahead
 
-    def ask(self, board, frames_off=0, slow_us=0.0, age_us=None):
+    def ask(self, board, frames_off=0, slow_us=0.0, age_us=None, modulo=2048):
         sent_us = self.now_us
         there, back = (20 + self.random.expovariate(1 / 60) + slow_us for _ in range(2))
         at = self.frames(sent_us + there)
         self.now_us = came_us = sent_us + there + back
         age = int(at % 1 * 1000 / self._rate) if age_us is None else age_us
-        self.bus.add(board, sent_us, came_us, (int(at) + frames_off) % 2048, age)
+        self.bus.add(board, sent_us, came_us, (int(at) + frames_off) % modulo, age)
 
-    def round(self, boards, odd=(), frames_off=0):
+    def round(self, boards, odd=(), frames_off=0, short=()):
         """Do what the threads do in a round; return what is told, None for nothing."""
         self.now_us += self.bus.until_next_round_s() * 1e6
         _, told = self.bus.packet()
@@ -57,7 +57,8 @@ class Frames:
             self.packets.append((told.time_us - UNIX_US - self.set_us - began_us, age))
         for board in boards:
             for _ in range(EXCHANGES):
-                self.ask(board, frames_off if board in odd else 0)
+                off, modulo = frames_off if board in odd else 0, 1024 if board in short else 2048
+                self.ask(board, off, modulo=modulo)
         return told
 
 
@@ -196,3 +197,46 @@ def test_the_line_costs_one_fit_a_round_however_many_boards_there_are(monkeypatc
         frames.round(range(64))
     assert frames.bus._clock.estimator.taken == taken + 10
     assert usb_bus.LEAST <= taken <= usb_bus.LEAST + 5
+
+
+@pytest.mark.requirement("SYNC-004", "SYNC-005")
+@pytest.mark.parametrize("interval_s", [0.3, 1.0, 1.7])
+@pytest.mark.parametrize(("boards", "short"), [(1, 1), (2, 2), (8, 8), (2, 1), (3, 1), (8, 3)])
+def test_numbers_modulo_1024_are_found_and_serve_as_well(boards, short, interval_s):
+    frames = Frames(interval_s=interval_s)
+    ids = range(boards)
+    for _ in range(40):
+        frames.round(ids, short=range(short))
+    assert [frames.bus.modulo(one) for one in ids] == [1024] * short + [2048] * (boards - short)
+    assert not any(map(frames.bus.is_odd, ids))
+    for _ in range(20):
+        told = frames.round(ids, short=range(short))
+        assert told is not None
+        assert told.frame < 1024 or short < boards
+        # A board takes it for the latest frame with this number modulo 1024.
+        number = int(frames.frames(frames.now_us))
+        taken = number - (number - told.frame) % 1024
+        began_us = taken * 1000 / frames._rate
+        assert abs(told.time_us - UNIX_US - began_us) < 1000
+
+
+@pytest.mark.parametrize("interval_s", [0.3, 1.0, 1.024, 2.048])
+@pytest.mark.parametrize("ahead", [0, 400, 1024])
+def test_numbers_modulo_2048_are_never_taken_for_fewer(interval_s, ahead):
+    """Also where answers always come in the lower half, and where frames begin anew."""
+    for seed in range(10):
+        frames = Frames(ppm=0.0, seed=seed, interval_s=interval_s)
+        for number in range(60):
+            frames.round(range(2))
+            if number % 10 == 5:
+                frames.ahead += ahead
+            assert 1024 not in {frames.bus.modulo(0), frames.bus.modulo(1)}
+
+
+def test_a_board_that_is_gone_is_forgotten_with_its_numbers():
+    frames = Frames()
+    for _ in range(10):
+        frames.round([1], short=[1])
+    assert frames.bus.modulo(1) == 1024
+    frames.bus.forget(1)
+    assert frames.bus.modulo(1) is None

@@ -10,6 +10,7 @@ import j2a_transports
 import pytest
 
 import j2a
+from j2a.cli._sync import _show as show_status
 from j2a.clock import Clock
 from j2a.io.host_time import HostTime
 from j2a.protocol.clock import LOOK_S
@@ -160,6 +161,20 @@ def test_a_board_of_2014_gets_the_time_by_the_others_of_its_bus(running):
     rows = {row["place"]: row for row in one.status()["boards"]}
     assert rows["usb 1-1"]["tells_frames"] is False
     assert rows["usb 1-2"]["tells_frames"] is True
+
+
+def test_the_status_tells_of_frames_modulo_1024(running, capsys):
+    bus = FakeBus()
+    short, whole = FakePort(bus, serial="short"), FakePort(FakeBus(), number=2, serial="whole")
+    short.modulo = 1024
+    one = running([short, whole])
+    until(lambda: rows_of(one).get("short", {}).get("frames_modulo") == 1024)
+    until(lambda: rows_of(one)["short"]["state"] == "syncing")
+    assert rows_of(one)["whole"]["frames_modulo"] == 2048
+    show_status(one.status())
+    lines = capsys.readouterr().out.splitlines()
+    told = [number for number, line in enumerate(lines) if "frames modulo 1024" in line]
+    assert [lines[number - 1].split()[0] for number in told] == ["short"]
 
 
 def test_a_bus_without_a_board_that_tells_frames_gets_nothing(running):
