@@ -296,10 +296,13 @@ class Recording:
     Attributes:
         boards: by name; known once the iteration has come to a sample of theirs.
         is_whole: the file has its end; known when the iteration is over.
+        duration_s: how long it is in seconds, as it says itself; None before `read_boards`, and
+            where it does not say.
     """
 
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
+        self.duration_s: float | None = None
         self.boards: dict[str, RecordedBoard] = {}
         self.is_whole = False
 
@@ -348,6 +351,8 @@ class Recording:
                     file.damaged(error)
         if not self.boards:
             self._check(file)
+        if file.times_ns is not None:
+            self.duration_s = (file.times_ns[1] - file.times_ns[0]) / 1e9
         return self.boards
 
     def _check(self, file: McapFile) -> None:

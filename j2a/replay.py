@@ -7,7 +7,7 @@ Its clock goes on as that of the recorded board.
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -37,6 +37,7 @@ class ReplayBoard(Device):
         trace: as of `Device`.
 
     Attributes:
+        duration_s: of the recording, in seconds; None where it does not say.
         is_whole: the recording had its end; known when it was played.
         problem: what of it was damaged, and left out, or ""; known when it was played.
 
@@ -49,7 +50,9 @@ class ReplayBoard(Device):
         self, path: str | Path, board: str | None = None, *, trace: Trace | None = None
     ) -> None:
         self._path = path
-        self._board = _chosen(path, Recording(path).read_boards(), board)
+        recording = Recording(path)
+        self._board = _chosen(path, recording.read_boards(), board)
+        self.duration_s = recording.duration_s
         self._server = ReplayServer(self._board.descriptors, self._board.settings.encode())
         self._pace = time.monotonic_ns(), 0, 1.0
         self._shift_us = 0
@@ -82,7 +85,9 @@ class ReplayBoard(Device):
         self._described.set()
         return super()._tell_descriptors()
 
-    def play(self, speed: float = 1.0) -> int:
+    def play(
+        self, speed: float = 1.0, progress: Callable[[float], object] = lambda _done_s: None
+    ) -> int:
         """Play the samples, from when a host has read the descriptors on; returns how many.
 
         A sample is sent as it was, unless a host has changed settings of its sensor. What is
@@ -90,6 +95,7 @@ class ReplayBoard(Device):
 
         Args:
             speed: 2 is twice as fast as they came; the time of the board is, too.
+            progress: called with how much was played, in seconds of the recording.
 
         Raises:
             OSError: it cannot be read.
@@ -99,7 +105,8 @@ class ReplayBoard(Device):
         self._pace = time.monotonic_ns(), self._local_us(), speed
         self._transducers().set_pace(speed)
         recording = Recording(self._path)
-        due_us, last_ns = self._local_us(), None
+        due_us = start_us = self._local_us()
+        last_ns = None
         count = 0
         for sample in self._samples(recording):
             if sample.board != self._board.name:
@@ -112,6 +119,7 @@ class ReplayBoard(Device):
                 return count
             self._transducers().give(partial(self._replay, sample))
             count += 1
+            progress((due_us - start_us) / 1e6)
         self.is_whole = recording.is_whole
         return count
 

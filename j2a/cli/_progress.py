@@ -1,8 +1,9 @@
 """A progress bar on standard error.
 
-In: how many bytes are done. Out: one line that is drawn over itself, and wiped at the end.
+In: how many bytes or seconds are done. Out: one line that is drawn over itself, and wiped at the
+end.
 Rules: nothing is drawn when standard error is no terminal, when the user does not want it, or in
-the first moments of a transfer; numbers are of payload bytes.
+the first moments; numbers of bytes are those of payload.
 """
 
 from __future__ import annotations
@@ -11,21 +12,25 @@ import sys
 import time
 from typing import Final, Self
 
+from j2a_spec.printable import printable
+
 _FIRST_S: Final = 0.3
 _EVERY_S: Final = 0.1
 _WIDTH: Final = 30
 
 
 class Progress:
-    """Draws while a transfer runs; a context manager that leaves an empty line.
+    """Draws while something runs; a context manager that leaves an empty line.
 
     Args:
         what: printed before the bar.
         enabled: False draws nothing; neither does a standard error that is not a terminal.
+        in_seconds: what is done is a time, in seconds, and no number of bytes.
     """
 
-    def __init__(self, what: str, *, enabled: bool = True) -> None:
-        self._what = what
+    def __init__(self, what: str, *, enabled: bool = True, in_seconds: bool = False) -> None:
+        self._what = printable(what)
+        self._in_seconds = in_seconds
         self._enabled = enabled and sys.stderr.isatty()
         self._start = time.monotonic()
         self._next = self._start + _FIRST_S
@@ -39,8 +44,14 @@ class Progress:
             sys.stderr.write("\r\x1b[K")
             sys.stderr.flush()
 
-    def __call__(self, done: int, total: int | None = None) -> None:
-        """Draw that `done` bytes of `total` (None when that is not known) are transferred."""
+    def __call__(self, done: float, total: float | None = None, more: str = "") -> None:
+        """Draw how far it is.
+
+        Args:
+            done: so much is.
+            total: of so much; None when that is not known.
+            more: printed behind that.
+        """
         now = time.monotonic()
         if not self._enabled or now < self._next:
             return
@@ -48,12 +59,14 @@ class Progress:
         self._drawn = True
         rate = done / (now - self._start)
         if total:
-            filled = min(_WIDTH, _WIDTH * done // total)
-            bar = f"[{'#' * filled}{'.' * (_WIDTH - filled)}] {100 * done // total:3d} %  "
+            done = min(done, total)
+            filled = int(_WIDTH * done / total)
+            bar = f"[{'#' * filled}{'.' * (_WIDTH - filled)}] {int(100 * done / total):3d} %  "
             left = f"  {(total - done) / rate:.0f} s left" if done else ""
         else:
             bar, left = "", ""
-        line = f"{self._what}  {bar}{size_text(done)}  {size_text(rate)}/s{left}"
+        amount = f"{done:.0f} s" if self._in_seconds else f"{size_text(done)}  {size_text(rate)}/s"
+        line = f"{self._what}  {bar}{amount}{more and f'  {more}'}{left}"
         sys.stderr.write(f"\r{line}\x1b[K")
         sys.stderr.flush()
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ import j2a
 from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_sigterm
 from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
 from j2a.cli._output import note, show
-from j2a.cli._progress import size_text
+from j2a.cli._progress import Progress, size_text
 from j2a.protocol.saved_settings import SavedSettings
 from j2a.recording import Recorder, check_package
 
@@ -172,6 +171,13 @@ def _settings(board: j2a.Client) -> SavedSettings:
 
 def _record(session: _Session, boards: list[j2a.Client], seconds: float | None) -> int:
     """Wait for the end; returns the exit code."""
+    with Progress("record", in_seconds=True) as progress:
+        return _wait(session, boards, seconds, progress)
+
+
+def _wait(
+    session: _Session, boards: list[j2a.Client], seconds: float | None, progress: Progress
+) -> int:
     start = time.monotonic()
     gone: set[str] = set()
     while True:
@@ -192,20 +198,12 @@ def _record(session: _Session, boards: list[j2a.Client], seconds: float | None) 
                 note(f"j2a: lost {board.url}")
         if len(gone) == len(boards):
             return LINK
-        _draw(session, time.monotonic() - start)
-
-
-def _draw(session: _Session, seconds: float) -> None:
-    if sys.stderr.isatty():
         recorder = session.recorder
-        text = f"{seconds:.0f} s  {recorder.samples} samples  {size_text(recorder.size)}"
-        sys.stderr.write(f"\r{text}  {session.lost} lost\x1b[K")
-        sys.stderr.flush()
+        more = f"{recorder.samples} samples  {size_text(recorder.size)}  {session.lost} lost"
+        progress(time.monotonic() - start, seconds, more)
 
 
 def _finish(session: _Session) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")
     recorder = session.recorder
     failure = session.failure
     session.ended.set()

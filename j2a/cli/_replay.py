@@ -17,6 +17,7 @@ import j2a_transports
 from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError, end_on_sigterm
 from j2a.cli._link import add_listen_argument, check_listen_url, positive_number, takes_stdio
 from j2a.cli._output import note, show
+from j2a.cli._progress import Progress
 from j2a.replay import ReplayBoard
 
 NOTES: Final = """\
@@ -58,9 +59,9 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.flush()
         server = threading.Thread(target=board.serve_forever, args=(listener,), daemon=True)
         server.start()
-        count = board.play(args.speed)
+        count = _play(board, args)
         while args.loop:
-            count += board.play(args.speed)
+            count += _play(board, args)
         time.sleep(_DELIVER_S)  # what was sent last is still on its way
         if not board.is_whole:
             note(f"j2a: {args.file} ends early; whoever wrote it did not end it")
@@ -68,3 +69,8 @@ def run(args: argparse.Namespace) -> int:
     if board.problem:
         raise CommandFailed(board.problem, FAILED)
     return OK
+
+
+def _play(board: ReplayBoard, args: argparse.Namespace) -> int:
+    with Progress(f"replay {args.file}", in_seconds=True) as progress:
+        return board.play(args.speed, lambda done_s: progress(done_s, board.duration_s))

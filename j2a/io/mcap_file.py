@@ -24,6 +24,8 @@ _DATA_END: Final = 0x0F
 _HEAD: Final = struct.Struct("<BQ")
 _MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 _CHUNK_HEAD: Final = struct.Struct("<QQQI")
+_TIMES: Final = struct.Struct("<QQ")
+"""The begin of that: when the first and the last message of the chunk were logged."""
 _PIECE_BYTES: Final = 1 << 16
 _MOST: Final = {_FOOTER: 1 << 10, _DATA_END: 1 << 10, _CHANNEL: 1 << 20, _METADATA: 1 << 20}
 _MOST_BYTES: Final = 1 << 26
@@ -72,6 +74,8 @@ class McapFile:
         is_whole: the file has its end; known when all was read.
         problems: how many parts were damaged, and left out.
         problem: what was wrong with the first of them, or "".
+        times_ns: of the first and the last message, as chunks say that were left out; None where
+            none did.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,6 +84,7 @@ class McapFile:
         self.is_whole = False
         self.problems = 0
         self.problem = ""
+        self.times_ns: tuple[int, int] | None = None
 
     def damaged(self, why: object) -> None:
         """Note that a part was left out."""
@@ -117,7 +122,8 @@ class McapFile:
                         self.damaged(f"there is no record at {file.tell()}")
                     return
                 if opcode == _CHUNK and not chunks:
-                    file.seek(length, 1)
+                    self._note_times(self._read(file, min(length, _TIMES.size)))
+                    file.seek(max(0, length - _TIMES.size), 1)
                     continue
                 if opcode not in (_CHUNK, _MESSAGE) and opcode not in _MOST:
                     self._skip(file, length)
@@ -139,6 +145,12 @@ class McapFile:
                         yield _record(opcode, content)
                 except _DamagedError as error:
                     self.damaged(error)
+
+    def _note_times(self, head: bytes) -> None:
+        if len(head) == _TIMES.size:
+            first_ns, last_ns = _TIMES.unpack(head)
+            known = self.times_ns or (first_ns, last_ns)
+            self.times_ns = min(first_ns, known[0]), max(last_ns, known[1])
 
     def _read(self, file: IO[bytes], length: int) -> bytes:
         data = file.read(length)

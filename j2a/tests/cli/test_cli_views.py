@@ -186,6 +186,21 @@ def test_progress_on_a_terminal(monkeypatch, clock):
     assert sys.stderr.getvalue().endswith("\r\x1b[K"), "the line is wiped"
 
 
+def test_progress_in_time(monkeypatch, clock):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with Progress("record", in_seconds=True) as progress:
+        clock[0] += 2
+        progress(2.4, 8.0, "7 samples")
+        drawn = sys.stderr.getvalue()
+        assert "record  [#########.....................]  30 %  2 s  7 samples  5 s left" in drawn
+        clock[0] += 1
+        progress(9.0, 8.0)
+        assert "100 %  8 s  0 s left" in sys.stderr.getvalue()
+        clock[0] += 1
+        progress(9.0)
+        assert sys.stderr.getvalue().endswith("\rrecord  9 s\x1b[K")
+
+
 def test_progress_at_odd_totals(monkeypatch, clock):
     monkeypatch.setattr(sys, "stderr", Terminal())
     with Progress("read") as progress:

@@ -1,6 +1,9 @@
 """`j2a record` and `j2a replay`, as a user runs them."""
 
 import contextlib
+import os
+import pty
+import re
 import signal
 import struct
 import subprocess
@@ -227,6 +230,48 @@ def test_there_and_back(board, run, start, tmp_path):
     assert process.returncode == 3, err
     assert f"replayed {len(payloads(first))} samples" in player.end().out
     assert payloads(again) == payloads(first)
+
+
+def test_both_show_on_a_terminal_how_far_they_are(board, tmp_path):
+    path = tmp_path / "a.mcap"
+    code, shown = on_terminal(("record", board, "-o", path, "--seconds", "2.5"))
+    assert code == 0
+    assert re.search(r"record  \[#+\.+\] +\d+ %  \d+ s  \d+ samples", shown)
+    process, terminal = begun_on_terminal(("replay", path, "--listen", "tcp://127.0.0.1:0"))
+    with process:
+        url = process.stdout.readline().split()[-1]
+        with j2a.connect(url) as host:
+            host.transducers.values()
+            shown = all_of(terminal)
+        assert process.wait(60) == 0
+    assert re.search(r"replay .*a\.mcap  \[#+\.*\] +\d+ %  \d s", shown)
+
+
+def begun_on_terminal(words):
+    """Start a command whose standard error is a terminal; returns it and the other end of that."""
+    ours, its = pty.openpty()
+    command = [sys.executable, "-m", "j2a", *map(str, words)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=its, text=True)
+    os.close(its)
+    return process, ours
+
+
+def all_of(terminal):
+    """Return what comes from a terminal until nobody has it open."""
+    shown = b""
+    with contextlib.suppress(OSError):
+        while piece := os.read(terminal, 4096):
+            shown += piece
+    os.close(terminal)
+    return shown.decode()
+
+
+def on_terminal(words):
+    """Run a command; returns its exit code and what a terminal shows of its standard error."""
+    process, terminal = begun_on_terminal(words)
+    shown = all_of(terminal)
+    process.communicate(timeout=60)
+    return process.returncode, shown
 
 
 @pytest.mark.parametrize(

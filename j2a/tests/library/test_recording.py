@@ -396,7 +396,10 @@ class TestReplay:
         with device, linked(device) as board:
             assert board.properties["name"] == "cart"
             board.on_sif(None, lambda sif: found.append((sif.opcode, sif.payload)))
-            assert device.play(speed=20) == len(written)
+            played_s = []
+            assert device.play(speed=20, progress=played_s.append) == len(written)
+            assert played_s[-1] == pytest.approx(device.duration_s, abs=1e-3)
+            assert played_s == sorted(played_s)
             board.on_sif(0x50, lambda _: ended.set())
             device.send_sif(0x50)
             assert ended.wait(PATIENCE_S)

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from j2a.cli._exit import UsageError
 from j2a.cli._output import note, show, show_json
+from j2a.cli._progress import Progress
 from j2a_sim._clocks.settings import ENGINES, LINKS, LOADS, Settings
 
 __all__ = ["add_clocks", "run_clocks"]
@@ -84,7 +85,8 @@ def run_clocks(args: argparse.Namespace) -> None:
         raise UsageError(
             "`j2a sim clocks` needs numpy: pip install numpy (the extra j2a[arrays])"
         ) from None
-    report = run(settings)
+    with Progress("sim clocks", in_seconds=True) as progress:
+        report = run(settings, lambda done_s: progress(done_s, settings.seconds))
     if args.json:
         show_json(report.as_dict())
     else:

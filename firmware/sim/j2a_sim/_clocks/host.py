@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import statistics
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
@@ -135,11 +136,12 @@ class Host:
         """Processor time of the estimators for each exchange; this alone depends on the machine."""
         return self._cpu_ns / 1000 / max(1, self._taken)
 
-    def run(self) -> None:
-        """Do the whole run."""
+    def run(self, progress: Callable[[float], object] = lambda _done_s: None) -> None:
+        """Do the whole run; call `progress` with the simulated seconds that are over."""
         settings, now_s = self._settings, START_S
         end_s = settings.seconds if settings.holdover_at is None else settings.holdover_at
         while now_s < end_s:
+            progress(now_s)
             done_s = self._round(now_s)
             present = [member for member in self._members if not self._is_away(member, now_s)]
             delays_s = [member.discipline.delay_s(settings.period_s) for member in present]

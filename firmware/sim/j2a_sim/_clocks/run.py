@@ -5,6 +5,7 @@ In: settings. Out: a report. The same settings give the same one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
@@ -85,8 +86,12 @@ def drift_us(settings: Settings, clock: HostClock, crystals: list[Oscillator]) -
     return 1e6 * worst
 
 
-def run(settings: Settings) -> Report:
+def run(settings: Settings, progress: Callable[[float], object] = lambda _done_s: None) -> Report:
     """Do a run.
+
+    Args:
+        settings: of the run.
+        progress: called with the simulated seconds that are over.
 
     Raises:
         SimError: the firmware cannot be built, or does not do what the bench needs.
@@ -118,7 +123,7 @@ def run(settings: Settings) -> Report:
     ]
     is_usb = settings.link == "usb"
     host: Any = (UsbHost if is_usb else Host)(settings, for_calls, clock, boards)
-    host.run()
+    host.run(progress)
     more: dict[str, Any] = {
         "backwards": sum(board.backwards for board in boards),
         "slack_us": host.slack_us,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import bisect
 import statistics
 import time
+from collections.abc import Callable
 from typing import Final, Protocol
 
 import numpy as np
@@ -138,12 +139,13 @@ class UsbHost:
         said = [UNKNOWN, *(told_us for _, told_us in self._announced)]
         return np.array([said[bisect.bisect_right(since, t)] for t in times_s], dtype=np.uint32)
 
-    def run(self) -> None:
-        """Do the whole run."""
+    def run(self, progress: Callable[[float], object] = lambda _done_s: None) -> None:
+        """Do the whole run; call `progress` with the simulated seconds that are over."""
         settings = self._settings
         end_s = settings.seconds if settings.holdover_at is None else settings.holdover_at
         self._ask_all()
         while self._wait(end_s):
+            progress(self._now_s)
             self._tell(self._present())
             self._ask_all()
         for board in self._boards:
