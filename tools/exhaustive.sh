@@ -29,6 +29,8 @@ step soak "calls over links that stall, lose and damage bytes: no wrong answer" 
     python -m j2a.tests.library.soak --calls 1000000 --seed 1
 step noise "noise is not taken for a device" python -m j2a.tests.library.noise --seeds 1000
 step floods "floods: memory use, and how late calls end" python -m j2a.tests.library.floods
+step samples "samples of 64 boards and of a LIDAR all come, and soon over a pseudo terminal" \
+    python -m j2a.tests.benchmarks.samples
 step suspended "a suspended program gets the replies that arrived" \
     python -m j2a.tests.library.suspended
 step examples "the programs of the documentation print the same 30 times" \

@@ -27,6 +27,9 @@ from j2a.types.transds_file import read_transds
 
 STAMPS = 3000
 STAMP_S = 0.002
+MEDIAN_MS, MOST_MS = 0.5, 2.0
+TRIES = 3
+"""Another program may have had the processors."""
 BOARDS, BOARD_HZ, BOARD_S = 64, 100, 5.0
 LIDAR_BITS, LIDAR_S = 10e6, 5.0
 POINTS = 120
@@ -34,34 +37,39 @@ POINTS = 120
 STAMP, EIGHT, LIDAR = 0, 1, 2
 FILE = f"""
 SENSOR(stamp, {STAMP}, stamp, X, 1, u64, none, (unit, ns))
-SENSOR(eight, {EIGHT}, eight, X, 8, i16, none)
+SENSOR(eight, {EIGHT}, eight, X, 8, i16, none, (period, {10**6 // BOARD_HZ}))
 SENSOR(lidar, {LIDAR}, lidar, X, 1, array(u16, {POINTS}), none)
 """
 _LIDAR_BYTES = 8 + 2 * POINTS
 _FRAME_BITS = 8 * (_LIDAR_BYTES + 5)
 
 
-def send(device: j2a.Device, opcode: int, payload: bytes, period_s: float, count: int) -> None:
-    """Send samples at even times; the first bytes of each are its number, from 1 on."""
+def send(
+    devices: Sequence[j2a.Device], opcode: int, payload: bytes, period_s: float, count: int
+) -> None:
+    """Let each board send samples at even times; their first bytes are a number, from 1 on."""
     start = time.monotonic()
     for number in range(1, count + 1):
         time.sleep(max(0.0, start + number * period_s - time.monotonic()))
         if opcode == STAMP:
             payload = struct.pack("<QQ", number, time.monotonic_ns())
-        device.send_sif(opcode, struct.pack("<Q", number) + payload[8:])
+        for device in devices:
+            device.send_sif(opcode, struct.pack("<Q", number) + payload[8:])
 
 
-def make(opcode: int, payload: bytes, period_s: float, count: int) -> j2a.Device:
-    """Return a board whose function `begin` lets it send."""
-    device = j2a.Device(transducers=read_transds(FILE))
+def make(
+    opcode: int, payload: bytes, period_s: float, count: int, boards: int = 1
+) -> list[j2a.Device]:
+    """Return boards, each with its own transducers; `begin` of the first one lets all send."""
+    devices = [j2a.Device(transducers=read_transds(FILE)) for _ in range(boards)]
 
-    @device.function
+    @devices[0].function
     def begin() -> None:
-        """Let it send."""
-        job = (device, opcode, payload, period_s, count)
+        """Let them send."""
+        job = (devices, opcode, payload, period_s, count)
         threading.Thread(target=send, args=job, daemon=True).start()
 
-    return device
+    return devices
 
 
 def serve(kind: str) -> None:
@@ -70,22 +78,23 @@ def serve(kind: str) -> None:
         with j2a_transports.listen("stdio:") as stdio:
             host = stdio.accept(None)
             assert host is not None
-            make(STAMP, bytes(16), STAMP_S, STAMPS).serve(host)
+            make(STAMP, bytes(16), STAMP_S, STAMPS)[0].serve(host)
         return
     if kind == "boards":
-        # One board in all but name: it sends each sample to every host, and listens at every URL.
-        device = make(EIGHT, b"".join([struct.pack("<Qh", 1, 5)] * 8), 1 / BOARD_HZ, _count(kind))
-        urls = ["tcp://127.0.0.1:0"] * BOARDS
+        sample = b"".join([struct.pack("<Qh", 1, 5)] * 8)
+        devices = make(EIGHT, sample, 1 / BOARD_HZ, _count(kind), BOARDS)
     else:
-        device = make(LIDAR, bytes(_LIDAR_BYTES), _FRAME_BITS / LIDAR_BITS, _count(kind))
-        urls = ["tcp://127.0.0.1:0"]
+        devices = make(LIDAR, bytes(_LIDAR_BYTES), _FRAME_BITS / LIDAR_BITS, _count(kind))
     with ExitStack() as stack:
-        listeners = [stack.enter_context(j2a_transports.listen(url)) for url in urls]
-        for listener in listeners:
+        urls = []
+        for device in devices:
+            listener = stack.enter_context(j2a_transports.listen("tcp://127.0.0.1:0"))
             threading.Thread(target=device.serve_forever, args=(listener,), daemon=True).start()
-        print(*(listener.url for listener in listeners), flush=True)
+            urls.append(listener.url)
+        print(*urls, flush=True)
         sys.stdin.read()
-        device.stop()
+        for device in devices:
+            device.stop()
 
 
 def _count(kind: str) -> int:
@@ -172,16 +181,24 @@ def quantile(ordered: Sequence[float], part: float) -> float:
     return ordered[min(len(ordered) - 1, math.floor(part * len(ordered)))]
 
 
-def main() -> int:
-    """Print all figures; return the exit code, 1 where a sample was lost."""
-    if len(sys.argv) > 1:
-        serve(sys.argv[1])
-        return 0
+def is_quick() -> bool:
+    """Print how long samples took; return whether median and 99 % are within their bounds."""
     found = sorted(latency())
     print(f"board to callback over a pty, {len(found)} samples, {1 / STAMP_S:g} a second, ms:")
     parts = (("median", 0.5), ("90 %", 0.9), ("99 %", 0.99), ("99.9 %", 0.999), ("most", 1.0))
     print("  " + ", ".join(f"{name} {quantile(found, part):.3f}" for name, part in parts))
     print(f"  mean {statistics.fmean(found):.3f}, least {found[0]:.3f}")
+    return quantile(found, 0.5) < MEDIAN_MS and quantile(found, 0.99) < MOST_MS
+
+
+def main() -> int:
+    """Print all figures; return 1 where a sample was lost, or samples are late in each try."""
+    if len(sys.argv) > 1:
+        serve(sys.argv[1])
+        return 0
+    is_soon = any(is_quick() for _ in range(TRIES))
+    if not is_soon:
+        print(f"  late: the median is to be below {MEDIAN_MS:g} ms, 99 % below {MOST_MS:g} ms")
     with boards("boards") as urls:
         came, cpu_s = asyncio.run(many(urls))
     due = BOARDS * _count("boards")
@@ -198,7 +215,7 @@ def main() -> int:
         f"{POINTS} points a sample over TCP, {rate:.1f} Mbit/s: {came} of {due} samples, "
         f"{100 * cpu_s / seconds:.0f} % of a processor, {1e6 * cpu_s / max(1, came):.0f} us each"
     )
-    return 0 if is_whole and came == due else 1
+    return 0 if is_soon and is_whole and came == due else 1
 
 
 if __name__ == "__main__":
