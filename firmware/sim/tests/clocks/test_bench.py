@@ -165,6 +165,18 @@ def test_the_command_prints_its_figures_as_json(capsys, tmp_path):
     assert picture.read_text().startswith("<svg")
 
 
+@pytest.mark.parametrize("link", ["usb", "serial"])
+def test_the_command_shows_on_a_terminal_how_far_it_is(capsys, monkeypatch, link):
+    monkeypatch.setattr("j2a.cli._progress._FIRST_S", 0.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    words = f"sim clocks --boards 1 --seconds 4 --link {link} --engine native --readings 100"
+    assert main(words.split()) == 0
+    told = capsys.readouterr()
+    assert "sim clocks  [" in told.err
+    assert " %  " in told.err
+    assert "sim clocks  [" not in told.out
+
+
 def test_the_command_says_what_is_wrong(capsys, monkeypatch):
     assert main(["sim", "clocks", "--boards", "0"]) == USAGE
     assert "--boards 0 is out of range" in capsys.readouterr().err
