@@ -53,8 +53,9 @@ ROWS: Final = (
     Row("RFCOMM, 8 boards, 120 s", {"link": "rfcomm", "seconds": 120}),
 )
 HEAD: Final = (
-    "| run | pair rms | (bound) | pair peak | host rms | (bound) | announced | inside | back |\n"
-    "|---|--:|--:|--:|--:|--:|--:|--:|--:|\n"
+    "| run | pair rms | (bound) | pair peak | (bound) | host rms | (bound) | announced | (bound) |"
+    " inside | back |\n"
+    "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|\n"
 )
 
 
@@ -68,16 +69,18 @@ def line(row: Row, seeds: int) -> str:
     bounds = [report.bounds for report in reports]
 
     def worst(name: str, of: list[dict[str, Any]] = figures) -> str:
-        return f"{max(one[name] for one in of):.3g}"
+        return f"{max(one[name] for one in of):.3g}" if all(name in one for one in of) else "-"
 
     cells = (
         row.title,
         worst("pair_rms_us"),
         worst("pair_rms_us", bounds),
         worst("pair_peak_us"),
+        worst("pair_peak_us", bounds),
         worst("host_rms_us"),
         worst("host_rms_us", bounds),
         worst("uncertainty_us"),
+        worst("uncertainty_us", bounds),
         f"{100 * min(one['inside_uncertainty'] for one in figures):.2f} %",
         str(sum(one["backwards"] for one in figures)),
     )

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from j2a.protocol.clock.estimator import WINDOW
+from j2a.protocol.clock.estimator import BAUD_TOLERANCE, WINDOW
 from j2a_sim._clocks.delays import BOARD_BYTE_S, HOST_BYTE_S
 from j2a_sim._clocks.frames import CABLE_S, HUB_S, TIERS
 from j2a_sim._clocks.settings import Settings
@@ -222,11 +222,23 @@ def bounds(settings: Settings, slack_us: float, drift_us: float = 0.0) -> dict[s
     the oscillators do, the error at its begin, twice, and what a rate can be off that is true for
     all exchanges which the host keeps. Elsewhere two boards differ by no more than the sum of their
     errors to the host.
+    At worst a board is off by all of what a round trip leaves unexplained, because the truth and
+    the estimate both lie in it. As much is announced: half of it, and once more half, by which the
+    lines through all kept exchanges diverge from the middle of them to the newest one; then a
+    microsecond of the counter and one that is rounded up, and by UART what the speed of the longest
+    message may be off. While the host's clock is slewed boards are behind it, and in holdover what
+    is announced grows: no bound.
     """
     host = slack_us / 2 + 0.5
     if settings.link == "serial":
         host += REPLY_BYTES * abs(HOST_BYTE_US - BOARD_BYTE_US) / 2
     found = {"host_rms_us": host}
+    if settings.slew_at is None:
+        found["host_peak_us"] = 2 * host
+        if settings.holdover_at is None:
+            is_serial = settings.link == "serial"
+            baud = BAUD_TOLERANCE * HOST_BYTE_US * REPLY_BYTES if is_serial else 0.0
+            found["uncertainty_us"] = 2 * host + 2 + baud
     if settings.holdover_at is not None:
         kept_s, held_s = WINDOW * settings.period_s, settings.seconds - settings.holdover_at
         found["holdover_end_us"] = drift_us + 2 * host * (1 + held_s / kept_s)

@@ -140,6 +140,24 @@ def test_bounds_are_those_of_clocks_that_have_settled(times, clock):
         assert ("too short" in made.as_text()) == (not bounded)
 
 
+@pytest.mark.parametrize("link", ["usb", "serial", "tcp", "rfcomm"])
+@pytest.mark.parametrize(
+    ("disturbed", "unbounded"),
+    [
+        ({}, set()),
+        ({"holdover_at": 50.0}, {"uncertainty_us"}),
+        ({"slew_at": 50.0}, {"uncertainty_us", "host_peak_us"}),
+    ],
+)
+def test_each_figure_of_time_has_its_bound(link, disturbed, unbounded):
+    found = bounds(Settings(boards=2, seconds=100, link=link, **disturbed), 30.0)
+    names = {"pair_rms_us", "pair_peak_us", "host_rms_us", "host_peak_us", "uncertainty_us"}
+    assert found.keys() - {"holdover_end_us"} == names - unbounded
+    if not unbounded:
+        assert found["pair_rms_us"] < found["pair_peak_us"]
+        assert 15 < found["host_rms_us"] < found["host_peak_us"] < found["uncertainty_us"]
+
+
 def test_two_clocks_that_agree_differ_by_what_both_cut_off():
     """Each shows whole microseconds of a sum of whole microseconds and an offset."""
     rng = np.random.default_rng(5)
