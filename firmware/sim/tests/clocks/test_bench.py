@@ -210,8 +210,24 @@ def test_an_hour_at_115200_baud(seed):
 
 @pytest.mark.exhaustive
 @pytest.mark.timeout(1200)
-def test_time_never_goes_back_in_ten_million_readings():
-    assert figures(seconds=1200, readings=10_000_000)["backwards"] == 0
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("link", ["usb", "serial"])
+def test_time_never_goes_back_in_ten_million_readings(link, seed):
+    """So many with each seed: 8 boards, each read every millisecond."""
+    found = figures(seconds=1200, seed=seed, link=link, engine="native", readings=10_000_000)
+    assert found["backwards"] == 0
+    assert found["readings"] > 0.97 * 10_000_000, "all but those before the clocks have settled"
+
+
+@pytest.mark.avr
+@pytest.mark.exhaustive
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_real_firmware_of_eight_boards_on_a_usb(seed):
+    found = figures(seconds=20, seed=seed, engine="avr")
+    assert_pairs(found)
+    assert_honest(found)
+    assert found["locked"] > 0.999
 
 
 @pytest.mark.exhaustive
