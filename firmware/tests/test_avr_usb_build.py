@@ -185,6 +185,42 @@ def test_goes_on_while_suspended(build):
         assert not sim.read_memory(SMCR, 1)[0] & SLEEP_ENABLED
 
 
+NO_ROOM = "too little RAM is left for the stack"
+CLOCK = "-DJ2A_WITH_SYNC=1"
+
+
+@pytest.mark.parametrize("app", ["listing", "demo"])
+def test_a_clock_that_does_not_fit_is_refused(avr, make, build, tmp_path, app):
+    """SyncUSB packets would let the stack overwrite variables of the chip with 1 KB."""
+    result = make(APP=app, PORT="avr-usb", MCU="atmega32u2", OPTIONS=CLOCK, OUT=str(tmp_path))
+    assert result.returncode != 0
+    assert NO_ROOM in result.stderr
+    build(app, "avr-usb", MCU="atmega32u4", OPTIONS=CLOCK)
+    build(app, "avr-usb", MCU="atmega32u2")
+
+
+@pytest.mark.parametrize("port", ["avr-usb", "avr-serial"])
+def test_the_reserve_for_the_stack_is_exact(build, make, tmp_path, port):
+    """A program is linked with all that its variables leave, and refused with a byte more."""
+    mcu = "atmega32u2"
+    left = memory(mcu, tmp_path)[1] - sizes(build("builtins", port, MCU=mcu))[1]
+    assert build("builtins", port, MCU=mcu, STACK=left)
+    result = make(APP="builtins", PORT=port, MCU=mcu, OUT=str(tmp_path / "out"), STACK=left + 1)
+    assert NO_ROOM in result.stderr
+
+
+def test_the_clock_has_room_on_1_kb(build):
+    """Its stack is measured while packets adjust it, below what STACK keeps free for it."""
+    elf = build("builtins", "avr-usb", MCU="atmega32u2", OPTIONS=CLOCK)
+    with AvrSim(elf, "atmega32u2") as sim:
+        sim.usb.enumerate()
+        for turn in range(12):
+            packet = {"time_us": 1_700_000_000_000_000 + 100_000 * turn, "frame": sim.usb.frame}
+            sim.usb.write(c.SYNCUSB_OUT, usb.sync.build(packet))
+            sim.run(sim.cycles(0.1))
+        assert 250 < sim.stack_bytes <= 340
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -198,6 +234,7 @@ def test_goes_on_while_suspended(build):
         ({"SERIAL": "x" * 127}, "give up to 126 letters"),
         ({"FREQ": "12000000"}, "must be 16000000 or 8000000"),
         ({"MCU": "at90usb1286"}, "MCU=at90usb1286: this port is for atmega8u2"),
+        ({"STACK": "0"}, "STACK=0: give a whole number, 1 or more"),
         ({"TXBUF": "1"}, "J2A_TXBUF must be 0"),
         ({"LINKS": "2"}, "more than this port has"),
         ({"OPTIONS": "-DJ2A_WITH_SYNCUSB=2"}, "must be 0 or 1"),

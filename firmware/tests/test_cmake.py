@@ -287,6 +287,21 @@ def test_own_makefile(need, tmp_path, ask):
     check_adder(tmp_path / "own" / "device", ask)
 
 
+def test_own_makefile_leaves_the_stack_its_room(need, tmp_path):
+    need("avr-gcc")
+    shutil.copytree(LIBRARY / "make-example", tmp_path / "own")
+    tool = ROOT / "tools" / "amalgamate.py"
+    done(sys.executable, tool, "--port", "avr-serial", "--out", tmp_path / "own" / "j2a")
+    done("make", cwd=tmp_path / "own")
+    (tmp_path / "own" / "device.elf").unlink()
+    command = ["make", "STACK=3000"]
+    refused = subprocess.run(
+        command, cwd=tmp_path / "own", capture_output=True, text=True, check=False
+    )
+    assert refused.returncode != 0
+    assert "too little RAM is left for the stack" in refused.stderr
+
+
 @pytest.mark.parametrize("port", ["cortex-m", "rp2040"])
 def test_own_makefile_for_a_chip(need, tmp_path, port):
     need("arm-none-eabi-gcc")

@@ -7,6 +7,8 @@ CFLAGS ?= -Os -flto -fno-move-loop-invariants -fno-tree-pre -fno-split-wide-type
 MACHINE := -mmcu=$(MCU) -DF_CPU=$(FREQ)UL -DBAUD=$(BAUD)UL \
 	-ffunction-sections -fdata-sections -fshort-enums
 LINK := -Wl,--gc-sections -mrelax
+# What refuses a program that leaves the stack too little; see STACK in ../../Makefile.
+RAM_CHECK := ports/common/avr_ram.ld
 SUFFIX := .elf
 SIZE := avr-size
 PORT_SOURCES := ports/common/avr_clock.c ports/common/avr_eeprom.c ports/common/avr_reset.c

@@ -22,6 +22,8 @@ CFLAGS ?= -Os -flto -fno-move-loop-invariants -fno-tree-pre -fno-split-wide-type
 MACHINE := -mmcu=$(MCU) -DF_CPU=$(FREQ)UL -DUSB_VENDOR=$(USB_VENDOR) -DUSB_PRODUCT=$(USB_PRODUCT) \
 	"-DUSB_NAME=\"$(USB_NAME)\"" "-DUSB_SERIAL=\"$(SERIAL)\"" -ffunction-sections -fdata-sections -fshort-enums
 LINK := -Wl,--gc-sections -mrelax
+# What refuses a program that leaves the stack too little; see STACK in ../../Makefile.
+RAM_CHECK := ports/common/avr_ram.ld
 SUFFIX := .elf
 SIZE := avr-size
 PORT_SOURCES := ports/common/avr_clock.c ports/common/avr_eeprom.c ports/common/avr_reset.c
