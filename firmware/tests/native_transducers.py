@@ -1,0 +1,120 @@
+"""A device with transducers as a shared library, of whose port a test sets the time.
+
+What flows in: the time, requests, values of drivers. What flows out: replies, sample SIFs, and what
+drivers were told, with the time of it. Rules: each instance is a library of its own, because the
+core's state is static; bytes on the link are those of the oracle.
+"""
+
+import ctypes
+import itertools
+import shutil
+import subprocess
+from pathlib import Path
+
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, decode, encode
+
+FIRMWARE = Path(__file__).parents[1]
+OWN = FIRMWARE / "tests/transducers_native"
+NEWEST, QUEUED, SERVO = 0, 1, 2
+"""The ids of transds.def."""
+SAFE = 7
+TRIGGERED = -1
+_number = itertools.count()
+
+
+class _Entry(ctypes.Structure):
+    _fields_ = (("at_us", ctypes.c_uint64), ("value", ctypes.c_int32))
+
+
+def build(folder: Path, sync: bool) -> Path:
+    """Build the library with checks for undefined behaviour; returns its path.
+
+    Args:
+        sync: with the clock of section 23.
+    """
+    library = folder / f"transducers-{int(sync)}.so"
+    core = FIRMWARE / "core"
+    subprocess.run(
+        ["gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wno-overlength-strings",
+         "-Werror", "-fsanitize=undefined", "-fno-sanitize-recover", "-shared", "-fPIC",
+         f"-I{core}", f"-I{OWN}", "-DJ2A_WITH_TRANSDUCERS=1", f"-DJ2A_WITH_SYNC={int(sync)}",
+         *sorted(core.rglob("*.c")), OWN / "fake.c", "-o", library],
+        check=True,
+    )  # fmt: skip
+    return library
+
+
+class NativeTransducers:
+    """One device, which starts at a time of its counter and then has a turn at each time given."""
+
+    def __init__(self, library: Path, start_us: int) -> None:
+        copy = library.with_name(f"{library.stem}-{next(_number)}.so")
+        shutil.copy(library, copy)
+        self._c = ctypes.CDLL(str(copy))
+        copy.unlink()
+        self._now = ctypes.c_uint64.in_dll(self._c, "fake_us")
+        self._input = (ctypes.c_uint8 * 1024).in_dll(self._c, "fake_input")
+        self._input_length = ctypes.c_uint32.in_dll(self._c, "fake_input_length")
+        self._sent = (ctypes.c_uint8 * 1024).in_dll(self._c, "fake_sent")
+        self._sent_length = ctypes.c_uint32.in_dll(self._c, "fake_sent_length")
+        self._log = (_Entry * 64).in_dll(self._c, "fake_log")
+        self._log_length = ctypes.c_uint32.in_dll(self._c, "fake_log_length")
+        self._seq = 0
+        self._sifs: list[Frame] = []
+        self._now.value = start_us
+        self._c.fake_begin()
+        names = self._request(0, b"").payload.split(b"\0")
+        self._transd = names.index(c.TRANSD.encode())
+
+    @property
+    def now(self) -> int:
+        return self._now.value
+
+    def turn(self, at_us: int | None = None) -> list[tuple[int, bytes]]:
+        """Have a turn of the main loop, at this time; returns the SIFs since the last one.
+
+        Each is (id, payload).
+        """
+        if at_us is not None:
+            self._now.value = at_us
+        assert self._turn() == []
+        sifs, self._sifs = self._sifs, []
+        return [(one.opcode, one.payload) for one in sifs]
+
+    def sense(self, transducer: int, value: int) -> None:
+        """Let the driver of a sensor give a value."""
+        self._c.fake_sense(ctypes.c_uint8(transducer == QUEUED), ctypes.c_uint16(value))
+
+    def told(self) -> list[tuple[int, int]]:
+        """Return, and forget, what drivers were told: when, and the value or TRIGGERED."""
+        found = [(one.at_us, one.value) for one in self._log[: self._log_length.value]]
+        self._log_length.value = 0
+        return found
+
+    def item(self, transducer: int, item: int, value: bytes = b"") -> bytes:
+        """Read an item of a transducer, or write it; returns the payload of the reply."""
+        reply = self._request(self._transd, bytes((transducer, item)) + value)
+        assert reply.opcode == 0, reply
+        return reply.payload
+
+    def _request(self, opcode: int, payload: bytes) -> Frame:
+        self._seq = (self._seq + 1) % 256
+        data = encode(Frame(c.SOF, self._seq, opcode, payload))
+        self._input[: len(data)] = data
+        self._input_length.value = len(data)
+        (reply,) = self._turn()
+        assert reply.seq == self._seq
+        return reply
+
+    def _turn(self) -> list[Frame]:
+        """Have a turn; keeps the SIFs, and returns what else was sent."""
+        self._c.fake_turn()
+        if self._sent_length.value == 0:  # the usual case
+            return []
+        sent = bytes(self._sent[: self._sent_length.value])
+        self._sent_length.value = 0
+        frames = [one for one in decode(sent) if isinstance(one, Frame)]
+        assert b"".join(map(encode, frames)) == sent
+        self._sifs += [one for one in frames if one.start == c.SOS]
+        return [one for one in frames if one.start != c.SOS]

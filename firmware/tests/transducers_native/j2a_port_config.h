@@ -1,0 +1,3 @@
+#define J2A_TICKS_PER_MS 1u
+#define J2A_PORT_NAME "fake"
+#define J2A_PORT_WAIT 1
