@@ -294,7 +294,10 @@ def test_demo_with_def_files_is_conformant(need, two_files, tmp_path):
     failed = [(r.case, r.reason) for r in found.with_verdict(Verdict.FAILED)]
     assert found.conformant, failed
     seen = {r.case: r.verdict for r in found.results if r.verdict is not Verdict.OK}
-    assert set(seen) <= {"limits.overrun", "limits.cut-frame", "limits.room", "properties.selftest"}
+    assert set(seen) <= {
+        *("limits.overrun", "limits.cut-frame", "limits.room", "properties.selftest"),
+        "many.return-values",  # of a function that the demo does not have
+    }
 
 
 def words(make, port, out):
