@@ -15,6 +15,7 @@ from j2a_spec.capabilities import ANNOUNCED
 
 FIRMWARE = Path(__file__).parents[1]
 FULL_ROOM = {"limits.room"}  # that one is for devices with less
+FEWER = {"many.return-values"}  # of a function that the demo does not have
 
 
 @pytest.fixture
@@ -45,4 +46,4 @@ def test_a_port_written_from_the_guide(naive, missing):
     not_reached = {level for level, reached in found.levels().items() if reached is not True}
     assert not_reached <= ANNOUNCED
     not_ok = {r.case: r.level for r in found.results if r.verdict is not Verdict.OK}
-    assert {case for case, level in not_ok.items() if level not in ANNOUNCED} == FULL_ROOM
+    assert {case for case, level in not_ok.items() if level not in ANNOUNCED} == FULL_ROOM | FEWER

@@ -41,9 +41,10 @@ IN_EACH_FILE = re.compile(
     r"|(get|take|put|load|store|as)_(bool|_Bool|[uif]\d+))(_\d+)?"
 )
 # No transducer of transds.def compares so, has such a raw value that is asked for, or a trigger.
+# That structures have no raw values is a constant.
 OF_OTHERS = re.compile(
-    rf"{IN_EACH_FILE.pattern}|j2a_(compare|near)_f64|j2a_near_signed|j2a_raw_of_plain"
-    r"|j2a_start_of_(plain|queued)"
+    rf"{IN_EACH_FILE.pattern}|j2a_(compare|near)_f64|j2a_near_signed|j2a_raw_of_(plain|imu|pose)"
+    r"|j2a_put_raw_motion|j2a_start_of_(plain|queued)"
 )
 # What keeps settings takes no values.
 OF_DRIVERS = re.compile(rf"{IN_EACH_FILE.pattern}|j2a_keep|j2a_stamp")
@@ -63,7 +64,8 @@ UNREACHED = {
     "main": 1,  # the return after the endless loop
     "j2a_buffer": 1,  # one of the two orders of bytes
     "write_time": 1,  # one of the two orders of bytes
-    "transds_init": 1,  # ids that come twice: the count of transducers is none of them
+    # Ids that come twice: the count of transducers is none of them. The threshold of a structure.
+    "transds_init": 2,
     "write_topic": 3,  # longer than the room
     "are_in_range": 6,  # an actuator of numbers without a range: the driver has none
     "is_na": 2,  # a threshold of a type without raw values: that does not compile
