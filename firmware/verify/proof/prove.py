@@ -187,7 +187,7 @@ def _save(machine: str) -> Analysis:
 
 def _selftest(machine: str) -> Analysis:
     precision = (
-        "-eva-min-loop-unroll 9000 -eva-split-return-function compare:full"
+        "-eva-min-loop-unroll 9000 -eva-split-return-function count_equal:full"
         " -eva-slevel-function parse:100000,j2a_selftest_property:100,put_result:100"
     )
     # The longer vectors are more turns of the same loops, at ten times the time.
