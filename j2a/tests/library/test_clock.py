@@ -175,13 +175,18 @@ def test_a_disciplined_clock_follows_until_it_is_stopped(board, device):
     assert {one[1] for one in device.requests if one[0] == c.CLOCK_ADJUST} == {c.CLOCK_SLEW}
 
 
-@pytest.mark.requirement("J2A-CLOCK-028")
-def test_a_step_of_this_computer_is_followed_by_a_step(board, device, caplog):
-    host = board.clock._host
-    shift = [0]
-    clock = host_time.HostTime(host.counter_us, lambda: time.time_ns() // 1000 + shift[0])
+def settable(board):
+    """Give a client a host's clock that can be set; return it and by how much it is, in us."""
+    counter_us, shift = board.clock._host.counter_us, [0]
+    clock = host_time.HostTime(counter_us, lambda: time.time_ns() // 1000 + shift[0])
     board.clock._host = clock
     board.clock._discipline.reference = clock.reference
+    return clock, shift
+
+
+@pytest.mark.requirement("J2A-CLOCK-028")
+def test_a_step_of_this_computer_is_followed_by_a_step(board, device, caplog):
+    clock, shift = settable(board)
     with board.clock.discipline(0.02) as keeper:
         until(lambda: keeper.rounds > 12)
         shift[0] = 3_600_000_000
@@ -254,11 +259,7 @@ def test_a_client_that_comes_later_refuses_time_stamps_of_an_earlier_epoch(board
 @pytest.mark.parametrize("back_s", [3600, 1])
 def test_a_time_stamp_from_before_a_step_back_is_refused(board, device, back_s):
     """Its time comes again."""
-    host = board.clock._host
-    shift = [0]
-    clock = host_time.HostTime(host.counter_us, lambda: time.time_ns() // 1000 + shift[0])
-    board.clock._host = clock
-    board.clock._discipline.reference = clock.reference
+    _, shift = settable(board)
     with board.clock.discipline(0.02) as keeper:
         until(lambda: keeper.rounds > 12)
         assert board.clock.to_host(int(device.time_us())) > 0
