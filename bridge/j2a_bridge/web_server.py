@@ -325,6 +325,9 @@ class _Page:
                 about, key = _read(message.data)
                 if len(self._orders) >= _MAX_ORDERS:
                     self._answer(key, "too many orders wait: this one was not done")
+                    # Orders that have come already are read at once: what is said has to go out
+                    # in between, or a burst of them would look like a page that does not read.
+                    await asyncio.sleep(0)
                     continue
                 task = asyncio.create_task(self._order(about, key))
                 self._orders.add(task)
