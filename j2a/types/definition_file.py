@@ -15,6 +15,7 @@ from j2a_spec.constants import CAP_CLOCK, CAP_TRANSDUCERS
 from j2a.errors import SignatureError
 from j2a.types.macros import Arguments, MacroReader, Node, Word, bare_text
 from j2a.types.model import OPEN, Interface
+from j2a.types.naming import C_KEYWORDS
 from j2a.types.parser import parse_interface
 
 __all__ = [
@@ -32,6 +33,14 @@ MAX_ITEMS: Final = 32
 the firmware take."""
 _HEADS: Final = {"J2A_ENUM": 2, "J2A_STRUCT": 1}
 _PLAIN: Final = re.compile(r"-?\w+", re.ASCII)
+
+
+class _KeywordError(ValueError):
+    """A name is a word of C."""
+
+    def __init__(self, name: Word) -> None:
+        super().__init__(name)
+        self.name = name
 
 
 def read_definition_file(
@@ -102,6 +111,9 @@ def entry_text(
         return make(*arguments)
     except SignatureError:
         raise
+    except _KeywordError as error:
+        what = f"{error.name} is a word of C, which takes it for no name"
+        raise reader.error(what, error.name) from None
     except (TypeError, ValueError):
         raise reader.error(f"the arguments of {macro} cannot be read", macro) from None
 
@@ -134,6 +146,15 @@ def _word(node: Node) -> str:
     return node
 
 
+def _name(node: Node) -> str:
+    """Return what will be a name in C, too."""
+    word = _word(node)
+    if word in C_KEYWORDS:
+        assert isinstance(node, Word)
+        raise _KeywordError(node)
+    return word
+
+
 def _unit(node: Node) -> str:
     if not isinstance(node, Word):
         raise ValueError(node)
@@ -146,7 +167,7 @@ def _field(node: Node) -> str:
     kind, name, *unit = node
     if len(unit) > 1:
         raise ValueError(node)
-    return f"{_word(name)} {type_text(kind)}{''.join(map(_unit, unit))}"
+    return f"{_name(name)} {type_text(kind)}{''.join(map(_unit, unit))}"
 
 
 def _fields(nodes: Iterable[Node]) -> str:
@@ -170,7 +191,7 @@ def _doc(text: Node) -> str:
 
 
 def _enum(name: Node, integer: Node, *values: Node) -> str:
-    return f"enum {_word(name)} {_word(integer)} ({', '.join(map(_value, values))})"
+    return f"enum {_name(name)} {_word(integer)} ({', '.join(map(_value, values))})"
 
 
 def _value(node: Node) -> str:
@@ -181,7 +202,7 @@ def _value(node: Node) -> str:
 
 
 def _struct(name: Node, *fields: Node) -> str:
-    return f"struct {_word(name)} {_fields(fields)}"
+    return f"struct {_name(name)} {_fields(fields)}"
 
 
 def _sif(name: Node, opcode: Node, *rest: Node) -> str:

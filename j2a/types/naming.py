@@ -9,7 +9,7 @@ import re
 from collections.abc import Container
 from typing import Final
 
-__all__ = ["CNames", "free_name", "is_reserved"]
+__all__ = ["C_KEYWORDS", "CNames", "free_name", "is_reserved"]
 
 _WORDS: Final = """
 alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t
@@ -21,7 +21,14 @@ reinterpret_cast requires restrict return short signed sizeof static static_asse
 struct switch template this thread_local throw true try typedef typeid typename typeof
 typeof_unqual union unsigned using virtual void volatile wchar_t while xor xor_eq
 """
+_KEYWORDS: Final = """
+auto break case char const continue default do double else enum extern float for goto if inline int
+long register restrict return short signed sizeof static struct switch typedef union unsigned void
+volatile while
+"""
 _C_WORDS: Final = frozenset(_WORDS.split())
+C_KEYWORDS: Final = frozenset(_KEYWORDS.split())
+"""What C99 reserves, apart from names that begin with an underscore."""
 _C_OF_HEADERS: Final = re.compile(
     r"_[A-Z_].*|linux|unix|u?int(_least|_fast)?[0-9]+_t|u?int(ptr|max)_t"
     r"|(U?INT\w*|SIZE|WCHAR|WINT|PTRDIFF|SIG_ATOMIC)_(MIN|MAX|C)"

@@ -15,6 +15,7 @@ from j2a.types.definition_file import DEFINITIONS, MAX_ITEMS, entry_text, is_gro
 from j2a.types.descriptors import parse_transducer
 from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
 from j2a.types.model import Enumeration, Field, Structure
+from j2a.types.naming import C_KEYWORDS
 from j2a.types.parser import NAME, Scanner, read_definition
 from j2a.types.transducers import KEYS, NONE, Descriptors, Transducer, numbers_element
 
@@ -315,6 +316,12 @@ def _comment(text: str) -> str:
 
 
 def _definition(one: Enumeration | Structure) -> str:
+    fields = () if isinstance(one, Enumeration) else one.fields
+    for name in (one.name, *(field.name for field in fields)):
+        if name in C_KEYWORDS:
+            raise LocalError(
+                f"{one.name}: {name} is a word of C, so it cannot stand in a transds.def"
+            )
     if isinstance(one, Enumeration):
         values = "".join(f", ({name}, {number})" for name, number in one.values)
         return f"J2A_ENUM({one.name}, {one.integer}{values})"
