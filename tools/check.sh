@@ -43,7 +43,7 @@ else
     printf '\n==> emulator, page: SKIPPED, there is no npm\n'
 fi
 # The tests need some of the programs, too, and two must not build the same at once.
-step programs "the programs that the suite runs against" python tools/conformance.py --build
+step programs "the programs that the suite runs against" python tools/conformance.py --build --sample
 chosen pytest && begin_tests
 step conformance "the suite against every host of ours and every testee, some of them without the sweeps" \
     python tools/conformance.py --sample
