@@ -18,7 +18,7 @@ from typing import Final
 
 from j2a.cli._exit import OK, UsageError
 from j2a.cli._output import note, show, show_text
-from j2a.syncd.system import SystemFile, system_files
+from j2a.syncd.system import SystemFile, closed_part, system_files
 
 # Before 73-seat-late.rules, which hands the device out to who sits at the screen, and after
 # 50-udev-default.rules, which collects the interfaces and the serial number.
@@ -79,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
             "and once more this command"
         )
     if args.what == "syncd" and SYSTEMD.is_dir():
+        _note_closed_parts()
         _tell("systemctl", [["daemon-reload"]], "restart the computer")
     _tell(
         "udevadm",
@@ -86,6 +87,18 @@ def run(args: argparse.Namespace) -> int:
         "replug the boards, or restart",
     )
     return OK
+
+
+def _note_closed_parts() -> None:
+    closed = closed_part(
+        Path(path) for path in (_program(), sys.executable, sys.prefix, sys.base_prefix, __file__)
+    )
+    if closed is not None:
+        note(
+            f"j2a: the service runs as a user of its own, who may not go through {closed}, so it "
+            "will not start; install j2a where everybody may read it, such as below /opt, and run "
+            "the setup of that one"
+        )
 
 
 def _install(one: SystemFile, what: str) -> str:

@@ -6,11 +6,13 @@ elsewhere udev starts the wrapper, which may be edited, as in the thesis (listin
 
 from __future__ import annotations
 
+import stat
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-__all__ = ["SystemFile", "system_files"]
+__all__ = ["SystemFile", "closed_part", "system_files"]
 
 RULE_PLACE: Final = Path("/etc/udev/rules.d/71-j2a-syncd.rules")
 WRAPPER_PLACE: Final = Path("/etc/j2a/syncd-udev.sh")
@@ -105,3 +107,18 @@ def system_files(program: str, group: str) -> list[SystemFile]:
         SystemFile(WRAPPER_PLACE, _WRAPPER.format(program=program), 0o755),
         SystemFile(UNIT_PLACE, _UNIT.format(program=program, group=group)),
     ]
+
+
+def closed_part(paths: Iterable[Path]) -> Path | None:
+    """Return what keeps other users, such as that of the unit, from reaching files, or None.
+
+    Args:
+        paths: of files and folders; links count, and so does what they lead to.
+    """
+    for path in paths:
+        for target in (path.absolute(), path.resolve()):
+            for part in (*reversed(target.parents), target):
+                needed = stat.S_IXOTH if part.is_dir() else stat.S_IROTH
+                if not part.is_symlink() and not part.stat().st_mode & needed:
+                    return part
+    return None

@@ -9,10 +9,12 @@ import signal
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import tty
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import j2a_transports
 import pytest
@@ -220,3 +222,48 @@ def test_setup_of_a_program_whose_path_cannot_stand_in_a_unit(run, monkeypatch, 
     result = run("setup", "syncd", "--print")
     assert result.code == 2
     assert "cannot stand in a unit" in result.err
+
+
+def test_the_unit_is_one_that_systemd_understands(need, tmp_path):
+    need("systemd-analyze")
+    unit = tmp_path / system.UNIT_PLACE.name
+    files = system.system_files("/bin/true", "root")
+    unit.write_text(next(one.text for one in files if one.place.name == unit.name))
+    command = ["systemd-analyze", "verify", "--man=no", str(unit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=WAIT_S)
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", "")
+    unit.write_text(unit.read_text().replace("UMask", "UMasc"))
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=WAIT_S)
+    assert "UMasc" in done.stderr
+
+
+@pytest.fixture
+def open_folder():
+    """A folder that everybody may read; those above that of tmp_path belong to one user."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+def test_what_keeps_the_user_of_the_service_out_is_named(run, monkeypatch, open_folder):
+    program = open_folder / "closed" / "bin" / "j2a"
+    program.parent.mkdir(parents=True)
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    assert system.closed_part([program]) is None
+    (open_folder / "closed").chmod(0o750)
+    assert system.closed_part([Path("/"), program]) == open_folder / "closed"
+    (open_folder / "link").symlink_to(program)
+    assert system.closed_part([open_folder / "link"]) == open_folder / "closed"
+    (open_folder / "closed").chmod(0o755)
+    program.chmod(0o751)
+    assert system.closed_part([open_folder / "link"]) == program
+    for name in ("RULE_PLACE", "WRAPPER_PLACE", "UNIT_PLACE"):
+        monkeypatch.setattr(system, name, open_folder / getattr(system, name).name)
+    monkeypatch.setattr(_setup, "PLACE", open_folder / "70-j2a.rules")
+    monkeypatch.setattr(_setup, "SYSTEMD", open_folder)
+    monkeypatch.setattr("sys.argv", [str(program)])
+    monkeypatch.setenv("PATH", str(open_folder))
+    result = run("setup", "syncd")
+    assert result.code == 0
+    assert f"may not go through {program}, so it will not start" in result.err
