@@ -61,7 +61,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
             are told apart as by `j2a.Fleet`.
 
     Raises:
-        BadUrl: a URL is of no scheme that is known.
+        BadUrl: a URL can never be opened.
         LocalError: another argument is wrong, or no event loop runs.
     """
 
@@ -100,7 +100,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         """Take in a board; returns at once, and a task opens it.
 
         Raises:
-            BadUrl: the URL is of no scheme that is known.
+            BadUrl: the URL can never be opened.
             LocalError: the fleet has the URL, or is closed.
         """
         self._check_new(url)

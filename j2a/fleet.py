@@ -62,7 +62,7 @@ class Fleet(FleetBase[Client, "_Member"]):
             without it the exception is logged.
 
     Raises:
-        BadUrl: a URL is of no scheme that is known.
+        BadUrl: a URL can never be opened.
         LocalError: another argument is wrong.
     """
 
@@ -96,7 +96,7 @@ class Fleet(FleetBase[Client, "_Member"]):
         """Take in a board; returns at once, and a thread opens it.
 
         Raises:
-            BadUrl: the URL is of no scheme that is known.
+            BadUrl: the URL can never be opened.
             LocalError: the fleet has the URL, or is closed.
         """
         with self._lock:

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import j2a
 from j2a.protocol.roster import BoardChange
-from j2a_bridge.config import BoardConfig, Config, SensorConfig
+from j2a_bridge.config import BoardConfig, Config, SensorConfig, check_url
 from j2a_bridge.runner import SinkRunner
 from j2a_bridge.sink import BoardStatus, Status, Times, TopicStatus, Update, make_sink
 from j2a_bridge.topics import Names, Topic
@@ -114,10 +114,13 @@ class Bridge:
         options: of `j2a.AsyncFleet`, such as `timeout`.
 
     Raises:
+        BadUrl: a URL can never be opened.
         LocalError: a sink, its argument or an option is wrong.
     """
 
     def __init__(self, config: Config, **options: Any) -> None:
+        for url in config.urls:
+            check_url(url)
         self._config = config
         self._options = options
         chosen = {key: one.name for one in config.boards for key in (one.url, one.identity) if key}
@@ -149,8 +152,6 @@ class Bridge:
         Args:
             on_open: called when all sinks were opened, before the first board is.
 
-        Raises:
-            LocalError: a URL is wrong.
         """
         self._loop = asyncio.get_running_loop()
         try:

@@ -14,10 +14,20 @@ from typing import Any, Final
 
 import j2a_transports
 
-from j2a import LocalError
+from j2a import J2AError, LocalError
+from j2a.io.opening import link_error
 from j2a_bridge.sink import SinkRequest
 
-__all__ = ["CLOCKS", "MESSAGES", "NAMES", "BoardConfig", "Config", "SensorConfig", "load_config"]
+__all__ = [
+    "CLOCKS",
+    "MESSAGES",
+    "NAMES",
+    "BoardConfig",
+    "Config",
+    "SensorConfig",
+    "check_url",
+    "load_config",
+]
 
 _LEAST_HZ: Final = 1e-6
 _MOST_HZ: Final = 1e6
@@ -106,6 +116,19 @@ class Config:
         return self.usb or len(self.urls) != 1
 
 
+def check_url(url: str) -> None:
+    """Refuse the URL of a board that could never be opened; one of a board that is away is right.
+
+    Raises:
+        BadUrl: it is malformed; the message says what to write.
+        OpenFailed: its driver does not load.
+    """
+    try:
+        j2a_transports.check(url)
+    except j2a_transports.TransportError as error:
+        raise link_error(error) from None
+
+
 def load_config(path: Path) -> Config:
     """Read a file.
 
@@ -152,8 +175,8 @@ def _board(table: Any) -> BoardConfig:
         raise LocalError("[[boards]] has a url, or the serial of one that is found on the USB")
     if table.get("url"):
         try:
-            j2a_transports.check(table["url"])
-        except j2a_transports.TransportError as error:
+            check_url(table["url"])
+        except J2AError as error:
             raise LocalError(f"url of [[boards]]: {error}") from None
     transducers = {name: _sensor(name, one) for name, one in table.get("transducers", {}).items()}
     return BoardConfig(

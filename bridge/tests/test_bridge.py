@@ -4,6 +4,7 @@ import asyncio
 import dataclasses
 import functools
 import itertools
+import re
 import struct
 import time
 from collections import Counter
@@ -610,6 +611,13 @@ class TestOrders:
                 ] * 5
                 await asyncio.wrap_future(control.set("servo", [7]))
         assert device.was_set[-1] == ("servo", 0, 7)
+
+
+@pytest.mark.parametrize("url", ["serial:", "usb://zz:zz", "sim:none.elf?x"])
+def test_a_url_that_can_never_be_opened_is_refused_before_a_sink_is_opened(kept, url):
+    with pytest.raises(j2a.BadUrl, match=re.escape(url)):
+        Bridge(config_for(url))
+    assert not kept
 
 
 @in_event_loop

@@ -194,6 +194,10 @@ def test_only_one_board_alone_has_short_names(names, usb, urls, expected):
         ("tcp://127.0.0.1:5000?colour=red", "unknown option"),
         ("faults:drop=0.1:tcp://", "host:port"),
         ("loopback", "write scheme:"),
+        ("serial:", "name a port, such as serial:///dev/ttyACM0"),
+        ("usb://zz:zz", "names no USB board"),
+        ("sim:nothing?x", "'x' is not an option of the form name=value"),
+        ("sim:", "name the firmware"),
     ],
 )
 def test_a_url_that_can_never_be_opened_is_told_with_file_and_key(tmp_path, url, why):

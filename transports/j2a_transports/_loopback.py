@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import Final
+from typing import Any, Final
 
 from ._base import (
     DEFAULT_WRITE_TIMEOUT_S,
@@ -226,11 +226,16 @@ class LoopbackListener(Listener):
             self._changed.notify_all()
 
 
+def check_url(url: Url) -> tuple[str, dict[str, Any]]:
+    """Return name and options of `loopback:name`; raises BadUrl."""
+    return _name(url), url.options([], _OPEN)
+
+
 def open_url(url: Url) -> Transport:
     """Connect to the listener of that name in this process."""
-    options = url.options([], _OPEN)
+    name, options = check_url(url)
     with _listeners_lock:
-        listener = _listeners.get(_name(url))
+        listener = _listeners.get(name)
     if listener is None:
         raise OpenFailed(
             f"{url.text}: no such listener in this process; make it first with listen({url.text!r})"

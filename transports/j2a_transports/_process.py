@@ -158,13 +158,18 @@ class ProcessTransport(PolledTransport):
         self.child.stop()
 
 
+def check_url(url: Url) -> tuple[list[str], dict[str, Any]]:
+    """Return command line and options of `exec:command args`; raises BadUrl."""
+    return parse_command(url, _OPEN)
+
+
 def open_url(url: Url) -> Transport:
     """Start the child of `exec:command args`."""
     return uninterrupted(lambda: _start(url))
 
 
 def _start(url: Url) -> Transport:
-    command, options = parse_command(url, _OPEN)
+    command, options = check_url(url)
     child = Child(url.text, command, options.get("cwd"), subprocess.PIPE, subprocess.PIPE)
     stdin, stdout = child.process.stdin, child.process.stdout
     assert stdin is not None

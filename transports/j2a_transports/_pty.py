@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport
 from ._poll import BROKEN, CHUNK, READY, PolledTransport, Readiness, Waker
@@ -50,13 +50,18 @@ def _open_raw(url: Url) -> tuple[int, int]:
     return master, slave
 
 
+def check_url(url: Url) -> tuple[list[str], dict[str, Any]]:
+    """Return command line and options of `pty:command args`; raises BadUrl."""
+    return parse_command(url, _OPEN)
+
+
 def open_url(url: Url) -> Transport:
     """Start the child of `pty:command args` with a pseudo terminal as its stdin and stdout."""
     return uninterrupted(lambda: _start(url))
 
 
 def _start(url: Url) -> Transport:
-    command, options = parse_command(url, _OPEN)
+    command, options = check_url(url)
     master, slave = _open_raw(url)
     try:
         child = Child(url.text, command, options.get("cwd"), slave, slave)

@@ -4,7 +4,8 @@ In: a URL.  Out: the driver's transport or listener, or what it declares about i
 Rules: a driver is imported when its scheme is first used, or when all schemes are to be described;
 the schemes of this package cannot be taken over; others come from the entry-point group
 `j2a.transports` (name = scheme, object = something with `open_url(url)` or `listen_url(url)`, which
-get a `Url`, and with `SCHEME`, a `Scheme`; without `SCHEME` it works, but is not described).
+get a `Url`, and with `SCHEME`, a `Scheme`; without `SCHEME` it works, but is not described). With
+`check_url(url)`, which raises BadUrl, fleets refuse at once what could never be opened.
 """
 
 from __future__ import annotations
@@ -90,20 +91,20 @@ def innermost(url: str) -> tuple[str, Scheme]:
     return url, declared
 
 
-def check(url: str) -> None:
+def check(url: str, **options: object) -> None:
     """Refuse a URL that can never be opened, as far as its driver tells that without opening it.
 
     Args:
-        url: such as `tcp://127.0.0.1:5000`; of one that wraps another, the inner one is checked.
+        url: such as `tcp://127.0.0.1:5000`; of one that wraps another, the inner one is checked,
+            too.
+        options: as of `open`.
 
     Raises:
-        BadUrl: scheme unknown, or one whose driver has `check_url(url)` and refuses the rest.
+        BadUrl: scheme unknown, or one that can only listen, or whose driver has `check_url(url)`
+            and refuses the rest.
         OpenFailed: a driver does not load.
     """
-    _parse(url, {})  # tells which URL was probably meant
-    inner, _ = innermost(url)
-    parsed = _parse(inner, {})
-    driver = _driver(parsed.scheme, inner)
+    parsed, driver = _to_open(url, options)
     if hasattr(driver, "check_url"):
         driver.check_url(parsed)
 
@@ -124,11 +125,7 @@ def open(url: str, **options: object) -> Transport:
         OpenFailed: it cannot be opened; the message says why and what to do.
         MissingExtra: a Python package is missing; the message names it.
     """
-    parsed = _parse(url, options)
-    driver = _driver(parsed.scheme, url)
-    if not hasattr(driver, "open_url"):
-        others = _names(lambda scheme: scheme.open)
-        raise BadUrl(f"{url}: {parsed.scheme} can only listen; these can be opened: {others}")
+    parsed, driver = _to_open(url, options)
     try:
         transport: Transport = driver.open_url(parsed)
     except TransportError as error:
@@ -172,6 +169,16 @@ def _parse(text: str, options: Mapping[str, object]) -> Url:
                     hint = f"did you mean {match.expand(meant)} ?"
                     raise BadUrl(f"{text!r} is not a transport URL: {hint}")
     return Url.parse(text, options)
+
+
+def _to_open(url: str, options: Mapping[str, object]) -> tuple[Url, Any]:
+    """Return a URL taken apart, and the driver that opens it."""
+    parsed = _parse(url, options)
+    driver = _driver(parsed.scheme, url)
+    if not hasattr(driver, "open_url"):
+        others = _names(lambda scheme: scheme.open)
+        raise BadUrl(f"{url}: {parsed.scheme} can only listen; these can be opened: {others}")
+    return parsed, driver
 
 
 def _declared() -> Iterator[Scheme]:

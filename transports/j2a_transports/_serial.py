@@ -113,6 +113,14 @@ class SerialTransport(PolledTransport):
         _close(self._port)
 
 
+def check_url(url: Url) -> tuple[str, dict[str, Any]]:
+    """Return port and options of `serial:PORT`; raises BadUrl."""
+    name, options = _parse(url)
+    if "://" in name:
+        _new_port(url, name, options)  # pyserial alone knows its URLs
+    return name, options
+
+
 def open_url(url: Url) -> Transport:
     """Open a port and, with `boot`, wait for the board to start and discard what it says."""
     name, options = _parse(url)
@@ -166,7 +174,8 @@ def _parse(url: Url) -> tuple[str, dict[str, Any]]:
     return name, url.options(parts, _OPEN)
 
 
-def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBase:
+def _new_port(url: Url, name: str, options: dict[str, Any]) -> serial.Serial:
+    """Return a port that is not open yet."""
     try:
         import serial  # noqa: PLC0415 - an extra
     except ImportError:
@@ -177,7 +186,7 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
             "pip uninstall serial, then pip install pyserial"
         )
     try:
-        port = serial.serial_for_url(
+        return serial.serial_for_url(
             name,
             do_not_open=True,
             baudrate=options["baud"],
@@ -191,6 +200,18 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
             rtscts=options["rtscts"],
             exclusive=options["exclusive"] or None,
         )
+    except ValueError as error:
+        raise _refused(url, error) from error
+
+
+def _refused(url: Url, error: Exception) -> BadUrl:
+    own = ", ".join(sorted(option.name for option in _OPTIONS))
+    return BadUrl(f"{url.text}: pyserial refuses it ({error}); our options are: {own}")
+
+
+def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBase:
+    port = _new_port(url, name, options)
+    try:
         if "dtr" in options:
             port.dtr = options["dtr"]
         if "rts" in options:
@@ -198,10 +219,7 @@ def _open_port(url: Url, name: str, options: dict[str, Any]) -> serial.SerialBas
         port.open()
     except (ValueError, KeyError) as error:
         # KeyError: pyserial 3.5 trips over its own message for an unknown loop:// parameter.
-        own = ", ".join(sorted(option.name for option in _OPTIONS))
-        raise BadUrl(
-            f"{url.text}: pyserial refuses it ({error}); our options are: {own}"
-        ) from error
+        raise _refused(url, error) from error
     except OSError as error:
         # pyserial quotes the system as a tuple: (25, 'Inappropriate ioctl for device').
         reason = re.sub(r"\(\d+, '([^']*)'\)", r"\1", str(error))

@@ -82,11 +82,17 @@ class StdioTransport(PolledTransport):
         self._streams.give_back()
 
 
-def open_url(url: Url) -> Transport:
-    """Take over standard input and output."""
+def check_url(url: Url) -> dict[str, Any]:
+    """Return the options of `stdio:`; raises BadUrl."""
     options = url.options([], _USAGE)
     if url.rest:
         raise BadUrl(f"{url.text}: write stdio: with nothing after the colon")
+    return options
+
+
+def open_url(url: Url) -> Transport:
+    """Take over standard input and output."""
+    options = check_url(url)
     try:
         streams = StandardStreams()
     except OSError as error:

@@ -213,6 +213,14 @@ _WITH_PREFIXES: Final = replace(
 )
 
 
+def check_url(url: Url) -> None:
+    """Raise BadUrl for what can never be opened, be it of `faults:` or of the inner URL."""
+    inner_text, _, _, _, keywords = _parse(url)
+    from ._registry import check  # noqa: PLC0415 - the registry knows this module
+
+    check(inner_text, **keywords)
+
+
 def open_url(url: Url) -> Transport:
     """Open `faults:name=value,...:inner-url`; `tx_` or `rx_` before a name: that direction only."""
     inner_text, tx, rx, seed, keywords = _parse(url)

@@ -54,52 +54,91 @@ def test_bad_urls_are_value_errors() -> None:
         j2a_transports.open("telnet://host")
 
 
-@pytest.mark.parametrize(
-    ("url", "says"),
-    [
-        ("serial:///dev/x?baude=3", "unknown option 'baude'; serial has: baud, bits,"),
-        ("serial:///dev/x?baud=fast", "baud='fast' takes a whole number from 1 to"),
-        ("serial:///dev/x?baud=0", "baud='0' takes a whole number from 1 to"),
-        ("serial:///dev/x?parity=X", "parity='X' takes one of N, E, O, M, S"),
-        ("serial:///dev/x?stopbits=3", "stopbits='3' takes one of 1, 1.5, 2"),
-        ("serial:///dev/x?bits=9", "bits='9' takes a whole number from 5 to 8"),
-        ("serial:///dev/x?dtr=maybe", "dtr='maybe' takes one of 0, 1, FALSE, TRUE, OFF, ON"),
-        ("serial:///dev/x?boot=-1", "boot='-1' takes a number from 0 to 60"),
-        ("serial:///dev/x?boot=nan", "boot='nan' takes a number from 0 to 60"),
-        ("serial:///dev/x?baud", "'baud' is not an option of the form name=value"),
-        ("serial:///dev/x?baud=1&baud=2", "option 'baud' is given twice"),
-        ("serial:", "name a port, such as serial:///dev/ttyACM0 or serial:COM3; `j2a list` or"),
-        ("serial://", "name a port"),
-        ("serial:loop://?baude=3", "pyserial refuses it"),
-        ("serial:nonsense://x", "pyserial refuses it"),
-        ("tcp://host", "expected tcp://host:port"),
-        ("tcp:host:5", "expected tcp://host:port"),
-        ("tcp://:5000", "expected tcp://host:port"),
-        ("tcp://host:65536", "a port up to 65535"),
-        (f"tcp://host:{'9' * 5000}", "a port up to 65535"),
-        ("tcp://a..b:5", "'a..b' cannot be a host name: "),
-        (f"tcp://{'x' * 70}:5", "cannot be a host name: "),
-        ("tcp://a\udcffb:5", "cannot be a host name: "),
-        ("tcp://host:5?connect_timeout=0", "takes a number of seconds above 0, or none"),
-        ("tcp://host:5?baud=5", "unknown option 'baud'; tcp has: connect_timeout, write_timeout"),
-        ("exec:", "expected exec:program arguments"),
-        ("exec:a 'b", "cannot be split: No closing quotation"),
-        ("exec://fw", "write exec:fw without the slashes"),
-        ("pty://fw", "write pty:fw without the slashes"),
-        ("stdio:x", "nothing after the colon"),
-        ("loopback:", "expected loopback:name"),
-        ("loopback:a?b=c", "expected loopback:name"),
-        ("faults:drop=0.1", "expected faults:seed=1,drop=0.001:inner-url"),
-        ("faults:drop=2:loopback:x", "drop='2' takes a number from 0 to 1"),
-        ("faults:dorp=0.1:loopback:x", "unknown option 'dorp'; faults has: burst,"),
-        ("faults:drop=0.1:telnet:x", "unknown scheme 'telnet'"),
-        ("faults:write_timeout=1:tcp://127.0.0.1:5?write_timeout=2", "given twice"),
-    ],
-)
+WRONG = [
+    ("serial:///dev/x?baude=3", "unknown option 'baude'; serial has: baud, bits,"),
+    ("serial:///dev/x?baud=fast", "baud='fast' takes a whole number from 1 to"),
+    ("serial:///dev/x?baud=0", "baud='0' takes a whole number from 1 to"),
+    ("serial:///dev/x?parity=X", "parity='X' takes one of N, E, O, M, S"),
+    ("serial:///dev/x?stopbits=3", "stopbits='3' takes one of 1, 1.5, 2"),
+    ("serial:///dev/x?bits=9", "bits='9' takes a whole number from 5 to 8"),
+    ("serial:///dev/x?dtr=maybe", "dtr='maybe' takes one of 0, 1, FALSE, TRUE, OFF, ON"),
+    ("serial:///dev/x?boot=-1", "boot='-1' takes a number from 0 to 60"),
+    ("serial:///dev/x?boot=nan", "boot='nan' takes a number from 0 to 60"),
+    ("serial:///dev/x?baud", "'baud' is not an option of the form name=value"),
+    ("serial:///dev/x?baud=1&baud=2", "option 'baud' is given twice"),
+    ("serial:", "name a port, such as serial:///dev/ttyACM0 or serial:COM3; `j2a list` or"),
+    ("serial://", "name a port"),
+    ("serial:loop://?baude=3", "pyserial refuses it"),
+    ("serial:nonsense://x", "pyserial refuses it"),
+    ("tcp://host", "expected tcp://host:port"),
+    ("tcp:host:5", "expected tcp://host:port"),
+    ("tcp://:5000", "expected tcp://host:port"),
+    ("tcp://host:65536", "a port up to 65535"),
+    (f"tcp://host:{'9' * 5000}", "a port up to 65535"),
+    ("tcp://a..b:5", "'a..b' cannot be a host name: "),
+    (f"tcp://{'x' * 70}:5", "cannot be a host name: "),
+    ("tcp://a\udcffb:5", "cannot be a host name: "),
+    ("tcp://host:5?connect_timeout=0", "takes a number of seconds above 0, or none"),
+    ("tcp://host:5?baud=5", "unknown option 'baud'; tcp has: connect_timeout, write_timeout"),
+    ("exec:", "expected exec:program arguments"),
+    ("exec:a 'b", "cannot be split: No closing quotation"),
+    ("exec://fw", "write exec:fw without the slashes"),
+    ("pty://fw", "write pty:fw without the slashes"),
+    ("stdio:x", "nothing after the colon"),
+    ("loopback:", "expected loopback:name"),
+    ("loopback:a?b=c", "expected loopback:name"),
+    ("faults:drop=0.1", "expected faults:seed=1,drop=0.001:inner-url"),
+    ("faults:drop=2:loopback:x", "drop='2' takes a number from 0 to 1"),
+    ("faults:dorp=0.1:loopback:x", "unknown option 'dorp'; faults has: burst,"),
+    ("faults:drop=0.1:telnet:x", "unknown scheme 'telnet'"),
+    ("faults:write_timeout=1:tcp://127.0.0.1:5?write_timeout=2", "given twice"),
+    ("usb://zz:zz", "'zz:zz' names no USB board: write usb:// (the only board), usb://SERIAL"),
+    ("usb://?interface=1", "interface= needs to know of which device"),
+    ("usb://a?serial=b", "the serial number is given twice"),
+    ("usb:///dev/null", "is no USB device file"),
+    ("usb://a?b", "'b' is not an option of the form name=value"),
+    ("bt://no", "expected bt://ADDRESS/CHANNEL"),
+    ("bt://00:1A:7D:DA:71:13/31", "with a channel from 1 to 30"),
+    ("bt://00:1A:7D:DA:71:13/1?service=J2A", "give a channel or service=NAME, not both"),
+    ("gadget:", "gadget can only listen; these can be opened: "),
+]
+
+
+@pytest.mark.parametrize(("url", "says"), WRONG)
 def test_a_bad_url_says_what_is_allowed(url: str, says: str) -> None:
     with pytest.raises(BadUrl) as caught:
         j2a_transports.open(url)
     assert says in str(caught.value)
+
+
+# Which parameters its own URLs have, pyserial says when it opens them.
+@pytest.mark.parametrize(("url", "says"), [one for one in WRONG if "loop://" not in one[0]])
+def test_a_bad_url_is_refused_before_it_is_opened(url: str, says: str) -> None:
+    for prefix in ("", "faults::"):
+        with pytest.raises(BadUrl) as caught:
+            j2a_transports.check(prefix + url)
+        assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "serial:///dev/none",
+        "serial:loop://",
+        "tcp://192.0.2.1:5000",
+        "usb://",
+        "usb://zz",
+        "usb:///dev/none",
+        "bt://00:1A:7D:DA:71:13",
+        "exec:/none -x",
+        "pty:/none",
+        "stdio:",
+        "loopback:none",
+        "faults:drop=0.1:serial:///dev/none",
+    ],
+)
+def test_a_url_of_what_is_not_there_is_right(url: str) -> None:
+    j2a_transports.check(url)
 
 
 def test_an_option_may_be_a_keyword_but_not_both() -> None:

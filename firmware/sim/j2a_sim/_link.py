@@ -120,6 +120,18 @@ SCHEME: Final = Scheme(
 )
 
 
+def check_url(url: Url) -> tuple[str, dict[str, Any]]:
+    """Return path and options of `sim:path/to/firmware.elf`; raises BadUrl."""
+    path, parts = url.split_query()
+    options: dict[str, Any] = url.options(parts, _OPEN)
+    if not path:
+        raise BadUrl(f"{url.text}: name the firmware, such as sim:demo.elf")
+    for name in ("uart", "baud"):
+        if options["link"] == "usb" and name in options:
+            raise BadUrl(f"{url.text}: {name} is an option of a UART, and link=usb uses none")
+    return unquote(path), options
+
+
 def open_url(url: Url) -> Transport:
     """Open `sim:path/to/firmware.elf?mcu=atmega328p&freq=16000000&uart=0`.
 
@@ -127,20 +139,16 @@ def open_url(url: Url) -> Transport:
         A SimLink or UsbLink with a simulator of its own.
 
     Raises:
-        BadUrl: an option is unknown or wrong.
+        BadUrl: the path is missing, or an option is unknown or wrong.
         OpenFailed: the simulator cannot run this firmware, or the firmware does not come up; the
             message says what to do.
     """
-    path, parts = url.split_query()
-    options: dict[str, Any] = url.options(parts, _OPEN)
+    path, options = check_url(url)
     wire = options["link"]
-    for name in ("uart", "baud"):
-        if wire == "usb" and name in options:
-            raise BadUrl(f"{url.text}: {name} is an option of a UART, and link=usb uses none")
     kind = UsbLink if wire == "usb" else SimLink
     try:
         sim = AvrSim(
-            unquote(path),
+            path,
             options.get("mcu", _MCUS[wire]),
             options["freq"],
             options.get("uart"),

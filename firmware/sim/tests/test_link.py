@@ -3,6 +3,7 @@
 import threading
 import time
 
+import j2a_transports
 import pytest
 from j2a_sim import SimError, SimLink
 from j2a_sim._link import open_url
@@ -204,6 +205,15 @@ def test_the_default_speed_can_be_written(firmware):
 def test_a_wrong_option_is_a_bad_url(firmware, option, says):
     with pytest.raises(BadUrl, match=says):
         open_url(Url.parse(f"sim:{firmware('echo')}?{option}"))
+
+
+@pytest.mark.parametrize(
+    "url", ["sim:", "sim:?speed=0", "sim:a.elf?x", "sim:a.elf?link=usb&uart=0"]
+)
+def test_a_url_that_can_never_be_opened_is_refused_before_that(url):
+    with pytest.raises(BadUrl):
+        j2a_transports.check(url)
+    j2a_transports.check("sim:not-built-yet.elf?speed=0")
 
 
 def test_a_firmware_that_cannot_run_is_open_failed(firmware, tmp_path):

@@ -128,8 +128,8 @@ class BluetoothListener(SocketListener):
         super()._release()
 
 
-def open_url(url: Url) -> Transport:
-    """Connect to `bt://ADDRESS/CHANNEL`, or to the serial port that `bt://ADDRESS` offers."""
+def check_url(url: Url) -> tuple[str, int | None, dict[str, Any]]:
+    """Return address, channel and options of `bt://ADDRESS/CHANNEL`; raises BadUrl."""
     place, parts = url.split_query()
     match = re.fullmatch(rf"(?://)?({ADDRESS})(?:/([0-9]{{1,2}})?)?", place)
     if match is None or (match[2] and not 1 <= int(match[2]) <= 30):
@@ -140,9 +140,16 @@ def open_url(url: Url) -> Transport:
     options = url.options(parts, OPEN)
     if match[2] and "service" in options:
         raise BadUrl(f"{url.text}: give a channel or service=NAME, not both")
+    return match[1].upper(), int(match[2]) if match[2] else None, options
+
+
+def open_url(url: Url) -> Transport:
+    """Connect to `bt://ADDRESS/CHANNEL`, or to the serial port that `bt://ADDRESS` offers."""
+    address, channel, options = check_url(url)
     _check_support(url)
-    client = _Client(url, match[1].upper(), options)
-    channel = int(match[2]) if match[2] else client.look_up(options.get("service"))
+    client = _Client(url, address, options)
+    if channel is None:
+        channel = client.look_up(options.get("service"))
     try:
         sock = client.connect(socket.SOCK_STREAM, channel)
         return BluetoothTransport(url.text, sock, options["write_timeout"])

@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 import weakref
+from collections.abc import Mapping
 from typing import Any, Final
 
 from j2a_transports._base import (
@@ -206,22 +207,24 @@ def _close_all() -> None:
         transport.close()
 
 
-def open_url(url: Url) -> Transport:
-    """Open the one board that the URL names."""
+def check_url(url: Url) -> dict[str, Any]:
+    """Return the options of `usb://ADDRESS`; raises BadUrl."""
     place, parts = url.split_query()
     options = url.options(parts, _OPEN)
-    interface: int | None = options.get("interface")
+    with contextlib.suppress(OpenFailed):  # a device file that is not there yet
+        _address(url, place, options)
+    return options
+
+
+def open_url(url: Url) -> Transport:
+    """Open the one board that the URL names."""
+    options = check_url(url)
+    place, _ = url.split_query()
     deadline = time.monotonic() + options["wait"]
     while True:
         try:
-            address = Address.parse(url.text, place, options.get("serial"))
-            if interface is not None and address == Address():
-                # Any device has some interface: a stick would lose its driver.
-                raise BadUrl(
-                    f"{url.text}: interface= needs to know of which device, for example "
-                    f"usb://6666:cafe?interface={interface}"
-                )
-            board, device = _find(url.text, address, interface)
+            address = _address(url, place, options)
+            board, device = _find(url.text, address, options.get("interface"))
             break
         except MissingExtra:
             raise
@@ -236,6 +239,24 @@ def open_url(url: Url) -> Transport:
         write_timeout_s=options["write_timeout"],
         transfers=options["transfers"],
     )
+
+
+def _address(url: Url, place: str, options: Mapping[str, Any]) -> Address:
+    """Return which board is meant.
+
+    Raises:
+        BadUrl: no board can be meant so.
+        OpenFailed: a device file is not there.
+    """
+    address = Address.parse(url.text, place, options.get("serial"))
+    interface = options.get("interface")
+    if interface is not None and address == Address():
+        # Any device has some interface: a stick would lose its driver.
+        raise BadUrl(
+            f"{url.text}: interface= needs to know of which device, for example "
+            f"usb://6666:cafe?interface={interface}"
+        )
+    return address
 
 
 def _find(url: str, address: Address, interface: int | None) -> Found:
