@@ -350,6 +350,47 @@ def test_bridges_on_one_computer_may_have_names_of_their_own(broker, listener):
         listener.next(f"j2a/NDEATH/{node}")
 
 
+def test_bridges_of_one_name_are_both_told_once(broker, listener, caplog):
+    def warnings():
+        return [one.message for one in caplog.records if "has the node" in one.message]
+
+    sinks = [sink_of(broker.port) for _ in range(2)]
+    try:
+        for one in sinks:
+            one.open()
+        births = [listener.next(f"j2a/NBIRTH/{HOST}")["bridge"] for _ in range(4)]
+        assert set(births) == {one._id for one in sinks}
+        listener.client.publish(f"j2a/DCMD/{HOST}/robot/s", "{}", qos=1)
+        for _ in sinks:  # each answers, behind the births
+            listener.next(f"j2a/DRES/{HOST}/robot/s")
+    finally:
+        for one in sinks:
+            one.close()
+    assert len(warnings()) == 2
+    assert f"127.0.0.1:{broker.port},node=NAME" in warnings()[0]
+
+
+@pytest.mark.parametrize("payload", [b"", b"{}", b"[" * 100_000, b'{"bridge": ', b"1", b"\xff"])
+def test_a_birth_that_makes_no_sense_is_no_bridge(caplog, payload):
+    sink = sink_of(1883)
+    message = paho.MQTTMessage(topic=f"j2a/NBIRTH/{HOST}".encode())
+    message.payload = payload
+    sink._on_message(None, None, message)
+    assert not caplog.records
+
+
+def test_the_birth_of_a_bridge_that_has_ended_is_no_other_bridge(broker, listener, caplog):
+    for _ in range(2):
+        sink = sink_of(broker.port)
+        sink.open()
+        listener.next(f"j2a/NBIRTH/{HOST}")
+        listener.client.publish(f"j2a/DCMD/{HOST}/robot/s", "{}", qos=1)
+        listener.next(f"j2a/DRES/{HOST}/robot/s")
+        sink.close()
+        listener.next(f"j2a/NDEATH/{HOST}")
+    assert not [one for one in caplog.records if "has the node" in one.message]
+
+
 def test_boards_that_went_while_the_broker_was_away_are_dead_when_it_is_back(broker, listener):
     sink = sink_of(broker.port)
     sink.open()

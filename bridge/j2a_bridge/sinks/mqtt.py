@@ -4,12 +4,13 @@ What flows in: samples. What flows out, each below GROUP/KIND/COMPUTER/BOARD: DB
 has, retained), DDATA/.../TOPIC (samples), DDEATH; NBIRTH and NDEATH for this computer. Back come
 DCMD/.../TOPIC (values or settings), which DRES/.../TOPIC answers.
 Rules: the broker tells NDEATH when this program dies; samples are sent at most once, births and
-deaths at least once.
+deaths at least once. Each NBIRTH has the number of its bridge, so that two of one name notice it.
 """
 
 import contextlib
 import json
 import logging
+import secrets
 import socket
 import threading
 from collections.abc import Mapping
@@ -73,6 +74,8 @@ class MqttSink(Sink):
         # Boards whose births stay with the broker.
         self._born: set[str] = set()
         self._given = 0
+        self._id = secrets.token_hex(8)
+        self._namesakes: set[str] = set()  # bridges of our name, which were told of us
 
     # ------------------------------------------------------------------ life
 
@@ -108,8 +111,8 @@ class MqttSink(Sink):
         if not self._connected.wait(_WAIT_S):
             why = self._why or "it does not say why"
             raise SinkError(f"the broker at {where} takes no connection: {why}")
-        client.subscribe(f"{self._topic('DCMD')}/#", qos=1)
-        self._send("NBIRTH", {"version": 1}, retain=True)
+        client.subscribe([(f"{self._topic('DCMD')}/#", 1), (self._topic("NBIRTH"), 1)])
+        self._tell_birth()
         for board in sorted(self._born):  # what is here still is announced anew
             self._bury(board)
 
@@ -139,6 +142,27 @@ class MqttSink(Sink):
     def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _: Any) -> None:
         self._why = self._why or str(reason)
         self._connected.clear()
+
+    def _tell_birth(self) -> None:
+        self._send("NBIRTH", {"version": 1, "bridge": self._id}, retain=True)
+
+    def _meet(self, message: Any) -> None:
+        """Notice that another bridge has our name, and have it notice us."""
+        try:
+            other = str(json.loads(message.payload)["bridge"])
+        except (ValueError, RecursionError, LookupError, TypeError):
+            return
+        # One that is retained may be of a bridge that has ended.
+        if message.retain or other in (self._id, *self._namesakes):
+            return
+        self._namesakes.add(other)
+        _logger.warning(
+            "mqtt: another bridge at %s:%d has the node %s, too, so that each replaces what the "
+            "other tells: give each its own, as in mqtt:%s:%d,node=NAME",
+            *(self._host, self._port, self._node, self._host, self._port),
+        )
+        with contextlib.suppress(SinkError):  # the broker is gone already
+            self._tell_birth()
 
     # ------------------------------------------------------------------ topics
 
@@ -211,6 +235,9 @@ class MqttSink(Sink):
         head = self._topic("DCMD") + "/"
         board = name = ""
         try:
+            if message.topic == self._topic("NBIRTH"):
+                self._meet(message)
+                return
             board, _, name = message.topic.removeprefix(head).partition("/")
             if message.retain:
                 raise LocalError("an order that is retained would come again and again")
