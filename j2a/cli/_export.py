@@ -50,15 +50,16 @@ def run(args: argparse.Namespace) -> int:
     recording = Recording(args.file)
     try:
         args.folder.mkdir(parents=True, exist_ok=True)
-        size = Path(args.file).stat().st_size
+        overview = Recording(args.file)
+        overview.read_boards()
     except OSError as error:
         raise UsageError(f"{error.filename}: {error.strerror}") from None
     tables: dict[tuple[str, Transducer], _Table] = {}
     problems: list[j2a.LocalError] = []
     with contextlib.ExitStack() as stack:
-        progress = stack.enter_context(Progress(f"reading {args.file}"))
+        progress = stack.enter_context(Progress(f"reading {args.file}", in_seconds=True))
         try:
-            done = 0
+            start_ns: int | None = None
             for one in _samples(recording, problems):
                 key = one.board, one.sensor
                 if key not in tables:
@@ -67,8 +68,8 @@ def run(args: argparse.Namespace) -> int:
                     path = args.folder / f"{free_name(name, taken)}.{args.format}"
                     tables[key] = stack.enter_context(_Table(path, one.sensor, args.format))
                 tables[key].add(one)
-                done += len(one.payload)
-                progress(min(done, size), size)
+                start_ns = one.time_ns if start_ns is None else start_ns
+                progress(max(0, one.time_ns - start_ns) / 1e9, overview.duration_s)
             for table in tables.values():
                 table.flush()
         except FileExistsError as error:

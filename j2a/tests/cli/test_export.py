@@ -129,6 +129,24 @@ def test_integers_of_64_bits_stay_exact(run, tmp_path):
     assert table["value"].to_pylist() == [(1 << 64) - 2, None]
 
 
+def test_it_shows_how_far_it_is_up_to_the_end(run, tmp_path, monkeypatch):
+    drawn = []
+
+    class Drawn(_export.Progress):
+        def __call__(self, done, total=None, more=""):
+            drawn.append((done, total))
+
+    monkeypatch.setattr(_export, "Progress", Drawn)
+    path = tmp_path / "drive.mcap"
+    with Recorder(path) as recorder:
+        recorder.add_board("b", read_transds("SENSOR(quad, 0, quad, X, 1, u8, none)"))
+        for number, seconds in enumerate((0, 3, 2, 5)):  # the clock was set back once
+            sample = j2a.Sample("b", "quad", number, (), 0.0, payload=struct.pack("<QB", 1, 2))
+            recorder.write("b", sample, NOW_NS + seconds * 1_000_000_000)
+    assert run("export", path, tmp_path / "out").code == 0
+    assert drawn == [(0, 5), (3, 5), (2, 5), (5, 5)]
+
+
 def test_what_cannot_be_exported(run, path, tmp_path):
     result = run("export", tmp_path / "none.mcap", tmp_path / "out")
     assert (result.code, result.out) == (2, "")
