@@ -7,7 +7,7 @@ Its clock goes on as that of the recorded board.
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -67,6 +67,7 @@ class ReplayBoard(Device):
     def stop(self) -> None:
         """End as `Device.stop`, and play no more."""
         self._ended.set()
+        self._described.set()
         super().stop()
 
     @property
@@ -86,7 +87,10 @@ class ReplayBoard(Device):
         return super()._tell_descriptors()
 
     def play(
-        self, speed: float = 1.0, progress: Callable[[float], object] = lambda _done_s: None
+        self,
+        speed: float = 1.0,
+        progress: Callable[[float], object] = lambda _done_s: None,
+        others: Iterable["ReplayBoard"] = (),
     ) -> int:
         """Play the samples, from when a host has read the descriptors on; returns how many.
 
@@ -96,20 +100,25 @@ class ReplayBoard(Device):
         Args:
             speed: 2 is twice as fast as they came; the time of the board is, too.
             progress: called with how much was played, in seconds of the recording.
+            others: boards of the same recording, which are played with this one in their common
+                time, whether hosts know them already or not.
 
         Raises:
             OSError: it cannot be read.
         """
+        boards = {one._board.name: one for one in (self, *others)}
         self._described.wait()
         self._ended.wait(_BEGIN_S)  # until the host knows them
-        self._pace = time.monotonic_ns(), self._local_us(), speed
-        self._transducers().set_pace(speed)
+        for one in boards.values():
+            one._pace = time.monotonic_ns(), one._local_us(), speed
+            one._transducers().set_pace(speed)
         recording = Recording(self._path)
         due_us = start_us = self._local_us()
         last_ns = None
         count = 0
         for sample in self._samples(recording):
-            if sample.board != self._board.name:
+            board = boards.get(sample.board)
+            if board is None:
                 continue
             if last_ns is not None:
                 # Where the clock of the computer was set back meanwhile, it goes on at once.
@@ -117,7 +126,7 @@ class ReplayBoard(Device):
             last_ns = sample.time_ns
             if not self._wait_until(due_us):
                 return count
-            self._transducers().give(partial(self._replay, sample))
+            board._transducers().give(partial(board._replay, sample))
             count += 1
             progress((due_us - start_us) / 1e6)
         self.is_whole = recording.is_whole

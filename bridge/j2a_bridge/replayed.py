@@ -1,12 +1,13 @@
 """Recordings as boards that a bridge can open.
 
-What flows in: a recording. What flows out: URLs of devices that play it again and again.
+What flows in: a recording. What flows out: URLs of devices that play it again and again, together.
 """
 
 import contextlib
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import j2a_transports
@@ -37,31 +38,31 @@ def replayed(path: Path) -> Iterator[list[str]]:
         raise LocalError(
             f"{path} has {len(names)} boards, more than the {_MOST_BOARDS} at once here"
         )
+    first, *others = boards = [ReplayBoard(path, name) for name in names]
+    ended = threading.Event()
+
+    def play() -> None:
+        problem = ""
+        try:
+            while not ended.is_set() and first.play(others=others):
+                if first.problem != problem:
+                    problem = first.problem
+                    _logger.warning("%s", problem)
+        except OSError as error:
+            _logger.warning("%s cannot be read any more: %s", path, error.strerror)
+
     with contextlib.ExitStack() as stack:
         urls = []
-        for name in names:
-            board = ReplayBoard(path, name)
+        works: list[Callable[[], object]] = [play]
+        for board in boards:
             listener = stack.enter_context(j2a_transports.listen("tcp://127.0.0.1:0"))
-            ended = threading.Event()
-
-            def play(board: ReplayBoard = board, ended: threading.Event = ended) -> None:
-                problem = ""
-                try:
-                    while not ended.is_set() and board.play():
-                        if board.problem != problem:
-                            problem = board.problem
-                            _logger.warning("%s", problem)
-                except OSError as error:
-                    _logger.warning("%s cannot be read any more: %s", path, error.strerror)
-
-            threads = [
-                threading.Thread(target=board.serve_forever, args=(listener,), daemon=True),
-                threading.Thread(target=play, daemon=True),
-            ]
-            for thread in threads:
-                thread.start()
-                stack.callback(thread.join, _END_S)
-            stack.callback(board.stop)
-            stack.callback(ended.set)
+            works.append(partial(board.serve_forever, listener))
             urls.append(listener.url)
+        for work in works:
+            thread = threading.Thread(target=work, daemon=True)
+            thread.start()
+            stack.callback(thread.join, _END_S)
+        for board in boards:
+            stack.callback(board.stop)
+        stack.callback(ended.set)
         yield urls

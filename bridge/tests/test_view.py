@@ -1,11 +1,13 @@
 """`j2a view`, as a user runs it."""
 
 import asyncio
+import contextlib
 import json
 import signal
 import struct
 import subprocess
 import sys
+import threading
 
 import aiohttp
 import pytest
@@ -13,6 +15,7 @@ from j2a_bridge.replayed import replayed
 
 import j2a
 from j2a.recording import Recorder
+from j2a.replay import ReplayBoard
 from j2a.types.transds_file import read_transds
 
 from .support import PATIENCE_S, board_of, bridging, config_for, served, until
@@ -85,9 +88,43 @@ def test_boards_that_came_while_it_was_recorded_are_served(tmp_path):
             recorder.flush()
     with replayed(path) as urls:
         for url in urls:
-            with j2a.connect(url) as board:
+            with j2a.connect(url, timeout=PATIENCE_S) as board:
                 assert board.transducers["quad"].wait(PATIENCE_S).values == (2,)
     assert len(urls) == 2
+
+
+def test_boards_of_a_recording_keep_their_common_time(tmp_path, monkeypatch):
+    path, played, replay = tmp_path / "drive.mcap", [], ReplayBoard._replay
+
+    def note(self, sample, local_us):
+        played.append((sample.board, sample.payload[-1]))
+        return replay(self, sample, local_us)
+
+    monkeypatch.setattr(ReplayBoard, "_replay", note)
+    sensors = read_transds("SENSOR(quad, 0, quad, X, 1, u8, none)")
+    recorded = [("left", 1), ("left", 2), ("left", 3), ("right", 4)]
+    with Recorder(path) as recorder:
+        for name in ("left", "right"):
+            recorder.add_board(name, sensors, prefix=name)
+        for name, value in recorded:
+            sample = j2a.Sample("b", "quad", 0, (), 0.0, payload=struct.pack("<QB", value, value))
+            recorder.write(name, sample, value * 50_000_000)
+    with replayed(path) as urls, contextlib.ExitStack() as stack:
+        boards = [stack.enter_context(j2a.connect(url, timeout=PATIENCE_S)) for url in urls]
+        sensor = [board.transducers["quad"] for board in boards][1]
+        sensor.wait(PATIENCE_S)
+        sensor.wait(PATIENCE_S)  # it begins anew
+    assert played[:8] == 2 * recorded
+
+
+def test_a_recording_that_no_host_plays_ends_at_once(tmp_path):
+    path = tmp_path / "drive.mcap"
+    with Recorder(path) as recorder:
+        recorder.add_board("b", read_transds("SENSOR(quad, 0, quad, X, 1, u8, none)"))
+    before = set(threading.enumerate())
+    with replayed(path):
+        pass
+    assert not set(threading.enumerate()) - before
 
 
 def test_a_recording_of_too_many_boards_is_refused(tmp_path):
