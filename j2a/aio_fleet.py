@@ -113,15 +113,18 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         """The transducers of all boards that are here, by the board's identity and their name."""
         return self._transducers()
 
-    def at(self, time_us: int) -> "AsyncFleetAt":
+    def at(self, time_us: int, *, within_us: float = 10_000.0) -> "AsyncFleetAt":
         """Return what gives orders to several boards for a time, such as `at(t).set("lamp", True)`.
 
         Args:
             time_us: when, in microseconds since 1970 on the clock of this computer.
+            within_us: by so much each board may be off at that time, in microseconds. Orders are
+                refused where that is not sure: after few exchanges with a board nobody knows its
+                rate, and it may be off by 1 % of the time until then.
         """
         from j2a.timed import AsyncFleetAt  # noqa: PLC0415 - few programs need it
 
-        return AsyncFleetAt(self, time_us)
+        return AsyncFleetAt(self, time_us, within_us)
 
     async def wait(self, *boards: str | int, timeout: float = 10.0) -> None:
         """Wait until boards are here; args and raises as of `j2a.Fleet.wait`."""

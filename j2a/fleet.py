@@ -110,15 +110,18 @@ class Fleet(FleetBase[Client, "_Member"]):
         """The transducers of all boards that are here, by the board's identity and their name."""
         return self._transducers()
 
-    def at(self, time_us: int) -> "FleetAt":
+    def at(self, time_us: int, *, within_us: float = 10_000.0) -> "FleetAt":
         """Return what gives orders to several boards for a time, such as `at(t).set("lamp", True)`.
 
         Args:
             time_us: when, in microseconds since 1970 on the clock of this computer.
+            within_us: by so much each board may be off at that time, in microseconds. Orders are
+                refused where that is not sure: after few exchanges with a board nobody knows its
+                rate, and it may be off by 1 % of the time until then.
         """
         from j2a.timed import FleetAt  # noqa: PLC0415 - few programs need it
 
-        return FleetAt(self, time_us)
+        return FleetAt(self, time_us, within_us)
 
     def wait(self, *boards: str | int, timeout: float = 10.0) -> None:
         """Wait until boards are here.

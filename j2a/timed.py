@@ -2,23 +2,27 @@
 
 What flows in: a time of this computer, the boards of a fleet, and what is to be done. What flows
 out: orders to each board, with the time on its own clock.
-Rules: all of it is checked before the first order is sent. An order that a board got too late is an
-error, because it acted at once then (J2A-TRANS-016, J2A-TRANS-018).
+Rules: all of it is checked before the first order is sent, also how well the clocks are known. An
+order that a board got too late is an error, because it acted at once then (J2A-TRANS-016,
+J2A-TRANS-018).
 """
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from j2a_spec import constants as c
 
 from j2a.errors import CallTimeout, J2AError, LocalError, UnknownTransducer, WrongArgument
+from j2a.io.async_clock import AsyncClock
 from j2a.io.clock_base import ClockBase
 from j2a.types.samples import SampleCodec, pack_time
 
 __all__ = ["AsyncFleetAt", "FleetAt"]
 
+_EXCHANGES: Final = 4
+"""A clock that is not known well is asked so often; one exchange may be slow."""
 _Pack = Callable[[SampleCodec, int], bytes]
 """Makes what is told to one transducer, for a time on the clock of its board."""
 
@@ -39,12 +43,16 @@ class _At:
     Args:
         boards: clients by the identity of their board.
         time_us: when, in microseconds since 1970 on the clock of this computer.
+        within_us: by so much each board may be off at that time, in microseconds.
     """
 
-    def __init__(self, boards: Mapping[str, Any], time_us: int) -> None:
+    def __init__(self, boards: Mapping[str, Any], time_us: int, within_us: float) -> None:
         pack_time(time_us)
+        if isinstance(within_us, bool) or not isinstance(within_us, int | float):
+            raise WrongArgument(f"within_us is a number of microseconds, not {within_us!r:.40}")
         self._boards = boards
         self._time_us = time_us
+        self._within_us = within_us
 
     def _chosen(self, name: str, boards: Iterable[str] | None) -> dict[str, Any]:
         """Return the clients of the boards that have a transducer, or of those that are named.
@@ -64,7 +72,7 @@ class _At:
         """Return the orders to boards.
 
         Raises:
-            LocalError: the time is over, or a value is wrong.
+            LocalError: the time is over, a clock is not known well enough, or a value is wrong.
         """
         orders = []
         for board, client in chosen.items():
@@ -74,15 +82,27 @@ class _At:
                 raise WrongArgument(
                     f"{name} of {board} is {kind}; actuators are set, and sensors triggered"
                 )
-            at_us = self._at_us(client.clock)
+            at_us = self._at_us(board, client.clock)
             orders.append(_Order(board, one, one._request(item, pack(one._codec, at_us)), at_us))
         return orders
 
-    def _at_us(self, clock: ClockBase) -> int:
+    def _at_us(self, board: str, clock: ClockBase) -> int:
         late_us = self._late_us(clock)
         if late_us >= 0:
             raise LocalError(f"{self._time_us} us is over since {late_us} us; nothing was sent")
-        return clock._to_act(self._time_us)
+        at_us, error_us = clock._to_act(self._time_us)
+        if not error_us <= self._within_us:
+            raise LocalError(
+                f"{board} may be off by {error_us:.0f} us in {-late_us / 1e6:.1f} s, more than "
+                f"{self._within_us:g} us; nothing was sent. Have its clock kept by "
+                "clock.discipline() or clock.follow() for some seconds, choose an earlier time, or "
+                "allow more: fleet.at(time_us, within_us=...)"
+            )
+        return at_us
+
+    def _is_known(self, clock: ClockBase) -> bool:
+        """Whether a clock need not be asked before an order."""
+        return clock._is_fresh and clock._to_act(self._time_us)[1] <= self._within_us
 
     def _late_us(self, clock: ClockBase) -> int:
         return clock._host.reference.to_unix(clock._host.observe()) - self._time_us
@@ -118,7 +138,8 @@ class FleetAt(_At):
         Returns: when each board acts, in microseconds on its own clock.
 
         Raises:
-            LocalError: the time is over, or a value is wrong; nothing was sent.
+            LocalError: the time is over, the clock of a board is not known well enough, or a value
+                is wrong; nothing was sent.
             UnknownTransducer: no board has the actuator, or one that is named has not.
             CallTimeout: not all boards had their order in time.
             J2AError: as `Actuator.set`; the other boards had their orders all the same.
@@ -137,7 +158,9 @@ class FleetAt(_At):
     ) -> dict[str, int]:
         chosen = self._chosen(name, boards)
         for client in chosen.values():
-            if not client.clock._is_fresh:
+            for _ in range(_EXCHANGES):
+                if self._is_known(client.clock):
+                    break
                 client.clock.measure(1)
         orders = self._plan(chosen, name, item, pack)
         errors: list[J2AError] = []
@@ -176,13 +199,19 @@ class AsyncFleetAt(_At):
     ) -> dict[str, int]:
         chosen = self._chosen(name, boards)
         clocks = [client.clock for client in chosen.values()]
-        await asyncio.gather(*(one.measure(1) for one in clocks if not one._is_fresh))
+        await asyncio.gather(*map(self._ask, clocks))
         orders = self._plan(chosen, name, item, pack)
         sent = (order.transducer._ask(order.request) for order in orders)
         for found in await asyncio.gather(*sent, return_exceptions=True):
             if isinstance(found, BaseException):
                 raise found
         return self._result(orders, clocks[0])
+
+    async def _ask(self, clock: AsyncClock) -> None:
+        for _ in range(_EXCHANGES):
+            if self._is_known(clock):
+                break
+            await clock.measure(1)
 
 
 def _packed(values: Sequence[Any], channel: int, raw: bool) -> _Pack:

@@ -214,17 +214,20 @@ class ClockBase:
             return False
         return self._host.counter_us() - newest.came_us < c.CLOCK_HOLDOVER_S * _US
 
-    def _to_act(self, host_us: int) -> int:
+    def _to_act(self, host_us: int) -> tuple[int, float]:
         """Return the time of the board at which it acts at a Unix time of this computer.
 
         Boards that follow this computer's clock are told its time: those on one USB agree by it
         better with each other than with us. One that is alone or follows another clock is not.
+
+        Returns: the time, and the bound of its error, in microseconds.
         """
-        estimate, time_us = self._estimate(), self._to_device(host_us)
-        is_ours = abs(time_us - host_us) <= estimate.uncertainty_us(
-            estimate.to_counter(self._host.counter_us())
-        )
-        return host_us if is_ours and self._state == "locked" else time_us
+        now = self._reading()
+        if now.state == "locked" and abs(now.offset_us) <= now.uncertainty_us:
+            return host_us, abs(now.offset_us) + now.uncertainty_us
+        time_us, estimate = self._to_device(host_us), self._estimate()
+        local_us = estimate.to_counter(self._host.reference.to_counter(host_us))
+        return time_us, estimate.uncertainty_us(local_us)
 
     def host_time_of_sample(self, time_us: int) -> int | None:
         """Return the time of this computer at a time stamp, None where it is not known."""
