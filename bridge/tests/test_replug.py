@@ -50,5 +50,6 @@ def test_topics_come_back_the_others_have_no_gap_and_nothing_grows(kept):
     for topic in ("steady/s", "calm/s", "moving/s"):
         assert values(topic) == list(range(TIMES))
     (files, threads), (files_then, threads_then) = counts
-    assert files_then <= files + 2
-    assert threads_then <= threads + 2
+    # One that is left behind each time would make TIMES // 2; a pool of threads may still grow.
+    assert files_then <= files + TIMES // 4
+    assert threads_then <= threads + TIMES // 4
