@@ -22,6 +22,7 @@ from j2a_bridge.bridge import Bridge
 from j2a_bridge.command import log_to_stderr, run_bridge
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config
 from j2a_bridge.replayed import replayed
+from j2a_bridge.reports import read_reports
 from j2a_bridge.sink import SinkRequest
 from j2a_bridge.sinks.web import WebSink
 from j2a_bridge.web_server import without_plots
@@ -32,6 +33,7 @@ examples:
   j2a view serial:///dev/ttyACM0
   j2a view --usb
   j2a view drive.mcap               (a recording, played again and again)
+  j2a view usb:// --report report.json
   j2a view tcp://127.0.0.1:5000 --port 8080 --no-browser
 
 The page is served on this computer alone. Who has its address, with the token, may set
@@ -51,6 +53,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="where the page is served (any free port)",
     )
+    parser.add_argument(
+        "--report",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="what j2a-conform found of a board (--json); its badge shows it; may be repeated",
+    )
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
     parser.add_argument("--names", choices=NAMES, help="as of j2a bridge")
     parser.add_argument("--clock", choices=CLOCKS, default="discipline", help="as of j2a bridge")
@@ -69,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("name a board or a recording, or --usb", "try: j2a list")
     if not args.folder.is_dir():
         raise UsageError(f"there is no folder {args.folder}")
+    reports = read_reports(args.report) if args.report else []
     with contextlib.ExitStack() as stack:
         urls = [url for word in args.urls for url in _boards(word, stack)]
         config = Config(
@@ -87,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
             if problem := bridge.runners[0].problem:
                 advice = "; choose another with --port, or leave it out" if args.port else ""
                 raise CommandFailed(f"{problem}{advice}", FAILED)
+            sink.reports = reports
             log_to_stderr()
             url = sink.server.url
             show(url, flush=True)

@@ -14,10 +14,10 @@ import json
 import logging
 import re
 import secrets
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import j2a
 from j2a import LocalError
@@ -26,7 +26,11 @@ from j2a.cli._typed import json_of, values_of
 from j2a.io.transducers import SETTINGS
 from j2a.types.model import Enumeration, Field, Structure
 from j2a_bridge.json_values import finite
+from j2a_bridge.reports import report_of
 from j2a_bridge.sink import Control
+
+if TYPE_CHECKING:
+    from j2a_conformance._model import Run
 
 try:
     from aiohttp import WSCloseCode, WSMsgType, web
@@ -73,6 +77,7 @@ class Source(Protocol):
     """Who knows what there is to show: the sink `web`. What it returns is an object for pages."""
 
     control: Control
+    reports: Sequence["Run"]
 
     def topics(self) -> dict[str, Any]:
         """Return all transducers."""
@@ -420,6 +425,7 @@ async def _functions(sink: Source, about: dict[str, Any]) -> dict[str, Any]:
             "functions": [_function_object(one) for one in functions.values()],
             "properties": properties,
             "capabilities": levels,
+            "report": report_of(sink.reports, properties),
         }
 
     return dict(await asyncio.wrap_future(sink.control.submit(ask())))

@@ -12,6 +12,7 @@ import j2a_bridge
 import pytest
 from j2a_bridge import web_server
 from j2a_bridge.browser import browser
+from j2a_conformance._model import Claims, Run
 
 import j2a
 
@@ -343,6 +344,28 @@ def test_a_state_from_before_the_topics_takes_no_cards_away():
             assert page.errors == []
 
     asyncio.run(work())
+
+
+@needs_browser
+@pytest.mark.parametrize("is_tested", [False, True])
+def test_the_badge_is_told_as_a_claim_unless_there_is_a_report(is_tested):
+    badge = "document.querySelector('.badge')"
+
+    async def work():
+        async with shown(board_of()) as (page, bridge):
+            properties = await bridge.client("robot").properties()
+            if is_tested:
+                claims = Claims(mapped=True, functions=(), properties=dict(properties))
+                run = Run("tcp://x", "2026-11-25T10:00:00+00:00", 1.0, claims, ())
+                bridge.runners[0].sink.reports = [run]
+                await page.run("location.reload()")
+            wanted = "nothing was tested, tested 2026-11-25" if is_tested else "not checked here"
+            await page.until(f"({badge}?.textContent ?? '').includes('{wanted}')")
+            return [await page.run(f"{badge}.{one}") for one in ("textContent", "title")]
+
+    text, title = asyncio.run(work())
+    assert "claims J2A 1.1 · " in (title if is_tested else text)
+    assert ("claims" in text) != is_tested
 
 
 @needs_browser

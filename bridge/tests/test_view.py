@@ -12,6 +12,7 @@ import threading
 import aiohttp
 import pytest
 from j2a_bridge.replayed import replayed
+from j2a_bridge.reports import read_reports, report_of
 
 import j2a
 from j2a.recording import Recorder
@@ -52,6 +53,23 @@ def test_it_prints_the_address_of_the_page_and_ends_by_ctrl_c():
     assert "servo" in topics["topics"]
     assert process.returncode == 130
     assert "Traceback" not in err
+
+
+def test_a_report_is_of_the_board_that_says_the_same_of_itself(tmp_path):
+    path = tmp_path / "report.json"
+    with served(board_of(serial="1")) as url, served(board_of(serial="2")) as other:
+        command = [sys.executable, "-m", "j2a_conformance", "run", url, "--case", "frame.layout"]
+        subprocess.run([*command, "--json", path], capture_output=True, timeout=900, check=False)
+        runs = read_reports([path])
+        found = []
+        for one in (url, other):
+            with j2a.connect(one, timeout=PATIENCE_S) as board:
+                found.append(report_of(runs, board.properties))
+    run = json.loads(path.read_text())
+    assert run["conformant"] == (found[0]["tone"] == "ok")
+    assert found[0]["text"].startswith("J2A ")
+    assert found[0]["text"].endswith(f"tested {run['started'][:10]}")
+    assert found[1] is None
 
 
 def test_a_recording_is_played(tmp_path):
@@ -145,6 +163,8 @@ def test_a_recording_of_too_many_boards_is_refused(tmp_path):
         (("tcp://127.0.0.1:1", "--folder", "/nowhere/at/all"), "there is no folder"),
         (("tcp://127.0.0.1:1", "--port", "70000"), "70000"),
         (("nonsense://x",), "nonsense"),
+        (("tcp://127.0.0.1:1", "--report", "/nowhere/at/all"), "cannot read /nowhere/at/all"),
+        (("tcp://127.0.0.1:1", "--report", __file__), "is no report of j2a-conform"),
     ],
 )
 def test_what_is_wrong_is_told(words, told):

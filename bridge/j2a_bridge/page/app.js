@@ -446,10 +446,15 @@ async function learn(board) {
     if (!board.forms) board.list.replaceChildren(make("output", { class: "bad" }, reply.message));
     return;
   }
-  const { functions, properties, capabilities } = reply.result;
+  const { functions, properties, capabilities, report } = reply.result;
   const claims = [properties["j2a.spec"] ? `J2A ${properties["j2a.spec"]}` : "J2A 1.0", ...capabilities];
-  board.badges.textContent = claims.join(" · ");
-  board.badges.title = "what the board claims to conform to; j2a-conform checks it";
+  const claimed = `claims ${claims.join(" · ")}`;
+  board.badges.textContent = report ? report.text : `${claimed}; not checked here`;
+  board.badges.title = report
+    ? `of a report of a board with the same properties; this one ${claimed}`
+    : "j2a-conform checks it, and j2a view --report FILE shows what it found";
+  board.badges.classList.toggle("good", ["ok", "known-deviation"].includes(report?.tone));
+  board.badges.classList.toggle("bad", report?.tone === "failed");
   board.badges.hidden = false;
   // New forms would take away what was typed, and the results that are shown.
   const forms = JSON.stringify(functions);

@@ -15,10 +15,10 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from j2a import LocalError
 from j2a.cli._typed import plain
@@ -29,6 +29,9 @@ from j2a_bridge.sinks.mqtt import transducer_object
 from j2a_bridge.sinks.udp import numbers
 from j2a_bridge.topics import Topic
 from j2a_bridge.web_server import PageServer, without_plots
+
+if TYPE_CHECKING:
+    from j2a_conformance._model import Run
 
 __all__ = ["WebSink"]
 
@@ -113,7 +116,12 @@ def _line(board: str, kind: str, text: str) -> dict[str, Any]:
 
 
 class WebSink(Sink):
-    """Serves the live page."""
+    """Serves the live page.
+
+    Attributes:
+        reports: what j2a-conform found of boards, as of `j2a_bridge.reports.read_reports`.
+        server: of the page.
+    """
 
     SUMMARY = "a live page in the browser of this computer"
     ARGUMENT = "[PORT]"
@@ -141,6 +149,7 @@ class WebSink(Sink):
         self._recorder: McapSink | None = None
         self._wanted: str | None = None
         self._problem = ""
+        self.reports: Sequence[Run] = ()
         self.server = PageServer(self, int(argument or 0), options["token"])
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
