@@ -1,13 +1,29 @@
 /* See sharp.h. */
 #include "sharp.h"
 
-#if SHARP_MODEL == SHARP_GP2Y0A02YK
-enum { COUNTS_AT_INFINITY = 0, SHIFT_MM = 70 };
-#define SCALE 144200ul
+#ifdef SHARP_MODEL
+enum { MODEL = SHARP_MODEL };
+#elif defined J2A_WITH_TRANSDUCERS && J2A_WITH_TRANSDUCERS
+#include "transds.h"
+/* Of each line of transds.def its model if its prefix is sharp, else nothing. */
+#define J2A_ENUM(name, integer, ...)
+#define J2A_STRUCT(name, ...)
+#define J2A_TRANSD(KIND, name, id, prefix, model, ...) J2A_INNER_SECOND(MODEL_IF_##prefix, NO_MODEL)(model)
+#define MODEL_IF_sharp ~, MODEL_OF_LINE
+#define MODEL_OF_LINE(model) +SHARP_##model
+#define NO_MODEL(model)
+enum {
+    MODEL = 0
+#include "j2a_transds_list.h"
+};
 #else
-enum { COUNTS_AT_INFINITY = 12, SHIFT_MM = 29 };
-#define SCALE 58790ul
+enum { MODEL = SHARP_GP2Y0A21YK };
 #endif
+
+enum { IS_FAR = MODEL == SHARP_GP2Y0A02YK };
+enum { NEAREST_MM = IS_FAR ? 190 : 95, FARTHEST_MM = IS_FAR ? 1600 : 850 };
+enum { COUNTS_AT_INFINITY = IS_FAR ? 0 : 12, SHIFT_MM = IS_FAR ? 70 : 29 };
+#define SCALE (IS_FAR ? 144200ul : 58790ul)
 
 uint16_t sharp_mm(uint16_t counts) {
     uint16_t above, mm;
@@ -15,7 +31,7 @@ uint16_t sharp_mm(uint16_t counts) {
         return SHARP_OUT_OF_RANGE;
     above = (uint16_t)(counts - COUNTS_AT_INFINITY);
     mm = (uint16_t)(((uint32_t)SCALE + above / 2) / above); /* rounded */
-    if (mm < SHARP_NEAREST_MM + SHIFT_MM || mm > SHARP_FARTHEST_MM + SHIFT_MM)
+    if (mm < NEAREST_MM + SHIFT_MM || mm > FARTHEST_MM + SHIFT_MM)
         return SHARP_OUT_OF_RANGE;
     return (uint16_t)(mm - SHIFT_MM);
 }

@@ -1,6 +1,7 @@
-/* The distance that an analog infrared sensor of Sharp sees, by the model SHARP_MODEL:
- *     SHARP_GP2Y0A21YK   10 to 80 cm (GP2D12 is its forerunner); this one if nothing is said
- *     SHARP_GP2Y0A02YK   20 to 150 cm
+/* The distance that an analog infrared sensor of Sharp sees, by the model that the line of transds.def names:
+ *     GP2Y0A21YK   10 to 80 cm; GP2D12 is its forerunner
+ *     GP2Y0A02YK   20 to 150 cm
+ * or by the option SHARP_MODEL, such as SHARP_GP2Y0A02YK.
  * In: counts of a 10-bit ADC with 5 V as reference. Out: millimetres, by integer arithmetic, from the hyperbola that
  * triangulation gives, fitted to the typical curve of the data sheet (mm = scale / (counts - infinity) - shift):
  *     GP2Y0A21YK   58790 / (counts - 12) - 29    within 3 %; a count is 1.4 mm at 10 cm and 12 mm at 80 cm
@@ -14,18 +15,13 @@
 #include <stdint.h>
 
 #define SHARP_GP2Y0A21YK 21
+#define SHARP_GP2D12 SHARP_GP2Y0A21YK
 #define SHARP_GP2Y0A02YK 2
-#ifndef SHARP_MODEL
-#define SHARP_MODEL SHARP_GP2Y0A21YK
-#endif
-
-#if SHARP_MODEL == SHARP_GP2Y0A21YK
-enum { SHARP_OUT_OF_RANGE = 0, SHARP_NEAREST_MM = 95, SHARP_FARTHEST_MM = 850 };
-#elif SHARP_MODEL == SHARP_GP2Y0A02YK
-enum { SHARP_OUT_OF_RANGE = 0, SHARP_NEAREST_MM = 190, SHARP_FARTHEST_MM = 1600 };
-#else
+#if defined SHARP_MODEL && SHARP_MODEL != SHARP_GP2Y0A21YK && SHARP_MODEL != SHARP_GP2Y0A02YK
 #error "SHARP_MODEL: SHARP_GP2Y0A21YK or SHARP_GP2Y0A02YK"
 #endif
+
+enum { SHARP_OUT_OF_RANGE = 0 };
 
 /* Returns millimetres, or SHARP_OUT_OF_RANGE. Divides: call it from the main context. */
 uint16_t sharp_mm(uint16_t counts);

@@ -19,6 +19,10 @@ void srf02_set_cb(void (*new_value)(uint8_t channel, uint32_t cm)) {
     callback = new_value;
 }
 
+void srf02_init(void) {
+    twi_init();
+}
+
 static void begin(void) {
     bytes[0] = phase == TELLING ? COMMAND : RANGE;
     bytes[1] = MEASURE_CM;

@@ -21,6 +21,9 @@ enum { SRF02_ADDRESS = 0x70, SRF02_MEASURES_MS = 70, SRF02_LIMIT_MS = 5 };
 /* The callback for new values, NULL for none. */
 void srf02_set_cb(void (*new_value)(uint8_t channel, uint32_t cm));
 
+/* Switches the bus on. */
+void srf02_init(void);
+
 void srf02_task(void);
 
 #endif

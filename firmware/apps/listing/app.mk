@@ -7,7 +7,5 @@ OWN_MAIN := 1
 RXBUF ?= 64
 # An ATmega32U2 has 1 KB of RAM. The longest payload is a sample of dist_us, 144 bytes.
 ROOM ?= $(if $(filter %u2,$(MCU)),144,255)
-# The infrared sensors are those that transds.def names.
-APP_OPTIONS := -DJ2A_WITH_DEBUG=0 -DSHARP_MODEL=SHARP_GP2Y0A02YK -Idrivers -Idrivers/avr
-PORT_SOURCES += drivers/avr/quad.c drivers/avr/adc.c drivers/avr/sharp_sensor.c drivers/avr/twi.c
-PORT_SOURCES += drivers/quadrature.c drivers/sharp.c drivers/srf02.c
+APP_OPTIONS := -DJ2A_WITH_DEBUG=0
+DRIVERS := drivers drivers/avr

@@ -1,10 +1,13 @@
-/* Encoders, distances, analog inputs, servos and a lamp. The wiring between drivers and host is in transds.def. */
-#include "adc.h"
+/* Encoders, distances, analog inputs, servos and a lamp. Which drivers there are is in transds.def alone. */
+#include "drivers.h"
 #include "pins.h"
-#include "quad.h"
-#include "servo.h"
-#include "sharp_sensor.h"
-#include "transds.h"
+
+void lamp_init(void) {
+    LAMP_DDR |= _BV(LAMP_BIT);
+}
+
+void lamp_task(void) {
+}
 
 void lamp_set(uint8_t channel, bool on) {
     (void)channel; /* there is one lamp */
@@ -19,23 +22,15 @@ uint16_t app_overruns(void) {
 }
 
 void j2a_app_task(void) {
-#if SENSORS_ADC
-    sharp_task();
-    adc_task();
-#endif
+    drivers_task();
     transds_process();
 }
 
 int main(int argc, char **argv) {
     j2a_selftest();
     j2a_port_init(argc, argv);
-    LAMP_DDR |= _BV(LAMP_BIT);
-    servo_init();
-#if SENSORS_ADC
-    adc_init();
-#endif
-    transds_init(); /* before the first edge */
-    quad_init();
+    transds_init();
+    drivers_init();
     for (;;) {
         j2a_task();
         j2a_app_task();

@@ -6,6 +6,5 @@ OWN_MAIN := 1
 # ATmega16U2 and 32U2 have no ADC, and little RAM.
 SENSORS_ADC := $(if $(filter %u2,$(MCU)),0,1)
 RXBUF ?= $(if $(filter %u2,$(MCU)),64,128)
-APP_OPTIONS := -Idrivers -Idrivers/avr -DSENSORS_ADC=$(SENSORS_ADC)
-PORT_SOURCES += $(addprefix drivers/,quadrature.c sharp.c ticks.c) \
-	$(addprefix drivers/avr/,adc.c quad.c servo.c sharp_sensor.c)
+APP_OPTIONS := -DSENSORS_ADC=$(SENSORS_ADC)
+DRIVERS := drivers drivers/avr

@@ -5,5 +5,4 @@ endif
 OWN_MAIN := 1
 # A request may come while a sample is sent.
 RXBUF ?= 64
-APP_OPTIONS := -Idrivers -Idrivers/avr
-PORT_SOURCES += drivers/avr/quad.c drivers/avr/servo.c drivers/quadrature.c drivers/ticks.c
+DRIVERS := drivers drivers/avr

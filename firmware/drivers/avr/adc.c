@@ -3,6 +3,7 @@
 
 #include <avr/interrupt.h>
 #include <avr/pgmspace.h>
+#include <stdbool.h>
 #include <stddef.h>
 #include <util/atomic.h>
 
@@ -13,6 +14,7 @@
 static const uint8_t PROGMEM inputs[ADC_COUNT] = ADC_INPUTS;
 static uint16_t values[ADC_COUNT];
 static volatile bool busy;
+static volatile uint8_t scans; /* that are over */
 static uint8_t channel; /* that is being converted */
 static void (*callback)(uint8_t channel, uint16_t value);
 
@@ -33,10 +35,12 @@ ISR(ADC_vect, ISR_NOBLOCK) {
     if (callback)
         callback(done, value);
     cli();
-    if (done + 1 < ADC_COUNT)
+    if (done + 1 < ADC_COUNT) {
         convert(done + 1);
-    else
+    } else {
         busy = false;
+        scans++;
+    }
 }
 
 void adc_init(void) {
@@ -73,8 +77,8 @@ void adc_start(void) {
     }
 }
 
-bool adc_busy(void) {
-    return busy;
+uint8_t adc_scans(void) {
+    return scans;
 }
 
 uint16_t adc_get(uint8_t channel) {

@@ -7,11 +7,11 @@
 #ifndef ADC_H
 #define ADC_H
 
-#include <stdbool.h>
 #include <stdint.h>
 
 enum { ADC_COUNT = 4, ADC_PERIOD_MS = 5 };
 
+/* May be called again, as long as no scan is running. */
 void adc_init(void);
 
 /* The callback for new values, NULL for none. Called by the interrupt. */
@@ -23,8 +23,8 @@ void adc_task(void);
 /* Begins a scan, unless one is running. May be called by an interrupt. */
 void adc_start(void);
 
-/* Is a scan running? */
-bool adc_busy(void);
+/* How many scans are over, modulo 256. */
+uint8_t adc_scans(void);
 
 /* The counts of the last conversion of an input, 0 before the first one. */
 uint16_t adc_get(uint8_t channel);

@@ -62,6 +62,8 @@ ISR(QUAD_vect) {
 }
 
 void quad_init(void) {
+    if (QUAD_MASK & (0x0f << QUAD_SHIFT))
+        return; /* it is for both, quad and quad_misses */
     QUAD_OUT |= 0x0f << QUAD_SHIFT;
     _delay_us(QUAD_RISE_US);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
@@ -70,6 +72,16 @@ void quad_init(void) {
         levels = read_levels(); /* after the flag is clear: what changes from now on interrupts */
         PCICR |= _BV(QUAD_ENABLE);
     }
+}
+
+void quad_task(void) {
+}
+
+void quad_misses_init(void) {
+    quad_init();
+}
+
+void quad_misses_task(void) {
 }
 
 int16_t quad_get(uint8_t channel) {

@@ -15,8 +15,13 @@ enum { QUAD_COUNT = 2 };
 #define QUAD_RISE_US 50
 
 /* Switches pull-ups and interrupts on, and takes QUAD_RISE_US: encoders with open collectors need nothing else.
- * Where they stand then is count 0. */
+ * Where they stand then is count 0. Later calls do nothing. */
 void quad_init(void);
+
+/* Nothing: the interrupt does all. */
+void quad_task(void);
+void quad_misses_init(void);
+void quad_misses_task(void);
 
 /* The callback for new counts, NULL for none (thesis, listing 9.1). */
 void quad_set_cb(void (*new_value)(uint8_t channel, int16_t value));

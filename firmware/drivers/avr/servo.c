@@ -54,6 +54,9 @@ void servo_init(void) {
     }
 }
 
+void servo_task(void) {
+}
+
 void servo_set(uint8_t channel, int8_t deflection) {
     const uint16_t width = ticks_of_servo(deflection);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {

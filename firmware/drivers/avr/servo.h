@@ -13,6 +13,9 @@ enum { SERVO_COUNT = 2 };
 /* Call it after j2a_port_init(). No pulses come until a deflection is set. */
 void servo_init(void);
 
+/* Nothing: the interrupts do all. */
+void servo_task(void);
+
 /* Deflection -100..100, see ticks.h; what is beyond counts as full. */
 void servo_set(uint8_t channel, int8_t deflection);
 

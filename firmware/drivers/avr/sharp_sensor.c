@@ -1,4 +1,4 @@
-/* See sharp_sensor.h. Empty on chips without an ADC. */
+/* See sharp_sensor.h. */
 #include "sharp_sensor.h"
 
 #include "adc.h"
@@ -6,19 +6,25 @@
 #include "sharp.h"
 #include "wait.h"
 
-#ifdef ADC_INPUTS
 static void (*callback)(uint8_t channel, uint16_t mm);
-static wait_t pause;
-static bool is_scanning;
 
 void sharp_set_cb(void (*new_value)(uint8_t channel, uint16_t mm)) {
     callback = new_value;
 }
 
+#ifdef ADC_INPUTS
+static wait_t pause;
+static bool is_scanning;
+static uint8_t scans; /* that were over when it began */
+
+void sharp_init(void) {
+    adc_init();
+}
+
 void sharp_task(void) {
     if (is_scanning) {
         uint8_t channel;
-        if (adc_busy())
+        if (adc_scans() == scans)
             return;
         is_scanning = false;
         for (channel = 0; channel < ADC_COUNT; channel++)
@@ -27,9 +33,17 @@ void sharp_task(void) {
     } else if (wait_is_over(&pause, SHARP_PERIOD_MS)) {
         wait_begin(&pause);
         is_scanning = true;
+        scans = adc_scans();
         adc_start();
     }
 }
 #else
-typedef int sharp_sensor_is_missing; /* C has no empty files */
+void sharp_init(void) {
+}
+
+void sharp_task(void) {
+    static uint8_t channel;
+    if (callback && channel < 255)
+        callback(channel++, SHARP_OUT_OF_RANGE);
+}
 #endif
