@@ -1,11 +1,14 @@
 """What the sensors of a robot take of a board: `python tools/robot_load.py`.
 
 An ATmega328P in the simulator has all sensors of the thesis' table 5.1 but cameras and LIDAR, at
-their top rates, over 115200 baud.
+their top rates, over 115200 baud. Then all bumpers and cliff sensors change at one moment, too,
+once a second.
 
-What flows in: the firmware of apps/robot. What flows out: of each sensor how often it came and what
-was lost, the share of the wire and that of the processor; exit status 1 where a value was lost.
-Rule: time is simulated, so the figures are the same each time.
+What flows in: the firmware of apps/robot. What flows out: of each sensor what the table asks, what
+that takes of the wire by calculation, how often it came and what was lost; the share of the wire
+and that of the processor, as measured; and what channels in place of arrays would ask. Exit status
+1 where a value was lost.
+Rule: time is simulated, so the figures are the same each time, within a percent.
 """
 
 import argparse
@@ -17,20 +20,86 @@ from pathlib import Path
 from typing import Any, Final
 
 from j2a_sim import AvrSim, SimLink
+from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, encode
 
 import j2a
+from j2a.types.transds_file import read_transds
+from j2a.types.transducers import TIME_BYTES, longest_sample
 
 ROOT: Final = Path(__file__).resolve().parent.parent
+LIST: Final = ROOT / "firmware/apps/robot/transds.def"
 BAUD: Final = 115200
 BITS_PER_BYTE: Final = 10
-RATES: Final = {
-    "bumper": 1.0,
-    "cliff": 1.0,
-    "infrared": 50.0,
-    "ultrasonic": 25.0,
-    "gps": 5.0,
-    "ahrs": 50.0,
+CRASHES: Final = 3
+AS_ARRAYS: Final = ("infrared", "ultrasonic")
+"""Sensors that are one array, whose values were measured at one time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A line of the thesis' tables: 2.2 has the bits and the rate, 5.1 the number and the product.
+
+    Attributes:
+        sensors: the most on a robot.
+        bits: of one value.
+        rate: values of each sensor in a second, at the most.
+        per_sample: sensors whose values the board sends in one sample.
+    """
+
+    sensors: int
+    bits: int
+    rate: float
+    per_sample: int
+
+    @property
+    def bandwidth(self) -> float:
+        """Bits in a second, of all."""
+        return self.sensors * self.bits * self.rate
+
+    @property
+    def samples(self) -> float:
+        """Samples in a second."""
+        return self.rate * self.sensors / self.per_sample
+
+
+TABLE: Final = {
+    "bumper": Row(16, 1, 1.0, 1),  # "irregular, < 1 bit/s": each changes once a second
+    "cliff": Row(8, 1, 1.0, 1),
+    "infrared": Row(16, 8, 50.0, 16),
+    "ultrasonic": Row(16, 16, 25.0, 16),
+    "gps": Row(1, 132, 10.0, 1),
+    "ahrs": Row(1, 16 * 3 + 16 * 3 + 13 * 3, 50.0, 1),
 }
+
+
+def asked(as_channels: tuple[str, ...] = ()) -> dict[str, float]:
+    """Return the bytes in a second that each sensor takes of the wire, without escapes.
+
+    Args:
+        as_channels: sensors that are to have channels, each with a time, in place of an array.
+    """
+    known = read_transds(LIST.read_text("utf-8"))
+    result = {}
+    for name, row in TABLE.items():
+        payload = longest_sample(known[name])
+        if name in as_channels:
+            payload = row.sensors * TIME_BYTES + known[name].type.size
+        frame = encode(Frame(c.SOS, 0, 0, bytes(payload)))
+        result[name] = row.samples * len(frame)
+    return result
+
+
+def share(bytes_per_s: float) -> float:
+    """Return the share of the wire, 0 to 1, or more than it has."""
+    return bytes_per_s * BITS_PER_BYTE / BAUD
+
+
+def fit() -> float:
+    """Return at which share of their top rates infrared and ultrasonic fit as channels, 0 to 1."""
+    channels = asked(AS_ARRAYS)
+    asks = sum(channels[name] for name in AS_ARRAYS)
+    return (1 - share(sum(channels.values()) - asks)) / share(asks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +108,10 @@ class Load:
 
     Attributes:
         seconds: of simulated time.
-        counts: samples that came, by the name of the sensor.
-        wrong: of each sensor the samples that are not the next one.
+        counts: samples that came, by the name of the sensor; of those with a queue values.
+        crashed: the same while all bumpers and cliff sensors changed at one moment, too, CRASHES
+            times.
+        wrong: of each sensor the values that are not the next one.
         lost: values and SIFs that the board or the link lost.
         wire_bytes: that came from the board.
         busy: the share of the processor, 0 to 1, that an idle board has for itself.
@@ -48,6 +119,7 @@ class Load:
 
     seconds: float
     counts: Mapping[str, int]
+    crashed: Mapping[str, int]
     wrong: Mapping[str, int]
     lost: int
     wire_bytes: int
@@ -56,7 +128,7 @@ class Load:
     @property
     def wire(self) -> float:
         """The share of the wire, 0 to 1."""
-        return self.wire_bytes * BITS_PER_BYTE / BAUD / self.seconds
+        return share(self.wire_bytes / self.seconds)
 
 
 def build() -> Path:
@@ -66,26 +138,25 @@ def build() -> Path:
     return ROOT / "firmware/build/robot/robot.elf"
 
 
-def number(sample: j2a.Sample) -> int:
+def number(name: str, reading: j2a.Reading) -> int:
     """Return the number of a measurement; each driver counts in its own way."""
-    reading = sample.readings[0]
-    if sample.name == "bumper":
+    if name == "bumper":
         return int(reading.channel) + (0 if reading.value else 16)
-    if sample.name == "cliff":
+    if name == "cliff":
         return int(reading.channel) + (0 if reading.value else 8)
     value: Any = reading.value
-    if sample.name in ("infrared", "ultrasonic"):
+    if name in ("infrared", "ultrasonic"):
         if len(set(value)) != 1:
-            raise ValueError(f"a value of {sample.name} is torn: {value}")
+            raise ValueError(f"a value of {name} is torn: {value}")
         return int(value[0])
-    return int(value.latitude if sample.name == "gps" else value.rate[0])
+    return int(value.latitude if name == "gps" else value.rate[0])
 
 
 MODULI: Final = {"bumper": 32, "cliff": 16, "infrared": 1 << 8, "ultrasonic": 1 << 16}
 
 
 def measure(program: Path, seconds: float) -> Load:
-    """Let the board measure for so many simulated seconds."""
+    """Let the board measure for so many simulated seconds, and then crash."""
     sim = AvrSim(program)
     try:
         with j2a.Client(SimLink(sim), timeout=5.0) as board:
@@ -97,26 +168,38 @@ def measure(program: Path, seconds: float) -> Load:
             begin = board.counters.bytes_received
             turns = _turns(board, seconds)
             taken = board.counters.bytes_received - begin
+            counts = _counts(samples)
+            for _ in range(CRASHES):
+                board.functions.crash()
+                _turns(board, 1.0)
             board.functions.measure(False)
             board.echo()
     finally:
         sim.close()
-    counts = dict.fromkeys(RATES, 0)
-    wrong = dict.fromkeys(RATES, 0)
+    crashed = {name: count - counts[name] for name, count in _counts(samples).items()}
+    wrong = dict.fromkeys(TABLE, 0)
     last: dict[str, int] = {}
     for sample in samples:
-        now = number(sample)
-        modulus = MODULI.get(sample.name, 1 << 31)
-        if sample.name in last and (now - last[sample.name]) % modulus != 1:
-            wrong[sample.name] += 1
-        last[sample.name] = now
-        counts[sample.name] += len(sample.readings)
+        for reading in sample.readings:
+            now = number(sample.name, reading)
+            modulus = MODULI.get(sample.name, 1 << 31)
+            if sample.name in last and (now - last[sample.name]) % modulus != 1:
+                wrong[sample.name] += 1
+            last[sample.name] = now
     lost = sum(sample.lost + sample.missed for sample in samples)
-    return Load(seconds, counts, wrong, lost, taken, 1 - turns / idle)
+    return Load(seconds, counts, crashed, wrong, lost, taken, 1 - turns / idle)
+
+
+def _counts(samples: list[j2a.Sample]) -> dict[str, int]:
+    """Return how many readings came, by the name of the sensor."""
+    counts = dict.fromkeys(TABLE, 0)
+    for sample in samples:
+        counts[sample.name] += len(sample.readings)
+    return counts
 
 
 def _turns(board: j2a.Client, seconds: float) -> float:
-    """Return the turns of the main loop in a second."""
+    """Return the turns of the main loop in a second, by the clock of the board."""
     before, start = board.functions.turns(), board.now()
     while board.now() < start + seconds:
         try:
@@ -124,7 +207,40 @@ def _turns(board: j2a.Client, seconds: float) -> float:
             board.wait_sif(255, timeout=start + seconds - board.now())
         except (j2a.CallTimeout, j2a.LocalError):
             break
-    return float(board.functions.turns() - before) / (board.now() - start)
+    after = board.functions.turns()
+    return float(after.count - before.count) / float(after.time - before.time) * 1e6
+
+
+def _show(load: Load) -> None:
+    """Print the figures."""
+    arrays = asked()
+    print(
+        f"\n{'':12}{'thesis':>21}{'':>10}{'on the wire':>22}{'':>3}{'came':>8}{'wrong':>7}\n"
+        f"{'':12}{'each':>11}{'bit/s':>10}{'samples/s':>12}{'bytes/s':>10}{'share':>11}"
+    )
+    for name, row in TABLE.items():
+        print(
+            f"{name:12}{row.sensors:3} x {row.rate:2g} Hz{row.bandwidth:10g}{row.samples:12g}"
+            f"{arrays[name]:10g}{100 * share(arrays[name]):9.1f} %{load.counts[name]:10}"
+            f"{load.wrong[name]:7}"
+        )
+    total = sum(arrays.values())
+    bits = sum(row.bandwidth for row in TABLE.values())
+    print(f"{'all':21}{bits:10g}{'':12}{total:10g}{100 * share(total):9.1f} %")
+    print(
+        f"\nin {load.seconds:g} s of simulated time, and {CRASHES} with a crash each, {load.lost} "
+        f"lost;\n{100 * load.wire:.1f} % of the wire at {BAUD} baud, "
+        f"{100 * load.busy:.1f} % of the processor"
+    )
+    channels = asked(AS_ARRAYS)
+    asks = sum(channels[name] for name in AS_ARRAYS)
+    print(
+        f"\nas channels, each value with a time of its own, infrared and ultrasonic would ask "
+        f"{100 * share(asks):.1f} %\nof the wire, and all together "
+        f"{100 * share(sum(channels.values())):.1f} %: with the others at their top rates, these "
+        f"two\nfit at {100 * fit():.0f} % of theirs at most, {50 * fit():.1f} and "
+        f"{25 * fit():.1f} Hz"
+    )
 
 
 def main() -> int:
@@ -135,14 +251,7 @@ def main() -> int:
     if not args.seconds >= 1:
         parser.error("--seconds is 1 or more")
     load = measure(build(), args.seconds)
-    print(f"\n{'sensor':12}{'per second':>12}{'came':>10}{'wrong':>8}")
-    for name, rate in RATES.items():
-        print(f"{name:12}{rate:12g}{load.counts[name]:10}{load.wrong[name]:8}")
-    print(
-        f"\nin {load.seconds:g} s of simulated time {load.lost} lost; "
-        f"{100 * load.wire:.1f} % of the wire at {BAUD} baud, {100 * load.busy:.1f} % of the "
-        "processor"
-    )
+    _show(load)
     return 1 if load.lost or any(load.wrong.values()) else 0
 
 

@@ -1,5 +1,5 @@
 /* All sensors of a robot but cameras, on one chip: what they leave of its wire and of its time. The drivers are stand-ins
- * that measure at the top rates of the thesis' table 5.1; each value is one more than the one before. */
+ * that measure at the top rates of the thesis' tables 2.2 and 5.1; each value is one more than the one before. */
 #include "j2a_functions.h"
 #include "transds.h"
 
@@ -18,8 +18,9 @@ DRIVER(ahrs, motion)
 static uint32_t turn;
 static bool measures;
 
-uint32_t app_turns(void) {
-    return turn;
+void app_turns(uint32_t *count, uint32_t *time) {
+    *count = turn;
+    *time = (uint32_t)j2a_port_time_us();
 }
 
 void app_measure(bool on) {
@@ -66,23 +67,32 @@ static void turn_around(void) {
     ahrs_cb(0, &now);
 }
 
-/* Each driver, and the ms between two measurements. */
+/* Each of the 16 bumpers and of the 8 cliff sensors, at one moment. */
+void app_crash(void) {
+    uint8_t i;
+    for (i = 0; i < 16; i++)
+        bump();
+    for (i = 0; i < 8; i++)
+        look_down();
+}
+
+/* Each driver, and the microseconds between two measurements. Each bumper and each cliff sensor has its turn in a second. */
 static const struct {
     void (*measure)(void);
-    uint16_t period_ms;
-} drivers[] = {{bump, 1000}, {look_down, 1000}, {look_around, 20}, {listen, 40}, {locate, 200}, {turn_around, 20}};
+    uint32_t period_us;
+} drivers[] = {{bump, 62500}, {look_down, 125000}, {look_around, 20000}, {listen, 40000}, {locate, 100000}, {turn_around, 20000}};
 enum { DRIVERS = sizeof drivers / sizeof drivers[0] };
 
 void j2a_app_task(void) {
-    static uint32_t due_ms[DRIVERS];
-    const uint32_t now_ms = (uint32_t)(j2a_port_time_us() / 1000);
+    static uint32_t due_us[DRIVERS];
+    const uint32_t now_us = (uint32_t)j2a_port_time_us();
     uint8_t i;
     turn++;
     for (i = 0; i < DRIVERS; i++) {
         if (!measures) {
-            due_ms[i] = now_ms;
-        } else if (now_ms - due_ms[i] >= drivers[i].period_ms) {
-            due_ms[i] += drivers[i].period_ms;
+            due_us[i] = now_us;
+        } else if (now_us - due_us[i] >= drivers[i].period_us) {
+            due_us[i] += drivers[i].period_us;
             drivers[i].measure();
         }
     }
