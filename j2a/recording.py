@@ -2,9 +2,9 @@
 
 What flows in: samples of boards, or a file. What flows out: a file that stock viewers read, or the
 samples in it, bit for bit.
-Rules: what was flushed stays readable whatever happens then; a file that ends early is read up to
-there, and says so; what is damaged in between is left out. Needs the package mcap
-(`pip install "j2a[record]"`).
+Rules: what was flushed, and each chunk of 64 KiB of messages once it is complete, stays readable
+whatever happens then; a file that ends early is read up to there, and says so; what is damaged in
+between is left out. Needs the package mcap (`pip install "j2a[record]"`).
 """
 
 import json
@@ -112,6 +112,7 @@ class Recorder:
         self.paths: list[Path] = []
         self.samples = 0
         self._file: IO[bytes] | None = None
+        self._size = 0  # of the file, when it was flushed last
         self._writer: Any = None
         self._begin()
 
@@ -184,8 +185,13 @@ class Recorder:
             channel, message = self._channel(board, sample.name)
             data = message.pack(sample.payload)
             self._writer.add_message(channel, time_ns, data, time_ns, sample.sequence & 0xFFFFFFFF)
+            assert self._file is not None
+            size = self._file.tell()
+            if size != self._size:  # a chunk is complete
+                self._file.flush()
+                self._size = size
             self.samples += 1
-            if self._segment_bytes and self._file and self._file.tell() >= self._segment_bytes:
+            if self._segment_bytes and size >= self._segment_bytes:
                 self._end()
                 self._begin()
 

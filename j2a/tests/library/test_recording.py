@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import j2a
-from j2a.recording import Recorder, Recording, topic_of
+from j2a.recording import _CHUNK_BYTES, Recorder, Recording, topic_of
 from j2a.replay import ReplayBoard
 from j2a.types.cdr import SampleMessage
 from j2a.types.ros import ros2_definition
@@ -145,9 +145,32 @@ def read(path):
     return [(one.sensor.name, one.time_ns, one.sequence, one.payload) for one in Recording(path)]
 
 
+@pytest.fixture(scope="module")
+def hour(tmp_path_factory):
+    """A recording of an hour, which is written once: its path and its samples."""
+    path = tmp_path_factory.mktemp("hour") / "hour.mcap"
+    return path, write_hour(path)
+
+
+def microseconds(times):
+    return [1_000_000 * time.sec + time.nanosec // 1000 for time in times]
+
+
+def is_what_was_written(name, payload, message):
+    """Whether the message that another reader gives has the bits of a payload."""
+    if name == "quad":
+        times, values = microseconds(message.times), list(message.values)
+        return payload == struct.pack("<QhQh", times[0], values[0], times[1], values[1])
+    packed = b"".join(
+        struct.pack("<Q?hhhd", time, one.ok, *one.rate, one.level)
+        for time, one in zip(microseconds(message.times), message.values, strict=True)
+    )
+    return packed == payload
+
+
 class TestFiles:
-    def test_an_hour_comes_back_bit_for_bit(self, path):
-        written = write_hour(path)
+    def test_an_hour_comes_back_bit_for_bit(self, hour):
+        path, written = hour
         assert len(written) == 43_200
         recording = Recording(path)
         found = [(s.sensor.name, s.time_ns, s.sequence, s.payload) for s in recording]
@@ -155,6 +178,39 @@ class TestFiles:
         assert recording.is_whole
         board = recording.boards["cart"]
         assert (board.descriptors, board.url, board.properties["name"]) == (FILE, "sim:x", "cart")
+
+    @pytest.mark.slow
+    def test_the_package_mcap_reads_the_hour_bit_for_bit(self, hour):
+        """Each message as it was written, and as its reader of ROS 2 decodes it."""
+        path, written = hour
+        mcap_ros2 = pytest.importorskip("mcap_ros2.decoder")
+        reader = import_module("mcap.reader")
+        names = {"/left/wheel_1": "quad", "/imu": "imu"}
+        codecs = {name: SampleMessage(SENSORS[name]) for name in names.values()}
+        count = 0
+        with path.open("rb") as file:
+            made = reader.make_reader(file, decoder_factories=[mcap_ros2.DecoderFactory()])
+            for one, row in zip(made.iter_decoded_messages(), written, strict=True):
+                name, time_ns, sequence, payload = row
+                assert names[one.channel.topic] == name
+                assert (one.message.log_time, one.message.sequence) == (time_ns, sequence)
+                assert one.message.data == codecs[name].pack(payload)
+                assert is_what_was_written(name, payload, one.decoded_message), row
+                count += 1
+        assert count == len(written)
+
+    @pytest.mark.slow
+    def test_rosbags_reads_the_hour_bit_for_bit(self, hour):
+        path, written = hour
+        highlevel = pytest.importorskip("rosbags.highlevel")
+        names = {"/left/wheel_1": "quad", "/imu": "imu"}
+        with highlevel.AnyReader([path]) as reader:
+            found = reader.messages()
+            for (connection, time_ns, data), row in zip(found, written, strict=True):
+                name, written_ns, _, payload = row
+                assert (names[connection.topic], time_ns) == (name, written_ns)
+                message = reader.deserialize(data, connection.msgtype)
+                assert is_what_was_written(name, payload, message), row
 
     def test_readers_of_others_read_it(self, path):
         written = write_hour(path, 60)
@@ -234,6 +290,47 @@ os.kill(os.getpid(), signal.SIGKILL)
         count = len(list(recording))
         assert 1500 <= count <= 2000
         assert not recording.is_whole
+
+    def test_a_chunk_is_in_the_file_as_soon_as_it_is_complete(self, path):
+        """No buffer holds back what was written, however long it is on this Python."""
+        with Recorder(path) as recorder:
+            recorder.add_board("cart", FILE)
+            sizes = set()
+            for n in range(2000):
+                recorder.write("cart", sample("log", bytes(2 + 14 * (9 + 8)), n), n)
+                assert path.stat().st_size == recorder.size
+                sizes.add(recorder.size)
+        assert len(sizes) > 5
+
+    @pytest.mark.parametrize("kill_at", [1, 500, 5000])
+    def test_a_writer_that_is_killed_loses_one_chunk_at_most(self, path, kill_at):
+        """It never flushes; it tells how many samples were written, and is killed at any moment."""
+        payload = bytes(2 + 14 * (9 + 8))
+        code = f"""
+import os, struct
+from itertools import count
+from pathlib import Path
+from j2a.recording import Recorder
+from j2a.tests.library.test_recording import FILE, sample
+recorder = Recorder(Path({str(path)!r}))
+recorder.add_board("cart", FILE)
+for n in count():
+    recorder.write("cart", sample("log", bytes({len(payload)}), n), 7)
+    os.write(1, struct.pack("<I", n + 1))
+"""
+        told = b""
+        with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
+            while len(told) // 4 < kill_at:
+                told += process.stdout.read(4)
+                assert process.poll() is None
+            process.kill()
+            told += process.stdout.read()
+        assert process.returncode == -signal.SIGKILL
+        written = len(told) // 4
+        record = 31 + len(SampleMessage(SENSORS["log"]).pack(payload))  # with its header
+        rows = read(path) if path.stat().st_size else []
+        assert rows == [("log", 7, n, payload) for n in range(len(rows))]
+        assert len(rows) >= written - (_CHUNK_BYTES // record + 1)
 
     def test_each_cut_is_read_up_to_there(self, path, tmp_path):
         written = write_hour(path, 30)
@@ -389,6 +486,33 @@ def write_temporary(data):
 
 
 class TestReplay:
+    @pytest.mark.slow
+    def test_an_hour_is_replayed_bit_for_bit_and_recorded_again(self, hour, tmp_path):
+        """As fast as it goes: 43,200 samples over a link, into a second recording."""
+        path, written = hour
+        device = ReplayBoard(path)
+        again = tmp_path / "again.mcap"
+        found, ended = [], threading.Event()
+        with device, linked(device) as board, Recorder(again) as recorder:
+            recorder.add_board("cart", board.transducers.descriptors, properties=board.properties)
+            board.on_sif(None, lambda sif: found.append((sif.opcode, sif.payload)))
+            for name in ("quad", "imu"):
+                board.transducers[name].on_sample(lambda one: recorder.write("cart", one, 0))
+            assert device.play(speed=1e6) == len(written) == 43_200
+            board.on_sif(0x50, lambda _: ended.set())
+            device.send_sif(0x50)
+            assert ended.wait(PATIENCE_S)
+            assert device.is_whole
+            assert device.problem == ""
+        ids = {"quad": 0, "imu": 2}
+        assert found[:-1] == [(ids[name], payload) for name, _, _, payload in written]
+        recording = Recording(again)
+        assert [(one.sensor.name, one.payload) for one in recording] == [
+            (name, payload) for name, _, _, payload in written
+        ]
+        assert recording.is_whole
+        assert recording.boards["cart"].descriptors == FILE
+
     def test_a_board_comes_back_bit_for_bit(self, path):
         written = write_hour(path, 20)
         device = ReplayBoard(path)
@@ -408,8 +532,8 @@ class TestReplay:
         ids = {"quad": 0, "imu": 2}
         assert found[:-1] == [(ids[name], payload) for name, _, _, payload in written]
 
-    def test_it_waits_for_a_host_and_stops(self, path):
-        write_hour(path, 3600)
+    def test_it_waits_for_a_host_and_stops(self, hour):
+        path, _ = hour
         device = ReplayBoard(path)
         counts = []
         player = threading.Thread(target=lambda: counts.append(device.play()))
