@@ -5,8 +5,8 @@
  * Rules: times are true seconds since the start of the run. The chip's counter is exact to the oscillator that is
  * given. Interrupts come late by what is given. The main loop takes a turn after an interrupt, as late as is given, and
  * at least each millisecond; between turns nothing happens, for a turn of an idle firmware changes nothing. Within a
- * turn the processor takes as long as is given for each reading of the counter. Readings of the clock come between turns, as an
- * interrupt's would, and disturb nothing. One copy of the library is one board.
+ * turn the processor takes as long as is given for each reading of the counter. The clock is read at its times, in the
+ * middle of a turn, too, as an interrupt would; that disturbs nothing. One copy of the library is one board.
  */
 #ifndef BOARD_H
 #define BOARD_H

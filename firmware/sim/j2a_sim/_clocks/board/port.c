@@ -7,8 +7,6 @@
 
 enum { ROOM = 8192 };
 
-/* A turn takes less than this: readings within it are taken before it, with the state before it. */
-static const double TURN_S = 600e-6;
 static const double IDLE_S = 0.001;
 static const double NEVER = 1e300;
 
@@ -69,8 +67,22 @@ static double elapsed(double time) {
     return oscillator.phases[at] + past * (1 + oscillator.rates[at]) + slope * past * past / 2;
 }
 
+static void read_clock(void);
+
+static double next_reading(void) {
+    return readings.next < readings.count ? readings.times[readings.next] : NEVER;
+}
+
+/* The processor works on; an interrupt reads the clock when it is time to. */
+static void pass(double seconds) {
+    const double end = now + seconds;
+    while (next_reading() <= end)
+        read_clock();
+    now = end;
+}
+
 uint64_t j2a_port_time_us(void) {
-    now += delays.cpu;
+    pass(delays.cpu);
     return (uint64_t)(elapsed(now) * 1e6);
 }
 
@@ -83,7 +95,7 @@ static void take_frame(void);
 
 /* Timer 1 of the chip ticks each half microsecond. A frame that began since the turn has interrupted it. */
 bool j2a_port_frame(j2a_frame *last) {
-    now += delays.cpu;
+    pass(delays.cpu);
     while (frames.late <= now)
         take_frame();
     last->number = frames.number;
@@ -172,10 +184,6 @@ static void take_turn(void) {
     j2a_port_idle();
 }
 
-static double next_reading(void) {
-    return readings.next < readings.count ? readings.times[readings.next] : NEVER;
-}
-
 static double next_byte(void) {
     return arrived_to == coming_to ? NEVER : coming[arrived_to % ROOM].time;
 }
@@ -194,7 +202,7 @@ void board_run(double until) {
             first = turn_at;
         if (first >= until)
             return;
-        if (first == reading || (first == turn_at && reading < first + TURN_S)) {
+        if (first == reading) {
             read_clock();
         } else if (first == frames.late) {
             take_frame();
