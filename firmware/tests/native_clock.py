@@ -100,6 +100,10 @@ class NativeClock:
         frame.began = int(began_us * 16) % 2**32
         ctypes.c_bool.in_dll(self._c, "fake_has_frame").value = True
 
+    def pass_frames(self, count: int, each: int = 1) -> None:
+        """Let `count * each` frames of 1000 us pass behind the last one, with `count` turns."""
+        self._c.fake_pass(ctypes.c_uint32(count), ctypes.c_uint32(each))
+
     def lose_frames(self) -> None:
         """Let the port say that it sees none any more."""
         ctypes.c_bool.in_dll(self._c, "fake_has_frame").value = False

@@ -130,7 +130,7 @@ void j2a_frames_forget(void) {
 }
 
 /* Leads the line to a time that the host told, which is `error` sixteenths of a microsecond from it, `frames` frames
- * after the one before. An error of 1/16 us in a frame is a rate of 268435. */
+ * after the one before. An error of 1/16 us in a frame is a rate of 268435.456, which is 274877907 / 1024. */
 static void lead(int32_t error, uint32_t frames) {
     uint32_t left = told_span;
     uint8_t times = 0; /* beyond the second one */
@@ -140,7 +140,7 @@ static void lead(int32_t error, uint32_t frames) {
         left -= frames;
     told_span = told_span + frames < MEMORY * frames ? told_span + frames : MEMORY * frames;
     part = (int64_t)error * ((int32_t)j2a_flash_u8(&phase_gain[times]) << 22) + host.part;
-    rate = ((int64_t)error * (int32_t)(268435UL / frames) * j2a_flash_u8(&rate_gain[times]) >> 6) + host.rate;
+    rate = ((int64_t)error * (int32_t)(274877907UL / frames) * j2a_flash_u8(&rate_gain[times]) >> 16) + host.rate;
     host.rate = (int32_t)(rate > MAX_RATE ? MAX_RATE : rate < -MAX_RATE ? -MAX_RATE : rate);
     host.part = (uint32_t)part;
     host.time_us += (uint64_t)(part >> 32);
@@ -177,7 +177,7 @@ bool j2a_frames_told(uint64_t time_us, uint16_t number) {
         return true;
     }
     frames = of - told_frame;
-    if (frames == 0 || frames > 0x80000000UL) /* the same one again, or an older one */
+    if (frames == 0 || frames > UINT32_MAX - J2A_CLOCK_FRAME_NUMBERS / 2) /* the same one again, or an older one */
         return true;
     told_frame = of;
     lead((int32_t)error_us * 16 - (int32_t)(host.part >> 28), frames);

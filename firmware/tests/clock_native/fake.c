@@ -56,3 +56,17 @@ void fake_run(uint64_t until_us, uint32_t every_us) {
     if (fake_local_us < until_us)
         fake_local_us = until_us;
 }
+
+#if J2A_PORT_FRAMES
+void fake_pass(uint32_t count, uint32_t frames);
+
+/* Lets frames of 1000 us pass, with a turn of the main loop behind the start of the last one of each `frames`. */
+void fake_pass(uint32_t count, uint32_t frames) {
+    for (; count != 0; count--) {
+        fake_local_us += (uint64_t)frames * 1000;
+        fake_frame.number = (uint16_t)((fake_frame.number + frames) & (J2A_CLOCK_FRAME_NUMBERS - 1));
+        fake_frame.began += frames * 16000;
+        j2a_clock_turn();
+    }
+}
+#endif
