@@ -22,11 +22,11 @@ def figures(**settings):
     return report.figures
 
 
-def assert_honest(found, inside=0.997):
+def assert_honest(found):
     """What boards announce is true, or on a USB what the daemon announces for them."""
     assert found["backwards"] == 0
     assert found["known_uncertainty"] > 0.99
-    assert found["inside_uncertainty"] >= inside
+    assert found["inside_uncertainty"] >= 0.997
 
 
 def assert_pairs(found):
