@@ -24,6 +24,8 @@ __all__ = ["SyncBoard"]
 _logger = logging.getLogger("j2a.syncd")
 _EXCHANGES: Final = 4
 """Of a round; the quickest one counts most."""
+_RATED: Final = 2
+"""With fewer packets a board knows no rate, and how far it is off grows by nobody knows what."""
 
 
 class SyncBoard:
@@ -71,6 +73,8 @@ class SyncBoard:
     def facts(self) -> dict[str, Any]:
         """Return the row of this board in the status."""
         line = self._bus.facts()
+        if self._packets < _RATED:
+            line["uncertainty_us"] = None
         state = "syncing" if self.problem is None else "waiting"
         return {
             "board": self._port.serial or self.name,

@@ -112,6 +112,25 @@ def test_a_round_has_one_packet():
     assert (second.time_us - first.time_us) // 1000 == (second.frame - first.frame) % 2048
 
 
+def test_a_board_that_got_one_packet_has_no_uncertainty_yet():
+    """It has no rate: with 100 ppm it is half a millisecond off before the next one."""
+    now_us = 5e6
+    host = HostTime(lambda: now_us, lambda: round(1.7e15 + now_us))
+    bus = Bus("usb bus 1", 5.0, History(), host)
+    boards = [sync_board.SyncBoard(FakePort(FakeBus()), bus) for _ in range(2)]
+    for number in range(bus_module.LEAST):
+        now_us += 1e6
+        bus.add(1, now_us, now_us + 100, number * 1000 % 2048, 40)
+    told = []
+    for present in (boards[:1], boards, boards):  # the other one is plugged in later
+        bus.packet()
+        now_us += 1e6
+        for board in present:
+            board.tell()
+        told.append([board.facts()["uncertainty_us"] is not None for board in boards])
+    assert told == [[False, False], [True, False], [True, True]]
+
+
 @pytest.mark.parametrize("change", ["slewed", "set"])
 def test_all_boards_hear_at_once_that_the_clock_was_slewed_or_set(change):
     """Of 500 ppm a second would make 500 us; all are told the same, each once."""

@@ -132,8 +132,10 @@ def run(settings: Settings, progress: Callable[[float], object] = lambda _done_s
     }
     readings = [board.readings for board in boards]
     if is_usb:
-        announced_us = host.announced_us(times_s)
-        readings = [replace(one, uncertainty_us=announced_us) for one in readings]
+        readings = [
+            replace(one, uncertainty_us=host.announced_us(number, times_s))
+            for number, one in enumerate(readings)
+        ]
     return make_report(
         settings,
         times_s,

@@ -110,8 +110,8 @@ class UsbHost:
         self._boards = boards
         self._synced = [self._plugged(number) for number in range(len(boards))]
         self._replugged = False
-        # What the daemon said of its error, and since when.
-        self._announced: list[tuple[float, int]] = []
+        # What the daemon said of the error of each board, and since when.
+        self._announced: list[list[tuple[float, int]]] = [[] for _ in boards]
         self._cpu_ns = 0
         self._trips_us: list[float] = []
         self.lost = self.refused = 0
@@ -130,13 +130,13 @@ class UsbHost:
         """Processor time of the daemon for each answer; this alone depends on the machine."""
         return self._cpu_ns / 1000 / max(1, len(self._trips_us))
 
-    def announced_us(self, times_s: Floats) -> NDArray[np.uint32]:
-        """What the status of the daemon said of its error at true times, UNKNOWN before it did.
+    def announced_us(self, number: int, times_s: Floats) -> NDArray[np.uint32]:
+        """What the status said of the error of a board at true times, UNKNOWN before it did.
 
         Boards cannot tell it, because packets of SyncUSB do not (SYNC-006).
         """
-        since = [at_s for at_s, _ in self._announced]
-        said = [UNKNOWN, *(told_us for _, told_us in self._announced)]
+        since = [at_s for at_s, _ in self._announced[number]]
+        said = [UNKNOWN, *(told_us for _, told_us in self._announced[number])]
         return np.array([said[bisect.bisect_right(since, t)] for t in times_s], dtype=np.uint32)
 
     def run(self, progress: Callable[[float], object] = lambda _done_s: None) -> None:
@@ -190,9 +190,10 @@ class UsbHost:
         for board in boards:
             board.tell()
             self._now_s += TOLD_APART_S
-        told_us = self._bus.facts()["uncertainty_us"]
-        if boards and told_us is not None:
-            self._announced.append((self._now_s, told_us))
+        for board, announced in zip(self._synced, self._announced, strict=True):
+            if board in boards:
+                told_us = board.facts()["uncertainty_us"]
+                announced.append((self._now_s, UNKNOWN if told_us is None else told_us))
 
     # ------------------------------------------------------------------ for ports
 
