@@ -8,6 +8,8 @@ PATH="$PWD/.venv/bin:$PATH"
 export PATH
 # What the user gave to make is not meant for the builds that happen in here.
 unset MAKEFLAGS MAKEOVERRIDES MFLAGS MAKELEVEL PYTHON
+# Without bytecode each of the thousands of Python programs that the steps start compiles its modules anew.
+unset PYTHONDONTWRITEBYTECODE
 
 mkdir -p build/steps
 times=build/step-times
