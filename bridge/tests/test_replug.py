@@ -5,16 +5,17 @@ import gc
 import os
 import threading
 
-from .support import board_of, bridging, config_for, free_port, served, until
+import pytest
 
-TIMES = 100
+from .support import board_of, bridging, config_for, free_port, served, until
 
 
 def descriptors():
     return len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - a folder that changes
 
 
-def test_topics_come_back_the_others_have_no_gap_and_nothing_grows(kept):
+@pytest.mark.parametrize("times", [20, pytest.param(100, marks=pytest.mark.exhaustive)])
+def test_topics_come_back_the_others_have_no_gap_and_nothing_grows(kept, times):
     text = "SENSOR(s, 0, s, M, 1, u32, none)\n"
     counts = []
 
@@ -26,7 +27,7 @@ def test_topics_come_back_the_others_have_no_gap_and_nothing_grows(kept):
             async with bridging(config_for(*urls, names="board"), boot_time=0.05) as bridge:
                 await until(lambda: {"steady/s", "calm/s"} <= set(bridge._flows))
                 sent = 0
-                for number in range(TIMES):
+                for number in range(times):
                     moving = board_of(text, name="moving", serial="M")
                     with served(moving, port):
                         await until(lambda: "moving/s" in bridge._flows)
@@ -37,7 +38,7 @@ def test_topics_come_back_the_others_have_no_gap_and_nothing_grows(kept):
                         await until(lambda count=sent: len(values("calm/s")) >= count)
                         await until(lambda count=sent: len(values("moving/s")) >= count)
                     await until(lambda: "moving/s" not in bridge._flows)
-                    if number in (TIMES // 2, TIMES - 1):
+                    if number in (times // 2, times - 1):
                         gc.collect()
                         counts.append((descriptors(), threading.active_count()))
 
@@ -48,7 +49,7 @@ def test_topics_come_back_the_others_have_no_gap_and_nothing_grows(kept):
 
     asyncio.run(work())
     for topic in ("steady/s", "calm/s", "moving/s"):
-        assert values(topic) == list(range(TIMES))
+        assert values(topic) == list(range(times))
     (files, threads), (files_then, threads_then) = counts
     # One that is left behind each time would make TIMES // 2; a pool of threads may still grow.
     assert files_then <= files + TIMES // 4
