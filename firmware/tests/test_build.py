@@ -35,8 +35,21 @@ def table(combination):
     return [name for name in c.BUILTINS if not left_out.get(name)] + described + USER
 
 
-@pytest.mark.parametrize("combination", COMBINATIONS, ids=options)
-@pytest.mark.parametrize(("cc", "cflags"), [("gcc", "-O0"), ("clang", "-Os")])
+def by_both(combination):
+    """The combination by each compiler; one of them `exhaustive`, so that each switch has both."""
+    compilers = [("gcc", "-O0"), ("clang", "-Os")]
+    left_out = compilers.pop(sum(combination) % 2)
+    yield pytest.param(combination, *compilers[0], id=f"{options(combination)}-{compilers[0][0]}")
+    yield pytest.param(
+        *(combination, *left_out),
+        id=f"{options(combination)}-{left_out[0]}",
+        marks=pytest.mark.exhaustive,
+    )
+
+
+@pytest.mark.parametrize(
+    ("combination", "cc", "cflags"), [one for each in COMBINATIONS for one in by_both(each)]
+)
 def test_posix_options(build, ask, error, combination, cc, cflags):
     if shutil.which(cc) is None:
         pytest.skip(f"{cc} is not installed")
