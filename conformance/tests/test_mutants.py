@@ -184,30 +184,33 @@ def test_a_mutant_that_breaks_another_rule_survives(judge):
 
 
 def test_a_mutant_that_is_not_built_is_an_error(judge):
-    status, printed = judge(Edit(RX, "if (byte == 0xFF)", "if (byte == 0xFF"))
+    status, printed = judge(Edit(RX, "if (byte == 0xFF)", "if (byte == 0xFF"), like=QUICK)
     assert status == 1
     assert "it is not built" in printed
     assert "0 killed" in printed
 
 
+def in_the_case(does):
+    """Edit the sender of QUICK so that it does this after the first step, in the case."""
+    start = "    j2a_tx_byte(start);"
+    wrong = f"    static uint8_t sent;\n    if (++sent > 25)\n        {does};\n"
+    return Edit("firmware/core/j2a_tx.c", start, wrong + start)
+
+
 def test_a_mutant_that_dies_is_an_error(judge):
-    status, printed = judge(
-        Edit(RX, "if (byte == 0xFF)", "if (byte == 0xFF)\n *(volatile int *)1 = 0;\n if (false)")
-    )
+    status, printed = judge(in_the_case("*(volatile int *)1 = 0"), like=QUICK)
     assert status == 1
     assert "it died in" in printed
 
 
 def test_a_mutant_that_answers_nothing_is_an_error(judge):
-    status, printed = judge(Edit(RX, "rx->event = J2A_EVENT_FRAME;", ""))
+    status, printed = judge(Edit(RX, "rx->event = J2A_EVENT_FRAME;", ""), like=QUICK)
     assert status == 1
     assert "nothing answers" in printed
 
 
 def test_a_core_that_hangs_is_an_error(judge):
-    start = "    j2a_tx_byte(start);"
-    hang = "    static uint8_t sent;\n    if (++sent > 25)\n        for (;;)\n            ;\n"
-    status, printed = judge(Edit("firmware/core/j2a_tx.c", start, hang + start), like=QUICK)
+    status, printed = judge(in_the_case("for (;;)"), like=QUICK)
     assert status == 1
     assert "nothing answers after dispatch.reserved-values" in printed
     assert "0 killed" in printed
