@@ -61,23 +61,35 @@ def test_the_demo_fits(build, mcu, tmp_path):
     assert used_ram + STACK <= ram
 
 
+SETTINGS = [
+    {"OPTIONS": "-DJ2A_WITH_SYNCUSB=0"},
+    {"OPTIONS": "-DJ2A_USB_SLEEP=1"},
+    {"OPTIONS": "-DJ2A_WITH_CLOCK=0 -DJ2A_WITH_MANY=0 -DJ2A_WITH_MAPPING=0 -DJ2A_WITH_SIF=0"},
+    {"ROOM": "64"},
+    {"CFLAGS": "-O0"},
+    {"CFLAGS": "-O2 -flto"},
+    {"CFLAGS": "-O3"},
+    {"FREQ": "8000000"},
+]
+
+
 @pytest.mark.parametrize(
-    "settings",
+    ("mcu", "settings"),
     [
-        {"OPTIONS": "-DJ2A_WITH_SYNCUSB=0"},
-        {"OPTIONS": "-DJ2A_USB_SLEEP=1"},
-        {"OPTIONS": "-DJ2A_WITH_CLOCK=0 -DJ2A_WITH_MANY=0 -DJ2A_WITH_MAPPING=0 -DJ2A_WITH_SIF=0"},
-        {"ROOM": "64"},
-        {"CFLAGS": "-O0"},
-        {"CFLAGS": "-O2 -flto"},
-        {"CFLAGS": "-O3"},
-        {"FREQ": "8000000"},
+        *(("atmega32u4", settings) for settings in SETTINGS),
+        *(
+            pytest.param("atmega32u2", settings, marks=pytest.mark.exhaustive)
+            for settings in SETTINGS[:-1]
+        ),
+        ("atmega32u2", SETTINGS[-1]),
     ],
     ids=str,
 )
-@pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
 def test_options_answer(build, mcu, settings):
-    """Whatever the image is built with, the host enumerates it and an echo comes back."""
+    """Whatever the image is built with, the host enumerates it and an echo comes back.
+
+    What differs between the chips is what makes the clock of USB; most tests below are for both.
+    """
     elf = build("builtins", "avr-usb", MCU=mcu, **settings)
     options = settings.get("OPTIONS", "")
     opcode = ECHO - 2 if "MANY=0" in options else ECHO
