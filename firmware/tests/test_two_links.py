@@ -222,13 +222,17 @@ def test_overruns_are_those_of_the_link(hosts, error):
 
 
 @pytest.mark.parametrize(
-    "part", ["functions", "time", pytest.param("frames", marks=pytest.mark.exhaustive)]
+    "part",
+    [
+        "functions",
+        *(pytest.param(part, marks=pytest.mark.exhaustive) for part in ("time", "frames")),
+    ],
 )
 def test_conformance_of_both_at_once(hosts, part):
     """Without debug text, of which there is one for the device: who asks first gets it.
 
     Those cases that measure time have a round of their own: a function that waits for one host
-    keeps the other one waiting.
+    keeps the other one waiting. That each link has byte timeouts of its own is seen above, too.
     """
 
     def part_of(case):
