@@ -34,7 +34,11 @@ def sources():
         for path in sorted(folder.rglob("*.py")):
             # The links of the clock bench are models, not transports.
             is_bench = "_clocks" in path.parts
-            if not own & {path, *path.parents} and "tests" not in path.parts and not is_bench:
+            if (
+                not own & {path, *path.parents}
+                and "tests" not in path.relative_to(ROOT).parts
+                and not is_bench
+            ):
                 yield path
 
 
