@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from firmware.verify.proof import prove as module
 from firmware.verify.proof.prove import ANALYSES
 
 FIRMWARE = Path(__file__).parents[1]
@@ -45,14 +46,14 @@ LONG = {
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
-    "only",
+    ("only", "options"),
     [
-        *SHORT,
-        *(pytest.param(name, marks=pytest.mark.exhaustive) for name in sorted(LONG)),
+        *((name, ("--changed",)) for name in SHORT),
+        *(pytest.param(name, (), marks=pytest.mark.exhaustive) for name in (*SHORT, *sorted(LONG))),
     ],
 )
-def test_core_is_proved(need, only):
-    result = prove(need, "--only", only)
+def test_core_is_proved(need, only, options):
+    result = prove(need, "--only", only, *options)
     assert result.returncode == 0, result.stdout + result.stderr
     analyses = [analysis for analysis in ANALYSES if analysis.name.startswith(only)]
     # Two more are about the sources.
@@ -61,6 +62,46 @@ def test_core_is_proved(need, only):
 
 def test_all_of_it_is_proved():
     assert all(analysis.name.startswith((*SHORT, *LONG)) for analysis in ANALYSES)
+
+
+@pytest.fixture
+def core(tmp_path):
+    """A copy of the core, to change it."""
+    return shutil.copytree(FIRMWARE / "core", tmp_path / "core")
+
+
+def test_what_was_proved_is_proved_again_where_it_changed(
+    need, core, tmp_path, monkeypatch, capsys
+):
+    """Nothing is remembered of a proof that failed, and nothing of other analyses is forgotten."""
+    need("frama-c")
+    monkeypatch.setattr(module, "PROVEN", tmp_path / "proven.json")
+    monkeypatch.setattr(module, "prove", lambda analysis, core: (failures, "done"))
+    module.PROVEN.write_text("{}")
+    source_file = core / "j2a_tx.c"
+
+    def proved(only, *options):
+        """The analyses that ran, and how that ended."""
+        words = ["prove", "--core", str(core), "--only", only, "--changed", *options]
+        monkeypatch.setattr("sys.argv", words)
+        status = module.main()
+        return capsys.readouterr().out.count(": done"), status
+
+    failures = ["an alarm"]
+    assert proved("sender", "--record") == (2, 1)
+    failures = []
+    assert proved("sender") == (2, 0)
+    assert proved("sender gcc_x86_16", "--record") == (1, 0)
+    assert proved("sender") == (1, 0)
+    assert proved("sender", "--record") == (1, 0)
+    assert proved("sender") == (0, 0)
+    source = source_file.read_text()
+    source_file.write_text(source.replace("j2a_send", "j2a_sent", 1))
+    assert proved("sender") == (2, 0)
+    source_file.write_text(source)
+    assert proved("sender") == (0, 0)
+    monkeypatch.setattr(module, "_frama_c", lambda option: f"another {option}")
+    assert proved("sender") == (2, 0)
 
 
 QUICK = {"a sender that does not stuff SOS", "the server resets the parser's count"}
@@ -274,24 +315,20 @@ def test_each_defect_has_its_place():
     "defect",
     [d if d in QUICK else pytest.param(d, marks=pytest.mark.exhaustive) for d in DEFECTS],
 )
-def test_proof_of_a_broken_core_fails(need, tmp_path, defect):
+def test_proof_of_a_broken_core_fails(need, core, defect):
     only, name, old, new, reason = DEFECTS[defect]
-    core = tmp_path / "core"
-    shutil.copytree(FIRMWARE / "core", core)
     source = (core / name).read_text()
     assert source.count(old) == 1
     (core / name).write_text(source.replace(old, new))
-    result = prove(need, "--core", core, "--only", only)
+    result = prove(need, "--core", core, "--only", only, "--changed")
     assert result.returncode == 1, result.stdout + result.stderr
     assert "FAILED" in result.stdout
     assert reason in result.stdout
 
 
-def test_file_of_the_core_that_no_analysis_has_fails(need, tmp_path):
-    core = tmp_path / "core"
-    shutil.copytree(FIRMWARE / "core", core)
+def test_file_of_the_core_that_no_analysis_has_fails(need, core):
     (core / "j2a_new.c").write_text("extern int j2a_new;\n")
-    result = prove(need, "--core", core, "--only", "sender gcc_x86_64")
+    result = prove(need, "--core", core, "--only", "sender gcc_x86_64", "--changed")
     assert result.returncode == 1, result.stdout + result.stderr
     assert "j2a_new.c is in no analysis" in result.stdout
 

@@ -5,33 +5,39 @@ program.c, selftest.c, clock.c, save.c, typed/typed.c, transducers/transducers.c
 with arbitrary values. What flows out: a line for each analysis, and exit status 0 when all hold, 1
 when one does not, 2 when there is no core, no Frama-C or no compiler.
 Rules: one alarm, one contract or check that is not proven, one warning that is not in EXPECTED, or
-one statement that is not reached and not in UNREACHED fails. docs/conformance/proof.md names what
-these proofs cannot see.
+one statement that is not reached and not in UNREACHED fails. With --changed, an analysis is not
+repeated whose hash in proven.json is that of now; --record keeps the hashes of what was proved.
+docs/conformance/proof.md names what these proofs cannot see.
 """
 
 import argparse
+import hashlib
+import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from firmware.verify.packages import advice
 
 HERE = Path(__file__).parent
 CORE = HERE.parents[1] / "core"
+PROVEN = HERE / "proven.json"
 TIME_LIMIT_S = 600
 # "volatile" is for ports that push from an interrupt; with it Eva takes each read as any value.
 # Frama-C refuses what C99 6.3.2.3 allows, a cast between functions of other numbers of arguments;
 # without (void) it sees no number. Calls are still compared with the function that is called.
 PREPROCESS = (
     "gcc -E -C -nostdinc -dD -I{libc} -I{own} -I{core} -I{here} -D__FRAMAC__"
-    " -D__FC_MACHDEP_{machine_upper} -Dvolatile= {defines} -o %o.i %i"
-    " && sed 's/(\\*j2a_function)(void)/(*j2a_function)()/' %o.i > %o"
+    " -D__FC_MACHDEP_{machine_upper} -Dvolatile= {defines}"
 )
+OUTPUT = " -o %o.i %i && sed 's/(\\*j2a_function)(void)/(*j2a_function)()/' %o.i > %o"
 # Of that cast: the type of the call is the kind that the table gives for the function.
 EXPECTED = {"kernel:typing:incompatible-types-call": 2}
 # A function of a header: each file has a copy, also one that does not call it.
@@ -259,26 +265,66 @@ def faults(output: str, whole: set[str], uncalled: re.Pattern[str]) -> list[str]
     return found
 
 
-def prove(analysis: Analysis, core: Path) -> tuple[list[str], str]:
-    """Run one analysis over the core in this folder; returns what is wrong, and a summary."""
-    share = subprocess.run(
-        ["frama-c", "-print-share-path"], capture_output=True, text=True, check=True
+@cache
+def _frama_c(option: str) -> str:
+    """Return what Frama-C prints with an option."""
+    return subprocess.run(
+        ["frama-c", option], capture_output=True, text=True, check=True
     ).stdout.strip()
-    preprocess = PREPROCESS.format(
-        libc=f"{share}/libc",
+
+
+def _preprocess(analysis: Analysis, core: Path) -> str:
+    """Return the command of the preprocessor, without its files."""
+    return PREPROCESS.format(
+        libc=f"{_frama_c('-print-share-path')}/libc",
         own=(HERE / analysis.driver).parent,
         core=core,
         here=HERE,
         machine_upper=analysis.machine.upper(),
         defines=" ".join(analysis.defines),
     )
-    command = ["frama-c", "-eva", "-machdep", analysis.machine, "-cpp-frama-c-compliant"]
-    command += ["-cpp-command", preprocess, "-eva-no-print", "-warn-invalid-pointer"]
-    command += ["-metrics", "-metrics-eva-cover", *analysis.precision]
-    command += [
+
+
+def _files(analysis: Analysis, core: Path) -> list[str]:
+    """Return the files of an analysis: the driver, and those of the core beside it."""
+    return [
         str(HERE / f"{analysis.driver}.c"),
         *(str(core / name) for name in analysis.sources),
     ]
+
+
+def digest(analysis: Analysis, core: Path) -> str:
+    """Return the hash of everything that the verdict of an analysis depends on.
+
+    That is what the preprocessor makes of its files, how Eva is called, how its output is read,
+    which this file says, and the version of Frama-C.
+    """
+    # -P: no names of folders.
+    command = [*shlex.split(_preprocess(analysis, core)), "-P", *_files(analysis, core)]
+    text = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    parts = (repr(analysis), text, Path(__file__).read_text("utf-8"), _frama_c("-version"))
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+def proven() -> dict[str, str]:
+    """Return the hash of each analysis that was kept, by the name of the analysis."""
+    kept: dict[str, str] = json.loads(PROVEN.read_text("utf-8"))
+    return kept
+
+
+def record(hashes: dict[str, str]) -> None:
+    """Keep these hashes; those of other analyses stay, if there still are such."""
+    kept = proven() | hashes
+    named = {analysis.name: kept[analysis.name] for analysis in ANALYSES if analysis.name in kept}
+    PROVEN.write_text(json.dumps(named, indent=1) + "\n", "utf-8")
+
+
+def prove(analysis: Analysis, core: Path) -> tuple[list[str], str]:
+    """Run one analysis over the core in this folder; returns what is wrong, and a summary."""
+    command = ["frama-c", "-eva", "-machdep", analysis.machine, "-cpp-frama-c-compliant"]
+    command += ["-cpp-command", _preprocess(analysis, core) + OUTPUT]
+    command += ["-eva-no-print", "-warn-invalid-pointer"]
+    command += ["-metrics", "-metrics-eva-cover", *analysis.precision, *_files(analysis, core)]
     # Eva is recursive over its states: the usual 8 MB of stack are not enough.
     result = subprocess.run(
         ["bash", "-c", 'ulimit -s unlimited; exec "$@"', "bash", *command],
@@ -350,6 +396,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Prove the core free of undefined behaviour.")
     parser.add_argument("--core", type=Path, default=CORE, help="the core's folder")
     parser.add_argument("--only", default="", help="only analyses whose name starts with this")
+    parser.add_argument("--changed", action="store_true", help="repeat nothing that is the same")
+    parser.add_argument("--record", action="store_true", help="keep what was proved")
     parser.add_argument("--jobs", type=int, default=2, help="how many run at a time (default: 2)")
     arguments = parser.parse_args()
     for tool in ("frama-c", "gcc"):
@@ -362,7 +410,14 @@ def main() -> int:
     chosen = [analysis for analysis in ANALYSES if analysis.name.startswith(arguments.only)]
     if not chosen:
         parser.error(f"no analysis starts with {arguments.only!r}")
-    failed = False
+    hashes, failed = {}, False
+    if arguments.changed or arguments.record:  # now: who edits meanwhile has proved nothing of it
+        hashes = {analysis.name: digest(analysis, core) for analysis in chosen}
+    kept = proven() if arguments.changed else {}
+    for analysis in [one for one in chosen if one.name in kept]:
+        if kept[analysis.name] == hashes[analysis.name]:
+            chosen.remove(analysis)
+            print(f"proven  {analysis.name}: before, and nothing has changed")
     with ThreadPoolExecutor(arguments.jobs) as pool:
         results = pool.map(lambda analysis: prove(analysis, core), chosen)
         for analysis, (found, summary) in zip(chosen, results, strict=True):
@@ -381,6 +436,8 @@ def main() -> int:
         for line in found:
             print(f"        {line}")
         failed = failed or bool(found)
+    if arguments.record and not failed:
+        record(hashes)
     return int(failed)
 
 
