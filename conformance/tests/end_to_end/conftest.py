@@ -1,4 +1,8 @@
-"""Devices to talk to: the demo app on posix, on the simulated AVR at two rates, and in Python."""
+"""Devices to talk to: the demo app on posix, on the simulated AVR at two rates, and in Python.
+
+The lower rate is exhaustive here: with it each byte takes nine times as many cycles, most of them
+idle. The suite runs on testees of both.
+"""
 
 import shlex
 import threading
@@ -29,7 +33,7 @@ def avr_url(build_firmware: Build) -> Callable[[int], str]:
 @pytest.fixture(
     params=[
         "posix",
-        pytest.param("avr-115200", marks=pytest.mark.avr),
+        pytest.param("avr-115200", marks=[pytest.mark.avr, pytest.mark.exhaustive]),
         pytest.param("avr-1000000", marks=pytest.mark.avr),
         "python",
     ]
