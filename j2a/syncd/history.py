@@ -31,7 +31,7 @@ class Round:
     Attributes:
         time_s: of the host, seconds since 1970.
         offset_us: of the measured time to the line through the measurements before.
-        rate_ppb: of the host's time to that of the bus or the board.
+        rate_ppb: by which frames, or the counter of the board, run faster than the host's clock.
         uncertainty_us: of what was told to the board.
     """
 

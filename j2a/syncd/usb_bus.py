@@ -17,7 +17,7 @@ from typing import Any, Final
 from j2a_spec.constants import CLOCK_MAX_TURNAROUND
 
 from j2a.io.host_time import HostTime, host_time
-from j2a.protocol.clock import BusClock, Exchange, Frame
+from j2a.protocol.clock import BusClock, Estimate, Exchange, Frame
 from j2a.protocol.clock.bus import FRAME_US, FRAMES
 from j2a.syncd.following import Following
 from j2a.syncd.history import History, Round
@@ -227,6 +227,10 @@ class Bus:
         """Return a bound of the error of boards that follow this packet."""
         return math.ceil((told.uncertainty_us or 0) + self._following.lag_us)
 
+    def _rate_ppb(self, estimate: Estimate) -> float:
+        """Return by how much frames run faster than the clock of the host."""
+        return 1e9 * (1 / ((1 + estimate.rate) * (1 + self._host.reference.rate)) - 1)
+
     def _note(self, unix_us: int) -> None:
         estimate = self._clock.estimate
         if self._told is not None and estimate is not None:
@@ -235,7 +239,7 @@ class Bus:
                 Round(
                     unix_us / 1e6,
                     self._offset_us,
-                    1e9 * estimate.rate,
+                    self._rate_ppb(estimate),
                     self._uncertainty_us(self._told),
                 ),
             )
@@ -248,6 +252,6 @@ class Bus:
                 return {"offset_us": None, "rate_ppb": None, "uncertainty_us": None}
             return {
                 "offset_us": round(self._offset_us, 1),
-                "rate_ppb": round(1e9 * estimate.rate),
+                "rate_ppb": round(self._rate_ppb(estimate)),
                 "uncertainty_us": self._uncertainty_us(told),
             }

@@ -72,6 +72,15 @@ def test_many_boards_are_known_as_well_as_one(boards):
     assert frames.bus.facts()["uncertainty_us"] < 100
 
 
+@pytest.mark.parametrize("ppm", [-150, 60])
+def test_the_rate_is_that_of_frames_to_the_clock(ppm):
+    """As that of a board by a URL is that of its counter to the clock."""
+    frames = Frames(ppm)
+    for _ in range(30):
+        frames.round([1])
+    assert abs(frames.bus.facts()["rate_ppb"] - 1000 * ppm) < 10_000
+
+
 @pytest.mark.parametrize("boards", [1, 2, 8, 64])
 @pytest.mark.parametrize("ppm", [-2000, -100, 0, 100, 2000])
 @pytest.mark.requirement("SYNC-004", "SYNC-005")
