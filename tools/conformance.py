@@ -5,11 +5,13 @@ each in build/conformance, a matrix page over all of them, one line a testee, an
 all conform. Rules: three runs at a time, of different kinds as long as there are some: an emulator
 needs a core, on this machine a run waits most of the time, and simulated time is disturbed by
 nothing; a testee that cannot be built here fails. With `--sample` only the testees of COMPLETE, and
-the hosts, do every case, the others leave out SWEEPS, and FURTHER is left to a run without it.
+the hosts, do every case; those of PARTS do their levels, the others leave out SWEEPS, and FURTHER
+is left to a run without it.
 """
 
 import argparse
 import contextlib
+import os
 import subprocess
 import sys
 import time
@@ -43,6 +45,16 @@ FURTHER = (
     *("transducers-328p", "transducers-arduino", "clock-328p"),
     *("clock-32bit", "clock-big-endian", "clock-rp2040"),
 )
+# Testees that are another one with a part more: the levels of that part. The rest is what the other
+# one, of the same kind of code and on a chip of the same kind, shows.
+PARTS = {
+    "clock": ("transducers", "clock"),
+    "clock-avr": ("clock",),
+    "clock-usb": ("clock",),
+    "python-clock": ("transducers", "clock"),
+    "python-transducers": ("transducers",),
+    "transducers-avr": ("transducers",),
+}
 KINDS = ("simulated", "machine", "emulator")
 
 
@@ -59,12 +71,13 @@ def commands() -> dict[str, list[str]]:
 def sampled(name: str, arguments: list[str]) -> list[str]:
     """Return the arguments for a testee, without the sweeps where it is not one of COMPLETE.
 
-    One that names levels runs only their cases.
+    One that names levels, itself or in PARTS, runs only their cases.
     """
     if arguments[0] != "run" or name in COMPLETE:
         return arguments
     testee = tomllib.loads(Path(arguments[1]).read_text("utf-8"))
-    if levels := testee.get("levels"):  # the rest is what another testee of that chip shows
+    if levels := PARTS.get(name) or testee.get("levels"):
+        # The rest is what another testee of that chip shows.
         return [*arguments, "--level", *levels]
     every = [case.ID for case in load() if not case.ON_DEMAND]
     if unknown := {*SWEEPS} - {*every}:
@@ -89,15 +102,20 @@ def run(name: str, arguments: list[str]) -> tuple[bool, str]:
     kinds = {"json": "json", "html": "html", "junit": "xml", "badge": "svg"}
     reports = [f"--{option}={OUT / name}.{suffix}" for option, suffix in kinds.items()]
     command = [*CONFORM, arguments[0], *reports, *arguments[1:]]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
-    )
-    (OUT / f"{name}.txt").write_text(done.stdout + done.stderr, "utf-8")
+    said = OUT / f"{name}.txt"
+    with said.open("wb") as log:
+        process = subprocess.Popen(
+            command, cwd=ROOT, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+        )
+        _, status, used = os.wait4(process.pid, 0)
+    process.returncode = code = os.waitstatus_to_exitcode(status)
     took_s = time.monotonic() - start_s
-    last = (done.stdout.strip() or done.stderr.strip() or "(nothing was printed)").splitlines()[-1]
-    if done.returncode:
-        last = f"exit code {done.returncode}\n{done.stdout}{done.stderr}"
-    return done.returncode == 0, f"{name:16} {took_s:5.1f} s  {last}"
+    text = said.read_text("utf-8")
+    last = (text.strip() or "(nothing was printed)").splitlines()[-1]
+    if code:
+        last = f"exit code {code}\n{text}"
+    cpu_s = used.ru_utime + used.ru_stime  # its emulator's, too: it has waited for its end
+    return code == 0, f"{name:24} {took_s:5.1f} s, {cpu_s:5.1f} s of the processors  {last}"
 
 
 def main() -> int:

@@ -125,8 +125,9 @@ class Link:
         if self.transport.is_simulated:
             self.transport.sleep(max(rest_s, 0.0))
             return
-        if rest_s > _SPIN_S:
-            time.sleep(rest_s - _SPIN_S)
+        # A short pause is allowed to be longer by a part of it, so it need not be spun away whole.
+        if rest_s > 0:
+            time.sleep(rest_s - min(_SPIN_S, rest_s / 4))
         while self.now_s() < moment_s:
             pass
 

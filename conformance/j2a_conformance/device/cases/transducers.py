@@ -43,6 +43,8 @@ _TRIES: Final = 100
 _WRAP: Final = 65536
 _MANY: Final = 600  # a number of one byte has wrapped
 _WRAP_US: Final = 20_000_000
+_ITEMS: Final = 12  # above the numbers of all items, and of some that there are not
+_SHORT: Final = 40  # longer than a topic, and than a value of any type
 _TURNS: Final = 90  # of three values: more than counters of one byte hold
 _STEP: Final = 7
 _FORMATS: Final = {"f32": "<f", "f64": "<d"}
@@ -145,9 +147,10 @@ class Board:
             now_us = self.time_us()
 
     def wait_until(self, due_us: int) -> None:
-        """Return when the clock of the device says a time."""
+        """Return when the clock of the device says a time; ask it seldom."""
+        link = self.peer.link
         for _ in self.until(due_us):
-            pass
+            link.wait_until(link.now_s() + (due_us - self._clock_us) / 1e6)
 
     def stimulate(self, one: oracle.Transducer, *values: tuple[int, bytes]) -> None:
         """Have a driver give values, each for a channel."""
@@ -433,7 +436,8 @@ class BehindEnd(_TransducerCase):
 
 class Refused(_TransducerCase):
     """Asks for transducers that there are not, for items that they do not have, and writes values
-    of other lengths and out of range.
+    of other lengths and out of range. Items that no transducer has and long values go to the
+    transducers in turn.
     """
 
     ID = "transducers.refused"
@@ -465,6 +469,8 @@ class Refused(_TransducerCase):
         for item in range(256):
             if item == c.TRANSD_SAVE:
                 continue
+            if item > _ITEMS and item < 255 and not _has_turn(item, one, board.all):
+                continue
             if item in _WRITE_ONLY or not board.has(one, item):
                 board.exchange(bytes((one.id, item)), c.TRANSD_NO_ITEM)
             if item in _READ_ONLY or not board.has(one, item):
@@ -480,7 +486,10 @@ class Refused(_TransducerCase):
         for item in range(11):
             if item in _READ_ONLY or not board.has(one, item):
                 continue
+            having = [other for other in board.all if board.has(other, item)]
             for length in range(1, longest + 1):
+                if _SHORT < length < longest and not _has_turn(length, one, having):
+                    continue
                 if not self._fits(board, one, item, length):
                     payload = bytes((one.id, item)) + bytes(length)
                     board.exchange(payload, c.TRANSD_BAD_LENGTH)
@@ -516,6 +525,11 @@ class Refused(_TransducerCase):
             yield from _WRONG_TOPICS
         if item == c.TRANSD_SET:
             yield from _wrong_sets(board, one)
+
+
+def _has_turn(number: int, one: oracle.Transducer, some: Sequence[oracle.Transducer]) -> bool:
+    """Tell whether a transducer is the one of `some` that takes a number, all in turn."""
+    return some[number % len(some)] is one
 
 
 _WRONG_TOPICS: Final = (
@@ -722,13 +736,25 @@ class Queue(_TransducerCase):
     NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
 
     def _judge(self, board: Board) -> None:
-        for one in board.sensors(queue=True):
+        sensors = board.sensors(queue=True)
+        lost = [self._fit(board, one) - self._depth(one) for one in sensors]
+        for one, size in zip(sensors, lost, strict=True):
             with board.tuned(one):
                 self._sensor(board, one)
+                # That it wraps is the same for all: shown where a request loses the most values.
+                self._wrap(board, one, _WRAP if size == max(lost) else _MANY)
+
+    @staticmethod
+    def _depth(one: oracle.Transducer) -> int:
+        return int(one.attributes["queue"])
+
+    @staticmethod
+    def _fit(board: Board, one: oracle.Transducer) -> int:
+        """Return how many values one request of the stimulus holds."""
+        return (board.peer.longest - 1) // (1 + board.size(one))
 
     def _sensor(self, board: Board, one: oracle.Transducer) -> None:
-        depth = int(one.attributes["queue"])
-        fit = (board.peer.longest - 1) // (1 + board.size(one))
+        depth, fit = self._depth(one), self._fit(board, one)
         lost = None
         counts = (1, 2, depth - 1, depth, depth + 1, depth + 3, 1, depth + 7, 2)
         for count in (*counts, *counts, *reversed(counts)):
@@ -760,14 +786,12 @@ class Queue(_TransducerCase):
                 fail(f"{one.name}: no room for one value before")
             lost = now
             board.no_sif(one, board.seen, "without a new value")
-        self._wrap(board, one, fit)
 
-    @staticmethod
-    def _wrap(board: Board, one: oracle.Transducer, fit: int) -> None:
+    def _wrap(self, board: Board, one: oracle.Transducer, most: int) -> None:
         """Keep values until counters of one byte have wrapped with values waiting, and lose some
-        until the number of them is beyond one byte, and where it is quick, beyond two.
+        until the number of them is beyond one byte, and where it is quick, beyond `most`.
         """
-        depth, lost = int(one.attributes["queue"]), 0
+        depth, fit, lost = self._depth(one), self._fit(board, one), 0
         found: list[tuple[int, int, bytes]]
         for _ in range(_TURNS):
             entries = [(0, board.value(one)) for _ in range(min(depth, 3))]
@@ -782,7 +806,7 @@ class Queue(_TransducerCase):
             for _, time_us, _ in found:
                 _check_time(one, time_us, begin_us, board.time_us())
         given, begin_us = 0, board.time_us()
-        while given <= _WRAP:
+        while given <= most:
             since = board.seen
             board.stimulate(one, *((0, board.value(one)) for _ in range(fit)))
             index = since
@@ -795,7 +819,7 @@ class Queue(_TransducerCase):
             if given and (now - lost) % 65536 != fit - kept:
                 fail(f"{one.name} says {now} behind {lost}, where {fit - kept} values were lost")
             lost, given = now, given + fit - kept
-            rest = (_WRAP - given) / max(given, 1)
+            rest = (most - given) / max(given, 1)
             if given > _MANY and (board.time_us() - begin_us) * rest > _WRAP_US:
                 return
 
