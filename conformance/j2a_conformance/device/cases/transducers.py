@@ -469,7 +469,7 @@ class Refused(_TransducerCase):
         for item in range(256):
             if item == c.TRANSD_SAVE:
                 continue
-            if item > _ITEMS and item < 255 and not _has_turn(item, one, board.all):
+            if _ITEMS < item < 255 and board.all[item % len(board.all)] is not one:
                 continue
             if item in _WRITE_ONLY or not board.has(one, item):
                 board.exchange(bytes((one.id, item)), c.TRANSD_NO_ITEM)
@@ -488,7 +488,7 @@ class Refused(_TransducerCase):
                 continue
             having = [other for other in board.all if board.has(other, item)]
             for length in range(1, longest + 1):
-                if _SHORT < length < longest and not _has_turn(length, one, having):
+                if _SHORT < length < longest and self._in_turn(board, having, item, length) != one:
                     continue
                 if not self._fits(board, one, item, length):
                     payload = bytes((one.id, item)) + bytes(length)
@@ -498,6 +498,15 @@ class Refused(_TransducerCase):
         for item, value in before.items():
             if board.read(one, item) != value:
                 fail(f"item {item} of {one.name} has changed by what was refused")
+
+    @classmethod
+    def _in_turn(
+        cls, board: Board, some: list[oracle.Transducer], item: int, length: int
+    ) -> oracle.Transducer | None:
+        """Return which of some transducers is given a length that is wrong for it."""
+        first = length % len(some)
+        ordered = (*some[first:], *some[:first])
+        return next((one for one in ordered if not cls._fits(board, one, item, length)), None)
 
     @staticmethod
     def _fits(board: Board, one: oracle.Transducer, item: int, length: int) -> bool:
@@ -525,11 +534,6 @@ class Refused(_TransducerCase):
             yield from _WRONG_TOPICS
         if item == c.TRANSD_SET:
             yield from _wrong_sets(board, one)
-
-
-def _has_turn(number: int, one: oracle.Transducer, some: Sequence[oracle.Transducer]) -> bool:
-    """Tell whether a transducer is the one of `some` that takes a number, all in turn."""
-    return some[number % len(some)] is one
 
 
 _WRONG_TOPICS: Final = (
@@ -1474,6 +1478,9 @@ class Trigger(_TransducerCase):
                     if later_us is not None:
                         board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + later_us))
                     due_us = now_us + (_DUE_US if later_us is None else later_us)
+                    if board.time_us() >= now_us + _DUE_US:  # a stall: it was replaced too late
+                        board.wait_until(max(due_us, now_us + _DUE_US) + _LATER_US)
+                        continue
                     since = self._measured(board, one, since, due_us)
                     board.wait_until(now_us + _DUE_US + _LATER_US)
                     board.no_sif(one, since, "for a trigger that was replaced")
