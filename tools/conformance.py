@@ -45,12 +45,17 @@ FURTHER = (
     *("transducers-328p", "transducers-arduino", "clock-328p"),
     *("clock-32bit", "clock-big-endian", "clock-rp2040"),
 )
-# Testees that are another one with a part more: the levels of that part. The rest is what the other
-# one, of the same kind of code and on a chip of the same kind, shows.
+LINK = ("frame", "core", "sif", "timing")
+# Testees that are another one with a part more, or on another chip of the same kind or another of
+# its links: the levels of that part, or those in which the link has a part. The rest is what the
+# other one shows.
 PARTS = {
+    "avr-32u4": LINK,
+    "avr-usb-32u2": LINK,
     "clock": ("transducers", "clock"),
     "clock-avr": ("clock",),
     "clock-usb": ("clock",),
+    "cortex-m-two": LINK,
     "python-clock": ("transducers", "clock"),
     "python-transducers": ("transducers",),
     "transducers-avr": ("transducers",),
@@ -76,11 +81,12 @@ def sampled(name: str, arguments: list[str]) -> list[str]:
     if arguments[0] != "run" or name in COMPLETE:
         return arguments
     testee = tomllib.loads(Path(arguments[1]).read_text("utf-8"))
-    if levels := PARTS.get(name) or testee.get("levels"):
-        # The rest is what another testee of that chip shows.
-        return [*arguments, "--level", *levels]
-    every = [case.ID for case in load() if not case.ON_DEMAND]
-    if unknown := {*SWEEPS} - {*every}:
+    levels = PARTS.get(name) or testee.get("levels")
+    # Without levels, all; else the rest is what another testee of that chip shows.
+    every = [
+        case.ID for case in load() if not case.ON_DEMAND and (not levels or case.LEVEL in levels)
+    ]
+    if unknown := {*SWEEPS} - {case.ID for case in load()}:
         raise SystemExit(f"there is no case {', '.join(sorted(unknown))}")
     return [*arguments, "--case", *(case for case in every if case not in SWEEPS)]
 
