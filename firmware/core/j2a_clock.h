@@ -48,6 +48,23 @@ uint32_t j2a_clock_uncertainty_us(void);
 void j2a_port_wait(uint32_t local_us);
 #endif
 
+/* Returns the upper 32 bits of a * b, rounded down; *low: the others. A port of a processor that does not multiply may have a
+ * shorter one: J2A_PORT_PRODUCT 1 in its j2a_port_config.h; legal in interrupts.
+ * a: between -2^30 and 2^30. */
+#ifndef J2A_PORT_PRODUCT
+#define J2A_PORT_PRODUCT 0
+#endif
+#if J2A_PORT_PRODUCT
+int32_t j2a_port_product(int32_t a, int32_t b, uint32_t *low);
+#define j2a_product j2a_port_product
+#else
+J2A_INLINE int32_t j2a_product(int32_t a, int32_t b, uint32_t *low) {
+    const int64_t product = (int64_t)a * b;
+    *low = (uint32_t)product;
+    return (int32_t)(product >> 32);
+}
+#endif
+
 #if J2A_PORT_FRAMES
 /* The start of a USB frame. */
 typedef struct {

@@ -25,6 +25,12 @@ static inline j2a_rx_t *j2a_served(void) {
 /* Takes one byte; only while no event waits, or directly after j2a_rx_lost(). */
 void j2a_rx_parse(uint8_t byte);
 
+/* Returns the room for payloads of the link that is served, null while a request or an error is in it. What lies there is
+ * gone with the next byte that is parsed. */
+#if J2A_PORT_SHARES_ROOM
+uint8_t *j2a_rx_room(void);
+#endif
+
 /* Ends a frame whose next byte did not come, if one is being received. */
 void j2a_rx_timeout(void);
 

@@ -46,6 +46,12 @@ extern uint8_t j2a_link;
 #define J2A_PORT_IS_UP true
 #endif
 
+/* Sample SIFs are put together in the room for requests, where they wait while one is being received, instead of on the
+ * stack. A port none of whose interrupts calls j2a_rx_byte() may say so in its j2a_port_config.h. */
+#ifndef J2A_PORT_SHARES_ROOM
+#define J2A_PORT_SHARES_ROOM 0
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif

@@ -95,6 +95,13 @@ J2A_NOINLINE void j2a_rx_parse(uint8_t byte) {
         rx->state = CHECKSUM;
 }
 
+#if J2A_PORT_SHARES_ROOM
+uint8_t *j2a_rx_room(void) {
+    j2a_rx_t *const rx = j2a_served();
+    return rx->event == J2A_EVENT_NONE && (uint8_t)(rx->state & ~ESCAPED) < PAYLOAD ? rx->payload : 0;
+}
+#endif
+
 bool j2a_rx_byte(uint8_t byte) {
     j2a_rx_t *const rx = j2a_served();
     if (rx->event != J2A_EVENT_NONE)

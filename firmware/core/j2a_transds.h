@@ -8,6 +8,13 @@
 /* The bytes of a channel's time, and of what stands before the values of a sensor with a queue. */
 enum { J2A_TIME_BYTES = 8, J2A_LOST_BYTES = 2 };
 
+/* The most bytes of a sample SIF. */
+#if J2A_PORT_SHARES_ROOM
+#define J2A_SAMPLE_ROOM J2A_ROOM
+#else
+#define J2A_SAMPLE_ROOM J2A_MAX_PAYLOAD
+#endif
+
 /* Raw values that a transds.def gives. */
 enum { J2A_RAW_NA, J2A_RAW_THRESHOLD, J2A_RAW_LOW, J2A_RAW_HIGH };
 
@@ -18,13 +25,16 @@ typedef struct {
     volatile bool is_fresh; /* without a queue: a value was taken since the last sample SIF */
     uint64_t sent_us;      /* when the last sample SIF began, 0 before the first one */
     uint32_t period_us;
-    volatile uint8_t tail; /* entries that were taken out of it */
     volatile bool is_enabled;
+} j2a_sensor;
+
+typedef struct {
+    volatile uint8_t tail; /* entries that were taken out of the queue */
     uint8_t put_at;
     uint8_t take_at;
     volatile uint16_t full; /* values that found no room */
     uint16_t dropped;       /* values that waited when the sensor was disabled */
-} j2a_sensor;
+} j2a_queue;
 
 /* What waits for its time. */
 typedef struct {
@@ -45,6 +55,7 @@ typedef struct {
     uint8_t size;                 /* of a value, in bytes */
     uint8_t depth;                /* of the queue, 0 without one */
     j2a_sensor *sensor;
+    j2a_queue *queue;
     volatile uint8_t *slots;      /* of the queue, else of each channel */
     uint8_t *decimation;          /* the setting, then for each channel the values since one was taken */
     uint8_t *threshold;           /* which of the two that follow is the setting */
@@ -90,7 +101,7 @@ J2A_ALWAYS_INLINE void j2a_keep(j2a_sensor *sensor, volatile uint8_t *slot, cons
  * value: its bytes on the wire. */
 void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value);
 
-/* The body of transds_process(). payload: room for the longest sample SIF. */
+/* The body of transds_process(). payload: room for the longest sample SIF; null: none can be sent now. */
 void j2a_turn(uint8_t *payload);
 
 /* The part J2A_WITH_SAVE, in ext/j2a_save.c. */

@@ -161,8 +161,8 @@ enum {
         j2a_entry_of_##name = (j2a_depth_of_##name != 0) + J2A_TIME_BYTES + j2a_bytes_of_##name, \
         j2a_entries_of_##name = j2a_depth_of_##name != 0 ? j2a_depth_of_##name : (channels), \
         j2a_most_of_##name = j2a_depth_of_##name == 0 ? (channels) \
-            : (J2A_MAX_PAYLOAD - J2A_LOST_BYTES) / j2a_entry_of_##name < j2a_depth_of_##name \
-                ? (J2A_MAX_PAYLOAD - J2A_LOST_BYTES) / j2a_entry_of_##name : j2a_depth_of_##name, \
+            : (J2A_SAMPLE_ROOM - J2A_LOST_BYTES) / j2a_entry_of_##name < j2a_depth_of_##name \
+                ? (J2A_SAMPLE_ROOM - J2A_LOST_BYTES) / j2a_entry_of_##name : j2a_depth_of_##name, \
         j2a_longest_of_##name = (j2a_depth_of_##name != 0) * J2A_LOST_BYTES + \
             j2a_most_of_##name * j2a_entry_of_##name, \
         id_of_##name##_is_0_to_254 = 1 / ((id) >= 0 && (id) <= J2A_TRANSD_MAX_ID), \
@@ -172,7 +172,7 @@ enum {
             (0 J2A_SAY(threshold, __VA_ARGS__)) == 0 && (0 J2A_SAY(range, __VA_ARGS__)) == 0)), \
         queue_of_##name##_is_1_to_255 = 1 / (j2a_depth_of_##name >= 0 && j2a_depth_of_##name <= 255), \
         a_sample_of_##name##_is_longer_than_a_frame = 1 / (j2a_most_of_##name >= 1 && \
-            j2a_longest_of_##name <= (int)J2A_MAX_PAYLOAD && \
+            j2a_longest_of_##name <= (int)J2A_SAMPLE_ROOM && \
             (j2a_depth_of_##name != 0 || j2a_longest_of_##name <= J2A_ROOM)) \
     }; \
     static volatile uint8_t j2a_slots_of_##name[j2a_entries_of_##name * j2a_entry_of_##name]; \
@@ -181,8 +181,9 @@ enum {
 #undef J2A_TRIGGER_DRIVER
 #define J2A_TRIGGER_DRIVER(prefix) prefix##_trigger();
 #define J2A_KEPT_SENSOR(name, prefix, channels, type, ...) \
-    static j2a_sensor j2a_sensor_of_##name = {0, false, 0, 0 J2A_SAY(period, __VA_ARGS__), 0, \
-        !(0 J2A_SAY(disabled, __VA_ARGS__)), 0, 0, 0, 0}; \
+    static j2a_sensor j2a_sensor_of_##name = {0, false, 0, 0 J2A_SAY(period, __VA_ARGS__), \
+        !(0 J2A_SAY(disabled, __VA_ARGS__))}; \
+    static j2a_queue j2a_queue_of_##name; \
     static uint8_t j2a_decimation_of_##name[1 + (channels)] = {0 J2A_SAY(decimation, __VA_ARGS__)}; \
     static uint8_t j2a_threshold_of_##name[1 + 2 * j2a_bytes_of_##name]; \
     static uint8_t j2a_last_of_##name[(channels) * (1 + j2a_bytes_of_##name)]; \
@@ -222,7 +223,8 @@ enum {
 #define J2A_TRANSD(KIND, name, id, prefix, model, channels, type, na, ...) \
     J2A_ROW_##KIND(name, id, prefix, channels, J2A_OF_ORDER(J2A_ORDER, J2A_VALUE_TYPE(type)), __VA_ARGS__)
 #define J2A_ROW_SENSOR(name, id, prefix, channels, order, ...) \
-    {id, channels, j2a_bytes_of_##name, j2a_depth_of_##name, &j2a_sensor_of_##name, j2a_slots_of_##name, \
+    {id, channels, j2a_bytes_of_##name, j2a_depth_of_##name, &j2a_sensor_of_##name, \
+     J2A_IF_KEY(queue, &j2a_queue_of_##name, __VA_ARGS__), j2a_slots_of_##name, \
      J2A_IF_KEY(decimation, j2a_decimation_of_##name, __VA_ARGS__), \
      J2A_IF_KEY(threshold, j2a_threshold_of_##name, __VA_ARGS__), \
      (0 J2A_SAY(threshold, __VA_ARGS__)) != 0 && j2a_depth_of_##name != 0 ? j2a_last_of_##name : 0, \
@@ -231,7 +233,7 @@ enum {
      J2A_IF_KEY(trigger, j2a_start_of_##name, __VA_ARGS__), 0, J2A_RAW_OR_NOT(order, name), \
      J2A_COMPARE(order), J2A_NEAR(order)},
 #define J2A_ROW_ACTUATOR(name, id, prefix, channels, order, ...) \
-    {id, channels, j2a_bytes_of_##name, 0, 0, j2a_slots_of_##name, 0, 0, 0, \
+    {id, channels, j2a_bytes_of_##name, 0, 0, 0, j2a_slots_of_##name, 0, 0, 0, \
      J2A_IF_KEY(topic, j2a_topic_of_##name, __VA_ARGS__), 0, j2a_waiting_of_##name, j2a_values_of_##name, \
      J2A_IF_KEY(guarded, &j2a_watchdog_of_##name, __VA_ARGS__), 0, j2a_set_of_##name, J2A_RAW_OR_NOT(order, name), \
      J2A_COMPARE(order), 0},
@@ -241,6 +243,11 @@ const j2a_transducer J2A_FLASH j2a_transducers[] = {
 #undef J2A_TRANSD
 const uint8_t j2a_transducer_count = j2a_transducers_listed;
 
+#if J2A_PORT_SHARES_ROOM
+J2A_NOINLINE void transds_process(void) {
+    j2a_turn(j2a_rx_room());
+}
+#else
 /* Room for the longest sample SIF. */
 #define J2A_TRANSD(KIND, name, id, prefix, model, channels, type, na, ...) uint8_t name[j2a_longest_of_##name];
 typedef union {
@@ -248,6 +255,13 @@ typedef union {
 #include "j2a_transds_list.h"
 } j2a_longest_sample;
 #undef J2A_TRANSD
+
+/* Its sample is not to lie on the stack while a request is executed. */
+J2A_NOINLINE void transds_process(void) {
+    j2a_longest_sample payload;
+    j2a_turn(&payload.none);
+}
+#endif
 
 /* What the port must keep: two records for each, with the length and the bytes of each setting. */
 #if J2A_WITH_SAVE
@@ -266,12 +280,6 @@ enum {
 };
 #undef J2A_TRANSD
 #endif
-
-/* Its sample is not to lie on the stack while a request is executed. */
-J2A_NOINLINE void transds_process(void) {
-    j2a_longest_sample payload;
-    j2a_turn(&payload.none);
-}
 
 void transds_init(void) {
 #define J2A_TRANSD(KIND, name, id, prefix, model, channels, type, na, ...) \

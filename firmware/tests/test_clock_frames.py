@@ -2,6 +2,7 @@
 
 import itertools
 import random
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,30 @@ from j2a_spec.grammar import (
     CLOCK_STATUS,
 )
 
-from firmware.tests.native_clock import NativeClock, build
+from firmware.tests.native_clock import FIRMWARE, NativeClock, build
 
 S = 1_000_000
 UNIX = 1_700_000_000 * S
 STATUS = bytes((c.CLOCK_STATUS,))
+
+
+# Every period that the first loop may have, by what takes no division and by the division.
+EVERY_PERIOD = r"""
+#include <stdio.h>
+#include "ext/j2a_clock_frames.c"
+
+int main(void) {
+    const int32_t most = (int32_t)MAX_OFF;
+    int32_t off = -most;
+    for (; off <= most; off++) {
+        if (as_rate(off) != (int32_t)(((int64_t)off * 1024 + 500) / 1000)) {
+            printf("%ld\n", (long)off);
+            return 1;
+        }
+    }
+    return 0;
+}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +90,20 @@ class Bus:
             board.local = int(now * factor)
             found.append(board.time - UNIX - board.local / factor)
         return found
+
+
+def test_the_rate_of_each_period_is_that_of_a_division(tmp_path: Path) -> None:
+    source, program = tmp_path / "every_period.c", tmp_path / "every_period"
+    source.write_text(EVERY_PERIOD)
+    core = FIRMWARE / "core"
+    subprocess.run(
+        ["gcc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", f"-I{core}",
+         f"-I{FIRMWARE / 'tests/clock_native'}", "-DJ2A_WITH_SYNC=1", source,
+         core / "ext/j2a_clock.c", FIRMWARE / "tests/clock_native/fake.c", "-o", program],
+        check=True,
+    )  # fmt: skip
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")
 
 
 @pytest.mark.requirement("SYNC-004")

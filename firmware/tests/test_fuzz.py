@@ -68,8 +68,8 @@ DEFECTS = {
     ),
     "a queue has room for one value more than its memory": (
         "ext/j2a_transducers.c",
-        "if ((uint8_t)(sensor->head - sensor->tail) >= t.depth) {",
-        "if ((uint8_t)(sensor->head - sensor->tail) > t.depth) {",
+        "if ((uint8_t)(sensor->head - queue->tail) >= t.depth) {",
+        "if ((uint8_t)(sensor->head - queue->tail) > t.depth) {",
         "--transducers",
     ),
     "a sample comes one microsecond too early": (

@@ -4,10 +4,16 @@ Distances, voltages and edges come from here. On an ATmega328P all three drivers
 an ATmega32U2, over USB and in 1 KB of RAM, the encoders do.
 """
 
+import j2a_transports
 import pytest
-from j2a_sim import AvrSim, SimError, SimLink
+import usb.core
+from j2a_sim import AvrSim, SimBackend, SimError, SimLink
+from j2a_spec import constants as c
+from j2a_spec import usb as usb_grammar
+from j2a_spec.oracle import Frame, encode
 
 import j2a
+from firmware.tests.usb9 import Device
 from firmware.verify.budget import avr_stack, builds
 from firmware.verify.budget.sensor_load import CHIPS, FORWARD
 
@@ -16,6 +22,8 @@ pytestmark = pytest.mark.avr
 NOTHING = 0x00FFFFFF
 CHANNELS = 12
 FIRST = 0x70
+QUAD = 0
+ECHO = [name for name in c.BUILTINS if name != c.GET_DEBUG].index(c.GET_ECHO)
 ROUND_S = 0.4  # more than two rounds of measurements take
 
 
@@ -194,3 +202,126 @@ def test_the_encoders_are_read_over_usb(build):
             board.read_many("a2jGetTransds")
         assert 100 < sim.stack_bytes <= bound
         assert sim.program.ram_end - 0x100 + bound <= 1024
+
+
+# -- with the clock, too: all that the prototype of the thesis had ---------------------------------
+
+UNIX = 1_700_000_000_000_000
+CYCLES_PER_US = 16
+LATE_US = 80  # the other interrupts, before that of the encoders, and what the clock is wrong by
+
+
+class Bus:
+    """A board on a simulated bus: a client of the library, SyncUSB beside it, and the true time.
+
+    Rule: only the host of the bus runs the simulator, and what looks into it asks that host.
+    """
+
+    def __init__(self, sim):
+        self.sim = sim
+        backend = SimBackend(sim)
+        (self._host,) = backend._hosts
+        self.device = usb.core.find(backend=backend)
+        self.client = j2a.Client(j2a_transports.open_usb_device(self.device), timeout=60)
+        self.zero = self._host.call(lambda: sim.cycle)
+
+    def time(self, cycle):
+        """The time that the host tells, in microseconds."""
+        return UNIX + (cycle - self.zero) / CYCLES_PER_US
+
+    def sync(self):
+        """Send a packet of SyncUSB: when the current frame began."""
+        bus = self.sim.usb
+        number, began = self._host.call(lambda: (bus.frame, bus.frame_start))
+        packet = usb_grammar.sync.build(
+            {"time_us": round(self.time(began)), "frame": number % 1024}
+        )
+        assert self.device.write(c.SYNCUSB_OUT, packet) == len(packet)
+
+    def drive(self, pin, level):
+        """Set a pin; returns the time."""
+
+        def set_pin():
+            self.sim.pins.drive(pin, level)
+            return self.time(self.sim.cycle)
+
+        return self._host.call(set_pin)
+
+    def run(self, seconds):
+        end = self.sim.time_s + seconds
+        while self.sim.time_s < end:
+            self.client.echo(b"")
+
+
+@pytest.fixture
+def bus(build):
+    elf = build("listing", "avr-usb", MCU="atmega32u2", OPTIONS="-DJ2A_WITH_SYNC=1")
+    with AvrSim(elf, "atmega32u2") as sim:
+        found = Bus(sim)
+        with found.client:
+            yield found
+            [row] = [one for one in builds.load() if one.name == "avr-usb/listing-clock"]
+            bound = avr_stack.stack_bound(elf, row)
+            assert 200 < sim.stack_bytes <= bound
+            assert sim.program.ram_end - 0x100 + bound <= 1024
+
+
+def test_syncusb_leads_the_time_of_samples(bus):
+    board = bus.client
+    described = [(one.name, one.channels) for one in board.transducers.descriptors.transducers]
+    assert described == [("quad", 2), ("dist_ir", 8), ("dist_us", 12)]
+    assert board.clock.status().state == c.CLOCK_FREE
+    for _ in range(10):
+        bus.sync()
+        bus.run(0.25)
+    status = board.clock.status()
+    assert (status.state, status.epoch) == (c.CLOCK_LOCKED, 1)
+    assert board.transducers["dist_us"].wait(20).values == (None,) * 12
+    wires = CHIPS["atmega32u2"].encoders
+    with board.transducers["quad"].samples() as samples:
+        for step in range(12):
+            driven = bus.drive(wires[step % 2], step // 2 % 2)
+            count = samples.wait(20).readings[0]
+            assert count.raw == step + 1
+            assert 0 <= count.time_us - driven + 3 < LATE_US
+    bus.sync()
+    for size in range(0, 145, 16):
+        assert board.echo(bytes(size)) == bytes(size)
+    assert board.clock.status().epoch == 1
+
+
+def test_a_sample_waits_for_a_request_that_is_being_received(build):
+    """Both are in the same memory: the request stays whole, and the sample comes behind it."""
+    elf = build("listing", "avr-usb", MCU="atmega32u2")
+    echo = Frame(c.SOF, 9, ECHO, bytes(range(100)))
+    first, rest = encode(echo)[:64], encode(echo)[64:]
+    wires = CHIPS["atmega32u2"].encoders
+
+    def begin(step):
+        """Half of a request, and in the middle of it an edge."""
+        device.finish(device.bus.submit_out(c.USB_OUT, first, packet=64))
+        device.pause(1)  # until the main loop has taken it
+        device.sim.pins.drive(wires[step % 2], step // 2 % 2)
+
+    def end():
+        """What answers it, and the sample of the encoders; those of dist_us come when they like."""
+        found = device.listen(1, limit_ms=50)
+        while QUAD not in [frame.opcode for frame in found if frame.start == c.SOS]:
+            more = device.listen(1, limit_ms=50)
+            assert more
+            found += more
+        (sample,) = [frame for frame in found if (frame.start, frame.opcode) == (c.SOS, QUAD)]
+        return found[0], int.from_bytes(sample.payload[8:10], "little")
+
+    with Device(elf, "atmega32u2") as device:
+        device.to_configured()
+        device.pause(300)
+        device.listen(100, limit_ms=100)  # what the drivers report at the start
+        for step in range(24):
+            begin(step)
+            assert device.listen(1, limit_ms=5) == []
+            device.finish(device.bus.submit_out(c.USB_OUT, rest, packet=64))
+            assert end() == (Frame(c.SOF, 9, c.ECHO, echo.payload), step + 1)
+        begin(0)  # this one breaks off: the sample waits no longer than the pause that ends it
+        answer, count = end()
+        assert (answer.opcode, count) == (c.ERR_TIMEOUT, 25)

@@ -235,8 +235,8 @@ DEFECTS = {
     "a queue whose index does not come back": (
         TRANSDUCERS,
         "ext/j2a_transducers.c",
-        "(sensor->put_at + 1 == t.depth ? 0 : sensor->put_at + 1)",
-        "(sensor->put_at + 1)",
+        "(queue->put_at + 1 == t.depth ? 0 : queue->put_at + 1)",
+        "(queue->put_at + 1)",
         "eva:alarm",
     ),
     "a driver reports a channel that its sensor does not have": (

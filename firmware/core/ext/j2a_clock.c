@@ -25,7 +25,7 @@ enum {
 static volatile j2a_line lines[2];
 static volatile uint8_t current; /* the line that holds from its begin on; before, the other one */
 static volatile uint8_t epoch;
-static j2a_line target;
+static j2a_line target; /* without a correction */
 static bool is_told;        /* the target is another one since the last plan */
 static bool was_step;       /* the last adjustment was one */
 static uint64_t adjusted_us; /* local time of the last adjustment */
@@ -38,42 +38,54 @@ uint64_t j2a_received_us;
 
 /* ------------------------------------------------------------------------- lines ------ */
 
-/* Returns the time on a line. *part: what is left, in 2^-32 us. */
-static J2A_NOINLINE uint64_t time_on(const j2a_line *line, uint32_t now, uint32_t *part) {
-    const uint32_t passed = now - line->at;
-    int64_t gained;
-    if (passed < SEGMENT_US)
-        gained = (int64_t)(line->rate + line->correction) * (int32_t)passed;
-    else
-        gained = (int64_t)line->rate * (int32_t)passed + (int64_t)line->correction * SEGMENT_US;
-    gained += line->part;
-    *part = (uint32_t)gained;
-    return line->time_us + passed + (uint64_t)(gained >> 32);
+/* Returns the time on a line. *part: what is left, in 2^-32 us. In 32 bits, because the stack of an AVR holds what 64 have
+ * no registers for, and this may run in an interrupt. */
+static J2A_NOINLINE uint64_t time_on(const volatile j2a_line *line, uint32_t now, uint32_t *part) {
+    uint32_t passed = now - line->at;
+    uint32_t sum = line->part;
+    uint32_t low;
+    if (passed < SEGMENT_US) {
+        passed += (uint32_t)j2a_product(line->rate + line->correction, (int32_t)passed, &low);
+    } else {
+        passed += (uint32_t)j2a_product(line->rate, (int32_t)passed, &low);
+        sum += low;
+        passed += sum < low;
+        passed += (uint32_t)j2a_product(line->correction, SEGMENT_US, &low);
+    }
+    sum += low;
+    passed += sum < low;
+    *part = sum;
+    return line->time_us + passed;
 }
 
 J2A_NOINLINE void j2a_line_move(j2a_line *line, int32_t by_us) {
-    const int64_t gained = (int64_t)line->rate * by_us + line->part;
-    line->part = (uint32_t)gained;
-    line->time_us += (uint64_t)(by_us + (gained >> 32));
+    uint32_t low;
+    uint32_t sum_us = (uint32_t)by_us + (uint32_t)j2a_product(line->rate, by_us, &low);
+    line->part += low;
+    sum_us += line->part < low;
+    line->time_us += (uint64_t)(int32_t)sum_us;
     line->at += (uint32_t)by_us;
 }
 
-/* Copies the line that holds at a local time, which is now or later. */
-static J2A_NOINLINE void load_line(j2a_line *line, uint32_t now) {
+/* Returns the line that holds at a local time, which is now or later. It stays as it is: in an interrupt because the main
+ * context waits, and in the main context until its next plan. */
+static J2A_NOINLINE const volatile j2a_line *line_at(uint32_t now) {
     const uint8_t which = current;
-    *line = lines[which];
-    if ((int32_t)(now - line->at) < 0)
-        *line = lines[which ^ 1];
+    return &lines[(int32_t)(now - lines[which].at) < 0 ? which ^ 1 : which];
+}
+
+static J2A_NOINLINE uint64_t time_at(uint32_t now) {
+    uint32_t part;
+    return time_on(line_at(now), now, &part);
+}
+
+/* Apart, because 64 bits cost the stack of an AVR much, wherever they are. */
+static J2A_NOINLINE uint32_t local_time(void) {
+    return (uint32_t)j2a_port_time_us();
 }
 
 uint64_t j2a_clock_us(void) {
-    const uint64_t local_us = j2a_port_time_us();
-    j2a_line line;
-    uint32_t part;
-    if (epoch == 0)
-        return local_us;
-    load_line(&line, (uint32_t)local_us);
-    return time_on(&line, (uint32_t)local_us, &part);
+    return epoch == 0 ? j2a_port_time_us() : time_at(local_time());
 }
 
 #if !J2A_PORT_WAIT
@@ -88,26 +100,25 @@ bool j2a_clock_is_due(uint64_t due_us) {
     const uint32_t now = (uint32_t)local_us;
     uint64_t time_us = local_us;
     int32_t rate = 0;
-    j2a_line line;
     uint32_t part;
     uint32_t left_us;
 
     if (epoch != 0) {
-        load_line(&line, now);
-        time_us = time_on(&line, now, &part);
-        rate = line.rate + line.correction;
+        const volatile j2a_line *const line = line_at(now);
+        time_us = time_on(line, now, &part);
+        rate = line->rate + line->correction;
     }
     if (due_us <= time_us)
         return true;
     if (due_us - time_us > WAIT_US)
         return false;
     left_us = (uint32_t)(due_us - time_us);
-    j2a_port_wait(now + left_us - (uint32_t)(int32_t)((int64_t)rate * (int32_t)left_us >> 32));
+    j2a_port_wait(now + left_us - (uint32_t)j2a_product(rate, (int32_t)left_us, &part));
     return true;
 }
 
 /* Returns target less time at a local time, in 2^-12 us; moves the target there. */
-static J2A_NOINLINE int64_t distance(uint32_t now, const j2a_line *line) {
+static J2A_NOINLINE int64_t distance(uint32_t now, const volatile j2a_line *line) {
     uint32_t part;
     int64_t whole_us;
     j2a_line_move(&target, (int32_t)(now - target.at));
@@ -127,10 +138,7 @@ static J2A_NOINLINE void plan(uint32_t now) {
     j2a_line line;
     int64_t off;
 
-    load_line(&line, begin);
-#if J2A_PORT_FRAMES
-    j2a_frames_target(&target, now);
-#endif
+    line = *line_at(begin);
     off = distance(begin, &line);
     line.time_us = time_on(&line, begin, &line.part);
     line.at = begin;
@@ -153,31 +161,25 @@ void j2a_clock_turn(void) {
         return;
     now = (uint32_t)j2a_port_time_us();
     passed = (int32_t)(now - lines[current].at);
-    if (passed >= 0 && (is_told || passed >= SEGMENT_US - LEAD_US))
+    if (passed >= 0 && (is_told || passed >= SEGMENT_US - LEAD_US)) {
+#if J2A_PORT_FRAMES
+        j2a_frames_target(&target, now);
+#endif
         plan(now);
+    }
 }
 
 /* Sets the time to the target at once. A line whose begin is ahead was not used by any reader. */
 static J2A_NOINLINE void step(uint64_t now_us) {
-    const uint32_t now = (uint32_t)now_us;
-    uint64_t before_us = now_us;
-    uint32_t part;
-    j2a_line line;
-
-    if (epoch != 0) {
-        load_line(&line, now);
-        before_us = time_on(&line, now, &part);
-        if ((int32_t)(now - lines[current].at) < 0)
-            current ^= 1;
-    }
-    line = target;
-    line.correction = 0;
-    lines[current ^ 1] = line;
+    const uint64_t before_us = epoch != 0 ? time_at((uint32_t)now_us) : now_us;
+    if (epoch != 0 && (int32_t)((uint32_t)now_us - lines[current].at) < 0)
+        current ^= 1;
+    lines[current ^ 1] = target;
     current ^= 1;
     epoch = (uint8_t)(epoch == 255 ? 1 : epoch + 1);
     is_told = false;
 #if J2A_WITH_TRANSDUCERS
-    j2a_transds_move(line.time_us - before_us);
+    j2a_transds_move(target.time_us - before_us);
 #else
     (void)before_us;
 #endif
@@ -187,10 +189,7 @@ static J2A_NOINLINE void step(uint64_t now_us) {
 
 /* Returns |target less time|, rounded up to microseconds. */
 static J2A_NOINLINE uint64_t error_us(uint32_t now) {
-    j2a_line line;
-    int64_t off;
-    load_line(&line, now);
-    off = distance(now, &line);
+    const int64_t off = distance(now, line_at(now));
     return (uint64_t)((off < 0 ? -off : off) + (1 << DISTANCE_BITS) - 1) >> DISTANCE_BITS;
 }
 
@@ -205,12 +204,16 @@ static J2A_NOINLINE uint8_t state_at(uint64_t now_us) {
     return J2A_CLOCK_LOCKED;
 }
 
+/* Returns by how much the time may have wandered, in microseconds. */
+static J2A_NOINLINE uint64_t wandered_us(uint64_t passed_us) {
+    return ((passed_us >> 32) * wander >> 6) + ((uint64_t)(uint32_t)passed_us * wander >> 38) + (wander != 0);
+}
+
 static J2A_NOINLINE uint32_t uncertainty_at(uint64_t now_us) {
-    const uint64_t passed_us = now_us - adjusted_us;
     uint64_t sum_us;
     if (epoch == 0 || given_us == J2A_CLOCK_UNKNOWN)
         return J2A_CLOCK_UNKNOWN;
-    sum_us = ((passed_us >> 32) * wander >> 6) + ((uint64_t)(uint32_t)passed_us * wander >> 38) + (wander != 0);
+    sum_us = wandered_us(now_us - adjusted_us);
     sum_us += given_us + error_us((uint32_t)now_us);
     return sum_us < J2A_CLOCK_UNKNOWN ? (uint32_t)sum_us : J2A_CLOCK_UNKNOWN;
 }
@@ -227,41 +230,47 @@ uint32_t j2a_clock_uncertainty_us(void) {
     return uncertainty_at(j2a_port_time_us());
 }
 
-static J2A_NOINLINE void put_status(uint8_t *bytes) {
-    const uint64_t now_us = j2a_port_time_us();
+static J2A_NOINLINE void put_times(uint8_t *bytes, uint64_t now_us) {
     const uint32_t now = (uint32_t)now_us;
     uint64_t time_us = now_us;
     int32_t rate = 0;
-    uint32_t part;
     j2a_line line;
 
     if (epoch != 0) {
-        load_line(&line, now);
-        time_us = time_on(&line, now, &part);
+        time_us = time_at(now);
         line = lines[current]; /* also before its begin: what the host was told last is how the time goes on */
         rate = line.rate + ((int32_t)(now - line.at) < SEGMENT_US ? line.correction : 0);
     }
     j2a_put_u64(bytes, now_us);
     j2a_put_u64(bytes + 8, time_us);
+    j2a_put_i32(bytes + 18, (int32_t)(((int64_t)rate * 1000000000 + 0x80000000LL) >> 32));
+}
+
+static J2A_NOINLINE void put_status(uint8_t *bytes) {
+    const uint64_t now_us = j2a_port_time_us();
+    put_times(bytes, now_us);
     bytes[16] = state_at(now_us);
     bytes[17] = epoch;
-    j2a_put_i32(bytes + 18, (int32_t)(((int64_t)rate * 1000000000 + 0x80000000LL) >> 32));
     j2a_put_u32(bytes + 22, uncertainty_at(now_us));
 }
 
 /* ------------------------------------------------------------------------- what the host says ------ */
 
-/* The target has been set, at now_us. */
-static J2A_NOINLINE void adjust(uint64_t now_us, uint32_t uncertainty_us, uint32_t wander_ppb, bool is_step) {
+/* What the host knows of the target, which is set at now_us. */
+static J2A_NOINLINE void note(uint64_t now_us, uint32_t uncertainty_us, uint32_t wander_ppb) {
     adjusted_us = now_us;
     given_us = uncertainty_us;
     wander = (uint32_t)(((uint64_t)wander_ppb * 288230377 + 0xFFFFF) >> 20);
+}
+
+/* The target has been set, at adjusted_us. */
+static J2A_NOINLINE void adjust(bool is_step) {
     was_step = is_step || epoch == 0;
     if (was_step) {
-        step(now_us);
+        step(adjusted_us);
     } else {
         const uint32_t begin = lines[current].at;
-        if (begin - (uint32_t)now_us <= LEAD_US) { /* ahead: it passes first, so that the next line is planned at once */
+        if (begin - (uint32_t)adjusted_us <= LEAD_US) { /* ahead: it passes first, so that the next line is planned at once */
             j2a_port_wait(begin);
             adjusted_us = j2a_port_time_us();
         }
@@ -270,8 +279,8 @@ static J2A_NOINLINE void adjust(uint64_t now_us, uint32_t uncertainty_us, uint32
     }
 }
 
-static uint8_t adjust_line(const uint8_t *bytes) {
-    const uint64_t now_us = j2a_port_time_us();
+/* Sets the target to a line, if its fields are in range; returns the code. */
+static J2A_NOINLINE uint8_t take_line(const uint8_t *bytes, uint64_t now_us) {
     const uint64_t local_us = j2a_get_u64(bytes + 2);
     const uint64_t time_us = j2a_get_u64(bytes + 10);
     const int32_t rate = j2a_get_i32(bytes + 18);
@@ -291,27 +300,39 @@ static uint8_t adjust_line(const uint8_t *bytes) {
     target.rate = (int32_t)(((int64_t)rate * 1152921505 + 0x8000000) >> 28);
     j2a_line_move(&target, (int32_t)(behind_us / 2)); /* in two steps, because 2^31 us are too many for one */
     j2a_line_move(&target, (int32_t)(behind_us - behind_us / 2));
-    adjust(now_us, j2a_get_u32(bytes + 22), wander_ppb, bytes[1] == J2A_CLOCK_STEP);
     return 0;
 }
 
-#if J2A_PORT_FRAMES
-static uint8_t adjust_frame(uint64_t time_us, uint16_t number, uint32_t uncertainty_us) {
+static J2A_NOINLINE uint8_t adjust_line(const uint8_t *bytes) {
     const uint64_t now_us = j2a_port_time_us();
+    const uint8_t code = take_line(bytes, now_us);
+    if (code == 0) {
+        note(now_us, j2a_get_u32(bytes + 22), j2a_get_u32(bytes + 26));
+        adjust(bytes[1] == J2A_CLOCK_STEP);
+    }
+    return code;
+}
+
+#if J2A_PORT_FRAMES
+/* Sets the target by the frames; returns whether it is so far that the time has to step. */
+static J2A_NOINLINE bool aim(uint32_t now) {
     const int64_t limit = (int64_t)J2A_CLOCK_FRAME_STEP_S * 1000000 << DISTANCE_BITS;
-    j2a_line line;
     int64_t off;
+    j2a_frames_target(&target, now);
+    off = distance(now, epoch != 0 ? line_at(now) : &target);
+    return off >= limit || off <= -limit;
+}
+
+static J2A_NOINLINE uint8_t adjust_frame(uint64_t time_us, uint16_t number, uint32_t uncertainty_us) {
+    const uint64_t now_us = j2a_port_time_us();
+    bool is_step;
 
     if (number >= J2A_CLOCK_FRAME_NUMBERS || time_us >> 63 != 0 || !j2a_frames_told(time_us, number))
         return J2A_CLOCK_BAD_VALUE;
-    j2a_frames_target(&target, (uint32_t)now_us);
-    if (epoch != 0)
-        load_line(&line, (uint32_t)now_us);
-    else
-        line = target;
-    off = distance((uint32_t)now_us, &line);
+    is_step = aim((uint32_t)now_us);
     frame_us = uncertainty_us;
-    adjust(now_us, uncertainty_us, J2A_CLOCK_FRAME_WANDER, off >= limit || off <= -limit);
+    note(now_us, uncertainty_us, J2A_CLOCK_FRAME_WANDER);
+    adjust(is_step);
     return 0;
 }
 
@@ -320,7 +341,7 @@ void j2a_clock_packet(const uint8_t *packet) {
 }
 #endif
 
-static uint8_t exchange(uint8_t *bytes) {
+static J2A_NOINLINE uint8_t exchange(uint8_t *bytes) {
     const uint32_t received = (uint32_t)j2a_received_us;
     uint32_t turnaround_us;
     uint8_t i;

@@ -131,7 +131,7 @@ void j2a_frames_forget(void) {
 
 /* Leads the line to a time that the host told, which is `error` sixteenths of a microsecond from it, `frames` frames
  * after the one before. An error of 1/16 us in a frame is a rate of 268435.456, which is 274877907 / 1024. */
-static void lead(int32_t error, uint32_t frames) {
+static J2A_NOINLINE void lead(int32_t error, uint32_t frames) {
     uint32_t left = told_span;
     uint8_t times = 0; /* beyond the second one */
     int64_t part, rate;
@@ -156,7 +156,7 @@ static uint32_t latest_of(uint16_t number) {
     return frame - ((frame - number) & (J2A_CLOCK_FRAME_NUMBERS / 2 - 1));
 }
 
-bool j2a_frames_told(uint64_t time_us, uint16_t number) {
+J2A_NOINLINE bool j2a_frames_told(uint64_t time_us, uint16_t number) {
     const int32_t far_us = (int32_t)(J2A_CLOCK_FRAME_STEP_S * 1000000UL);
     int64_t error_us;
     uint32_t of;
@@ -184,20 +184,30 @@ bool j2a_frames_told(uint64_t time_us, uint16_t number) {
     return true;
 }
 
+/* Returns by how much a frame is longer than 1000 us, in 2^-32: (off * 1024 + 500) / 1000. No division of 64 bits, because an
+ * AVR's library makes it by jumps through pointers, of which no bound for the stack can be told. 0.024 * 2^32 is so near to
+ * a whole number that the result is the same up to MAX_OFF. */
+static int32_t as_rate(int32_t off) {
+    uint32_t low;
+    const int32_t more = j2a_product(off, 103079215, &low);
+    return off + more + (low >= 0x80000000) + (off < 0);
+}
+
 /* T over L = (T over frames) * (frames over L); with p and q for how much a frame is longer than 1000 us by either,
  * (1 + p) / (1 + q) - 1 = (p - q) * (1 - q + q * q) is exact to 0.1 ppb for a q of 0.3 %. */
-void j2a_frames_target(j2a_line *target, uint32_t now) {
-    const int32_t q = (int32_t)(((int64_t)((int32_t)period - (int32_t)PERIOD) * 1024 + 500) / FRAME_US);
+J2A_NOINLINE void j2a_frames_target(j2a_line *target, uint32_t now) {
+    const int32_t q = as_rate((int32_t)period - (int32_t)PERIOD);
     const uint32_t seen_us = now - (uint32_t)((int32_t)((now << 4) - began) >> 4); /* the start may be after now */
     const int32_t ahead = (int32_t)(phase - (seen_us << 22)); /* of the start by the loop, in 2^-22 us */
     int32_t rate;
+    uint32_t low;
     int64_t part;
 
     if (!has_phase || !told)
         return;
     j2a_line_move(&host, (int32_t)(frame * FRAME_US - host.at));
     rate = host.rate - q;
-    rate += (int32_t)(-(int64_t)rate * q >> 32) + (int32_t)(((int64_t)rate * q >> 32) * q >> 32);
+    rate += j2a_product(-rate, q, &low) + j2a_product(j2a_product(rate, q, &low), q, &low);
     part = (int64_t)host.part - (int64_t)ahead * 1024;
     target->at = seen_us;
     target->part = (uint32_t)part;

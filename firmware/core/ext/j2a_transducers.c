@@ -186,11 +186,13 @@ void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value) {
     uint8_t stamp[J2A_TIME_BYTES];
     j2a_transducer t;
     j2a_sensor *sensor;
+    j2a_queue *queue;
     volatile uint8_t *slot;
 
     j2a_stamp(stamp); /* before anything that takes its time */
     j2a_flash_load(&t, &j2a_transducers[index], offsetof(j2a_transducer, topic));
     sensor = t.sensor;
+    queue = t.queue;
     if (channel >= t.channels || !is_chosen(&t, channel))
         return;
     if (t.threshold)
@@ -215,15 +217,15 @@ void j2a_sense(uint8_t index, uint8_t channel, const uint8_t *value) {
         last[0] = 1;
         write_value(last + 1, value, t.size);
     }
-    if ((uint8_t)(sensor->head - sensor->tail) >= t.depth) {
-        sensor->full++;
+    if ((uint8_t)(sensor->head - queue->tail) >= t.depth) {
+        queue->full++;
         return;
     }
-    slot = t.slots + sensor->put_at * (1 + J2A_TIME_BYTES + t.size);
+    slot = t.slots + queue->put_at * (1 + J2A_TIME_BYTES + t.size);
     *slot = channel;
     write_value(slot + 1, stamp, J2A_TIME_BYTES);
     write_value(slot + 1 + J2A_TIME_BYTES, value, t.size);
-    sensor->put_at = (uint8_t)(sensor->put_at + 1 == t.depth ? 0 : sensor->put_at + 1);
+    queue->put_at = (uint8_t)(queue->put_at + 1 == t.depth ? 0 : queue->put_at + 1);
     sensor->head++;
 }
 
@@ -264,24 +266,25 @@ static uint16_t count_of(const volatile uint16_t *counter) {
 /* Moves values of a queue into a sample SIF; returns its bytes, 0 without values. */
 static uint8_t move_queued(const j2a_transducer *t, uint8_t *payload) {
     const uint8_t size = (uint8_t)(1 + J2A_TIME_BYTES + t->size);
-    const uint8_t most = (uint8_t)((J2A_MAX_PAYLOAD - J2A_LOST_BYTES) / size);
-    j2a_sensor *const sensor = t->sensor;
-    uint8_t left = (uint8_t)(sensor->head - sensor->tail);
+    const uint8_t most = (uint8_t)((J2A_SAMPLE_ROOM - J2A_LOST_BYTES) / size);
+    const j2a_sensor *const sensor = t->sensor;
+    j2a_queue *const queue = t->queue;
+    uint8_t left = (uint8_t)(sensor->head - queue->tail);
     uint8_t length = J2A_LOST_BYTES;
     if (left == 0)
         return 0;
-    j2a_put_u16(payload, (uint16_t)(count_of(&sensor->full) + sensor->dropped));
+    j2a_put_u16(payload, (uint16_t)(count_of(&queue->full) + queue->dropped));
     if (left > t->depth)
         left = t->depth; /* never more, but it takes no memory of earlier calls to see it here */
     for (left = left < most ? left : most; left != 0; left--) {
-        const volatile uint8_t *const slot = t->slots + sensor->take_at * size;
+        const volatile uint8_t *const slot = t->slots + queue->take_at * size;
         uint8_t i;
         for (i = 0; i < size; i++)
             payload[length + i] = slot[i];
         convert_stamp(payload + length + 1);
         length = (uint8_t)(length + size);
-        sensor->take_at = (uint8_t)(sensor->take_at + 1 == t->depth ? 0 : sensor->take_at + 1);
-        sensor->tail++;
+        queue->take_at = (uint8_t)(queue->take_at + 1 == t->depth ? 0 : queue->take_at + 1);
+        queue->tail++;
     }
     return length;
 }
@@ -291,7 +294,7 @@ static bool report(const j2a_transducer *t, uint8_t *payload) {
     j2a_sensor *const sensor = t->sensor;
     uint64_t time_us;
     uint8_t length;
-    if (t->depth == 0 ? !sensor->is_fresh : sensor->head == sensor->tail)
+    if (t->depth == 0 ? !sensor->is_fresh : sensor->head == t->queue->tail)
         return false; /* the usual case, before the time, which small chips calculate slowly */
     time_us = local_us();
     if (!sensor->is_enabled || (sensor->sent_us != 0 && time_us - sensor->sent_us < sensor->period_us))
@@ -360,13 +363,13 @@ static void watch(const j2a_transducer *t, uint32_t now_ms) {
 }
 
 #if J2A_WITH_SYNC
-static void move_due(j2a_due *due, uint64_t by_us) {
+static J2A_NOINLINE void move_due(j2a_due *due, uint64_t by_us) {
     const uint64_t sum_us = due->due_us + by_us;
     const bool is_back = by_us >> 63 != 0;
     due->due_us = (sum_us > due->due_us) != is_back || by_us == 0 ? sum_us : is_back ? 0 : UINT64_MAX;
 }
 
-void j2a_transds_move(uint64_t by_us) {
+J2A_NOINLINE void j2a_transds_move(uint64_t by_us) {
     j2a_transducer t;
     uint8_t index;
     uint8_t channel;
@@ -422,7 +425,7 @@ static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8
 
 void j2a_turn(uint8_t *payload) {
     const uint32_t now_ms = (uint32_t)(j2a_port_time_us() / 1000);
-    bool has_sent = false;
+    bool has_sent = !payload;
     j2a_transducer t;
     uint8_t index;
     uint8_t left;
@@ -482,7 +485,7 @@ uint8_t j2a_get_transds(bool *is_last, bool is_write, uint32_t *const offset, ui
 
 /* Whether a number is below 0, or none. */
 static bool is_below_zero(const j2a_transducer *t, const uint8_t *value) {
-    static const uint8_t zero[8] = {0};
+    const uint8_t zero[8] = {0};
     const int8_t order = t->compare(value, zero, t->size);
     return order < 0 || order == 2;
 }
@@ -535,13 +538,14 @@ static uint8_t write_topic(char *topic, const uint8_t *text, uint8_t length) {
 
 static void enable(const j2a_transducer *t, bool is_enabled) {
     j2a_sensor *const sensor = t->sensor;
+    j2a_queue *const queue = t->queue;
     if (!sensor->is_enabled && is_enabled)
         sensor->is_fresh = false;
     sensor->is_enabled = is_enabled;
-    while (!is_enabled && t->depth != 0 && sensor->tail != sensor->head) {
-        sensor->take_at = (uint8_t)(sensor->take_at + 1 == t->depth ? 0 : sensor->take_at + 1);
-        sensor->tail++;
-        sensor->dropped++;
+    while (!is_enabled && t->depth != 0 && queue->tail != sensor->head) {
+        queue->take_at = (uint8_t)(queue->take_at + 1 == t->depth ? 0 : queue->take_at + 1);
+        queue->tail++;
+        queue->dropped++;
     }
 }
 

@@ -16,6 +16,11 @@
 extern volatile uint8_t usb_trouble;
 #define J2A_PORT_IS_UP (usb_trouble == 0)
 
+/* Some of these chips have 1 KB of RAM. Not in a build that sends no samples, whose parser stays as it is. */
+#if defined J2A_WITH_TRANSDUCERS
+#define J2A_PORT_SHARES_ROOM J2A_WITH_TRANSDUCERS
+#endif
+
 /* The interface SyncUSB, by which the host tells its time. Off: it is not there. */
 #ifndef J2A_WITH_SYNCUSB
 #define J2A_WITH_SYNCUSB 1

@@ -47,6 +47,28 @@ void j2a_port_wait(uint32_t local_us) {
 }
 #endif
 
+#if J2A_PORT_PRODUCT
+/* Bit by bit: the upper half of the product, r22 to r25, moves to the right through b, r18 to r21. The library has only a
+ * product of 64 bits by 64, which takes three times as long, and its operands 30 bytes of stack. */
+__attribute__((naked, noinline)) int32_t j2a_port_product(int32_t a, int32_t b, uint32_t *low) {
+    (void)a;
+    (void)b;
+    (void)low;
+    __asm__("ldi r26, 32\n\tmov r0, r26\n\t"
+            "movw r26, r22\n\tmovw r30, r24\n\t" /* a */
+            "clr r22\n\tclr r23\n\tmovw r24, r22\n\t"
+            "bst r21, 7\n"
+            "1:\tsbrs r18, 0\n\trjmp 2f\n\t"
+            "add r22, r26\n\tadc r23, r27\n\tadc r24, r30\n\tadc r25, r31\n"
+            "2:\tasr r25\n\tror r24\n\tror r23\n\tror r22\n\t"
+            "ror r21\n\tror r20\n\tror r19\n\tror r18\n\t"
+            "dec r0\n\tbrne 1b\n\t"
+            "brtc 3f\n\t" /* the sign of b counts as -2^31, not as 2^31 */
+            "sub r22, r26\n\tsbc r23, r27\n\tsbc r24, r30\n\tsbc r25, r31\n"
+            "3:\tmovw r30, r16\n\tst Z, r18\n\tstd Z+1, r19\n\tstd Z+2, r20\n\tstd Z+3, r21\n\tret");
+}
+#endif
+
 #if J2A_WITH_CLOCK
 uint32_t avr_clock_overflows; /* each 262 ms at 16 MHz, 33 ms with J2A_WITH_SYNC */
 

@@ -36,6 +36,13 @@ extern uint32_t avr_clock_overflows;
  * of the wait, in ticks of timer 1. */
 #define J2A_PORT_WAIT (J2A_WITH_SYNC && F_CPU % 8000000 == 0)
 
+/* Chips that do not multiply do what the clock multiplies by a product of their own, see j2a_clock.h. */
+#ifdef __AVR_HAVE_MUL__
+#define J2A_PORT_PRODUCT 0
+#else
+#define J2A_PORT_PRODUCT J2A_WITH_SYNC
+#endif
+
 /* Starts it; called once. */
 void avr_clock_start(void);
 

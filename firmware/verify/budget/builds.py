@@ -33,7 +33,7 @@ FIRMWARE = Path(__file__).resolve().parents[2]
 BUDGET = Path(__file__).with_name("budget.toml")
 KINDS = ("size", "stack", "bound", "callgraph", "cycles", "core", "counts")
 _KEYS = {"name", "note", "port", "port_from", "app", "make", "load", "stimuli"}
-_KEYS |= {"options", "measure", "limit"}
+_KEYS |= {"options", "measure", "limit", "beside"}
 
 
 class BudgetError(Exception):
@@ -84,6 +84,7 @@ class Build:
         variables: of the Makefile, without OUT.
         load: more of them, for the program whose stack is measured.
         stimuli: "sensors" when the stack is measured under what moves the pins of that app, too.
+        beside: name of the build that lacks one sensor or actuator of this one; "" where none does.
         options: of core/j2a_options.h, by name.
         measure: which of `KINDS`.
         limit: metric -> the most that it may be.
@@ -105,6 +106,7 @@ class Build:
     external_frame: int = 0
     load: Mapping[str, str] = field(default_factory=dict)
     stimuli: str = ""
+    beside: str = ""
 
     def option(self, name: str, default: int) -> int:
         """The value of an option."""
@@ -154,6 +156,7 @@ def _build(entry: dict[str, Any], ports: dict[str, Any]) -> Build:
             for key, value in {**common.get("load", {}), **entry.get("load", {})}.items()
         },
         stimuli,
+        entry.get("beside", ""),
     )
 
 
@@ -176,6 +179,9 @@ def load(path: Path = BUDGET) -> list[Build]:
     for name in names:
         if names.count(name) > 1:
             raise BudgetError(f"{path.name}: {name} comes twice")
+    for build in builds:
+        if build.beside and build.beside not in names:
+            raise BudgetError(f"{build.name}: beside knows no build {build.beside}")
     if not builds:
         raise BudgetError(f"{path.name} has no [[build]]")
     return builds

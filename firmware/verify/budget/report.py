@@ -13,6 +13,7 @@ __all__ = ["TABLE", "changed", "document", "tables"]
 
 TABLE = Path(__file__).with_name("table.md")
 _SIZES = ("flash", "ram", "stack", "bound", "total")
+_FOOTPRINT = ("flash", "ram")
 _SPEEDS = tuple(metric for metric in METRICS if metric not in _SIZES)
 _GROUPS = (
     ("Bytes", "size", _SIZES),
@@ -64,9 +65,26 @@ def tables(builds: Iterable[Build], results: Mapping[str, Result], markdown: boo
                 limit = build.limit.get(metric)
                 cells.append(text if limit is None else f"{text} / {_text(limit)}")
             rows.append(cells)
-        heading = f"**{title}**" if markdown else title
-        parts.append(f"{heading}\n\n{_grid(rows, markdown)}")
+        parts.append(_part(title, rows, markdown))
+        if kind == "size" and len(more := _footprints(chosen, results)) > 1:
+            parts.append(_part("Bytes of one transducer, without its driver", more, markdown))
     return "\n\n".join(parts)
+
+
+def _part(title: str, rows: Sequence[Sequence[str]], markdown: bool) -> str:
+    heading = f"**{title}**" if markdown else title
+    return f"{heading}\n\n{_grid(rows, markdown)}"
+
+
+def _footprints(chosen: Sequence[Build], results: Mapping[str, Result]) -> list[list[str]]:
+    """What builds take beyond those that lack a transducer of theirs."""
+    rows = [["build", "what", *(METRICS[metric].title for metric in _FOOTPRINT)]]
+    for build in chosen:
+        if build.beside in results:
+            own, less = results[build.name].figures, results[build.beside].figures
+            differences = [_text(own[metric] - less[metric]) for metric in _FOOTPRINT]
+            rows.append([build.name, build.note, *differences])
+    return rows
 
 
 def document(builds: Iterable[Build], results: Mapping[str, Result]) -> str:

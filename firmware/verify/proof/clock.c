@@ -50,7 +50,7 @@ static void forget_all(void) {
     const int32_t runs = within(RUNAWAY - 1);
     forget_line(&lines[0], MOST, MAX_CORRECTION);
     forget_line(&lines[1], MOST, MAX_CORRECTION);
-    forget_line(&target, MOST, MAX_CORRECTION);
+    forget_line(&target, MOST, 0);
     forget_line(&host, MAX_RATE, 0);
     current = any_bool;
     epoch = any_u8;
@@ -86,7 +86,7 @@ static void check_all(void) {
     check_line(&lines[0]);
     check_line(&lines[1]);
     check_line(&target);
-    //@ check -MAX_RATE <= host.rate <= MAX_RATE && host.correction == 0;
+    //@ check -MAX_RATE <= host.rate <= MAX_RATE && host.correction == 0 && target.correction == 0;
     //@ check current <= 1 && gear < GEARS && -RUNAWAY < runaway < RUNAWAY;
     //@ check PERIOD - PERIOD / 64 <= period <= PERIOD + PERIOD / 64;
 }

@@ -16,6 +16,20 @@ void horn_set(uint8_t channel, int16_t value) {
 }
 #endif
 
+#if BUDGET_MORE == 7
+void (*seen)(uint8_t channel, uint16_t value);
+
+void sharp_set_cb(void (*callback)(uint8_t channel, uint16_t value)) {
+    seen = callback;
+}
+#elif BUDGET_MORE == 8
+void (*heard)(uint8_t channel, uint32_t value);
+
+void srf02_set_cb(void (*callback)(uint8_t channel, uint32_t value)) {
+    heard = callback;
+}
+#endif
+
 void j2a_app_task(void) {
     transds_process();
 }

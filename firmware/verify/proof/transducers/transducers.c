@@ -106,13 +106,15 @@ static void forget(const j2a_transducer *t) {
         t->sensor->sent_us = j2a_port_time_us();
         t->sensor->period_us = any_u32;
         t->sensor->head = any_u8;
-        t->sensor->tail = any_u8;
         t->sensor->is_fresh = any_bool;
         t->sensor->is_enabled = any_bool;
-        t->sensor->full = any_u16;
-        t->sensor->dropped = any_u16;
-        t->sensor->put_at = t->depth ? below(t->depth) : 0;
-        t->sensor->take_at = t->depth ? below(t->depth) : 0;
+    }
+    if (t->queue) {
+        t->queue->tail = any_u8;
+        t->queue->full = any_u16;
+        t->queue->dropped = any_u16;
+        t->queue->put_at = below(t->depth);
+        t->queue->take_at = below(t->depth);
     }
     forget_bytes(t->slots, (uint16_t)(t->depth ? t->depth * (9 + t->size) : t->channels * (8 + t->size)));
     if (t->decimation)
@@ -142,8 +144,8 @@ static void forget(const j2a_transducer *t) {
 }
 
 static void check_sound(const j2a_transducer *t) {
-    //@ check t->sensor == \null || t->depth == 0 || t->sensor->put_at < t->depth;
-    //@ check t->sensor == \null || t->depth == 0 || t->sensor->take_at < t->depth;
+    //@ check t->queue == \null || t->queue->put_at < t->depth;
+    //@ check t->queue == \null || t->queue->take_at < t->depth;
     //@ check t->topic == \null || t->topic[J2A_TRANSD_MAX_TOPIC] == 0;
     //@ check t->threshold == \null || t->threshold[0] <= 1;
     (void)t;
