@@ -114,14 +114,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         return self._transducers()
 
     def at(self, time_us: int, *, within_us: float = 10_000.0) -> "AsyncFleetAt":
-        """Return what gives orders to several boards for a time, such as `at(t).set("lamp", True)`.
-
-        Args:
-            time_us: when, in microseconds since 1970 on the clock of this computer.
-            within_us: by so much each board may be off at that time, in microseconds. Orders are
-                refused where that is not sure: after few exchanges with a board nobody knows its
-                rate, and it may be off by 1 % of the time until then.
-        """
+        """Return what gives orders to several boards for a time; args as of `j2a.Fleet.at`."""
         from j2a.timed import AsyncFleetAt  # noqa: PLC0415 - few programs need it
 
         return AsyncFleetAt(self, time_us, within_us)

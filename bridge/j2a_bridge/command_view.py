@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="what j2a-conform found of a board (--json); its badge shows it; may be repeated",
+        help="a JSON report of j2a-conform, for the badge of its board; may be repeated",
     )
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
     parser.add_argument("--names", choices=NAMES, help="as of j2a bridge")

@@ -14,7 +14,7 @@ from j2a_bridge.config import BoardConfig
 import j2a
 from j2a.types.transds_file import read_transds
 
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0  # of a hang: `j2a view` took 30 s to start beside other programs
 TRANSDS = """
 SENSOR(quad, 0, quad, HEDS-6500, 2, int16_t, -1, (unit, deg), (scale, 0.5))
 SENSOR(level, 1, level, M, 1, u8, none, (topic, tank/level))

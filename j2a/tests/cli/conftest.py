@@ -17,7 +17,7 @@ from j2a_spec.oracle import Frame, decode, encode
 from j2a.cli import main
 from j2a.demo import DemoDevice
 
-WAIT_S = 60
+WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
 
 
 @dataclass(frozen=True)

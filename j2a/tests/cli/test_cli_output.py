@@ -18,7 +18,7 @@ import j2a
 from j2a.cli import _commands
 from j2a.cli._output import _finite
 
-WAIT_S = 60
+WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
 NOWHERE = "tcp://127.0.0.1:1"
 FULL = Path("/dev/full")
 

@@ -23,7 +23,7 @@ from j2a.cli import _setup
 from j2a.demo import DemoDevice
 from j2a.syncd import system
 
-WAIT_S = 60
+WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
 
 
 @pytest.fixture(autouse=True)

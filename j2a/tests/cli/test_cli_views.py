@@ -15,7 +15,7 @@ import j2a
 from j2a.cli._progress import Progress, size_text
 from j2a.cli._trace import TracePrinter
 
-WAIT_S = 60
+WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
 MAP = b"a2jGetMapping\0a2jMany\0add\0store\0"
 
 
