@@ -107,10 +107,10 @@ class Load:
     """What was seen.
 
     Attributes:
-        seconds: of simulated time.
-        counts: samples that came, by the name of the sensor; of those with a queue values.
-        crashed: the same while all bumpers and cliff sensors changed at one moment, too, CRASHES
-            times.
+        seconds: for how long, by the clock of the board.
+        counts: values that were measured then and came, by the name of the sensor.
+        crash_seconds, crashed: the same while all bumpers and cliff sensors changed at one moment,
+            too, CRASHES times.
         wrong: of each sensor the values that are not the next one.
         lost: values and SIFs that the board or the link lost.
         wire_bytes: that came from the board.
@@ -119,6 +119,7 @@ class Load:
 
     seconds: float
     counts: Mapping[str, int]
+    crash_seconds: float
     crashed: Mapping[str, int]
     wrong: Mapping[str, int]
     lost: int
@@ -163,20 +164,20 @@ def measure(program: Path, seconds: float) -> Load:
             samples: list[j2a.Sample] = []
             for one in board.transducers.values():
                 one.on_sample(samples.append)
-            idle = _turns(board, 1.0)
+            idle = _watch(board, 1.0)
             board.functions.measure(True)
             begin = board.counters.bytes_received
-            turns = _turns(board, seconds)
+            alone = _watch(board, seconds)
             taken = board.counters.bytes_received - begin
-            counts = _counts(samples)
             for _ in range(CRASHES):
                 board.functions.crash()
-                _turns(board, 1.0)
+                crash = _watch(board, 1.0)
             board.functions.measure(False)
             board.echo()
     finally:
         sim.close()
-    crashed = {name: count - counts[name] for name, count in _counts(samples).items()}
+    counts = _counts(samples, alone.begin_us, alone.end_us)
+    crashed = _counts(samples, alone.end_us, crash.end_us)
     wrong = dict.fromkeys(TABLE, 0)
     last: dict[str, int] = {}
     for sample in samples:
@@ -187,19 +188,47 @@ def measure(program: Path, seconds: float) -> Load:
                 wrong[sample.name] += 1
             last[sample.name] = now
     lost = sum(sample.lost + sample.missed for sample in samples)
-    return Load(seconds, counts, crashed, wrong, lost, taken, 1 - turns / idle)
+    return Load(
+        seconds=alone.seconds,
+        counts=counts,
+        crash_seconds=(crash.end_us - alone.end_us) / 1e6,
+        crashed=crashed,
+        wrong=wrong,
+        lost=lost,
+        wire_bytes=taken,
+        busy=1 - alone.turns_per_s / idle.turns_per_s,
+    )
 
 
-def _counts(samples: list[j2a.Sample]) -> dict[str, int]:
-    """Return how many readings came, by the name of the sensor."""
+def _counts(samples: list[j2a.Sample], begin_us: int, end_us: int) -> dict[str, int]:
+    """Return how many readings have a time of this span, by the name of the sensor."""
     counts = dict.fromkeys(TABLE, 0)
     for sample in samples:
-        counts[sample.name] += len(sample.readings)
+        for reading in sample.readings:
+            at_us = reading.time_us
+            counts[sample.name] += at_us is not None and begin_us <= at_us < end_us
     return counts
 
 
-def _turns(board: j2a.Client, seconds: float) -> float:
-    """Return the turns of the main loop in a second, by the clock of the board."""
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """What the board did from one time of its clock to another one."""
+
+    begin_us: int
+    end_us: int
+    turns: int
+
+    @property
+    def seconds(self) -> float:
+        return (self.end_us - self.begin_us) / 1e6
+
+    @property
+    def turns_per_s(self) -> float:
+        return self.turns / self.seconds
+
+
+def _watch(board: j2a.Client, seconds: float) -> _Span:
+    """Let at least so many seconds pass: a host that has to wait for a processor looks later."""
     before, start = board.functions.turns(), board.now()
     while board.now() < start + seconds:
         try:
@@ -208,7 +237,7 @@ def _turns(board: j2a.Client, seconds: float) -> float:
         except (j2a.CallTimeout, j2a.LocalError):
             break
     after = board.functions.turns()
-    return float(after.count - before.count) / float(after.time - before.time) * 1e6
+    return _Span(before.time, after.time, after.count - before.count)
 
 
 def _show(load: Load) -> None:
@@ -228,8 +257,8 @@ def _show(load: Load) -> None:
     bits = sum(row.bandwidth for row in TABLE.values())
     print(f"{'all':21}{bits:10g}{'':12}{total:10g}{100 * share(total):9.1f} %")
     print(
-        f"\nin {load.seconds:g} s of simulated time, and {CRASHES} with a crash each, {load.lost} "
-        f"lost;\n{100 * load.wire:.1f} % of the wire at {BAUD} baud, "
+        f"\nin {load.seconds:.1f} s of simulated time, and {CRASHES} with a crash each, "
+        f"{load.lost} lost;\n{100 * load.wire:.1f} % of the wire at {BAUD} baud, "
         f"{100 * load.busy:.1f} % of the processor"
     )
     channels = asked(AS_ARRAYS)
