@@ -36,6 +36,7 @@ _KIND_OF: Final = {
     "watchdog": "actuator",
     **dict.fromkeys(("period", "enabled", "queue", "decimation", "threshold", "trigger"), "sensor"),
 }
+_DIGITS: Final = re.compile(r"([0-9]*)(.*)", re.DOTALL)
 _OCTAL: Final = re.compile(r"-?0[0-9]+")
 _WHOLE: Final = re.compile(r"-?[0-9]{19,400}")
 _TOP: Final = 1 << 63
@@ -150,6 +151,14 @@ class _Entry:
         self._check_names(name, prefix, kind)
         for word in (number, channels, na):
             self._check_number(str(word), word)
+        for word, article, what in ((number, "an", "id"), (channels, "a", "number of channels")):
+            digits, rest = _DIGITS.findall(str(word))[0]
+            if not digits:
+                wrong = f"{article} {what} is expected, in decimal digits, not {word}"
+                raise self._reader.error(wrong, word)
+            if rest:
+                wrong = f"{rest} stands behind the {what}, {digits}: write decimal digits only"
+                raise self._reader.error(wrong, word)
         key = "na" if self._kind == "sensor" else "safe"
         lines = [
             ("prefix", str(prefix), prefix),
