@@ -194,7 +194,7 @@ class Sensor(_Blocking):
 
     @property
     def decimation(self) -> int:
-        """Every so manieth value is taken."""
+        """Every n-th value is taken."""
         return int(self._get("decimation"))
 
     @decimation.setter
