@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Read, print and write; returns the exit code."""
     descriptors, source = read_source(args)
-    files = dict(_files(args, descriptors, source))
+    files = _distinct(_files(args, descriptors, source), Path(args.url))
     if args.json:
         show_json(facts(descriptors, source))
     elif not files:
@@ -135,6 +135,23 @@ def _files(
     ):
         if path is not None:
             yield path, make(descriptors, source)
+
+
+def _distinct(files: Iterator[tuple[Path, str]], source: Path) -> dict[Path, str]:
+    """Return the text of each file by its path.
+
+    Raises:
+        UsageError: one would be lost, of two with one path or of what was read.
+    """
+    found: dict[Path, str] = {}
+    for path, text in files:
+        if path in found:
+            raise UsageError(f"{path} would be written twice; choose another name")
+        with contextlib.suppress(OSError):  # neither needs to be there
+            if path.samefile(source):
+                raise UsageError(f"{path} is the file that is read; choose another name")
+        found[path] = text
+    return found
 
 
 def write_files(files: Mapping[Path, str]) -> None:

@@ -172,6 +172,30 @@ def test_a_board_of_a_file_with_conditions_and_a_serial_number(start, run, trans
     assert "are for --transds" in failed(run, 2, "serve", "--serial", "x").err
 
 
+def test_no_file_is_written_over_the_one_that_was_read(run, transds):
+    transds.write_text(LISTING_9_2)
+    folder = transds.parent
+    same = folder / ".." / folder.name / transds.name
+    for option in ("--def", "--c", "--python", "--html"):
+        for path in (transds, same):
+            told = failed(run, 2, "transds", transds, option, path).err
+            assert f"{path} is the file that is read; choose another name" in told
+    assert transds.read_text() == LISTING_9_2
+    assert {one.name for one in folder.iterdir()} == {transds.name}
+
+
+def test_no_two_files_have_one_name(run, transds):
+    transds.write_text(LISTING_9_2)
+    path = transds.parent / "a"
+    told = failed(run, 2, "transds", transds, "--c", path, "--html", path).err
+    assert f"{path} would be written twice; choose another name" in told
+    folder = transds.parent / "msgs"
+    told = failed(run, 2, "transds", transds, "--ros1", folder, "--ros2", folder).err
+    assert f"{folder}/package.xml would be written twice; choose another name" in told
+    assert not path.exists()
+    assert not folder.exists()
+
+
 def test_a_condition(run, transds):
     transds.write_text("#if BIG\nSENSOR(a, 1, a, X, 1, u8, none)\n#endif\n")
     assert "sensor" in run("transds", transds, "-D", "BIG").out
