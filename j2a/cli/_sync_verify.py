@@ -27,12 +27,14 @@ from j2a.protocol.clock import ClockState, Status
 
 __all__ = ["Edge", "Figures", "verify"]
 
-_LEAD_US: Final = 300_000
-"""An order is given so long before its time."""
+_LEADS_US: Final = (300_000, 600_000, 1_200_000, 2_400_000)
+"""An order is given so long before its time, and again where that was too short."""
 _EDGE_S: Final = 2.0
-"""So long after an order the referee has told the edge."""
+"""So long after the time of an order the referee has told the edge."""
 _QUIET_S: Final = 0.1
 """The referee tells edges back to 0 within this time; then the next order is given."""
+_NOISE_S: Final = 5.0
+"""So long a referee may tell edges that nobody has ordered."""
 _LOOK_S: Final = 0.1
 _LOCKED_S: Final = 30.0
 
@@ -131,10 +133,10 @@ def _wait_for_locked(boards: list[j2a.Client]) -> None:
     Raises:
         CommandFailed: one is not in time.
     """
-    end = time.monotonic() + _LOCKED_S
     for board in boards:
+        end = board.now() + _LOCKED_S
         while (state := board.clock.status().state) is not ClockState.LOCKED:
-            if time.monotonic() > end:
+            if board.now() > end:
                 raise CommandFailed(
                     f"the clock of {board.url} is {state.name.lower()} after {_LOCKED_S:g} s, not "
                     "locked: does syncd, or another program, keep it? (--no-discipline)",
@@ -161,15 +163,24 @@ def _edge(
     boards: list[j2a.Client], actuator: Any, sensor: Any, args: argparse.Namespace, number: int
 ) -> Edge:
     """Let the driver make one edge, and return what the referee says of it."""
+    driver, referee = boards
+    what = f"edge {number + 1} of {args.count}"
     with sensor.samples() as samples:
-        actuator.set(0, raw=True)
-        with contextlib.suppress(j2a.CallTimeout):
-            while True:
-                samples.wait(_QUIET_S)
-        before = [board.clock.status() for board in boards]
-        at_us = before[0].time_us + _LEAD_US
-        actuator.set(1, at_us=at_us, raw=True)
-        stamp_us = _stamp(samples, sensor, f"edge {number + 1} of {args.count}")
+        for lead_us in _LEADS_US:
+            actuator.set(0, raw=True)
+            _wait_for_quiet(samples, sensor, referee)
+            before = [board.clock.status() for board in boards]
+            at_us = before[0].time_us + lead_us
+            actuator.set(1, at_us=at_us, raw=True)
+            if driver.clock.status().time_us < at_us:
+                break
+        else:
+            raise CommandFailed(
+                f"{what}: each order reached its board after its time, the last one though it was "
+                f"given {_LEADS_US[-1] / 1e6:g} s before; is the link busy?",
+                TIMEOUT,
+            )
+        stamp_us = _stamp(samples, sensor, referee.now() + lead_us / 1e6 + _EDGE_S, referee, what)
     after = [board.clock.status() for board in boards]
     for board, one, other in zip(boards, before, after, strict=True):
         if one.epoch != other.epoch:
@@ -177,23 +188,40 @@ def _edge(
     return Edge(stamp_us - at_us - args.delay, _bound_us([*before, *after], args))
 
 
-def _stamp(samples: Any, sensor: Any, what: str) -> int:
+def _wait_for_quiet(samples: Any, sensor: Any, referee: j2a.Client) -> None:
+    """Take the samples of what was before.
+
+    Raises:
+        CommandFailed: they have no end.
+    """
+    end = referee.now() + _NOISE_S
+    with contextlib.suppress(j2a.CallTimeout):
+        while referee.now() < end:
+            samples.wait(_QUIET_S)
+        raise CommandFailed(
+            f"{sensor.name} sends samples all the time, not only at an edge; has it a period, or a "
+            "pin that nothing drives?",
+            FAILED,
+        )
+
+
+def _stamp(samples: Any, sensor: Any, end: float, referee: j2a.Client, what: str) -> int:
     """Return the time stamp of the next sample that is not 0.
 
     Raises:
-        CommandFailed: none comes, or it has no time stamp.
+        CommandFailed: none comes until `end`, or it has no time stamp.
     """
-    end = time.monotonic() + _EDGE_S
     with contextlib.suppress(j2a.CallTimeout):
-        while (left_s := end - time.monotonic()) > 0:
+        while (left_s := end - referee.now()) > 0:
             for reading in samples.wait(left_s).readings:
                 if reading.raw:
                     if reading.time_us is None:
                         raise CommandFailed(f"samples of {sensor.name} have no time stamps", FAILED)
                     return int(reading.time_us)
     raise CommandFailed(
-        f"{what}: no sample of {sensor.name} came within {_EDGE_S:g} s of the order; is the wire "
-        "between both pins, with a common ground, and does the sensor tell the level 1?",
+        f"{what}: no sample of {sensor.name} came within {_EDGE_S:g} s of the time of the order; "
+        "is the wire between both pins, with a common ground, and does the sensor tell the level "
+        "1?",
         TIMEOUT,
     )
 

@@ -6,6 +6,8 @@ moment at which a thread of this computer runs: so the figures are those of the 
 
 import json
 import struct
+import threading
+import time
 
 import pytest
 from j2a_spec import constants as c
@@ -135,6 +137,54 @@ def test_without_a_wire(run, wire, urls, monkeypatch):
     result = run("sync", "verify", *urls, "--json")
     assert result.code == 4
     assert "edge 1 of 20: no sample of edge came" in json.loads(result.out)["error"]["message"]
+
+
+def test_an_order_that_comes_late_is_given_again(run, wire, urls):
+    """It says nothing of the clocks."""
+    execute, late = wire._table.execute, []
+
+    def dawdle(opcode, payload):
+        is_set = len(payload) == SET.size and payload[1] == c.TRANSD_SET
+        if is_set and (at_us := SET.unpack(payload)[3]):
+            # The pin is set when the order comes.
+            wire.delay_us = 0 if late else 450_000
+            if late:
+                return execute(opcode, payload)
+            late.append(at_us)
+            while wire.clock_us < at_us + 20_000:
+                time.sleep(0.01)
+        return execute(opcode, payload)
+
+    wire._table.execute = dawdle
+    result = run("sync", "verify", *urls, "--count", "2", "--json")
+    assert (result.code, result.err) == (0, "")
+    assert late
+    assert json.loads(result.out)["outside"] == 0
+
+
+def test_orders_that_all_come_late(run, urls, monkeypatch):
+    monkeypatch.setattr("j2a.cli._sync_verify._LEADS_US", (0, 0))
+    result = run("sync", "verify", *urls, "--count", "1")
+    assert result.code == 4
+    assert "edge 1 of 1: each order reached its board after its time" in result.err
+
+
+def test_a_sensor_that_never_is_quiet(run, referee, urls):
+    ended = threading.Event()
+
+    def chatter():
+        while not ended.wait(0.01):
+            referee.sense("edge", 0, 0)
+
+    thread = threading.Thread(target=chatter)
+    thread.start()
+    try:
+        result = run("sync", "verify", *urls)
+    finally:
+        ended.set()
+        thread.join()
+    assert result.code == 1
+    assert "edge sends samples all the time" in result.err
 
 
 def test_a_sensor_that_was_off_is_off_again(run, wire, referee, urls):
