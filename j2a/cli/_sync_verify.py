@@ -35,6 +35,7 @@ _QUIET_S: Final = 0.1
 """The referee tells edges back to 0 within this time; then the next order is given."""
 _NOISE_S: Final = 5.0
 """So long a referee may tell edges that nobody has ordered."""
+_FIRST_ROUNDS: Final = 16
 _LOOK_S: Final = 0.1
 _LOCKED_S: Final = 30.0
 
@@ -93,9 +94,9 @@ def verify(args: argparse.Namespace) -> int:
         sensor = _chosen(referee, args.sensor, "sensor")
         for board in boards:
             board.clock.status()  # NoClock says what to do
-            if not args.no_discipline:
-                stack.enter_context(board.clock.discipline())
-        _wait_for_locked(boards)
+        if not args.no_discipline:
+            _sync(boards, _FIRST_ROUNDS)
+        _wait_for_locked(boards, args)
         stack.enter_context(_enabled(sensor))
         edges = []
         for number in range(args.count):
@@ -127,7 +128,13 @@ def _chosen(board: j2a.Client, name: str | None, kind: str) -> Any:
     return there[name]
 
 
-def _wait_for_locked(boards: list[j2a.Client]) -> None:
+def _sync(boards: list[j2a.Client], rounds: int = 1) -> None:
+    """Set both clocks."""
+    for board in boards:
+        board.clock.sync(rounds)
+
+
+def _wait_for_locked(boards: list[j2a.Client], args: argparse.Namespace) -> None:
     """Wait until both clocks are at their targets.
 
     Raises:
@@ -143,6 +150,8 @@ def _wait_for_locked(boards: list[j2a.Client]) -> None:
                     TIMEOUT,
                 )
             time.sleep(_LOOK_S)
+            if not args.no_discipline:
+                _sync(boards)
 
 
 @contextlib.contextmanager
@@ -169,6 +178,8 @@ def _edge(
         for lead_us in _LEADS_US:
             actuator.set(0, raw=True)
             _wait_for_quiet(samples, sensor, referee)
+            if not args.no_discipline:
+                _sync(boards)
             before = [board.clock.status() for board in boards]
             at_us = before[0].time_us + lead_us
             actuator.set(1, at_us=at_us, raw=True)

@@ -91,6 +91,29 @@ def test_two_clocks_agree_as_well_as_they_say(run, urls):
     assert 0 < figures["bound_us"] < 1e6
 
 
+def test_nobody_asks_the_clock_of_a_board_that_waits_for_its_time(run, wire, urls):
+    """Its main loop would be busy then, and the pin be set late."""
+    execute, edge, asked = wire._table.execute, wire._edge, []
+
+    def note(opcode, payload):
+        if len(payload) == SET.size and payload[1] == c.TRANSD_SET:
+            asked.append([])
+        elif asked and payload[:1] in {bytes((c.CLOCK_EXCHANGE,)), bytes((c.CLOCK_ADJUST,))}:
+            asked[-1].append(payload)
+        return execute(opcode, payload)
+
+    def move(channel, value):
+        if value:
+            found.append(len(asked[-1]))
+        edge(channel, value)
+
+    found = []
+    wire._table.execute = note
+    wire.actuator("lamp")(move)
+    assert run("sync", "verify", *urls, "--count", "8").code == 0
+    assert found == [0] * 8
+
+
 def test_an_error_is_found(run, wire, urls):
     wire.delay_us = 450_000
     result = run("sync", "verify", *urls, "--count", "3")
