@@ -5,7 +5,7 @@ Out: figures in microseconds and shares.
 Rules: an error is exact: the difference of what a board shows, whole microseconds, to what the
 host's clock shows then, or to what another board shows at the same instant. Only readings count
 that are behind the time to settle, at the start and behind each disturbance that the settings
-name.
+name; in a run that is too short for that, those of the time from which on all clocks are set.
 """
 
 from __future__ import annotations
@@ -150,20 +150,24 @@ def make_report(
     """
     host_us = host.unix_us(times_s)
     errors = np.array([board.error_us(host_us) for board in boards])
-    good = counted(settings, times_s)
+    good = announced = counted(settings, times_s)
     if settings.holdover_at is not None:
-        good &= times_s < settings.holdover_at
+        good = good & (times_s < settings.holdover_at)
     if not good.any():
         raise SimError(
             f"no clock is read after it has settled, which takes {settings.settle_s:g} s from the "
             "start and from each disturbance: choose more --seconds"
         )
+    if not settings.is_settled:  # else a clock that nobody has set is an error that shows
+        is_set = np.all([board.epoch != 0 for board in boards], axis=0)
+        good, announced = good & is_set, announced & is_set
+        if not good.any():
+            raise SimError("no clock is read after it was set: choose more --seconds")
     figures: dict[str, Any] = _pairs(errors[:, good])
     figures["host_rms_us"] = _rms(errors[:, good])
     figures["host_peak_us"] = float(np.abs(errors[:, good]).max(initial=0))
     # In holdover nobody announces anything for a board on a USB: the daemon is gone.
-    announced = good if settings.link == "usb" else counted(settings, times_s)
-    figures.update(_uncertainty(boards, errors, announced))
+    figures.update(_uncertainty(boards, errors, good if settings.link == "usb" else announced))
     states = np.concatenate([board.state[good] for board in boards])
     figures["locked"] = float(np.mean(states == STATES.index("locked"))) if states.size else 0.0
     figures["epochs"] = [int(board.epoch[-1]) for board in boards]

@@ -4,6 +4,7 @@ import json
 import sys
 
 import pytest
+from j2a_sim import SimError
 from j2a_sim._clocks.run import run
 from j2a_sim._clocks.settings import Settings
 
@@ -173,6 +174,15 @@ def test_the_command_prints_its_figures_as_json(capsys, tmp_path):
         assert name in told
     assert told["seed"] == 5 and told["engine"] == "native" and told["settings"]["settle_s"] == 2
     assert picture.read_text().startswith("<svg")
+
+
+def test_a_short_run_counts_no_clock_that_nobody_has_set():
+    """Packets begin with the second round, and the first clocks are set in the third second."""
+    found = figures(boards=2, seconds=4, engine="native", seed=5)
+    assert found["host_peak_us"] < 10_000
+    assert 0 < found["readings"] < READINGS / 2
+    with pytest.raises(SimError, match="no clock is read after it was set"):
+        figures(boards=2, seconds=3, engine="native", seed=5, period_s=2.0)
 
 
 @pytest.mark.parametrize("link", ["usb", "serial"])
