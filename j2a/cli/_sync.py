@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Final
 
 from j2a.cli._exit import LINK, OK, CommandFailed, UsageError
 from j2a.cli._link import (
@@ -24,6 +25,17 @@ from j2a.syncd.history import Round, rounds_of
 from j2a.syncd.numbering import SHORT
 from j2a.syncd.plot import draw, panels_of
 from j2a.syncd.singleton import NotRunning, ask, folders
+
+_COUNT: Final = 20
+_OF_VERIFY: Final = {
+    "actuator": None,
+    "sensor": None,
+    "count": _COUNT,
+    "delay": 0.0,
+    "bound": None,
+    "no_discipline": False,
+}
+"""Options that only verify takes, and what they are unless the user says otherwise."""
 
 NOTES = """\
 examples:
@@ -56,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--actuator", metavar="NAME", help="of the first board (the only one)")
     group.add_argument("--sensor", metavar="NAME", help="of the referee (the only one)")
     group.add_argument(
-        "--count", type=whole_number(1), default=20, metavar="N", help="edges (%(default)s)"
+        "--count", type=whole_number(1), default=_COUNT, metavar="N", help="edges (%(default)s)"
     )
     group.add_argument(
         "--delay",
@@ -91,6 +103,10 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.what == "verify":
         return verify(args)
+    for name, default in _OF_VERIFY.items():
+        if getattr(args, name) != default:
+            option = name.replace("_", "-")
+            raise UsageError(f"{args.what} takes no --{option}, only verify does")
     if args.what == "plot":
         boards = _history()
         try:

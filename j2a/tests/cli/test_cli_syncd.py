@@ -134,6 +134,24 @@ def test_sync_needs_a_file_for_plots_only(run, words):
     assert run("sync", *words).code == 2
 
 
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["--actuator", "lamp"], "--actuator"),
+        (["--sensor", "edge"], "--sensor"),
+        (["--count", "3"], "--count"),
+        (["--delay", "3"], "--delay"),
+        (["--bound", "3"], "--bound"),
+        (["--no-discipline"], "--no-discipline"),
+    ],
+)
+@pytest.mark.parametrize("what", [["status"], ["plot", "-o", "x.svg"]])
+def test_an_option_of_verify_is_not_taken_and_forgotten(run, what, words, option):
+    result = run("sync", *what, *words)
+    assert result.code == 2
+    assert f"{what[0]} takes no {option}, only verify does" in result.err
+
+
 def test_a_plot_that_cannot_be_written(run, daemon, tmp_path):
     result = run("sync", "plot", "-o", tmp_path / "no" / "p.svg")
     assert result.code == 2
