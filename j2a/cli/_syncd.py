@@ -16,7 +16,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -40,6 +40,7 @@ examples:
 Programs may use the link of a board with SyncUSB meanwhile. A second daemon tells the first one
 to look for boards, hands its URLs over, and ends."""
 
+INTERVAL_S: Final = 1.0
 SHORTEST_S: Final = 0.05
 _SYSLOG: Final = Path("/dev/log")
 _ROOT_BECOMES: Final = "nobody"
@@ -64,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-i",
         "--interval",
         type=finite_seconds,
-        default=1.0,
+        default=INTERVAL_S,
         metavar="S",
         help=f"seconds between two packets to a board, at least {SHORTEST_S:g} (1)",
     )
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     for url in args.urls:
         j2a_transports.innermost(url)
     user = _user(args.user or _ROOT_BECOMES) if os.geteuid() == 0 else None
-    if (told := _tell(args.urls)) is not None:
+    if (told := _tell(args)) is not None:
         show(told)
         return OK
     daemon = Daemon(
@@ -116,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         server = Server(folders()[0], daemon.answer, user)
     except Taken:  # since it was asked
-        show(_tell_soon(args.urls))
+        show(_tell_soon(args))
         return OK
     except OSError as error:
         raise UsageError(
@@ -166,25 +167,40 @@ def _ports() -> Callable[[], list[Any]] | None:
     return sync_ports
 
 
-def _tell(urls: Sequence[str]) -> str | None:
+def _tell(args: argparse.Namespace) -> str | None:
     """Tell a daemon that runs to look for boards; return what came of it, None without one."""
+    request: dict[str, Any] = {"command": "look", "urls": args.urls}
+    if args.busnum is not None:
+        request["only"] = [args.busnum, args.device]
     for folder in folders():
         with contextlib.suppress(NotRunning):
-            reply = ask(folder, {"command": "look", "urls": list(urls)})
+            reply = ask(folder, request)
             if "error" in reply:
                 raise UsageError(f"the daemon that runs already says: {reply['error']}")
-            return f"a daemon runs already (process {reply.get('pid')}) and looks for boards"
+            told = f"a daemon runs already (process {reply.get('pid')}) and looks for boards"
+            return told + _left_out(args)
     return None
 
 
-def _tell_soon(urls: Sequence[str]) -> str:
+def _left_out(args: argparse.Namespace) -> str:
+    """Return which options a daemon that runs does not take, as the end of a sentence."""
+    given = {
+        "--interval": args.interval != INTERVAL_S,
+        "--user": args.user is not None,
+        "--realtime": args.realtime,
+    }
+    names = [name for name, is_given in given.items() if is_given]
+    return f"; it does not take {', '.join(names)}" if names else ""
+
+
+def _tell_soon(args: argparse.Namespace) -> str:
     """Tell a daemon that has just begun, and whose socket may come in a moment.
 
     Raises:
         CommandFailed: it does not answer.
     """
     deadline = time.monotonic() + LIMIT_S
-    while (told := _tell(urls)) is None:
+    while (told := _tell(args)) is None:
         if time.monotonic() >= deadline:
             raise CommandFailed(f"the daemon of {folders()[0]} does not answer", LINK)
         time.sleep(_RETRY_S)

@@ -13,6 +13,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Sequence
+from types import NoneType
 from typing import Any, Final, Protocol
 
 import j2a_transports
@@ -50,7 +51,8 @@ class Daemon:
         interval_s: seconds between two packets to a board.
         urls: of boards without SyncUSB, whose links belong to the daemon.
         ports: returns the boards with SyncUSB; None where there is no USB to look at.
-        only: bus and address of the one board that is meant; None for what may be any.
+        only: bus and address of the one board that is meant; None for what may be any. The
+            request "look" may name more.
         host: the time of this computer, for counting how often it was set.
     """
 
@@ -65,7 +67,7 @@ class Daemon:
     ) -> None:
         self._interval_s = interval_s
         self._ports = ports
-        self._only = only
+        self._only = {only}
         self._history = History()
         self._boards: dict[tuple[int, int, str], SyncBoard] = {}
         self._buses: dict[str, Bus] = {}
@@ -132,7 +134,7 @@ class Daemon:
             return {"rounds": self._history.facts(str(board))}
         if command == "look":
             self._wake.set()
-            return self._add(request.get("urls", []), is_trusted)
+            return self._add(request.get("urls", []), request.get("only"), is_trusted)
         return {"error": f"there is no command {command!r:.40}"}
 
     def status(self) -> dict[str, Any]:
@@ -148,11 +150,17 @@ class Daemon:
             "boards": boards + links,
         }
 
-    def _add(self, urls: object, is_trusted: bool) -> dict[str, Any]:
+    def _add(self, urls: object, only: object, is_trusted: bool) -> dict[str, Any]:
         if not isinstance(urls, list) or not all(isinstance(url, str) for url in urls):
             return {"error": "urls is a list of texts"}
-        if urls and not is_trusted:
-            return {"error": "only the user of the daemon, and root, may give it URLs"}
+        if (urls or only is not None) and not is_trusted:
+            return {"error": "only the user of the daemon, and root, may give it URLs, or boards"}
+        if only is not None:
+            numbers = only if isinstance(only, list) else []
+            if len(numbers) != 2 or not all(type(one) in {int, NoneType} for one in numbers):
+                return {"error": "only is a list of bus and address"}
+            self._only.add((numbers[0], numbers[1]))
+            self._wake.set()
         try:
             for url in urls:
                 self._links.add(url)
@@ -178,8 +186,10 @@ class Daemon:
                     self._boards[key] = self._start(there[key])
 
     def _is_meant(self, key: tuple[int, int, str]) -> bool:
-        bus, address = self._only
-        return bus in (None, key[0]) and address in (None, key[1])
+        return any(
+            bus in {None, key[0]} and address in {None, key[1]}
+            for bus, address in self._only.copy()
+        )
 
     def _start(self, port: Any) -> SyncBoard:
         bus = self._buses.setdefault(port.frames, Bus(port.frames, self._interval_s, self._history))

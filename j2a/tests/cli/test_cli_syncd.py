@@ -22,6 +22,7 @@ import pytest
 from j2a.cli import _setup
 from j2a.demo import DemoDevice
 from j2a.syncd import system
+from j2a.syncd.singleton import ask
 
 WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
 
@@ -68,6 +69,15 @@ def test_a_second_one_tells_the_first_and_ends(run, daemon):
     result = run("syncd", "--no-usb")
     assert (result.code, result.err) == (0, "")
     assert f"a daemon runs already (process {daemon.process.pid})" in result.out
+
+
+def test_a_second_one_tells_the_first_which_board_it_means(run, daemon, monkeypatch):
+    asked = []
+    monkeypatch.setattr("j2a.cli._syncd.ask", lambda *what: asked.append(what[1]) or ask(*what))
+    assert run("syncd", "-b", "3", "-d", "9").code == 0
+    assert asked[-1]["only"] == [3, 9]
+    told = run("syncd", "-i", "10", "--realtime").out
+    assert told.rstrip().endswith("; it does not take --interval, --realtime")
 
 
 def test_after_kill_9_the_next_one_begins(daemon, start):

@@ -373,6 +373,24 @@ def test_only_the_board_that_is_meant(running):
     assert [row["place"] for row in one.status()["boards"]] == ["usb 1-1"]
 
 
+def test_a_board_that_a_later_instance_names_is_meant_too(running):
+    """The wrapper of the thesis (listing 6.2) starts one for each board, with its -b and -d."""
+    bus = FakeBus()
+    mine, named, other = (FakePort(bus, f"1-{n}", address=n) for n in (4, 5, 6))
+    one = running([mine, named, other], only=(1, 4))
+    mine.wait_for(2)
+    assert (
+        "only the user of the daemon"
+        in one.answer({"command": "look", "only": [1, 5]}, False)["error"]
+    )
+    for wrong in (7, [1], [1, "5"], [1.5, 2], [True, 5]):
+        assert "bus and address" in one.answer({"command": "look", "only": wrong}, True)["error"]
+    one.answer({"command": "look"}, True)  # names nothing, and changes nothing
+    assert one.answer({"command": "look", "only": [1, 5]}, True)["added"] == 0
+    named.wait_for(2)
+    assert {row["place"] for row in one.status()["boards"]} == {"usb 1-4", "usb 1-5"}
+
+
 def test_requests(running):
     port = FakePort(FakeBus())
     one = running([port])
