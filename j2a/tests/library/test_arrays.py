@@ -82,6 +82,16 @@ def test_samples_of_a_board():
     assert np.isnan(batch.values[:, 1]).all()
 
 
+@pytest.mark.parametrize("at", range(3))
+def test_a_reset_at_any_sample_is_one_of_the_batch(at):
+    payload = struct.pack("<QhQh", 5, 7, 6, -1)
+    samples = [
+        j2a.Sample("x:", "quad", 0, (), 0.0, payload=payload, is_reset=n == at) for n in range(3)
+    ]
+    assert Batch.of(FILE["quad"], samples).is_reset
+    assert not Batch.of(FILE["quad"], [one for one in samples if not one.is_reset]).is_reset
+
+
 def test_without_numpy(monkeypatch):
     monkeypatch.setitem(sys.modules, "numpy", None)
     with pytest.raises(j2a.LocalError, match=r'pip install "j2a\[arrays\]"'):

@@ -189,3 +189,19 @@ def test_an_estimate_turns_times_there_and_back() -> None:
     assert estimate is not None
     for counter in (0.0, board.counter_us, board.counter_us + 1e9):
         assert estimate.to_counter(estimate.to_host(counter)) == pytest.approx(counter, abs=1e-3)
+
+
+@pytest.mark.parametrize("late", [0, 1, 5])
+def test_an_exchange_that_comes_late_takes_its_place(late: int) -> None:
+    draw = random.Random(late)
+    exchanges = [one for one, _ in sim.exchanges(Board(draw, sim.serial, ppm=80), 8)]
+    ordered, other = Estimator(), Estimator()
+    for one in exchanges:
+        ordered.add(one)
+    for one in [*exchanges[:late], *exchanges[late + 1 :], exchanges[late]]:
+        assert other.add(one) is Verdict.TAKEN
+    assert other.newest == exchanges[-1]
+    assert other.estimate is not None and ordered.estimate is not None
+    assert other.estimate.counter_us == ordered.estimate.counter_us
+    assert other.estimate.host_us == pytest.approx(ordered.estimate.host_us, abs=0.01)
+    assert other.estimate.rate == pytest.approx(ordered.estimate.rate, abs=1e-9)
