@@ -384,6 +384,21 @@ def test_a_bus_that_was_reset_begins_anew() -> None:
     assert told.frame in ((number + 5) % 2048, (number + 4) % 2048)
 
 
+@pytest.mark.parametrize("idle_s", [0.3, 1.5, 5.0])
+def test_a_bus_knows_its_frames_behind_an_exchange_that_was_doubted(idle_s: float) -> None:
+    board = Board(random.Random(8), sim.serial)
+    bus = BusClock(ReferenceClock())
+    for _ in range(30):
+        bus.add(usb_exchange(board, 0.0, 1000.0))
+        board.run(3e5)
+    assert bus.add(usb_exchange(board, 0.0, 1000.0, 500)) is Verdict.DOUBTED
+    board.run(idle_s * US)
+    assert bus.add(usb_exchange(board, 0.0, 1000.0)) is Verdict.TAKEN
+    told = bus.frame_at(board.host_us)
+    assert told is not None
+    assert (int(board.host_us / 1000) - told.frame) % 2048 <= 1
+
+
 def test_an_exchange_without_a_frame_tells_nothing_of_the_bus() -> None:
     bus = BusClock(ReferenceClock())
     assert bus.add(Exchange(0.0, 100.0, 5)) is Verdict.ABSURD

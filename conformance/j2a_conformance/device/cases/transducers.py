@@ -9,6 +9,7 @@ import random
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import combinations
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -595,11 +596,11 @@ def _wrong_sets(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
     if board.scalar(one) in _FORMATS:
         bad.append(board.packed(one, float("nan")))
     for value in bad:
-        for count in range(1, one.channels + 1):
-            for at in range(count):
-                values = [good] * count
+        for first, end in combinations(range(one.channels + 1), 2):
+            for at in range(end - first):
+                values = [good] * (end - first)
                 values[at] = value
-                yield b"\0" + _US.pack(times[at % 2]) + b"".join(values)
+                yield bytes((first,)) + _US.pack(times[at % 2]) + b"".join(values)
 
 
 class Settings(_TransducerCase):
