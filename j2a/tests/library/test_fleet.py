@@ -12,7 +12,7 @@ import pytest
 
 import j2a
 from j2a.fleet import by_url
-from j2a.protocol.roster import Member, Roster
+from j2a.protocol.roster import Heartbeat, Member, Roster
 from j2a.types.transds_file import read_transds
 
 from .support import PATIENCE_S, served
@@ -329,6 +329,27 @@ class TestBoards:
             fleet.on_change(follow)
             fleet.add(first)
             assert done.wait(PATIENCE_S)
+
+
+class TestRoster:
+    def test_why_a_board_is_not_here_is_told_once_and_anew_with_another_reason(self):
+        roster, member = Roster(), Member("x:")
+        reasons = ("no such port", "no such port", "access denied", "access denied", "no such port")
+        told = [roster.go(member, None, j2a.LinkError(reason)) for reason in reasons]
+        assert [change and str(change.reason) for change in told] == [
+            "no such port",
+            None,
+            "access denied",
+            None,
+            "no such port",
+        ]
+
+    def test_only_echoes_in_a_row_that_get_no_answer_end_a_link(self):
+        late, refused = j2a.CallTimeout("late"), j2a.FunctionFailed("refused", code=1, payload=b"")
+        heartbeat = Heartbeat()
+        for error in (late, refused, late, refused, late):
+            assert not heartbeat.failed(error, is_open=True)
+        assert heartbeat.failed(late, is_open=True)
 
 
 class TestArguments:

@@ -245,6 +245,30 @@ class TestFiles:
         assert [row for one in paths for row in read(one)] == written
         assert all(Recording(one).read_boards() for one in paths)
 
+    def test_boards_of_the_same_prefix_share_no_topic(self, path):
+        with Recorder(path) as recorder:
+            for name in ("one", "two", "three"):
+                recorder.add_board(name, FILE, prefix="cart")
+                recorder.write(name, sample("imu", bytes(2 * (8 + 15))), 1)
+        reader = import_module("mcap.reader")
+        with path.open("rb") as file:
+            channels = reader.make_reader(file).get_summary().channels.values()
+        topics = {(one.metadata["board"], one.metadata["sensor"]): one.topic for one in channels}
+        assert [topics[name, "imu"] for name in ("one", "two", "three")] == [
+            "/cart/imu",
+            "/cart/imu2",
+            "/cart/imu3",
+        ]
+        assert len(set(topics.values())) == len(topics) == 3 * len(SENSORS)
+
+    def test_a_sequence_is_kept_modulo_2_to_the_32(self, path):
+        numbers = (2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**32 + 5)
+        with Recorder(path) as recorder:
+            recorder.add_board("cart", FILE)
+            for number in numbers:
+                recorder.write("cart", sample("quad", bytes(20), number), 1)
+        assert [one.sequence for one in Recording(path)] == [n % 2**32 for n in numbers]
+
     def test_a_segment_whose_name_is_taken_gets_the_next_number(self, path):
         taken = path.with_name("drive-1.mcap")
         taken.write_text("of another drive")

@@ -957,6 +957,16 @@ class TestSaving:
         self.saved(path)
         assert self.settings_of(path) == (0.5, "other", 7, 3, False, 0)
 
+    def test_those_of_one_transducer_stay_when_another_one_is_saved(self, path):
+        self.saved(path)
+        with make_device(settings=path) as made, linked(made) as client:
+            servo, quad = client.transducers["servo"], client.transducers["quad"]
+            servo.watchdog = 1.5
+            servo.save()
+            assert servo.is_saved()
+            assert quad.is_saved()
+        assert self.settings_of(path) == (0.5, "other", 7, 3, False, 1.5)
+
     def test_those_of_other_descriptors_are_not_used(self, path):
         self.saved(path)
         assert self.settings_of(path, FILE.replace("HEDS", "HEDX"))[:2] == (0, "wheels")
