@@ -205,7 +205,7 @@ class States(ClockCase):
     REQUIREMENTS = ("J2A-CLOCK-015", "J2A-CLOCK-017")
 
     def _judge(self, board: Board) -> None:
-        for given in (0, 500, c.CLOCK_UNKNOWN):
+        for given in (0, 1, 500, c.CLOCK_UNKNOWN):
             board.step(uncertainty=given)
             board.adjust(uncertainty=given)
             board.wait(_REACHED_US)
