@@ -325,3 +325,37 @@ def test_a_sample_waits_for_a_request_that_is_being_received(build):
         begin(0)  # this one breaks off: the sample waits no longer than the pause that ends it
         answer, count = end()
         assert (answer.opcode, count) == (c.ERR_TIMEOUT, 25)
+
+
+def test_a_request_that_is_cut_anywhere_stays_whole(build):
+    """Behind an ESC, too, which stands at the begin, in the middle and at the end of the payload."""
+    elf = build("listing", "avr-usb", MCU="atmega32u2")
+    payload = bytes((0x7D, 1, 2, 0x7E, 0x7D, 3, 4, 0x7F, 5, 0x7E))
+    wire = encode(Frame(c.SOF, 0x7D, ECHO, payload))
+    wires = CHIPS["atmega32u2"].encoders
+
+    def listen_for(count):
+        """The reply, and the sample of the encoders that has this count."""
+        reply = sample = None
+        while reply is None or sample is None:
+            found = device.listen(1, limit_ms=50)
+            assert found, (reply, sample)
+            for frame in found:
+                if frame.start == c.SOF:
+                    reply = frame
+                elif frame.opcode == QUAD:
+                    sample = int.from_bytes(frame.payload[8:10], "little")
+                    assert sample == count
+        return reply
+
+    with Device(elf, "atmega32u2") as device:
+        device.to_configured()
+        device.pause(300)
+        device.listen(100, limit_ms=100)
+        for step, cut in enumerate(range(1, len(wire))):
+            device.finish(device.bus.submit_out(c.USB_OUT, wire[:cut], packet=64))
+            device.pause(1)
+            device.sim.pins.drive(wires[step % 2], step // 2 % 2)
+            device.pause(2)
+            device.finish(device.bus.submit_out(c.USB_OUT, wire[cut:], packet=64))
+            assert listen_for(step + 1) == Frame(c.SOF, 0x7D, c.ECHO, payload), cut
