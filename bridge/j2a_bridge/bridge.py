@@ -58,6 +58,14 @@ class _Flow:
         self._before = 0
         self.latencies_ns: list[int] = []
 
+    def is_as_announced(self) -> bool:
+        """Whether the board still says what it said when the topic was announced."""
+        try:
+            descriptor = self.transducer.descriptor
+        except j2a.UnknownTransducer:
+            return False
+        return descriptor is self.topic.transducer or descriptor == self.topic.transducer
+
     def is_due(self, sample: j2a.Sample, now_us: int) -> bool:
         """Whether a sample of a time is to be published, at the rate that was asked for."""
         if not self._least_us:
@@ -314,18 +322,18 @@ class Bridge:
             There is no more to try.
         """
         async with board.learning:
-            return await self._learn_alone(board)
+            try:
+                return await self._learn_alone(board)
+            except j2a.J2AError as error:  # no answer, or it has restarted meanwhile
+                board.problem = str(error)
+                _logger.warning("%s: %s", board.name, error)
+                return False
 
     async def _learn_alone(self, board: _Board) -> bool:
         client = board.client
         if client is None:
             return True
-        try:
-            transducers = await client.transducers()
-        except j2a.J2AError as error:
-            board.problem = str(error)
-            _logger.warning("%s: %s", board.name, error)
-            return False
+        transducers = await client.transducers()
         descriptors = transducers.descriptors
         before = board.flows or {}
         flows: dict[str, _Flow] = {}
@@ -434,9 +442,7 @@ class Bridge:
             return
         flow.samples += 1
         flow.lost += sample.lost + sample.missed
-        if flow.transducer.descriptor is not flow.topic.transducer and (
-            flow.transducer.descriptor != flow.topic.transducer
-        ):
+        if not flow.is_as_announced():
             return  # `_learn` is under way
         times = flow.times.of(sample.payload)
         newest = max(times)

@@ -161,6 +161,45 @@ class TestTopics:
                 await until(lambda: not bridge._tasks and not bridge._retried)
 
     @in_event_loop
+    async def test_a_board_that_restarts_while_it_is_learnt_is_learnt_again(
+        self, kept, monkeypatch, caplog
+    ):
+        answer, sources = AsyncTransducers.__call__, []
+
+        async def forgotten_at_once(self):
+            found = await answer(self)
+            if not sources:  # as at a restart, until all is known anew
+                sources.append(found["quad"]._source)
+                monkeypatch.setattr(sources[0], "codec", lambda _name: None)
+            else:
+                monkeypatch.delattr(sources[0], "codec", raising=False)
+            return found
+
+        monkeypatch.setattr(AsyncTransducers, "__call__", forgotten_at_once)
+        with served(board_of()) as url:
+            async with bridging(config_for(url, clock="off")):
+                await announced(kept[0], "quad", "tank/level", "servo")
+        assert f"{url} has no transducer 'quad' any more" in caplog.text
+
+    @in_event_loop
+    async def test_a_sample_of_before_a_restart_is_left_out(self, kept, monkeypatch, caplog):
+        device = board_of()
+        with served(device) as url:
+            async with bridging(config_for(url)) as bridge:
+                await announced(kept[0], "quad")
+                device.sense("quad", 0, 1, raw=True)
+                await until(lambda: kept[0].updates)
+                [board] = bridge._boards.values()
+                source = board.flows["quad"].transducer._source
+                sample, count = kept[0].updates[-1].sample, len(kept[0].updates)
+                with monkeypatch.context() as restarting:
+                    restarting.setattr(source, "codec", lambda _name: None)
+                    bridge._take(sample)
+                bridge._take(sample)
+                await until(lambda: len(kept[0].updates) > count)
+        assert len(kept[0].updates) == count + 1
+
+    @in_event_loop
     async def test_what_is_learnt_of_a_board_that_has_gone_meanwhile_changes_nothing(self, kept):
         with served(board_of()) as url:
             async with bridging(config_for(url)) as bridge:
