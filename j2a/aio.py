@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
-from j2a_spec.constants import GET_ECHO
+from j2a_spec.constants import GET_ECHO, TRANSD
 
 from j2a.errors import J2AError, LinkClosed, OpenFailed
 from j2a.events import Doubt, Reply, Restart, Sif
@@ -175,6 +175,17 @@ class AsyncClient(ClientBase):
             )
         limits = self._call_limits(limit_s, self.now())
         return await self._drive(self._call(function, payload), limits)
+
+    async def _call_transducer(self, make: Callable[[], bytes]) -> Reply:
+        """Call a2jTransd with the payload that is made by what the device has now."""
+        generation = self._session.generation
+        if self._knows_transducers:
+            request = make()
+            known = self._known(TRANSD, request)
+            if known is not None:
+                return await self._engine.call(*known, request, self._timeout, generation)
+        limits = self._call_limits(None, self.now())
+        return await self._drive(self._ask_transducer(make), limits)
 
     async def echo(self, payload: bytes = b"", timeout: float | None = None) -> bytes:
         """Send 0 to 255 bytes to a2jEcho and return what comes back, the same (J2A-ECHO-001).

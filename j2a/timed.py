@@ -10,6 +10,7 @@ J2A-TRANS-018).
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -33,8 +34,14 @@ class _Order:
 
     board: str
     transducer: Any
-    request: bytes
+    request: Callable[[], bytes]
     at_us: int
+
+
+def _made(transducer: Any, item: int, pack: _Pack, at_us: int) -> bytes:
+    """Return a request, by what the board says of the transducer now."""
+    request: bytes = transducer._request(item, pack(transducer._codec, at_us))
+    return request
 
 
 class _At:
@@ -83,7 +90,9 @@ class _At:
                     f"{name} of {board} is {kind}; actuators are set, and sensors triggered"
                 )
             at_us = self._at_us(board, client.clock)
-            orders.append(_Order(board, one, one._request(item, pack(one._codec, at_us)), at_us))
+            order = _Order(board, one, partial(_made, one, item, pack, at_us), at_us)
+            order.request()  # checks it
+            orders.append(order)
         return orders
 
     def _at_us(self, board: str, clock: ClockBase) -> int:

@@ -6,6 +6,7 @@ Rule: `j2a.io.transducers` checks and packs; this waits.
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from j2a_spec import constants as c
@@ -21,8 +22,8 @@ __all__ = ["AsyncActuator", "AsyncSensor"]
 
 
 class _Async(RemoteTransducer):
-    async def _ask(self, request: bytes) -> bytes:
-        return self._answer(await self._client.call(c.TRANSD, request))
+    async def _ask(self, make: Callable[[], bytes]) -> bytes:
+        return self._answer(await self._client._call_transducer(make))
 
     def __getattr__(self, name: str) -> Any:
         """Say how a setting is read, for which there is no attribute to await."""
@@ -37,22 +38,25 @@ class _Async(RemoteTransducer):
 
     async def configure(self, **settings: Any) -> None:
         """Change settings; `Sensor.configure` for asyncio."""
-        for request in [self._pack(name, value) for name, value in settings.items()]:
+        requests = [partial(self._pack, name, value) for name, value in settings.items()]
+        for request in requests:
+            request()
+        for request in requests:
             await self._ask(request)
 
     async def setting(self, name: str) -> Any:
         """Return a setting as the device has it now, such as "period" in seconds."""
         if name not in SETTINGS:
             raise WrongArgument(f"{name} is no setting; there are: {', '.join(SETTINGS)}")
-        return self._unpack(name, await self._ask(self._request(SETTINGS[name])))
+        return self._unpack(name, await self._ask(partial(self._request, SETTINGS[name])))
 
     async def read(self) -> tuple[Reading, ...]:
         """Ask the device for the newest reading of each channel."""
-        return self._readings(await self._ask(self._sample_request()))
+        return self._readings(await self._ask(self._sample_request))
 
     async def time_us(self) -> int:
         """Ask the device for the time of its clock, in microseconds."""
-        return self._time(await self._ask(self._request(c.TRANSD_TIME)))
+        return self._time(await self._ask(partial(self._request, c.TRANSD_TIME)))
 
     async def save(self, timeout: float = SAVE_S) -> None:
         """Have the device keep the settings of now without power; `Sensor.save` for asyncio."""
@@ -60,14 +64,16 @@ class _Async(RemoteTransducer):
         end = client.now() + timeout
         request: bytes | None = self._save_request()
         while request is not None:
-            reply = await client.call(c.TRANSD, request)
+            _, item, *value = request
+            make = partial(self._request, item, bytes(value))
+            reply = await client._call_transducer(make)
             request = self._next_save(request, reply, client.now() >= end)
             if request is not None:
                 await asyncio.sleep(SAVE_POLL_S)
 
     async def is_saved(self) -> bool:
         """Ask whether a reset brings settings back that were saved."""
-        return self._is_saved(await self._ask(self._request(c.TRANSD_SAVE)))
+        return self._is_saved(await self._ask(partial(self._request, c.TRANSD_SAVE)))
 
 
 class AsyncSensor(_Async):
@@ -111,7 +117,7 @@ class AsyncSensor(_Async):
 
     async def trigger(self, at_us: int = 0) -> None:
         """Have the sensor measure once; `Sensor.trigger` for asyncio."""
-        await self._ask(self._request(c.TRANSD_TRIGGER, pack_time(at_us)))
+        await self._ask(partial(self._request, c.TRANSD_TRIGGER, pack_time(at_us)))
 
 
 class AsyncActuator(_Async):
@@ -119,4 +125,4 @@ class AsyncActuator(_Async):
 
     async def set(self, *values: Any, channel: int = 0, at_us: int = 0, raw: bool = False) -> None:
         """Set channels to values; `Actuator.set` for asyncio."""
-        await self._ask(self._set_request(values, channel, at_us, raw))
+        await self._ask(partial(self._set_request, values, channel, at_us, raw))

@@ -6,6 +6,7 @@ Rule: `j2a.io.transducers` checks and packs; this waits.
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 from j2a_spec import constants as c
@@ -21,15 +22,15 @@ __all__ = ["Actuator", "Sensor"]
 
 
 class _Blocking(RemoteTransducer):
-    def _ask(self, request: bytes) -> bytes:
-        return self._answer(self._client.call(c.TRANSD, request))
+    def _ask(self, make: Callable[[], bytes]) -> bytes:
+        return self._answer(self._client._call_transducer(make))
 
     def _get(self, setting: str) -> Any:
-        return self._unpack(setting, self._ask(self._request(SETTINGS[setting])))
+        return self._unpack(setting, self._ask(partial(self._request, SETTINGS[setting])))
 
     def _settings(self) -> dict[int, bytes]:
         """Ask for all settings, as the bytes of items of a2jTransd."""
-        return {item: self._ask(self._request(item)) for item in self._items()}
+        return {item: self._ask(partial(self._request, item)) for item in self._items()}
 
     def configure(self, **settings: Any) -> None:
         """Change settings: enabled, period, decimation, threshold, topic, watchdog.
@@ -40,7 +41,10 @@ class _Blocking(RemoteTransducer):
             WrongArgument: a setting is not there, or cannot have this value.
             FunctionFailed: the device refused one.
         """
-        for request in [self._pack(name, value) for name, value in settings.items()]:
+        requests = [partial(self._pack, name, value) for name, value in settings.items()]
+        for request in requests:
+            request()
+        for request in requests:
             self._ask(request)
 
     def read(self) -> tuple[Reading, ...]:
@@ -48,14 +52,14 @@ class _Blocking(RemoteTransducer):
 
         Raises: as `Client.call`; WrongArgument for a sensor with a queue.
         """
-        return self._readings(self._ask(self._sample_request()))
+        return self._readings(self._ask(self._sample_request))
 
     def time_us(self) -> int:
         """Ask the device for the time of its clock, in microseconds.
 
         Raises: as `Client.call`.
         """
-        return self._time(self._ask(self._request(c.TRANSD_TIME)))
+        return self._time(self._ask(partial(self._request, c.TRANSD_TIME)))
 
     def save(self, timeout: float = SAVE_S) -> None:
         """Have the device keep the settings of now without power; return when it does.
@@ -70,7 +74,9 @@ class _Blocking(RemoteTransducer):
         end = client.now() + timeout
         request: bytes | None = self._save_request()
         while request is not None:
-            reply = client.call(c.TRANSD, request)
+            _, item, *value = request
+            make = partial(self._request, item, bytes(value))
+            reply = client._call_transducer(make)
             request = self._next_save(request, reply, client.now() >= end)
             if request is not None:
                 time.sleep(SAVE_POLL_S)
@@ -80,7 +86,7 @@ class _Blocking(RemoteTransducer):
 
         Raises: as `Client.call`; FunctionFailed when the device keeps none.
         """
-        return self._is_saved(self._ask(self._request(c.TRANSD_SAVE)))
+        return self._is_saved(self._ask(partial(self._request, c.TRANSD_SAVE)))
 
     @property
     def topic(self) -> str:
@@ -172,7 +178,7 @@ class Sensor(_Blocking):
         Raises:
             WrongArgument: the sensor has no key trigger.
         """
-        self._ask(self._request(c.TRANSD_TRIGGER, pack_time(at_us)))
+        self._ask(partial(self._request, c.TRANSD_TRIGGER, pack_time(at_us)))
 
     @property
     def enabled(self) -> bool:
@@ -229,7 +235,7 @@ class Actuator(_Blocking):
                 nothing was sent.
             FunctionFailed: the device refused.
         """
-        self._ask(self._set_request(values, channel, at_us, raw))
+        self._ask(partial(self._set_request, values, channel, at_us, raw))
 
     @property
     def watchdog(self) -> float:

@@ -26,6 +26,7 @@ from j2a_spec.constants import (
     GET_MAPPING,
     MIN_ROOM,
     RET_MAX,
+    TRANSD,
 )
 
 from j2a.errors import (
@@ -332,6 +333,19 @@ class ClientBase:
             return (sensor if is_sensor else actuator)(name, source, client, self._url)
 
         return Transducers(made, source.names(), why, self._device.descriptors)
+
+    @property
+    def _knows_transducers(self) -> bool:
+        """What the device says of its transducers is known."""
+        return not self._is_stale and self._device.asked_for_transducers
+
+    def _ask_transducer(self, make: Callable[[], bytes]) -> Transfer[Reply]:
+        """Learn what the device has; then only make the payload of a2jTransd, and call it.
+
+        One of before a restart may have the id of what is another transducer now.
+        """
+        yield from preparing(TRANSD, self._load_functions())
+        return (yield from self._call(TRANSD, make()))
 
     @property
     def transducers_problem(self) -> str:

@@ -6,6 +6,7 @@ import enum
 import gc
 import logging
 import threading
+import time
 import weakref
 from collections import OrderedDict
 
@@ -20,6 +21,7 @@ from j2a.events import ResetCause, Restart
 from j2a.protocol.boot import pack_boot, unpack_boot
 from j2a.protocol.device_info import DeviceInfo
 from j2a.protocol.session import Session
+from j2a.types.transds_file import read_transds
 
 from .rebooting import Rebooting, boot_payload
 from .support import PATIENCE_S, linked
@@ -833,3 +835,64 @@ class TestDevice:
                 assert client.functions.add(40, 2) == 42
                 assert client.counters.restarts == 0
                 assert GET_MAPPING in client.functions
+
+
+class TestTransducers:
+    """The number of a transducer is another one's in other firmware."""
+
+    OLD = "ACTUATOR(servo, 2, servo, S, 1, u8, 0)\nACTUATOR(heater, 5, heater, H, 1, u8, 0)\n"
+    NEW = "ACTUATOR(heater, 2, heater, H, 1, u8, 0)\nACTUATOR(servo, 5, servo, S, 1, u8, 0)\n"
+
+    def board(self, text):
+        device = j2a.Device(boot=True, transducers=read_transds(text))
+        device.was_set = []
+        for name in ("servo", "heater"):
+            device.actuator(name)(lambda _, value, name=name: device.was_set.append((name, value)))
+        return device
+
+    def test_one_is_set_by_the_number_that_it_has_now(self):
+        new, is_held, may_go = self.board(self.NEW), threading.Event(), threading.Event()
+
+        def hold(_sif):
+            is_held.set()
+            may_go.wait(PATIENCE_S)
+
+        with (
+            Rebooting(self.board(self.OLD)) as board,
+            j2a.Client(board.near, timeout=PATIENCE_S) as client,
+        ):
+            servo = client.transducers["servo"]
+            client.on_sif(99, hold)
+            board.sif(99)
+            assert is_held.wait(PATIENCE_S)
+            board.reset(new)  # of which nothing is learnt, as a handler of SIFs does not end
+            while not client._is_stale:
+                time.sleep(0.001)
+            servo.set(7)
+            may_go.set()
+        assert new.was_set == [("servo", 7)]
+
+    def test_one_is_set_by_the_number_that_it_has_now_in_an_event_loop(self):
+        new = self.board(self.NEW)
+
+        async def main():
+            with Rebooting(self.board(self.OLD)) as board:
+                async with j2a.AsyncClient(board.near, timeout=PATIENCE_S) as client:
+                    servo, is_held = (await client.transducers())["servo"], asyncio.Event()
+                    may_go = asyncio.Event()
+
+                    async def hold(_sif):
+                        is_held.set()
+                        await may_go.wait()
+
+                    client.on_sif(99, hold)
+                    board.sif(99)
+                    await is_held.wait()
+                    board.reset(new)
+                    while not client._is_stale:
+                        await asyncio.sleep(0.001)
+                    await servo.set(7)
+                    may_go.set()
+
+        asyncio.run(main())
+        assert new.was_set == [("servo", 7)]
