@@ -89,6 +89,7 @@ class ClockBase:
         estimator = Estimator(transport.byte_time_s * _US)
         self._discipline = Discipline(self._host.reference, estimator)
         self._restarts = 0
+        self._timer = 0  # the transducer that tells the time, where the board has no clock
         self._draw = random.SystemRandom()
 
     def __repr__(self) -> str:
@@ -262,11 +263,13 @@ class ClockBase:
                 f"the clock of {self._url} cannot be set: the board does not have the capability "
                 "clock; build its firmware with J2A_WITH_SYNC=1"
             )
-        if c.TRANSD not in functions or not client._source.names():
+        known = device.descriptors
+        if c.TRANSD not in functions or known is None or not known.transducers:
             raise NoClock(
                 f"{self._url} tells no time: the board has neither the capability clock nor "
                 "transducers; build its firmware with J2A_WITH_SYNC=1"
             )
+        self._timer = known.transducers[0].id
 
     def _exchange(self) -> Transfer[Exchange]:
         """Make one exchange."""
@@ -277,7 +280,7 @@ class ClockBase:
             what, payload = c.CLOCK, pack_exchange(nonce)
         else:
             what, payload = c.TRANSD, self._time_request()
-        request = CallRequest(what, payload, self._client._device.functions[what])
+        request = CallRequest(what, payload, self._client._device.resolve(what)[1])
         sent_us = self._host.counter_us()
         [(code, reply)] = yield (request,)
         came_us = self._host.counter_us()
@@ -328,12 +331,10 @@ class ClockBase:
         return status
 
     def _clock_request(self, payload: bytes) -> CallRequest:
-        return CallRequest(c.CLOCK, payload, self._client._device.functions[c.CLOCK])
+        return CallRequest(c.CLOCK, payload, self._client._device.resolve(c.CLOCK)[1])
 
     def _time_request(self) -> bytes:
-        source = self._client._source
-        codec = source.codec(source.names()[0])
-        return bytes([codec.transducer.id, c.TRANSD_TIME])
+        return bytes([self._timer, c.TRANSD_TIME])
 
     def _nonce(self) -> int:
         """Return a random number whose bytes need no escape, so that all requests are as long."""

@@ -3,7 +3,9 @@
 What flows in: replies to a2jGetMapping and a2jMany. What flows out: opcodes for names, and
 transfers as generators (see `j2a.protocol.transfer`).
 Rules: no input and no output of its own; both clients drive the same object. What was learnt is
-kept until `forget`. Old devices are recognised by what they lack (J2A-PROP-005).
+kept until the next map. Where another thread or task takes one while something is learnt, that is
+learnt again: it may be what another device said. Old devices are recognised by what they lack
+(J2A-PROP-005).
 """
 
 from collections.abc import Sequence
@@ -205,6 +207,7 @@ class DeviceInfo:
         self.transducers_problem = ""
         self.asked_for_transducers = False
         self._mapped = ()
+        self._map = object()
 
     def learn_interface(self) -> Transfer[None]:
         """Learn what the functions take and return, where the device tells it.
@@ -212,21 +215,24 @@ class DeviceInfo:
         Nothing that the device says is an error: without a description its functions stay callable
         by name and opcode (J2A-IFACE-009).
         """
-        if self.asked_for_interface:
-            return
-        opcode = (self.functions or {}).get(GET_INTERFACE)
-        if opcode is not None:
-            try:
-                self.interface = yield from self._read_interface(opcode)
-            except (DeviceRestarted, LinkClosed, LinkLost):
-                raise
-            except J2AError as error:
-                self.interface_problem = str(error)
-        self.asked_for_interface = True
-        if self.interface is not None:
-            names = [function.name for function in self.interface.functions]
-            self.functions = {name: opcode for opcode, name in enumerate(names)}
-            self.sifs = {sif.name: sif for sif in self.interface.sifs}
+        while not self.asked_for_interface:
+            map_then, interface, problem = self._map, None, ""
+            opcode = (self.functions or {}).get(GET_INTERFACE)
+            if opcode is not None:
+                try:
+                    interface = yield from self._read_interface(opcode)
+                except (DeviceRestarted, LinkClosed, LinkLost):
+                    raise
+                except J2AError as error:
+                    problem = str(error)
+            if self._map is not map_then:
+                continue
+            if interface is not None:
+                names = [function.name for function in interface.functions]
+                self.functions = {name: opcode for opcode, name in enumerate(names)}
+                self.sifs = {sif.name: sif for sif in interface.sifs}
+            self.interface, self.interface_problem = interface, problem
+            self.asked_for_interface = True
 
     def _read_interface(self, opcode: int) -> Transfer[Interface]:
         properties = yield from self.read_properties()
@@ -252,17 +258,20 @@ class DeviceInfo:
 
         Nothing that the device says is an error: its functions stay callable (J2A-TRANS-021).
         """
-        if self.asked_for_transducers:
-            return
-        opcode = (self.functions or {}).get(GET_TRANSDS)
-        if opcode is not None:
-            try:
-                self.descriptors = yield from self._read_transducers(opcode)
-            except (DeviceRestarted, LinkClosed, LinkLost):
-                raise
-            except J2AError as error:
-                self.transducers_problem = str(error)
-        self.asked_for_transducers = True
+        while not self.asked_for_transducers:
+            map_then, descriptors, problem = self._map, None, ""
+            opcode = (self.functions or {}).get(GET_TRANSDS)
+            if opcode is not None:
+                try:
+                    descriptors = yield from self._read_transducers(opcode)
+                except (DeviceRestarted, LinkClosed, LinkLost):
+                    raise
+                except J2AError as error:
+                    problem = str(error)
+            if self._map is not map_then:
+                continue
+            self.descriptors, self.transducers_problem = descriptors, problem
+            self.asked_for_transducers = True
 
     def _read_transducers(self, opcode: int) -> Transfer[Descriptors]:
         yield from self.read_properties()
@@ -281,9 +290,8 @@ class DeviceInfo:
 
     def read_properties(self) -> Transfer[dict[str, str]]:
         """Read the properties unless they are known; a device without the function has none."""
-        if self.properties is None:
-            opcode = self._properties_opcode
-            content = b""
+        while (properties := self.properties) is None:
+            map_then, opcode, content = self._map, self._properties_opcode, b""
             if opcode is not None:
                 content = yield from read_chunks(
                     GET_PROPERTIES,
@@ -292,9 +300,10 @@ class DeviceInfo:
                     advice="this library takes no longer properties (J2A-LIMIT-008)",
                     offset_check=partial(self._guard_properties, opcode),
                 )
-            self.properties = unpack_properties(content)
-            self.announced = Announced(self.properties)
-        return self.properties
+            found = unpack_properties(content)
+            if self._map is map_then:
+                self.announced, self.properties = Announced(found), found
+        return properties
 
     @property
     def _properties_opcode(self) -> int | None:

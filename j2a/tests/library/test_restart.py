@@ -453,6 +453,33 @@ class TestCalls:
         assert not device.asked_for_interface
         assert device.interface_problem == ""
 
+    @pytest.mark.parametrize("what", ["interface", "transducers"])
+    @pytest.mark.parametrize("answered", range(2))  # the properties, and then what is learnt
+    def test_another_thread_takes_a_new_map_meanwhile(self, what, answered, monkeypatch):
+        """What is learnt then belongs to the new map, and not to that of before."""
+        monkeypatch.setattr("j2a.protocol.interface._kept", OrderedDict())
+        old = old_firmware(transducers=read_transds("SENSOR(a, 1, a, M, 1, u8, none)\n"))
+        new = new_firmware(transducers=read_transds("SENSOR(b, 1, b, M, 1, u8, none)\n"))
+        device, asks = DeviceInfo(), 0
+        device.take_map(j2a.Reply(*old._execute(0, b"")))
+        learning = getattr(device, f"learn_{what}")()
+        with contextlib.suppress(StopIteration):
+            requests = next(learning)
+            while True:
+                board = old if asks <= answered else new
+                if asks == answered:
+                    device.take_map(j2a.Reply(*new._execute(0, b"")))
+                asks += 1
+                requests = learning.send(
+                    [j2a.Reply(*board._execute(one.opcode or 1, one.payload)) for one in requests]
+                )
+        assert (device.interface_problem, device.transducers_problem) == ("", "")
+        if what == "interface":
+            assert device.functions == new.functions
+            assert device.interface_hash == new._table.interface_hash
+        else:
+            assert [one.name for one in device.descriptors.transducers] == ["b"]
+
     def test_what_was_learnt_in_part_is_not_compared_with(self):
         new = old_firmware()
         new.describe_sif("more", 8, "(level u8)")
