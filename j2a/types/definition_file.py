@@ -32,6 +32,10 @@ MAX_ITEMS: Final = 32
 """So many fields of a structure, values of an enumeration, or items of a transducer the macros of
 the firmware take."""
 _HEADS: Final = {"J2A_ENUM": 2, "J2A_STRUCT": 1}
+_FORMS: Final = {
+    "J2A_ENUM": "J2A_ENUM(mode, u8, (off, 0), (slow, 1)): name, integer, values",
+    "J2A_STRUCT": "J2A_STRUCT(point, (f32, x, m), (i16, y)): name, and type, name, unit of each",
+}
 _PLAIN: Final = re.compile(r"-?\w+", re.ASCII)
 
 
@@ -115,7 +119,8 @@ def entry_text(
         what = f"{error.name} is a word of C, which takes it for no name"
         raise reader.error(what, error.name) from None
     except (TypeError, ValueError):
-        raise reader.error(f"the arguments of {macro} cannot be read", macro) from None
+        form = f"; write {_FORMS[macro]}" if macro in _FORMS else ""
+        raise reader.error(f"the arguments of {macro} cannot be read{form}", macro) from None
 
 
 def type_text(node: Node) -> str:
@@ -156,7 +161,7 @@ def _name(node: Node) -> str:
 
 
 def _unit(node: Node) -> str:
-    if not isinstance(node, Word):
+    if not isinstance(node, Word) or node.startswith('"'):
         raise ValueError(node)
     return f" {node}"
 
