@@ -114,8 +114,8 @@ class ClockBase:
         Raises:
             LocalError: nothing is.
         """
-        estimate, status = self._discipline.estimator.estimate, self._discipline.status
-        if estimate is None or (status is None and self._can_be_set):
+        estimate = self._discipline.estimator.estimate
+        if estimate is None or not self._is_known:
             raise LocalError(
                 f"nothing is known of the clock of {self._url} yet, or no more since the board "
                 "has restarted: use clock.measure() or clock.follow() first"
@@ -134,7 +134,9 @@ class ClockBase:
 
     @property
     def _is_known(self) -> bool:
-        known = self._discipline
+        known, client = self._discipline, self._client_ref()
+        if client is not None and client.counters.restarts != self._restarts:
+            return False  # what is known is of before
         return known.estimator.estimate is not None and (
             known.status is not None or not self._can_be_set
         )

@@ -923,3 +923,19 @@ class TestTransducers:
 
         asyncio.run(main())
         assert new.was_set == [("servo", 7)]
+
+    @pytest.mark.parametrize("clock", [None, 10.0])
+    def test_what_is_known_of_the_clock_ends_with_a_restart(self, clock):
+        """An order for a time, or the host time of a sample, would be by a clock that is gone."""
+        board = self.board(self.OLD) if clock is None else j2a.Device(boot=True, clock=clock)
+        with Rebooting(board) as link, j2a.Client(link.near, timeout=PATIENCE_S) as client:
+            client.clock.measure()
+            assert client.clock._is_fresh
+            assert client.clock.host_time_of_sample(1) is not None
+            link.reset()
+            while not client.counters.restarts:
+                time.sleep(0.001)
+            assert not client.clock._is_fresh
+            assert client.clock.host_time_of_sample(1) is None
+            client.clock.measure()
+            assert client.clock._is_fresh
