@@ -142,7 +142,9 @@ def test_a_recording_that_no_host_plays_ends_at_once(tmp_path):
     before = set(threading.enumerate())
     with replayed(path):
         pass
-    assert not set(threading.enumerate()) - before
+    for thread in set(threading.enumerate()) - before:
+        thread.join(PATIENCE_S)  # it has been told to end
+        assert not thread.is_alive()
 
 
 def test_a_recording_of_too_many_boards_is_refused(tmp_path):

@@ -129,7 +129,7 @@ def test_a_name_that_is_not_one_file_is_refused(name, files):
 
 
 def test_an_edit_that_does_not_fit_is_an_error(tmp_path):
-    stale = replace(EXAMPLE, edits=(Edit("firmware/core/j2a_rx.c", "no such text", "x"),))
+    stale = replace(EXAMPLE, edits=(Edit("firmware/core/j2a_rx.c", "no[such] %= text;", "x"),))
     with pytest.raises(TableError, match=r"core-stuff-004: .* is gone"):
         copy("core", stale, tmp_path)
 

@@ -27,7 +27,7 @@ class Called:
         rng = np.random.default_rng(4)
         frames = None
         if link == "usb":
-            frames = Bus(rng, 6.0, Oscillator(np.full(10, 30e-6)), 0.0).at_board(rng, 50e-9, 0.0)
+            frames = Bus(rng, 12.0, Oscillator(np.full(10, 30e-6)), 0.0).at_board(rng, 50e-9, 0.0)
             frames.lost[list(lost)] = True
         self.frames = frames
         self.board = AvrBoard(
@@ -100,7 +100,7 @@ def test_a_board_on_a_usb_tells_in_which_frame_a_request_came(need):
 
 def test_frames_set_the_clock_of_the_real_firmware(need):
     board = Called(need, "usb", lost=range(2000, 2020))
-    for _ in range(4):
+    for _ in range(12):
         at = int(np.searchsorted(board.frames.starts_s, board.now_s)) - 1
         time_us = UNIX_US + round(1e6 * board.frames.starts_s[at])
         board.call(Frame(time_us, int(board.frames.numbers[at]), 9).pack())

@@ -193,6 +193,7 @@ static void keep_all(bool is_back) {
         const size_t channels = t->channels, size = t->size;
         const size_t slots = t->depth ? t->depth * (9 + size) : channels * (8 + size);
         at = keep(t->sensor, sizeof *t->sensor, at, is_back);
+        at = keep(t->queue, sizeof *t->queue, at, is_back);
         at = keep((void *)(uintptr_t)t->slots, slots, at, is_back);
         at = keep(t->decimation, 1 + channels, at, is_back);
         at = keep(t->threshold, 1 + 2 * size, at, is_back);
