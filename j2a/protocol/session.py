@@ -179,6 +179,8 @@ class Session:
         if call is not None:
             text = f"{call.what} was cancelled; it {call.fate}"
             self._give_up(call, J2AError(text, outcome=call.outcome))
+            # It may have been interrupted before its bytes were counted.
+            self._sent_bytes = sum(other.size for other in self._sent.values())
         return self._fill_window()
 
     def close(self, reason: J2AError) -> list[Call]:
@@ -310,11 +312,12 @@ class Session:
         self._waiters.pop(call.waiter, None)
         if self._hinted:
             self._hinted.pop(call, None)
-        if call.number >= 0:
+        # A caller that was interrupted in `start_call` may be in both, or in neither yet.
+        if self._queue:
+            self._queue.pop(call, None)
+        if self._sent.get(call.seq) is call:
             del self._sent[call.seq]
             self._sent_bytes -= call.size
-        else:
-            del self._queue[call]
 
     def _give_up(self, call: Call, error: J2AError) -> None:
         """End a call whose reply may still come."""

@@ -1,6 +1,8 @@
 """The host's session: seqs, the window, time limits, late replies, SIF gaps, the end."""
 
+import itertools
 import math
+import sys
 
 import pytest
 from j2a_spec import oracle
@@ -437,3 +439,80 @@ def test_after_recover_the_bytes_of_ended_calls_take_no_room():
     assert session.recover() == [first, third]
     assert third.was_sent
     assert not call().was_sent
+
+
+class _InterruptError(BaseException):
+    """What a signal handler raises, as KeyboardInterrupt."""
+
+
+def _interrupted_at(line: int, work) -> bool:
+    """Do the work, and raise at so many lines of the protocol's code; tell whether it came to that."""
+    left = itertools.count(line, -1)
+
+    def trace(frame, event, _argument):
+        if not frame.f_globals["__name__"].startswith("j2a.protocol"):
+            return None
+        if event == "line" and next(left) == 0:
+            raise _InterruptError
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        work()
+    except _InterruptError:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+@pytest.mark.parametrize("others", [0, 1, 2])
+@pytest.mark.parametrize("window", [1, 2, 8])
+@pytest.mark.parametrize("rxbuf", [40, 600])
+def test_a_call_that_is_interrupted_anywhere_is_given_up_whole(others, window, rxbuf):
+    for line in itertools.count():
+        host = Host(window=window, rxbuf=rxbuf)
+        earlier = [host.call(5, bytes(9)) for _ in range(others)]
+        waiter = object()
+
+        def start(host=host, waiter=waiter):
+            host.session.start_call("x", 7, b"once", now=host.now, timeout_s=1.0, waiter=waiter)
+
+        if not _interrupted_at(line, start):
+            break
+        host.session.cancel(waiter)
+        host.collect()
+        assert host.session.waiting == others
+        for number, call in enumerate(earlier):  # and the link goes on
+            host.reply(call.seq, payload=bytes([number]))
+            assert call.reply == Reply(0, bytes([number]))
+        later = host.call(9)
+        host.reply(later.seq)
+        assert later.reply == Reply(0, b"")
+        assert [frame.opcode for frame in host.sent].count(7) <= 1
+        assert host.wait(5.0) == []
+        assert host.session.waiting == 0
+    assert line > 9
+
+
+def test_bytes_of_a_call_that_was_interrupted_take_no_room():
+    for line in itertools.count():
+        host = Host(window=8, rxbuf=40)
+        first = host.call(5)
+        waiter = object()
+
+        def start(host=host, waiter=waiter):
+            host.session.start_call("x", 7, bytes(20), now=host.now, timeout_s=1.0, waiter=waiter)
+
+        if not _interrupted_at(line, start):
+            break
+        host.session.cancel(waiter)
+        host.collect()
+        before = len(host.sent)
+        second, third = host.call(8, bytes(20)), host.call(9, bytes(20))
+        assert [frame.opcode for frame in host.sent[before:]] == [8]  # as the device has room
+        host.reply(first.seq)
+        host.reply(second.seq)
+        host.reply(third.seq)
+        assert third.reply == Reply(0, b"")
