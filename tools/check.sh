@@ -14,7 +14,7 @@ tests=
 begin_tests() {
     set -m
     # The benchmarks only prove that they run. conftest.py says which files come first.
-    timed pytest python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable \
+    timed pytest python -m pytest -n 4 --dist loadfile --no-loadscope-reorder --benchmark-disable \
         -m 'not exhaustive' --durations=40 --durations-min=10 </dev/null >build/steps/pytest.log 2>&1 &
     tests=$!
     set +m
@@ -32,10 +32,6 @@ show_tests() {
 step generate "generated files are up to date" python -m j2a_spec.generate --check
 step ruff "lint" ruff check --quiet .
 step format "layout of the Python files" ruff format --check --quiet .
-step mypy "types of the packages" mypy
-step mypy-tools "types of the tools, of the hosts and of the extensions of the documentation" bash -c \
-    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/hosts/*.py firmware/ports/*/*.py'
-step imports "arrows between the packages" lint-imports --no-cache --no-logo
 if command -v npm >/dev/null || [[ -n "${J2A_REQUIRE_AVR:-}" ]]; then
     step emulator "packages of the chip emulators" sh tools/npm.sh firmware/verify/emulators/rp2040
     step page "what the live page needs" sh tools/page.sh
@@ -45,6 +41,10 @@ fi
 # The tests need some of the programs, too, and two must not build the same at once.
 step programs "the programs that the suite runs against" python tools/conformance.py --build --sample
 chosen pytest && begin_tests
+step mypy "types of the packages" mypy
+step mypy-tools "types of the tools, of the hosts and of the extensions of the documentation" bash -c \
+    'mypy tools/*.py docs/conf.py docs/_ext/*.py && mypy conformance/hosts/*.py firmware/ports/*/*.py'
+step imports "arrows between the packages" lint-imports --no-cache --no-logo
 step conformance "the suite against every host of ours and every testee, some of them without the sweeps" \
     python tools/conformance.py --sample
 step mutants "each mutant is killed by a case of the rule that it breaks, or nothing changed since it was" \

@@ -446,7 +446,7 @@ class _InterruptError(BaseException):
 
 
 def _interrupted_at(line: int, work) -> bool:
-    """Do the work, and raise at so many lines of the protocol's code; tell whether it came to that."""
+    """Do the work and raise at that line of the protocol, counted; tell whether it came to that."""
     left = itertools.count(line, -1)
 
     def trace(frame, event, _argument):
