@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Final
 
 from j2a.errors import SignatureError
-from j2a.types.transds_file import read_transds
 from j2a.types.transducers import Descriptors
 
 __all__ = ["load_transds"]
@@ -34,6 +33,8 @@ def load_transds(path: str | Path, options: Mapping[str, str | None] | None = No
 
     Source: thesis 8.1 and 9.1, listings 9.2 and 9.5.
     """
+    from j2a.types.transds_file import read_transds  # noqa: PLC0415 - slow to load, rarely used
+
     return read_transds(_text(Path(path)), options, file=str(path), opener=_open)
 
 

@@ -309,8 +309,8 @@ class TestConnecting:
             shown = "".join(traceback.format_exception(caught.value))
             assert shown.count("Traceback (most recent call last)") == 1
 
-    def test_importing_loads_no_driver_and_no_asyncio(self):
-        heavy = ["asyncio", "serial", "construct"]
+    def test_importing_loads_no_driver_no_asyncio_and_no_reader_of_files(self):
+        heavy = ["asyncio", "serial", "construct", "j2a.types.macros"]
         code = f"import j2a, sys; print([name for name in {heavy} if name in sys.modules])"
         run = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
