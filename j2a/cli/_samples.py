@@ -1,6 +1,7 @@
 """Samples of sensors, as `j2a watch` shows them.
 
-In: samples. Out: a line or an object for each, and for each sensor how regularly they come.
+In: samples. Out: a line or an object for each, and for each sensor how regularly they come: the
+last ones behind each line, or all of a span of time in a table.
 Rules: a delay is that from the time stamp to the arrival, where the clock of the board is known;
 else above that of the quickest sample in the same span of time, as the clocks of board and host are
 not the same one. All delays of a table are of one kind.
@@ -10,16 +11,33 @@ from __future__ import annotations
 
 import math
 import statistics
+from collections import defaultdict, deque
+from itertools import pairwise
 from typing import Any, Final
 
 import j2a
 from j2a.cli._typed import json_of, plain
 
-__all__ = ["Rates", "rate_head", "rate_text", "sample_facts", "sample_text"]
+__all__ = [
+    "LAST",
+    "Facts",
+    "LastRates",
+    "Rates",
+    "last_text",
+    "rate_head",
+    "rate_text",
+    "rounded",
+    "sample_facts",
+    "sample_text",
+]
+
+LAST: Final = 50
+"""So many samples are behind the figures in the line of one."""
 
 _US: Final = 1e6
 _MS: Final = 1e3
-_Facts = dict[str, float | int | None]
+Facts = dict[str, float | int | None]
+"""How regularly samples come: counts and, in milliseconds, times; None where it is not known."""
 
 
 def sample_text(sample: j2a.Sample) -> str:
@@ -66,13 +84,18 @@ def sample_facts(sample: j2a.Sample) -> dict[str, Any]:
     }
 
 
-class _Rate:
-    """What was seen of one sensor in a span of time."""
+def rounded(facts: Facts) -> Facts:
+    """Return figures as JSON has them."""
+    return {key: round(one, 3) if isinstance(one, float) else one for key, one in facts.items()}
 
-    def __init__(self) -> None:
-        self.host_s: list[float] = []
-        self.device_s: list[float] = []
-        self.true_s: list[float] = []
+
+class _Rate:
+    """What was seen of one sensor: of all its samples, or of so many last ones."""
+
+    def __init__(self, last: int | None = None) -> None:
+        self.host_s: deque[float] = deque(maxlen=last)
+        self.device_s: deque[float] = deque(maxlen=last)
+        self.true_s: deque[float] = deque(maxlen=last)
         self.lost = 0
         self.missed = 0
 
@@ -94,12 +117,12 @@ class _Rate:
         """There are samples, and of none it is known how long it took."""
         return bool(self.host_s) and not self.true_s
 
-    def facts(self, *, is_relative: bool) -> _Facts:
+    def facts(self, *, is_relative: bool) -> Facts:
         """Return samples, per second, and in ms: jitter of the board, delay at the median, most."""
         count = len(self.device_s)
         span_s = self.host_s[-1] - self.host_s[0] if count > 1 else 0.0
-        periods = [b - a for a, b in zip(self.device_s, self.device_s[1:], strict=False)]
-        delays, least = self.true_s, 0.0
+        periods = [b - a for a, b in pairwise(self.device_s)]
+        delays, least = list(self.true_s), 0.0
         if is_relative:
             delays = [b - a for a, b in zip(self.device_s, self.host_s, strict=True)]
             delays = delays if count > 1 else []  # one is the quickest
@@ -131,11 +154,41 @@ class Rates:
         """
         self._rates.setdefault(sample.name, _Rate()).add(sample, came_us)
 
-    def take(self) -> dict[str, _Facts]:
+    def take(self) -> dict[str, Facts]:
         """Return for each sensor what was seen of it since the last time; a new span begins."""
         rates, self._rates = self._rates, {name: _Rate() for name in self._rates}
         is_relative = any(rate.is_relative for rate in rates.values())
         return {name: rate.facts(is_relative=is_relative) for name, rate in rates.items()}
+
+
+class LastRates:
+    """How regularly the last samples of each sensor came."""
+
+    def __init__(self) -> None:
+        self._rates: defaultdict[str, _Rate] = defaultdict(lambda: _Rate(LAST))
+
+    def add(self, sample: j2a.Sample, came_us: float) -> Facts:
+        """Take a sample, as `Rates.add`; returns what is seen now of its sensor."""
+        rate = self._rates[sample.name]
+        rate.add(sample, came_us)
+        return rate.facts(is_relative=rate.is_relative)
+
+
+def last_text(facts: Facts) -> str:
+    """Return what stands behind the line of a sample: the figures that are known."""
+    delay = "rel. delay" if facts["is_relative"] else "delay"
+    shown = [
+        text.format(facts[key])
+        for key, text in (
+            ("per_s", "{:.2f}/s"),
+            ("jitter_ms", "jitter {:.2f} ms"),
+            ("delay_ms", delay + " {:.2f} ms"),
+            ("most_ms", "most {:.2f} ms"),
+        )
+        if facts[key] is not None
+    ]
+    shown += [f"{key} {facts[key]}" for key in ("lost", "missed") if facts[key]]
+    return f"  [{', '.join(shown)}]" if shown else ""
 
 
 def rate_head(*, is_relative: bool) -> str:
@@ -147,7 +200,7 @@ def rate_head(*, is_relative: bool) -> str:
     )
 
 
-def rate_text(name: str, facts: _Facts) -> str:
+def rate_text(name: str, facts: Facts) -> str:
     """Return the line below the head for a sensor."""
 
     def cell(key: str, unit: str, width: int) -> str:

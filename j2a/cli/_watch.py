@@ -1,7 +1,8 @@
 """`j2a watch`: print the frames that a device sends unasked (SIFs), samples of sensors among them.
 
-In: a link. Out: a line for each SIF, and one for each gap in their numbers; with `--rates` a table
-of sensors each second. SIFs that the device describes are printed by their fields.
+In: a link. Out: a line for each SIF, that of a sample with how regularly those of its sensor come,
+and one for each gap in their numbers; with `--rates` a table of sensors each second, in place of
+them. SIFs that the device describes are printed by their fields.
 Rules: the library's thread collects, this one prints, so that a slow reader of the output loses
 nothing until too many SIFs wait; then new ones are left out, and counted. What `--then` names is
 called however the watching ends, unless the link is gone.
@@ -15,7 +16,7 @@ import math
 import queue
 import shlex
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
@@ -38,13 +39,24 @@ from j2a.cli._link import (
     whole_number,
 )
 from j2a.cli._output import note, show, show_json
-from j2a.cli._samples import Rates, rate_head, rate_text, sample_facts, sample_text
+from j2a.cli._samples import (
+    LAST,
+    Facts,
+    LastRates,
+    Rates,
+    last_text,
+    rate_head,
+    rate_text,
+    rounded,
+    sample_facts,
+    sample_text,
+)
 from j2a.cli._typed import json_of, plain, takes_values, values_of
 from j2a.cli._values import Decoder, payload_of, short_hex, text_of
 from j2a.types.coding import Codec, PythonTypes
 from j2a.types.model import SifShape
 
-NOTES = """\
+NOTES = f"""\
 examples:
   j2a watch tcp://127.0.0.1:5000 counter --call 'sifPeriod 100' --count 10 --json
   j2a watch tcp://127.0.0.1:5000 --call 'sifPeriod 100' --then 'sifPeriod 0'
@@ -52,12 +64,13 @@ examples:
   j2a watch tcp://127.0.0.1:5000 quad
   j2a watch tcp://127.0.0.1:5000 --rates
 
---rates shows of each sensor: samples that came in this second; jitter, which is the standard
-deviation of the time between two of them on the clock of the board; delay, the median time from the
-time stamp to the host, and the longest one; values that were lost because the queue of the board
-was full; and SIFs that the link missed. For the delay the board is asked for its time each second,
-and its clock is not set. Where it does not tell, the head says "rel. delay": above that of the
-quickest sample of this second."""
+Behind each sample of a sensor stands in brackets how regularly its last {LAST} came: rate; jitter,
+which is the standard deviation of the time between two of them on the clock of the board; delay,
+the median time from the time stamp to the host, and the longest one; and, since the start, values
+that were lost because the queue of the board was full, and SIFs that the link missed. --rates shows
+the same of all samples of each second as a table. For the delay the board is asked for its time
+each second, and its clock is not set. Where it does not tell, it says "rel. delay": above that of
+the quickest sample among them."""
 _LOOK_S = 0.2
 _RATES_S = 1.0
 _MOST_WAITING = 1 << 18
@@ -74,25 +87,40 @@ class _Arrived(NamedTuple):
     sample: j2a.Sample | None
 
 
+class _Arrivals:
+    """Tells when samples came, on the clock that their `host_us` is of.
+
+    Args:
+        client: of the board.
+        asks: whether to ask the board for its time, now and each second.
+    """
+
+    def __init__(self, client: j2a.Client, *, asks: bool) -> None:
+        self._now = client.now
+        self._host = client.clock._host
+        if not asks:
+            return
+        with contextlib.suppress(j2a.J2AError):  # then delays are relative
+            client.clock.measure(1)  # now, for the first samples
+            client.clock.follow(_RATES_S)  # ends with the client
+
+    def came_us(self, sample: j2a.Sample) -> float:
+        """Return when a sample came, in microseconds since 1970; it may have waited for long."""
+        now_us = self._host.reference.to_unix(self._host.observe())
+        return now_us - 1e6 * (self._now() - sample.host_time)
+
+
 class _RateTable:
     """What `--rates` shows."""
 
     def __init__(self, client: j2a.Client, args: argparse.Namespace) -> None:
-        if not any(isinstance(one, j2a.Sensor) for one in client.transducers.values()):
-            raise UsageError(f"{client.url} has no sensors: {client.transducers.why}")
         self._rates = Rates()
         self._now = client.now
-        self._host = client.clock._host
-        with contextlib.suppress(j2a.J2AError):  # then delays are relative
-            client.clock.measure(1)  # now, for the first table
-            client.clock.follow(_RATES_S)  # ends with the client
         self._due = self._now() + _RATES_S
         self._as_json = args.json
 
-    def add(self, sample: j2a.Sample) -> None:
-        # From the arrival on, it may have waited for long.
-        now_us = self._host.reference.to_unix(self._host.observe())
-        self._rates.add(sample, now_us - 1e6 * (self._now() - sample.host_time))
+    def add(self, sample: j2a.Sample, came_us: float) -> None:
+        self._rates.add(sample, came_us)
 
     def show_if_due(self) -> None:
         if self._now() >= self._due:
@@ -105,8 +133,7 @@ class _RateTable:
             show(rate_head(is_relative=any(facts["is_relative"] for facts in table.values())))
         for name, facts in table.items():
             if self._as_json:
-                rounded = {k: round(v, 3) if isinstance(v, float) else v for k, v in facts.items()}
-                show_json({"sensor": name, **rounded})
+                show_json({"sensor": name, **rounded(facts)})
             else:
                 show(rate_text(name, facts), flush=True)
 
@@ -140,7 +167,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rates",
         action="store_true",
-        help="show each second how regularly the samples of each sensor come, in place of them",
+        help="show each second a table of how regularly samples come, in place of them",
     )
     add_json_argument(parser, "an object for each SIF, one per line,")
     add_link_arguments(parser)
@@ -184,8 +211,17 @@ def _watch(
     described = client.interface.sifs if client.interface else ()
     types = PythonTypes()
     shapes = {shape.opcode: (shape, Codec(shape.fields, types)) for shape in described}
-    opcodes = _opcodes_of(wanted, shapes, client)
-
+    sensors = {
+        name: one.descriptor.id
+        for name, one in client.transducers.items()
+        if isinstance(one, j2a.Sensor)
+    }
+    if args.rates and not sensors:
+        raise UsageError(f"{client.url} has no sensors: {client.transducers.why}")
+    opcodes = _opcodes_of(wanted, shapes, sensors)
+    asks = any(opcodes is None or opcode in opcodes for opcode in sensors.values())
+    arrivals = _Arrivals(client, asks=asks)
+    last = LastRates()
     left_out = 0
 
     def take(sif: j2a.Sif) -> None:
@@ -215,10 +251,12 @@ def _watch(
         if one.came_at > end:  # simulated time may run faster than that of this machine
             break
         seen += 1
+        figures = None
+        if one.sample is not None:
+            came_us = arrivals.came_us(one.sample)
+            figures = (rates or last).add(one.sample, came_us)
         if rates is None:
-            _print(one, shapes, args)
-        elif one.sample is not None:
-            rates.add(one.sample)
+            _print(one, figures, shapes, args)
     if rates is not None:
         rates.show()
     if left_out:
@@ -269,16 +307,14 @@ def _opcode_or_name(text: str) -> str | int:
 
 
 def _opcodes_of(
-    wanted: Sequence[str | int], shapes: _Shapes, client: j2a.Client
+    wanted: Sequence[str | int], shapes: _Shapes, sensors: Mapping[str, int]
 ) -> list[int] | None:
     """Return the opcodes of SIFs by name or opcode, None for all.
 
     Raises:
         UsageError: the device describes no SIF and has no sensor of a name.
     """
-    sensors = [one for one in client.transducers.values() if isinstance(one, j2a.Sensor)]
-    known = {one.name: one.descriptor.id for one in sensors}
-    known |= {shape.name: opcode for opcode, (shape, _) in shapes.items()}
+    known = dict(sensors) | {shape.name: opcode for opcode, (shape, _) in shapes.items()}
     for name in wanted:
         if isinstance(name, str) and name not in known:
             raise UsageError(
@@ -307,13 +343,13 @@ def _values_of(sif: j2a.Sif, shapes: _Shapes, types: Decoder | None) -> tuple[ob
     return {field.name: json_of(one) for field, one in named}, f"{shape.name}({text})"
 
 
-def _print(one: _Arrived, shapes: _Shapes, args: argparse.Namespace) -> None:
+def _print(one: _Arrived, figures: Facts | None, shapes: _Shapes, args: argparse.Namespace) -> None:
     sif, sample = one.sif, one.sample if args.types is None else None
     problem = None
     values: object
     try:
-        if sample is not None:
-            values, what = None, sample_text(sample)
+        if sample is not None and figures is not None:
+            values, what = None, sample_text(sample) + last_text(figures)
         else:
             values, what = _values_of(sif, shapes, args.types)
     except ValueError as error:
@@ -331,8 +367,9 @@ def _print(one: _Arrived, shapes: _Shapes, args: argparse.Namespace) -> None:
         }
         if values is not None:
             facts["values"] = values
-        if sample is not None:
-            facts |= sample_facts(sample)
+        if sample is not None and figures is not None:
+            facts |= sample_facts(sample)  # what is lost and missed is that of this one
+            facts |= {key: value for key, value in rounded(figures).items() if key not in facts}
         if problem is not None:
             facts["error"] = error_facts(problem, FAILED)
         show_json(facts)

@@ -7,7 +7,15 @@ import pytest
 
 import j2a
 from j2a.cli import _watch
-from j2a.cli._samples import Rates, rate_head, rate_text, sample_text
+from j2a.cli._samples import (
+    LAST,
+    LastRates,
+    Rates,
+    last_text,
+    rate_head,
+    rate_text,
+    sample_text,
+)
 from j2a.events import Reading
 from j2a.io.clock import Clock
 from j2a.types.transds_file import read_transds
@@ -39,9 +47,37 @@ def sample(*readings, **more):
 def test_samples_are_lines(run, board):
     result = run("watch", board, "quad", "--count", "3")
     assert (result.code, result.err) == (0, "")
-    lines = [line.split() for line in result.out.splitlines()]
+    lines = [line.partition("[")[0].split() for line in result.out.splitlines()]
     assert [line[1:6:2] + line[5:6] for line in lines] == [["opcode", "seq", "quad", "quad"]] * 3
     assert all(line[7:8] == ["deg,"] and line[-1] == "deg" for line in lines)
+
+
+def test_samples_and_how_regularly_they_come_are_one_view(run, board):
+    result = run("watch", board, "quad", "--count", "5")
+    assert (result.code, result.err) == (0, "")
+    figures = [re.search(r"deg  \[(.*)\]$", line)[1] for line in result.out.splitlines()]
+    ms = r"[0-9]+\.[0-9]{2} ms"
+    assert re.fullmatch(rf"delay {ms}, most {ms}", figures[0])
+    assert re.fullmatch(rf"[0-9.]+/s, jitter {ms}, delay {ms}, most {ms}", figures[-1])
+    facts = [
+        json.loads(line)
+        for line in run("watch", board, "quad", "--count", "5", "--json").out.splitlines()
+    ]
+    assert [one["samples"] for one in facts] == [1, 2, 3, 4, 5]
+    assert all(one["delay_ms"] > 0 and not one["is_relative"] for one in facts)
+    assert 20 < facts[-1]["per_s"] < 80
+
+
+def test_figures_of_a_line_are_of_the_last_samples():
+    last = LastRates()
+    for at in range(200):  # each 10 ms, then each 20 ms, with one gap
+        ms = 10 * at if at < 100 else 1000 + 20 * (at - 100) + 500 * (at > 100)
+        one = sample((0, 1000 * ms, 1, 1), host_time=ms / 1000 + 1, missed=at == 101)
+        facts = last.add(one, 0)
+    assert (facts["samples"], facts["missed"]) == (LAST, 1)
+    assert last_text(facts) == (
+        "  [50.00/s, jitter 0.00 ms, rel. delay 0.00 ms, most 0.00 ms, missed 1]"
+    )
 
 
 def test_a_reader_that_is_too_slow_bounds_what_waits(run, board, monkeypatch):
