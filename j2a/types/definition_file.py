@@ -6,7 +6,7 @@ functions and those of the file. Rule: what cannot be read is an error that tell
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Final, TypeGuard
 
 from j2a_spec.capabilities import FUNCTIONS
@@ -21,7 +21,8 @@ from j2a.types.parser import parse_interface
 __all__ = [
     "DEFINITIONS",
     "MAX_ITEMS",
-    "entry_text",
+    "Line",
+    "entry_line",
     "interface_text",
     "is_group",
     "read_definition_file",
@@ -39,12 +40,51 @@ _FORMS: Final = {
 _PLAIN: Final = re.compile(r"-?\w+", re.ASCII)
 
 
-class _KeywordError(ValueError):
+Pieces = Iterator[str]
+Maker = Callable[..., Pieces]
+
+
+class _FormError(ValueError):
+    """An argument has another form than it should."""
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(node)
+        self.node = node
+
+
+class _KeywordError(_FormError):
     """A name is a word of C."""
 
-    def __init__(self, name: Word) -> None:
-        super().__init__(name)
-        self.name = name
+
+class Line:
+    """A line of an interface; `str()` is its text.
+
+    Args:
+        macro: that made it.
+        pieces: of it; words of the file among them know their places.
+    """
+
+    def __init__(self, macro: Word, pieces: Iterable[str]) -> None:
+        self.macro = macro
+        self.pieces = tuple(pieces)
+
+    def __str__(self) -> str:
+        return "".join(self.pieces)
+
+    def error(self, what: str, position: int) -> SignatureError:
+        """Return an error that tells the place in the file.
+
+        Args:
+            what: is wrong.
+            position: in the text of the line.
+        """
+        node, at = self.macro, 0
+        for piece in self.pieces:
+            if at > position:
+                break
+            node = piece if isinstance(piece, Word) else node
+            at += len(piece)
+        return node.source.error(what, node.at)
 
 
 def read_definition_file(
@@ -61,15 +101,17 @@ def read_definition_file(
     Raises:
         SignatureError: an entry cannot be read; the error tells the line.
     """
-    own = interface_text(text, options, has_transducers=has_transducers)
-    interface = parse_interface(own)
+    lines = _lines(text, options, has_transducers=has_transducers)
+    try:
+        interface = parse_interface(_text(lines))
+    except SignatureError as error:
+        raise lines[(error.line or 1) - 1].error(error.reason, error.position) from None
+    places = {str(line.pieces[0]): line for line in lines if line.pieces}
     for function in interface.functions:
         # A device of a later version may use such types (J2A-IFACE-011), a file may not.
-        if function.signature is None and f"\n{function.name}(" in own:
-            at = text.find(function.name)
-            line = text.count("\n", 0, at) + 1
-            what = f"{function.name} uses a type that is not defined"
-            raise SignatureError.at(what, text, at, line)
+        line = places[function.name]
+        if function.signature is None and str(line).startswith(f"{function.name}("):
+            raise line.error(f"{function.name} uses a type that is not defined", 0)
     return interface
 
 
@@ -77,27 +119,35 @@ def interface_text(
     text: str, options: Mapping[str, str | None] | None = None, *, has_transducers: bool = False
 ) -> str:
     """Return the text of that interface (J2A-IFACE-001); as `read_definition_file`."""
+    return _text(_lines(text, options, has_transducers=has_transducers))
+
+
+def _text(lines: Iterable[Line]) -> str:
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _lines(
+    text: str, options: Mapping[str, str | None] | None, *, has_transducers: bool
+) -> list[Line]:
     # A board with a clock tells of a2jClock itself; a file does not say whether it has one.
     left_out = {CAP_CLOCK} if has_transducers else {CAP_CLOCK, CAP_TRANSDUCERS}
     lines = [
-        f"{function.name}{' many' if function.kind == 'many' else ''}"
+        Line(Word(), (function.name, " many" if function.kind == "many" else ""))
         for function in FUNCTIONS
         if function.capability not in left_out
     ]
-    definitions: list[str] = []
+    definitions: list[Line] = []
     reader = MacroReader(text, options or {})
     for macro, arguments in reader.entries():
         make = _ENTRIES.get(macro)
         if make is None:
             raise reader.error(f"{macro} is no entry of functions.def", macro)
-        line = entry_text(reader, make, macro, arguments)
+        line = entry_line(reader, make, macro, arguments)
         (definitions if macro in (*DEFINITIONS, "J2A_SIF") else lines).append(line)
-    return "".join(f"{line}\n" for line in (*definitions, "", *lines))
+    return [*definitions, Line(Word(), ()), *lines]
 
 
-def entry_text(
-    reader: MacroReader, make: Callable[..., str], macro: Word, arguments: Arguments
-) -> str:
+def entry_line(reader: MacroReader, make: Maker, macro: Word, arguments: Arguments) -> Line:
     """Return the line of an interface that an entry makes.
 
     Args:
@@ -111,16 +161,15 @@ def entry_text(
     most = _HEADS.get(macro, len(arguments)) + MAX_ITEMS
     if len(arguments) > most:
         raise reader.error(f"{macro} takes {MAX_ITEMS} of these at most", arguments[most])
+    form = f"; write {_FORMS[macro]}" if macro in _FORMS else ""
     try:
-        return make(*arguments)
-    except SignatureError:
-        raise
+        return Line(macro, make(*arguments))
     except _KeywordError as error:
-        what = f"{error.name} is a word of C, which takes it for no name"
-        raise reader.error(what, error.name) from None
-    except (TypeError, ValueError):
-        form = f"; write {_FORMS[macro]}" if macro in _FORMS else ""
-        raise reader.error(f"the arguments of {macro} cannot be read{form}", macro) from None
+        what = f"{error.node} is a word of C, which takes it for no name"
+        raise reader.error(what, error.node) from None
+    except (TypeError, ValueError) as error:
+        node = error.node if isinstance(error, _FormError) else macro
+        raise reader.error(f"the arguments of {macro} cannot be read{form}", node) from None
 
 
 def type_text(node: Node) -> str:
@@ -129,14 +178,19 @@ def type_text(node: Node) -> str:
     Raises:
         ValueError: it is none.
     """
+    return "".join(_type(node))
+
+
+def _type(node: Node) -> Pieces:
     if isinstance(node, Word):
-        return _word(node)
-    if is_group(node):
-        raise ValueError(node)
-    array, element, *count = node
-    if array != "array" or len(count) > 1 or (element in OPEN and not count):
-        raise ValueError(node)
-    return f"{_word(element)}[{''.join(map(_word, count))}]"
+        yield _word(node)
+        return
+    if is_group(node) or len(node) not in (2, 3) or node[0] != "array":
+        raise _FormError(node)
+    _, element, *count = node
+    if element in OPEN and not count:
+        raise _FormError(node)
+    yield from (_word(element), "[", *map(_word, count), "]")
 
 
 def is_group(node: Node) -> TypeGuard[Arguments]:
@@ -144,119 +198,145 @@ def is_group(node: Node) -> TypeGuard[Arguments]:
     return isinstance(node, Arguments) and node.text.startswith("(")
 
 
-def _word(node: Node) -> str:
-    """Return a name or a number: what no blank, bracket or quotation mark is in."""
-    if not isinstance(node, Word) or not _PLAIN.fullmatch(node):
-        raise ValueError(node)
+def _items(node: Node, least: int, most: int) -> Arguments:
+    """Return what stands in parentheses: so many items."""
+    if not is_group(node) or not least <= len(node) <= most:
+        raise _FormError(node)
     return node
 
 
-def _name(node: Node) -> str:
+def _word(node: Node) -> Word:
+    """Return a name or a number: what no blank, bracket or quotation mark is in."""
+    if not isinstance(node, Word) or not _PLAIN.fullmatch(node):
+        raise _FormError(node)
+    return node
+
+
+def _name(node: Node) -> Word:
     """Return what will be a name in C, too."""
     word = _word(node)
     if word in C_KEYWORDS:
-        assert isinstance(node, Word)
-        raise _KeywordError(node)
+        raise _KeywordError(word)
     return word
 
 
-def _unit(node: Node) -> str:
+def _unit(node: Node) -> Pieces:
     if not isinstance(node, Word) or node.startswith('"'):
-        raise ValueError(node)
-    return f" {node}"
+        raise _FormError(node)
+    yield from (" ", node)
 
 
-def _field(node: Node) -> str:
-    if not is_group(node):
-        raise ValueError(node)
-    kind, name, *unit = node
-    if len(unit) > 1:
-        raise ValueError(node)
-    return f"{_name(name)} {type_text(kind)}{''.join(map(_unit, unit))}"
+def _with_unit(items: Iterable[Node]) -> Pieces:
+    kind, *unit = items
+    yield from _type(kind)
+    for one in unit:
+        yield from _unit(one)
 
 
-def _fields(nodes: Iterable[Node]) -> str:
-    return f"({', '.join(map(_field, nodes))})"
+def _field(node: Node) -> Pieces:
+    kind, name, *unit = _items(node, 2, 3)
+    yield from (_name(name), " ", *_with_unit([kind, *unit]))
 
 
-def _result(node: Node) -> str:
+def _listed(pieces: Iterable[Pieces]) -> Pieces:
+    yield "("
+    for number, one in enumerate(pieces):
+        yield ", " * (number > 0)
+        yield from one
+    yield ")"
+
+
+def _fields(nodes: Iterable[Node]) -> Pieces:
+    return _listed(map(_field, nodes))
+
+
+def _result(node: Node) -> Pieces:
     if node == "void":
-        return ""
+        return
+    yield " "
     if not is_group(node):
-        return f" {type_text(node)}"
-    if node and is_group(node[0]):
-        return f" {_fields(node)}"
-    kind, unit = node
-    return f" {type_text(kind)}{_unit(unit)}"
+        yield from _type(node)
+    elif node and is_group(node[0]):
+        yield from _fields(node)
+    else:
+        yield from _with_unit(_items(node, 2, 2))
 
 
-def _doc(text: Node) -> str:
-    plain = bare_text(text)
-    return f" # {plain}" if plain else ""
+def _doc(text: Node) -> Pieces:
+    try:
+        plain = bare_text(text)
+    except SignatureError:
+        raise
+    except ValueError:
+        raise _FormError(text) from None
+    if plain:
+        yield f" # {plain}"
 
 
-def _enum(name: Node, integer: Node, *values: Node) -> str:
-    return f"enum {_name(name)} {_word(integer)} ({', '.join(map(_value, values))})"
+def _enum(name: Node, integer: Node, *values: Node) -> Pieces:
+    yield from ("enum ", _name(name), " ", _word(integer), " ", *_listed(map(_value, values)))
 
 
-def _value(node: Node) -> str:
-    if not is_group(node):
-        raise ValueError(node)
-    name, number = node
-    return f"{_word(name)}={_word(number)}"
+def _value(node: Node) -> Pieces:
+    name, number = _items(node, 2, 2)
+    yield from (_word(name), "=", _word(number))
 
 
-def _struct(name: Node, *fields: Node) -> str:
-    return f"struct {_name(name)} {_fields(fields)}"
+def _struct(name: Node, *fields: Node) -> Pieces:
+    yield from ("struct ", _name(name), " ", *_fields(fields))
 
 
-def _sif(name: Node, opcode: Node, *rest: Node) -> str:
+def _sif(name: Node, opcode: Node, *rest: Node) -> Pieces:
     *fields, text = rest
-    return f"sif {_word(name)} {_word(opcode)} {_fields(fields)}{_doc(text)}"
+    yield from ("sif ", _word(name), " ", _word(opcode), " ", *_fields(fields), *_doc(text))
 
 
-def _function(name: Node, result: Node, *rest: Node) -> str:
+def _function(name: Node, result: Node, *rest: Node) -> Pieces:
     *items, text = rest
-    fields = [item for item in items if is_group(item)]
-    flags = "".join(_flag(item) for item in items if not is_group(item))
-    return f"{_word(name)}{_fields(fields)}{_result(result)}{flags}{_doc(text)}"
+    yield from (_word(name), *_fields(item for item in items if is_group(item)), *_result(result))
+    for item in items:
+        if not is_group(item):
+            yield from _flag(item)
+    yield from _doc(text)
 
 
-def _flag(node: Node) -> str:
-    if node == "idempotent":
-        return f" !{node}"
-    flag, value = node if isinstance(node, Arguments) else ("", node)
-    if flag != "slow":
-        raise ValueError(node)
-    return f" !{flag}({_word(value)})"
+def _flag(node: Node) -> Pieces:
+    if isinstance(node, Word):
+        if node != "idempotent":
+            raise _FormError(node)
+        yield from (" !", node)
+    else:
+        if node[0] != "slow" or len(node) != 2:
+            raise _FormError(node)
+        yield from (" !slow(", _word(node[1]), ")")
 
 
-def _call(name: Node, _function: Node) -> str:
-    return str(_label(name))
+def _call(name: Node, _function: Node) -> Pieces:
+    yield _label(name)
 
 
-def _many(name: Node, _function: Node) -> str:
-    return f"{_label(name)} many"
+def _many(name: Node, _function: Node) -> Pieces:
+    yield from (_label(name), " many")
 
 
-def _label(node: Node) -> str:
+def _label(node: Node) -> Word:
     if not isinstance(node, Word) or " " in node or node[0] == '"':
-        raise ValueError(node)
+        raise _FormError(node)
     return node
 
 
-def _buffer(name: Node, kind: Node, count: Node, text: Node) -> str:
-    element, *unit = kind if is_group(kind) else [kind]
-    if len(unit) > 1:
-        raise ValueError(kind)
-    what = f"{_word(name)} many {_word(element)}[{_word(count)}]"
-    return f"{what}{''.join(map(_unit, unit))}{_doc(text)}"
+def _buffer(name: Node, kind: Node, count: Node, text: Node) -> Pieces:
+    element, *unit = _items(kind, 1, 2) if is_group(kind) else [kind]
+    yield from (_word(name), " many ", _word(element), "[", _word(count), "]")
+    for one in unit:
+        yield from _unit(one)
+    yield from _doc(text)
 
 
-DEFINITIONS: Final[Mapping[str, Callable[..., str]]] = {"J2A_ENUM": _enum, "J2A_STRUCT": _struct}
+DEFINITIONS: Final[Mapping[str, Maker]] = {"J2A_ENUM": _enum, "J2A_STRUCT": _struct}
 """What makes the lines of the macros that define types."""
 
-_ENTRIES: Final[dict[str, Callable[..., str]]] = {
+_ENTRIES: Final[dict[str, Maker]] = {
     **DEFINITIONS,
     "J2A_SIF": _sif,
     "J2A_FUNCTION": _function,

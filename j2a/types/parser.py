@@ -220,7 +220,7 @@ def _signature(scanner: Scanner, types: Types) -> Signature:
     return Signature(parameters, results)
 
 
-def _fields(scanner: Scanner, types: Types) -> tuple[Field, ...]:
+def _fields(scanner: Scanner, types: Types, *, is_structure: bool = False) -> tuple[Field, ...]:
     """Read fields up to and with the ")"."""
     fields: dict[str, Field] = {}
     size, last = 0, None
@@ -233,6 +233,8 @@ def _fields(scanner: Scanner, types: Types) -> tuple[Field, ...]:
             scanner.object(f"nothing may follow {last}, which takes what is left", at)
         scanner.expect(" ", "between a name and its type")
         last = fields[name] = Field(name, read_type(scanner, types))
+        if is_structure:
+            _check_inside(scanner, last, at)
         size += last.type.size
         if size > MAX_PAYLOAD:
             scanner.object(_TOO_LONG, at)
@@ -317,13 +319,16 @@ def _enumeration(scanner: Scanner, name: str, _types: Types) -> Enumeration:
 
 def _structure(scanner: Scanner, name: str, types: Types) -> Structure:
     scanner.expect("(", f"behind {name}")
-    at = scanner.at
-    structure = Structure(name, _fields(scanner, types))
-    if structure.fields[-1].type.is_open:
-        scanner.object(f"a structure cannot hold {structure.fields[-1]}: its size is open", at)
-    if structure.depth > MAX_DEPTH:
+    return Structure(name, _fields(scanner, types, is_structure=True))
+
+
+def _check_inside(scanner: Scanner, field: Field, at: int) -> None:
+    """Object to what no structure can hold."""
+    if field.type.is_open:
+        scanner.object(f"a structure cannot hold {field}: its size is open", at)
+    inner = field.type.element
+    if isinstance(inner, Structure) and inner.depth >= MAX_DEPTH:
         scanner.object(f"structures are nested more than {MAX_DEPTH} deep", at)
-    return structure
 
 
 def _sif(scanner: Scanner, name: str, types: Types, others: list[SifShape]) -> SifShape:

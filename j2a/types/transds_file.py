@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from typing import Final
 
 from j2a.errors import LocalError, SignatureError
-from j2a.types.definition_file import DEFINITIONS, MAX_ITEMS, entry_text, is_group, type_text
+from j2a.types.definition_file import DEFINITIONS, MAX_ITEMS, Line, entry_line, is_group, type_text
 from j2a.types.descriptors import parse_transducer
 from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
 from j2a.types.model import Enumeration, Field, Structure
@@ -72,7 +72,7 @@ def read_transds(
     entries = reader.entries()
     for macro, arguments in entries:  # all of them come first, wherever they stand
         if make := DEFINITIONS.get(macro):
-            _define(reader, macro, entry_text(reader, make, macro, arguments), types)
+            _define(entry_line(reader, make, macro, arguments), types)
     for macro, arguments in entries:
         if macro in _KINDS:
             transducer = _Entry(reader, macro, arguments, types).read()
@@ -99,17 +99,14 @@ def read_transds(
     return Descriptors(tuple(types.values()), tuple(found.values()))
 
 
-def _define(
-    reader: MacroReader, macro: Word, line: str, types: dict[str, Enumeration | Structure]
-) -> None:
-    scanner = Scanner(line)
+def _define(line: Line, types: dict[str, Enumeration | Structure]) -> None:
+    scanner = Scanner(str(line))
     try:
         read_definition(scanner, types, [])
-        if scanner.unknown is not None:
-            raise scanner.error("this type is not defined", scanner.unknown)
     except SignatureError as error:
-        near = error.text[error.position :][:20]
-        raise reader.error(f"{error.reason}, at {near!r}", macro) from None
+        raise line.error(error.reason, error.position) from None
+    if scanner.unknown is not None:
+        raise line.error("this type is not defined", scanner.unknown)
 
 
 class _Entry:

@@ -167,6 +167,17 @@ def test_a_definition_file_says_what_the_board_says(folder):
         ('J2A_CALL(a, b) "', 'a second " is missing in this line'),
         ('J2A_FUNCTION(add, i32, (i32, a), (i32, a), "x")', "the name a stands here twice"),
         ("J2A_ENUM(m, u8, (a, 0), b)", "the arguments of J2A_ENUM cannot be read"),
+        (
+            "\nJ2A_STRUCT(s,\n (u8, a), (u8, a))",
+            "the name a stands here twice (line 3, character 16",
+        ),
+        ("\nJ2A_STRUCT(s, (u8, a), (text, b))", "a structure cannot hold b text: its size is open"),
+        ('\n\nJ2A_SIF(tick, 256, (u8, n), "")', "not 256 (line 3, character 15"),
+        ('\nJ2A_FUNCTION(f, void, (u8, a), (u8, a), "")', "(line 2, character 37, at 'a), \"\")')"),
+        (
+            'J2A_CALL(f, f)\nJ2A_FUNCTION(g, i33, "")',
+            "type that is not defined (line 2, character 14",
+        ),
     ],
 )
 def test_a_definition_file_that_cannot_be_read_says_where(text, message):
