@@ -10,6 +10,7 @@ that they read the file, is an error.
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping
+from difflib import get_close_matches
 from itertools import zip_longest
 from typing import Final
 
@@ -45,6 +46,9 @@ _ASKED: Final = re.compile(
     r"|(?P<value>[A-Za-z_]\w*|[01]))\s*"
 )
 _INCLUDE: Final = re.compile(r'#\s*include\s*"([^"\n]+)"\s*')
+_FUNCTION_LIKE: Final = re.compile(r"#\s*define\s+([A-Za-z_]\w*)\(", re.ASCII)
+_WORD_OF_LINE: Final = re.compile(r"#\s*(\w*)", re.ASCII)
+_LINES: Final = ("", "define", "elif", "error", "include", "line", "pragma", "undef", "warning")
 _ONLY_A_BUILD: Final = "only a build can decide this; ask a board, by its URL"
 _DIFFERENT: Final = ("true", "false")
 _MAX_INCLUDES: Final = 100
@@ -306,7 +310,7 @@ class MacroReader:
         elif _BODY.match(line):
             raise self._wrong("a name stands for one word or one text here")
         else:
-            raise self._wrong(_ONLY_A_BUILD)
+            raise self._wrong(_not_read(line))
 
     def _define(self, name: str, word: str) -> None:
         value = self._expanded(word, self._start)
@@ -367,7 +371,7 @@ class MacroReader:
         """Return whether a condition holds."""
         match = _ASKED.fullmatch(asked)
         if match is None or (kind != "if" and (match[1] or not match["value"])):
-            raise self._wrong(_ONLY_A_BUILD)
+            raise self._wrong(_not_asked(kind, asked.strip()))
         name = match["asked"] or match["named"] or match["value"]
         known: dict[str, str | None] = {"0": "0", "1": "1", **self._options, **self._defined}
         if name not in known:
@@ -478,6 +482,33 @@ class MacroReader:
         escapes = (text.wrong_escape for text in texts if text.wrong_escape is not None)
         joined.wrong_escape = next(escapes, None)
         return joined
+
+
+def _not_read(line: str) -> str:
+    """Return what to say of a line with # that is not read."""
+    if match := _FUNCTION_LIKE.match(line):
+        return f"{match[1]} has arguments: write in its place what it stands for"
+    match = _WORD_OF_LINE.match(line)
+    assert match is not None
+    word = match[1]
+    if word == "define":
+        return "a name is expected behind #define"
+    if word not in _LINES:
+        near = get_close_matches(word, [*_LINES, "if", "ifdef", "ifndef", "else", "endif"], n=1)
+        return f"#{word} is no line of C" + (f"; near it is #{near[0]}" if near else "")
+    return _ONLY_A_BUILD
+
+
+def _not_asked(kind: str, asked: str) -> str:
+    """Return what to say of a condition that is not read; `kind` is "if", "ifdef" or "ifndef"."""
+    if not asked:
+        return f"a condition is missing behind #{kind}"
+    if kind != "if":
+        return f"#{kind} takes one name; for more than that write #if"
+    if asked.count("(") != asked.count(")"):
+        missing = ")" if asked.count("(") > asked.count(")") else "("
+        return f'a "{missing}" is missing in this condition'
+    return f"{_ONLY_A_BUILD}; a file may ask for NAME, !NAME, defined(NAME), 0 and 1"
 
 
 def bare_text(node: Node) -> str:
