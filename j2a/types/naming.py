@@ -11,24 +11,22 @@ from typing import Final
 
 __all__ = ["C_KEYWORDS", "CNames", "free_name", "is_reserved"]
 
-_WORDS: Final = """
-alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t
-char8_t class co_await co_return co_yield compl concept const const_cast consteval constexpr
-constinit continue decltype default delete do double dynamic_cast else enum explicit export
-extern false float for friend goto if inline int int128_t long main mutable namespace new
-noexcept not not_eq nullptr operator or or_eq private protected public register
-reinterpret_cast requires restrict return short signed sizeof static static_assert static_cast
-struct switch template this thread_local throw true try typedef typeid typename typeof
-typeof_unqual union unsigned using virtual void volatile wchar_t while xor xor_eq
+_OF_C: Final = """
+auto break case char const continue default do double else enum extern float for goto if inline
+int long register restrict return short signed sizeof static struct switch typedef union
+unsigned void volatile while
 """
-_KEYWORDS: Final = """
-auto break case char const continue default do double else enum extern float for goto if inline int
-long register restrict return short signed sizeof static struct switch typedef union unsigned void
-volatile while
+_FURTHER: Final = """
+alignas alignof and and_eq asm bitand bitor bool catch char16_t char32_t char8_t class co_await
+co_return co_yield compl concept const_cast consteval constexpr constinit decltype delete
+dynamic_cast explicit export false friend int128_t main mutable namespace new noexcept not
+not_eq nullptr operator or or_eq private protected public reinterpret_cast requires
+static_assert static_cast template this thread_local throw true try typeid typename typeof
+typeof_unqual using virtual wchar_t xor xor_eq
 """
-_C_WORDS: Final = frozenset(_WORDS.split())
-C_KEYWORDS: Final = frozenset(_KEYWORDS.split())
+C_KEYWORDS: Final = frozenset(_OF_C.split())
 """What C99 reserves, apart from names that begin with an underscore."""
+_C_WORDS: Final = C_KEYWORDS.union(_FURTHER.split())
 _C_OF_HEADERS: Final = re.compile(
     r"_[A-Z_].*|linux|unix|u?int(_least|_fast)?[0-9]+_t|u?int(ptr|max)_t"
     r"|(U?INT\w*|SIZE|WCHAR|WINT|PTRDIFF|SIG_ATOMIC)_(MIN|MAX|C)"
