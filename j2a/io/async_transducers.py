@@ -14,7 +14,7 @@ from j2a_spec import constants as c
 from j2a.errors import CallTimeout, WrongArgument
 from j2a.events import Reading, Sample
 from j2a.io.streams import MAX_SIFS
-from j2a.io.transducers import SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
+from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
 from j2a.types.arrays import Batch
 from j2a.types.samples import pack_time
 
@@ -62,13 +62,11 @@ class _Async(RemoteTransducer):
         """Have the device keep the settings of now without power; `Sensor.save` for asyncio."""
         client = self._client
         end = client.now() + timeout
-        request: bytes | None = self._save_request()
-        while request is not None:
-            _, item, *value = request
-            make = partial(self._request, item, bytes(value))
-            reply = await client._call_transducer(make)
-            request = self._next_save(request, reply, client.now() >= end)
-            if request is not None:
+        value: bytes | None = SAVE
+        while value is not None:
+            reply = await client._call_transducer(partial(self._request, c.TRANSD_SAVE, value))
+            value = self._next_save(value, reply, client.now() >= end)
+            if value is not None:
                 await asyncio.sleep(SAVE_POLL_S)
 
     async def is_saved(self) -> bool:

@@ -14,7 +14,7 @@ from j2a_spec import constants as c
 from j2a.errors import CallTimeout
 from j2a.events import Reading, Sample
 from j2a.io.streams import MAX_SIFS
-from j2a.io.transducers import SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
+from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
 from j2a.types.arrays import Batch
 from j2a.types.samples import pack_time
 
@@ -72,13 +72,11 @@ class _Blocking(RemoteTransducer):
         """
         client = self._client
         end = client.now() + timeout
-        request: bytes | None = self._save_request()
-        while request is not None:
-            _, item, *value = request
-            make = partial(self._request, item, bytes(value))
-            reply = client._call_transducer(make)
-            request = self._next_save(request, reply, client.now() >= end)
-            if request is not None:
+        value: bytes | None = SAVE
+        while value is not None:
+            reply = client._call_transducer(partial(self._request, c.TRANSD_SAVE, value))
+            value = self._next_save(value, reply, client.now() >= end)
+            if value is not None:
                 time.sleep(SAVE_POLL_S)
 
     def is_saved(self) -> bool:

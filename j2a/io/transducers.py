@@ -56,7 +56,7 @@ _NEEDS: Final = {
 }
 SAVE_S: Final = 20.0
 SAVE_POLL_S: Final = 0.02
-_SAVE: Final = bytes((c.TRANSD_SAVED,))
+SAVE: Final = bytes((c.TRANSD_SAVED,))
 SETTINGS: Final = {
     "enabled": c.TRANSD_ENABLED,
     "period": c.TRANSD_PERIOD,
@@ -220,14 +220,11 @@ class RemoteTransducer:
         except (struct.error, PayloadMismatchError, UnicodeDecodeError) as error:
             raise ProtocolError(f"{self.name}: {setting} came as {data!r:.60}: {error}") from None
 
-    def _save_request(self) -> bytes:
-        return self._request(c.TRANSD_SAVE, _SAVE)
-
-    def _next_save(self, request: bytes, reply: Reply, is_over: bool) -> bytes | None:
-        """Return the request that follows one of SAVE, None when the settings are kept.
+    def _next_save(self, value: bytes, reply: Reply, is_over: bool) -> bytes | None:
+        """Return the value of the request of SAVE that follows one, None when settings are kept.
 
         Args:
-            request: the one that was answered.
+            value: of the one that was answered; nothing asks for the state.
             reply: to it.
             is_over: the device has had its time.
 
@@ -235,7 +232,7 @@ class RemoteTransducer:
             FunctionFailed: the device keeps none, or does not get ready in time.
         """
         if reply.code == c.TRANSD_BUSY and not is_over:
-            return request
+            return value
         if reply.code == c.TRANSD_NO_ITEM:
             raise FunctionFailed(
                 f"{self.name}: the device keeps no settings without power",
@@ -243,7 +240,7 @@ class RemoteTransducer:
                 payload=reply.payload,
             )
         state = self._answer(reply)
-        if state == _SAVE:
+        if state == SAVE:
             return None
         if state != bytes((c.TRANSD_SAVING,)) or is_over:
             raise FunctionFailed(
@@ -251,10 +248,10 @@ class RemoteTransducer:
                 code=reply.code,
                 payload=state,
             )
-        return self._request(c.TRANSD_SAVE)
+        return b""
 
     def _is_saved(self, state: bytes) -> bool:
-        return state == _SAVE
+        return state == SAVE
 
     def _time(self, data: bytes) -> int:
         if len(data) != TIME_BYTES:
