@@ -29,8 +29,9 @@ examples:
   j2a export drive.mcap tables --format parquet
 
 The columns: host_time_ns (since 1970), time_us (on the clock of the board), channel, and value in
-the unit of the sensor, or the raw fields of a structure. No value (N/A) is an empty cell. It needs
-NumPy and pandas: pip install "j2a[arrays]"; for Parquet: pip install "j2a[parquet]"."""
+the unit of the sensor, the number of an enumeration, or the raw fields of a structure. No value
+(N/A) is an empty cell. It needs NumPy and pandas: pip install "j2a[arrays]"; for Parquet:
+pip install "j2a[parquet]"."""
 _PIECE: Final = 20_000
 _MOST_OF_NAME: Final = 50
 _Frame = Any

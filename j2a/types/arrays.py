@@ -26,6 +26,9 @@ _OTHER_COLUMNS: Final = ("host_time_ns",)
 """What recordings add to tables."""
 
 
+_WIDE: Final = ("i64", "u64")  # which a float does not hold
+
+
 class Batch:
     """Samples of one sensor.
 
@@ -108,7 +111,8 @@ class Batch:
         """Return a table with a row for each value: time_us, channel, value.
 
         Values are 64-bit floating-point numbers, NaN where there is none; integers of 64 bits
-        without scale and offset stay integers, `pandas.NA` where there is none. The columns of a
+        without scale and offset and those of enumerations stay integers, `pandas.NA` where there is
+        none. The columns of a
         structure are its fields, and those of an array have numbers, such as rate_0, rate_1; those
         of a structure are raw. A name that is there already gets a number, such as time_us2.
 
@@ -119,8 +123,10 @@ class Batch:
         columns = {"time_us": self.times_us.ravel(), "channel": self.channels.ravel()}
         sensor = self.sensor
         element = number_element(sensor.type)
-        if element in ("i64", "u64") and not sensor.is_scaled:
-            value = pandas.Series(self.raw.ravel(), dtype="Int64" if element == "i64" else "UInt64")
+        is_named = isinstance(sensor.type.element, Enumeration)
+        if element is not None and not sensor.is_scaled and (is_named or element in _WIDE):
+            dtype = f"{'U' * element.startswith('u')}Int{element[1:]}"
+            value = pandas.Series(self.raw.ravel(), dtype=dtype)
             value[self._is_none().ravel()] = pandas.NA
             columns["value"] = value
         elif element is not None:

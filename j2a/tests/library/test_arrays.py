@@ -12,6 +12,7 @@ import j2a
 from j2a.types.arrays import Batch
 from j2a.types.coding import PythonTypes
 from j2a.types.samples import SampleCodec
+from j2a.types.transds_file import read_transds
 
 from .test_recording import FILE, SENSORS, payloads
 
@@ -56,6 +57,16 @@ def test_structures_and_arrays(data):
     ]
     with pytest.raises(j2a.LocalError, match="see raw"):
         batch.values  # noqa: B018
+
+
+@pytest.mark.parametrize(("integer", "code"), [("u8", "B"), ("i16", "h"), ("u32", "I")])
+def test_a_table_has_enumerations_as_whole_numbers(integer, code):
+    pytest.importorskip("pandas")
+    text = f"J2A_ENUM(mode, {integer}, (off, 0), (on, 5))SENSOR(a, 1, a, X, 2, mode, 7)"
+    [sensor] = read_transds(text).transducers
+    payload = struct.pack(f"<Q{code}Q{code}", 5, 5, 6, 7)
+    table = Batch(sensor, [payload]).to_pandas()
+    assert table.to_csv(index=False).splitlines() == ["time_us,channel,value", "5,0,5", "6,1,"]
 
 
 def test_a_table_of_pandas():
