@@ -7,12 +7,12 @@ Rules: arguments are checked before anything is sent; waiting and bytes are the 
 
 import weakref
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
 from j2a_spec.constants import GET_ECHO, TRANSD
 
-from j2a.errors import J2AError
+from j2a.errors import J2AError, UnknownTransducer
 from j2a.events import Doubt, Reply, Restart, Sif
 from j2a.io.blocking import Engine, Handler, RestartHandler
 from j2a.io.blocking_transducers import Actuator, Sensor
@@ -152,8 +152,11 @@ class Client(ClientBase):
         """Call a2jTransd with the payload that is made by what the device has now."""
         generation = self._session.generation
         if self._knows_transducers:
-            request = make()
-            known = self._known(TRANSD, request)
+            request, known = b"", None
+            # Another thread may have begun to learn them anew; below this waits for it.
+            with suppress(UnknownTransducer):
+                request = make()
+                known = self._known(TRANSD, request)
             if known is not None:
                 return self._engine.call(*known, request, self._timeout, generation)
         limits = self._call_limits(None, self.now())

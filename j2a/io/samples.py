@@ -146,6 +146,12 @@ class SampleSource:
         state = self._load().by_name.get(name)
         return None if state is None else state.codec
 
+    def codec_of_reply(self, name: str) -> SampleCodec | None:
+        """Return the same for a reply: while all is learnt anew, that by which it was asked for."""
+        known = self._load()
+        states = self._before if known.descriptors is None else known.by_name
+        return states[name].codec if name in states else None
+
     def latest(self, name: str) -> Sample | None:
         """Return the newest sample of a sensor."""
         state = self._load().by_name.get(name)

@@ -105,7 +105,9 @@ class RemoteTransducer:
 
     @property
     def _codec(self) -> SampleCodec:
-        codec = self._source.codec(self.name)
+        return self._checked(self._source.codec(self.name))
+
+    def _checked(self, codec: SampleCodec | None) -> SampleCodec:
         if codec is None:
             raise UnknownTransducer(f"{self._url} has no transducer {self.name!r} any more")
         return codec
@@ -208,7 +210,7 @@ class RemoteTransducer:
         """
         try:
             if setting == "threshold":
-                return self._codec.unpack_raw(data)
+                return self._checked(self._source.codec_of_reply(self.name)).unpack_raw(data)
             if setting == "topic":
                 return data.decode()
             if setting in ("enabled", "decimation"):
@@ -260,7 +262,7 @@ class RemoteTransducer:
 
     def _readings(self, data: bytes) -> tuple[Reading, ...]:
         try:
-            return self._codec.unpack(data)
+            return self._checked(self._source.codec_of_reply(self.name)).unpack(data)
         except PayloadMismatchError as error:
             raise ProtocolError(f"{self.name}: {error}") from None
 

@@ -589,6 +589,24 @@ class TestSettings:
                 with pytest.raises(j2a.ProtocolError, match="quad"):
                     read()
 
+    @pytest.mark.parametrize("when", ["before the request", "before the reply"])
+    def test_a_sensor_is_read_while_another_thread_refreshes(
+        self, device, board, when, monkeypatch
+    ):
+        device.sense("quad", 0, 12)
+        quad = board.transducers["quad"]
+        assert quad.read()[0].value is not None
+        name = "_sample_request" if when == "before the request" else "_readings"
+        original, turns = getattr(type(quad), name), iter([True])
+
+        def interrupted(sensor, *args):
+            if next(turns, False):
+                board._device._forget_interface()
+            return original(sensor, *args)
+
+        monkeypatch.setattr(type(quad), name, interrupted)
+        assert quad.read()[0].value is not None
+
     def test_a_newest_sample_is_read(self, device, board):
         device.sense("quad", 0, 12)
         assert [one.value for one in board.transducers["quad"].read()] == [12.0, None]
