@@ -61,7 +61,7 @@ class Report:
 
     Attributes:
         settings: of the run.
-        figures: name -> value.
+        figures: name -> value; None where there was nothing to measure it by.
         bounds: name of a figure -> what analysis gives for it; none of a run that is too short.
         times_s, errors_us: for plots: true times, and for each board its error to the host.
         counted: which of these times are in the figures.
@@ -98,6 +98,7 @@ class Report:
         for name, value in self.figures.items():
             bound = f"{self.bounds[name]:.6g}" if name in self.bounds else ""
             text = f"{value:.6g}" if isinstance(value, float) else str(value)
+            text = "-" if value is None else text
             lines.append(f"{name:24}{text:>14}{bound:>14}".rstrip())
         if not s.is_settled:
             lines.append("too short for the clocks to settle: no bounds")
@@ -191,11 +192,11 @@ def _rms(values: Floats) -> float:
 
 
 def _pairs(errors: Floats) -> dict[str, Any]:
-    """The worst of all pairs, by rms and by the greatest difference."""
+    """The worst of all pairs, by rms and by the greatest difference; None where there is none."""
     pairs = [errors[one] - errors[other] for one, other in combinations(range(len(errors)), 2)]
     return {
-        "pair_rms_us": max((_rms(pair) for pair in pairs), default=0.0),
-        "pair_peak_us": max((float(np.abs(pair).max(initial=0)) for pair in pairs), default=0.0),
+        "pair_rms_us": max(map(_rms, pairs), default=None),
+        "pair_peak_us": max((float(np.abs(pair).max(initial=0)) for pair in pairs), default=None),
     }
 
 
@@ -207,7 +208,7 @@ def _uncertainty(boards: list[Readings], errors: Floats, good: NDArray[np.bool_]
     return {
         "inside_uncertainty": float(np.mean(inside[known])) if known.any() else 0.0,
         "known_uncertainty": float(np.mean(known)) if known.size else 0.0,
-        "uncertainty_us": float(np.median(told[known])) if known.any() else 0.0,
+        "uncertainty_us": float(np.median(told[known])) if known.any() else None,
         "readings": int(known.size),
     }
 
@@ -246,6 +247,8 @@ def bounds(settings: Settings, slack_us: float, drift_us: float = 0.0) -> dict[s
     if settings.holdover_at is not None:
         kept_s, held_s = WINDOW * settings.period_s, settings.seconds - settings.holdover_at
         found["holdover_end_us"] = drift_us + 2 * host * (1 + held_s / kept_s)
+    if settings.boards == 1:
+        return found
     if settings.link != "usb":
         return {**found, "pair_rms_us": host * math.sqrt(2), "pair_peak_us": 4 * host}
     hubs = 1e6 * (TIERS * HUB_S[1] + CABLE_S)

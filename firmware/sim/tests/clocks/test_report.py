@@ -50,6 +50,16 @@ def test_errors_between_boards_and_to_the_host(times, clock):
     assert found["locked"] == 1.0
 
 
+def test_what_was_not_measured_does_not_look_perfect(times, clock):
+    """One board has no pair; a board that announces nothing is not known to a microsecond."""
+    found = report(times, clock, [np.zeros(len(times))])
+    told = json.loads(json.dumps(found.as_dict()))
+    assert told["pair_rms_us"] is None and told["pair_peak_us"] is None
+    assert not {"pair_rms_us", "pair_peak_us"} & told["bounds"].keys()
+    rows = {line.split()[0]: line.split()[1:] for line in found.as_text().splitlines()}
+    assert rows["pair_rms_us"] == rows["pair_peak_us"] == ["-"]
+
+
 def test_what_is_outside_its_uncertainty_is_counted(times, clock):
     error = np.where(times > 90, 30.0, 0.0)
     found = report(times, clock, [error, np.zeros(len(times))]).figures
@@ -69,6 +79,7 @@ def test_an_unknown_uncertainty_is_told_as_such(times, clock):
     settings = Settings(boards=1, seconds=100)
     found = make_report(settings, times, boards, clock, more={}, slack_us=30.0).figures
     assert found["known_uncertainty"] == 0 and found["inside_uncertainty"] == 0
+    assert found["uncertainty_us"] is None
 
 
 def test_allan_deviations_of_known_noises():
