@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.svg", help="where the plot goes, for plot"
     )
-    add_json_argument(parser, "the status, or the figures,")
+    add_json_argument(parser, "the status, the figures, or what was plotted,")
     group = parser.add_argument_group("verify")
     group.add_argument("--actuator", metavar="NAME", help="of the first board (the only one)")
     group.add_argument("--sensor", metavar="NAME", help="of the referee (the only one)")
@@ -114,7 +114,11 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise UsageError(f"cannot write {args.output}: {error.strerror}") from None
         count = sum(map(len, boards.values()))
-        show(f"wrote {args.output}: {count} rounds, buses and boards: {len(boards)}")
+        if args.json:
+            rounds = {board: len(those) for board, those in boards.items()}
+            show_json({"file": str(args.output), "rounds": rounds})
+        else:
+            show(f"wrote {args.output}: {count} rounds, buses and boards: {len(boards)}")
         return OK
     status = _ask({"command": "status"})
     if args.json:

@@ -54,6 +54,8 @@ def test_status_and_plot(run, daemon, tmp_path):
     assert status["boards"] == []
     assert "no boards" in run("sync", "status").out
     assert run("sync", "plot", "-o", tmp_path / "p.svg").code == 0
+    told = json.loads(run("sync", "plot", "-o", tmp_path / "p.svg", "--json").out)
+    assert told == {"file": str(tmp_path / "p.svg"), "rounds": {}}
     assert ET.parse(tmp_path / "p.svg").getroot().tag.endswith("svg")
 
 
