@@ -38,8 +38,18 @@ class _Order:
     at_us: int
 
 
-def _made(transducer: Any, item: int, pack: _Pack, at_us: int) -> bytes:
-    """Return a request, by what the board says of the transducer now."""
+def _made(check: Callable[[], None], transducer: Any, item: int, pack: _Pack, at_us: int) -> bytes:
+    """Return a request, by what the board says of the transducer now.
+
+    Args:
+        check: looks whether the time still is one of the board's clock.
+        transducer, item, pack, at_us: what is to be done, and when.
+
+    Raises:
+        DeviceRestarted: the board has restarted since.
+        LocalError: its clock was set since.
+    """
+    check()
     request: bytes = transducer._request(item, pack(transducer._codec, at_us))
     return request
 
@@ -89,8 +99,10 @@ class _At:
                 raise WrongArgument(
                     f"{name} of {board} is {kind}; actuators are set, and sensors triggered"
                 )
-            at_us = self._at_us(board, client.clock)
-            order = _Order(board, one, partial(_made, one, item, pack, at_us), at_us)
+            clock = client.clock
+            check = partial(clock._check_course, clock._course)
+            at_us = self._at_us(board, clock)
+            order = _Order(board, one, partial(_made, check, one, item, pack, at_us), at_us)
             order.request()  # checks it
             orders.append(order)
         return orders
@@ -151,6 +163,8 @@ class FleetAt(_At):
                 is wrong; nothing was sent.
             UnknownTransducer: no board has the actuator, or one that is named has not.
             CallTimeout: not all boards had their order in time.
+            DeviceRestarted: a board restarted before its order was sent, so the time was not of its
+                clock; LocalError where the clock was set meanwhile. The others had their orders.
             J2AError: as `Actuator.set`; the other boards had their orders all the same.
         """
         return self._send(name, boards, c.TRANSD_SET, _packed(values, channel, raw))

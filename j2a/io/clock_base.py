@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from j2a_spec import constants as c
 
-from j2a.errors import LinkClosed, LocalError, NoClock, ProtocolError, remote_error
+from j2a.errors import DeviceRestarted, LinkClosed, LocalError, NoClock, ProtocolError, remote_error
 from j2a.io.host_time import host_time_of
 from j2a.protocol.clock import (
     ClockState,
@@ -216,6 +216,34 @@ class ClockBase:
         if newest is None or not self._is_known:
             return False
         return self._host.counter_us() - newest.came_us < c.CLOCK_HOLDOVER_S * _US
+
+    @property
+    def _course(self) -> tuple[int, int]:
+        """What a time of the board belongs to: how often it has restarted, and its epoch."""
+        status = self._discipline.status
+        return self._client.counters.restarts, 0 if status is None else status.epoch
+
+    def _check_course(self, planned: tuple[int, int]) -> None:
+        """Look whether times that were planned hold.
+
+        Args:
+            planned: `_course` when they were.
+
+        Raises:
+            DeviceRestarted: the board has restarted since.
+            LocalError: its clock was set since.
+        """
+        restarts, epoch = self._course
+        if restarts != planned[0]:
+            raise DeviceRestarted(
+                f"{self._url} restarted after a time on its clock was planned; nothing was sent "
+                "to it"
+            )
+        if epoch != planned[1]:
+            raise LocalError(
+                f"the clock of {self._url} was set after a time on it was planned; nothing was "
+                "sent to it"
+            )
 
     def _to_act(self, host_us: int) -> tuple[int, float]:
         """Return the time of the board at which it acts at a Unix time of this computer.

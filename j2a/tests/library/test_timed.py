@@ -13,9 +13,11 @@ from j2a_spec import constants as c
 
 import j2a
 from j2a.protocol.clock import Adjust
+from j2a.timed import FleetAt
 from j2a.types.transds_file import read_transds
 
 from .clocked import ClockedDevice
+from .rebooting import Rebooting
 from .support import PATIENCE_S, served
 from .test_aio import in_event_loop
 
@@ -253,6 +255,53 @@ def test_a_board_that_follows_another_clock_acts_at_our_time(off_us, ago_us, sta
             )
             told, time_us = in_time(fleet, lambda at: at.set("lamp", 1)["one"])
             assert abs(told - time_us - 700_000) <= bound_us(clock, time_us)
+
+
+def restart(link, client, _device):
+    link.reset()
+    while not client.counters.restarts:
+        time.sleep(0.001)
+
+
+def be_set(_link, client, device):
+    set_clock(device, 0)
+    client.clock.measure(1)
+
+
+@pytest.mark.parametrize(
+    ("meanwhile", "error", "text"),
+    [
+        (restart, j2a.DeviceRestarted, "restarted after a time on its clock was planned"),
+        (be_set, j2a.LocalError, "was set after a time on it was planned"),
+    ],
+)
+def test_an_order_for_a_clock_that_is_gone_is_not_sent(meanwhile, error, text):
+    """The second board begins anew, or is set, while the first one is told."""
+    with contextlib.ExitStack() as stack:
+        devices, clients = [], {}
+        for name in ("left", "right"):
+            device = j2a.Device({}, boot=True, clock=0, transducers=read_transds(FILE))
+            device.actuator("lamp")(lambda *_what: None)
+            link = stack.enter_context(Rebooting(device))
+            clients[name] = stack.enter_context(j2a.Client(link.near, timeout=PATIENCE_S))
+            devices.append(device)
+        told = []
+
+        def note(execute, number):
+            def answer(opcode, payload):
+                if payload[1:2] == bytes([c.TRANSD_SET]):
+                    told.append(number)
+                    meanwhile(link, clients["right"], devices[1])
+                return execute(opcode, payload)
+
+            return answer
+
+        for number, device in enumerate(devices):
+            device._table.execute = note(device._table.execute, number)
+        with pytest.raises(error, match=text):
+            FleetAt(clients, soon_us(60), math.inf).set("lamp", 1)
+        assert told == [0]
+        assert FleetAt(clients, soon_us(60), math.inf).set("lamp", 1, boards=["left"])
 
 
 def test_boards_that_follow_us_are_told_our_time():
