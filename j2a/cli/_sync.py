@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bound",
         type=positive_number,
         metavar="US",
-        help="what is allowed, in place of the sum of what both boards announce",
+        help="what is allowed, in place of the sum of what is announced of both boards",
     )
     group.add_argument(
         "--no-discipline",

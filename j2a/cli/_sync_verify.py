@@ -18,12 +18,14 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
+from urllib.parse import unquote
 
 import j2a
 from j2a.cli._exit import FAILED, OK, TIMEOUT, CommandFailed, UsageError, end_on_sigterm
 from j2a.cli._link import connect_to
 from j2a.cli._output import note, show, show_json
 from j2a.protocol.clock import ClockState, Status
+from j2a.syncd.singleton import NotRunning, ask, folders
 
 __all__ = ["Edge", "Figures", "verify"]
 
@@ -196,7 +198,7 @@ def _edge(
     for board, one, other in zip(boards, before, after, strict=True):
         if one.epoch != other.epoch:
             raise CommandFailed(f"the clock of {board.url} was set between order and edge", FAILED)
-    return Edge(stamp_us - at_us - args.delay, _bound_us([*before, *after], args))
+    return Edge(stamp_us - at_us - args.delay, _bound_us(boards, [*before, *after], args))
 
 
 def _wait_for_quiet(samples: Any, sensor: Any, referee: j2a.Client) -> None:
@@ -237,19 +239,35 @@ def _stamp(samples: Any, sensor: Any, end: float, referee: j2a.Client, what: str
     )
 
 
-def _bound_us(statuses: list[Status], args: argparse.Namespace) -> float:
-    """Return the greatest sum of what both boards announced around an edge."""
+def _bound_us(boards: list[j2a.Client], statuses: list[Status], args: argparse.Namespace) -> float:
+    """Return the greatest sum of what was announced of both boards around an edge."""
     if args.bound is not None:
         return float(args.bound)
-    sums = []
-    for driver, referee in (statuses[:2], statuses[2:]):
-        if driver.uncertainty_us is None or referee.uncertainty_us is None:
-            raise UsageError(
-                "a board does not know how far off its clock is, because it was told the time by "
-                "SyncUSB only: --bound US says what is allowed"
-            )
-        sums.append(driver.uncertainty_us + referee.uncertainty_us)
-    return float(max(sums))
+    told = [_announced_us(*one) for one in zip([*boards, *boards], statuses, strict=True)]
+    return float(max(sum(told[:2]), sum(told[2:])))
+
+
+def _announced_us(board: j2a.Client, status: Status) -> float:
+    """Return what a board says of its clock, or the daemon, which tells it only the time.
+
+    Raises:
+        UsageError: neither does.
+    """
+    if status.uncertainty_us is not None:
+        return status.uncertainty_us
+    what = unquote(board.url.partition("?")[0])
+    if board.url.startswith("usb:"):  # the daemon knows boards by serial number, or path of ports
+        what = what.removeprefix("usb:").removeprefix("//").rpartition("/")[2]
+    for folder in folders():
+        with contextlib.suppress(NotRunning):
+            rows: Any = ask(folder, {"command": "status"}).get("boards", [])
+            found = [row for row in rows if what in (row["board"], row["place"].split()[-1])]
+            if len(found) == 1 and found[0]["uncertainty_us"] is not None:
+                return float(found[0]["uncertainty_us"])
+    raise UsageError(
+        f"{board.url} does not know how far off its clock is, because it was told the time by "
+        "SyncUSB only, and no j2a syncd says so: --bound US says what is allowed"
+    )
 
 
 def _show(figures: Figures, args: argparse.Namespace) -> int:

@@ -8,11 +8,15 @@ import json
 import struct
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from j2a_spec import constants as c
 
 import j2a
+from j2a.cli._sync_verify import _announced_us
+from j2a.protocol.clock import Adjust
+from j2a.syncd.singleton import Server
 from j2a.types.transds_file import read_transds
 
 from .conftest import WAIT_S, served
@@ -152,6 +156,51 @@ def test_clocks_that_another_program_keeps_are_left_alone(run, urls, monkeypatch
         other.clock.discipline(),
     ):
         assert run("sync", "verify", *urls, "--no-discipline", "--count", "2").code == 0
+
+
+@pytest.fixture
+def told_by_syncusb(wire, referee):
+    """Both clocks are right and locked, but know not how well, as behind SyncUSB packets."""
+    for device in (wire, referee):
+        device._ask_clock(bytes([c.CLOCK_STATUS]))
+        for is_step in (True, False):
+            local, time_us = device._local_us(), time.time_ns() // 1000
+            told = Adjust(is_step, local, time_us, 0, c.CLOCK_UNKNOWN, 0)
+            assert device._clock.request(told.pack(), local, local)[0] == 0
+
+
+@pytest.mark.parametrize("uncertainty_us", [200_000.0, None])
+def test_a_daemon_announces_what_boards_with_syncusb_do_not(
+    run, urls, told_by_syncusb, uncertainty_us, monkeypatch, tmp_path
+):
+    monkeypatch.setenv("J2A_RUNTIME_DIR", str(tmp_path))
+    words = ("sync", "verify", *urls, "--no-discipline", "--count", "1")
+    result = run(*words)
+    assert result.code == 2
+    assert "SyncUSB only, and no j2a syncd says so: --bound US" in result.err
+    row = {"uncertainty_us": uncertainty_us}
+    rows = [{"board": f"board {url}", "place": url, **row} for url in urls]
+    daemon = Server(tmp_path, lambda _request, _is_trusted: {"boards": rows})
+    daemon.start()
+    try:
+        result = run(*words, "--json")
+    finally:
+        daemon.close()
+    if uncertainty_us is None:
+        assert result.code == 2
+    else:
+        assert json.loads(result.out)["bound_us"] == 2 * uncertainty_us
+
+
+@pytest.mark.parametrize("url", ["usb://left", "usb:left", "usb://6666:cafe/left", "usb://1-2.3"])
+def test_boards_on_a_usb_are_known_to_the_daemon_by_serial_or_place(monkeypatch, url):
+    rows = [
+        {"board": "left", "place": "usb 1-2.3", "uncertainty_us": 80},
+        {"board": "usb 1-2.4", "place": "usb 1-2.4", "uncertainty_us": 90},
+    ]
+    monkeypatch.setattr("j2a.cli._sync_verify.ask", lambda *_what: {"boards": rows})
+    board, status = SimpleNamespace(url=url), SimpleNamespace(uncertainty_us=None)
+    assert _announced_us(board, status) == 80
 
 
 def test_without_a_wire(run, wire, urls, monkeypatch):
