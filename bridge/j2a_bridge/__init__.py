@@ -4,10 +4,14 @@
 adds another way out.
 """
 
-from j2a_bridge.bridge import Bridge
+from typing import TYPE_CHECKING
+
 from j2a_bridge.config import Config, load_config
 from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, SinkRequest, Status, Update
 from j2a_bridge.topics import Topic
+
+if TYPE_CHECKING:
+    from j2a_bridge.bridge import Bridge
 
 __all__ = [
     "Bridge",
@@ -23,3 +27,11 @@ __all__ = [
     "Update",
     "load_config",
 ]
+
+
+def __getattr__(name: str) -> object:
+    if name == "Bridge":  # slow to import, and `j2a --help` imports this package
+        from j2a_bridge.bridge import Bridge  # noqa: PLC0415
+
+        return Bridge
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,17 +14,19 @@ import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from j2a import LocalError
 from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError
 from j2a.cli._link import seconds
 from j2a.cli._output import note, show
 from j2a.cli._urls import open_help
-from j2a_bridge.bridge import Bridge
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
 from j2a_bridge.log_limit import LogLimit
 from j2a_bridge.sink import SinkRequest, sink_classes
+
+if TYPE_CHECKING:
+    from j2a_bridge.bridge import Bridge
 
 SUMMARY: Final = "publish the sensors of boards to ROS 1 and 2, recordings, plotters and more"
 
@@ -157,6 +159,8 @@ async def run_bridge(
         LocalError: the configuration is wrong.
         CommandFailed: a sink has failed.
     """
+    from j2a_bridge.bridge import Bridge  # noqa: PLC0415 - slow, and not needed for --help
+
     bridge = Bridge(config, **options)
     loop = asyncio.get_running_loop()
     code = OK

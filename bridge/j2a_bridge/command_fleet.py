@@ -17,7 +17,6 @@ from j2a.cli._exit import LINK, OK, CommandFailed
 from j2a.cli._link import add_json_argument, finite_seconds
 from j2a.cli._output import note, show, show_json
 from j2a_bridge.sink import SinkError
-from j2a_bridge.sinks.zenoh import FLEET, ROUTER, open_session
 
 SUMMARY: Final = "computers, boards, rates and losses of all bridges that are reached over Zenoh"
 NOTES: Final = """\
@@ -41,6 +40,8 @@ _HEAD: Final = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command."""
+    from j2a_bridge.sinks.zenoh import ROUTER  # noqa: PLC0415 - slow, and `j2a --help` is not
+
     parser.add_argument(
         "--connect",
         default="",
@@ -62,6 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Ask all bridges; returns the exit code."""
+    from j2a_bridge.sinks.zenoh import open_session  # noqa: PLC0415 - as above
+
     options = {"mode": "client", "connect": args.connect, "listen": "", "file": args.file}
     try:
         session = open_session(options)
@@ -94,6 +97,8 @@ def ask(session: Any, wait_s: float) -> tuple[list[dict[str, Any]], list[str]]:
 
     Returns: the states that came, by computer, and the names of bridges that did not answer.
     """
+    from j2a_bridge.sinks.zenoh import FLEET  # noqa: PLC0415 - as above
+
     end = time.monotonic() + wait_s
     there: set[str] = set()
     for reply in session.liveliness().get(f"{FLEET}/*/*", timeout=wait_s):

@@ -16,7 +16,6 @@ from j2a.cli._link import add_condition_arguments, add_link_arguments
 from j2a.cli._output import show
 from j2a.cli._transds import read_source, write_files
 from j2a.types.ros import PACKAGE, ros1_package, ros2_package
-from j2a_bridge.sinks.ros1_node import CONFIGURE
 
 SUMMARY: Final = "packages of ROS for the messages of boards"
 NOTES: Final = """\
@@ -55,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
         raise CommandFailed(f"{source} lists no transducers", 1)
     files = (ros1_package if args.ros1 else ros2_package)(descriptors)
     if args.ros1:
+        from j2a_bridge.sinks.ros1_node import CONFIGURE  # noqa: PLC0415 - not needed for --help
+
         files["srv/Configure.srv"] = CONFIGURE
     outdated = [
         path

@@ -12,20 +12,19 @@ import contextlib
 import logging
 import webbrowser
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from j2a.cli._exit import FAILED, CommandFailed, UsageError
 from j2a.cli._link import seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._urls import open_help
-from j2a_bridge.bridge import Bridge
 from j2a_bridge.command import log_to_stderr, run_bridge
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config
-from j2a_bridge.replayed import replayed
 from j2a_bridge.reports import read_reports
 from j2a_bridge.sink import SinkRequest
-from j2a_bridge.sinks.web import WebSink
-from j2a_bridge.web_server import without_plots
+
+if TYPE_CHECKING:
+    from j2a_bridge.bridge import Bridge
 
 SUMMARY: Final = "a live page of boards: values, plots, actuators, functions, log"
 NOTES: Final = """\
@@ -75,6 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until the end; returns the exit code."""
+    # Slow, and not needed for --help.
+    from j2a_bridge.sinks.web import WebSink  # noqa: PLC0415
+    from j2a_bridge.web_server import without_plots  # noqa: PLC0415
+
     if not args.urls and not args.usb:
         raise UsageError("name a board or a recording, or --usb", "try: j2a list")
     if not args.folder.is_dir():
@@ -114,6 +117,8 @@ def _boards(word: str, stack: contextlib.ExitStack) -> list[str]:
     """Return the URL of a board; those of a recording are served until the end of the stack."""
     if not word.endswith(".mcap"):
         return [word]
+    from j2a_bridge.replayed import replayed  # noqa: PLC0415 - as above
+
     try:
         return stack.enter_context(replayed(Path(word)))
     except OSError as error:

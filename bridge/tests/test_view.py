@@ -211,3 +211,22 @@ def test_it_tells_what_to_do_about_plots_that_are_missing():
         assert "run make page" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=PATIENCE_S)
+
+
+def test_the_list_of_commands_imports_nothing_that_only_a_bridge_needs():
+    """The page, its server and the messages of ROS came with a summary."""
+    script = (
+        "import sys\n"
+        "from j2a.cli import main\n"
+        "main(['--help'])\n"
+        "print(*sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert "a live page of boards" in done.stdout
+    loaded = set(done.stderr.split())
+    assert "j2a_bridge.command_view" in loaded
+    assert not {name for name in loaded if name.startswith("j2a_bridge.sinks")}
+    heavy = {"j2a_bridge.bridge", "j2a_bridge.ros_messages", "j2a_bridge.web_server"}
+    assert not loaded & (heavy | {"aiohttp", "numpy", "rosbags", "zenoh"})
