@@ -177,7 +177,10 @@ def _chosen(path: str | Path, boards: dict[str, RecordedBoard], name: str | None
         raise LocalError(f"{path} has no board of J2A")
     if name is None:
         if len(boards) > 1:
-            raise LocalError(f"{path} has several boards; choose one: {', '.join(boards)}")
+            names = ", ".join(boards)
+            raise LocalError(
+                f"{path} has several boards; choose one: {names} (j2a replay --board NAME)"
+            )
         return next(iter(boards.values()))
     if name not in boards:
         raise LocalError(f"{path} has no board {name!r}, but {', '.join(boards)}")

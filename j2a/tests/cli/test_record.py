@@ -156,7 +156,8 @@ def test_two_boards_of_one_name_are_told_apart(run, board, tmp_path):
     assert {one.board for one in recording} == {"J2A virtual board", "J2A virtual board_2"}
     result = run("replay", path)
     assert result.code == 2
-    assert "choose one: J2A virtual board, J2A virtual board_2" in result.err
+    assert "choose one: J2A virtual board, J2A virtual board_2 (" in result.err
+    assert "--board NAME" in result.err
 
 
 def test_boards_of_one_name_are_told_apart_by_their_serial_numbers(run, tmp_path):
