@@ -26,6 +26,8 @@ from j2a_bridge.topics import Names, Topic
 
 __all__ = ["Bridge"]
 
+_RETRY_S: Final = 0.5
+"""Topics of a board that is plugged in again shall be back within 1 s, learning it included."""
 _EARLY: Final = 1024
 """So many samples of a board wait until its topics are known."""
 _MAX_BOARDS: Final = 1000
@@ -169,7 +171,7 @@ class Bridge:
             if self._ended.is_set():
                 return
             on_open()
-            options = {"identify": self._identify, **self._options}
+            options = {"identify": self._identify, "retry": _RETRY_S, **self._options}
             async with j2a.AsyncFleet(usb=self._config.usb, **options) as fleet:
                 self._fleet = fleet
                 fleet.on_change(self._change)
