@@ -73,6 +73,18 @@ def test_a_late_reply_frees_its_seq_and_the_older_ones(answered):
     host.fail()
 
 
+@pytest.mark.requirement("J2A-SEQ-003")
+@pytest.mark.parametrize("code", range(256))
+def test_what_code_a_late_reply_has_to_free_seqs(code):
+    host = Stalled(has_map=False)
+    host.reply(100, code)
+    if 0xF1 <= code <= 0xFE:  # the seq may be wrong, or it is no reply
+        host.fail()
+    else:
+        assert not host.call(7, b"new").has_ended
+        assert [frame.seq for frame in host.sent] == [0]
+
+
 @pytest.mark.requirement("J2A-SEQ-007")
 def test_a_barrier_frees_all():
     host = Stalled()
