@@ -34,6 +34,7 @@ _US: Final = struct.Struct("<Q")
 _QUIET_S: Final = 0.03
 _MOST_SIFS: Final = 10_000
 _PERIODS_S: Final = (0.12, 0.06)
+_LONG_PERIODS: Final = (1 << 24, 1 << 31, (1 << 32) - 1)  # also for who takes fewer bits
 _DUE_US: Final = 120_000
 _LATER_US: Final = 20_000
 _SLACK_US: Final = 1_000_000  # a busy device, or a simulated one
@@ -564,6 +565,7 @@ _RIGHT_TOPICS: Final = (
     "\u00e4".encode(), "\u07ff".encode(), "\u0800".encode(), "\ud7ff\ue000".encode(),
     "\uffff".encode(), "\U00010000\U0010ffff".encode(), ("\u00e4" * 16).encode(),
     ("\U0001f916" * 8).encode(), b" a", b"a ", b" ", b" " * 32, b"x",
+    *(b"t" * length for length in range(32, 0, -1)),  # each one behind a longer one
 )  # fmt: skip
 
 
@@ -964,6 +966,21 @@ class Period(_TransducerCase):
                             board, one, channel, period_s
                         )
                     )
+                for period_us in _LONG_PERIODS:
+                    self._long(board, one, period_us)
+
+    @staticmethod
+    def _long(board: Board, one: oracle.Transducer, period_us: int) -> None:
+        """Give a second value within a period that no case can wait for."""
+        for period in (0, period_us):
+            board.write(one, c.TRANSD_PERIOD, struct.pack("<I", period))
+            since = board.seen
+            board.stimulate(one, (0, board.value(one)))
+            if not period:
+                board.sif(one, since)
+        board.no_sif(one, since, f"within a period of {period_us} us")
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        board.sif(one, since)
 
     @staticmethod
     def _sensor(board: Board, one: oracle.Transducer, channel: int, period_s: float) -> None:
@@ -1277,6 +1294,11 @@ class Set(_TransducerCase):
             value = settable(board, one)
             due_us = board.time_us() + _DUE_US
             board.write(one, c.TRANSD_SET, bytes((channel,)) + _US.pack(due_us) + value)
+            # What is refused replaces nothing (J2A-TRANS-008).
+            wrong = [bad for bad in _wrong_sets(board, one) if bad[0] == channel]
+            board.exchange(bytes((one.id, c.TRANSD_SET, channel)) + bytes(8), c.TRANSD_BAD_LENGTH)
+            for refused in (*wrong[:1], *wrong[-1:]):
+                board.exchange(bytes((one.id, c.TRANSD_SET)) + refused, c.TRANSD_BAD_VALUE)
             for _ in board.until(due_us):
                 sample = board.read(one, c.TRANSD_SAMPLE)
                 if sample == before:
@@ -1476,6 +1498,9 @@ class Trigger(_TransducerCase):
                     for far_us in _FAR_US:
                         board.write(one, c.TRANSD_TRIGGER, _US.pack(far_us))
                     board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + _DUE_US))
+                    board.exchange(  # replaces nothing
+                        bytes((one.id, c.TRANSD_TRIGGER)) + bytes(7), c.TRANSD_BAD_LENGTH
+                    )
                     if later_us is not None:
                         board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + later_us))
                     due_us = now_us + (_DUE_US if later_us is None else later_us)
