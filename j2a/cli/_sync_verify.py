@@ -255,13 +255,13 @@ def _announced_us(board: j2a.Client, status: Status) -> float:
     """
     if status.uncertainty_us is not None:
         return status.uncertainty_us
-    what = unquote(board.url.partition("?")[0])
-    if board.url.startswith("usb:"):  # the daemon knows boards by serial number, or path of ports
-        what = what.removeprefix("usb:").removeprefix("//").rpartition("/")[2]
+    # The daemon knows a board by its URL, or by its serial number or path of ports, the URL's end.
+    url = unquote(board.url.partition("?")[0])
+    names = {url, url.partition(":")[2].rpartition("/")[2]}
     for folder in folders():
         with contextlib.suppress(NotRunning):
             rows: Any = ask(folder, {"command": "status"}).get("boards", [])
-            found = [row for row in rows if what in (row["board"], row["place"].split()[-1])]
+            found = [row for row in rows if names & {row["board"], row["place"].split()[-1]}]
             if len(found) == 1 and found[0]["uncertainty_us"] is not None:
                 return float(found[0]["uncertainty_us"])
     raise UsageError(
