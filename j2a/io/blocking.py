@@ -110,16 +110,17 @@ class Engine:
             self._refuse_nested(what)
         waiter = _new_lock()
         waiter.acquire()
-        session = self._session
+        session, link = self._session, self._link
+        was_leading = link.is_leading  # this is a signal handler
         try:
-            if session.waiting or not self._link.start_leading():
+            if session.waiting or was_leading or not link.start_leading():
                 with self._turn, self._state:
                     now = self._clock()
                     call = session.start_call(
                         what, opcode, payload, now, limit_s, waiter, generation
                     )
                     self._send()
-                self._wait(call, waiter)
+                self._wait(call, waiter, was_leading)
             else:
                 # Nobody else calls or reads, so what follows needs no other thread.
                 try:
@@ -131,10 +132,13 @@ class Engine:
                         self._send()
                     self._lead(call, now, now + LEAD_S)
                 finally:
-                    self._link.stop_leading(session.waiting > 0)
+                    link.stop_leading(session.waiting > 0)
                 if not call.has_ended:
                     self._wait_for_others(call, waiter)
         except BaseException:
+            # A signal handler may raise anywhere, also between taking a lock and noting it.
+            if not was_leading and link.is_leading:
+                link.stop_leading(True)
             with self._turn, self._state:
                 self._settle(self._session.cancel(waiter))
             raise
@@ -157,6 +161,7 @@ class Engine:
             self._refuse_nested(requests[0][0])
         waiters = [threading.Lock() for _ in requests]
         calls = []
+        was_leading = self._link.is_leading
         try:
             with self._turn, self._state:
                 now = self._clock()
@@ -169,8 +174,10 @@ class Engine:
                     )
                 self._send()
             for call, waiter in zip(calls, waiters, strict=True):
-                self._wait(call, waiter)
+                self._wait(call, waiter, was_leading)
         except BaseException:
+            if not was_leading and self._link.is_leading:
+                self._link.stop_leading(True)
             with self._turn, self._state:
                 for waiter in waiters:
                     self._settle(self._session.cancel(waiter))
@@ -218,14 +225,15 @@ class Engine:
         is_owned: bool = self._turn._is_owned()  # type: ignore[attr-defined]
         return is_owned
 
-    def _wait(self, call: Call, waiter: threading.Lock) -> None:
-        # Where several wait, one of them would wake others all the time. In a signal handler the
-        # thread that leads is the one that was interrupted, so nobody else can.
-        is_alone = self._session.waiting == 1
-        if (is_alone or self._link.is_leading) and self._link.start_leading():
-            now = self._clock()
+    def _wait(self, call: Call, waiter: threading.Lock, was_leading: bool) -> None:
+        now = self._clock()
+        if was_leading:
+            # The thread that leads is the one that a signal handler has interrupted: nobody else can.
+            self._lead(call, now, math.inf)
+        elif self._session.waiting == 1 and self._link.start_leading():
+            # Where several wait, one of them would wake others all the time.
             try:
-                self._lead(call, now, now + LEAD_S if is_alone else math.inf)
+                self._lead(call, now, now + LEAD_S)
             finally:
                 self._link.stop_leading(self._session.waiting > 0)
         self._wait_for_others(call, waiter)

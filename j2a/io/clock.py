@@ -46,7 +46,7 @@ class Clock(ClockBase):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self._busy = threading.Lock()
+        self._busy = threading.RLock()  # only an RLock tells whose it is
         self._keeper: ClockKeeper | None = None
 
     def read(self) -> ClockReading:
@@ -170,19 +170,24 @@ class Clock(ClockBase):
 
     @contextlib.contextmanager
     def _turn(self, limit_s: float) -> Iterator[None]:
-        end = self._now() + limit_s
-        while not self._busy.acquire(timeout=slice_of(self._is_simulated)):
-            if self._now() < end:
-                continue
-            raise CallTimeout(
-                f"the clock of {self._url} was not asked: another thread asks it for longer than "
-                f"{limit_s:g} s",
-                outcome=Outcome.NOT_SENT,
+        busy, end = self._busy, self._now() + limit_s
+        if busy._is_owned():  # type: ignore[attr-defined]
+            raise LocalError(
+                f"the clock of {self._url} was not asked: a signal handler has interrupted one who "
+                "does; set a flag there"
             )
-        try:
+        try:  # what a signal handler raises behind `acquire` comes in here, too
+            while not busy.acquire(timeout=slice_of(self._is_simulated)):
+                if self._now() >= end:
+                    raise CallTimeout(
+                        f"the clock of {self._url} was not asked: another thread asks it for "
+                        f"longer than {limit_s:g} s",
+                        outcome=Outcome.NOT_SENT,
+                    )
             yield
         finally:
-            self._busy.release()
+            if busy._is_owned():  # type: ignore[attr-defined]
+                busy.release()
 
     def _pause(self, seconds: float, ended: threading.Event | None = None) -> None:
         """Let time of the link pass, until `ended` is set."""

@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Final, NoReturn
 
-from j2a_transports import Transport
+from j2a_transports import Transport, TransportError
 
 from j2a.errors import LinkClosed, LinkError, LocalError, OpenFailed
 from j2a.io.opening import link_error
@@ -177,7 +177,8 @@ class LinkThreads:
         self._asked = self._answered = 0
         self._asked_at = math.inf
         self._is_reading = True
-        # Held by the reading thread; re-entrant, as a signal handler may call while it waits.
+        self._is_stopped = False
+        # Held by the thread that reads; only an RLock can tell which.
         self._reading = threading.RLock()
         self._led_at = -math.inf
         # A bell for the reading thread: free when it was rung. Cheaper than an Event, and it is
@@ -208,6 +209,7 @@ class LinkThreads:
     def stop(self) -> None:
         """Let the writing thread run out; the reading one ends when the transport is closed."""
         self._writer.stop()
+        self._is_stopped = True
         self._led_at = -math.inf
         self._ring()
 
@@ -236,6 +238,12 @@ class LinkThreads:
 
     def wait_for_look(self) -> None:
         """Wait until what has arrived was taken, or for as long as `look` says."""
+        if self.is_leading:  # this is a signal handler, so nobody else will take it
+            end = self._clock() + LOOK_S
+            with contextlib.suppress(TransportError):
+                while self.wait(0) and self._clock() < end:
+                    self.step()
+            return
         limit_s = self.look()
         asked = self._asked
         with self._changed:
@@ -246,7 +254,10 @@ class LinkThreads:
     # ------------------------------------------------------------------ in a caller
 
     def start_leading(self) -> bool:
-        """Become the reading thread, if the transport allows it and no other thread reads."""
+        """Become the reading thread, if the transport allows it and no other thread reads.
+
+        A signal handler may raise behind `acquire`; `is_leading` is true then.
+        """
         if not self._can_lead:
             return False
         if self._reading.acquire(False):
@@ -300,8 +311,7 @@ class LinkThreads:
     def _read(self) -> None:
         limit_s = _SLICE_S if self._is_simulated else None
         try:
-            while True:
-                self._take_over()
+            while self._take_over():
                 try:
                     self.step(limit_s)
                 finally:
@@ -313,14 +323,16 @@ class LinkThreads:
                 self._is_reading = False
                 self._changed.notify_all()
 
-    def _take_over(self) -> None:
-        """Become the one who reads as soon as callers do not do it themselves."""
+    def _take_over(self) -> bool:
+        """Become the one who reads as soon as callers do not do it themselves; False at the end."""
         is_due = self._bell.acquire(blocking=False)
-        while True:
+        # A signal handler that closes the link leads until it has returned.
+        while not self._is_stopped:
             left_s = self._led_at + _LINGER_S - time.monotonic()
             if (is_due or left_s <= 0) and self._reading.acquire(blocking=False):
-                return
+                return True
             is_due = self._bell.acquire(timeout=max(left_s, _LINGER_S))
+        return False
 
     def _ring(self) -> None:
         """Have the reading thread take over; safe anywhere."""

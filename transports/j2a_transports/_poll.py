@@ -154,6 +154,10 @@ class PolledTransport(Transport):
         # Re-entrant, so that a signal handler may close what its own thread is reading.
         self._reading = threading.RLock()
         self._writing = threading.RLock()
+        # Held by a `try_write` for one call of the system. It is no `acquire` that may fail: what a
+        # signal handler raises behind that would leave the lock taken.
+        self._sending = threading.RLock()
+        self._is_writing = False
         self._closed = False
         self._released = False
         # Set once reading has met the end: the link stays lost, in both directions.
@@ -223,31 +227,23 @@ class PolledTransport(Transport):
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """See `Transport.write`."""
         with self._writing:
-            rest = memoryview(data).cast("B")
-            self._check()
-            while rest:
-                try:
-                    sent = self._send(rest)
-                except (BlockingIOError, InterruptedError):
-                    sent = 0
-                except OSError as error:
-                    raise self._lost(error) from error
-                rest = rest[sent:]
-                if rest and not sent:
-                    self._await_room(len(rest), len(data))
+            was_writing = self._is_writing  # of a signal handler's caller
+            try:
+                with self._sending:
+                    self._is_writing = True
+                self._write_all(memoryview(data).cast("B"))
+            finally:
+                self._is_writing = was_writing
 
     def try_write(self, data: bytes) -> int:
         """See `Transport.try_write`."""
-        if not self._writing.acquire(False):
-            return 0
-        try:
-            if self._closed or self._end is not None:
+        with self._sending:
+            if self._is_writing or self._closed or self._end is not None:
                 return 0
-            return self._send(data)
-        except OSError:
-            return 0  # there is no room, or `write` meets the same error
-        finally:
-            self._writing.release()
+            try:
+                return self._send(data)
+            except OSError:
+                return 0  # there is no room, or `write` meets the same error
 
     def wake_reader(self) -> bool:
         """See `Transport.wake_reader`."""
@@ -255,6 +251,20 @@ class PolledTransport(Transport):
         if self._reader_waker is not None:
             self._reader_waker.wake()
         return True
+
+    def _write_all(self, data: memoryview) -> None:
+        rest = data
+        self._check()
+        while rest:
+            try:
+                sent = self._send(rest)
+            except (BlockingIOError, InterruptedError):
+                sent = 0
+            except OSError as error:
+                raise self._lost(error) from error
+            rest = rest[sent:]
+            if rest and not sent:
+                self._await_room(len(rest), len(data))
 
     def _check(self) -> None:
         if self._closed:
@@ -283,7 +293,7 @@ class PolledTransport(Transport):
         """See `Transport.close`."""
         self._closed = True
         self._waker.wake()
-        with self._reading, self._writing:
+        with self._reading, self._writing, self._sending:
             if not self._released:
                 self._released = True
                 self._release()

@@ -1,13 +1,17 @@
 """A caller that waits reads for itself, where the transport has a descriptor."""
 
 import contextlib
+import gc
+import itertools
 import signal
+import sys
 import threading
 import time
 
 import pytest
 from j2a_spec import oracle
 from j2a_spec.constants import SOF, SOS
+from j2a_transports import TransportError
 from j2a_transports._tcp import TcpTransport
 
 import j2a
@@ -280,3 +284,100 @@ def test_a_call_of_a_signal_handler_keeps_its_time_limit(on_alarm, monkeypatch):
         served = Background(device)
         assert client.call(1).payload == b"outer"
         served.result()
+
+
+def interrupted_at(place, work):
+    """Do the work, and raise at so many places of our code where a signal handler may.
+
+    Returns: whether it came to that.
+    """
+    left = itertools.count(place, -1)
+
+    def profile(frame, event, what):
+        if not frame.f_globals["__name__"].startswith(("j2a.io", "j2a.protocol", "j2a_transports")):
+            return
+        # The interpreter looks for signals behind a call, not between a block and its `__exit__`.
+        if event == "c_call" and what.__name__ == "__exit__":
+            return
+        if next(left) == 0:
+            sys.setprofile(None)
+            raise StopError
+
+    gc.disable()  # what a destructor raises goes nowhere
+    sys.setprofile(profile)
+    try:
+        work()
+    except StopError:
+        return True
+    finally:
+        sys.setprofile(None)
+        gc.enable()
+    return False
+
+
+def answers(far):
+    """Answer each request until the link ends."""
+    stream = b""
+    with contextlib.suppress(TransportError):
+        while data := far.read(PATIENCE_S):
+            stream += data
+            while frames := oracle.decode(stream):
+                far.write(oracle.encode(oracle.Frame(SOF, frames[0].seq, 0, b"ok")))
+                stream = b"".join(map(oracle.encode, frames[1:]))
+
+
+@pytest.mark.parametrize("leads", [True, False])
+@pytest.mark.parametrize("is_nested", [False, True])
+def test_wherever_a_signal_handler_raises_no_lock_stays_taken(caplog, leads, is_nested):
+    for place in itertools.count():
+        with linked() as (client, _near, far):
+            device = Background(answers, far)
+            client.call(1)
+            link = client._engine._link
+            if leads:  # the next call finds nobody who reads, or that this thread does
+                while not link.start_leading():
+                    client.call(1)
+                if not is_nested:
+                    link.stop_leading(False)
+            was_raised = interrupted_at(place, lambda client=client: client.call(1))
+            assert link.is_leading == (leads and is_nested)
+            if link.is_leading:
+                link.stop_leading(True)
+            # Other threads can call, and nobody waits for a lock at the end.
+            assert Background(client.call, 1).result().payload == b"ok"
+        device.result()
+        if not was_raised:
+            break
+    assert place > 90
+    assert not caplog.records
+
+
+def test_a_signal_handler_closes_while_its_thread_reads(on_alarm, monkeypatch, caplog):
+    monkeypatch.setattr("j2a.io.blocking.LEAD_S", PATIENCE_S)
+    for came in (0, 1, 3):
+        with linked() as (client, _near, far):
+            seen = []
+            client.on_sif()(lambda sif: seen.append(sif.seq))
+            link = client._engine._link
+            while not link.start_leading():
+                calls(client, far, 1)
+
+            def close():
+                for seq in range(came):
+                    far.write(oracle.encode(oracle.Frame(SOS, seq, 7, b"")))
+                client.close()
+
+            def device():
+                far.read(PATIENCE_S)
+                with client._engine._turn:
+                    pass
+                signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+
+            on_alarm(close)
+            served = Background(device)
+            with pytest.raises(j2a.LinkClosed):
+                client.call(1)
+            link.stop_leading(False)
+            served.result()
+            assert seen == list(range(came))
+    assert not caplog.records
