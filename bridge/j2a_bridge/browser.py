@@ -31,6 +31,10 @@ _FLAGS: Final = (
 )
 
 
+class NotAnsweredError(RuntimeError):
+    """The browser could not answer, such as while another page was loaded."""
+
+
 class Page:
     """One page.
 
@@ -51,7 +55,7 @@ class Page:
             found = self._answers.pop(about.get("id", 0), None)
             if found is not None and not found.done():
                 if "error" in about:
-                    found.set_exception(RuntimeError(str(about["error"])))
+                    found.set_exception(NotAnsweredError(str(about["error"])))
                 else:
                     found.set_result(about["result"])
             elif about.get("method") == "Runtime.exceptionThrown":
@@ -81,13 +85,15 @@ class Page:
         return about["result"].get("value")
 
     async def until(self, script: str, limit_s: float = _START_S) -> Any:
-        """Wait until a script gives something that is true; return it."""
+        """Wait until a script gives something that is true, on whichever page; return it."""
         end = asyncio.get_running_loop().time() + limit_s
-        while not (found := await self.run(script)):
+        while True:
+            with contextlib.suppress(NotAnsweredError):
+                if found := await self.run(script):
+                    return found
             if asyncio.get_running_loop().time() > end:
                 raise TimeoutError(script)
             await asyncio.sleep(0.05)
-        return found
 
     async def resize(self, width: int, height: int) -> None:
         """Have the window so large."""

@@ -72,8 +72,11 @@ def test_all_bumpers_at_one_moment(robot_load, load):
 @pytest.mark.avr
 def test_the_wire_carries_what_was_calculated(robot_load, load):
     """And escapes, of 3 in 256 values, and the replies to the host."""
-    calculated = robot_load.share(sum(robot_load.asked().values()))
-    assert 3 * calculated <= load.seconds * load.wire  # the host looks after 3 s at the earliest
+    asked, rows = robot_load.asked(), robot_load.TABLE
+    calculated = robot_load.share(sum(asked.values()))
+    # The host looks after 3 s at the earliest, and the last sample of each may come just behind.
+    least = robot_load.share(sum(asked[name] * (3 - 1 / rows[name].samples) for name in rows))
+    assert least <= load.seconds * load.wire
     assert load.wire <= 1.04 * calculated
 
 
