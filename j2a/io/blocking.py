@@ -228,7 +228,7 @@ class Engine:
     def _wait(self, call: Call, waiter: threading.Lock, was_leading: bool) -> None:
         now = self._clock()
         if was_leading:
-            # The thread that leads is the one that a signal handler has interrupted: nobody else can.
+            # A signal handler has interrupted the thread that leads: nobody else can.
             self._lead(call, now, math.inf)
         elif self._session.waiting == 1 and self._link.start_leading():
             # Where several wait, one of them would wake others all the time.

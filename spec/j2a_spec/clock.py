@@ -122,7 +122,9 @@ class Clock:
         low, high = (bound + moved for bound in self._last.distance(local))
         if off is not None:
             low, high = Fraction(off) - 1, Fraction(off) + 1
-        lag = (abs(rate - self._last.rate) + _SLEW) * (_LAG_US + early)
+        # A device that had reached its target was not on its way to anywhere.
+        slew = Fraction(0) if self._last.is_reached(local - early) else _SLEW
+        lag = (abs(rate - self._last.rate) + slew) * (_LAG_US + early)
         self._last = replace(new, low=low - lag, high=high + lag)
 
     def bounds(self, local: int) -> Bounds:

@@ -352,32 +352,32 @@ def test_wherever_a_signal_handler_raises_no_lock_stays_taken(caplog, leads, is_
     assert not caplog.records
 
 
-def test_a_signal_handler_closes_while_its_thread_reads(on_alarm, monkeypatch, caplog):
+@pytest.mark.parametrize("came", [0, 1, 3])
+def test_a_signal_handler_closes_while_its_thread_reads(on_alarm, monkeypatch, caplog, came):
     monkeypatch.setattr("j2a.io.blocking.LEAD_S", PATIENCE_S)
-    for came in (0, 1, 3):
-        with linked() as (client, _near, far):
-            seen = []
-            client.on_sif()(lambda sif: seen.append(sif.seq))
-            link = client._engine._link
-            while not link.start_leading():
-                calls(client, far, 1)
+    with linked() as (client, _near, far):
+        seen = []
+        client.on_sif()(lambda sif: seen.append(sif.seq))
+        link = client._engine._link
+        while not link.start_leading():
+            calls(client, far, 1)
 
-            def close():
-                for seq in range(came):
-                    far.write(oracle.encode(oracle.Frame(SOS, seq, 7, b"")))
-                client.close()
+        def close():
+            for seq in range(came):
+                far.write(oracle.encode(oracle.Frame(SOS, seq, 7, b"")))
+            client.close()
 
-            def device():
-                far.read(PATIENCE_S)
-                with client._engine._turn:
-                    pass
-                signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+        def device():
+            far.read(PATIENCE_S)
+            with client._engine._turn:
+                pass
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
 
-            on_alarm(close)
-            served = Background(device)
-            with pytest.raises(j2a.LinkClosed):
-                client.call(1)
-            link.stop_leading(False)
-            served.result()
-            assert seen == list(range(came))
+        on_alarm(close)
+        served = Background(device)
+        with pytest.raises(j2a.LinkClosed):
+            client.call(1)
+        link.stop_leading(False)
+        served.result()
+        assert seen == list(range(came))
     assert not caplog.records
