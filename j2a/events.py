@@ -207,7 +207,7 @@ class Sample:
         readings: a sequence with one for each channel in order; of a sensor with a queue one for
             each value, in the order in which they were measured.
         host_time: when it came, in seconds on the clock of `Client.now`.
-        unit: of the values, a symbol of UCUM, or "".
+        unit: of the values, a symbol of UCUM, or ""; `units` has those of structures.
         lost: values that were lost before this sample, because the queue of the device was full;
             where the clock shows that the device was reset, those since then (J2A-TRANS-026).
         missed: SIFs of any kind that the link lost just before this one; see `Sif.missed`.
@@ -215,6 +215,7 @@ class Sample:
         payload: of the SIF.
         host_us: when the newest reading was taken, on the clock of this computer, in microseconds
             since 1970; None where the clock of the board was not asked yet, see `Client.clock`.
+        field_units: of a structure the name and the unit of each field, else nothing.
     """
 
     board: str
@@ -228,6 +229,12 @@ class Sample:
     is_reset: bool = False
     payload: bytes = field(default=b"", repr=False)
     host_us: int | None = None
+    field_units: tuple[tuple[str, str], ...] = field(default=(), repr=False)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by name of the value: "value", or each field of a structure, such as "pose.x"."""
+        return dict(self.field_units) or {"value": self.unit}
 
     @property
     def values(self) -> tuple[Any, ...]:

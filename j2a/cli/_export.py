@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -30,8 +31,9 @@ examples:
 
 The columns: host_time_ns (since 1970), time_us (on the clock of the board), channel, and value in
 the unit of the sensor, the number of an enumeration, or the raw fields of a structure. No value
-(N/A) is an empty cell. It needs NumPy and pandas: pip install "j2a[arrays]"; for Parquet:
-pip install "j2a[parquet]"."""
+(N/A) is an empty cell. Units of columns stand beside a CSV file in NAME.units.json, and in Parquet
+in the metadata of the column, as "unit". It needs NumPy and pandas: pip install "j2a[arrays]"; for
+Parquet: pip install "j2a[parquet]"."""
 _PIECE: Final = 20_000
 _MOST_OF_NAME: Final = 50
 _Frame = Any
@@ -154,7 +156,11 @@ def _csv(path: Path) -> _Writer:
     heads: Iterator[bool] = iter((True,))
 
     def write(frame: _Frame) -> None:
-        frame.to_csv(file, index=False, header=next(heads, False), lineterminator="\n")
+        is_first = next(heads, False)
+        frame.to_csv(file, index=False, header=is_first, lineterminator="\n")
+        if is_first and (units := frame.attrs["units"]):
+            with path.with_suffix(".units.json").open("x", encoding="utf-8") as about:
+                about.write(json.dumps(units, indent=1) + "\n")
 
     return write, file.close
 
@@ -170,9 +176,13 @@ def _parquet(path: Path) -> _Writer:
 
     def write(frame: _Frame) -> None:
         table = arrow.Table.from_pandas(frame, preserve_index=False)
+        schema = table.schema
+        for name, unit in frame.attrs["units"].items():
+            at = schema.get_field_index(name)
+            schema = schema.set(at, schema.field(at).with_metadata({"unit": unit}))
         if not writers:
-            writers.append(parquet.ParquetWriter(file, table.schema))
-        writers[0].write_table(table)
+            writers.append(parquet.ParquetWriter(file, schema))
+        writers[0].write_table(table.cast(schema))
 
     def close() -> None:
         for writer in writers:

@@ -49,7 +49,8 @@ def sample_text(sample: j2a.Sample) -> str:
         ("" if is_plain else f"[{one.channel}] ") + _value_text(one, unit)
         for one in sample.readings
     ]
-    notes = [f"{sample.lost} lost"] * bool(sample.lost)
+    notes = [f"{name} {unit}" for name, unit in sample.field_units if unit]
+    notes += [f"{sample.lost} lost"] * bool(sample.lost)
     notes += ["the clock went back"] * sample.is_reset
     more = f"  ({', '.join(notes)})" if notes else ""
     return f"{sample.name}  {', '.join(parts)}{more}"
@@ -75,6 +76,7 @@ def sample_facts(sample: j2a.Sample) -> dict[str, Any]:
     return {
         "sensor": sample.name,
         "unit": sample.unit,
+        "units": sample.units,
         "readings": [
             {"channel": one.channel, "time_us": one.time_us, "value": json_of(one.value)}
             for one in sample.readings

@@ -213,6 +213,7 @@ def _facts(one: Transducer) -> dict[str, object]:
         "channels": one.channels,
         "type": str(one.type).partition(" ")[0],
         "unit": one.unit,
+        "units": one.units,
         "doc": one.doc,
         "model": one.model,
         "topic": one.topic,

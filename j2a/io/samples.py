@@ -18,6 +18,7 @@ from j2a.errors import ProtocolError
 from j2a.events import Sample, Sif
 from j2a.protocol.device_info import DeviceInfo
 from j2a.types.coding import PayloadMismatchError
+from j2a.types.model import Structure
 from j2a.types.samples import SampleCodec
 from j2a.types.transducers import Descriptors, Transducer
 
@@ -36,6 +37,8 @@ class _State:
     def __init__(self, transducer: Transducer, codec: SampleCodec) -> None:
         self.transducer = transducer
         self.codec = codec
+        is_structure = isinstance(transducer.type.element, Structure)
+        self.field_units = tuple(transducer.units.items()) if is_structure else ()
         self.latest: Sample | None = None
         self.count = count()
         self.lost: int | None = None
@@ -202,6 +205,7 @@ class SampleSource:
             is_reset,
             sif.payload,
             self._host_us(newest_us) if newest_us else None,
+            state.field_units,
         )
 
 

@@ -123,8 +123,13 @@ class RemoteTransducer:
 
     @property
     def unit(self) -> str:
-        """The unit of the values, a symbol of UCUM such as "mV", or ""."""
+        """The unit of the values, a symbol of UCUM such as "mV", or ""; see `units`."""
         return self.descriptor.unit
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by name of the value: "value", or each field of a structure, such as "pose.x"."""
+        return self.descriptor.units
 
     @property
     def channels(self) -> int:

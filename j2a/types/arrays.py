@@ -5,6 +5,7 @@ Rule: a value that the sensor does not have is NaN. Needs NumPy (`pip install "j
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any, Final
 
 from j2a.errors import LocalError
@@ -112,9 +113,9 @@ class Batch:
 
         Values are 64-bit floating-point numbers, NaN where there is none; integers of 64 bits
         without scale and offset and those of enumerations stay integers, `pandas.NA` where there is
-        none. The columns of a
-        structure are its fields, and those of an array have numbers, such as rate_0, rate_1; those
-        of a structure are raw. A name that is there already gets a number, such as time_us2.
+        none. The columns of a structure are its fields, and those of an array have numbers, such as
+        rate_0, rate_1; those of a structure are raw. A name that is there already gets a number,
+        such as time_us2. `attrs["units"]` of the table has the units of columns.
 
         Raises:
             LocalError: pandas is missing.
@@ -122,6 +123,7 @@ class Batch:
         pandas = _module("pandas", "arrays")
         columns = {"time_us": self.times_us.ravel(), "channel": self.channels.ravel()}
         sensor = self.sensor
+        units = {"value": sensor.unit}
         element = number_element(sensor.type)
         is_named = isinstance(sensor.type.element, Enumeration)
         if element is not None and not sensor.is_scaled and (is_named or element in _WIDE):
@@ -134,9 +136,12 @@ class Batch:
         else:
             table = self.values if sensor.is_scaled else self.raw
             shape = table.shape[self.times_us.ndim :]
-            for name, part in _columns("", table.reshape(-1, *shape)):
-                columns[free_name(name, {*columns, *_OTHER_COLUMNS})] = part
-        return pandas.DataFrame(columns)
+            for name, part, unit in _columns("", table.reshape(-1, *shape), sensor.type):
+                column = free_name(name, {*columns, *_OTHER_COLUMNS})
+                columns[column], units[column] = part, unit
+        made = pandas.DataFrame(columns)
+        made.attrs["units"] = {name: units[name] for name in columns if units.get(name)}
+        return made
 
     @classmethod
     def of(cls, sensor: Transducer, samples: Iterable[Sample]) -> "Batch":
@@ -159,19 +164,19 @@ def _dtype(kind: Type) -> Any:
     return one if kind.count is None else (one, (kind.count,))
 
 
-def _columns(name: str, values: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the columns of values that are structures or arrays, each of numbers."""
-    if values.dtype.names is not None:
-        parts = {key: values[key] for key in values.dtype.names}
-    elif values.ndim > 1:
-        parts = {str(at): values[:, at] for at in range(values.shape[1])}
+def _columns(name: str, values: Any, kind: Type) -> Iterator[tuple[str, Any, str]]:
+    """Yield the columns of values that are structures or arrays: name, numbers, unit."""
+    if kind.count is not None:
+        one = replace(kind, count=None)
+        parts = [(str(at), values[:, at], one) for at in range(values.shape[1])]
+    elif isinstance(kind.element, Structure):
+        parts = [(field.name, values[field.name], field.type) for field in kind.element.fields]
     else:
-        yield name or "value", values
+        yield name or "value", values, kind.unit
         return
-    for key, part in parts.items():
-        yield from _columns(
-            f"{name}_{key}" if name else f"value_{key}" if key.isdigit() else key, part
-        )
+    for key, part, inner in parts:
+        column = f"{name}_{key}" if name else f"value_{key}" if key.isdigit() else key
+        yield from _columns(column, part, replace(inner, unit=inner.unit or kind.unit))
 
 
 def _shaped(dtype: Any) -> tuple[Any, ...]:

@@ -116,6 +116,21 @@ class Type:
             return 0
         return element_size(self.element) * (self.count or 1)
 
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each number: "value", or of a structure each field, such as "pose.x".
+
+        A field without a unit has that of what it is in; "" is none.
+        """
+        if not isinstance(self.element, Structure):
+            return {"value": self.unit}
+        found = {}
+        for one in self.element.fields:
+            is_structure = isinstance(one.type.element, Structure)
+            for name, unit in one.type.units.items():
+                found[f"{one.name}.{name}" if is_structure else one.name] = unit or self.unit
+        return found
+
     def __str__(self) -> str:
         name = self.element if isinstance(self.element, str) else self.element.name
         count = "" if self.count is None else f"[{self.count or ''}]"

@@ -104,8 +104,13 @@ class Transducer:
 
     @property
     def unit(self) -> str:
-        """A symbol of UCUM such as "mV", or ""."""
+        """A symbol of UCUM such as "mV", or ""; `units` has those of the fields of a structure."""
         return self.type.unit
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by name of the value: "value", or each field of a structure, such as "pose.x"."""
+        return self.type.units
 
     @property
     def model(self) -> str:

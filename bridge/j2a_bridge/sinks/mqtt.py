@@ -297,6 +297,7 @@ def transducer_object(topic: Topic) -> dict[str, Any]:
         "type": str(one.type),
         "channels": one.channels,
         "unit": one.unit,
+        "units": one.units,
         "model": one.model,
         "doc": one.doc,
     }

@@ -1,5 +1,6 @@
 """`j2a export`, as a user runs it."""
 
+import json
 import struct
 
 import pytest
@@ -82,6 +83,32 @@ def test_parquet(run, path, tmp_path):
     assert parquet.read_table(out / "left_cart_imu.parquet").to_pylist() == [
         {"host_time_ns": NOW_NS, "time_us": 20, "channel": 0, "rate_0": 1, "rate_1": -2, "up": True}
     ]
+
+
+def test_units_of_columns(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(_export, "_PIECE", 1)
+    path = tmp_path / "drive.mcap"
+    sensors = read_transds(
+        "J2A_STRUCT(motion, (array(i16, 2), rate, mdeg/s), (bool, up))\n"
+        "SENSOR(imu, 0, imu, X, 1, motion, none)\nSENSOR(log, 1, log, X, 1, u8, none)"
+    )
+    with Recorder(path) as recorder:
+        recorder.add_board("b", sensors)
+        for name, payload in (
+            ("imu", SAMPLES["imu"][0]), ("imu", SAMPLES["imu"][0]), ("log", bytes(9)),
+        ):  # fmt: skip
+            recorder.write("b", j2a.Sample("b", name, 0, (), 0.0, payload=payload), NOW_NS)
+    out = tmp_path / "out"
+    assert run("export", path, out).code == 0
+    assert {one.name for one in out.iterdir()} == {"b_imu.csv", "b_imu.units.json", "b_log.csv"}
+    units = {"rate_0": "mdeg/s", "rate_1": "mdeg/s"}
+    assert json.loads((out / "b_imu.units.json").read_text()) == units
+    assert run("export", path, out, "--format", "parquet").code == 0
+    table = out / "b_imu.parquet"
+    assert pandas.read_parquet(table).attrs["units"] == units
+    fields = {field.name: field.metadata for field in parquet.read_schema(table)}
+    assert fields["rate_1"] == {b"unit": b"mdeg/s"}
+    assert fields["up"] is None
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])

@@ -57,6 +57,19 @@ def test_json(run, transds):
     assert found["types"] == []
 
 
+def test_units_of_fields(run, transds, tmp_path):
+    transds.write_text(
+        "J2A_STRUCT(motion, (array(i16, 3), rate, mdeg/s), (f32, temperature, Cel), (bool, up))\n"
+        "SENSOR(imu, 0, imu, X, 1, motion, none)\nSENSOR(quad, 1, quad, X, 2, i16, -1, (unit, deg))"
+    )
+    imu, quad = json.loads(run("transds", transds, "--json").out)["transducers"]
+    assert imu["units"] == {"rate": "mdeg/s", "temperature": "Cel", "up": ""}
+    assert quad["units"] == {"value": "deg"}
+    assert "rate i16[3] mdeg/s, temperature f32 Cel" in run("transds", transds).out
+    run("transds", transds, "--html", tmp_path / "a.html")
+    assert "rate i16[3] mdeg/s, temperature f32 Cel" in (tmp_path / "a.html").read_text()
+
+
 def test_files_of_a_board_are_those_of_its_file(run, board, tmp_path):
     names = {"--def": "a.def", "--c": "a.h", "--python": "a.py", "--html": "a.html"}
     for source, folder in (((board,), "board"), ((FILE, "-D", NUMBERS), "file")):

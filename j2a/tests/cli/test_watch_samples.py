@@ -93,6 +93,7 @@ def test_samples_as_json(run, board):
         facts = json.loads(line)
         assert (facts["sensor"], facts["opcode"], facts["lost"]) == ("log", 1, 0)
         assert facts["is_reset"] is False
+        assert facts["units"] == {"value": ""}
         assert {one["channel"] for one in facts["readings"]} <= {0, 1, 2}
         assert all(one["time_us"] > 0 and 0 <= one["value"] <= 255 for one in facts["readings"])
 
@@ -154,6 +155,10 @@ def test_a_name_that_is_none(run, board, demo):
         ),
         (sample((0, 5, (3, 1), (3 * 0.1, 0.1))), "quad  [0.3, 0.1]"),
         (sample((0, 5, 0.0, float("nan"))), "quad  NaN"),
+        (
+            sample((0, 5, 1, (1, 2)), lost=3, field_units=(("x", "mm"), ("up", ""), ("y", "deg"))),
+            "quad  [1, 2]  (x mm, y deg, 3 lost)",
+        ),
         (sample((0, 5, 1, 1), lost=3, is_reset=True), "quad  1  (3 lost, the clock went back)"),
     ],
 )

@@ -79,6 +79,31 @@ def test_a_table_of_pandas():
     assert math.isnan(table.value[1])
 
 
+def test_a_table_has_the_units_of_its_columns():
+    pytest.importorskip("pandas")
+    text = """
+J2A_STRUCT(at, (i16, x), (i16, y, cm))
+J2A_STRUCT(motion, (array(i16, 2), rate, mdeg/s), (bool, up), (at, pos, m), (array(at, 2), to))
+SENSOR(imu, 0, imu, X, 1, motion, none)
+SENSOR(rows, 1, rows, X, 1, array(i16, 2), none, (unit, V), (scale, 0.5))
+SENSOR(time_us, 2, t, X, 1, u64, none, (unit, s))
+SENSOR(log, 3, log, X, 1, u8, none)
+"""
+    found = {
+        sensor.name: Batch(sensor, [bytes(8 + sensor.type.size)]).to_pandas().attrs["units"]
+        for sensor in read_transds(text).transducers
+    }
+    assert found == {
+        "imu": {
+            **{"rate_0": "mdeg/s", "rate_1": "mdeg/s", "pos_x": "m", "pos_y": "cm"},
+            **{"to_0_y": "cm", "to_1_y": "cm"},
+        },
+        "rows": {"value_0": "V", "value_1": "V"},
+        "time_us": {"value": "s"},
+        "log": {},
+    }
+
+
 def test_a_payload_that_is_no_sample():
     for payload in (b"x", bytes(10), bytes(30)):
         with pytest.raises(j2a.LocalError, match="quad"):

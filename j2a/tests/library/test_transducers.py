@@ -98,6 +98,23 @@ class TestSamples:
             device.sense("imu", 0, [(1, -2, 3), True], raw=True)
             value = samples.wait(PATIENCE_S).values[0]
         assert (tuple(value.rate), value.up) == ((1, -2, 3), True)
+
+    def test_units_by_name(self, device, board):
+        for name, units in {
+            "quad": {"value": "deg"},
+            "field": {"value": "uT"},
+            "log": {"value": ""},
+            "imu": {"rate": "mdeg/s", "up": ""},
+        }.items():
+            assert board.transducers[name].units == units
+            value = [(1, 2, 3), True] if name == "imu" else (1, 2, 3) if name == "field" else 1
+            with board.transducers[name].samples() as samples:
+                device.sense(name, 0, value, raw=True)
+                sample = samples.wait(PATIENCE_S)
+            assert sample.units == units
+            sample.units.clear()
+            assert sample.units == units
+        assert board.transducers["servo"].units == {"value": "%"}
         with board.transducers["state"].samples() as samples:
             device.sense("state", 0, "on")
             value = samples.wait(PATIENCE_S).values[0]
