@@ -6,9 +6,9 @@ times as much to build; what is made less often is a dataclass.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import FrozenInstanceError, dataclass, field
 from enum import IntEnum
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, Literal, NamedTuple, NoReturn, TypeVar, overload
 
 from j2a_spec.constants import (
     BOOT_BROWNOUT,
@@ -33,11 +33,32 @@ __all__ = [
     "Restart",
     "Sample",
     "Sif",
+    "immutable",
 ]
+
+_AnyT = TypeVar("_AnyT")
 
 Reason = Literal["checksum", "marker", "escape", "timeout", "lost"]
 """Why a frame was abandoned: wrong checksum; interrupted by the marker of the next one; ESC 0xFF;
 the byte timeout; bytes known to be lost."""
+
+
+def immutable(cls: type[_AnyT]) -> type[_AnyT]:
+    """Have a frozen dataclass with slots refuse each assignment by FrozenInstanceError.
+
+    Without it one to a property is a TypeError about super(): the class with slots is a copy of the
+    one that the methods of dataclasses know.
+    """
+
+    def refuse_to_set(self: object, name: str, value: object) -> NoReturn:
+        raise FrozenInstanceError(f"cannot assign to {name!r}: a {cls.__name__} never changes")
+
+    def refuse_to_delete(self: object, name: str) -> NoReturn:
+        raise FrozenInstanceError(f"cannot delete {name!r}: a {cls.__name__} never changes")
+
+    cls.__setattr__ = refuse_to_set  # type: ignore[method-assign]
+    cls.__delattr__ = refuse_to_delete  # type: ignore[method-assign]
+    return cls
 
 
 class Frame(NamedTuple):
@@ -75,6 +96,7 @@ class Reply(NamedTuple):
         return self.code <= RET_MAX
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class Sif:
     """A server-initiated frame.
@@ -108,6 +130,7 @@ class ResetCause(IntEnum):
     SOFTWARE = BOOT_SOFTWARE
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class Restart:
     """A device has begun anew while the link stayed.
@@ -196,6 +219,7 @@ class Readings(Sequence[Reading]):
         return tuple, (self._all(),)
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class Sample:
     """What a sensor has measured.
@@ -257,6 +281,7 @@ class Sample:
         return max((time for time in self.times_us if time is not None), default=None)
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class Counters:
     """The health of a link since it was opened; all are counts.

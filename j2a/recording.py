@@ -19,7 +19,7 @@ from typing import IO, Any, Final, Self
 from j2a_spec.constants import TRANSD_TOPIC
 
 from j2a.errors import LocalError
-from j2a.events import Sample
+from j2a.events import Sample, immutable
 from j2a.io.mcap_file import About, ChannelRecord, McapFile
 from j2a.protocol.saved_settings import SavedSettings, dump
 from j2a.types.cdr import SampleMessage
@@ -37,6 +37,7 @@ _MOST_DESCRIBED: Final = 1 << 24
 _NOT_IN_TOPICS: Final = re.compile(r"[^A-Za-z0-9_/]")
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class RecordedBoard:
     """A board of a recording.
@@ -57,6 +58,7 @@ class RecordedBoard:
     settings: str = ""
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """A sample of a recording.

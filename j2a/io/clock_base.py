@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from j2a_spec import constants as c
 
 from j2a.errors import DeviceRestarted, LinkClosed, LocalError, NoClock, ProtocolError, remote_error
+from j2a.events import immutable
 from j2a.io.host_time import host_time_of
 from j2a.protocol.clock import (
     ClockState,
@@ -48,6 +49,7 @@ _FRAME_BYTES: Final = 5
 _logger = logging.getLogger("j2a")
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class ClockReading:
     """What is known of the clock of a board at one instant.

@@ -47,7 +47,7 @@ from j2a_spec.constants import (
 )
 
 from j2a.errors import Fail, RegistrationError, SignatureError
-from j2a.events import Reply
+from j2a.events import Reply, immutable
 from j2a.protocol.server import site
 from j2a.types.model import Described, Enumeration, Interface, SifShape, Structure
 from j2a.types.parser import parse_interface
@@ -70,6 +70,7 @@ _HEADER: Final = struct.Struct("<BBL")
 _logger = logging.getLogger("j2a")
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class ManyRequest:
     """One chunk of a transfer, as the host asks for it.
@@ -87,6 +88,7 @@ class ManyRequest:
     data: bytes
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class ManyReply:
     """The answer to one chunk.

@@ -18,6 +18,7 @@ from j2a.errors import (
     Outcome,
     UnknownBoard,
 )
+from j2a.events import immutable
 
 __all__ = ["BoardChange", "Heartbeat", "Member", "Roster", "wanted_boards"]
 
@@ -26,6 +27,7 @@ _SILENT_AFTER: Final = 2
 _ClientT = TypeVar("_ClientT")
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class BoardChange:
     """A board of a fleet has come or gone, or cannot be opened.

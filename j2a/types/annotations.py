@@ -27,6 +27,7 @@ from typing import (
 )
 
 from j2a.errors import RegistrationError, SignatureError
+from j2a.events import immutable
 from j2a.types.coding import PythonTypes
 from j2a.types.model import (
     Described,
@@ -85,6 +86,7 @@ _POSITIONAL: Final = (
 )
 
 
+@immutable
 @dataclasses.dataclass(frozen=True, slots=True)
 class Length:
     """The length of an array, or the most bytes of a text or of bytes.

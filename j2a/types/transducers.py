@@ -11,6 +11,7 @@ from typing import Final
 
 from j2a_spec.constants import MAX_PAYLOAD, TRANSD_MAX_ID
 
+from j2a.events import immutable
 from j2a.types.model import SCALARS, Enumeration, Structure, Type, integer_range
 
 __all__ = [
@@ -61,6 +62,7 @@ NONE: Final = "none"
 """In place of a raw value: there is none."""
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class Transducer:
     """A sensor or an actuator.
@@ -262,6 +264,7 @@ def longest_sample(transducer: Transducer) -> int:
     return transducer.channels * (TIME_BYTES + transducer.type.size)
 
 
+@immutable
 @dataclass(frozen=True, slots=True)
 class Descriptors:
     """All that a device tells about its transducers.
