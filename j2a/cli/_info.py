@@ -1,7 +1,7 @@
 """`j2a info`: what a device is and can do.
 
-In: a link. Out: name, version, functions with opcodes and signatures, SIFs, types, properties and
-the health of the link; without the properties when they cannot be read.
+In: a link. Out: name, version, functions with opcodes and signatures, SIFs, transducers, types,
+properties and the health of the link; without the properties when they cannot be read.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ from j2a_spec.printable import printable
 
 import j2a
 from j2a.cli._clock import offset_text, time_text
+from j2a.cli._descriptors import overview, transducer_facts
 from j2a.cli._exit import OK, REMOTE, error_facts, exit_code
 from j2a.cli._link import add_json_argument, add_link_arguments, connect
 from j2a.cli._output import note, show, show_json
 from j2a.io.clock_base import ClockReading
 from j2a.types.model import Interface
+from j2a.types.transducers import Descriptors
 
 MAX_DIGITS: Final = 10
 _ROUNDS: Final = 3
@@ -38,6 +40,8 @@ def run(args: argparse.Namespace) -> int:
     with connect(args) as client:
         functions = client.functions
         interface, problem = client.interface, client.interface_problem
+        descriptors = client.transducers.descriptors
+        transducers_problem = client.transducers_problem
         properties: dict[str, str] = {}
         room, clock, unreadable = None, None, None
         try:
@@ -56,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
         "room": room,
         "functions": {name: int(opcode) for name, opcode in functions.items()},
         "interface": interface and interface_facts(interface),
+        "transducers": descriptors and [transducer_facts(one) for one in descriptors.transducers],
+        "transducer_types": descriptors and [str(one) for one in descriptors.types],
         "clock": clock and dataclasses.asdict(clock),
         "properties": None if unreadable else properties,
         "counters": dataclasses.asdict(counters),
@@ -64,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
         facts["error"] = error_facts(unreadable, code)
     if problem:
         facts["interface_problem"] = problem
+    if transducers_problem:
+        facts["transducers_problem"] = transducers_problem
     if args.json:
         show_json(facts)
     else:
@@ -73,10 +81,8 @@ def run(args: argparse.Namespace) -> int:
         show("functions" if functions else "functions (no map; call by opcode)")
         for function in functions.values():
             show(f"  {function.opcode:>3}  {function.__doc__}")
-        for what, lines in _definitions(interface):
-            show(what)
-            for line in lines:
-                show(f"  {line}")
+        for line in _descriptions(interface, descriptors):
+            show(line)
         reason = "(unreadable)" if unreadable else "(none)"
         show("properties" if properties else f"properties {reason}")
         for line in columns(properties):
@@ -85,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
         show(f"  {counters_text(counters)}")
     if problem:
         note(f"j2a: the interface of the device is not used: {problem}")
+    if transducers_problem:
+        note(f"j2a: the transducers of the device are not used: {transducers_problem}")
     if unreadable is not None:
         note(f"j2a: the properties are unreadable: {unreadable}")
     return code
@@ -108,14 +116,21 @@ def _clock_text(clock: ClockReading) -> str:
     return f"{text} from this computer (+-{time_text(clock.uncertainty_us)})"
 
 
-def _definitions(interface: Interface | None) -> Iterator[tuple[str, list[str]]]:
-    """Yield the SIFs and the types that a device describes, as lines."""
-    if interface is None:
-        return
-    if interface.sifs:
-        yield "SIFs", [str(sif).removeprefix("sif ") for sif in interface.sifs]
-    if interface.types:
-        yield "types", [str(one) for one in interface.types]
+def _descriptions(interface: Interface | None, descriptors: Descriptors | None) -> Iterator[str]:
+    """Yield the SIFs, the transducers and the types that a device describes, as lines."""
+    types: list[object] = []
+    if interface is not None:
+        types += interface.types
+        if interface.sifs:
+            yield "SIFs"
+            yield from (f"  {str(sif).removeprefix('sif ')}" for sif in interface.sifs)
+    if descriptors is not None:
+        types += [one for one in descriptors.types if one not in types]
+        if descriptors.transducers:
+            yield from overview(descriptors)
+    if types:
+        yield "types"
+        yield from (f"  {one}" for one in types)
 
 
 def interface_facts(interface: Interface) -> dict[str, object]:

@@ -15,6 +15,7 @@ from typing import Final
 from j2a_spec.printable import printable
 
 import j2a
+from j2a.cli._descriptors import aligned, transducer_facts
 from j2a.cli._exit import OK, REMOTE, CommandFailed, UsageError
 from j2a.cli._link import (
     add_condition_arguments,
@@ -175,11 +176,7 @@ def write_files(files: Mapping[Path, str]) -> None:
 
 def table(descriptors: Descriptors) -> Iterator[str]:
     """Yield the lines of a table of transducers."""
-    rows = [_COLUMNS, *(_row(one) for one in descriptors.transducers)]
-    widths = [max(len(row[at]) for row in rows) for at in range(len(_COLUMNS))]
-    for row in rows:
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        yield "  ".join(cells).rstrip()
+    yield from aligned([_COLUMNS, *map(_row, descriptors.transducers)])
     for definition in descriptors.types:
         yield str(definition)
 
@@ -201,30 +198,5 @@ def facts(descriptors: Descriptors, source: str) -> dict[str, object]:
     return {
         "source": source,
         "types": [str(one) for one in descriptors.types],
-        "transducers": [_facts(one) for one in descriptors.transducers],
-    }
-
-
-def _facts(one: Transducer) -> dict[str, object]:
-    return {
-        "kind": one.kind,
-        "name": one.name,
-        "id": one.id,
-        "channels": one.channels,
-        "type": str(one.type).partition(" ")[0],
-        "unit": one.unit,
-        "units": one.units,
-        "doc": one.doc,
-        "model": one.model,
-        "topic": one.topic,
-        "scale": one.scale,
-        "offset": one.offset,
-        "accuracy": one.accuracy,
-        "range": one.range,
-        "na": one.na,
-        "safe": one.safe,
-        "period_us": one.period_us,
-        "queue": one.queue,
-        "enabled": one.is_enabled,
-        "attributes": dict(one.attributes),
+        "transducers": [transducer_facts(one) for one in descriptors.transducers],
     }

@@ -1,5 +1,6 @@
 """`j2a transds`, and `j2a serve --transds`: files and boards, what is written, what is refused."""
 
+import contextlib
 import errno
 import json
 import subprocess
@@ -7,10 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from j2a_spec.constants import GET_TRANSDS
 
 import j2a
 from j2a.cli import main
 from j2a.tests.types.test_transds_file import DESCRIPTORS_9_2, LISTING_9_2
+from j2a.types.transds_file import read_transds
+
+from .conftest import served
 
 FILE = Path(__file__).parents[3] / "firmware/apps/transducers/transds.def"
 NUMBERS = "TRANSDUCERS_NUMBERS"
@@ -218,6 +223,81 @@ def test_a_condition(run, transds):
 def test_a_board_without_transducers(run, demo):
     result = failed(run, 5, "transds", demo)
     assert "the device describes no transducers" in result.err
+
+
+INFO = """
+J2A_STRUCT(motion, (array(i16, 3), rate, mdeg/s), (f32, temperature, Cel), (bool, up))
+SENSOR(quad, 0, quad, HEDS-6500, 2, int16_t, -1, (unit, deg), (period, 20000), (topic, wheels))
+SENSOR(imu, 2, imu, BNO055, 1, motion, none)
+ACTUATOR(servo, 10, servo, SG90, 2, int8_t, 5, (unit, %))
+"""
+
+
+def info(run, text, *options):
+    """Return what `j2a info` tells of a board with these transducers."""
+    with contextlib.closing(served(j2a.Device(transducers=read_transds(text)))) as urls:
+        result = run("info", next(urls), *options)
+        next(urls, None)
+    assert result.code == 0
+    return result
+
+
+def test_info_has_a_table_of_transducers(run):
+    result = info(run, INFO)
+    assert result.err == ""
+    lines = result.out.splitlines()
+    at = lines.index("transducers")
+    assert lines[at + 1 : at + 7] == [
+        "  name   kind      type    unit         channels  model      period  topic",
+        "  quad   sensor    i16     deg          2         HEDS-6500  20 ms   wheels",
+        "  imu    sensor    motion  mdeg/s, Cel  1         BNO055",
+        "  servo  actuator  i8      %            2         SG90",
+        "types",
+        "  struct motion (rate i16[3] mdeg/s, temperature f32 Cel, up bool)",
+    ]
+    facts = json.loads(info(run, INFO, "--json").out)
+    quad, imu, _ = facts["transducers"]
+    assert (quad["name"], quad["unit"], quad["period_us"]) == ("quad", "deg", 20000)
+    assert (imu["units"]["temperature"], imu["model"]) == ("Cel", "BNO055")
+    assert facts["transducer_types"] == [lines[at + 6].strip()]
+
+
+@pytest.mark.parametrize(
+    ("length", "left_out"),
+    [
+        (10, ""),
+        (19, " (j2a transds also shows: topic)"),
+        (31, " (j2a transds also shows: model, period, topic)"),
+    ],
+)
+def test_the_table_of_info_fits_into_80_columns(run, length, left_out):
+    name, model = "n" * length, "M" * length
+    text = f"SENSOR({name}, 0, n, {model}, 1, i16, -1, (period, 1500), (topic, t), (unit, deg))"
+    lines = info(run, text).out.splitlines()
+    at = lines.index(f"transducers{left_out}")
+    table = lines[at + 1 : at + 3]
+    assert all(len(line) <= 80 for line in table)
+    assert name in table[1]
+    assert ("1.5 ms" in table[1]) == (length < 31)
+
+
+def test_info_of_a_board_without_transducers(run, demo):
+    assert "transducers" not in run("info", demo).out
+    facts = json.loads(run("info", demo, "--json").out)
+    assert facts["transducers"] is facts["transducer_types"] is None
+
+
+def test_info_tells_why_transducers_are_not_used(run):
+    device = j2a.Device({"j2a.caps": "transducers"})
+    device._table.add_content(GET_TRANSDS, lambda: b"\nsensor a 1 1 u8")
+    with contextlib.closing(served(device)) as urls:
+        url = next(urls)
+        result = run("info", url)
+        told = json.loads(run("info", url, "--json").out)
+        next(urls, None)
+    assert result.code == 0
+    assert "the transducers of the device are not used: " in result.err
+    assert "not end with a line feed" in told["transducers_problem"]
 
 
 def test_the_texts_agree(transds):
