@@ -19,12 +19,14 @@ from j2a.types.naming import C_KEYWORDS
 from j2a.types.parser import parse_interface
 
 __all__ = [
+    "C_INT",
     "DEFINITIONS",
     "MAX_ITEMS",
     "Line",
     "entry_line",
     "interface_text",
     "is_group",
+    "octal_problem",
     "read_definition_file",
     "type_text",
 ]
@@ -37,6 +39,10 @@ _FORMS: Final = {
     "J2A_ENUM": "J2A_ENUM(mode, u8, (off, 0), (slow, 1)): name, integer, values",
     "J2A_STRUCT": "J2A_STRUCT(point, (f32, x, m), (i16, y)): name, and type, name, unit of each",
 }
+C_INT: Final = range(-(1 << 31), 1 << 31)
+"""What an int of C holds where it has 32 bits; C99 refuses other numbers of enumerations."""
+_WHOLE: Final = re.compile(r"-?[0-9]{1,20}")
+_OCTAL: Final = re.compile(r"-?0[0-9]+")
 _PLAIN: Final = re.compile(r"-?\w+", re.ASCII)
 
 
@@ -45,15 +51,17 @@ Maker = Callable[..., Pieces]
 
 
 class _FormError(ValueError):
-    """An argument has another form than it should."""
+    """An argument has another form than it should.
 
-    def __init__(self, node: Node) -> None:
+    Args:
+        node: the argument.
+        what: is wrong with it; "" where the form of the macro says enough.
+    """
+
+    def __init__(self, node: Node, what: str = "") -> None:
         super().__init__(node)
         self.node = node
-
-
-class _KeywordError(_FormError):
-    """A name is a word of C."""
+        self.what = what
 
 
 class Line:
@@ -164,12 +172,10 @@ def entry_line(reader: MacroReader, make: Maker, macro: Word, arguments: Argumen
     form = f"; write {_FORMS[macro]}" if macro in _FORMS else ""
     try:
         return Line(macro, make(*arguments))
-    except _KeywordError as error:
-        what = f"{error.node} is a word of C, which takes it for no name"
-        raise reader.error(what, error.node) from None
     except (TypeError, ValueError) as error:
-        node = error.node if isinstance(error, _FormError) else macro
-        raise reader.error(f"the arguments of {macro} cannot be read{form}", node) from None
+        node, what = (error.node, error.what) if isinstance(error, _FormError) else (macro, "")
+        what = what or f"the arguments of {macro} cannot be read{form}"
+        raise reader.error(what, node) from None
 
 
 def type_text(node: Node) -> str:
@@ -216,7 +222,21 @@ def _name(node: Node) -> Word:
     """Return what will be a name in C, too."""
     word = _word(node)
     if word in C_KEYWORDS:
-        raise _KeywordError(word)
+        raise _FormError(word, f"{word} is a word of C, which takes it for no name")
+    return word
+
+
+def octal_problem(text: str) -> str:
+    """Return why a number is another one in C than for people, or ""."""
+    if not _OCTAL.fullmatch(text):
+        return ""
+    return f"{text} is octal in C; for {text.lstrip('-0') or '0'} leave the zeros out"
+
+
+def _number(node: Node) -> Word:
+    word = _word(node)
+    if what := octal_problem(word):
+        raise _FormError(word, what)
     return word
 
 
@@ -278,8 +298,12 @@ def _enum(name: Node, integer: Node, *values: Node) -> Pieces:
 
 
 def _value(node: Node) -> Pieces:
-    name, number = _items(node, 2, 2)
-    yield from (_word(name), "=", _word(number))
+    name, node = _items(node, 2, 2)
+    number = _number(node)
+    if _WHOLE.fullmatch(number) and int(number) not in C_INT:
+        what = f"the number {number} of {name} does not fit an int of C, {C_INT[0]} to {C_INT[-1]}"
+        raise _FormError(number, what)
+    yield from (_word(name), "=", number)
 
 
 def _struct(name: Node, *fields: Node) -> Pieces:
@@ -288,7 +312,7 @@ def _struct(name: Node, *fields: Node) -> Pieces:
 
 def _sif(name: Node, opcode: Node, *rest: Node) -> Pieces:
     *fields, text = rest
-    yield from ("sif ", _word(name), " ", _word(opcode), " ", *_fields(fields), *_doc(text))
+    yield from ("sif ", _word(name), " ", _number(opcode), " ", *_fields(fields), *_doc(text))
 
 
 def _function(name: Node, result: Node, *rest: Node) -> Pieces:

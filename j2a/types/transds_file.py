@@ -11,7 +11,16 @@ from difflib import get_close_matches
 from typing import Final
 
 from j2a.errors import LocalError, SignatureError
-from j2a.types.definition_file import DEFINITIONS, MAX_ITEMS, Line, entry_line, is_group, type_text
+from j2a.types.definition_file import (
+    C_INT,
+    DEFINITIONS,
+    MAX_ITEMS,
+    Line,
+    entry_line,
+    is_group,
+    octal_problem,
+    type_text,
+)
 from j2a.types.descriptors import parse_transducer
 from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
 from j2a.types.model import Enumeration, Field, Structure
@@ -37,7 +46,6 @@ _KIND_OF: Final = {
     **dict.fromkeys(("period", "enabled", "queue", "decimation", "threshold", "trigger"), "sensor"),
 }
 _DIGITS: Final = re.compile(r"([0-9]*)(.*)", re.DOTALL)
-_OCTAL: Final = re.compile(r"-?0[0-9]+")
 _WHOLE: Final = re.compile(r"-?[0-9]{19,400}")
 _TOP: Final = 1 << 63
 _STRING: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"')
@@ -189,9 +197,8 @@ class _Entry:
 
     def _check_number(self, text: str, node: Node) -> None:
         """Refuse what C reads in another way than people do."""
-        if _OCTAL.fullmatch(text):
-            least = text.lstrip("-0") or "0"
-            raise self._reader.error(f"{text} is octal in C; for {least} leave the zeros out", node)
+        if what := octal_problem(text):
+            raise self._reader.error(what, node)
         if (written := _c_number(text)) != text:
             raise self._reader.error(f"C has no decimal number {text}; write {written}", node)
 
@@ -329,6 +336,12 @@ def _definition(one: Enumeration | Structure) -> str:
                 f"{one.name}: {name} is a word of C, so it cannot stand in a transds.def"
             )
     if isinstance(one, Enumeration):
+        for name, number in one.values:
+            if number not in C_INT:
+                raise LocalError(
+                    f"{one.name}: {name} is {number}, which no int of C holds, so it cannot stand "
+                    "in a transds.def"
+                )
         values = "".join(f", ({name}, {number})" for name, number in one.values)
         return f"J2A_ENUM({one.name}, {one.integer}{values})"
     return f"J2A_STRUCT({one.name}, {', '.join(map(_field, one.fields))})"

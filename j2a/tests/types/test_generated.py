@@ -182,6 +182,14 @@ def test_a_definition_file_says_what_the_board_says(folder):
         ),
         ("\nJ2A_STRUCT(s, (u8, a), (text, b))", "a structure cannot hold b text: its size is open"),
         ('\n\nJ2A_SIF(tick, 256, (u8, n), "")', "not 256 (line 3, character 15"),
+        (
+            '\nJ2A_SIF(tick, 010, (u8, n), "")',
+            "010 is octal in C; for 10 leave the zeros out (line 2",
+        ),
+        (
+            "J2A_ENUM(m, u64, (a, 9999999999))",
+            "the number 9999999999 of a does not fit an int of C",
+        ),
         ('\nJ2A_FUNCTION(f, void, (u8, a), (u8, a), "")', "(line 2, character 37, at 'a), \"\")')"),
         (
             'J2A_CALL(f, f)\nJ2A_FUNCTION(g, i33, "")',

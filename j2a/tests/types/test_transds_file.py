@@ -179,6 +179,9 @@ WRONG = [
     ("J2A_STRUCT(u8, (u8, a))\n", 1, 12, "another type has the name u8"),
     ("J2A_ENUM(m, f32, (a, 1))\n", 1, 13, "an enumeration holds an integer, not f32"),
     ("J2A_ENUM(m, u8, (a, 1), (b, c))\n", 1, 29, "a number is expected"),
+    ("J2A_ENUM(m, u32, (a, 2147483648))\n", 1, 22, "2147483648 of a does not fit an int of C"),
+    ("J2A_ENUM(m, i64, (a, 1), (b,\n -2147483649))\n", 2, 2, "an int of C, -2147483648 to"),
+    ("J2A_ENUM(m, u8, (a, 1), (b, 010))\n", 1, 29, "010 is octal in C; for 10 leave"),
     ("#if FOO\n" + GOOD + "#endif\n", 1, 1, "-D FOO=1"),
     ("#if 1\n" + GOOD, 2, 1, "#endif is missing"),
     (GOOD + "#endif\n", 2, 1, "there is no #if for this"),
@@ -385,6 +388,16 @@ class TestWriting:
         descriptors = parse_descriptors(f"\nsensor a 1 1 u8\n model {model}\n")
         with pytest.raises(j2a.LocalError, match=r"cannot stand in a transds\.def"):
             transds_text(descriptors, "x")
+
+    def test_numbers_of_an_enumeration_are_those_of_an_int(self):
+        text = "enum m {} (a={})\n\nsensor a 1 1 m\n"
+        for integer, number in (("u32", (1 << 31) - 1), ("i64", -(1 << 31))):
+            descriptors = parse_descriptors(text.format(integer, number))
+            assert read_transds(transds_text(descriptors, "x")).types == descriptors.types
+        for integer, number in (("u32", 1 << 31), ("i64", -(1 << 31) - 1)):
+            descriptors = parse_descriptors(text.format(integer, number))
+            with pytest.raises(j2a.LocalError, match=f"a is {number}, which no int of C holds"):
+                transds_text(descriptors, "x")
 
 
 class TestRos:
