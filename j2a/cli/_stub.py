@@ -16,6 +16,7 @@ from j2a.cli._exit import OK, UsageError
 from j2a.cli._info import interface_facts
 from j2a.cli._link import add_condition_arguments, add_link_arguments, conditions_of, connect
 from j2a.cli._output import show, show_text
+from j2a.errors import SignatureError
 from j2a.types.definition_file import interface_text, read_definition_file
 from j2a.types.header import c_header
 from j2a.types.model import Interface
@@ -84,8 +85,12 @@ def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
         options = conditions_of(args)
         is_off = options.get("J2A_WITH_TRANSDUCERS") == "0"
         has_transducers = not is_off and path.with_name("transds.def").exists()
-        own = interface_text(text, options, has_transducers=has_transducers)
-        interface = read_definition_file(text, options, has_transducers=has_transducers)
+        try:
+            own = interface_text(text, options, has_transducers=has_transducers)
+            interface = read_definition_file(text, options, has_transducers=has_transducers)
+        except SignatureError as error:
+            place = f"{path}:{error.line}:{error.position + 1}"
+            raise UsageError(f"{place}: {error.reason}") from None
         return interface, f"{zlib.crc32(own.encode()):08x}", path.name
     if args.define or args.undefine:
         raise UsageError("-D and -U are for a functions.def; a board knows what it is built with")

@@ -111,16 +111,9 @@ def read_definition_file(
     """
     lines = _lines(text, options, has_transducers=has_transducers)
     try:
-        interface = parse_interface(_text(lines))
+        return parse_interface(_text(lines), is_strict=True)
     except SignatureError as error:
         raise lines[(error.line or 1) - 1].error(error.reason, error.position) from None
-    places = {str(line.pieces[0]): line for line in lines if line.pieces}
-    for function in interface.functions:
-        # A device of a later version may use such types (J2A-IFACE-011), a file may not.
-        line = places[function.name]
-        if function.signature is None and str(line).startswith(f"{function.name}("):
-            raise line.error(f"{function.name} uses a type that is not defined", 0)
-    return interface
 
 
 def interface_text(

@@ -74,13 +74,18 @@ def parse_signature(text: str, types: Types | None = None) -> Signature:
     scanner = Scanner(text)
     signature = _signature(scanner, types or {})
     if scanner.unknown is not None:
-        raise scanner.error(_no_type(scanner, types or {}), scanner.unknown)
+        raise scanner.error(_no_type_of(scanner, types or {}), scanner.unknown)
     scanner.end()
     return signature
 
 
-def parse_interface(text: str) -> Interface:
+def parse_interface(text: str, *, is_strict: bool = False) -> Interface:
     """Return what the interface of a device says.
+
+    Args:
+        text: of the interface.
+        is_strict: a type that no definition gives is an error. Without it that is one of a later
+            version, and leaves out the SIF, the type or the signature that uses it (J2A-IFACE-011).
 
     Raises:
         SignatureError: it breaks a rule of SPEC.md, sections 19 and 20; the error tells the line
@@ -88,10 +93,10 @@ def parse_interface(text: str) -> Interface:
     """
     types: dict[str, Enumeration | Structure] = {}
     sifs: list[SifShape] = []
-    lines, split = read_definitions(text, "the interface does", types, sifs)
+    lines, split = read_definitions(text, "the interface does", types, sifs, is_strict=is_strict)
     functions: dict[str, Described] = {}
     for number, line in enumerate(lines[split + 1 :], split + 2):
-        scanner = Scanner(line, number)
+        scanner = Scanner(line, number, is_strict=is_strict)
         function = _function(scanner, types)
         if function.name in functions:
             raise scanner.error(f"another function has the name {function.name}", 0)
@@ -102,7 +107,12 @@ def parse_interface(text: str) -> Interface:
 
 
 def read_definitions(
-    text: str, what: str, types: dict[str, Enumeration | Structure], sifs: list[SifShape]
+    text: str,
+    what: str,
+    types: dict[str, Enumeration | Structure],
+    sifs: list[SifShape],
+    *,
+    is_strict: bool = False,
 ) -> tuple[list[str], int]:
     """Add the definitions at the head of a text, which an empty line ends, to those there are.
 
@@ -110,6 +120,7 @@ def read_definitions(
         text: of lines, each with a line feed.
         what: the text and its verb, for errors, such as "the interface does".
         types, sifs: get what is defined.
+        is_strict: as `parse_interface`.
 
     Returns: the lines, and the index of the empty one.
 
@@ -123,7 +134,7 @@ def read_definitions(
         raise SignatureError.at("no empty line ends the definitions", text, 0)
     split = lines.index("")
     for number, line in enumerate(lines[:split], 1):
-        read_definition(Scanner(line, number), types, sifs)
+        read_definition(Scanner(line, number, is_strict=is_strict), types, sifs)
     return lines, split
 
 
@@ -139,12 +150,19 @@ def parse_definitions(text: str) -> tuple[Enumeration | Structure, ...]:
 class Scanner:
     """A text and the position in it.
 
+    Args:
+        text: to read.
+        line: its number in a longer text, for errors.
+        is_strict: an element that no definition gives is an error.
+
     Attributes:
+        is_strict: as given.
         unknown: where the first element stands that no definition gives, or None. It is of a later
             version, so what it does to the line cannot be judged (J2A-IFACE-011).
     """
 
-    def __init__(self, text: str, line: int | None = None) -> None:
+    def __init__(self, text: str, line: int | None = None, *, is_strict: bool = False) -> None:
+        self.is_strict = is_strict
         self.text = text
         self.at = 0
         self.unknown: int | None = None
@@ -264,6 +282,8 @@ def _element(scanner: Scanner, types: Types) -> Element:
         return name
     if name in types:
         return types[name]
+    if scanner.is_strict:
+        raise scanner.error(_no_type(name, types), at)
     scanner.unknown = at if scanner.unknown is None else scanner.unknown
     return "bool"  # in its place
 
@@ -368,16 +388,20 @@ def _function(scanner: Scanner, types: Types) -> Described:
     return Described(name, signature, is_many, content, idempotent, slow_ms, doc)
 
 
-def _no_type(scanner: Scanner, types: Types) -> str:
-    """Return what to say about the element that no definition gives."""
+def _no_type_of(scanner: Scanner, types: Types) -> str:
+    """Return what to say about the element of a signature that no definition gives."""
     at = scanner.unknown
     match = NAME.match(scanner.text, at or 0)
     assert match is not None
     before = re.search(r"(\w+) $", scanner.text[:at])
     if before and before[1] in (*SCALARS, *OPEN, *types):
         return f"the name stands before its type: {match[0]} {before[1]}"
-    near = get_close_matches(match[0], [*SCALARS, *OPEN, *types], 1)
-    return f"there is no type {match[0]!r}" + (f"; did you mean {near[0]}?" if near else "")
+    return _no_type(match[0], types)
+
+
+def _no_type(name: str, types: Types) -> str:
+    near = get_close_matches(name, [*SCALARS, *OPEN, *types], 1)
+    return f"there is no type {name!r}" + (f"; did you mean {near[0]}?" if near else "")
 
 
 def _slow_ms(scanner: Scanner, value: str | None, at: int) -> int:

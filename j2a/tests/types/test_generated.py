@@ -171,7 +171,21 @@ def test_a_definition_file_says_what_the_board_says(folder):
         ("#endif\n", "there is no #if for this"),
         ("#if 1\n#else\n#else\n#endif\n", "there is a second #else behind this"),
         ("#if 0\n#else\n#else\n#endif\n", "there is no #if for this"),
-        ('J2A_FUNCTION(add, i32, (i33, a), "x")', "add uses a type that is not defined"),
+        (
+            'J2A_FUNCTION(add, i32,\n  (i33, a), "x")',
+            "there is no type 'i33'; did you mean i32? (line 2, character 4",
+        ),
+        (
+            'J2A_FUNCTION(f, ((u8, a), (array(i33, 2), b, mV)), "")',
+            "there is no type 'i33'; did you mean i32? (line 1, character 34",
+        ),
+        ('J2A_FUNCTION(f, void, (a, u8), "")', "there is no type 'a' (line 1, character 24"),
+        ('\nJ2A_BUFFER(b, (i33, mV), 4, "")', "did you mean i32? (line 2, character 16"),
+        ('J2A_SIF(s, 5, (u8, a), (_u, b), "")', "there is no type '_u' (line 1, character 25"),
+        (
+            'J2A_STRUCT(inner, (i33, a))\nJ2A_FUNCTION(f, inner, "")',
+            "did you mean i32? (line 1, character 20",
+        ),
         ("J2A_CALL a", 'a "(" is expected behind J2A_CALL'),
         ('J2A_CALL(a, b) "', 'a second " is missing in this line'),
         ('J2A_FUNCTION(add, i32, (i32, a), (i32, a), "x")', "the name a stands here twice"),
@@ -193,7 +207,7 @@ def test_a_definition_file_says_what_the_board_says(folder):
         ('\nJ2A_FUNCTION(f, void, (u8, a), (u8, a), "")', "(line 2, character 37, at 'a), \"\")')"),
         (
             'J2A_CALL(f, f)\nJ2A_FUNCTION(g, i33, "")',
-            "type that is not defined (line 2, character 14",
+            "did you mean i32? (line 2, character 17",
         ),
     ],
 )
@@ -201,6 +215,14 @@ def test_a_definition_file_that_cannot_be_read_says_where(text, message):
     with pytest.raises(SignatureError) as caught:
         read_definition_file(text)
     assert message in str(caught.value)
+
+
+def test_the_message_of_stub_tells_the_place(tmp_path, capsys):
+    source = tmp_path / "functions.def"
+    source.write_text('\nJ2A_FUNCTION(g, i33, "")\n')
+    assert main(["stub", str(source)]) == 2
+    message = f"j2a: {source}:2:17: there is no type 'i33'; did you mean i32?"
+    assert capsys.readouterr().err.splitlines()[0] == message
 
 
 CONDITIONS = """\
