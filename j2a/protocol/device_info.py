@@ -8,10 +8,10 @@ learnt again: it may be what another device said. Old devices are recognised by 
 (J2A-PROP-005).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import partial
-from typing import Final
+from typing import Final, TypeVar
 
 from j2a_spec.constants import (
     CAP_INTERFACE,
@@ -76,6 +76,9 @@ MAX_PROPERTIES: Final = 16 * 1024
 
 MANY_OPCODE: Final = 1
 """Of a2jMany, in every function table that has it (J2A-DISP-009)."""
+
+
+_FoundT = TypeVar("_FoundT")
 
 
 class DeviceInfo:
@@ -216,15 +219,8 @@ class DeviceInfo:
         by name and opcode (J2A-IFACE-009).
         """
         while not self.asked_for_interface:
-            map_then, interface, problem = self._map, None, ""
-            opcode = (self.functions or {}).get(GET_INTERFACE)
-            if opcode is not None:
-                try:
-                    interface = yield from self._read_interface(opcode)
-                except (DeviceRestarted, LinkClosed, LinkLost):
-                    raise
-                except J2AError as error:
-                    problem = str(error)
+            map_then = self._map
+            interface, problem = yield from self._described(GET_INTERFACE, self._read_interface)
             if self._map is not map_then:
                 continue
             if interface is not None:
@@ -233,6 +229,20 @@ class DeviceInfo:
                 self.sifs = {sif.name: sif for sif in interface.sifs}
             self.interface, self.interface_problem = interface, problem
             self.asked_for_interface = True
+
+    def _described(
+        self, function: str, read: Callable[[int], Transfer[_FoundT]]
+    ) -> Transfer[tuple[_FoundT | None, str]]:
+        """Return what the device describes by a function, or None; and why it cannot be used."""
+        opcode = (self.functions or {}).get(function)
+        if opcode is None:
+            return None, ""
+        try:
+            return (yield from read(opcode)), ""
+        except (DeviceRestarted, LinkClosed, LinkLost):
+            raise
+        except J2AError as error:
+            return None, str(error)
 
     def _read_interface(self, opcode: int) -> Transfer[Interface]:
         properties = yield from self.read_properties()
@@ -259,19 +269,11 @@ class DeviceInfo:
         Nothing that the device says is an error: its functions stay callable (J2A-TRANS-021).
         """
         while not self.asked_for_transducers:
-            map_then, descriptors, problem = self._map, None, ""
-            opcode = (self.functions or {}).get(GET_TRANSDS)
-            if opcode is not None:
-                try:
-                    descriptors = yield from self._read_transducers(opcode)
-                except (DeviceRestarted, LinkClosed, LinkLost):
-                    raise
-                except J2AError as error:
-                    problem = str(error)
-            if self._map is not map_then:
-                continue
-            self.descriptors, self.transducers_problem = descriptors, problem
-            self.asked_for_transducers = True
+            map_then = self._map
+            found = yield from self._described(GET_TRANSDS, self._read_transducers)
+            if self._map is map_then:
+                self.descriptors, self.transducers_problem = found
+                self.asked_for_transducers = True
 
     def _read_transducers(self, opcode: int) -> Transfer[Descriptors]:
         yield from self.read_properties()
