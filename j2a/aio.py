@@ -470,7 +470,8 @@ async def aconnect(
         )
         await stack.enter_async_context(client)
         await client._drive(
-            client._connect(boot_time), client._device_limits(client.now(), boot_time)
+            client._connect(boot_time, transport.bit_rate),
+            client._device_limits(client.now(), boot_time),
         )
         stack.pop_all()
     return client

@@ -549,6 +549,9 @@ def connect(
             on_handler_error=on_handler_error,
         )
         stack.enter_context(client)
-        client._drive(client._connect(boot_time), client._device_limits(client.now(), boot_time))
+        client._drive(
+            client._connect(boot_time, transport.bit_rate),
+            client._device_limits(client.now(), boot_time),
+        )
         stack.pop_all()
     return client

@@ -354,14 +354,34 @@ class ClientBase:
 
     # ------------------------------------------------------------------ several calls
 
-    def _connect(self, boot_time: float) -> Transfer[None]:
+    def _connect(self, boot_time: float, bit_rate: int) -> Transfer[None]:
+        """Learn what the device has; `bit_rate` is that of the link, 0 where it has none."""
         try:
             yield from self._refresh(boot_time)
         except CallTimeout:
-            raise CallTimeout(
-                f"no device answered at {self._url} within {boot_time:g} s; see that the board "
-                "runs J2A and that speed and parity are the same at both ends"
-            ) from None
+            if self._device.functions is not None:
+                raise
+            text = f"no device answered at {self._url} within {boot_time:g} s"
+            raise CallTimeout(f"{text}{self._what_came(bit_rate)}") from None
+
+    def _what_came(self, bit_rate: int) -> str:
+        """Return the end of the message that no device has answered."""
+        counters = self.counters
+        if counters.frames_received:
+            return (
+                f", although {_counted(counters.frames_received, 'valid frame')} came; see that "
+                "the board can receive: its wire, its speed, its buffer"
+            )
+        if counters.bytes_received:
+            rate = f"is {bit_rate} the right baud rate" if bit_rate else "is its speed right"
+            return (
+                f"; {_counted(counters.bytes_received, 'byte')} came, of which no frame could be "
+                f"made: {rate}, and does the board run J2A?"
+            )
+        return (
+            " and no byte came; see that the board runs J2A and that speed and parity are the "
+            "same at both ends"
+        )
 
     def _refresh(self, boot_time: float | None) -> Transfer[None]:
         session, device = self._session, self._device
@@ -557,6 +577,10 @@ class ClientBase:
 def _name(function: str | int) -> str:
     """Return how messages name a function."""
     return function.name if isinstance(function, RemoteFunction) else str(function)
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _ask_map(limit_s: float) -> Transfer[Reply | None]:

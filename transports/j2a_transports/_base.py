@@ -94,10 +94,12 @@ class Transport(_Closable):
         write_timeout_s: seconds without any progress after which `write` gives up; None is never.
         is_simulated: the time of `clock` is simulated, and passes only in `read` and `sleep`.
         byte_time_s: how long a byte takes on the wire, in seconds; 0 where nobody knows it.
+        bit_rate: to which the user can set the link, in bit/s, as it is set; 0 where it has none.
     """
 
     is_simulated: bool = False
     byte_time_s: float = 0.0
+    bit_rate: int = 0
 
     def __init__(self, url: str, write_timeout_s: float | None = DEFAULT_WRITE_TIMEOUT_S) -> None:
         super().__init__(url)

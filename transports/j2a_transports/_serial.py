@@ -131,6 +131,7 @@ def open_url(url: Url) -> Transport:
     else:
         transport = _threaded(url.text, port, options["write_timeout"])
     transport.byte_time_s = _byte_time_s(name, options)
+    transport.bit_rate = options["baud"]
     try:
         _discard(transport, options["boot"])
     except LinkLost as error:

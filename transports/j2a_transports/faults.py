@@ -49,6 +49,7 @@ class FaultyTransport(Transport):
         self.rx = rx
         self.is_simulated = inner.is_simulated
         self.byte_time_s = inner.byte_time_s
+        self.bit_rate = inner.bit_rate
         self.clock = inner.clock  # type: ignore[method-assign]
         self.sleep = inner.sleep  # type: ignore[method-assign]
         self._arrived: deque[Piece] = deque()

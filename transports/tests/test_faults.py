@@ -190,6 +190,7 @@ class OwnTime(Transport):
         self.to_read = b""
         self.time_s = 0.0
         self.byte_time_s = 0.001
+        self.bit_rate = 9600
 
     def clock(self) -> float:
         return self.time_s
@@ -218,6 +219,7 @@ def test_delays_pass_in_the_time_of_the_transport(side: str) -> None:
     with wrap(inner, **{side: Rates(delay=1, delay_ms=60_000)}) as faulty:
         assert faulty.clock() == 0
         assert faulty.byte_time_s == inner.byte_time_s == 0.001
+        assert faulty.bit_rate == inner.bit_rate == 9600
         if side == "tx":
             faulty.write(b"xyz")
             assert inner.written == b"xyz"

@@ -175,6 +175,13 @@ def test_nobody_answers(run):
     result = run("info", "exec:sleep 600", "--boot-time", "0.3")
     assert (result.code, result.out) == (4, "")
     assert "no device answered" in result.err
+    assert "no byte came" in result.err
+
+
+def test_something_else_answers(run):
+    result = run("info", "exec:sh -c 'echo hello; sleep 600'", "--boot-time", "0.3")
+    assert (result.code, result.out) == (4, "")
+    assert "6 bytes came, of which no frame could be made" in result.err
 
 
 def test_a_device_of_the_user(run, tmp_path, monkeypatch):

@@ -61,7 +61,7 @@ class Noise(ClientBase):
         self.now = 0.0
 
     def connect(self) -> None:
-        self.do(self._connect(BOOT_S))
+        self.do(self._connect(BOOT_S, 0))
 
     def do(self, transfer: Transfer) -> None:
         limits = self._device_limits(self.now, BOOT_S)

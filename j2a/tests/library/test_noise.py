@@ -1,9 +1,14 @@
 """What is no device is not taken for one, and what is a device is."""
 
+import asyncio
+import sys
+import threading
 from random import Random
 
+import j2a_transports
 import pytest
-from j2a_spec.constants import MAX_PAYLOAD
+from j2a_spec import oracle
+from j2a_spec.constants import MAX_PAYLOAD, SOS
 
 import j2a
 from j2a.demo import DemoDevice
@@ -12,8 +17,10 @@ from j2a.io.client_base import take_stale_input
 from j2a.protocol.session import Session
 
 from .noise import KINDS, RATES, Noise, outcome_of
-from .support import linked
+from .support import PATIENCE_S, linked
 from .test_limits import Host
+
+SIF = oracle.encode(oracle.Frame(SOS, 0, 0x20, b""))
 
 
 @pytest.mark.parametrize("rate", RATES[:2])
@@ -28,6 +35,47 @@ def test_the_echo_of_a_link_is_no_device():
     noise.call = lambda _what, opcode, payload, _limit_s: Reply(opcode, payload)
     with pytest.raises(j2a.ProtocolError, match="echo"):
         noise.connect()
+
+
+@pytest.mark.parametrize(
+    ("noise", "bit_rate", "told"),
+    [
+        (b"", 9600, r"within 5 s and no byte came; .* speed and parity are the same"),
+        (
+            b"hello\n",
+            0,
+            r"within 5 s; \d+ bytes came, of which no frame.*: is its speed right, and",
+        ),
+        (b"hello\n", 9600, r"\d+ bytes came, .* could be made: is 9600 the right baud rate, and"),
+        (SIF, 9600, r"within 5 s, although \d+ valid frames came; see that the board can receive"),
+    ],
+    ids=["silence", "noise", "noise at a baud rate", "SIFs"],
+)
+def test_what_came_in_place_of_an_answer_is_told(noise, bit_rate, told):
+    client = Noise(Random(0), lambda _random, _size: noise, 0)
+    with pytest.raises(j2a.CallTimeout, match=told):
+        client.do(client._connect(5.0, bit_rate))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo terminals")
+@pytest.mark.parametrize(
+    "connect", [j2a.connect, lambda *a, **o: asyncio.run(j2a.aconnect(*a, **o))]
+)
+def test_both_clients_name_the_baud_rate_and_one_byte(connect):
+    with j2a_transports.listen("pty:") as listener:
+        has_ended = threading.Event()
+
+        def babble():
+            with listener.accept(PATIENCE_S) as far:
+                far.write(b"?")
+                assert has_ended.wait(PATIENCE_S)
+
+        thread = threading.Thread(target=babble)
+        thread.start()
+        with pytest.raises(j2a.CallTimeout, match=r"1 byte came, .* is 57600 the right baud rate"):
+            connect(f"{listener.url}?baud=57600", boot_time=0.5)
+        has_ended.set()
+        thread.join(PATIENCE_S)
 
 
 def test_a_flood_that_was_there_before_ends():
