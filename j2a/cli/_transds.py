@@ -88,7 +88,7 @@ def read_source(args: argparse.Namespace) -> tuple[Descriptors, str]:
     """Return the descriptors of the SOURCE of the command line, and what to call it.
 
     Raises:
-        UsageError: a transds.def is wrong, or SOURCE is a folder.
+        UsageError: a transds.def is wrong, or SOURCE is a folder, or neither a file nor a URL.
         CommandFailed: the board describes no transducers.
         J2AError: as `j2a.connect`.
     """
@@ -98,11 +98,20 @@ def read_source(args: argparse.Namespace) -> tuple[Descriptors, str]:
         return read_transds_argument(args.url, conditions_of(args))
     if args.define or args.undefine:
         raise UsageError("-D and -U are for a transds.def; a board knows what it is built with")
-    with connect(args) as client:
+    with _connect(args) as client:
         descriptors = client.transducers.descriptors
         if descriptors is None:
             raise CommandFailed(client.transducers.why, REMOTE)
         return descriptors, args.url
+
+
+def _connect(args: argparse.Namespace) -> j2a.Client:
+    try:
+        return connect(args)
+    except j2a.BadUrl as error:
+        if ":" in args.url:
+            raise
+        raise UsageError(f"there is no file {args.url!r}, and {error}") from None
 
 
 def read_transds_argument(path: str, options: Mapping[str, str | None]) -> tuple[Descriptors, str]:

@@ -13,6 +13,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
+from itertools import islice
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -21,6 +23,9 @@ from ._scheme import Scheme, Usage
 from ._url import Url
 
 ENTRY_POINT_GROUP: Final = "j2a.transports"
+_EXAMPLES: Final = 4
+_opening: Final = attrgetter("open")
+_listening: Final = attrgetter("listen")
 
 # As entry points; the order is that of lists for people.
 _DRIVERS: Final[Mapping[str, str]] = MappingProxyType(
@@ -150,16 +155,18 @@ def listen(url: str, **options: object) -> Listener:
         OpenFailed: the place is taken or not allowed; the message says what to do.
         MissingExtra: a Python package is missing; the message names it.
     """
-    parsed = _parse(url, options)
+    parsed = _parse(url, options, _listening)
     driver = _driver(parsed.scheme, url)
     if not hasattr(driver, "listen_url"):
-        others = _names(lambda scheme: scheme.listen)
+        others = _names(_listening)
         raise BadUrl(f"{url}: {parsed.scheme} cannot listen; these can: {others}")
     listener: Listener = driver.listen_url(parsed)
     return listener
 
 
-def _parse(text: str, options: Mapping[str, object]) -> Url:
+def _parse(
+    text: str, options: Mapping[str, object], usage: Callable[[Scheme], Usage | None]
+) -> Url:
     """Take a URL apart; where it has no scheme that is known, say which URL was probably meant."""
     scheme = text.partition(":")[0].lower()
     if scheme not in _DRIVERS and scheme not in schemes():
@@ -168,15 +175,20 @@ def _parse(text: str, options: Mapping[str, object]) -> Url:
                 if match := re.fullmatch(pattern, text):
                     hint = f"did you mean {match.expand(meant)} ?"
                     raise BadUrl(f"{text!r} is not a transport URL: {hint}")
-    return Url.parse(text, options)
+    try:
+        return Url.parse(text, options)
+    except BadUrl as error:
+        usages = filter(None, map(usage, _declared()))
+        *few, last = (one.examples[0] for one in islice(usages, _EXAMPLES))
+        raise BadUrl(f"{error}, such as {', '.join(few)} or {last}") from None
 
 
 def _to_open(url: str, options: Mapping[str, object]) -> tuple[Url, Any]:
     """Return a URL taken apart, and the driver that opens it."""
-    parsed = _parse(url, options)
+    parsed = _parse(url, options, _opening)
     driver = _driver(parsed.scheme, url)
     if not hasattr(driver, "open_url"):
-        others = _names(lambda scheme: scheme.open)
+        others = _names(_opening)
         raise BadUrl(f"{url}: {parsed.scheme} can only listen; these can be opened: {others}")
     return parsed, driver
 

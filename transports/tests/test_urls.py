@@ -37,8 +37,19 @@ def test_text_without_a_scheme_gets_the_url_that_was_meant(text: str, meant: str
 
 @pytest.mark.parametrize("text", ["", "fw", "ttyUSB0", ":x"])
 def test_text_without_any_scheme(text: str) -> None:
-    with pytest.raises(BadUrl, match="not a transport URL"):
+    with pytest.raises(BadUrl, match="not a transport URL") as caught:
         j2a_transports.open(text)
+    for name in ("serial", "usb", "bt", "tcp"):
+        usage = j2a_transports.describe(name).open
+        assert usage is not None
+        assert usage.examples[0] in str(caught.value)
+
+
+def test_the_examples_for_a_listener_can_listen() -> None:
+    with pytest.raises(BadUrl, match=r"such as (.*)") as caught:
+        j2a_transports.listen("nothing")
+    assert "gadget:" in str(caught.value)
+    assert "usb:" not in str(caught.value)
 
 
 def test_an_unknown_scheme_lists_the_known_ones() -> None:
