@@ -434,7 +434,7 @@ class AsyncClient(ClientBase):
                         generation,
                     )
                 except J2AError as error:
-                    requests = transfer.throw(error)
+                    requests = transfer.throw(limits.explain(error))
                 else:
                     requests = transfer.send(replies)
         except StopIteration as end:

@@ -501,7 +501,7 @@ class Client(ClientBase):
                         generation,
                     )
                 except J2AError as error:
-                    requests = transfer.throw(error)
+                    requests = transfer.throw(limits.explain(error))
                 else:
                     requests = transfer.send(replies)
         except StopIteration as end:
@@ -519,7 +519,9 @@ def connect(
     on_handler_error: ErrorHook | None = None,
     **transport_options: object,
 ) -> Client:
-    """Open a link to a device and fetch its function map.
+    """Open a link to a device and fetch its function map, and what the device says of itself.
+
+    Once the link is open that takes at most `boot_time` and ten times `timeout` (J2A-TIME-008).
 
     Args:
         url: such as `serial:///dev/ttyACM0?baud=115200`; see `j2a_transports.open`.
@@ -534,7 +536,8 @@ def connect(
     Raises:
         LocalError: an argument, the URL or an option is wrong.
         OpenFailed: the URL names nothing that can be opened.
-        CallTimeout: no device answered within `boot_time`.
+        CallTimeout: no device answered within `boot_time`; with a `window` above 1 also where its
+            properties took too long.
         ProtocolError: what answers is no device; the link may echo what is sent.
         LinkLost: the link broke meanwhile.
     """

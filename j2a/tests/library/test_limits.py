@@ -41,7 +41,7 @@ class Host(ClientBase):
                     if self.cost_s > limit_s:
                         raise j2a.CallTimeout(what, outcome=Outcome.MAYBE_EXECUTED)
                 except j2a.J2AError as error:
-                    [request] = transfer.throw(error)
+                    [request] = transfer.throw(limits.explain(error))
                 else:
                     [request] = transfer.send([self.answer(opcode, payload)])
         except StopIteration as end:
@@ -95,6 +95,15 @@ def test_what_is_asked_before_takes_its_time_from_the_call():
     assert caught.value.outcome is Outcome.MAYBE_EXECUTED
     assert host.now == pytest.approx(50.7)
     assert len(host.asked) == 2
+
+
+def test_a_call_with_less_than_its_own_limit_says_why():
+    host = Host(DemoDevice(), 0.4)
+    with pytest.raises(j2a.CallTimeout, match=r"; the time limit of 0\.7 s for the whole is over$"):
+        host.call("add", ADD, 0.7)
+    with pytest.raises(j2a.CallTimeout) as caught:
+        host.call(0, b"", 0.3)
+    assert "whole" not in str(caught.value)
 
 
 def test_no_time_is_left_for_the_call():

@@ -3,6 +3,7 @@
 import asyncio
 import math
 import os
+import re
 import threading
 import time
 
@@ -14,6 +15,7 @@ from j2a_spec.constants import SOF
 import j2a
 
 from .support import PATIENCE_S
+from .test_limits import SlowProperties
 from .wire import Background
 
 
@@ -77,6 +79,56 @@ def test_a_call_ends_after_its_limit_in_simulated_time(takes_s, limit_s):
 def test_a_reply_within_the_limit_in_simulated_time(takes_s, limit_s):
     with j2a.Client(SlowDevice(takes_s)) as client:
         assert client.call(1, timeout=limit_s).payload == b"done"
+
+
+class Dripping(SlowDevice):
+    """A board whose properties come byte by byte and never end, each just within its limit."""
+
+    read_takes_s = 0.0
+
+    def __init__(self):
+        super().__init__(0.9)
+        self._device = SlowProperties()
+
+    def write(self, data):
+        with self._lock:
+            for request in oracle.decode(bytes(data)):
+                code, payload = self._device._execute(request.opcode, request.payload)
+                reply = oracle.encode(oracle.Frame(SOF, request.seq, code, payload))
+                self.due.append((self.now_s + self.takes_s, reply))
+
+
+def connect_and_close(**options):
+    with j2a.connect("simulated:", **options) as client:
+        return client
+
+
+async def aconnect_and_close(**options):
+    async with await j2a.aconnect("simulated:", **options) as client:
+        return client
+
+
+@pytest.mark.requirement("J2A-TIME-008")
+@pytest.mark.parametrize(
+    "connect",
+    [connect_and_close, lambda **options: asyncio.run(aconnect_and_close(**options))],
+    ids=["blocking", "asyncio"],
+)
+@pytest.mark.parametrize("window", [1, 8])
+def test_connecting_ends_however_slowly_a_board_tells_what_it_has(monkeypatch, connect, window):
+    board = Dripping()
+    for module in ("client", "aio"):
+        monkeypatch.setattr(f"j2a.{module}.open_transport", lambda _url, _options: board)
+    begun_s, told = board.now_s, r"a2jGetProperties at .* limit of 12 s for the whole is over"
+    if window == 1:
+        # Its functions can be called, although it does not describe them (J2A-IFACE-009).
+        client = connect(timeout=1.0, boot_time=2.0)
+        assert re.match(told, client.interface_problem)
+    else:
+        # Several calls at once need to know how much the board holds.
+        with pytest.raises(j2a.CallTimeout, match=told):
+            connect(timeout=1.0, boot_time=2.0, window=window)
+    assert board.now_s - begun_s <= 2.0 + 10 * 1.0 + 0.1
 
 
 def test_calls_on_the_wire_together_keep_their_own_simulated_limits():
