@@ -8,11 +8,11 @@ error that names it and what is near.
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
 import j2a_transports
+from j2a_spec.nearest import did_you_mean
 
 from j2a import J2AError, LocalError
 from j2a.io.opening import link_error
@@ -231,5 +231,4 @@ def _one_of(key: str, value: str, allowed: Iterable[str]) -> None:
 
 def _near(key: str, known: Iterable[str]) -> str:
     known = list(known)
-    near = get_close_matches(key, known, n=1)
-    return f"did you mean {near[0]}?" if near else f"there are: {', '.join(known)}"
+    return did_you_mean(key, known) or f"there are: {', '.join(known)}"

@@ -42,7 +42,7 @@ END {
                 nearest = name
             }
         }
-        print "there is no option " names[i] ", the nearest is " nearest
+        print "there is no option " names[i] "; did you mean " nearest "?"
         exit
     }
 }

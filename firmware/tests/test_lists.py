@@ -303,12 +303,12 @@ def test_each_device_has_j2a_spec_once(app, make, ask, tmp_path, properties):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ("-DJ2A_WITH_DEBG=0", "there is no option J2A_WITH_DEBG, the nearest is J2A_WITH_DEBUG"),
-        ("-DJ2A_RXBUFF=9", "there is no option J2A_RXBUFF, the nearest is J2A_RXBUF"),
-        ("-Dj2a_with_sif=0", "there is no option j2a_with_sif, the nearest is J2A_WITH_SIF"),
+        ("-DJ2A_WITH_DEBG=0", "there is no option J2A_WITH_DEBG; did you mean J2A_WITH_DEBUG?"),
+        ("-DJ2A_RXBUFF=9", "there is no option J2A_RXBUFF; did you mean J2A_RXBUF?"),
+        ("-Dj2a_with_sif=0", "there is no option j2a_with_sif; did you mean J2A_WITH_SIF?"),
         ("J2A_WITH_SIF=0", "J2A_WITH_SIF=0 has no -D: give -DNAME=value"),
         ("-D J2A_WITH_SIF=0", "J2A_WITH_SIF=0 has no -D: give -DNAME=value, without a blank"),
-        ("-DJ2A_WITH_SIF=0 -DJ2A_PAUS_MS=9", "J2A_PAUS_MS, the nearest is J2A_PAUSE_MS"),
+        ("-DJ2A_WITH_SIF=0 -DJ2A_PAUS_MS=9", "J2A_PAUS_MS; did you mean J2A_PAUSE_MS?"),
     ],
 )
 def test_misspelt_options(make, tmp_path, option, message):

@@ -11,8 +11,9 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Sequence
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, NoReturn
+
+from j2a_spec.nearest import did_you_mean
 
 from j2a.cli import _commands
 from j2a.cli._exit import (
@@ -111,8 +112,7 @@ def _run(argv: list[str]) -> int:
     if name.startswith("-"):
         raise UsageError(f"{name!r} comes after a command, as in: j2a info URL {name}")
     names = _commands.names()
-    near = get_close_matches(name, names, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"commands are: {', '.join(names)}"
+    hint = did_you_mean(name, names) or f"commands are: {', '.join(names)}"
     raise UsageError(f"there is no command {name!r}; {hint}")
 
 

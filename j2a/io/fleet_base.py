@@ -12,10 +12,10 @@ import threading
 from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from difflib import get_close_matches
 from typing import Any, Generic, TypeVar
 
 import j2a_transports
+from j2a_spec.nearest import did_you_mean
 from j2a_spec.printable import printable
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError, Outcome, UnknownTransducer
@@ -49,10 +49,9 @@ class FleetTransducers(dict[tuple[str, str], Any]):
         Raises:
             UnknownTransducer: always.
         """
-        known = [f'"{board}", "{name}"' for board, name in self]
+        known = [f'["{board}", "{name}"]' for board, name in self]
         asked = ", ".join(f'"{part}"' for part in key) if isinstance(key, tuple) else repr(key)
-        near = get_close_matches(asked, known, n=3, cutoff=0.3) or known[:3]
-        hint = f"near it are: {'; '.join(near)}" if near else "no board is here"
+        hint = did_you_mean(f"[{asked}]", known, most=3, cutoff=0.0) or "no board is here"
         raise UnknownTransducer(
             f"no board has the transducer {asked}, which is named by board and name; {hint}"
         )

@@ -12,6 +12,7 @@ import pytest
 
 import j2a
 from j2a.fleet import by_url
+from j2a.io.fleet_base import FleetTransducers
 from j2a.protocol.roster import Heartbeat, Member, Roster
 from j2a.types.transds_file import read_transds
 
@@ -515,3 +516,19 @@ class TestUsb:
         monkeypatch.setattr(j2a_transports, "watch_usb", missing)
         with pytest.raises(j2a.OpenFailed, match="pyusb"):
             j2a.Fleet(usb=True)
+
+
+@pytest.mark.parametrize(
+    ("here", "hint"),
+    [
+        (
+            [("right", "x"), ("left", "quad")],
+            r'; did you mean \["left", "quad"\] or \["right", "x"\]\?$',
+        ),
+        ([], "; no board is here$"),
+    ],
+)
+def test_what_is_near_a_transducer_that_no_board_has(here, hint):
+    found = FleetTransducers.fromkeys(here)
+    with pytest.raises(j2a.UnknownTransducer, match=hint):
+        found["left", "qaud"]
