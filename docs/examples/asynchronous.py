@@ -14,4 +14,6 @@ async def main(url: str) -> None:
         print(await asyncio.gather(slow, quick))
 
 
+if len(sys.argv) != 2:
+    sys.exit(f"usage: python {sys.argv[0]} URL")
 asyncio.run(main(sys.argv[1]))

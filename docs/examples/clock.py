@@ -5,6 +5,9 @@ import time
 
 import j2a
 
+if len(sys.argv) != 2:
+    sys.exit(f"usage: python {sys.argv[0]} URL")
+
 with j2a.connect(sys.argv[1]) as board, board.clock.discipline():
     for _ in range(3):
         time.sleep(1.0)

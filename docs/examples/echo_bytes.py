@@ -8,6 +8,9 @@ import time
 
 import j2a_transports
 
+if len(sys.argv) != 2:
+    sys.exit(f"usage: python {sys.argv[0]} URL")
+
 WAIT_S = 1.0
 
 with j2a_transports.open(sys.argv[1]) as link:

@@ -8,6 +8,9 @@ from j2a_sim import AvrSim, SimBackend
 
 import j2a
 
+if len(sys.argv) != 2:
+    sys.exit(f"usage: python {sys.argv[0]} IMAGE")
+
 backend = SimBackend(AvrSim(sys.argv[1], "atmega32u4"))
 device = usb.core.find(idVendor=0x6666, idProduct=0xCAFE, backend=backend)
 print(device.manufacturer, device.product, device.serial_number)

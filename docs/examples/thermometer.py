@@ -8,6 +8,9 @@ import j2a_transports
 
 import j2a
 
+if len(sys.argv) != 2:
+    sys.exit(f"usage: python {sys.argv[0]} URL")
+
 device = j2a.Device({"name": "thermometer", "serial": "0042"})
 
 

@@ -4,6 +4,9 @@ import sys
 
 import j2a
 
+if len(sys.argv) != 2:
+    sys.exit(f"usage: python {sys.argv[0]} URL")
+
 with j2a.connect(sys.argv[1]) as board:
     print(board.properties["name"], "has", ", ".join(board.functions))
 

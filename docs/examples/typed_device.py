@@ -9,6 +9,9 @@ import j2a_transports
 
 import j2a
 
+if len(sys.argv) != 2:
+    sys.exit(f"usage: python {sys.argv[0]} URL")
+
 device = j2a.Device({"name": "weather station"})
 gust = device.describe_sif("gust", 0x20, "(speed f32 m/s, direction u16 deg)")
 

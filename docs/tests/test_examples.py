@@ -105,6 +105,26 @@ def test_the_readme_adds(url):
     assert "\n42\n" in run("-c", shown("README.md").replace(SHOWN_URL, url))
 
 
+WITH_ARGUMENT = sorted(path for path in EXAMPLES.glob("*.py") if "sys.argv[1]" in path.read_text())
+
+
+@pytest.mark.parametrize("path", WITH_ARGUMENT, ids=lambda path: path.stem)
+def test_an_example_without_its_argument_says_how_to_run_it(path):
+    result = subprocess.run(
+        [sys.executable, path], capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
+    assert (result.returncode, result.stdout) == (1, "")
+    assert re.fullmatch(rf"usage: python {re.escape(str(path))} (URL|IMAGE)\n", result.stderr)
+
+
+@pytest.mark.parametrize("path", WITH_ARGUMENT, ids=lambda path: path.stem)
+def test_the_documentation_gives_the_command_of_an_example(path):
+    pages = [page.read_text() for page in (ROOT / "docs").glob("*.md")]
+    shown = [page for page in pages if f"```{{literalinclude}} examples/{path.name}\n" in page]
+    for page in shown or ["".join(pages)]:
+        assert re.search(rf"\bpython docs/examples/{path.name} \S", page)
+
+
 def test_tour(url):
     printed = run(EXAMPLES / "tour.py", url)
     assert "40 + 2 = 42" in printed
