@@ -10,6 +10,7 @@ import inspect
 import math
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final, TypeVar
 
 import j2a_transports
@@ -171,6 +172,31 @@ def connect_to(args: argparse.Namespace, url: str) -> j2a.Client:
         trace=TracePrinter(raw=args.verbose > 1) if args.verbose else None,
         **options,  # type: ignore[arg-type]  # the names of other parameters were refused
     )
+
+
+def is_file(args: argparse.Namespace, name: str) -> bool:
+    """Tell whether SOURCE is a file of firmware rather than the URL of a board.
+
+    Args:
+        args: of the command line.
+        name: of such a file.
+
+    Raises:
+        UsageError: it is a folder.
+    """
+    if args.url and Path(args.url).is_dir():
+        raise UsageError(f"{args.url} is a folder: name a {name} in it, or the URL of a board")
+    return args.url.endswith(".def") or ("://" not in args.url and Path(args.url).is_file())
+
+
+def connect_to_source(args: argparse.Namespace) -> j2a.Client:
+    """Open the link to a SOURCE that is no file; raises as `connect`."""
+    try:
+        return connect(args)
+    except j2a.BadUrl as error:
+        if ":" in args.url:
+            raise
+        raise UsageError(f"there is no file {args.url!r}, and {error}") from None
 
 
 def takes_stdio(url: str) -> bool:

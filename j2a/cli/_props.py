@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import argparse
 
+from j2a_spec.nearest import did_you_mean
+
 from j2a.cli._exit import OK, UsageError
 from j2a.cli._info import columns
 from j2a.cli._link import add_json_argument, add_link_arguments, connect
@@ -27,6 +29,7 @@ def run(args: argparse.Namespace) -> int:
     if args.key is not None:
         if args.key not in properties:
             has = f"it has: {', '.join(properties)}" if properties else "it has none"
+            has = did_you_mean(args.key, properties) or has
             raise UsageError(f"the device has no property {args.key!r}; {has}")
         (show_json if args.json else show)(properties[args.key])
         return OK

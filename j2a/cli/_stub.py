@@ -14,7 +14,13 @@ from typing import Final
 
 from j2a.cli._exit import OK, UsageError
 from j2a.cli._info import interface_facts
-from j2a.cli._link import add_condition_arguments, add_link_arguments, conditions_of, connect
+from j2a.cli._link import (
+    add_condition_arguments,
+    add_link_arguments,
+    conditions_of,
+    connect_to_source,
+    is_file,
+)
 from j2a.cli._output import show, show_text
 from j2a.errors import SignatureError
 from j2a.types.definition_file import interface_text, read_definition_file
@@ -76,11 +82,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
     """Return the interface, its hash and what to call its source."""
-    if args.url.endswith(".def"):
+    if is_file(args, "functions.def"):
         path = Path(args.url)
         try:
             text = path.read_text("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:
+            raise UsageError(f"cannot read {path}: {error.strerror}") from None
+        except UnicodeDecodeError as error:
             raise UsageError(f"cannot read {path}: {error}") from None
         options = conditions_of(args)
         is_off = options.get("J2A_WITH_TRANSDUCERS") == "0"
@@ -94,7 +102,7 @@ def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
         return interface, f"{zlib.crc32(own.encode()):08x}", path.name
     if args.define or args.undefine:
         raise UsageError("-D and -U are for a functions.def; a board knows what it is built with")
-    with connect(args) as client:
+    with connect_to_source(args) as client:
         if client.interface is None:
             why = client.interface_problem or "the device does not describe its functions"
             raise UsageError(f"{why}; see J2A_FUNCTION in docs/firmware.md")

@@ -22,7 +22,8 @@ from j2a.cli._link import (
     add_json_argument,
     add_link_arguments,
     conditions_of,
-    connect,
+    connect_to_source,
+    is_file,
 )
 from j2a.cli._output import note, show, show_json
 from j2a.io.transds_file import load_transds
@@ -92,26 +93,15 @@ def read_source(args: argparse.Namespace) -> tuple[Descriptors, str]:
         CommandFailed: the board describes no transducers.
         J2AError: as `j2a.connect`.
     """
-    if args.url and Path(args.url).is_dir():
-        raise UsageError(f"{args.url} is a folder: name a transds.def in it, or the URL of a board")
-    if args.url.endswith(".def") or ("://" not in args.url and Path(args.url).is_file()):
+    if is_file(args, "transds.def"):
         return read_transds_argument(args.url, conditions_of(args))
     if args.define or args.undefine:
         raise UsageError("-D and -U are for a transds.def; a board knows what it is built with")
-    with _connect(args) as client:
+    with connect_to_source(args) as client:
         descriptors = client.transducers.descriptors
         if descriptors is None:
             raise CommandFailed(client.transducers.why, REMOTE)
         return descriptors, args.url
-
-
-def _connect(args: argparse.Namespace) -> j2a.Client:
-    try:
-        return connect(args)
-    except j2a.BadUrl as error:
-        if ":" in args.url:
-            raise
-        raise UsageError(f"there is no file {args.url!r}, and {error}") from None
 
 
 def read_transds_argument(path: str, options: Mapping[str, str | None]) -> tuple[Descriptors, str]:
@@ -171,6 +161,8 @@ def write_files(files: Mapping[Path, str]) -> None:
         UsageError: one cannot be written.
     """
     for path, foreign in files.items():
+        if not path.name:
+            raise UsageError(f"{path} is a folder: name a file in it")
         text = printable(foreign, "\n\t")  # what a board says turns no line around
         part = path.with_name(f"{path.name}.part")  # a full disk spoils no file that is there
         try:

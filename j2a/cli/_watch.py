@@ -20,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
+from j2a_spec.nearest import did_you_mean
+
 import j2a
 from j2a.cli._exit import (
     FAILED,
@@ -317,10 +319,10 @@ def _opcodes_of(
     known = dict(sensors) | {shape.name: opcode for opcode, (shape, _) in shapes.items()}
     for name in wanted:
         if isinstance(name, str) and name not in known:
-            raise UsageError(
-                f"the device describes no SIF or sensor {name!r}, but "
-                f"{', '.join(known) or 'none'}; give its opcode, 0..255"
+            hint = did_you_mean(name, known) or (
+                f"it has: {', '.join(known) or 'none'}; give its opcode, 0..255"
             )
+            raise UsageError(f"the device describes no SIF or sensor {name!r}; {hint}")
     return [known[one] if isinstance(one, str) else one for one in wanted] or None
 
 

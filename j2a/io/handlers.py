@@ -14,6 +14,8 @@ from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
+from j2a_spec.nearest import did_you_mean
+
 from j2a.errors import J2AError, LocalError
 from j2a.events import Sif
 from j2a.io.samples import BadPayload, WantedSamples
@@ -57,9 +59,10 @@ class NamedSif:
     def __init__(self, device: DeviceInfo, name: str) -> None:
         if name not in device.sifs:
             known = ", ".join(device.sifs) or "none"
-            raise LocalError(
-                f"the device describes no SIF {name!r}, but {known}; take one by its opcode, 0..255"
+            hint = did_you_mean(name, device.sifs) or (
+                f"it has: {known}; take one by its opcode, 0..255"
             )
+            raise LocalError(f"the device describes no SIF {name!r}; {hint}")
         self._name = name
         self._device = device
         self._prepared: tuple[SifShape | None, Codec, type[Any]] | None = None

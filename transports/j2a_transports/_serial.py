@@ -87,6 +87,7 @@ SCHEME: Final = Scheme(
 _LOOK: Final = "`j2a list` or `python -m serial.tools.list_ports` shows the ports"
 _ADVICE: Final = {
     errno.ENOENT: f"there is no such device; is it plugged in? {_LOOK}",
+    errno.EISDIR: f"it is a folder; {_LOOK}",
     errno.ENXIO: "the device is gone; is it plugged in?",
     errno.ENODEV: "the device is gone; is it plugged in?",
     errno.EACCES: "not allowed; add yourself to the group that owns it, on most systems with "

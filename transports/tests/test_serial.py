@@ -261,9 +261,11 @@ def test_a_missing_port_says_where_to_look() -> None:
         j2a_transports.open("serial:///dev/ttyNoSuchPort")
 
 
-def test_what_is_no_port_says_so() -> None:
+def test_what_is_no_port_says_so(tmp_path: Path) -> None:
     with pytest.raises(OpenFailed, match="is it a serial port"):
         j2a_transports.open(f"serial://{os.devnull}")
+    with pytest.raises(OpenFailed, match=r": it is a folder; `j2a list`"):
+        j2a_transports.open(f"serial://{tmp_path}")
 
 
 @pytest.mark.parametrize(

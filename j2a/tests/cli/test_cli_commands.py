@@ -406,7 +406,8 @@ def test_watch_takes_values_and_names(run, url):
     assert "no function 'sifPriod'; near it are: sifPeriod" in result.err
     result = run("watch", url, "timer")
     assert (result.code, result.out) == (2, "")
-    assert "describes no SIF or sensor 'timer', but counter" in result.err
+    assert "describes no SIF or sensor 'timer'; it has: counter; give its opcode" in result.err
+    assert "sensor 'countr'; did you mean counter?" in run("watch", url, "countr").err
 
 
 def test_watch_shows_bytes_that_are_not_as_described(run, url):

@@ -178,6 +178,26 @@ def test_nobody_answers(run):
     assert "no byte came" in result.err
 
 
+@pytest.mark.parametrize(
+    ("command", "name"), [("transds", "transds.def"), ("stub", "functions.def")]
+)
+def test_a_source_that_is_neither_a_file_nor_a_url(run, tmp_path, command, name):
+    for source, told in (
+        ("nothing", "there is no file 'nothing', and 'nothing' is not a transport URL"),
+        (f"{tmp_path}", f"{tmp_path} is a folder: name a {name} in it, or the URL of a board"),
+        ("gone.def", "cannot read gone.def: No such file or directory\n"),
+        ("tcp:nothing", "j2a: tcp:nothing: expected tcp://host:port"),
+    ):
+        result = run(command, source)
+        assert (result.code, result.out) == (2, "")
+        assert told in result.err
+
+
+def test_a_property_that_is_not_there(run, demo):
+    assert run("props", demo, "nam").err.endswith("no property 'nam'; did you mean name?\n")
+    assert "no property 'colour'; it has: j2a.spec, " in run("props", demo, "colour").err
+
+
 def test_something_else_answers(run):
     result = run("info", "exec:sh -c 'echo hello; sleep 600'", "--boot-time", "0.3")
     assert (result.code, result.out) == (4, "")

@@ -165,13 +165,6 @@ def test_a_wrong_file_is_one_message(run, transds, text, message, tmp_path):
     assert f"{transds}{message}" in result.err
 
 
-def test_what_is_neither_a_file_nor_a_url(run):
-    err = failed(run, 2, "transds", "nothing").err
-    assert "there is no file 'nothing', and 'nothing' is not a transport URL" in err
-    assert "such as serial:///dev/ttyACM0?baud=115200, usb://" in err
-    assert "there is no file" not in failed(run, 2, "transds", "tcp:nothing").err
-
-
 def test_other_mistakes(run, transds, tmp_path):
     assert "cannot read" in failed(run, 2, "transds", tmp_path / "gone.def").err
     assert "is a folder: name a transds.def" in failed(run, 2, "transds", tmp_path).err
@@ -180,6 +173,7 @@ def test_other_mistakes(run, transds, tmp_path):
     assert "-D and -U" in failed(run, 2, "transds", "tcp://127.0.0.1:1", "-D", "X").err
     transds.write_text(LISTING_9_2)
     assert "cannot write" in failed(run, 2, "transds", transds, "--c", transds / "a.h").err
+    assert ". is a folder: name a file" in failed(run, 2, "transds", transds, "--c", "").err
     transds.write_text("/* nothing */")
     assert "transds.def lists no transducers" in run("transds", transds).err
     transds.write_text("SENSOR(a, 1, a, X, 1, array(int16_t, 9), none)")

@@ -136,7 +136,7 @@ def test_delays_are_relative_where_the_board_does_not_tell_its_time(run, board, 
 def test_a_name_that_is_none(run, board, demo):
     result = run("watch", board, "servo")
     assert result.code == 2
-    assert "no SIF or sensor 'servo', but quad, log;" in result.err
+    assert "no SIF or sensor 'servo'; it has: quad, log;" in result.err
     result = run("watch", board, "lamp")  # which sends nothing
     assert result.code == 2
     result = run("watch", demo, "--rates")

@@ -59,11 +59,11 @@ def test_handlers_by_name_get_values(board):
 
 def test_a_name_that_is_not_described(board):
     for use in (lambda: board.on_sif("count", print), lambda: board.sifs("count")):
-        with pytest.raises(j2a.LocalError, match="no SIF 'count', but counter"):
+        with pytest.raises(j2a.LocalError, match="no SIF 'count'; did you mean counter"):
             use()
     with (
         linked(DemoDevice(interface=False)) as untyped,
-        pytest.raises(j2a.LocalError, match="no SIF 'counter', but none"),
+        pytest.raises(j2a.LocalError, match="no SIF 'counter'; it has: none"),
     ):
         untyped.sifs("counter")
 
