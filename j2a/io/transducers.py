@@ -8,11 +8,11 @@ found by its name, so that it stays the same when the device restarts.
 import struct
 import weakref
 from collections.abc import Callable, Iterator, Mapping
-from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import Any, Final, TypeVar
 
 from j2a_spec import constants as c
+from j2a_spec.nearest import did_you_mean
 
 from j2a.errors import (
     CallTimeout,
@@ -360,8 +360,8 @@ class Transducers(Mapping[str, _TransducerT]):
             return found
         if not self._made:
             raise UnknownTransducer(f"there is no transducer {name!r}: {self.why}")
-        near = get_close_matches(str(name), self._made, n=3, cutoff=0.5)
-        hint = f"near it are: {', '.join(near)}" if near else f"it has: {', '.join(self._made)}"
+        hint = did_you_mean(str(name), self._made, most=3, cutoff=0.5)
+        hint = hint or f"it has: {', '.join(self._made)}"
         raise UnknownTransducer(f"the device has no transducer {name!r}; {hint}")
 
     def __iter__(self) -> Iterator[str]:

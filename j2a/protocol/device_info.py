@@ -9,7 +9,6 @@ learnt again: it may be what another device said. Old devices are recognised by 
 """
 
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from functools import partial
 from typing import Final, TypeVar
 
@@ -29,6 +28,7 @@ from j2a_spec.constants import (
     RET_OK,
     SPEC_VERSION,
 )
+from j2a_spec.nearest import did_you_mean
 
 from j2a.errors import (
     DeviceRestarted,
@@ -167,8 +167,8 @@ class DeviceInfo:
             raise UnknownFunction(
                 f"the device cannot be asked for {function!r}: {self._no_map}; call it by opcode"
             )
-        near = get_close_matches(function, known, n=3, cutoff=0.5)
-        hint = f"near it are: {', '.join(near)}" if near else f"it has: {', '.join(known)}"
+        hint = did_you_mean(function, known, most=3, cutoff=0.5)
+        hint = hint or f"it has: {', '.join(known)}"
         raise UnknownFunction(f"the device has no function {function!r}; {hint}")
 
     def missing(self, function: str) -> UnknownFunction:

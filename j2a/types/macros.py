@@ -10,9 +10,10 @@ that they read the file, is an error.
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator, Mapping
-from difflib import get_close_matches
 from itertools import zip_longest
 from typing import Final
+
+from j2a_spec.nearest import did_you_mean
 
 from j2a.errors import SignatureError
 
@@ -494,8 +495,9 @@ def _not_read(line: str) -> str:
     if word == "define":
         return "a name is expected behind #define"
     if word not in _LINES:
-        near = get_close_matches(word, [*_LINES, "if", "ifdef", "ifndef", "else", "endif"], n=1)
-        return f"#{word} is no line of C" + (f"; near it is #{near[0]}" if near else "")
+        known = (*_LINES, "if", "ifdef", "ifndef", "else", "endif")
+        hint = did_you_mean(f"#{word}", (f"#{one}" for one in known))
+        return f"#{word} is no line of C" + (hint and f"; {hint}")
     return _ONLY_A_BUILD
 
 

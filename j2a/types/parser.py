@@ -7,10 +7,10 @@ the text, whatever it is.
 
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import Final
 
 from j2a_spec.constants import MAX_PAYLOAD
+from j2a_spec.nearest import did_you_mean
 
 from j2a.errors import SignatureError
 from j2a.types.model import (
@@ -400,8 +400,8 @@ def _no_type_of(scanner: Scanner, types: Types) -> str:
 
 
 def _no_type(name: str, types: Types) -> str:
-    near = get_close_matches(name, [*SCALARS, *OPEN, *types], 1)
-    return f"there is no type {name!r}" + (f"; did you mean {near[0]}?" if near else "")
+    hint = did_you_mean(name, (*SCALARS, *OPEN, *types))
+    return f"there is no type {name!r}" + (hint and f"; {hint}")
 
 
 def _slow_ms(scanner: Scanner, value: str | None, at: int) -> int:

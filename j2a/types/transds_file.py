@@ -7,8 +7,9 @@ Rule: each mistake is one error, which tells file, line and column.
 
 import re
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from typing import Final
+
+from j2a_spec.nearest import did_you_mean
 
 from j2a.errors import LocalError, SignatureError
 from j2a.types.definition_file import (
@@ -101,9 +102,9 @@ def read_transds(
             ids[transducer.id] = transducer.name
             found[transducer.name] = transducer
         elif macro not in DEFINITIONS:
-            near = get_close_matches(macro, [*_KINDS, *DEFINITIONS], n=1)
-            hint = f"; {near[0]} is" if near else ""
-            raise reader.error(f"{macro} is no entry of transds.def{hint}", macro)
+            hint = did_you_mean(macro, (*_KINDS, *DEFINITIONS))
+            what = f"{macro} is no entry of transds.def"
+            raise reader.error(f"{what}; {hint}" if hint else what, macro)
     return Descriptors(tuple(types.values()), tuple(found.values()))
 
 
@@ -189,8 +190,7 @@ class _Entry:
         element = self._type(kind).partition("[")[0]
         known = (*self._types, *_C_NAMES, "bool", "text", "bytes")
         if element not in known:
-            near = get_close_matches(element, [*known, *_C_TYPES], n=1)
-            hint = f"; near it is {near[0]}" if near else ""
+            hint = f"; {did_you_mean(element, (*known, *_C_TYPES))}".removesuffix("; ")
             if element in _C_TYPES:
                 hint = f" in an array; write {_C_TYPES[element]}"
             raise self._reader.error(f"{element} is no type{hint}", kind)
@@ -301,8 +301,8 @@ def strange_keys(descriptors: Descriptors) -> Iterator[str]:
     """Yield a note for each key that has no meaning but is near one that has."""
     for transducer in descriptors.transducers:
         for key, _ in transducer.attributes:
-            if key not in KEYS and (near := get_close_matches(key, (*KEYS, "unit"), n=1)):
-                yield f"{transducer.name}: the key {key} means nothing to J2A; near it is {near[0]}"
+            if key not in KEYS and (hint := did_you_mean(key, (*KEYS, "unit"))):
+                yield f"{transducer.name}: the key {key} means nothing to J2A; {hint}"
 
 
 # ------------------------------------------------------------------------- writing

@@ -403,7 +403,7 @@ def test_watch_takes_values_and_names(run, url):
     assert run("watch", url, "--call", "divide 1 0").code == 1
     result = run("watch", url, "--call", "sifPriod 500")
     assert (result.code, result.out) == (2, "")
-    assert "no function 'sifPriod'; near it are: sifPeriod" in result.err
+    assert "no function 'sifPriod'; did you mean sifPeriod or sif?" in result.err
     result = run("watch", url, "timer")
     assert (result.code, result.out) == (2, "")
     assert "describes no SIF or sensor 'timer'; it has: counter; give its opcode" in result.err

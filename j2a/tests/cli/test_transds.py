@@ -150,9 +150,12 @@ def test_characters_that_turn_lines_around_are_shown_in_files(run, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("SENSOR(a, 1, a, X, 1, int17_t, none)", ":1:23: int17_t is no type; near it is int16_t"),
+        (
+            "SENSOR(a, 1, a, X, 1, int17_t, none)",
+            ":1:23: int17_t is no type; did you mean int16_t?",
+        ),
         ("#if BIG\n#endif", ":1:1: give the value of BIG by -D BIG=1"),
-        ("\n SENSR(a)", ":2:2: SENSR is no entry of transds.def; SENSOR is"),
+        ("\n SENSR(a)", ":2:2: SENSR is no entry of transds.def; did you mean SENSOR?"),
     ],
 )
 def test_a_wrong_file_is_one_message(run, transds, text, message, tmp_path):
@@ -179,7 +182,7 @@ def test_other_mistakes(run, transds, tmp_path):
     transds.write_text("SENSOR(a, 1, a, X, 1, array(int16_t, 9), none)")
     assert "int16_t is no type in an array; write i16" in failed(run, 2, "transds", transds).err
     transds.write_text("SENSOR(a, 1, a, X, 1, u8, none, (perod, 5))")
-    assert "near it is period" in run("transds", transds).err
+    assert "did you mean period?" in run("transds", transds).err
 
 
 def test_a_board_of_a_file_with_conditions_and_a_serial_number(start, run, transds):

@@ -793,7 +793,7 @@ class TestDescriptors:
             assert board.transducers["a"].descriptor.get("color") == "blue"
 
     def test_a_name_that_is_near(self, board):
-        with pytest.raises(j2a.UnknownTransducer, match="near it are: quad"):
+        with pytest.raises(j2a.UnknownTransducer, match="did you mean quad"):
             board.transducers["quat"]
         with pytest.raises(KeyError):
             board.transducers["zzz"]

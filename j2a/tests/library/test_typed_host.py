@@ -215,9 +215,9 @@ class TestMapping:
         assert not hasattr(board.functions, "__setitem__")
 
     def test_what_is_not_there(self, board):
-        with pytest.raises(AttributeError, match="no function 'raed'; near it are: read"):
+        with pytest.raises(AttributeError, match="no function 'raed'; did you mean read"):
             board.functions.raed  # noqa: B018
-        with pytest.raises(KeyError, match="no function 'raed'; near it are: read"):
+        with pytest.raises(KeyError, match="no function 'raed'; did you mean read"):
             board.functions["raed"]
         with pytest.raises(KeyError):
             board.functions[5]

@@ -159,7 +159,7 @@ def test_a_definition_file_says_what_the_board_says(folder):
         ("#ifndef \n#endif\n", "a condition is missing behind #ifndef"),
         ("\n#define F(x) x\n", "F has arguments: write in its place what it stands for (line 2"),
         ("#define 5 x\n", "a name is expected behind #define"),
-        ("#inclde <x>\n", "#inclde is no line of C; near it is #include"),
+        ("#inclde <x>\n", "#inclde is no line of C; did you mean #include?"),
         ("#if (X)\n", "a file may ask for NAME, !NAME, defined(NAME), 0 and 1"),
         ("#elif X\n", "only a build can decide this; ask a board"),
         ('#include "more.def"\n', "only a build can decide this; ask a board"),

@@ -102,14 +102,14 @@ class TestReading:
     def test_a_key_that_was_meant_otherwise(self):
         found = read_transds("SENSOR(a, 1, a, X, 1, u8, none, (perod, 5), (color, red))")
         assert list(strange_keys(found)) == [
-            "a: the key perod means nothing to J2A; near it is period"
+            "a: the key perod means nothing to J2A; did you mean period?"
         ]
 
 
 WRONG = [
     ("SENSOR(a, 1, a, X, 1, u8", 1, 1, 'a ")" is missing'),
     ("SENSOR a, 1, a, X, 1, u8, none)", 1, 1, 'a "(" is expected'),
-    (GOOD + "SENSR(b, 2, b, X, 1, u8, none)", 2, 1, "SENSR is no entry of transds.def; SENSOR is"),
+    (GOOD + "SENSR(b, 2, b, X, 1, u8, none)", 2, 1, "no entry of transds.def; did you mean SENSOR"),
     (GOOD + "b, 2, b", 2, 1, 'a "(" is expected behind b'),
     ("SENSOR()", 1, 1, "a name is missing"),
     ("SENSOR(a)", 1, 1, "an id is missing"),
@@ -133,7 +133,7 @@ WRONG = [
     ("SENSOR(a, 1, a, X, 0, u8, none)", 1, 8, "1 to 255 channels, not 0"),
     ("SENSOR(a, 1, a, X, 256, u8, none)", 1, 8, "1 to 255 channels, not 256"),
     ("SENSOR(a, 1, a, X, many, u8, none)", 1, 20, "a number of channels is expected"),
-    ("SENSOR(a, 1, a, X, 1, int17_t, none)", 1, 23, "int17_t is no type; near it is int1"),
+    ("SENSOR(a, 1, a, X, 1, int17_t, none)", 1, 23, "int17_t is no type; did you mean int1"),
     ("SENSOR(a, 1, a, X, 1, text, none)", 1, 8, "any length"),
     ("SENSOR(a, 1, a, X, 1, array(u8), none)", 1, 8, "any length"),
     ("SENSOR(a, 1, a, X, 1, array(), none)", 1, 23, "this is no type"),
