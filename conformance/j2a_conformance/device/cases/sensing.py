@@ -1,7 +1,8 @@
 """Settings of sensors together: queue, decimation, threshold, period and ENABLED (J2A-TRANS)."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -10,13 +11,25 @@ from j2a_spec import transducers as oracle
 from j2a_conformance._judge import fail
 
 from .sif import frames, show
-from .transducers import Board, _Taken, queued, slots, spread
+from .transducers import (
+    Board,
+    Refused,
+    _Taken,
+    is_readable,
+    is_writable,
+    queued,
+    slots,
+    spread,
+)
 
 _LIMIT: Final = 5
 _FILL: Final = (0, 10)
 _BEHIND: Final = 60
 _HOLD: Final = b"\xff" * 4
 _PERIOD_S: Final = 0.12
+_ITEMS: Final = range(c.TRANSD_TIME + 1)
+_EVERY: Final = 3
+_SOME: Final = 12
 
 
 class Counted(_Taken):
@@ -171,3 +184,113 @@ class KeptPeriod(_Taken):
         ids = [frame.opcode for frame in frames(link.sifs[since:])]
         if ids.count(one.id) != 2:
             fail(f"{one.name} has sent {ids.count(one.id)} samples for two values", suspect=True)
+
+
+def refused(board: Board, one: oracle.Transducer) -> Iterator[list[tuple[bytes, int]]]:
+    """Yield requests about a transducer that it refuses, with their codes, an item at a time."""
+    known = {other.id for other in board.all}
+    strange = next(number for number in range(255, -1, -1) if number not in known)
+    yield [
+        (b"", c.TRANSD_BAD_LENGTH),
+        (bytes((one.id,)), c.TRANSD_BAD_LENGTH),
+        (bytes((strange, c.TRANSD_ENABLED, 0)), c.TRANSD_NO_ID),
+        (bytes((one.id, 255, 0)), c.TRANSD_NO_ITEM),
+    ]
+    for item in _ITEMS:
+        if item == c.TRANSD_SAVE:
+            continue
+        begin = bytes((one.id, item))
+        if not is_writable(board, one, item):
+            yield [(begin + bytes(length), c.TRANSD_NO_ITEM) for length in (1, 8)]
+            continue
+        lengths = range(1, board.peer.longest - 1)
+        wrong = [length for length in lengths if not Refused.fits(board, one, item, length)]
+        values = [*Refused.wrong(board, one, item)]
+        chosen = [*values[: _SOME // 2], *values[_SOME // 2 :: max(1, len(values) // _SOME)]]
+        yield [
+            *((begin + bytes(length), c.TRANSD_BAD_LENGTH) for length in (*wrong[:2], *wrong[-1:])),
+            *((begin + value, c.TRANSD_BAD_VALUE) for value in chosen),
+            *([] if is_readable(board, one, item) else [(begin, c.TRANSD_NO_ITEM)]),
+        ]
+
+
+class _Meanwhile(_Taken):
+    """Has values wait for the end of the period, and asks for something meanwhile."""
+
+    def _wait(
+        self, board: Board, one: oracle.Transducer, what: str, ask: Callable[[], None]
+    ) -> None:
+        has_queue = "queue" in one.attributes
+        since = board.seen
+        board.stimulate(one, (0, board.value(one)))
+        index, payload = board.sif(one, since)
+        lost = payload[:2]
+        board.write(one, c.TRANSD_PERIOD, _HOLD)
+        fit = (board.peer.longest - 1) // (1 + board.size(one))
+        count = min(fit, int(one.attributes["queue"]) if has_queue else one.channels)
+        given = [(number % one.channels, board.value(one)) for number in range(count)]
+        board.stimulate(one, *given)
+        ask()
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        found: list[tuple[int, bytes]] = []
+        while len(found) < count:
+            index, payload = board.sif(one, index + 1)
+            if not has_queue:
+                entries = enumerate(slots(board, one, payload))
+                found = [(channel, value) for channel, (_, value) in entries][:count]
+                continue
+            found += [(channel, value) for channel, _, value in queued(board, one, payload)]
+            if payload[:2] != lost:
+                fail(f"{one.name} says that values were lost, where {what} while they waited")
+        if found != given:
+            show(board.peer, board.peer.link.sifs[index])
+            fail(f"{one.name} sent {found} instead of {given}, where {what} while they waited")
+
+
+class RefusedMeanwhile(_Meanwhile):
+    """Asks sensors for what they refuse, while values wait for the end of the period, and between
+    values of which decimation and threshold leave some out.
+    """
+
+    ID = "transducers.refused-meanwhile"
+    EXPECTATION = "What waits is sent, none is lost; counts and the value taken last stay."
+    REQUIREMENTS = ("J2A-TRANS-008",)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors():
+            with board.tuned(one):
+                every = [request for some in refused(board, one) for request in some]
+                for some in refused(board, one):
+                    text = f"a2jTransd refused {some[-1][0].hex()}"
+                    self._wait(board, one, text, partial(self._refuse, board, some))
+                if board.has(one, c.TRANSD_DECIMATION):
+                    self._count(board, one, every)
+                if board.has(one, c.TRANSD_THRESHOLD):
+                    self._compare(board, one, every)
+
+    @staticmethod
+    def _refuse(board: Board, requests: list[tuple[bytes, int]]) -> None:
+        for payload, code in requests:
+            board.exchange(payload, code)
+
+    def _count(
+        self, board: Board, one: oracle.Transducer, requests: list[tuple[bytes, int]]
+    ) -> None:
+        board.write(one, c.TRANSD_DECIMATION, bytes((_EVERY,)))
+        for number in range(1, 2 * _EVERY + 1):
+            for channel in spread(one):
+                self._give(board, one, channel, board.value(one), number % _EVERY == 0)
+            self._refuse(board, requests)
+        board.write(one, c.TRANSD_DECIMATION, b"\1")
+
+    def _compare(
+        self, board: Board, one: oracle.Transducer, requests: list[tuple[bytes, int]]
+    ) -> None:
+        for channel in spread(one):
+            board.write(one, c.TRANSD_THRESHOLD, bytes(board.size(one)))
+            self._give(board, one, channel, board.packed(one, _BEHIND), due=True)
+            board.write(one, c.TRANSD_THRESHOLD, board.packed(one, _LIMIT))
+            self._refuse(board, requests)
+            for number, is_due in ((_LIMIT - 1, False), (1 - _LIMIT, False), (_LIMIT, True)):
+                value = board.packed(one, _BEHIND + number)
+                self._give(board, one, channel, value, due=is_due)

@@ -291,6 +291,16 @@ _WRITE_ONLY: Final = (c.TRANSD_SET, c.TRANSD_TRIGGER, c.TRANSD_SAVE)
 _READ_ONLY: Final = (c.TRANSD_SAMPLE, c.TRANSD_TIME)
 
 
+def is_readable(board: Board, one: oracle.Transducer, item: int) -> bool:
+    """Whether a transducer has an item that can be read."""
+    return item not in _WRITE_ONLY and board.has(one, item)
+
+
+def is_writable(board: Board, one: oracle.Transducer, item: int) -> bool:
+    """Whether a transducer has an item that can be written."""
+    return item not in _READ_ONLY and board.has(one, item)
+
+
 def spread(one: oracle.Transducer) -> list[int]:
     """Return the first channel, one in the middle and the last one."""
     return sorted({0, one.channels // 2, one.channels - 1})
@@ -492,10 +502,10 @@ class Refused(_TransducerCase):
             for length in range(1, longest + 1):
                 if _SHORT < length < longest and self._in_turn(board, having, item, length) != one:
                     continue
-                if not self._fits(board, one, item, length):
+                if not self.fits(board, one, item, length):
                     payload = bytes((one.id, item)) + bytes(length)
                     board.exchange(payload, c.TRANSD_BAD_LENGTH)
-            for value in self._wrong(board, one, item):
+            for value in self.wrong(board, one, item):
                 board.exchange(bytes((one.id, item)) + value, c.TRANSD_BAD_VALUE)
         for item, value in before.items():
             if board.read(one, item) != value:
@@ -508,10 +518,11 @@ class Refused(_TransducerCase):
         """Return which of some transducers is given a length that is wrong for it."""
         first = length % len(some)
         ordered = (*some[first:], *some[:first])
-        return next((one for one in ordered if not cls._fits(board, one, item, length)), None)
+        return next((one for one in ordered if not cls.fits(board, one, item, length)), None)
 
     @staticmethod
-    def _fits(board: Board, one: oracle.Transducer, item: int, length: int) -> bool:
+    def fits(board: Board, one: oracle.Transducer, item: int, length: int) -> bool:
+        """Whether an item may be so long."""
         size = board.size(one)
         if item == c.TRANSD_TOPIC:
             return length <= c.TRANSD_MAX_TOPIC
@@ -521,7 +532,7 @@ class Refused(_TransducerCase):
         return length == {**sizes, c.TRANSD_TRIGGER: 8}.get(item, 1)
 
     @staticmethod
-    def _wrong(board: Board, one: oracle.Transducer, item: int) -> Iterator[bytes]:
+    def wrong(board: Board, one: oracle.Transducer, item: int) -> Iterator[bytes]:
         """Yield values of the right length that are out of range."""
         if item == c.TRANSD_ENABLED:
             yield from (b"\2", b"\x12", b"\x80", b"\xff")
@@ -1243,7 +1254,7 @@ class Set(_TransducerCase):
 
     ID = "transducers.set"
     EXPECTATION = "The channels have the values, from the time on; others stay as they were."
-    REQUIREMENTS = ("J2A-TRANS-009", "J2A-TRANS-015", "J2A-TRANS-016")
+    REQUIREMENTS = ("J2A-TRANS-008", "J2A-TRANS-009", "J2A-TRANS-015", "J2A-TRANS-016")
 
     def _judge(self, board: Board) -> None:
         for one in board.actuators():
@@ -1299,6 +1310,10 @@ class Set(_TransducerCase):
             board.exchange(bytes((one.id, c.TRANSD_SET, channel)) + bytes(8), c.TRANSD_BAD_LENGTH)
             for refused in (*wrong[:1], *wrong[-1:]):
                 board.exchange(bytes((one.id, c.TRANSD_SET)) + refused, c.TRANSD_BAD_VALUE)
+            for item in (c.TRANSD_WATCHDOG, c.TRANSD_TOPIC):
+                if board.has(one, item):
+                    board.exchange(bytes((one.id, item)) + bytes(33), c.TRANSD_BAD_LENGTH)
+            board.exchange(bytes((one.id, c.TRANSD_SET)), c.TRANSD_NO_ITEM)
             for _ in board.until(due_us):
                 sample = board.read(one, c.TRANSD_SAMPLE)
                 if sample == before:
@@ -1484,7 +1499,7 @@ class Trigger(_TransducerCase):
 
     ID = "transducers.trigger"
     EXPECTATION = "One sample each, not measured before its time; the later request replaces one."
-    REQUIREMENTS = ("J2A-TRANS-009", "J2A-TRANS-018")
+    REQUIREMENTS = ("J2A-TRANS-008", "J2A-TRANS-009", "J2A-TRANS-018")
 
     def _judge(self, board: Board) -> None:
         for one in board.sensors("trigger"):
