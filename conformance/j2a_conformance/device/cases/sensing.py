@@ -294,3 +294,24 @@ class RefusedMeanwhile(_Meanwhile):
             for number, is_due in ((_LIMIT - 1, False), (1 - _LIMIT, False), (_LIMIT, True)):
                 value = board.packed(one, _BEHIND + number)
                 self._give(board, one, channel, value, due=is_due)
+
+
+class ReadMeanwhile(_Meanwhile):
+    """Reads each item of sensors while values wait for the end of the period."""
+
+    ID = "transducers.read-meanwhile"
+    EXPECTATION = "Once the period is over the values are sent, and none is lost."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _judge(self, board: Board) -> None:
+        for one in board.sensors():
+            with board.tuned(one):
+                for item in _ITEMS:
+                    if is_readable(board, one, item):
+                        text = f"item {item} was read"
+                        self._wait(board, one, text, partial(self._read, board, one, item))
+
+    @staticmethod
+    def _read(board: Board, one: oracle.Transducer, item: int) -> None:
+        for _ in range(2):
+            board.read(one, item)
