@@ -589,6 +589,25 @@ def _numbers(board: Board, one: oracle.Transducer) -> tuple[Any, Any] | None:
     return low, high
 
 
+def _byte_off(board: Board, one: oracle.Transducer, value: bytes) -> Iterator[bytes]:
+    """Yield values that differ from one in a single byte, each of them, by little and by much."""
+    for at, byte in enumerate(value):
+        for other in sorted({max(byte - 1, 0), min(byte + 1, 255), byte ^ 0x80} - {byte}):
+            changed = value[:at] + bytes((other,)) + value[at + 1 :]
+            if not math.isnan(board.number(one, changed)):
+                yield changed
+
+
+def _around_range(board: Board, one: oracle.Transducer, is_within: bool) -> list[bytes]:
+    """Return values that differ from an end of the range in one byte, in the range or out of it."""
+    limits = _numbers(board, one)
+    if limits is None:
+        return []
+    low, high = limits
+    values = [value for end in limits for value in _byte_off(board, one, board.packed(one, end))]
+    return [value for value in values if (low <= board.number(one, value) <= high) == is_within]
+
+
 def _wrong_sets(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
     size, times = board.size(one), (0, 1 << 62)
     good = board.packed(one, _numbers(board, one)[0]) if _numbers(board, one) else bytes(size)  # type: ignore[index]
@@ -608,6 +627,8 @@ def _wrong_sets(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
     bad = [value for value in bad if not low <= board.number(one, value) <= high]
     if board.scalar(one) in _FORMATS:
         bad.append(board.packed(one, float("nan")))
+    for number, value in enumerate(_around_range(board, one, is_within=False)):
+        yield bytes((number % one.channels,)) + _US.pack(times[number % 2]) + value
     for value in bad:
         for first, end in combinations(range(one.channels + 1), 2):
             for at in range(end - first):
@@ -989,9 +1010,7 @@ class Waiting(_TransducerCase):
         _, payload = board.sif(one, index + 1)
         lost = (int.from_bytes(payload[:2], "little") - before) % _WRAP
         if lost != due % _WRAP:
-            fail(
-                f"{one.name} says that {lost} values were lost, but {due} were"
-            )
+            fail(f"{one.name} says that {lost} values were lost, but {due} were")
 
 
 class Period(_TransducerCase):
@@ -1136,8 +1155,8 @@ class Decimation(_Taken):
 
 class Threshold(_Taken):
     """Gives values to sensors with threshold that differ from the last one by less, as much and
-    more, up and down, across the whole range, over times without ENABLED, the value na,
-    infinities, and floating-point values whose difference is rounded.
+    more, up and down, across the whole range, in one byte only, over times without ENABLED, the
+    value na, infinities, and floating-point values whose difference is rounded.
     """
 
     ID = "transducers.threshold"
@@ -1155,6 +1174,9 @@ class Threshold(_Taken):
                     if board.scalar(one) in _FORMATS:
                         self._infinite(board, one, channel)
                         self._rounded(board, one, channel)
+                self._of_one_byte(board, one, channel)
+                self._limit_of_one_byte(board, one, channel)
+                self._near_na(board, one, channel)
                 if "decimation" in one.attributes:
                     self._decimated(board, one)
 
@@ -1234,6 +1256,59 @@ class Threshold(_Taken):
                 self._give(board, one, channel, board.packed(one, number), is_due)
             last += 8
 
+    def _of_one_byte(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        """Give values that differ from the one before in one byte, by THRESHOLD and by less."""
+        size, definitions = board.size(one), board.descriptors.definitions
+        na = _na(board, one)
+        bases = [bytes((byte,)) * size for byte in (0x55, 0xAA)]
+        if board.scalar(one) in _FORMATS:
+            bases = [board.packed(one, number) for number in (3.1, -3.1)]
+        most = (1 << 8 * size - (board.scalar(one)[0] != "u")) - 1
+        for last in bases:
+            for value in _byte_off(board, one, last):
+                if na in (last, value):
+                    continue
+                numbers = (board.number(one, value), board.number(one, last))
+                least = board.packed(one, oracle.difference(one, *numbers, definitions))
+                above = int.from_bytes(least, "little") + 1
+                for limit, is_due in ((above, False), (above - 1, True)):
+                    if limit <= most:
+                        board.write(one, c.TRANSD_THRESHOLD, bytes(size))
+                        self._give(board, one, channel, last, due=True)
+                        board.write(one, c.TRANSD_THRESHOLD, limit.to_bytes(size, "little"))
+                        self._give(board, one, channel, value, is_due)
+
+    def _limit_of_one_byte(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        """Give values whose difference is THRESHOLD in all bytes but one."""
+        size, na = board.size(one), _na(board, one)
+        pair = [bytes((byte,)) * size for byte in (0x15, 0x2B)]
+        if board.scalar(one) in _FORMATS:
+            pair = [board.packed(one, number) for number in (-3.1, 3.1)]
+        if na in pair:
+            return
+        low, high = (board.number(one, value) for value in pair)
+        difference = oracle.difference(one, low, high, board.descriptors.definitions)
+        for limit in _byte_off(board, one, board.packed(one, difference)):
+            if (least := board.number(one, limit)) >= 0:
+                for last, value in (pair, pair[::-1]):
+                    board.write(one, c.TRANSD_THRESHOLD, bytes(size))
+                    self._give(board, one, channel, last, due=True)
+                    board.write(one, c.TRANSD_THRESHOLD, limit)
+                    self._give(board, one, channel, value, due=difference >= least)
+
+    def _near_na(self, board: Board, one: oracle.Transducer, channel: int) -> None:
+        """Give na, and values that differ from it in one byte."""
+        na, size = _na(board, one), board.size(one)
+        if na is None or board.scalar(one) in _FORMATS:
+            return
+        most = (1 << 8 * size - (board.scalar(one)[0] != "u")) - 1
+        board.write(one, c.TRANSD_THRESHOLD, bytes(size))
+        self._give(board, one, channel, na, due=True)
+        board.write(one, c.TRANSD_THRESHOLD, most.to_bytes(size, "little"))
+        for value in _byte_off(board, one, na):
+            self._give(board, one, channel, value, due=True)
+            self._give(board, one, channel, na, due=True)
+
     def _infinite(self, board: Board, one: oracle.Transducer, channel: int) -> None:
         inf = math.inf
         for limit in (1.0, 1e30, inf):
@@ -1278,6 +1353,14 @@ class Threshold(_Taken):
         numbers = ((12, False), (30, True), (31, False), (32, False), (50, False), (60, True))
         for number, is_due in numbers:
             self._give(board, one, 0, board.packed(one, number), is_due)
+
+
+def _na(board: Board, one: oracle.Transducer) -> bytes | None:
+    """Return the value of a sensor that says that there is none."""
+    text = one.attributes.get("na", "none")
+    if text == "none":
+        return None
+    return board.packed(one, oracle.raw(one, text, board.descriptors.definitions))
 
 
 def _is_na(number: Any, na: Any) -> bool:
@@ -1330,9 +1413,13 @@ class Set(_TransducerCase):
                             )
                         _check_time(one, found[channel][0], begin_us, end_us)
                     now = found
-        limits = _numbers(board, one)
-        for number in limits or ():
-            board.write(one, c.TRANSD_SET, bytes(9) + board.packed(one, number))
+        ends = [board.packed(one, number) for number in _numbers(board, one) or ()]
+        for number, value in enumerate((*ends, *_around_range(board, one, is_within=True))):
+            channel = number % one.channels
+            board.write(one, c.TRANSD_SET, bytes((channel,)) + bytes(8) + value)
+            raw = slots(board, one, board.read(one, c.TRANSD_SAMPLE))[channel][1]
+            if raw != value:
+                fail(f"channel {channel} of {one.name} is {raw.hex()}, not {value.hex()}")
 
     def _ahead(self, board: Board, one: oracle.Transducer) -> None:
         for channel in spread(one):
