@@ -386,7 +386,7 @@ class Turnaround(ClockCase):
 
 
 class Values(ClockCase):
-    """Adjusts with each field at its bounds and beyond."""
+    """Adjusts with each field at its bounds and beyond, also while the clock is led."""
 
     ID = "clock.values"
     EXPECTATION = "What is out of range is BAD_VALUE and has no effect; the rest is taken."
@@ -400,6 +400,7 @@ class Values(ClockCase):
         *({"rate": rate} for rate in (2**31 - 1, -(2**31), 2**24, -(2**24))),
         *({"wander": wander} for wander in (c.CLOCK_MAX_RATE + 1, 2**24, 2**31, 2**32 - 1)),
     )
+    _LED: Final = {"rate": 54_321, "uncertainty": 40, "wander": c.CLOCK_MAX_RATE}
     _RIGHT: tuple[dict[str, int], ...] = (
         *({"rate": sign * c.CLOCK_MAX_RATE} for sign in (1, -1)),
         {"wander": c.CLOCK_MAX_RATE},
@@ -412,6 +413,9 @@ class Values(ClockCase):
     def _judge(self, board: Board) -> None:
         for mode in (c.CLOCK_SLEW, c.CLOCK_STEP):
             board.step()
+            self.refuse(board, mode)
+            # While it is led to a target, and the uncertainty grows.
+            board.adjust(60_000, **self._LED)
             self.refuse(board, mode)
         if (behind := board.status().local - c.CLOCK_MAX_BEHIND - 1) >= 0:
             old = {"mode": 1, "local": behind, "time": 7, "rate": 0}

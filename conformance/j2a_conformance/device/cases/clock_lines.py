@@ -11,7 +11,7 @@ from j2a_spec import transducers as types
 from j2a_conformance._judge import fail
 
 from . import transducers
-from .clock import UNIX, Board, ClockCase, S
+from .clock import UNIX, Board, ClockCase, S, Values, frame_request
 from .sif import frames
 
 _HOUR: Final = 3600 * S
@@ -225,7 +225,9 @@ class Uncertainties(ClockCase):
         for given in (0, 1, 300, 2**31, c.CLOCK_UNKNOWN - 500, c.CLOCK_UNKNOWN):
             for wander in (0, 1000, c.CLOCK_MAX_RATE):
                 board.step(uncertainty=given, wander=wander)
-                board.wait(100_000)
+                board.wait(50_000)
+                board.exchange(wander)  # is no adjustment
+                board.wait(50_000)
         for off in (800, -800):
             board.step(uncertainty=50)
             board.adjust(off, uncertainty=50, wander=100_000)
@@ -235,11 +237,14 @@ class Uncertainties(ClockCase):
 
 
 class Holdover(ClockCase):
-    """Leaves the clock alone for more than 10 s of its local time, and adjusts it again."""
+    """Does not adjust the clock for more than 10 s of its local time, in which there are exchanges
+    and requests that are refused; then adjusts it again.
+    """
 
     ID = "clock.holdover"
     EXPECTATION = "HOLDOVER after 10 s, the rate goes on, the uncertainty grows; then as before."
     REQUIREMENTS = (
+        "J2A-CLOCK-003",
         "J2A-CLOCK-011",
         "J2A-CLOCK-013",
         "J2A-CLOCK-015",
@@ -280,11 +285,27 @@ class Holdover(ClockCase):
             if led is not None:
                 board.adjust(**led)
             board.wait(9_700_000, 0.1)
+            self._disturb(board)
             board.wait(1_200_000, 0.1)
             if board.status().state != c.CLOCK_HOLDOVER:
                 fail("the state is not HOLDOVER after 10 s")
             board.adjust(**again)
             board.wait(100_000)
+
+    @staticmethod
+    def _disturb(board: Board) -> None:
+        """Ask for what is no adjustment."""
+        for nonce in range(3):
+            board.exchange(nonce)
+        for mode in (c.CLOCK_SLEW, c.CLOCK_STEP):
+            Values.refuse(board, mode)
+        board.refuse(b"", c.CLOCK_BAD_LENGTH)
+        for item in (c.CLOCK_EXCHANGE, c.CLOCK_STATUS, c.CLOCK_ADJUST):
+            board.refuse(bytes((item,)) + bytes(9), c.CLOCK_BAD_LENGTH)
+        board.refuse(b"\xff", c.CLOCK_NO_ITEM)
+        if board.has_frames:
+            board.refuse(frame_request(UNIX, c.CLOCK_FRAME_NUMBERS), c.CLOCK_BAD_VALUE)
+        board.status()
 
 
 def _transducers(board: Board) -> transducers.Board | None:
