@@ -66,6 +66,8 @@ class _Scripted:
         spoil: changes the code and the payload of a reply to EXCHANGE.
         refuses: answers ADJUST by BAD_VALUE.
         back_us: by so much its local time goes back at the next exchange.
+        once_us: so far before that of the one before is the received time of the next exchange, and
+            only of that one.
         state: what it says that its clock is, where that is not what it is.
         nonces: of the exchanges that came.
         adjusts: the adjustments that came.
@@ -78,6 +80,7 @@ class _Scripted:
     spoil: _Spoilt = field(default_factory=_Spoilt)
     refuses: bool = False
     back_us: int = 0
+    once_us: int = 0
     state: int | None = None
     nonces: list[int] = field(default_factory=list)
     adjusts: list[cs.Container] = field(default_factory=list)
@@ -126,6 +129,8 @@ class _Scripted:
             self._began_s = self.host.link.now_s()
         received = self.local_us
         if item == c.CLOCK_EXCHANGE:
+            if self.once_us:
+                received, self.once_us = self._received_us - self.once_us, 0
             self._received_us = received
             nonce = CLOCK_EXCHANGE.parse(request.payload).nonce
             self.nonces.append(nonce)
@@ -261,7 +266,9 @@ class Uncertain(_ClockCase):
 
 
 class Resets(_ClockCase):
-    """Resets the clock while the host sets it: it refuses ADJUST, or its local time goes back."""
+    """Resets the clock while the host sets it: it refuses ADJUST, or its local time goes back, for
+    good or for one exchange.
+    """
 
     ID = "host.clock.resets"
     EXPECTATION = "No ADJUST that names a local time from before the reset, once that was seen."
@@ -287,6 +294,14 @@ class Resets(_ClockCase):
             self._sync(device, "clock", rounds=2 * _ROUNDS)
             device.back_us = back_us
             self._forgotten(device, f"the local time went back by {back_us} us")
+        host.become(DEMO)
+        host.become(BOARD)
+        device = _Scripted(host)
+        for once_us in (1, 999, 5 * _S):
+            device.delay_s = 0.0
+            self._sync(device, "clock", rounds=2 * _ROUNDS)
+            device.once_us = once_us
+            self._forgotten(device, f"a received time was {once_us} us before the one before")
 
     def _forgotten(self, device: _Scripted, why: str) -> None:
         """Make exchanges that are worse than those before, which must not count any more."""
