@@ -46,6 +46,8 @@ sensor many 34 2 u8
  trigger
 sensor wide 35 1 i64
  na -9223372036854775808
+sensor fleet 37 255 u8
+ queue 12
 actuator servo 200 3 i8 %
  range -100, 100
  watchdog 500
@@ -54,7 +56,7 @@ actuator motor 201 1 f32
  topic motor
 actuator lamp 202 2 bool
 """
-_NAMES: Final = "quad,dist,imu,state,level,long,many,wide,servo,motor,lamp"
+_NAMES: Final = "quad,dist,imu,state,level,long,many,wide,fleet,servo,motor,lamp"
 
 
 def _device(text: str | bytes, **changes: Any) -> Device:
@@ -427,6 +429,47 @@ class Clock(_TransducerCase):
                 (channel, time_us or None, 1 if time_us else None) for channel, time_us in entries
             ]
             taken(host, "many", [sif], given, resets=resets)
+
+
+class ClockChannels(_TransducerCase):
+    """Sends samples of many channels, the time of each of which goes back once."""
+
+    ID = "host.transducers.clock-channels"
+    EXPECTATION = "A reset of the clock for each of them, and none for those that follow."
+    REQUIREMENTS = ("J2A-TRANS-027",)
+
+    def _run(self, host: Host) -> None:
+        self._watch(host, "dist", "long", "fleet")
+        self._newest(host, "dist", 3)
+        self._newest(host, "long", 25)
+        self._queued(host)
+
+    @staticmethod
+    def _newest(host: Host, name: str, channels: int) -> None:
+        times = [1000 + channel for channel in range(channels)]
+        for back in (None, *range(channels)):
+            for _ in range(2):  # the second one goes on from there
+                resets = int(back is not None and times[back] >= 1000)
+                if back is not None:
+                    times[back] = 500
+                sent = sample(name, [(time_us, 2) for time_us in times])
+                value = 2 if name == "long" else -9.0
+                readings = [(channel, time_us, value) for channel, time_us in enumerate(times)]
+                taken(host, name, [sent], readings, resets=resets)
+
+    @staticmethod
+    def _queued(host: Host) -> None:
+        step = 12
+        for low in range(0, 255, step):
+            channels = range(low, min(low + step, 255))
+            entries = [(channel, 1000, 7) for channel in channels]
+            host.send(host.sif(*queued("fleet", 0, entries)))
+            host.do(f"sifs all 1 {host.limit_ms}", "sifs")
+        host.do(f"samples fleet {-(-255 // step)} {host.limit_ms}", "samples")
+        for channel in (0, 1, 2, 3, 7, 8, 15, 16, 63, 64, 127, 128, 200, 253, 254):
+            for time_us, resets in ((1000, 0), (999, 1), (999, 0)):
+                entry = (channel, time_us, 7)
+                taken(host, "fleet", [queued("fleet", 0, [entry])], [entry], resets=resets)
 
 
 _TOO_SLOW_S: Final = 1.5
