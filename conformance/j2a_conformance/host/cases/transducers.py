@@ -517,6 +517,48 @@ class Restart(_TransducerCase):
         host.become(BOOTING)
 
 
+class RestartClock(_TransducerCase):
+    """Restarts with the same transducers, and sends samples with times before and behind those of
+    before the restart, of each channel.
+    """
+
+    ID = "host.transducers.restart-clock"
+    EXPECTATION = "A reset of the clock where the time of a channel is before its last one."
+    REQUIREMENTS = ("J2A-TRANS-027",)
+    DEVICE = _booting("\nsensor trio 7 3 i16\nsensor many 9 3 u8\n queue 4\n")
+
+    def _run(self, host: Host) -> None:
+        self._watch(host, "trio", "many")
+        last = [1000, 1000, 1000]
+        self._trio(host, last, 0)
+        self._many(host, [(channel, 1000) for channel in range(3)], 0)
+        for change in (1, 0, -1):  # each channel goes on, stays and goes back, others stay
+            for channel in range(3):
+                restart(host, self.DEVICE, [])
+                host.do("transducers", "transducers trio,many")
+                for name in ("trio", "many"):
+                    host.do(f"watch {name}", "watching")
+                host.do(f"sifs all 0 {host.limit_ms}", "sifs")
+                last[channel] += change
+                self._trio(host, last, int(change < 0))
+                self._trio(host, last, 0)
+                self._many(host, [(channel, last[channel])], int(change < 0))
+                self._many(host, [(channel, last[channel])], 0)
+        host.become(BOOTING)
+
+    @staticmethod
+    def _trio(host: Host, times: Sequence[int], resets: int) -> None:
+        payload = b"".join(struct.pack("<Qh", time_us, 5) for time_us in times)
+        readings = [(channel, time_us, 5) for channel, time_us in enumerate(times)]
+        taken(host, "trio", [(7, payload)], readings, resets=resets)
+
+    @staticmethod
+    def _many(host: Host, entries: Sequence[tuple[int, int]], resets: int) -> None:
+        payload = bytes(2) + b"".join(struct.pack("<BQB", *entry, 6) for entry in entries)
+        readings = [(channel, time_us, 6) for channel, time_us in entries]
+        taken(host, "many", [(9, payload)], readings, resets=resets)
+
+
 # Of no more than 32 characters, and of 33 bytes and more.
 _LONG_TOPICS: Final = (
     "\u00e4" * 17, "\u00e4" * 32, "x" * 31 + "\u00e4", "\u20ac" * 11, "\U0001f916" * 9,
