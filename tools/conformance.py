@@ -43,7 +43,7 @@ SWEEPS = (
 # the processor as much as three others.
 FURTHER = (
     *("transducers-328p", "transducers-arduino", "clock-328p"),
-    *("clock-32bit", "clock-big-endian", "clock-rp2040"),
+    *("clock-32bit", "clock-big-endian", "clock-rp2040", "listing-32u2"),
 )
 LINK = ("frame", "core", "sif", "timing")
 # Testees that are another one with a part more, or on another chip of the same kind or another of
