@@ -4,6 +4,7 @@ What flows in: payloads of the samples of one sensor. What flows out: times, cha
 Rule: a value that the sensor does not have is NaN. Needs NumPy (`pip install "j2a[arrays]"`).
 """
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Final
@@ -114,8 +115,10 @@ class Batch:
         Values are 64-bit floating-point numbers, NaN where there is none; integers of 64 bits
         without scale and offset and those of enumerations stay integers, `pandas.NA` where there is
         none. The columns of a structure are its fields, and those of an array have numbers, such as
-        rate_0, rate_1; those of a structure are raw. A name that is there already gets a number,
-        such as time_us2. `attrs["units"]` of the table has the units of columns.
+        rate_0, rate_1; those of a structure are raw, and so are those of an array without scale and
+        offset, with NaN or, among whole numbers, `pandas.NA` for a channel without a value. A name
+        that is there already gets a number, such as time_us2. `attrs["units"]` of the table has the
+        units of columns.
 
         Raises:
             LocalError: pandas is missing.
@@ -138,7 +141,8 @@ class Batch:
             shape = table.shape[self.times_us.ndim :]
             for name, part, unit in _columns("", table.reshape(-1, *shape), sensor.type):
                 column = free_name(name, {*columns, *_OTHER_COLUMNS})
-                columns[column], units[column] = part, unit
+                columns[column] = _with_gaps(pandas, part, self.times_us.ravel() == 0)
+                units[column] = unit
         made = pandas.DataFrame(columns)
         made.attrs["units"] = {name: units[name] for name in columns if units.get(name)}
         return made
@@ -177,6 +181,21 @@ def _columns(name: str, values: Any, kind: Type) -> Iterator[tuple[str, Any, str
     for key, part, inner in parts:
         column = f"{name}_{key}" if name else f"value_{key}" if key.isdigit() else key
         yield from _columns(column, part, replace(inner, unit=inner.unit or kind.unit))
+
+
+def _with_gaps(pandas: Any, values: Any, is_none: Any) -> Any:
+    """Return a column that has no value where `is_none` says so; whole numbers stay whole."""
+    if not is_none.any():
+        return values
+    kind, bits = values.dtype.kind, 8 * values.dtype.itemsize
+    if kind == "f":
+        column = values.astype("f8")
+        column[is_none] = math.nan
+        return column
+    names = {"b": "boolean", "i": f"Int{bits}", "u": f"UInt{bits}"}
+    column = pandas.Series(values, dtype=names[kind])
+    column[is_none] = pandas.NA
+    return column
 
 
 def _shaped(dtype: Any) -> tuple[Any, ...]:

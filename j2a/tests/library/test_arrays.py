@@ -79,6 +79,41 @@ def test_a_table_of_pandas():
     assert math.isnan(table.value[1])
 
 
+ELEMENTS = ("u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f64")
+NAMED = "J2A_ENUM(mode, u8, (off, 0), (run, 1))J2A_STRUCT(at, (mode, now), (array(f32, 2), v))"
+
+
+@pytest.mark.parametrize(
+    ("types", "kind", "code", "names"),
+    [
+        *(
+            ("", f"array({element}, 2), none{scale}", f"2{code}", ["value_0", "value_1"])
+            for element, code in zip(ELEMENTS, "BbHhIiQqfd", strict=True)
+            for scale in ("", ", (scale, 0.5)")
+        ),
+        ("J2A_STRUCT(at, (bool, on), (i64, x))", "at, none", "?q", ["on", "x"]),
+        (NAMED, "at, none", "B2f", ["now", "v_0", "v_1"]),
+    ],
+    ids=str,
+)
+def test_a_channel_without_a_value_has_none_in_a_table(types, kind, code, names):
+    pandas = pytest.importorskip("pandas")
+    text = f"{types}SENSOR(a, 1, a, X, 3, {kind})"
+    [sensor] = read_transds(text).transducers
+    one = struct.pack(f"<{code}", *(1,) * len(names))
+    nothing = bytes(len(one))
+    payload = b"".join(
+        struct.pack("<Q", time) + value for time, value in ((0, nothing), (7, one), (0, nothing))
+    )
+    table = Batch(sensor, [payload]).to_pandas()
+    assert list(table.time_us) == [0, 7, 0]
+    for name in names:
+        assert list(pandas.isna(table[name])) == [True, False, True], name
+        assert table[name][1] == (0.5 if sensor.is_scaled else 1)
+    full = Batch(sensor, [payload.replace(bytes(8) + nothing, struct.pack("<Q", 7) + one)])
+    assert not full.to_pandas().isna().any(axis=None)
+
+
 def test_a_table_has_the_units_of_its_columns():
     pytest.importorskip("pandas")
     text = """
