@@ -136,11 +136,7 @@ class Engine:
                 if not call.has_ended:
                     self._wait_for_others(call, waiter)
         except BaseException:
-            # A signal handler may raise anywhere, also between taking a lock and noting it.
-            if not was_leading and link.is_leading:
-                link.stop_leading(True)
-            with self._turn, self._state:
-                self._settle(self._session.cancel(waiter))
+            self._give_up([waiter], was_leading)
             raise
         if call.error is not None:
             raise call.error
@@ -176,16 +172,23 @@ class Engine:
             for call, waiter in zip(calls, waiters, strict=True):
                 self._wait(call, waiter, was_leading)
         except BaseException:
-            if not was_leading and self._link.is_leading:
-                self._link.stop_leading(True)
-            with self._turn, self._state:
-                for waiter in waiters:
-                    self._settle(self._session.cancel(waiter))
+            self._give_up(waiters, was_leading)
             raise
         for call in calls:
             if call.error is not None:
                 raise call.error
         return [call.reply for call in calls if call.reply is not None]
+
+    def _give_up(self, waiters: Iterable[threading.Lock], was_leading: bool) -> None:
+        """Forget calls amid which a signal handler has raised.
+
+        It may do so anywhere, also between taking a lock and noting it.
+        """
+        if not was_leading and self._link.is_leading:
+            self._link.stop_leading(True)
+        with self._turn, self._state:
+            for waiter in waiters:
+                self._settle(self._session.cancel(waiter))
 
     def _refuse_nested(self, what: str) -> NoReturn:
         raise LocalError(
