@@ -139,9 +139,10 @@ class Batch:
         else:
             table = self.values if sensor.is_scaled else self.raw
             shape = table.shape[self.times_us.ndim :]
+            is_none = self.times_us.ravel() == 0
             for name, part, unit in _columns("", table.reshape(-1, *shape), sensor.type):
                 column = free_name(name, {*columns, *_OTHER_COLUMNS})
-                columns[column] = _with_gaps(pandas, part, self.times_us.ravel() == 0)
+                columns[column] = _with_gaps(pandas, part, is_none)
                 units[column] = unit
         made = pandas.DataFrame(columns)
         made.attrs["units"] = {name: units[name] for name in columns if units.get(name)}

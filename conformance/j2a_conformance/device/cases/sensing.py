@@ -259,8 +259,9 @@ class RefusedMeanwhile(_Meanwhile):
     def _judge(self, board: Board) -> None:
         for one in board.sensors():
             with board.tuned(one):
-                every = [request for some in refused(board, one) for request in some]
-                for some in refused(board, one):
+                groups = list(refused(board, one))
+                every = [request for some in groups for request in some]
+                for some in groups:
                     text = f"a2jTransd refused {some[-1][0].hex()}"
                     self._wait(board, one, text, partial(self._refuse, board, some))
                 if board.has(one, c.TRANSD_DECIMATION):
