@@ -54,7 +54,7 @@ SAME = [
     LIST.format("X", ', (url, "http://x  /* y */"), (b, c/d), (e,f / /g , h)'),
     LIST.format("X", r""", (unit, ''), (k, x''), (l, 'n'), (m, '"'), (o, '\''), (p, "\d\n")"""),
     LIST.format("µX °C", ", (k, °C), (l, a#b), (m, # c), (n, a##b), (o, <: %: 1.2.3 a::b)"),
-    LIST.format('"X  Y"', ", (k, f(x, (y))), (l)"),
+    LIST.format("X  Y", ", (k, f(x, (y))), (l)"),
     "#define N 3\n#define M N\n#define TEXT \"a b\"\n"
     "SENSOR(a, N, a, M, N, array(u8, N), none, (k, M), (l, \"N\"), (m, xN 2N N/N 1.N), TEXT)\n",
     "#if 0\nit's /* #endif\n#endif\n" + LIST.format("X", ""),
@@ -97,6 +97,8 @@ OTHER = [
     ("SENSOR(a, 1, a, X, 1, u8, none" + "".join(f", (k{n}, v)" for n in range(33)) + ")\n", 344,
      "32 of these at most"),
     (LIST.format("X", ", (k" + ", v" * 33 + ")"), 133, "32 of these at most"),
+    (LIST.format('"X"', ""), 17, "be part of the model; write X"),
+    (LIST.format("X", ', (topic, "a/b")'), 41, "be part of the topic; write a/b"),
     ("J2A_ENUM(m, u8" + "".join(f", (v{n}, {n})" for n in range(33)) + ")\n", 350, "32 of these"),
     ("J2A_STRUCT(s" + "".join(f", (u8, v{n})" for n in range(33)) + ")\n", 358, "32 of these"),
 ]  # fmt: skip
@@ -144,12 +146,17 @@ class Trees:
             *("f(x, y)", '"N0"', "a;b", "$N0", "ab\\\ncd", '"a\\\nb"', '"t\\\\ \\" u"', "??x"),
         )
 
+    def model(self):
+        while (word := self.word())[0] in "\"'":
+            pass
+        return word
+
     def entry(self, in_body=False):
         self.entries += 1
         number = self.entries
         macro = self.one("SENSOR", "SENSOR_EX", "ACTUATOR")
         kind = self.one(*self.plain, "uint8_t", "int16_t", "float", "double")
-        first = [f"n{number}", f"{number}", f"p{number}", self.word(), self.one("1", "2", "N1")]
+        first = [f"n{number}", f"{number}", f"p{number}", self.model(), self.one("1", "2", "N1")]
         is_number = kind not in self.plain[-2 - self.types :]
         items = [kind, self.one("none", "0", "1") if is_number else "none"]
         for key in range(self.one(0, 0, 1, 2, 4)):

@@ -50,6 +50,9 @@ _DIGITS: Final = re.compile(r"([0-9]*)(.*)", re.DOTALL)
 _WHOLE: Final = re.compile(r"-?[0-9]{19,400}")
 _TOP: Final = 1 << 63
 _STRING: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"')
+_TEXTS: Final = ("model", "unit", "topic")
+_QUOTED: Final = re.compile(r"\".*\"|'.+'")  # '' is the second of arc, a unit
+_UNQUOTED: Final = re.compile(r"[^\s(),\"'\\]+(?: [^\s(),\"'\\]+)*")
 _BOOL: Final = re.compile(r"\bbool\b")
 _C_NAMES: Final = {name: c_name for c_name, name in _C_TYPES.items()}
 
@@ -155,6 +158,7 @@ class _Entry:
         head += [(f" {unit}", unit)] if unit else []
         head += [(f" # {bare_text(doc)}", doc)] if doc else []
         self._check_names(name, prefix, kind)
+        self._check_quotes("model", model)
         for word in (number, channels, na):
             self._check_number(str(word), word)
         for word, article, what in ((number, "an", "id"), (channels, "a", "number of channels")):
@@ -194,6 +198,14 @@ class _Entry:
             if element in _C_TYPES:
                 hint = f" in an array; write {_C_TYPES[element]}"
             raise self._reader.error(f"{element} is no type{hint}", kind)
+
+    def _check_quotes(self, key: str, node: Node) -> None:
+        """Refuse quotation marks: the firmware would put them into the descriptor, too."""
+        if isinstance(node, Word) and _QUOTED.fullmatch(node):
+            plain = node[1:-1]
+            what = f"the quotation marks would be part of the {key}; "
+            what += f"write {plain}" if _UNQUOTED.fullmatch(plain) else "leave them out"
+            raise self._reader.error(what, node)
 
     def _check_number(self, text: str, node: Node) -> None:
         """Refuse what C reads in another way than people do."""
@@ -235,6 +247,9 @@ class _Entry:
                 raise self._reader.error("a key is expected behind this parenthesis", item)
             if key in lines or (key == "unit" and unit is not None):
                 raise self._reader.error(f"the key {key} stands here twice", key)
+            if key in _TEXTS:
+                for word in item[1:]:
+                    self._check_quotes(key, word)
             if key == "unit":
                 if len(item) != 2 or not isinstance(item[1], Word):
                     raise self._reader.error("unit is one symbol of UCUM, such as (unit, mV)", item)
@@ -389,7 +404,7 @@ def _entry(one: Transducer) -> str:
 def _argument(one: Transducer, key: str, value: str, can_have_commas: bool = False) -> str:
     """Return a value, unless a compiler would take it for something else."""
     depth = 0
-    bare = _STRING.sub("", value)
+    bare = value if key in _TEXTS else _STRING.sub("", value)
     for character in bare:
         depth += (character == "(") - (character == ")")
         if depth < 0 or character in "\"'#\\" or (character == "," and not can_have_commas):

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from j2a_spec import transducers as oracle
 
 import j2a
-from j2a.errors import SignatureError
+from j2a.errors import LocalError, SignatureError
 from j2a.types.descriptors import parse_descriptors
 from j2a.types.ros import camel_case, ros1_package, ros2_messages, ros2_package
 from j2a.types.transds_file import read_transds, strange_keys, transds_text
@@ -237,6 +237,14 @@ WRONG = [
     ("SENSOR(a, 1, a, X, 1, u8, none,\n\"a\" \\\n  \"b\\n\")", 3, 5, 'in front of " or \\ only'),
     (GOOD + "/* a\n */ #if 1\n#else\n", 4, 1, "an #endif is missing"),
     ("#if definedN\n" + GOOD + "#endif\n", 1, 1, "give the value of definedN"),
+    ('SENSOR(a, 1, a, "SRF02", 1, u8, none)', 1, 17, "be part of the model; write SRF02"),
+    ('SENSOR(a, 1, a, "A, B", 1, u8, none)', 1, 17, "be part of the model; leave them out"),
+    ("SENSOR(a, 1, a, 'SRF 02', 1, u8, none)", 1, 17, "be part of the model; write SRF 02"),
+    ('#define M "X"\nSENSOR(a, 1, a, M, 1, u8, none)', 2, 17, "part of the model; write X"),
+    ('SENSOR(a, 1, a, X, 1, u8, none, (unit, "mm"))', 1, 40, "be part of the unit; write mm"),
+    ('SENSOR(a, 1, a, X, 1, u8, none, (topic, "imu/data"))', 1, 41, "topic; write imu/data"),
+    ("SENSOR(a, 1, a, X, 1, u8, none, (topic, 'a'))", 1, 41, "be part of the topic; write a"),
+    ('SENSOR(a, 1, a, X, 1, u8, none, (topic, ""))', 1, 41, "part of the topic; leave them out"),
     ("#define N " + "x" * 256 + "\n", 1, 1, "N stands for more than 255 characters"),
 ]  # fmt: skip
 
@@ -269,10 +277,20 @@ class TestOrder:
         for safe in (-9, 9):
             read_transds(f"ACTUATOR(a, 1, a, X, 1, i8, {safe}, (range, -9, 9))")
 
-    def test_a_string_as_a_value_is_written_as_it_was(self):
+    def test_a_string_as_a_value_of_an_own_key_is_written_as_it_was(self):
         text = 'SENSOR_EX(a, 1, a, X, 1, u8, none, (note, "a, \\"b\\"  (c"))\n'
         written = transds_text(read_transds(text), "a board")
         assert read_transds(written) == read_transds(text)
+
+    @pytest.mark.parametrize("line", ['model "X"', 'topic "a/b"'])
+    def test_what_a_board_says_in_quotation_marks_is_not_written(self, line):
+        descriptors = parse_descriptors(f"\nsensor a 1 1 u8\n {line}\n")
+        with pytest.raises(LocalError, match="cannot stand in"):
+            transds_text(descriptors, "a board")
+
+    def test_the_second_of_arc_is_no_quotation(self):
+        [found] = read_transds(GOOD.replace("none", "none, (unit, '')")).transducers
+        assert found.unit == "''"
 
 
 class TestMistakes:
