@@ -79,7 +79,8 @@ def read_transds(
     reader = MacroReader(text, options or {}, file=file, opener=opener, bodies=("SENSORS",))
     types: dict[str, Enumeration | Structure] = {}
     found: dict[str, Transducer] = {}
-    ids: dict[int, str] = {}
+    names: dict[str, Node] = {}
+    ids: dict[int, Node] = {}
     prefixes: dict[str, str] = {}
     entries = reader.entries()
     for macro, arguments in entries:  # all of them come first, wherever they stand
@@ -90,9 +91,11 @@ def read_transds(
             transducer = _Entry(reader, macro, arguments, types).read()
             if transducer.name in found:
                 what = f"another transducer has the name {transducer.name}"
+                what += _elsewhere(reader, names[transducer.name], arguments[0])
                 raise reader.error(what, arguments[0])
             if transducer.id in ids:
                 what = f"{ids[transducer.id]} has the id {transducer.id}, too"
+                what += _elsewhere(reader, ids[transducer.id], arguments[1])
                 raise reader.error(what, arguments[1])
             if transducer.is_sensor and transducer.prefix in prefixes:
                 what = (
@@ -102,13 +105,24 @@ def read_transds(
                 raise reader.error(what, arguments[2])
             if transducer.is_sensor:
                 prefixes[transducer.prefix] = transducer.name
-            ids[transducer.id] = transducer.name
+            ids[transducer.id] = names[transducer.name] = arguments[0]
             found[transducer.name] = transducer
         elif macro not in DEFINITIONS:
             hint = did_you_mean(macro, (*_KINDS, *DEFINITIONS))
             what = f"{macro} is no entry of transds.def"
             raise reader.error(f"{what}; {hint}" if hint else what, macro)
     return Descriptors(tuple(types.values()), tuple(found.values()))
+
+
+def _elsewhere(reader: MacroReader, other: Node, node: Node) -> str:
+    """Return what to add to an error about two entries where they stand in two files."""
+    if other.source is node.source:
+        return ""
+    place = reader.error("", other)
+    return (
+        f", in {place.file}:{place.line}; a file is of one board: for messages of several, "
+        "run j2a transds once for the file of each, with one DIR"
+    )
 
 
 def _define(line: Line, types: dict[str, Enumeration | Structure]) -> None:

@@ -316,6 +316,25 @@ class TestMistakes:
         assert caught.value.file == str(tmp_path / "left.def")
         assert caught.value.line == 2
 
+    @pytest.mark.parametrize(
+        ("entry", "column", "why"),
+        [
+            ("SENSOR(b, 1, b, X, 1, u8, none)", 11, "a has the id 1, too, in "),
+            ("SENSOR(a, 2, a, X, 1, u8, none)", 8, "another transducer has the name a, in "),
+        ],
+    )
+    def test_files_of_two_boards_that_are_included_in_one(self, entry, column, why, tmp_path):
+        (tmp_path / "one.def").write_text(f"\n{GOOD}")
+        (tmp_path / "two.def").write_text(entry)
+        (tmp_path / "transds.def").write_text('#include "one.def"\n#include "two.def"\n')
+        with pytest.raises(SignatureError) as caught:
+            j2a.load_transds(tmp_path / "transds.def")
+        error = caught.value
+        assert f"{why}{tmp_path / 'one.def'}:2; a file is of one board" in error.reason
+        assert "once for the file of each" in error.reason
+        assert (error.file, error.line) == (str(tmp_path / "two.def"), 1)
+        assert error.position + 1 == column
+
     def test_a_file_that_includes_itself(self, tmp_path):
         path = tmp_path / "transds.def"
         path.write_text('#include "transds.def"\n')
