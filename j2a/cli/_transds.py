@@ -69,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, print and write; returns the exit code."""
     descriptors, source = read_source(args)
     files = _distinct(_files(args, descriptors, source), Path(args.url))
+    _check_messages(files)
     if args.json:
         show_json(facts(descriptors, source))
     elif not files:
@@ -127,9 +128,10 @@ def _files(
         if folder is not None:
             for name, text in package(descriptors).items():
                 yield folder / name, text
+    if args.c_path is not None:
+        yield args.c_path, transducers_header(descriptors, source, args.c_path.name)
     for path, make in (
         (args.def_path, transds_text),
-        (args.c_path, transducers_header),
         (args.python_path, transducers_module),
         (args.html_path, data_sheets),
     ):
@@ -154,20 +156,41 @@ def _distinct(files: Iterator[tuple[Path, str]], source: Path) -> dict[Path, str
     return found
 
 
+def _check_messages(files: Mapping[Path, str]) -> None:
+    """Refuse to write over a message that another board may have.
+
+    Raises:
+        UsageError: there is one that differs.
+    """
+    for path, text in files.items():
+        try:
+            is_other = path.suffix == ".msg" and path.read_bytes() != _written(text).encode()
+        except OSError:
+            continue  # it is not there; or writing tells why not
+        if is_other:
+            raise UsageError(
+                f"{path} is there and differs: if it is of another board, rename one of the two "
+                "or choose another folder; if it is an older one of this board, remove it"
+            )
+
+
+def _written(text: str) -> str:
+    return printable(text, "\n\t")  # what a board says turns no line around
+
+
 def write_files(files: Mapping[Path, str]) -> None:
     """Write files by path, each as a whole.
 
     Raises:
         UsageError: one cannot be written.
     """
-    for path, foreign in files.items():
+    for path, text in files.items():
         if not path.name:
             raise UsageError(f"{path} is a folder: name a file in it")
-        text = printable(foreign, "\n\t")  # what a board says turns no line around
         part = path.with_name(f"{path.name}.part")  # a full disk spoils no file that is there
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_text(text, "utf-8", newline="\n")
+            part.write_text(_written(text), "utf-8", newline="\n")
             part.replace(path)
         except OSError as error:
             with contextlib.suppress(OSError):

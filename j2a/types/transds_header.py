@@ -5,6 +5,7 @@ scales and offsets. Rule: structures have the padding of the compiler, so they a
 """
 
 import math
+import re
 from collections.abc import Iterator
 
 from j2a.types.header import CDefinitions, c_comment, c_integer
@@ -15,16 +16,25 @@ from j2a.types.transducers import Descriptors, Raw, Transducer
 __all__ = ["transducers_header"]
 
 
-def transducers_header(descriptors: Descriptors, source: str) -> str:
-    """Return the text of a header; the arguments are those of `transducers_module`."""
-    return "\n".join(_lines(descriptors, source)) + "\n"
+def transducers_header(descriptors: Descriptors, source: str, file: str) -> str:
+    """Return the text of a header.
+
+    Args:
+        descriptors: of the board.
+        source: where they come from, for the comment.
+        file: the name of the header, of which its include guard is made.
+    """
+    return "\n".join(_lines(descriptors, source, file)) + "\n"
 
 
-def _lines(descriptors: Descriptors, source: str) -> Iterator[str]:
-    yield f"/* The transducers of {c_comment(source)}, written by j2a transds; do not edit. */"
-    yield from ("#ifndef J2A_TRANSDUCERS_H", "#define J2A_TRANSDUCERS_H", "")
+def _lines(descriptors: Descriptors, source: str, file: str) -> Iterator[str]:
+    name = re.sub(r"[^A-Z0-9]+", "_", file.upper()).strip("_")
+    guard = f"J2A_TRANSDUCERS_{name}"
+    yield f"/* The transducers of {c_comment(source)}, written by j2a transds; do not edit."
+    yield " * Structures are padded by the compiler, so no payload can be copied into them. */"
+    yield from (f"#ifndef {guard}", f"#define {guard}", "")
     yield from ("#include <stdbool.h>", "#include <stdint.h>", "")
-    definitions = CDefinitions("J2A_TRANSDUCERS_H")
+    definitions = CDefinitions(guard)
     yield from definitions.lines(descriptors.types)
     prefixes: set[str] = set()
     for one in descriptors.transducers:

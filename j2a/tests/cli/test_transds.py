@@ -218,6 +218,39 @@ def test_no_two_files_have_one_name(run, transds):
     assert not folder.exists()
 
 
+@pytest.mark.parametrize("option", ["--ros1", "--ros2"])
+def test_a_message_of_another_board_is_not_lost(run, transds, tmp_path, option):
+    folder = tmp_path / "msgs"
+    run("transds", transds, option, folder)
+    before = {path: path.read_bytes() for path in folder.rglob("*.msg")}
+    other = tmp_path / "other.def"
+    other.write_text(
+        "SENSOR(first, 0, a, X, 2, u8, none)\nSENSOR(quad, 1, quad, Y, 2, float, none)"
+    )
+    told = failed(run, 2, "transds", other, option, folder, "--c", tmp_path / "a.h").err
+    assert "uad.msg is there and differs: if it is of another board, rename one" in told
+    assert {path: path.read_bytes() for path in folder.rglob("*.msg")} == before
+    assert not (tmp_path / "a.h").exists()
+    other.write_text("SENSOR(first, 0, a, X, 2, u8, none)\nSENSOR(quad, 1, b, Y, 9, int16_t, 0)")
+    assert run("transds", other, option, folder).code == 0
+    assert len(list(folder.rglob("*.msg"))) == len(before) + 1
+    assert run("transds", transds, option, folder).code == 0
+
+
+def test_headers_of_two_boards_are_included_in_one_program(run, transds, tmp_path, need):
+    need("cc")
+    run("transds", transds, "--c", tmp_path / "cart-1.h")
+    transds.write_text("SENSOR(light, 0, light, X, 1, u8, none)")
+    run("transds", transds, "--c", tmp_path / "cart-2.h")
+    program = tmp_path / "both.c"
+    program.write_text(
+        '#include "cart-1.h"\n#include "cart-2.h"\n#include "cart-1.h"\n'
+        "int both(j2a_quad_reading *a, j2a_light_reading *b) { return a->value + b->value; }"
+    )
+    subprocess.run(["cc", "-fsyntax-only", "-Wall", "-Werror", program], check=True)
+    assert "are padded by the compiler" in (tmp_path / "cart-1.h").read_text()
+
+
 def test_a_condition(run, transds):
     transds.write_text("#if BIG\nSENSOR(a, 1, a, X, 1, u8, none)\n#endif\n")
     assert "sensor" in run("transds", transds, "-D", "BIG").out

@@ -113,7 +113,7 @@ def test_headers_compile(tmp_path_factory, need, board):
     need("gcc")
     need("g++")
     folder = tmp_path_factory.mktemp("headers")
-    (folder / "board.h").write_text(transducers_header(board, "a */ b"), "utf-8")
+    (folder / "board.h").write_text(transducers_header(board, "a */ b", "board.h"), "utf-8")
     interface = Interface(board.types, (), (Described("add"),))
     (folder / "stub.h").write_text(c_header(interface, "00000000", "x /* y"), "utf-8")
     for name in ("board", "stub"):
@@ -142,7 +142,7 @@ def test_headers_say_the_same_in_c_and_in_cpp(tmp_path, need, compiler):
         "sensor c 3 1 i64\n na -0x8000000000000000\nsensor d 4 1 u64\n na 0xFFFFFFFFFFFFFFFF\n"
         "sensor e 5 1 t\n"
     )
-    (tmp_path / "board.h").write_text(transducers_header(board, "x"), "utf-8")
+    (tmp_path / "board.h").write_text(transducers_header(board, "x", "*/ \\ board.h"), "utf-8")
     (tmp_path / "main.c").write_text(
         '#include "board.h"\n#include <limits.h>\nint main(void) {\n'
         "bool a = J2A_A_NA; double c = J2A_C_NA, f = J2A_F_NA, d = (double)J2A_D_NA;\n"
