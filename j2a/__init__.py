@@ -10,6 +10,7 @@ from j2a.client import Client, Function, connect
 from j2a.device import Device
 from j2a.errors import (
     BadUrl,
+    BatchTimeout,
     ByteTimeoutRefused,
     CallTimeout,
     ChecksumRefused,
@@ -87,6 +88,7 @@ __all__ = [
     "AsyncSifStream",
     "BadUrl",
     "Batch",
+    "BatchTimeout",
     "BoardChange",
     "ByteTimeoutRefused",
     "CallTimeout",

@@ -9,7 +9,7 @@ device may have acted.
 # ruff: noqa: N818 - the names say what happened; that they are errors is seen where they are caught
 
 from enum import Enum
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from j2a_spec.constants import (
     ERR_CHECKSUM,
@@ -23,6 +23,7 @@ from j2a_spec.printable import printable
 
 __all__ = [
     "BadUrl",
+    "BatchTimeout",
     "ByteTimeoutRefused",
     "CallTimeout",
     "ChecksumRefused",
@@ -234,6 +235,16 @@ class DeviceRestarted(J2AError):
 
 class CallTimeout(J2AError, TimeoutError):
     """No reply came within the time limit of the call."""
+
+
+class BatchTimeout(CallTimeout):
+    """Too few samples of a batch came in time.
+
+    Attributes:
+        batch: those that came, a `Batch` of 0 samples or more.
+    """
+
+    batch: Any = None
 
 
 class ProtocolError(J2AError):

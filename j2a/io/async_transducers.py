@@ -106,7 +106,7 @@ class AsyncSensor(_Async):
                 while len(found) < count:
                     found.append(await stream.wait(max(0.0, end - client.now())))
             except CallTimeout as error:
-                raise self._late_batch(len(found), count, error) from None
+                raise self._late_batch(self._batch(before, found), count, error) from None
         return self._batch(before, found)
 
     def on_sample(self, handler: Callable[[Sample], object]) -> Any:

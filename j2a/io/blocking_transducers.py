@@ -145,8 +145,9 @@ class Sensor(_Blocking):
             count: so many samples.
             timeout: the time limit for all of them in seconds; None takes the client's.
 
-        Raises: as `wait`; LocalError where NumPy is missing; InterfaceChanged where the device has
-            restarted as another one.
+        Raises: as `wait`, but BatchTimeout, whose `batch` has the samples that came in time;
+            LocalError where NumPy is missing; InterfaceChanged where the device has restarted as
+            another one.
         """
         client = self._client
         before, stream = self._stream_of_batch(count)
@@ -157,7 +158,7 @@ class Sensor(_Blocking):
                 while len(found) < count:
                     found.append(stream.wait(max(0.0, end - client.now())))
             except CallTimeout as error:
-                raise self._late_batch(len(found), count, error) from None
+                raise self._late_batch(self._batch(before, found), count, error) from None
         return self._batch(before, found)
 
     def on_sample(self, handler: Callable[[Sample], object]) -> Any:

@@ -15,6 +15,7 @@ from j2a_spec import constants as c
 from j2a_spec.nearest import did_you_mean
 
 from j2a.errors import (
+    BatchTimeout,
     CallTimeout,
     FunctionFailed,
     InterfaceChanged,
@@ -299,13 +300,15 @@ class RemoteTransducer:
             raise WrongArgument(f"a batch has 1 sample or more, not {count!r:.40}")
         return self.descriptor, self._stream(max(int(count), MAX_SIFS))
 
-    def _late_batch(self, came: int, count: int, error: CallTimeout) -> CallTimeout:
-        """Return the error of a batch that was not full in time."""
-        return error.copy(
-            f"{came} of {count} samples of {self.name} came in time; ask for fewer, or iterate "
-            "over its samples to keep those that come",
-            error.outcome,
+    def _late_batch(self, came: Batch, count: int, error: CallTimeout) -> BatchTimeout:
+        """Return the error of a batch that was not full in time, which hands over what came."""
+        late = BatchTimeout(
+            f"{came.counts.size} of {count} samples of {self.name} came in time, which the error "
+            "has as its batch; ask for fewer, or wait longer",
+            outcome=error.outcome,
         )
+        late.batch = came
+        return late
 
     def _batch(self, before: Transducer, samples: list[Sample]) -> Batch:
         """Return samples of a sensor as arrays.

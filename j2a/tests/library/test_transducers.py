@@ -404,6 +404,24 @@ class TestSamples:
         with pytest.raises(j2a.WrongArgument, match="1 sample or more"):
             quad.read_batch(0)
 
+    @pytest.mark.parametrize("name", ["quad", "log"])
+    def test_a_late_batch_hands_over_what_came(self, device, board, name):
+        pytest.importorskip("numpy")
+        sender = threading.Timer(0.05, lambda: device.sense(name, 0, 3, raw=True))
+        sender.start()
+        with pytest.raises(j2a.BatchTimeout, match=f"1 of 2 samples of {name}") as late:
+            board.transducers[name].read_batch(2, timeout=1.0)
+        assert late.value.batch.raw.ravel()[0] == 3
+        assert len(late.value.batch.counts) == 1
+        sender.join()
+
+    def test_a_late_batch_may_have_no_samples(self, board):
+        pytest.importorskip("numpy")
+        with pytest.raises(j2a.BatchTimeout) as late:
+            board.transducers["quad"].read_batch(2, timeout=0.01)
+        assert late.value.batch.values.shape == (0, 2)
+        assert late.value.outcome is j2a.Outcome.NOT_SENT
+
     @pytest.mark.parametrize("name", ["quad", "log", "field"])
     def test_a_batch_makes_no_reading_of_its_values(self, device, board, name, monkeypatch):
         pytest.importorskip("numpy")
@@ -961,6 +979,12 @@ class TestAsyncio:
                     await quad.read_batch(0)
                 with pytest.raises(j2a.CallTimeout, match="0 of 9 samples of quad came in time"):
                     await quad.read_batch(9, timeout=0.05)
+                late = asyncio.create_task(quad.read_batch(2, timeout=1.0))
+                await asyncio.sleep(0)
+                device.sense("quad", 1, 15)
+                with pytest.raises(j2a.BatchTimeout) as caught:
+                    await late
+                assert caught.value.batch.values[0, 1] == 15.0
 
 
 class TestSaving:
