@@ -135,6 +135,9 @@ def test_births_samples_orders_and_deaths(broker, listener):
     device, birth, data, answers, settings, long = asyncio.run(work())
     assert birth["topics"]["servo"]["range"] == [-100, 100]
     assert birth["topics"]["quad"]["unit"] == "deg"
+    assert birth["topics"]["quad"]["range"] is None
+    keys = ("decimation", "threshold", "trigger", "watchdog_ms", "safe")
+    assert [birth["topics"]["servo"][key] for key in keys] == [None, None, False, None, 5]
     assert birth["topics"]["quad"]["units"] == {"value": "deg"}
     assert data["values"] == [None, 45.5]
     assert data["times_ns"][0] is None

@@ -78,5 +78,9 @@ def transducer_facts(one: Transducer) -> dict[str, object]:
         "period_us": one.period_us,
         "queue": one.queue,
         "enabled": one.is_enabled,
+        "decimation": one.decimation,
+        "threshold": one.threshold,
+        "trigger": one.has_trigger,
+        "watchdog_ms": one.watchdog_ms,
         "attributes": dict(one.attributes),
     }

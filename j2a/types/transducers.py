@@ -176,6 +176,21 @@ class Transducer:
         return self._raw("safe")
 
     @property
+    def decimation(self) -> int | None:
+        """Every n-th value is taken when the device starts; None where it cannot be set."""
+        return int(self.get("decimation")) if self.has("decimation") else None
+
+    @property
+    def has_trigger(self) -> bool:
+        """The host can have it measure."""
+        return self.has("trigger")
+
+    @property
+    def watchdog_ms(self) -> int | None:
+        """Milliseconds of silence until the safe value is set, at the start; None without one."""
+        return int(self.get("watchdog")) if self.has("watchdog") else None
+
+    @property
     def threshold(self) -> Raw | None:
         """By how much a raw value must differ from the one before, when the device starts."""
         return self._raw("threshold")

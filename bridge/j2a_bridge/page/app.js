@@ -393,7 +393,7 @@ function control(name, about, channel, send) {
   const range = about.range;
   // Whole numbers that are greater cannot be told apart here, so a slider would miss them.
   const isExact = type[0] === "f" || range?.every((end) => Number.isSafeInteger(Math.round(end)));
-  if (range === undefined || !isExact || typeof range[0] !== "number" || typeof range[1] !== "number") {
+  if (!range || !isExact || typeof range[0] !== "number" || typeof range[1] !== "number") {
     const input = make("input", { id, type: "text", placeholder: type, autocomplete: "off" });
     const form = make("form", {}, input, make("button", {}, "Set"));
     form.addEventListener("submit", (event) => {

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from j2a import LocalError
+from j2a.cli._descriptors import transducer_facts
 from j2a.cli._typed import json_of
 from j2a_bridge.json_values import finite
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
@@ -289,21 +290,12 @@ class MqttSink(Sink):
 
 
 def transducer_object(topic: Topic) -> dict[str, Any]:
-    """Return what JSON has of a transducer."""
+    """Return what JSON has of a transducer; its range is in the unit, as the values are."""
     one = topic.transducer
-    about: dict[str, Any] = {
-        "kind": one.kind,
-        "name": one.name,
-        "type": str(one.type),
-        "channels": one.channels,
-        "unit": one.unit,
-        "units": one.units,
-        "model": one.model,
-        "doc": one.doc,
-    }
-    if one.range is not None:
-        about["range"] = [finite(end * one.scale + one.offset) for end in one.range]
-    return about
+    about = transducer_facts(one)
+    about["type"] = str(one.type)
+    about["range"] = one.range and [end * one.scale + one.offset for end in one.range]
+    return {key: finite(value) for key, value in about.items()}
 
 
 def sample_object(update: Update) -> dict[str, Any]:

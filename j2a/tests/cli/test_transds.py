@@ -62,6 +62,20 @@ def test_json(run, transds):
     assert found["types"] == []
 
 
+def test_json_of_settings(run, transds):
+    transds.write_text(
+        "SENSOR(a, 0, a, X, 1, float, none, (decimation, 3), (threshold, 0.5), (trigger))\n"
+        "SENSOR(b, 1, b, X, 1, u8, none)\nACTUATOR(c, 2, c, X, 1, u8, none, (watchdog, 500))"
+    )
+    told = json.loads(run("transds", transds, "--json").out)["transducers"]
+    keys = ("decimation", "threshold", "trigger", "watchdog_ms")
+    assert [[one[key] for key in keys] for one in told] == [
+        [3, 0.5, True, None],
+        [None, None, False, None],
+        [None, None, False, 500],
+    ]
+
+
 def test_units_of_fields(run, transds, tmp_path):
     transds.write_text(
         "J2A_STRUCT(motion, (array(i16, 3), rate, mdeg/s), (f32, temperature, Cel), (bool, up))\n"
