@@ -28,7 +28,8 @@ _OTHER_COLUMNS: Final = ("host_time_ns",)
 """What recordings add to tables."""
 
 
-_WIDE: Final = ("i64", "u64")  # which a float does not hold
+_EXACT: Final = ("i64", "u64", "bool")
+"""Values that a table has as they are: a float does not hold those of 64 bits."""
 
 
 class Batch:
@@ -113,12 +114,12 @@ class Batch:
         """Return a table with a row for each value: time_us, channel, value.
 
         Values are 64-bit floating-point numbers, NaN where there is none; integers of 64 bits
-        without scale and offset and those of enumerations stay integers, `pandas.NA` where there is
-        none. The columns of a structure are its fields, and those of an array have numbers, such as
-        rate_0, rate_1; those of a structure are raw, and so are those of an array without scale and
-        offset, with NaN or, among whole numbers, `pandas.NA` for a channel without a value. A name
-        that is there already gets a number, such as time_us2. `attrs["units"]` of the table has the
-        units of columns.
+        without scale and offset, those of enumerations and `bool` stay what they are, `pandas.NA`
+        where there is none. The columns of a structure are its fields, and those of an array have
+        numbers, such as rate_0, rate_1; those of a structure are raw, and so are those of an array
+        without scale and offset, with NaN or, among whole numbers, `pandas.NA` for a channel
+        without a value. A name that is there already gets a number, such as time_us2.
+        `attrs["units"]` of the table has the units of columns.
 
         Raises:
             LocalError: pandas is missing.
@@ -129,8 +130,9 @@ class Batch:
         units = {"value": sensor.unit}
         element = number_element(sensor.type)
         is_named = isinstance(sensor.type.element, Enumeration)
-        if element is not None and not sensor.is_scaled and (is_named or element in _WIDE):
+        if element is not None and not sensor.is_scaled and (is_named or element in _EXACT):
             dtype = f"{'U' * element.startswith('u')}Int{element[1:]}"
+            dtype = "boolean" if element == "bool" else dtype
             value = pandas.Series(self.raw.ravel(), dtype=dtype)
             value[self._is_none().ravel()] = pandas.NA
             columns["value"] = value

@@ -19,6 +19,7 @@ SENSOR(quad, 0, quad, X, 2, i16, -1, (scale, 0.5))
 SENSOR(log, 1, log, X, 2, u8, none, (queue, 4))
 SENSOR(imu, 2, imu, X, 1, motion, none)
 SENSOR(rows, 3, rows, X, 1, array(u8, 2), none)
+SENSOR(bump, 4, bump, X, 2, bool, none)
 """
 
 
@@ -30,6 +31,7 @@ SAMPLES = {
     ],
     "log": [struct.pack("<HBQBBQB", 0, 1, 11, 7, 0, 12, 8), struct.pack("<HBQB", 0, 1, 13, 9)],
     "imu": [struct.pack("<Qhh?", 20, 1, -2, True)],
+    "bump": [struct.pack("<Q?Q?", 22, True, 0, False)],
     "rows": [struct.pack("<QBB", 21, 3, 4)],
 }
 
@@ -66,6 +68,9 @@ def test_csv(run, path, tmp_path):
     assert (out / "left_cart_rows.csv").read_text() == (
         f"host_time_ns,time_us,channel,value_0,value_1\n{NOW_NS},21,0,3,4\n"
     )
+    assert (out / "left_cart_bump.csv").read_text() == (
+        f"host_time_ns,time_us,channel,value\n{NOW_NS},22,0,True\n"
+    )
     assert f"wrote {out / 'left_cart_quad.csv'}: 3 rows" in result.out
     again = run("export", path, out)
     assert again.code == 2
@@ -80,6 +85,8 @@ def test_parquet(run, path, tmp_path):
     assert quad["channel"].tolist() == [1, 0, 1]
     assert quad["time_us"].tolist() == [5, 9, 5]
     assert quad["value"].isna().tolist() == [False, True, False]
+    bump = parquet.read_table(out / "left_cart_bump.parquet")
+    assert bump.to_pylist()[0]["value"] is True
     assert parquet.read_table(out / "left_cart_imu.parquet").to_pylist() == [
         {"host_time_ns": NOW_NS, "time_us": 20, "channel": 0, "rate_0": 1, "rate_1": -2, "up": True}
     ]

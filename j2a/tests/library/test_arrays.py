@@ -69,6 +69,16 @@ def test_a_table_has_enumerations_as_whole_numbers(integer, code):
     assert table.to_csv(index=False).splitlines() == ["time_us,channel,value", "5,0,5", "6,1,"]
 
 
+@pytest.mark.parametrize(("na", "last"), [("none", "True"), (1, "")])
+def test_a_table_has_truth_values_as_such(na, last):
+    pandas = pytest.importorskip("pandas")
+    [sensor] = read_transds(f"SENSOR(a, 1, a, X, 3, bool, {na})").transducers
+    table = Batch(sensor, [struct.pack("<Q?Q?Q?", 5, False, 0, False, 6, True)]).to_pandas()
+    assert table.value.dtype == pandas.BooleanDtype()
+    lines = table.to_csv(index=False).splitlines()
+    assert lines == ["time_us,channel,value", "5,0,False", "0,1,", f"6,2,{last}"]
+
+
 def test_a_table_of_pandas():
     pytest.importorskip("pandas")
     table = Batch(SENSORS["quad"], [struct.pack("<QhQh", 5, 7, 0, 0)]).to_pandas()
