@@ -4,7 +4,8 @@ In: samples. Out: a line or an object for each, and for each sensor how regularl
 last ones behind each line, or all of a span of time in a table.
 Rules: a delay is that from the time stamp to the arrival, where the clock of the board is known;
 else above that of the quickest sample in the same span of time, as the clocks of board and host are
-not the same one. All delays of a table are of one kind.
+not the same one. All delays of a table are of one kind. There are none where the clock of the board
+does not run as that of the host does, as in a recording that is replayed faster.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ LAST: Final = 50
 
 _US: Final = 1e6
 _MS: Final = 1e3
+_SLACK_US: Final = 1e3
+"""By so much, and the error of the clock, a delay may be below 0: times of day are that exact."""
 Facts = dict[str, float | int | None]
 """How regularly samples come: counts and, in milliseconds, times; None where it is not known."""
 
@@ -98,18 +101,23 @@ class _Rate:
         self.host_s: deque[float] = deque(maxlen=last)
         self.device_s: deque[float] = deque(maxlen=last)
         self.true_s: deque[float] = deque(maxlen=last)
+        self.doubts: deque[bool] = deque(maxlen=last)
         self.lost = 0
         self.missed = 0
 
-    def add(self, sample: j2a.Sample, came_us: float) -> None:
+    def add(self, sample: j2a.Sample, came_us: float, error_us: float, *, is_doubted: bool) -> None:
         self.lost += sample.lost
         self.missed += sample.missed
         if sample.is_reset:  # times before it are of another count
             self.host_s.clear()
             self.device_s.clear()
             self.true_s.clear()
+            self.doubts.clear()
         if sample.host_us is not None:
-            self.true_s.append((came_us - sample.host_us) / _US)
+            delay_us = came_us - sample.host_us
+            is_doubted |= delay_us < -error_us - _SLACK_US  # it came before it was taken
+            self.true_s.append(max(0.0, delay_us) / _US)
+        self.doubts.append(is_doubted)
         if sample.time_us is not None:
             self.host_s.append(sample.host_time)
             self.device_s.append(sample.time_us / _US)
@@ -117,7 +125,7 @@ class _Rate:
     @property
     def is_relative(self) -> bool:
         """There are samples, and of none it is known how long it took."""
-        return bool(self.host_s) and not self.true_s
+        return bool(self.host_s) and not self.true_s and not any(self.doubts)
 
     def facts(self, *, is_relative: bool) -> Facts:
         """Return samples, per second, and in ms: jitter of the board, delay at the median, most."""
@@ -129,6 +137,8 @@ class _Rate:
             delays = [b - a for a, b in zip(self.device_s, self.host_s, strict=True)]
             delays = delays if count > 1 else []  # one is the quickest
             least = min(delays, default=0.0)
+        if any(self.doubts):
+            delays = []
         return {
             "samples": count,
             "per_s": (count - 1) / span_s if span_s > 0 else None,
@@ -147,14 +157,24 @@ class Rates:
     def __init__(self) -> None:
         self._rates: dict[str, _Rate] = {}
 
-    def add(self, sample: j2a.Sample, came_us: float) -> None:
+    def add(
+        self,
+        sample: j2a.Sample,
+        came_us: float,
+        error_us: float = 0.0,
+        *,
+        is_doubted: bool = False,
+    ) -> None:
         """Take a sample into the present span of time.
 
         Args:
             sample: of a sensor.
             came_us: when it came, in microseconds since 1970.
+            error_us: bound of the error of its `host_us`.
+            is_doubted: the clock of the board was asked, and does not run as expected.
         """
-        self._rates.setdefault(sample.name, _Rate()).add(sample, came_us)
+        rate = self._rates.setdefault(sample.name, _Rate())
+        rate.add(sample, came_us, error_us, is_doubted=is_doubted)
 
     def take(self) -> dict[str, Facts]:
         """Return for each sensor what was seen of it since the last time; a new span begins."""
@@ -169,10 +189,17 @@ class LastRates:
     def __init__(self) -> None:
         self._rates: defaultdict[str, _Rate] = defaultdict(lambda: _Rate(LAST))
 
-    def add(self, sample: j2a.Sample, came_us: float) -> Facts:
+    def add(
+        self,
+        sample: j2a.Sample,
+        came_us: float,
+        error_us: float = 0.0,
+        *,
+        is_doubted: bool = False,
+    ) -> Facts:
         """Take a sample, as `Rates.add`; returns what is seen now of its sensor."""
         rate = self._rates[sample.name]
-        rate.add(sample, came_us)
+        rate.add(sample, came_us, error_us, is_doubted=is_doubted)
         return rate.facts(is_relative=rate.is_relative)
 
 
