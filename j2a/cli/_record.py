@@ -2,7 +2,8 @@
 
 In: URLs of boards. Out: an MCAP file with messages of ROS 2, which stock viewers read.
 Rules: each second all samples are in the file, so that a program that is killed loses one second at
-most; Ctrl-C ends the file properly; a board that is lost does not end the others.
+most; Ctrl-C ends the file properly; a board that is lost does not end the others, and is taken in
+again when it comes back.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -20,8 +22,10 @@ from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_si
 from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._progress import Progress, size_text
+from j2a.io.threads import start_thread
 from j2a.protocol.saved_settings import SavedSettings
 from j2a.recording import Recorder, check_package
+from j2a.types.transducers import Descriptors, Transducer
 
 NOTES: Final = """\
 examples:
@@ -31,6 +35,7 @@ examples:
 Topics are those of the sensors; with several boards the name of the board stands before. Values are
 raw. It needs the package mcap: pip install "j2a[record]"."""
 _EACH_S: Final = 1.0
+_WAIT_S: Final = 60.0
 _MIB: Final = 1 << 20
 
 
@@ -51,7 +56,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MIB",
         help="begin another file, FILE-1.mcap and so on, when one has so many MiB",
     )
+    parser.add_argument(
+        "--wait",
+        type=_seconds,
+        default=_WAIT_S,
+        metavar="N",
+        help="when no board is left, wait N seconds for one to come back (%(default)g); 0 ends",
+    )
     add_link_options(parser)
+
+
+def _seconds(text: str) -> float:
+    return 0.0 if text == "0" else finite_seconds(text)
 
 
 class _Session:
@@ -59,21 +75,25 @@ class _Session:
 
     def __init__(self, recorder: Recorder) -> None:
         self.recorder = recorder
+        self._lock = threading.Lock()  # each board has a thread of its own
         self.lost = 0
         self.refused = 0
         self.changed: set[str] = set()
         self.failure: OSError | None = None
         self.ended = threading.Event()
 
-    def keep(self, board: str, sensor: j2a.Sensor) -> Callable[[j2a.Sample], None]:
-        """Return the handler of the samples of a sensor."""
-        announced = sensor.descriptor
+    def keep(
+        self, board: str, sensor: j2a.Sensor, announced: Transducer
+    ) -> Callable[[j2a.Sample], None]:
+        """Return the handler of the samples of a sensor, which was announced so."""
 
         def write(sample: j2a.Sample) -> None:
             nonlocal announced
             if self.failure is not None or self.ended.is_set():
                 return
-            self.lost += sample.lost + sample.missed
+            lost = sample.lost + sample.missed
+            with self._lock:
+                self.lost += lost
             descriptor = sensor.descriptor
             if descriptor is not announced:
                 if descriptor != announced:
@@ -85,12 +105,102 @@ class _Session:
             except j2a.LocalError:
                 return  # it has ended meanwhile
             except ValueError:
-                self.refused += 1
+                with self._lock:
+                    self.refused += 1
             except OSError as error:
                 self.failure = error
                 self.ended.set()
 
         return write
+
+
+class _Board:
+    """A board of the recording, which is opened again when its link was lost.
+
+    Args:
+        session: that is recorded.
+        client: of the board.
+        name: in the recording.
+        connect: opens the link again.
+
+    Attributes:
+        is_gone: the link is lost.
+        gaps: how often it was, and came back.
+        gap_s: for how long in all.
+    """
+
+    def __init__(
+        self, session: _Session, client: j2a.Client, name: str, connect: Callable[[], j2a.Client]
+    ) -> None:
+        self._session = session
+        self._client = client
+        self._name = name
+        self._connect = connect
+        self._identity = _identity(client)
+        self._descriptors = client.transducers.descriptors or Descriptors()
+        self.is_gone = False
+        self.gaps = 0
+        self.gap_s = 0.0
+
+    def begin(self, *, is_alone: bool) -> None:
+        """Announce the board, and take its samples."""
+        client = self._client
+        self._session.recorder.add_board(
+            self._name,
+            self._descriptors,
+            url=client.url,
+            properties=client.properties,
+            prefix="" if is_alone else self._name,
+            settings=_settings(client),
+        )
+        self._subscribe()
+
+    def _subscribe(self) -> None:
+        known = {one.name: one for one in self._descriptors.transducers if one.is_sensor}
+        for name, sensor in self._client.transducers.items():
+            if isinstance(sensor, j2a.Sensor) and name in known:
+                sensor.on_sample(self._session.keep(self._name, sensor, known[name]))
+
+    def look(self) -> None:
+        """Note that the link is lost, and have a thread open it again."""
+        if not self.is_gone and not self._client.is_open:
+            self.is_gone = True
+            note(f"j2a: lost {self._client.url}")
+            start_thread(self._come_back, f"j2a record {self._client.url}")
+
+    def _come_back(self) -> None:
+        began_s, told = time.monotonic(), ""
+        while not self._session.ended.wait(_EACH_S):
+            try:
+                client = self._connect()
+            except j2a.J2AError:
+                continue
+            identity = _identity(client)
+            if identity != self._identity:
+                client.close()
+                if told != identity:
+                    told = identity
+                    note(f"j2a: {client.url} is another board now: {identity}")
+                continue
+            self._client = client
+            if self._session.ended.is_set():
+                client.close()
+                return
+            self._subscribe()
+            gap_s = time.monotonic() - began_s
+            self.gaps, self.gap_s = self.gaps + 1, self.gap_s + gap_s
+            note(f"j2a: {client.url} is here again, after {gap_s:.1f} s without samples")
+            self.is_gone = False
+            return
+
+    def close(self) -> None:
+        """Close the link."""
+        self._client.close()
+
+
+def _identity(client: j2a.Client) -> str:
+    own = (client.properties.get(key, "") for key in ("name", "serial"))
+    return " ".join(filter(None, own)) or "without a name"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -103,10 +213,10 @@ def run(args: argparse.Namespace) -> int:
     check_package()  # now, as samples come as soon as the boards are there
     end_on_sigterm()
     with contextlib.ExitStack() as stack:
-        boards = [stack.enter_context(connect_to(args, url)) for url in args.urls]
-        for board in boards:
-            if not any(isinstance(one, j2a.Sensor) for one in board.transducers.values()):
-                raise UsageError(f"{board.url} has no sensors: {board.transducers.why}")
+        clients = [stack.enter_context(connect_to(args, url)) for url in args.urls]
+        for client in clients:
+            if not any(isinstance(one, j2a.Sensor) for one in client.transducers.values()):
+                raise UsageError(f"{client.url} has no sensors: {client.transducers.why}")
         try:
             segment = args.segment and args.segment * _MIB
             recorder = Recorder(args.output, segment_bytes=segment)
@@ -115,14 +225,20 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise UsageError(f"cannot write {args.output}: {error.strerror}") from None
         session = _Session(recorder)
+        boards = [
+            _Board(session, client, name, partial(connect_to, args, url))
+            for client, name, url in zip(clients, _names(clients), args.urls, strict=True)
+        ]
+        for board in boards:
+            stack.callback(board.close)
         try:
-            for board, name in zip(boards, _names(boards), strict=True):
-                _begin(session, board, name, is_alone=len(boards) == 1)
-            code = _record(session, boards, args.seconds)
+            for board in boards:
+                board.begin(is_alone=len(boards) == 1)
+            code = _record(session, boards, args.seconds, args.wait)
         except (KeyboardInterrupt, SystemExit):
-            _finish(session)
+            _finish(session, boards)
             raise
-        _finish(session)
+        _finish(session, boards)
     return code
 
 
@@ -141,22 +257,6 @@ def _names(boards: list[j2a.Client]) -> list[str]:
     return names
 
 
-def _begin(session: _Session, board: j2a.Client, name: str, *, is_alone: bool) -> None:
-    descriptors = board.transducers.descriptors
-    assert descriptors is not None
-    session.recorder.add_board(
-        name,
-        descriptors,
-        url=board.url,
-        properties=board.properties,
-        prefix="" if is_alone else name,
-        settings=_settings(board),
-    )
-    for sensor in board.transducers.values():
-        if isinstance(sensor, j2a.Sensor):
-            sensor.on_sample(session.keep(name, sensor))
-
-
 def _settings(board: j2a.Client) -> SavedSettings:
     """Return the settings that sensors have now, without those that the board does not tell."""
     found: SavedSettings = {}
@@ -169,21 +269,24 @@ def _settings(board: j2a.Client) -> SavedSettings:
     return found
 
 
-def _record(session: _Session, boards: list[j2a.Client], seconds: float | None) -> int:
+def _record(session: _Session, boards: list[_Board], seconds: float | None, wait_s: float) -> int:
     """Wait for the end; returns the exit code."""
     with Progress("record", in_seconds=True) as progress:
-        return _wait(session, boards, seconds, progress)
+        return _wait(session, boards, seconds, wait_s, progress)
 
 
 def _wait(
-    session: _Session, boards: list[j2a.Client], seconds: float | None, progress: Progress
+    session: _Session,
+    boards: list[_Board],
+    seconds: float | None,
+    wait_s: float,
+    progress: Progress,
 ) -> int:
-    start = time.monotonic()
-    gone: set[str] = set()
+    start = here = time.monotonic()
     while True:
         left = _EACH_S if seconds is None else min(_EACH_S, start + seconds - time.monotonic())
         if left <= 0:
-            return LINK if gone else OK
+            return LINK if any(board.is_gone for board in boards) else OK
         session.ended.wait(left)
         if session.failure is None:
             try:
@@ -193,17 +296,17 @@ def _wait(
         if session.failure is not None:
             return FAILED
         for board in boards:
-            if not board.is_open and board.url not in gone:
-                gone.add(board.url)
-                note(f"j2a: lost {board.url}")
-        if len(gone) == len(boards):
+            board.look()
+        if not all(board.is_gone for board in boards):
+            here = time.monotonic()
+        elif time.monotonic() - here >= wait_s:
             return LINK
         recorder = session.recorder
         more = f"{recorder.samples} samples  {size_text(recorder.size)}  {session.lost} lost"
         progress(time.monotonic() - start, seconds, more)
 
 
-def _finish(session: _Session) -> None:
+def _finish(session: _Session, boards: list[_Board]) -> None:
     recorder = session.recorder
     failure = session.failure
     session.ended.set()
@@ -215,7 +318,9 @@ def _finish(session: _Session) -> None:
     if failure is not None:
         why = failure.strerror or failure
         raise CommandFailed(f"{why}: what was written before is in {paths}", FAILED)
-    show(f"wrote {paths}: {recorder.samples} samples, {session.lost} lost on the way")
+    gaps, gap_s = (sum(getattr(board, key) for board in boards) for key in ("gaps", "gap_s"))
+    more = f", and a board was away {gaps} time{'s' * (gaps > 1)}, {gap_s:.1f} s" if gaps else ""
+    show(f"wrote {paths}: {recorder.samples} samples, {session.lost} lost on the way{more}")
     if session.refused:
         note(f"j2a: {session.refused} samples were left out: their times fit into no message")
     for what in sorted(session.changed):

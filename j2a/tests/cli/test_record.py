@@ -1,6 +1,7 @@
 """`j2a record` and `j2a replay`, as a user runs them."""
 
 import contextlib
+import itertools
 import os
 import pty
 import re
@@ -8,14 +9,18 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
+import j2a_transports
 import pytest
 from j2a_spec.constants import BOOT
 from mcap import reader as mcap_reader
 
 import j2a
+from j2a.cli._record import _Session
 from j2a.recording import Recording
 from j2a.replay import ReplayBoard
 from j2a.tests.library.support import linked
@@ -106,13 +111,81 @@ def test_a_board_that_is_lost_ends_it(tmp_path):
     device.measure()
     serving = served(device)
     path = tmp_path / "a.mcap"
-    process = record(next(serving), "-o", path)
+    process = record(next(serving), "-o", path, "--wait", "0")
     wait_for(path, 10, process)
     next(serving, None)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 3
     assert "lost tcp://" in err
     assert f"wrote {path}" in out
+
+
+@contextlib.contextmanager
+def at(url, properties):
+    """Serve a board that measures; yields its URL."""
+    device = VirtualBoard(board_file(), properties)
+    device.measure()
+    with j2a_transports.listen(url) as listener:
+        thread = threading.Thread(target=device.serve_forever, args=(listener,))
+        thread.start()
+        try:
+            yield listener.url
+        finally:
+            device.stop()
+            thread.join(60)
+
+
+def test_a_board_that_comes_back_is_taken_in_again(tmp_path):
+    path = tmp_path / "a.mcap"
+    with at("tcp://127.0.0.1:0", {"serial": "A3"}) as url:
+        process = record(url, "-o", path, "--boot-time", "1")
+        wait_for(path, 10, process)
+    try:
+        assert "lost tcp://" in process.stderr.readline()
+        with at(url, {"serial": "B7"}):
+            assert f"{url} is another board now: J2A virtual board B7" in process.stderr.readline()
+        with at(url, {"serial": "A3"}):
+            assert f"{url} is here again, after" in process.stderr.readline()
+            before = len(payloads(path))
+            wait_for(path, before + 100, process)
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, err
+    assert re.search(r"lost on the way, and a board was away 1 time, [0-9.]+ s", out)
+    times = [one.time_ns for one in Recording(path)]
+    assert max(b - a for a, b in itertools.pairwise(times)) > 1e9
+
+
+class Losing:
+    """A sample whose loss is asked for while that of another board is counted."""
+
+    missed = 0
+
+    def __init__(self, lost, meanwhile=lambda: None):
+        self._lost = lost
+        self._meanwhile = meanwhile
+
+    @property
+    def lost(self):
+        self._meanwhile()
+        return self._lost
+
+
+def test_losses_of_several_boards_are_all_counted():
+    sensors = read_transds(FILE_BEFORE)
+    [quad, _] = sensors.transducers
+    session = _Session(SimpleNamespace(write=lambda *_: None))
+    keep = session.keep("a", SimpleNamespace(descriptor=quad), quad)
+
+    def other():
+        thread = threading.Thread(target=keep, args=(Losing(5),))
+        thread.start()
+        thread.join()
+
+    keep(Losing(1, other))
+    assert session.lost == 6
 
 
 def test_a_sensor_that_is_another_one_after_a_restart_is_left_out(tmp_path):
@@ -226,7 +299,7 @@ def test_there_and_back(board, run, start, tmp_path):
     first, again = tmp_path / "a.mcap", tmp_path / "b.mcap"
     assert run("record", board, "-o", first, "--seconds", "2").code == 0
     player = start("replay", str(first), "--speed", "2")
-    process = record(player.line_with("listening").split()[-1], "-o", again)
+    process = record(player.line_with("listening").split()[-1], "-o", again, "--wait", "0")
     _, err = process.communicate(timeout=60)
     assert process.returncode == 3, err
     assert f"replayed {len(payloads(first))} samples" in player.end().out
