@@ -116,6 +116,11 @@ def run(args: argparse.Namespace) -> int:
 def _boards(word: str, stack: contextlib.ExitStack) -> list[str]:
     """Return the URL of a board; those of a recording are served until the end of the stack."""
     if not word.endswith(".mcap"):
+        if ":" not in word:
+            raise UsageError(
+                f"{word!r} is neither the URL of a board, such as tcp://127.0.0.1:5000, nor a "
+                "recording, whose name ends in .mcap"
+            )
         return [word]
     from j2a_bridge.replayed import replayed  # noqa: PLC0415 - as above
 

@@ -165,6 +165,10 @@ def test_a_recording_of_too_many_boards_is_refused(tmp_path):
         (("tcp://127.0.0.1:1", "--folder", "/nowhere/at/all"), "there is no folder"),
         (("tcp://127.0.0.1:1", "--port", "70000"), "70000"),
         (("nonsense://x",), "nonsense"),
+        (
+            ("drive",),
+            "'drive' is neither the URL of a board, such as tcp://127.0.0.1:5000, nor a re",
+        ),
         (("tcp://127.0.0.1:1", "--report", "/nowhere/at/all"), "cannot read /nowhere/at/all"),
         (("tcp://127.0.0.1:1", "--report", __file__), "is no report of j2a-conform"),
     ],

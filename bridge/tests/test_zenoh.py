@@ -240,11 +240,20 @@ def test_fleet_without_a_router_is_told_what_to_do(locator):
     assert ".rs" not in result.stderr
 
 
-def test_fleet_shows_no_place_in_sources_of_zenoh():
-    result = fleet("--connect", "nowhere")
+@pytest.mark.parametrize("locator", ["nowhere", "tcp/127.0.0.1:1+tcp://127.0.0.1:7447"])
+def test_fleet_tells_what_a_locator_is(locator):
+    result = fleet("--connect", locator)
+    assert result.returncode == 2
+    wrong = locator.rpartition("+")[2]
+    assert f"{wrong!r} is no locator of Zenoh, such as tcp/192.168.1.5:7447" in result.stderr
+
+
+def test_fleet_shows_no_place_in_sources_of_zenoh(tmp_path):
+    path = tmp_path / "zenoh.json5"
+    path.write_text('{"mode": "nothing"}')
+    result = fleet("--file", path)
     assert result.returncode == 3
-    assert "Endpoints must be of the form" in result.stderr
-    assert "start a router" not in result.stderr
+    assert "zenoh does not open: " in result.stderr
     assert ".rs" not in result.stderr
 
 

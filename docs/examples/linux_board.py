@@ -1,5 +1,6 @@
 """A Linux computer as a USB board that knows the host's time (SyncUSB). Run it as root."""
 
+import contextlib
 import struct
 import time
 from typing import Annotated
@@ -24,4 +25,5 @@ def on_sync(packet: bytes) -> None:
     clock["ahead_us"] = host_us - time.time_ns() // 1000
 
 
-device.serve_forever(j2a_transports.UsbGadget(serial="0001", on_sync=on_sync))
+with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C
+    device.serve_forever(j2a_transports.UsbGadget(serial="0001", on_sync=on_sync))

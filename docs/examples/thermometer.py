@@ -1,5 +1,6 @@
 """A device in Python. Takes the URL to listen at, and serves until it is interrupted."""
 
+import contextlib
 import struct
 import sys
 from typing import Annotated
@@ -28,4 +29,5 @@ def history(request: j2a.ManyRequest) -> j2a.ManyReply:
 
 with j2a_transports.listen(sys.argv[1]) as listener:
     print("listening on", listener.url, flush=True)
-    device.serve_forever(listener)
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C
+        device.serve_forever(listener)

@@ -1,5 +1,6 @@
 """A device whose functions have types. Takes the URL to listen at."""
 
+import contextlib
 import enum
 import sys
 from dataclasses import dataclass
@@ -61,4 +62,5 @@ def rename(name: Annotated[str, j2a.Length(16)]) -> None:
 
 with j2a_transports.listen(sys.argv[1]) as listener:
     print("listening on", listener.url, flush=True)
-    device.serve_forever(listener)
+    with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C
+        device.serve_forever(listener)

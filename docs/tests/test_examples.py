@@ -5,6 +5,7 @@ import functools
 import os
 import re
 import shlex
+import signal
 import struct
 import subprocess
 import sys
@@ -156,6 +157,19 @@ def test_thermometer():
                 assert board.read_many("history") == struct.pack("<200f", *range(200))
         finally:
             process.terminate()
+
+
+@pytest.mark.parametrize("name", ["thermometer", "typed_device"])
+def test_a_served_example_ends_by_ctrl_c(name):
+    program = [sys.executable, EXAMPLES / f"{name}.py", "tcp://127.0.0.1:0"]
+    with subprocess.Popen(
+        program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline()
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
 
 
 def test_types():

@@ -94,11 +94,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _once(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
     code, failure = OK, None
-    if not args.json:
-        show(HEAD)
+    table = _Table(as_json=args.json)
     for board in boards:
         try:
-            _show(board.url, board.clock.measure(args.rounds), as_json=args.json)
+            table.show(board.url, board.clock.measure(args.rounds))
         except j2a.J2AError as error:
             if len(boards) == 1:
                 raise
@@ -114,8 +113,7 @@ def _watch(
     boards: Sequence[j2a.Client], keepers: Sequence[ClockKeeper], args: argparse.Namespace
 ) -> int:
     """Print until the end; returns the exit code."""
-    if not args.json:
-        show(HEAD)
+    table = _Table(as_json=args.json)
     begun = time.monotonic()
     last: dict[str, tuple[str, int]] = {}
     gone: set[str] = set()
@@ -132,7 +130,7 @@ def _watch(
                 reading = board.clock.read()
                 state = reading.state, reading.epoch
                 if board.url not in gone and (args.watch or last.get(board.url) != state):
-                    _show(board.url, reading, as_json=args.json)
+                    table.show(board.url, reading)
                     last[board.url] = state
         if len(gone) == len(boards):
             return LINK
@@ -145,14 +143,24 @@ def _watch(
         time.sleep(left_s)
 
 
-def _show(url: str, reading: ClockReading, *, as_json: bool) -> None:
-    if as_json:
-        facts = {
-            key: round(value, 3) if isinstance(value, float) else value
-            for key, value in dataclasses.asdict(reading).items()
-        }
-        show_json({"url": url, "time": round(time.time(), 6), **facts})
-    else:
+class _Table:
+    """What is printed; the head comes with the first board that answers."""
+
+    def __init__(self, *, as_json: bool) -> None:
+        self._as_json = as_json
+        self._has_head = as_json
+
+    def show(self, url: str, reading: ClockReading) -> None:
+        if self._as_json:
+            facts = {
+                key: round(value, 3) if isinstance(value, float) else value
+                for key, value in dataclasses.asdict(reading).items()
+            }
+            show_json({"url": url, "time": round(time.time(), 6), **facts})
+            return
+        if not self._has_head:
+            self._has_head = True
+            show(HEAD)
         show(clock_line(url, reading), flush=True)
 
 

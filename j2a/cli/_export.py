@@ -51,6 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the tables; returns the exit code."""
     recording = Recording(args.file)
+    if args.folder.exists() and not args.folder.is_dir():
+        raise UsageError(f"{args.folder} is a file: name a folder, which is made if there is none")
     try:
         args.folder.mkdir(parents=True, exist_ok=True)
         overview = Recording(args.file)

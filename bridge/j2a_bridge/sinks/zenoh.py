@@ -44,6 +44,7 @@ _MAX_DOMAIN: Final = 232
 _MODES: Final = ("peer", "router", "client")
 _SOURCES: Final = re.compile(r" at \S+\.rs:\d+\.?")
 """Where in its sources Zenoh has seen an error: nothing that a user could look at."""
+_LOCATOR: Final = re.compile(r"\w+/.")
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -63,8 +64,7 @@ def open_session(options: Mapping[str, Any]) -> Any:
         raise LocalError(f"the mode of zenoh is one of {', '.join(_MODES)}, not {mode!r:.40}")
     if options["file"] and not Path(options["file"]).is_file():
         raise LocalError(f"there is no file {options['file']}")
-    connect = [one for one in options["connect"].split("+") if one]
-    listen = [one for one in options["listen"].split("+") if one]
+    connect, listen = (_locators(options[key]) for key in ("connect", "listen"))
     if not listen:
         listen = [ROUTER] if mode == "router" else ["tcp/127.0.0.1:0"]
     try:
@@ -91,6 +91,22 @@ def open_session(options: Mapping[str, Any]) -> Any:
                 "with --sink zenoh:mode=router"
             ) from None
         raise SinkError(f"zenoh does not open: {text}") from None
+
+
+def _locators(text: str) -> list[str]:
+    """Return the locators of an option.
+
+    Raises:
+        LocalError: one is none.
+    """
+    found = [one for one in text.split("+") if one]
+    for one in found:
+        if not _LOCATOR.match(one):
+            raise LocalError(
+                f"{one!r:.80} is no locator of Zenoh, such as tcp/192.168.1.5:7447 or "
+                "tls/192.168.1.5:7448"
+            )
+    return found
 
 
 class ZenohSink(Sink):

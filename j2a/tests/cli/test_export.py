@@ -77,6 +77,12 @@ def test_csv(run, path, tmp_path):
     assert "is there already" in again.err
 
 
+def test_a_file_in_place_of_the_folder(run, path, tmp_path):
+    result = run("export", path, path)
+    assert result.code == 2
+    assert f"{path} is a file: name a folder" in result.err
+
+
 def test_parquet(run, path, tmp_path):
     out = tmp_path / "out"
     result = run("export", path, out, "--format", "parquet")

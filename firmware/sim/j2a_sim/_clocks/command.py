@@ -12,14 +12,14 @@ from typing import Any, Final
 from j2a.cli._exit import UsageError
 from j2a.cli._output import note, show, show_json
 from j2a.cli._progress import Progress
-from j2a_sim._clocks.settings import ENGINES, LINKS, LOADS, Settings
+from j2a_sim._clocks.settings import ENGINES, LEAST_S, LINKS, LOADS, Settings
 
 __all__ = ["add_clocks", "run_clocks"]
 
 # Option, type, what it is called, what it is; the rest is in Settings.
 _OPTIONS: Final[tuple[tuple[str, Any, str, str], ...]] = (
     ("boards", int, "N", "how many boards"),
-    ("seconds", float, "S", "how long, in simulated seconds"),
+    ("seconds", float, "S", f"how long, in simulated seconds, from {LEAST_S} on"),
     ("seed", int, "K", "names all that is random"),
     ("ppm", float, "P", "the most that a crystal is off"),
     ("lost-sof", float, "SHARE", "share of the starts of frames that a board does not see"),

@@ -18,6 +18,7 @@ LOADS: Final = ("light", "heavy")
 # The AVR engine takes about a quarter of a second for each second of a board.
 AVR_BOARD_SECONDS: Final = 160
 SETTLE_S: Final = {"usb": 10.0, "serial": 30.0, "tcp": 30.0, "rfcomm": 30.0}
+LEAST_S: Final = 3
 READINGS: Final = 1_000_000
 # What only goes with something else: a disturbance with the time at which it happens.
 DISTURBANCES: Final = (
@@ -79,7 +80,7 @@ class Settings:
     def __post_init__(self) -> None:
         for name, low, high in (
             ("boards", 1, 64),
-            ("seconds", 3, 86_400),
+            ("seconds", LEAST_S, 86_400),
             ("seed", 0, 2**63 - 1),
             ("ppm", 0, 10_000),
             ("lost_sof", 0, 0.5),
