@@ -29,7 +29,7 @@ ACTUATOR(b, 2, b, X, 1, int16_t, -3, (range, -9, 0x10), (watchdog, 5), (unit, mV
 #else
 #include "inner.def"
 #endif
-#define SENSORS SENSOR(d, 4, d, "m", 2, u64, 0xFFFFFFFFFFFFFFFF, (trigger)) \
+#define SENSORS SENSOR(d, 4, d, m, 2, u64, 0xFFFFFFFFFFFFFFFF, (trigger)) \
   SENSOR(e, 5, e, Y, 1, double, nan, (scale, 1e-3), (offset, 2.5), (color, red, (a, b)))
 """
     ]
