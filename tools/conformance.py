@@ -4,9 +4,9 @@ What flows in: conformance/testees/*.toml and conformance/hosts/*.py. What flows
 each in build/conformance, a matrix page over all of them, one line a testee, and exit status 0 when
 all conform. Rules: three runs at a time, of different kinds as long as there are some: an emulator
 needs a core, on this machine a run waits most of the time, and simulated time is disturbed by
-nothing; a testee that cannot be built here fails. With `--sample` only the testees of COMPLETE, and
-the hosts, do every case; those of PARTS do their levels, the others leave out SWEEPS, and FURTHER
-is left to a run without it.
+nothing; a testee that cannot be built here fails. With `--sample` those of PARTS do their levels
+only, all but those of COMPLETE and the hosts leave out SWEEPS, and FURTHER is left to a run without
+it.
 """
 
 import argparse
@@ -31,19 +31,22 @@ CONFORM = [sys.executable, "-m", "j2a_conformance"]
 # but with another compiler, chip, port or option: they can differ in a kind of frame, a time or a
 # limit, but hardly in one of the thousand lengths and places that a sweep tries; what each sweep is
 # about has a shorter case, too, which all of them run.
-COMPLETE = ("posix", "avr-1m", "avr-usb", "python", "transducers")
+COMPLETE = (
+    *("posix", "avr-1m", "avr-usb", "python"),
+    *("transducers", "transducers-avr", "python-transducers"),
+)
 SWEEPS = (
     *("frame.interrupted-anywhere", "frame.lengths", "frame.pieces", "stuff.escape-ff-anywhere"),
     *("stuff.needless", "sum.every-length", "sif.every-length", "many.echo-lengths"),
     *("types.bools", "types.lengths"),
     *("timing.gives-up-long", "timing.pause-in-long-frame", "timing.trickle-long"),
-    "timing.wraps",
+    *("timing.wraps", "transducers.refused", "transducers.threshold"),
 )
 # The same firmware as that of another testee, on a further chip or in a further shell: each costs
 # the processor as much as three others.
 FURTHER = (
-    *("transducers-328p", "transducers-arduino", "clock-328p"),
-    *("clock-32bit", "clock-big-endian", "clock-rp2040", "listing-32u2"),
+    *("transducers-328p", "transducers-arduino", "transducers-rp2040", "listing-32u2"),
+    *("clock-328p", "clock-32bit", "clock-big-endian", "clock-rp2040"),
 )
 LINK = ("frame", "core", "sif", "timing")
 # Testees that are another one with a part more, or on another chip of the same kind or another of
@@ -76,9 +79,10 @@ def commands() -> dict[str, list[str]]:
 def sampled(name: str, arguments: list[str]) -> list[str]:
     """Return the arguments for a testee, without the sweeps where it is not one of COMPLETE.
 
-    One that names levels, itself or in PARTS, runs only their cases.
+    One that names levels, itself or in PARTS, runs only their cases, and one of COMPLETE that is
+    not in PARTS is left as it is.
     """
-    if arguments[0] != "run" or name in COMPLETE:
+    if arguments[0] != "run" or (name in COMPLETE and name not in PARTS):
         return arguments
     testee = tomllib.loads(Path(arguments[1]).read_text("utf-8"))
     levels = PARTS.get(name) or testee.get("levels")
@@ -88,7 +92,8 @@ def sampled(name: str, arguments: list[str]) -> list[str]:
     ]
     if unknown := {*SWEEPS} - {case.ID for case in load()}:
         raise SystemExit(f"there is no case {', '.join(sorted(unknown))}")
-    return [*arguments, "--case", *(case for case in every if case not in SWEEPS)]
+    left_out = () if name in COMPLETE else SWEEPS
+    return [*arguments, "--case", *(case for case in every if case not in left_out)]
 
 
 def kind(arguments: list[str]) -> str:

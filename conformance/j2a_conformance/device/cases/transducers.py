@@ -181,6 +181,13 @@ class Board:
         """Fail where a sample SIF of a sensor has come or comes within a while."""
         self.peer.silence(_QUIET_S, f"while no sample of {one.name} was due")
         self.peer.settle()
+        self.no_sif_yet(one, since, why)
+
+    def no_sif_yet(self, one: oracle.Transducer, since: int, why: str) -> None:
+        """Fail where a sample SIF of a sensor has come, or comes before the replies of two
+        requests: meanwhile the device had time for one that is due at once.
+        """
+        self.time_us()
         self.time_us()
         for arrival, frame in zip(
             self.peer.link.sifs[since:], frames(self.peer.link.sifs[since:]), strict=True
@@ -1087,9 +1094,18 @@ class _Taken(_TransducerCase):
     NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
 
     @staticmethod
+    @contextmanager
+    def _alone(board: Board, one: oracle.Transducer) -> Iterator[None]:
+        """Tune a sensor; in the end nothing may come that was not asked for."""
+        with board.tuned(one):
+            yield
+            board.no_sif(one, board.seen, "without a new value")
+
+    @staticmethod
     def _give(board: Board, one: oracle.Transducer, channel: int, value: bytes, due: bool) -> None:
         since = board.seen
-        before = b"" if "queue" in one.attributes else board.read(one, c.TRANSD_SAMPLE)
+        is_read = not due and "queue" not in one.attributes
+        before = board.read(one, c.TRANSD_SAMPLE) if is_read else b""
         board.stimulate(one, (channel, value))
         if due:
             _, payload = board.sif(one, since)
@@ -1099,7 +1115,7 @@ class _Taken(_TransducerCase):
         if before and board.read(one, c.TRANSD_SAMPLE) != before:
             fail(f"{one.name} has taken {value.hex()} on channel {channel}, which was not due")
         if not before:
-            board.no_sif(one, since, f"for {value.hex()}, which was not to be taken")
+            board.no_sif_yet(one, since, f"for {value.hex()}, which was not to be taken")
 
 
 class Decimation(_Taken):
@@ -1111,7 +1127,7 @@ class Decimation(_Taken):
 
     def _judge(self, board: Board) -> None:
         for one in board.sensors("decimation"):
-            with board.tuned(one):
+            with self._alone(board, one):
                 self._sensor(board, one)
 
     def _sensor(self, board: Board, one: oracle.Transducer) -> None:
@@ -1165,7 +1181,7 @@ class Threshold(_Taken):
 
     def _judge(self, board: Board) -> None:
         for one in board.sensors("threshold"):
-            with board.tuned(one):
+            with self._alone(board, one):
                 for channel in spread(one):
                     if "queue" not in one.attributes:
                         self._first(board, one, channel)
