@@ -35,7 +35,7 @@ examples:
 Topics are those of the sensors; with several boards the name of the board stands before. Values are
 raw. It needs the package mcap: pip install "j2a[record]"."""
 _EACH_S: Final = 1.0
-_WAIT_S: Final = 60.0
+_WAIT_S: Final = 10.0
 _MIB: Final = 1 << 20
 
 
@@ -173,20 +173,20 @@ class _Board:
         while not self._session.ended.wait(_EACH_S):
             try:
                 client = self._connect()
-            except j2a.J2AError:
+                identity = _identity(client)
+                if identity != self._identity:
+                    client.close()
+                    if told != identity:
+                        told = identity
+                        note(f"j2a: {client.url} is another board now: {identity}")
+                    continue
+                self._client = client
+                if self._session.ended.is_set():
+                    client.close()
+                    return
+                self._subscribe()
+            except j2a.J2AError:  # it may be lost again meanwhile
                 continue
-            identity = _identity(client)
-            if identity != self._identity:
-                client.close()
-                if told != identity:
-                    told = identity
-                    note(f"j2a: {client.url} is another board now: {identity}")
-                continue
-            self._client = client
-            if self._session.ended.is_set():
-                client.close()
-                return
-            self._subscribe()
             gap_s = time.monotonic() - began_s
             self.gaps, self.gap_s = self.gaps + 1, self.gap_s + gap_s
             note(f"j2a: {client.url} is here again, after {gap_s:.1f} s without samples")

@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, print and write; returns the exit code."""
     descriptors, source = read_source(args)
     files = _distinct(_files(args, descriptors, source), Path(args.url))
-    _check_messages(files)
+    changed = _changed_messages(files)
     if args.json:
         show_json(facts(descriptors, source))
     elif not files:
@@ -83,6 +83,11 @@ def run(args: argparse.Namespace) -> int:
     tell = note if args.json else show
     for path in files:
         tell(f"wrote {path}")
+    for path in changed:
+        note(
+            f"j2a: {path} was there and said something else; if it was of another board, rename "
+            "one of the two transducers or choose another folder"
+        )
     return OK
 
 
@@ -156,22 +161,14 @@ def _distinct(files: Iterator[tuple[Path, str]], source: Path) -> dict[Path, str
     return found
 
 
-def _check_messages(files: Mapping[Path, str]) -> None:
-    """Refuse to write over a message that another board may have.
-
-    Raises:
-        UsageError: there is one that differs.
-    """
+def _changed_messages(files: Mapping[Path, str]) -> list[Path]:
+    """Return which messages are there already and will say something else."""
+    found = []
     for path, text in files.items():
-        try:
-            is_other = path.suffix == ".msg" and path.read_bytes() != _written(text).encode()
-        except OSError:
-            continue  # it is not there; or writing tells why not
-        if is_other:
-            raise UsageError(
-                f"{path} is there and differs: if it is of another board, rename one of the two "
-                "or choose another folder; if it is an older one of this board, remove it"
-            )
+        with contextlib.suppress(OSError):  # it is not there; or writing tells why not
+            if path.suffix == ".msg" and path.read_bytes() != _written(text).encode():
+                found.append(path)
+    return found
 
 
 def _written(text: str) -> str:
