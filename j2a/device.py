@@ -285,7 +285,7 @@ class Device(FunctionRegistry):
         Raises:
             LocalError: the device has no such sensor or channel, or the value is not of its type.
         """
-        self._transducers().sense(name, channel, value, is_raw=raw)
+        self._transducers().sense(name, [(channel, value)], is_raw=raw)
 
     def actuator(self, name: str) -> Callable[[_Moved], _Moved]:
         """Register the function that sets an actuator; a decorator.

@@ -7,7 +7,6 @@ wave of its own, so that a plot tells them apart.
 
 import math
 import threading
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -23,7 +22,7 @@ __all__ = ["PERIOD_S", "VirtualBoard"]
 PERIOD_S: Final = 0.1
 """How often a sensor measures whose descriptor gives no period."""
 
-_LEAST_PERIOD_S: Final = 0.001
+_LEAST_PERIOD_US: Final = 1000
 _WAVE_S: Final = 5.0
 _HIGHEST: Final = 100
 _US: Final = 1_000_000
@@ -57,7 +56,7 @@ class VirtualBoard(Device):
         self._thread: threading.Thread | None = None
         for one in self._sensors:
             if one.has("trigger"):
-                self.on_trigger(one.name)(lambda one=one: self._measure(one, self._now_s()))
+                self.on_trigger(one.name)(lambda one=one: self._measure(one))
 
     def measure(self) -> None:
         """Begin to measure; `stop` ends it. May be called twice."""
@@ -70,26 +69,24 @@ class VirtualBoard(Device):
         self._ended.set()
         super().stop()
 
-    @staticmethod
-    def _now_s() -> float:
-        return time.monotonic()  # the clock of the device may be set meanwhile
-
     def _work(self) -> None:
-        due = dict.fromkeys(range(len(self._sensors)), self._now_s())
+        # In local time, as PERIOD is, so that each measurement has its sample SIF.
+        due = dict.fromkeys(range(len(self._sensors)), self._local_us())
         while self._sensors:
             number = min(due, key=lambda one: due[one])
-            if self._ended.wait(max(0.0, due[number] - self._now_s())):
+            left_us = max(0, due[number] - self._local_us())
+            if self._ended.wait(left_us / (self._us_per_ns * 1e9)):
                 return
             sensor = self._sensors[number]
-            self._measure(sensor, self._now_s())
-            period_s = max(_LEAST_PERIOD_S, sensor.period_us / _US or PERIOD_S)
+            self._measure(sensor)
+            period_us = max(_LEAST_PERIOD_US, sensor.period_us or round(PERIOD_S * _US))
             # What could not be measured in time is left out.
-            due[number] = max(due[number] + period_s, self._now_s())
+            due[number] = max(due[number] + period_us, self._local_us())
 
-    def _measure(self, sensor: Transducer, now_s: float) -> None:
-        for channel in range(sensor.channels):
-            phase = now_s / _WAVE_S + channel / sensor.channels
-            self.sense(sensor.name, channel, wave(sensor, phase), raw=True)
+    def _measure(self, sensor: Transducer) -> None:
+        phase = self._local_us() / _US / _WAVE_S
+        values = [wave(sensor, phase + n / sensor.channels) for n in range(sensor.channels)]
+        self._transducers().sense(sensor.name, enumerate(values), is_raw=True)
 
 
 def wave(sensor: Transducer, phase: float) -> Any:

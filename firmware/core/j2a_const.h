@@ -51,7 +51,7 @@
 /* Items of a2jTransd */
 #define J2A_TRANSD_SAMPLE 0x00u /* newest value of each channel, a sample */
 #define J2A_TRANSD_ENABLED 0x01u /* whether sample SIFs are sent, `bool` */
-#define J2A_TRANSD_PERIOD 0x02u /* least time between two sample SIFs, `u32 us` */
+#define J2A_TRANSD_PERIOD 0x02u /* least time between due times of sample SIFs, `u32 us` */
 #define J2A_TRANSD_DECIMATION 0x03u /* every n-th value is taken, `u8` from 1 on */
 #define J2A_TRANSD_THRESHOLD 0x04u /* least difference of values, of the type */
 #define J2A_TRANSD_TOPIC 0x05u /* name under which hosts publish, `text[32]`, not empty */

@@ -18,12 +18,15 @@ enum { J2A_TIME_BYTES = 8, J2A_LOST_BYTES = 2 };
 /* Raw values that a transds.def gives. */
 enum { J2A_RAW_NA, J2A_RAW_THRESHOLD, J2A_RAW_LOW, J2A_RAW_HIGH };
 
+/* A reference time before that of the start, modulo 2^64: the first sample SIF is due at once, and late by any PERIOD. */
+#define J2A_LONG_AGO (3ULL << 62)
+
 /* What is kept of each sensor, in RAM. The driver's context writes what is volatile but `tail`. What j2a_keep() writes
  * comes first, because an AVR reaches what is farther from the start only by more cycles. */
 typedef struct {
     volatile uint8_t head; /* entries that were put into the queue; without one odd while a value is written */
     volatile bool is_fresh; /* without a queue: a value was taken since the last sample SIF */
-    uint64_t sent_us;      /* when the last sample SIF began, 0 before the first one */
+    uint64_t reference_us; /* PERIOD after it the next sample SIF is due (J2A-TRANS-011) */
     uint32_t period_us;
     volatile bool is_enabled;
 } j2a_sensor;

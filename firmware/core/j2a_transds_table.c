@@ -181,7 +181,7 @@ enum {
 #undef J2A_TRIGGER_DRIVER
 #define J2A_TRIGGER_DRIVER(prefix) prefix##_trigger();
 #define J2A_KEPT_SENSOR(name, prefix, channels, type, ...) \
-    static j2a_sensor j2a_sensor_of_##name = {0, false, 0, 0 J2A_SAY(period, __VA_ARGS__), \
+    static j2a_sensor j2a_sensor_of_##name = {0, false, J2A_LONG_AGO, 0 J2A_SAY(period, __VA_ARGS__), \
         !(0 J2A_SAY(disabled, __VA_ARGS__))}; \
     static j2a_queue j2a_queue_of_##name; \
     static uint8_t j2a_decimation_of_##name[1 + (channels)] = {0 J2A_SAY(decimation, __VA_ARGS__)}; \

@@ -74,8 +74,20 @@ DEFECTS = {
     ),
     "a sample comes one microsecond too early": (
         "ext/j2a_transducers.c",
-        "time_us - sensor->sent_us < sensor->period_us",
-        "time_us - sensor->sent_us + 1 < sensor->period_us",
+        "local_us() - sensor->reference_us - sensor->period_us;",
+        "local_us() + 1 - sensor->reference_us - sensor->period_us;",
+        "--transducers",
+    ),
+    "samples that are late delay those behind them": (
+        "ext/j2a_transducers.c",
+        "    if (late_us < sensor->period_us)",
+        "    if (false)",
+        "--transducers",
+    ),
+    "a sensor catches up after a silence": (
+        "ext/j2a_transducers.c",
+        "    if (late_us < sensor->period_us)",
+        "    if (late_us < 2 * (uint64_t)sensor->period_us)",
         "--transducers",
     ),
     "a watchdog forgets after 49 days that its actuator is safe": (

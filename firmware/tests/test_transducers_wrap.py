@@ -79,7 +79,7 @@ def test_times_are_right_by_64_bits_and_never_go_back(device):
 
 
 @pytest.mark.requirement("J2A-TRANS-011")
-@pytest.mark.parametrize("period_us", [1, 1000, 49_999, 300_000])
+@pytest.mark.parametrize("period_us", [1, 799, 1000, 1250, 49_999, 300_000])
 @pytest.mark.parametrize("sensor", [NEWEST, QUEUED])
 def test_a_period_is_as_long_as_elsewhere(device, sensor, period_us):
     device.item(sensor, c.TRANSD_PERIOD, period_us.to_bytes(4, "little"))
@@ -88,8 +88,8 @@ def test_a_period_is_as_long_as_elsewhere(device, sensor, period_us):
         device.sense(sensor, 1)
         if device.turn(now):
             sent.append(now)
-    turns = -(-period_us // step_us) * step_us
-    assert sent == list(range(begun, begun + 1_000_000, turns))
+    due = range(0, now - begun + 1, period_us)
+    assert sent == sorted({begun + -(-one // step_us) * step_us for one in due})
 
 
 @pytest.mark.requirement("J2A-TRANS-011")
@@ -106,6 +106,26 @@ def test_the_longest_periods(device, sensor, period_us):
             assert not device.turn(begun + (period_us - 1) * part // 49)
         assert device.now == begun + period_us - 1
         assert device.turn(begun + period_us)
+
+
+@pytest.mark.requirement("J2A-TRANS-011")
+@pytest.mark.parametrize("period_us", [2, 1000, 65_536, 1 << 31, (1 << 32) - 1])
+@pytest.mark.parametrize("sensor", [NEWEST, QUEUED])
+def test_lateness_is_not_added_up_where_it_is_less_than_a_period(device, sensor, period_us):
+    device.item(sensor, c.TRANSD_PERIOD, period_us.to_bytes(4, "little"))
+
+    def is_sent(at_us: int) -> bool:
+        device.sense(sensor, 1)
+        return bool(device.turn(at_us))
+
+    first = device.now
+    assert is_sent(first)
+    assert is_sent(first + 2 * period_us - 1)
+    assert not is_sent(device.now)
+    assert is_sent(first + 2 * period_us)
+    assert is_sent(first + 4 * period_us)  # late by a whole one
+    assert not is_sent(first + 5 * period_us - 1)
+    assert is_sent(first + 5 * period_us)
 
 
 @pytest.mark.requirement("J2A-TRANS-017")

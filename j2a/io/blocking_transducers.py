@@ -190,7 +190,7 @@ class Sensor(_Blocking):
 
     @property
     def period(self) -> float:
-        """The least time between two samples, in seconds."""
+        """The least time between samples on average, in seconds."""
         return float(self._get("period"))
 
     @period.setter

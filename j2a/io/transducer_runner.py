@@ -10,7 +10,7 @@ import logging
 import math
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -102,10 +102,15 @@ class TransducerRunner:
             raise LocalError(f"the device has no sensor {name!r} with the key trigger")
         self._server.on_trigger[name] = function
 
-    def sense(self, name: str, channel: int, value: Any, *, is_raw: bool) -> None:
-        """Take a value that a sensor has measured, as of now."""
+    def sense(self, name: str, values: Iterable[tuple[int, Any]], *, is_raw: bool) -> None:
+        """Take values that a sensor has measured now, each with its channel.
+
+        No SIF is sent in between.
+        """
         with self._changed:
-            self._server.sense(name, channel, value, self.now_us(), is_raw=is_raw)
+            now_us = self.now_us()
+            for channel, value in values:
+                self._server.sense(name, channel, value, now_us, is_raw=is_raw)
             self._wake()
 
     def give(self, values: Callable[[int], list[tuple[int, bytes]]]) -> None:

@@ -65,7 +65,7 @@ class _ReplayedSensor(SensorState):
     def report(self, local_us: int) -> tuple[bytes, float]:
         """Return the payload of a sample SIF that is due; the recorded ones came in their time."""
         if self.period_us == self._least_us:
-            self._sent_us = None
+            self._reference_us = None
         return super().report(local_us)
 
     def write(self, item: int, value: bytes) -> bool:

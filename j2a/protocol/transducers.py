@@ -360,7 +360,7 @@ class SensorState(_Transducer):
         self._queue: deque[bytes] = deque()
         self._lost = 0
         self._is_fresh = False
-        self._sent_us: int | None = None
+        self._reference_us: int | None = None
 
     def take(self, channel: int, data: bytes, now_us: int) -> None:
         """Take a value, unless decimation or threshold leave it out."""
@@ -398,9 +398,13 @@ class SensorState(_Transducer):
         has_some = bool(self._queue) if self.transducer.queue else self._is_fresh
         if not self.is_enabled or not has_some:
             return b"", _NEVER
-        if self._sent_us is not None and local_us - self._sent_us < self.period_us:
-            return b"", self._sent_us + self.period_us
-        self._sent_us = local_us
+        due_us = local_us
+        if self._reference_us is not None:
+            due_us = self._reference_us + self.period_us
+        if local_us < due_us:
+            return b"", due_us
+        # Lateness of less than one PERIOD does not add up (J2A-TRANS-011).
+        self._reference_us = due_us if local_us < due_us + self.period_us else local_us
         if not self.transducer.queue:
             self._is_fresh = False
             return self.sample(), _NEVER
@@ -408,7 +412,7 @@ class SensorState(_Transducer):
         count = min(len(self._queue), most)
         lost = (self._lost % _LOST_MODULO).to_bytes(LOST_BYTES, "little")
         payload = lost + b"".join(self._queue.popleft() for _ in range(count))
-        return payload, local_us + self.period_us if self._queue else _NEVER
+        return payload, self._reference_us + self.period_us if self._queue else _NEVER
 
     def write(self, item: int, value: bytes) -> bool:
         """Change a setting; return whether its value is in range."""

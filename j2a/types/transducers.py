@@ -152,7 +152,7 @@ class Transducer:
 
     @property
     def period_us(self) -> int:
-        """Microseconds between two sample SIFs at the least, when the device starts."""
+        """Microseconds between the due times of sample SIFs, when the device starts."""
         return int(self.get("period", "0"))
 
     @property

@@ -258,7 +258,7 @@ TABLE: Final = (
         "Items of a2jTransd",
         ("TRANSD_SAMPLE", TRANSD_SAMPLE, "newest value of each channel, a sample"),
         ("TRANSD_ENABLED", TRANSD_ENABLED, "whether sample SIFs are sent, `bool`"),
-        ("TRANSD_PERIOD", TRANSD_PERIOD, "least time between two sample SIFs, `u32 us`"),
+        ("TRANSD_PERIOD", TRANSD_PERIOD, "least time between due times of sample SIFs, `u32 us`"),
         ("TRANSD_DECIMATION", TRANSD_DECIMATION, "every n-th value is taken, `u8` from 1 on"),
         ("TRANSD_THRESHOLD", TRANSD_THRESHOLD, "least difference of values, of the type"),
         ("TRANSD_TOPIC", TRANSD_TOPIC, "name under which hosts publish, `text[32]`, not empty"),

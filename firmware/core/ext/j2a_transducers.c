@@ -289,15 +289,22 @@ static uint8_t move_queued(const j2a_transducer *t, uint8_t *payload) {
     return length;
 }
 
+/* A sample SIF begins so long after it was due (J2A-TRANS-011); on AVRs inside report() it takes much more flash. */
+static J2A_NOINLINE void move_reference(j2a_sensor *sensor, uint64_t late_us) {
+    if (late_us < sensor->period_us)
+        late_us = 0; /* does not add up */
+    sensor->reference_us += late_us + sensor->period_us;
+}
+
 /* Sends a sample SIF of a sensor, if it is due; returns whether it was. */
 static bool report(const j2a_transducer *t, uint8_t *payload) {
     j2a_sensor *const sensor = t->sensor;
-    uint64_t time_us;
+    uint64_t late_us;
     uint8_t length;
     if (t->depth == 0 ? !sensor->is_fresh : sensor->head == t->queue->tail)
         return false; /* the usual case, before the time, which small chips calculate slowly */
-    time_us = local_us();
-    if (!sensor->is_enabled || (sensor->sent_us != 0 && time_us - sensor->sent_us < sensor->period_us))
+    late_us = local_us() - sensor->reference_us - sensor->period_us;
+    if (!sensor->is_enabled || late_us >> 63 != 0) /* it is due later */
         return false;
     if (t->depth != 0) {
         length = move_queued(t, payload);
@@ -309,7 +316,7 @@ static bool report(const j2a_transducer *t, uint8_t *payload) {
     }
     if (length == 0)
         return false;
-    sensor->sent_us = time_us;
+    move_reference(sensor, late_us);
     j2a_send_sif(t->id, length, payload);
     return true;
 }

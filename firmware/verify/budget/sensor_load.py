@@ -145,7 +145,7 @@ class Board:
             assert self.transd(sensor, c.TRANSD_ENABLED, bytes((on,))).payload == bytes((on,))
 
     def send_each(self, ms: int, *sensors: int) -> None:
-        """Let sensors send sample SIFs with at least so many milliseconds in between."""
+        """Let sensors send sample SIFs that are due so many milliseconds apart, or more."""
         for sensor in sensors:
             period = struct.pack("<I", 1000 * ms)
             assert self.transd(sensor, c.TRANSD_PERIOD, period).payload == period

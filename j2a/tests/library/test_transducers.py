@@ -2,9 +2,11 @@
 
 import asyncio
 import errno
+import itertools
 import math
 import os
 import pickle
+import random
 import struct
 import threading
 from pathlib import Path
@@ -880,7 +882,58 @@ class TestDevices:
         assert not thread.is_alive()
 
 
+class _SimulatedTime:
+    """The time of a board that sends its sample SIFs while its driver waits; each is late.
+
+    Takes the place of the event that ends the driver.
+    """
+
+    def __init__(self, board: VirtualBoard, end_us: int) -> None:
+        self.now_us = 1_000_000
+        self.end_us = self.now_us + end_us
+        self.sifs: list[bytes] = []
+        self._turn = board._runner._server.turn
+        self._rng = random.Random(11)
+
+    def _pass(self, us: float) -> None:
+        self.now_us += round(us) + self._rng.randrange(50, 900)
+
+    def wait(self, seconds: float) -> bool:
+        due_us = self.now_us + seconds * 1e6
+        while True:
+            self._pass(0)
+            sifs, _, left_us = self._turn(self.now_us, self.now_us)
+            self.sifs += [payload for _, payload in sifs]
+            if self.now_us + left_us >= due_us:
+                break
+            self._pass(left_us)
+        self._pass(max(0, due_us - self.now_us))
+        return self.now_us > self.end_us
+
+    def set(self) -> None:
+        """End the driver, which has ended."""
+
+
 class TestVirtualBoards:
+    @pytest.mark.requirement("J2A-TRANS-011")
+    @pytest.mark.parametrize("queue", ["", ", (queue, 9)"])
+    def test_each_measurement_is_sent_once_in_a_period(self, queue):
+        text = f"SENSOR(a, 1, a, X, 3, u32, none, (period, 10000){queue})"
+        with VirtualBoard(read_transds(text)) as board:
+            board._ended = simulated = _SimulatedTime(board, 5_000_000)
+            board._local_us = lambda: simulated.now_us
+            board._work()
+        sifs = simulated.sifs
+        assert 499 <= len(sifs) <= 501
+        skipped, size = (3, 13) if queue else (0, 12)
+        times = [
+            [int.from_bytes(sif[at : at + 8], "little") for at in range(skipped, len(sif), size)]
+            for sif in sifs
+        ]
+        assert all(len(set(one)) == 1 and len(one) == 3 for one in times)
+        gaps = [after[0] - before[0] for before, after in itertools.pairwise(times)]
+        assert 8_000 < min(gaps) <= max(gaps) < 12_000
+
     def test_each_sensor_measures_within_its_range(self):
         with VirtualBoard(read_transds(FILE)) as device:
             device.measure()

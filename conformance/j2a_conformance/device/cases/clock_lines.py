@@ -381,10 +381,10 @@ class Intervals(ClockCase):
     def _period(
         self, board: Board, devices: transducers.Board, one: types.Transducer, by: int
     ) -> None:
-        devices.write(one, c.TRANSD_PERIOD, struct.pack("<I", self._PERIOD_US))
         since, begin = devices.seen, board.status().local
         devices.stimulate(one, (0, devices.value(one)))
-        first, _ = devices.sif(one, since)
+        first, _ = devices.sif(one, since)  # at once, and not late
+        devices.write(one, c.TRANSD_PERIOD, struct.pack("<I", self._PERIOD_US))
         devices.stimulate(one, (0, devices.value(one)))
         board.step(board.status().time + by)
         for _ in board.watch(self._PERIOD_US + 5 * S):

@@ -148,8 +148,12 @@ class KeptPeriod(_Taken):
             topic = board.read(one, c.TRANSD_TOPIC) if board.has(one, c.TRANSD_TOPIC) else b""
             for writes in disturbed:
                 if all(board.has(one, item) for item, _ in writes):
-                    with board.tuned(one, period=period):
-                        board.peer.attempts(lambda one=one, w=writes: self._sensor(board, one, w))  # type: ignore[misc]
+                    with board.tuned(one):
+                        board.peer.attempts(
+                            lambda one=one, writes=((c.TRANSD_PERIOD, period), *writes): (  # type: ignore[misc]
+                                self._sensor(board, one, writes)
+                            )
+                        )
             if topic:
                 board.write(one, c.TRANSD_TOPIC, topic)
 
@@ -158,6 +162,7 @@ class KeptPeriod(_Taken):
         board: Board, one: oracle.Transducer, writes: tuple[tuple[int, bytes], ...]
     ) -> None:
         link, channel = board.peer.link, one.channels - 1
+        board.write(one, c.TRANSD_PERIOD, bytes(4))  # so that the first SIF is not late
         since = board.seen
         board.stimulate(one, (channel, board.value(one)))
         first, _ = board.sif(one, since)

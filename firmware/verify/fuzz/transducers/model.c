@@ -34,9 +34,9 @@ typedef struct {
 } entry;
 
 static struct {
-    bool is_enabled, is_fresh, has_sent;
+    bool is_enabled, is_fresh, has_reference;
     uint32_t period_us;
-    uint64_t sent_us;
+    uint64_t reference_us;
     uint8_t decimation, counts[MOST_CHANNELS];
     uint8_t threshold[MOST_SIZE];
     bool has_last[MOST_CHANNELS];
@@ -117,6 +117,11 @@ static uint8_t add(uint8_t *to, uint8_t at, const entry *one, uint8_t size) {
     return (uint8_t)(at + 8 + size);
 }
 
+/* When the next sample SIF is due, now for the first one. */
+static uint64_t due_of(uint8_t index, uint64_t now_us) {
+    return now_of[index].has_reference ? now_of[index].reference_us + now_of[index].period_us : time_of(now_us);
+}
+
 static size_t in_one_sif(uint8_t index) {
     const size_t most = (size_t)(MOST_BYTES - 2) / (size_t)(9 + model_of[index].size);
     return now_of[index].queued < most ? now_of[index].queued : most;
@@ -126,8 +131,7 @@ bool model_is_due(uint8_t index, uint64_t now_us, uint8_t *payload, uint8_t *len
     const described *const d = &model_of[index];
     size_t i;
     *length = 0;
-    if (!d->is_sensor || !now_of[index].is_enabled ||
-        (now_of[index].has_sent && time_of(now_us) - now_of[index].sent_us < now_of[index].period_us))
+    if (!d->is_sensor || !now_of[index].is_enabled || time_of(now_us) < due_of(index, now_us))
         return false;
     if (d->depth == 0) {
         for (i = 0; i < d->channels; i++)
@@ -145,12 +149,13 @@ bool model_is_due(uint8_t index, uint64_t now_us, uint8_t *payload, uint8_t *len
 }
 
 void model_sent(uint8_t index, uint64_t now_us) {
+    const uint64_t due_us = due_of(index, now_us);
     const size_t gone = model_of[index].depth ? in_one_sif(index) : 0;
     now_of[index].queued -= gone;
     memmove(now_of[index].queue, now_of[index].queue + gone, now_of[index].queued * sizeof(entry));
     now_of[index].is_fresh = false;
-    now_of[index].has_sent = true;
-    now_of[index].sent_us = time_of(now_us);
+    now_of[index].reference_us = time_of(now_us) < due_us + now_of[index].period_us ? due_us : time_of(now_us);
+    now_of[index].has_reference = true;
 }
 
 /* ------------------------------------------------------------------------- actuators ------ */

@@ -103,7 +103,7 @@ static uint8_t below(uint8_t end) {
 static void forget(const j2a_transducer *t) {
     uint8_t i;
     if (t->sensor) {
-        t->sensor->sent_us = j2a_port_time_us();
+        t->sensor->reference_us = j2a_port_time_us();
         t->sensor->period_us = any_u32;
         t->sensor->head = any_u8;
         t->sensor->is_fresh = any_bool;

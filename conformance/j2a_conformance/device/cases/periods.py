@@ -1,0 +1,169 @@
+"""When sample SIFs are due: lateness, silence and writes of PERIOD (J2A-TRANS-011).
+
+All times are those of the device's clock. TIME is read when a sample SIF has come, so the SIF began
+before: if the time is too early, so was the SIF; if it is late, only the reading may be. A SIF that
+must not be late is therefore tried with longer and longer periods, until it is in time.
+"""
+
+import struct
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from j2a_spec import constants as c
+from j2a_spec import transducers as oracle
+
+from j2a_conformance._judge import fail
+
+from .transducers import STIMULUS, Board, _TransducerCase, spread
+
+_SHORT_US: Final = 25_000
+_LONG_US: Final = 70_000  # more than 16 bits
+_LONGEST_US: Final = 400_000
+_RATE: Final = 0.95  # the clock may run slower than the local time
+_IN_TIME: Final = 0.9
+
+
+class _Due(_TransducerCase):
+    """Measures when sample SIFs of each sensor begin."""
+
+    NEEDS = (*_TransducerCase.NEEDS, STIMULUS)
+
+    def _judge(self, board: Board) -> None:
+        sensors = board.sensors()
+        firsts = [one for queue in (False, True) for one in board.sensors(queue=queue)[:1]]
+        for number, one in enumerate(sensors):
+            with board.tuned(one):
+                for period_us in (_SHORT_US, _LONG_US) if one in firsts else (_SHORT_US,):
+                    board.peer.attempts(partial(self._sensor, board, one, period_us, number % 2))
+
+    def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
+        raise NotImplementedError
+
+    @staticmethod
+    def _in_time(one: oracle.Transducer, period_us: int, attempt: Callable[[int], bool]) -> None:
+        """Fail where an attempt is in vain, however long the period is that it is given."""
+        while not attempt(period_us):
+            period_us *= 2
+            if period_us > _LONGEST_US:
+                fail(f"a sample SIF of {one.name} comes long after it was due", suspect=True)
+
+    @staticmethod
+    def _refer(board: Board, one: oracle.Transducer) -> tuple[int, int]:
+        """Have a sample SIF sent at once; return times around its begin, the next reference."""
+        board.write(one, c.TRANSD_PERIOD, bytes(4))
+        low_us = board.time_us()
+        _Due._send(board, one, 0)
+        return low_us, board.time_us()
+
+    @staticmethod
+    def _period(board: Board, one: oracle.Transducer, period_us: int) -> None:
+        board.write(one, c.TRANSD_PERIOD, struct.pack("<I", period_us))
+
+    @staticmethod
+    def _give(board: Board, one: oracle.Transducer, channel: int = 0) -> None:
+        board.stimulate(one, (spread(one)[channel], board.value(one)))
+
+    @staticmethod
+    def _send(board: Board, one: oracle.Transducer, channel: int) -> int:
+        """Give a value; return a time behind the begin of its sample SIF."""
+        since = board.seen
+        _Due._give(board, one, channel)
+        board.sif(one, since)
+        return board.time_us()
+
+    @staticmethod
+    def _not_before(one: oracle.Transducer, begun_us: int, from_us: int, wait_us: int) -> None:
+        if begun_us < from_us + wait_us * _RATE:
+            fail(
+                f"a sample SIF of {one.name} began at {begun_us} us or before, and was due at "
+                f"{from_us + wait_us} us"
+            )
+
+
+class LatePeriod(_Due):
+    """Gives sensors a value when most of a period is over since it was due, and others behind it,
+    also where the sensor was disabled meanwhile.
+    """
+
+    ID = "transducers.period-late"
+    EXPECTATION = "Those behind it come when they are due, as if it had not been late."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
+        self._in_time(one, period_us, lambda us: self._late(board, one, us, bool(odd)))
+
+    def _late(self, board: Board, one: oracle.Transducer, us: int, is_disabled: bool) -> bool:
+        low_us, high_us = self._refer(board, one)
+        self._period(board, one, us)
+        if is_disabled:
+            for enabled in (b"\0", b"\1"):
+                board.write(one, c.TRANSD_ENABLED, enabled)
+        board.wait_until(high_us + us * 8 // 5)
+        given_us = board.time_us()
+        late_us = self._send(board, one, 0)
+        second_us = self._send(board, one, -1)
+        third_us = self._send(board, one, 0)
+        if late_us >= low_us + 2 * us:
+            return False  # it may have been late by a period, which delays the next one
+        self._not_before(one, second_us, low_us, 2 * us)
+        self._not_before(one, third_us, low_us, 3 * us)
+        return second_us < given_us + us * _IN_TIME
+
+
+class SilentPeriod(_Due):
+    """Gives sensors two values after some periods without one, or in which they were disabled."""
+
+    ID = "transducers.period-silence"
+    EXPECTATION = "The second one comes a period behind the first one: nothing is caught up with."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
+        for periods, is_disabled in ((2, odd == 0), (4, odd == 1)):
+            _, high_us = self._refer(board, one)
+            self._period(board, one, period_us)
+            if is_disabled:
+                board.write(one, c.TRANSD_ENABLED, b"\0")
+                self._give(board, one)
+            board.wait_until(high_us + periods * period_us + period_us // 2)
+            if is_disabled:
+                board.write(one, c.TRANSD_ENABLED, b"\1")
+            given_us = board.time_us()
+            self._send(board, one, -1)
+            self._not_before(one, self._send(board, one, 0), given_us, period_us)
+
+
+class WrittenPeriod(_Due):
+    """Writes a longer and a shorter PERIOD while a value waits for the end of one."""
+
+    ID = "transducers.period-written"
+    EXPECTATION = "It is sent when the new PERIOD is over, counted from the sample SIF before."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
+        for change in (self._longer, self._shorter):
+            self._in_time(one, period_us, partial(change, board, one))
+
+    def _longer(self, board: Board, one: oracle.Transducer, us: int) -> bool:
+        low_us, _ = self._refer(board, one)
+        since = board.seen
+        self._period(board, one, us)
+        self._give(board, one, -1)
+        self._period(board, one, 2 * us)
+        is_waiting = board.time_us() < low_us + us
+        board.sif(one, since)
+        self._not_before(one, board.time_us(), low_us, (1 + is_waiting) * us)
+        return is_waiting
+
+    def _shorter(self, board: Board, one: oracle.Transducer, us: int) -> bool:
+        low_us, high_us = self._refer(board, one)
+        since = board.seen
+        self._period(board, one, 4 * us)
+        self._give(board, one, -1)
+        board.wait_until(high_us + us // 2)
+        written_us = board.time_us()
+        self._period(board, one, us)
+        board.sif(one, since)
+        begun_us = board.time_us()
+        self._not_before(one, begun_us, low_us, us)
+        return begun_us < written_us + us * _IN_TIME
