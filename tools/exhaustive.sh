@@ -46,8 +46,10 @@ step fuzz "the C core under libFuzzer" \
     python -m firmware.verify.fuzz.fuzz --seconds 1800 --inputs build
 step fuzz-small "the C core with room for 32 bytes under libFuzzer" \
     python -m firmware.verify.fuzz.fuzz --seconds 1800 --inputs build --small
-step fuzz-transducers "the C core with transducers under libFuzzer, against a model" \
-    python -m firmware.verify.fuzz.fuzz --seconds 1800 --inputs build --transducers
+for device in nothing clock stamps; do
+    step "fuzz-transducers-$device" "the C core with transducers and $device besides under libFuzzer" \
+        python -m firmware.verify.fuzz.fuzz --seconds 1800 --inputs build --transducers "$device"
+done
 step fuzz-deframer "the Python deframer under atheris" fuzz_deframer
 step fuzz-descriptors "what reads descriptors and samples under atheris" fuzz_descriptors
 end_steps

@@ -10,6 +10,7 @@ import pytest
 FIRMWARE = Path(__file__).parents[1]
 CORPORA = [FIRMWARE / "verify/fuzz" / name for name in ("corpus", "transducers/corpus")]
 SECONDS = 10
+TRANSDUCERS = [("--transducers", *more) for more in ((), ("clock",), ("stamps",))]
 
 
 def fuzz(need, *arguments):
@@ -26,7 +27,7 @@ def test_corpus_is_small_and_there(corpus):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [(), ("--small",), ("--transducers",)])
+@pytest.mark.parametrize("size", [(), ("--small",), *TRANSDUCERS])
 def test_nothing_is_found(need, size):
     result = fuzz(need, "--seconds", SECONDS // 2, *size)
     assert result.returncode == 0, result.stderr[-4000:]
@@ -107,6 +108,41 @@ DEFECTS = {
         "return time_us != 0 ? time_us : 1;",
         "return time_us;",
         "--transducers",
+    ),
+    "a trigger stays where it was when the clock is set": (
+        "ext/j2a_transducers.c",
+        "            move_due(t.trigger, by_us);",
+        "            (void)by_us;",
+        "--transducers",
+        "clock",
+    ),
+    "a time that waits wraps when the clock is set": (
+        "ext/j2a_transducers.c",
+        "!= is_back || by_us == 0 ? sum_us",
+        "!= is_back || true ? sum_us",
+        "--transducers",
+        "clock",
+    ),
+    "a period that goes by the clock": (
+        "ext/j2a_transducers.c",
+        "#define local_us j2a_port_time_us",
+        "#define local_us j2a_clock_us",
+        "--transducers",
+        "clock",
+    ),
+    "a save that looks at the first bytes of the settings only": (
+        "ext/j2a_save.c",
+        "    for (i = SETTINGS; i < n; i++)\n",
+        "    for (i = SETTINGS; i < 8; i++)\n",
+        "--transducers",
+        "clock",
+    ),
+    "a stamp that is sent as the port has it": (
+        "ext/j2a_transducers.c",
+        "        convert_stamp(payload + length + 1);\n",
+        "",
+        "--transducers",
+        "stamps",
     ),
 }
 

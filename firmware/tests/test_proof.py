@@ -22,7 +22,9 @@ def prove(need, *arguments):
 
 
 TYPED = "typed gcc_x86_16"
-TRANSDUCERS = "transducers gcc_x86_16"
+TRANSDUCERS = "transducers gcc_x86_16 -DJ2A_ROOM"
+SYNCED = "transducers gcc_x86_16 -DJ2A_WITH_SYNC"
+STAMPED = "transducers gcc_x86_16 -DJ2A_PORT_STAMP"
 CLOCK = "clock gcc_x86_16"
 SAVE = "save gcc_x86_16"
 SHORT = (
@@ -31,6 +33,8 @@ SHORT = (
     "sender",
     TYPED,
     TRANSDUCERS,
+    SYNCED,
+    STAMPED,
     CLOCK,
     SAVE,
 )
@@ -258,6 +262,34 @@ DEFECTS = {
         "ext/j2a_transducers.c",
         "first >= t->channels || count > t->channels - first",
         "first >= t->channels",
+        "eva:alarm",
+    ),
+    "a setting that was kept is read as its whole type": (
+        SYNCED,
+        "ext/j2a_transducers.c",
+        "if (size != 0 && length != size)",
+        "if (size != 0 && length > size)",
+        "eva:alarm",
+    ),
+    "a clock that is set moves what a sensor does not have": (
+        SYNCED,
+        "ext/j2a_transducers.c",
+        "for (channel = 0; t.waiting && channel",
+        "for (channel = 0; channel",
+        "eva:alarm",
+    ),
+    "a stamp that is converted behind its value": (
+        STAMPED,
+        "ext/j2a_transducers.c",
+        "convert_stamp(payload + length + 1);",
+        "convert_stamp(payload + length + size);",
+        "eva:alarm",
+    ),
+    "a sample in a room in which a request is": (
+        STAMPED,
+        "ext/j2a_transducers.c",
+        "bool has_sent = !payload;",
+        "bool has_sent = false;",
         "eva:alarm",
     ),
     "a period that runs off": (

@@ -4,7 +4,7 @@ What flows in: link.c and receiver.c, or what is in transducers/, the core (--co
 corpus/, and for the link seeds made of the golden vectors. What flows out: what libFuzzer reports,
 exit status 0 when nothing was found, 1 when something was (the input is then named), 2 when clang
 is missing. With --keep, corpus/ afterwards holds the fewest inputs that reach everything that was
-ever reached.
+ever reached; that of transducers, which several devices share, keeps what it has, and gets more.
 Rules: the same seed and corpus give the same first runs; corpus/ is written with --keep only, and
 beside it the input that breaks the core, into the folder of --inputs.
 """
@@ -35,6 +35,12 @@ FLAGS = (
 
 # Lengths that functions leave: what fits, just or just not, into a chunk, for both rooms.
 LIMITS = (0, 1, 26, 27, 32, 33, c.MANY_DATA, c.MANY_DATA + 1, c.MAX_PAYLOAD)
+# Options of the device with transducers. turns.c has a clock in place of that of the core.
+TRANSDUCERS_WITH = {
+    "nothing": [],
+    "clock": ["-DJ2A_WITH_SYNC=1", "-DJ2A_WITH_SAVE=1", "-DJ2A_PORT_KEPT_BYTES=1024"],
+    "stamps": ["-DJ2A_PORT_STAMP=1", "-DJ2A_PORT_SHARES_ROOM=1"],
+}
 # Room for few bytes; the map would not fit.
 SMALL = ["-DJ2A_ROOM=32", "-DJ2A_WITH_MAPPING=0"]
 
@@ -47,6 +53,8 @@ def build(core: Path, folder: Path, options: list[str], own: Path = HERE) -> Pat
     """
     program = folder / "link"
     sources = [*sorted(own.glob("*.c")), *sorted(core.rglob("*.c"))]
+    if own == TRANSDUCERS:
+        sources = [path for path in sources if not path.name.startswith("j2a_clock")]
     command = ["clang", *FLAGS.split(), *options, f"-I{core}", f"-I{own}", *map(str, sources)]
     subprocess.run([*command, "-o", str(program)], check=True)
     return program
@@ -80,7 +88,12 @@ def main() -> int:
     parser.add_argument("--inputs", default=".", help="folder for the inputs that break the core")
     parser.add_argument("--small", action="store_true", help="a device with room for 32 bytes")
     parser.add_argument(
-        "--transducers", action="store_true", help="a device with transducers, against a model"
+        "--transducers",
+        nargs="?",
+        const="nothing",
+        choices=TRANSDUCERS_WITH,
+        help="a device with transducers, against a model; beside them nothing (default), a clock"
+        " that the host sets and settings that stay, or stamps of the port and a shared room",
     )
     parser.add_argument("--keep", action="store_true", help="merge new inputs into corpus/")
     arguments = parser.parse_args()
@@ -98,7 +111,8 @@ def main() -> int:
         grown = folder / "grown"
         grown.mkdir()
         if arguments.transducers:
-            program = build(core, folder, ["-DJ2A_WITH_TRANSDUCERS=1"], TRANSDUCERS)
+            options = ["-DJ2A_WITH_TRANSDUCERS=1", *TRANSDUCERS_WITH[arguments.transducers]]
+            program = build(core, folder, options, TRANSDUCERS)
             corpus, max_len = TRANSDUCERS / "corpus", 512
         else:
             program = build(core, folder, SMALL if arguments.small else [])
@@ -113,7 +127,10 @@ def main() -> int:
         result = subprocess.run(command, check=False)
         if result.returncode == 0 and arguments.keep:
             merged = folder / "merged"
-            merged.mkdir()
+            if arguments.transducers:  # what another of these devices needs stays
+                shutil.copytree(corpus, merged)
+            else:
+                merged.mkdir()
             subprocess.run([str(program), "-merge=1", str(merged), str(grown)], check=True)
             shutil.rmtree(corpus)
             shutil.copytree(merged, corpus)

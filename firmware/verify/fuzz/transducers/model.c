@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "j2a_const.h"
+#include "j2a_options.h"
 #include "values.h"
 
 #define NONE .threshold = -1
@@ -33,50 +33,93 @@ typedef struct {
     uint8_t value[MOST_SIZE];
 } entry;
 
-static struct {
-    bool is_enabled, is_fresh, has_reference;
+typedef struct {
+    bool is_enabled;
     uint32_t period_us;
-    uint64_t reference_us;
-    uint8_t decimation, counts[MOST_CHANNELS];
+    uint8_t decimation;
     uint8_t threshold[MOST_SIZE];
+    char topic[J2A_TRANSD_MAX_TOPIC + 1];
+    uint16_t limit_ms;
+} settings;
+
+static struct {
+    settings is;
+    bool is_fresh, has_reference;
+    uint64_t reference_us;
+    uint8_t counts[MOST_CHANNELS];
     bool has_last[MOST_CHANNELS];
     uint8_t last[MOST_CHANNELS][MOST_SIZE];
     entry newest[MOST_CHANNELS];
     entry queue[255];
     size_t queued;
     uint64_t lost;
-    char topic[J2A_TRANSD_MAX_TOPIC + 1];
     bool waits[MOST_CHANNELS]; /* of an actuator, [0] the trigger of a sensor */
     uint64_t due_us[MOST_CHANNELS];
     uint8_t waiting[MOST_CHANNELS][MOST_SIZE];
-    uint16_t limit_ms;
     bool is_safe;
 } now_of[TRANSDUCERS];
-static uint64_t heard_us;
+static settings kept_of[TRANSDUCERS];
+static bool is_kept[TRANSDUCERS];
+static uint8_t keeping; /* whose settings are being kept, TRANSDUCERS for none */
+static uint64_t heard_us, ahead_us;
 static bool is_heard;
 
 static uint64_t time_of(uint64_t now_us) {
+    return now_us + ahead_us ? now_us + ahead_us : 1;
+}
+
+/* Of a sample SIF, which goes by local time. */
+static uint64_t local_of(uint64_t now_us) {
     return now_us ? now_us : 1;
 }
 
 /* ------------------------------------------------------------------------- sensors ------ */
 
-void model_reset(void) {
+static void begin(void) {
     uint8_t i;
     memset(now_of, 0, sizeof now_of);
-    heard_us = 0;
-    is_heard = false;
+    keeping = TRANSDUCERS;
+    ahead_us = 0;
     for (i = 0; i < TRANSDUCERS; i++) {
         const described *const d = &model_of[i];
-        now_of[i].is_enabled = !d->is_disabled;
-        now_of[i].period_us = d->period_us;
-        now_of[i].decimation = d->decimation;
-        now_of[i].limit_ms = d->watchdog_ms;
+        now_of[i].is.is_enabled = !d->is_disabled;
+        now_of[i].is.period_us = d->period_us;
+        now_of[i].is.decimation = d->decimation;
+        now_of[i].is.limit_ms = d->watchdog_ms;
         if (d->threshold >= 0)
-            value_put(d, d->threshold, now_of[i].threshold);
+            value_put(d, d->threshold, now_of[i].is.threshold);
         if (d->topic)
-            strcpy(now_of[i].topic, d->topic);
+            strcpy(now_of[i].is.topic, d->topic);
     }
+}
+
+void model_reset(void) {
+    begin();
+    memset(is_kept, 0, sizeof is_kept);
+    heard_us = 0;
+    is_heard = false;
+}
+
+void model_restart(uint64_t now_us) {
+    uint8_t i;
+    begin();
+    model_hear(now_us);
+    for (i = 0; i < TRANSDUCERS; i++)
+        if (is_kept[i])
+            memcpy(&now_of[i].is, &kept_of[i], sizeof(settings));
+}
+
+static uint64_t moved(uint64_t time_us, uint64_t to_us) {
+    const __int128 sum = (__int128)time_us + to_us - ahead_us;
+    return sum < 0 ? 0 : sum > UINT64_MAX ? UINT64_MAX : (uint64_t)sum;
+}
+
+void model_clock(uint64_t to_us) {
+    uint8_t i, channel;
+    for (i = 0; i < TRANSDUCERS; i++)
+        for (channel = 0; channel < MOST_CHANNELS; channel++)
+            now_of[i].due_us[channel] = moved(now_of[i].due_us[channel], to_us);
+    ahead_us = to_us;
 }
 
 void model_sense(uint8_t index, uint8_t channel, const uint8_t *value, uint64_t now_us) {
@@ -84,15 +127,15 @@ void model_sense(uint8_t index, uint8_t channel, const uint8_t *value, uint64_t 
     if (channel >= d->channels)
         return;
     if (d->decimation) {
-        if (++now_of[index].counts[channel] < now_of[index].decimation)
+        if (++now_of[index].counts[channel] < now_of[index].is.decimation)
             return;
         now_of[index].counts[channel] = 0;
     }
-    if (d->depth && !now_of[index].is_enabled)
+    if (d->depth && !now_of[index].is.is_enabled)
         return;
     if (d->threshold >= 0) {
         if (now_of[index].has_last[channel] &&
-            !value_differs(d, value, now_of[index].last[channel], now_of[index].threshold))
+            !value_differs(d, value, now_of[index].last[channel], now_of[index].is.threshold))
             return;
         now_of[index].has_last[channel] = true;
         memcpy(now_of[index].last[channel], value, d->size);
@@ -119,7 +162,7 @@ static uint8_t add(uint8_t *to, uint8_t at, const entry *one, uint8_t size) {
 
 /* When the next sample SIF is due, now for the first one. */
 static uint64_t due_of(uint8_t index, uint64_t now_us) {
-    return now_of[index].has_reference ? now_of[index].reference_us + now_of[index].period_us : time_of(now_us);
+    return now_of[index].has_reference ? now_of[index].reference_us + now_of[index].is.period_us : local_of(now_us);
 }
 
 static size_t in_one_sif(uint8_t index) {
@@ -131,7 +174,7 @@ bool model_is_due(uint8_t index, uint64_t now_us, uint8_t *payload, uint8_t *len
     const described *const d = &model_of[index];
     size_t i;
     *length = 0;
-    if (!d->is_sensor || !now_of[index].is_enabled || time_of(now_us) < due_of(index, now_us))
+    if (!d->is_sensor || !now_of[index].is.is_enabled || local_of(now_us) < due_of(index, now_us))
         return false;
     if (d->depth == 0) {
         for (i = 0; i < d->channels; i++)
@@ -154,7 +197,8 @@ void model_sent(uint8_t index, uint64_t now_us) {
     now_of[index].queued -= gone;
     memmove(now_of[index].queue, now_of[index].queue + gone, now_of[index].queued * sizeof(entry));
     now_of[index].is_fresh = false;
-    now_of[index].reference_us = time_of(now_us) < due_us + now_of[index].period_us ? due_us : time_of(now_us);
+    now_of[index].reference_us =
+        local_of(now_us) < due_us + now_of[index].is.period_us ? due_us : local_of(now_us);
     now_of[index].has_reference = true;
 }
 
@@ -188,15 +232,16 @@ void model_turn(uint64_t now_us) {
     if (is_heard)
         heard_us = now_us; /* the core reads its clock in the turn behind the request */
     is_heard = false;
+    keeping = TRANSDUCERS;
     for (i = 0; i < TRANSDUCERS; i++) {
         const described *const d = &model_of[i];
-        if (d->has_trigger && now_of[i].waits[0] && now_of[i].due_us[0] <= now_us)
+        if (d->has_trigger && now_of[i].waits[0] && now_of[i].due_us[0] <= now_us + ahead_us)
             start(i);
-        if (d->has_watchdog && now_of[i].limit_ms == 0)
+        if (d->has_watchdog && now_of[i].is.limit_ms == 0)
             now_of[i].is_safe = false;
         /* In whole milliseconds of the clock, and never early. */
-        if (d->has_watchdog && now_of[i].limit_ms && !now_of[i].is_safe &&
-            now_us / 1000 - heard_us / 1000 > now_of[i].limit_ms) {
+        if (d->has_watchdog && now_of[i].is.limit_ms && !now_of[i].is_safe &&
+            now_us / 1000 - heard_us / 1000 > now_of[i].is.limit_ms) {
             uint8_t value[MOST_SIZE] = {0};
             if (d->has_na)
                 value_put(d, d->na, value);
@@ -207,7 +252,7 @@ void model_turn(uint64_t now_us) {
             }
         }
         for (channel = 0; !d->is_sensor && channel < d->channels; channel++) {
-            if (now_of[i].waits[channel] && now_of[i].due_us[channel] <= now_us) {
+            if (now_of[i].waits[channel] && now_of[i].due_us[channel] <= now_us + ahead_us) {
                 now_of[i].waits[channel] = false;
                 set(i, channel, now_of[i].waiting[channel], now_us);
             }
@@ -229,6 +274,7 @@ static bool has(const described *d, uint8_t item, bool is_write) {
     case J2A_TRANSD_SET: return is_write && !d->is_sensor;
     case J2A_TRANSD_TRIGGER: return is_write && d->has_trigger;
     case J2A_TRANSD_TIME: return !is_write;
+    case J2A_TRANSD_SAVE: return J2A_WITH_SAVE;
     default: return false;
     }
 }
@@ -255,18 +301,36 @@ static uint8_t write_set(uint8_t index, const uint8_t *bytes, size_t length, uin
     for (i = 0; i < count; i++) {
         const uint8_t channel = (uint8_t)(bytes[0] + i);
         const uint8_t *const value = bytes + 9 + i * d->size;
-        now_of[index].waits[channel] = due_us > now_us;
+        now_of[index].waits[channel] = due_us > now_us + ahead_us;
         now_of[index].due_us[channel] = due_us;
         memcpy(now_of[index].waiting[channel], value, d->size);
-        if (due_us <= now_us)
+        if (due_us <= now_us + ahead_us)
             set(index, channel, value, now_us);
     }
     return 0;
 }
 
+/* The memory of turns.c takes all bytes at once, in the next turn, and nothing before that is asked of it. */
+static uint8_t save(uint8_t index, uint8_t state) {
+    if (state != J2A_TRANSD_SAVED)
+        return J2A_TRANSD_BAD_VALUE;
+    if (keeping != TRANSDUCERS)
+        return J2A_TRANSD_BUSY;
+    if (is_kept[index] && memcmp(&kept_of[index], &now_of[index].is, sizeof(settings)) == 0)
+        return 0;
+    is_kept[index] = true;
+    memcpy(&kept_of[index], &now_of[index].is, sizeof(settings)); /* with what is between its parts */
+    keeping = index;
+    return 0;
+}
+
+static uint8_t state_of(uint8_t index) {
+    return keeping == index ? J2A_TRANSD_SAVING : is_kept[index] ? J2A_TRANSD_SAVED : J2A_TRANSD_NOT_SAVED;
+}
+
 static uint8_t written(uint8_t index, uint8_t item, const uint8_t *bytes, size_t length, uint64_t now_us) {
     const described *const d = &model_of[index];
-    const uint8_t sizes[] = {0, 1, 4, 1, d->size, 0, 2, 0, 8};
+    const uint8_t sizes[] = {0, 1, 4, 1, d->size, 0, 2, 0, 8, 1};
     const uint64_t number = number_of(bytes, length < 8 ? length : 8);
     if (sizes[item] && length != sizes[item])
         return J2A_TRANSD_BAD_LENGTH;
@@ -278,40 +342,42 @@ static uint8_t written(uint8_t index, uint8_t item, const uint8_t *bytes, size_t
             now_of[index].lost += now_of[index].queued;
             now_of[index].queued = 0;
         }
-        if (!number || !now_of[index].is_enabled)
+        if (!number || !now_of[index].is.is_enabled)
             now_of[index].is_fresh = false;
-        now_of[index].is_enabled = number != 0;
+        now_of[index].is.is_enabled = number != 0;
         break;
     case J2A_TRANSD_PERIOD:
-        now_of[index].period_us = (uint32_t)number;
+        now_of[index].is.period_us = (uint32_t)number;
         break;
     case J2A_TRANSD_DECIMATION:
         if (number == 0)
             return J2A_TRANSD_BAD_VALUE;
-        now_of[index].decimation = (uint8_t)number;
+        now_of[index].is.decimation = (uint8_t)number;
         memset(now_of[index].counts, 0, sizeof now_of[index].counts);
         break;
     case J2A_TRANSD_THRESHOLD:
         if (!value_is_limit(d, bytes))
             return J2A_TRANSD_BAD_VALUE;
-        memcpy(now_of[index].threshold, bytes, d->size);
+        memcpy(now_of[index].is.threshold, bytes, d->size);
         break;
     case J2A_TRANSD_TOPIC:
         if (length > J2A_TRANSD_MAX_TOPIC)
             return J2A_TRANSD_BAD_LENGTH;
         if (!value_is_text(bytes, length))
             return J2A_TRANSD_BAD_VALUE;
-        memcpy(now_of[index].topic, bytes, length);
-        now_of[index].topic[length] = 0;
+        memset(now_of[index].is.topic, 0, sizeof now_of[index].is.topic);
+        memcpy(now_of[index].is.topic, bytes, length);
         break;
     case J2A_TRANSD_WATCHDOG:
-        now_of[index].limit_ms = (uint16_t)number;
+        now_of[index].is.limit_ms = (uint16_t)number;
         break;
     case J2A_TRANSD_SET:
         return write_set(index, bytes, length, now_us);
+    case J2A_TRANSD_SAVE:
+        return save(index, bytes[0]);
     default:
         now_of[index].due_us[0] = number;
-        now_of[index].waits[0] = number > now_us;
+        now_of[index].waits[0] = number > now_us + ahead_us;
         if (!now_of[index].waits[0])
             start(index);
     }
@@ -320,17 +386,17 @@ static uint8_t written(uint8_t index, uint8_t item, const uint8_t *bytes, size_t
 
 static uint8_t read(uint8_t index, uint8_t item, uint8_t *reply, uint64_t now_us) {
     const described *const d = &model_of[index];
-    const uint64_t numbers[] = {0, now_of[index].is_enabled, now_of[index].period_us, now_of[index].decimation, 0, 0,
-                                now_of[index].limit_ms, 0, 0, 0, time_of(now_us)};
-    const uint8_t sizes[] = {0, 1, 4, 1, 0, 0, 2, 0, 0, 0, 8};
+    const uint64_t numbers[] = {0, now_of[index].is.is_enabled, now_of[index].is.period_us, now_of[index].is.decimation, 0, 0,
+                                now_of[index].is.limit_ms, 0, 0, state_of(index), time_of(now_us)};
+    const uint8_t sizes[] = {0, 1, 4, 1, 0, 0, 2, 0, 0, J2A_WITH_SAVE, 8};
     uint8_t length = 0;
     uint8_t i;
     for (i = 0; item == J2A_TRANSD_SAMPLE && i < d->channels; i++)
         length = add(reply, length, &now_of[index].newest[i], d->size);
     if (item == J2A_TRANSD_THRESHOLD)
-        memcpy(reply, now_of[index].threshold, length = d->size);
+        memcpy(reply, now_of[index].is.threshold, length = d->size);
     if (item == J2A_TRANSD_TOPIC)
-        memcpy(reply, now_of[index].topic, length = (uint8_t)strlen(now_of[index].topic));
+        memcpy(reply, now_of[index].is.topic, length = (uint8_t)strlen(now_of[index].is.topic));
     for (i = 0; i < sizes[item]; i++)
         reply[length++] = (uint8_t)(numbers[item] >> 8 * i);
     return length;

@@ -33,7 +33,14 @@ typedef struct {
     uint8_t value[MOST_SIZE];
 } model_call;
 
+/* Ends what is kept without power, too. */
 void model_reset(void);
+
+/* Says that the clock of values, SET and TRIGGER now is so far ahead of the time in the other calls. */
+void model_clock(uint64_t ahead_us);
+
+/* Says that the device starts anew, with the settings that it kept without power. */
+void model_restart(uint64_t now_us);
 void model_sense(uint8_t index, uint8_t channel, const uint8_t *value, uint64_t now_us);
 
 /* Returns the code, and leaves the payload of the reply. */

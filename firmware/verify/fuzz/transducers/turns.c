@@ -3,7 +3,8 @@
  * passes, a turn of the main loop. Out: an abort where a reply, a sample SIF or a call of a driver is not the one that
  * is due: more than one SIF in a turn, none though one is due, one with a value of the time 0 or of a sensor that is
  * disabled, losses that are not told.
- * Rules: the clock never goes back; each input begins with the state in which a device starts. */
+ * Options add events: with J2A_WITH_SYNC the clock of values is set, with J2A_WITH_SAVE the device starts anew.
+ * Rules: the local time never goes back; each input begins with the state in which a device starts. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -48,6 +49,59 @@ uint16_t j2a_port_ticks(void) {
 uint64_t j2a_port_time_us(void) {
     return now_us;
 }
+
+/* A stamp is the time with a bit that makes none of them 0. */
+#if J2A_PORT_STAMP
+void j2a_port_stamp(volatile uint8_t *stamp) {
+    uint8_t i;
+    for (i = 0; i < J2A_STAMP_BYTES; i++)
+        stamp[i] = (uint8_t)((now_us | 1ULL << 63) >> 8 * i);
+}
+
+uint64_t j2a_port_stamp_us(const uint8_t *stamp) {
+    return j2a_get_u64(stamp) & ~(1ULL << 63);
+}
+#endif
+
+/* A clock that the host has set so far ahead, in place of ext/j2a_clock.c. */
+static uint64_t ahead_us;
+
+#if J2A_WITH_SYNC
+uint64_t j2a_received_us;
+
+uint64_t j2a_clock_us(void) {
+    return now_us + ahead_us;
+}
+
+bool j2a_clock_is_due(uint64_t due_us) {
+    return due_us <= j2a_clock_us();
+}
+
+void j2a_clock_turn(void) {
+}
+
+uint8_t j2a_clock(uint8_t *const length, uint8_t **const payload) {
+    (void)payload;
+    *length = 0;
+    return J2A_RET_FAILED;
+}
+#endif
+
+/* What stays without power. */
+#if J2A_WITH_SAVE
+static uint8_t kept[J2A_PORT_KEPT_BYTES];
+
+uint8_t j2a_port_kept(uint16_t at) {
+    CHECK(at < sizeof kept);
+    return kept[at];
+}
+
+bool j2a_port_keep(uint16_t at, uint8_t byte) {
+    CHECK(at < sizeof kept);
+    kept[at] = byte;
+    return true;
+}
+#endif
 
 static void put(uint8_t byte) {
     if (byte == J2A_SOF || byte == J2A_SOS || byte == J2A_ESC) {
@@ -302,7 +356,7 @@ static void value_of(uint8_t how, uint8_t *value, const uint8_t **bytes, const u
 }
 
 static void some_request(uint8_t how, const uint8_t **bytes, const uint8_t *end) {
-    static const uint8_t sizes[] = {0, 1, 4, 1, 4, 3, 2, 0, 8, 0, 0};
+    static const uint8_t sizes[] = {0, 1, 4, 1, 4, 3, 2, 0, 8, J2A_WITH_SAVE, 0};
     uint8_t payload[J2A_MAX_PAYLOAD] = {0};
     const described *const d = &model_of[take(bytes, end) % TRANSDUCERS];
     const uint8_t item = take(bytes, end);
@@ -329,7 +383,31 @@ static void some_request(uint8_t how, const uint8_t **bytes, const uint8_t *end)
         if (payload[1] == J2A_TRANSD_SET)
             payload[2] %= d->channels;
     }
+    if ((how & 8) && J2A_WITH_SAVE && payload[1] == J2A_TRANSD_SAVE && length == 3)
+        payload[2] = J2A_TRANSD_SAVED;
     request(payload, length, how, how & 0x80 && how & 0x40 ? how : 0);
+}
+
+/* The host sets the clock: to the local time, or so far ahead of it. */
+static void set_clock(uint8_t how) {
+#if J2A_WITH_SYNC
+    const uint64_t to_us = how % 61 ? 1ULL << how % 61 : 0;
+    j2a_transds_move(to_us - ahead_us);
+    model_clock(ahead_us = to_us);
+#else
+    (void)how;
+#endif
+}
+
+static void restart(void) {
+#if J2A_WITH_SAVE
+    turn(); /* what is being kept is whole then */
+    keep_all(true);
+    ahead_us = 0;
+    transds_init();
+    j2a_is_heard = true;
+    model_restart(now_us);
+#endif
 }
 
 /* Around the period and the watchdog of transds.def. */
@@ -345,6 +423,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count) {
     sif_seq = 0;
     begin = take(&bytes, end);
     now_us = begin < 128 ? begin % 4 : 1ULL << begin % 56; /* 0 is no time of a value */
+#if J2A_WITH_SYNC
+    now_us += now_us == 0; /* no local time at which a SIF was sent either, and a device has no turn that early */
+#endif
+    ahead_us = 0;
+#if J2A_WITH_SAVE
+    memset(kept, 0xFF, sizeof kept);
+#endif
     j2a_is_heard = true;
     model_hear(now_us);
     turn();
@@ -372,6 +457,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t count) {
             turn();
             break;
         default:
+            if (how % 4 == 1)
+                set_clock(how / 4);
+            if (how % 4 == 2)
+                restart();
             turn();
         }
     }

@@ -1,6 +1,7 @@
 /* The transducers of transds.def: one call of a driver, of the main loop or of the host, from any state that is sound.
  * In: any value, time, request and offset; any contents of what is kept, but what sound() says. Out: a state that is sound
- * again. Since the one in which a device starts is, every state is, after any calls in any order. */
+ * again. Since the one in which a device starts is, every state is, after any calls in any order.
+ * Options: of the clock, of stamps, of the room and of settings that stay; what they call is a model of it. */
 #include "__fc_builtin.h"
 #include "numbers.h"
 
@@ -23,6 +24,37 @@ volatile uint32_t any_u32;
 uint64_t j2a_port_time_us(void) {
     return (uint64_t)any_u32 << 32 | any_u32;
 }
+
+#if J2A_WITH_SYNC
+uint64_t j2a_clock_us(void) {
+    return j2a_port_time_us();
+}
+
+bool j2a_clock_is_due(uint64_t due_us) {
+    (void)due_us;
+    return any_bool;
+}
+#endif
+
+#if J2A_PORT_STAMP && !J2A_WITH_SYNC
+void j2a_port_stamp(uint8_t *stamp) {
+    Frama_C_make_unknown((char *)stamp, J2A_STAMP_BYTES);
+}
+
+uint64_t j2a_port_stamp_us(const uint8_t *stamp) {
+    //@ check \initialized(stamp + (0 .. J2A_STAMP_BYTES - 1));
+    (void)stamp;
+    return j2a_port_time_us();
+}
+#endif
+
+#if J2A_PORT_SHARES_ROOM
+static uint8_t *shared_room;
+
+uint8_t *j2a_rx_room(void) {
+    return shared_room;
+}
+#endif
 
 void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
     //@ check opcode <= J2A_TRANSD_MAX_ID;
@@ -151,6 +183,70 @@ static void check_sound(const j2a_transducer *t) {
     (void)t;
 }
 
+/* ------------------------------------------------------------------------- settings that stay ------ */
+
+#if J2A_WITH_SAVE
+/* The room that save.c has for each setting. Longer is what a transducer does not have. */
+static uint8_t room_of(const j2a_transducer *t, uint8_t item) {
+    static const uint8_t rooms[] = {0, 1, 4, 1, 0, J2A_TRANSD_MAX_TOPIC, 2};
+    return item == J2A_TRANSD_THRESHOLD ? t->size : rooms[item];
+}
+
+static uint8_t any_setting(void) {
+    return (uint8_t)(J2A_TRANSD_ENABLED + any_u8 % J2A_TRANSD_WATCHDOG);
+}
+
+/* A setting that was kept: nothing is read of it but the bytes that it has. */
+static void restore(void) {
+    uint8_t value[J2A_TRANSD_MAX_TOPIC];
+    uint8_t index = any_u8 % ALL;
+    uint8_t item = any_setting();
+    uint8_t length = (uint8_t)(1 + any_u8 % J2A_TRANSD_MAX_TOPIC);
+    //@ split index;
+    //@ split item;
+    //@ split length;
+    forget_bytes(value + sizeof value - length, length);
+    (void)j2a_write_item(&j2a_transducers[index], item, value + sizeof value - length, length);
+}
+
+/* A setting that is to be kept: no more is written than there is room for. */
+static void gather(void) {
+    uint8_t record[J2A_TRANSD_MAX_TOPIC];
+    uint8_t index = any_u8 % ALL;
+    uint8_t item = any_setting();
+    uint8_t *at;
+    uint8_t room;
+    uint8_t length;
+    //@ split index;
+    //@ split item;
+    room = room_of(&j2a_transducers[index], item);
+    at = record + sizeof record - room;
+    length = j2a_read_item(&j2a_transducers[index], item, at);
+    //@ check length <= room;
+    (void)length;
+}
+
+void j2a_save_start(void) {
+    restore();
+}
+
+void j2a_save_turn(void) {
+}
+
+uint8_t j2a_save(const j2a_transducer *t, const uint8_t *value, uint8_t length) {
+    //@ check length > 0 && \initialized(value + (0 .. length - 1));
+    (void)t;
+    (void)value;
+    (void)length;
+    return any_bool ? 0 : J2A_TRANSD_BUSY;
+}
+
+uint8_t j2a_save_state(const j2a_transducer *t) {
+    (void)t;
+    return any_u8;
+}
+#endif
+
 /* ------------------------------------------------------------------------- calls ------ */
 
 static void sense(void) {
@@ -192,7 +288,7 @@ static void ask(void) {
     room[0] = id;
     room[1] = item;
     code = j2a_transd(&length, &payload);
-    //@ check code <= J2A_TRANSD_BAD_VALUE;
+    //@ check code <= (J2A_WITH_SAVE ? J2A_TRANSD_BUSY : J2A_TRANSD_BAD_VALUE);
     //@ check code == 0 || length == 0;
     //@ check payload == (uint8_t *)room && length <= J2A_ROOM;
     (void)code;
@@ -225,8 +321,17 @@ static void check_all(void) {
 }
 
 static void turn(void) {
+#if J2A_PORT_SHARES_ROOM
+    uint8_t room[J2A_ROOM]; /* nothing in it was written */
+    uint8_t is_free = any_bool;
+    //@ split is_free;
+    shared_room = is_free ? room : 0;
+#endif
     //@ split next;
     transds_process();
+#if J2A_PORT_SHARES_ROOM
+    shared_room = 0;
+#endif
     //@ check next <= ALL;
 }
 
@@ -244,6 +349,19 @@ int main(void) {
     case 2:
         ask();
         break;
+#if J2A_WITH_SYNC
+    case 3:
+        j2a_transds_move(j2a_port_time_us());
+        break;
+#endif
+#if J2A_WITH_SAVE
+    case 4:
+        restore();
+        break;
+    case 5:
+        gather();
+        break;
+#endif
     default:
         turn();
     }
