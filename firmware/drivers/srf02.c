@@ -1,6 +1,7 @@
 /* See srf02.h. Registers: 0 takes commands, 2 and 3 hold the range, the higher byte first. */
 #include "srf02.h"
 
+#include "triggered.h"
 #include "twi.h"
 #include "wait.h"
 
@@ -10,6 +11,7 @@ enum { TELLING, MEASURING, READING };
 static void (*callback)(uint8_t channel, uint32_t cm);
 static uint8_t phase;
 static uint8_t channel;
+static bool is_asked;     /* by srf02_trigger() */
 static bool is_under_way; /* the transfer of this channel */
 static wait_t begun;      /* it, or the measurement */
 static uint8_t bytes[2];
@@ -50,6 +52,11 @@ void srf02_task(void) {
         phase = READING;
     }
     if (!is_under_way) {
+        if (IS_TRIGGERED(srf02) && phase == TELLING && channel == 0) {
+            if (!is_asked)
+                return;
+            is_asked = false;
+        }
         begin();
         return;
     }
@@ -72,4 +79,9 @@ void srf02_task(void) {
         report();
         phase = TELLING;
     }
+}
+
+void srf02_trigger(void) {
+    is_asked = true;
+    srf02_task();
 }

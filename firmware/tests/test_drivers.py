@@ -10,6 +10,8 @@ import json
 import math
 import random
 import re
+import shutil
+import struct
 import subprocess
 from pathlib import Path
 
@@ -419,12 +421,21 @@ def test_a_value_is_that_of_its_sampling_moment(board):
     assert max(judged) - min(judged) > 400
 
 
-def clock_offset(board):
-    """The cycle at which the device's clock said 0, within 4 us, by the time of an edge."""
+def clock_offset(board, sensor=QUAD):
+    """The cycle at which the device's clock said 0, within 4 us, by the time of an edge.
+
+    With MISSES by that of two edges at once, which are no step; then the encoder stands as before.
+    """
     at = board.sim.cycle + 3000
-    board.pins.drive(board.chip.encoders[0], 1, at)
+    wires = board.chip.encoders[: 1 if sensor == QUAD else 2]
+    for wire in wires:
+        board.pins.drive(wire, 1, at)
     board.pause(0.002)
-    time_us, _ = board.sample(QUAD)[0]
+    time_us, _ = board.sample(sensor)[0]
+    if sensor == MISSES:
+        for wire in wires:
+            board.pins.drive(wire, 0)
+        board.pause(0.001)
     return at - time_us * US
 
 
@@ -611,6 +622,185 @@ def test_one_sif_in_a_turn_of_the_main_loop(build):
     assert order.count(ADC) >= 10
     assert board.ask("overruns", "H") == (0,)
     assert board.sim.counters.overruns == 0
+    board.sim.close()
+
+
+# -- triggered ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def triggered(make, need, tmp_path):
+    """Build a copy of an app in which these lines of transds.def have the key trigger."""
+    need("avr-gcc")
+
+    def build(app, *names, **variables):
+        copy = tmp_path / app
+        shutil.copytree(DRIVERS.parent / "apps" / app, copy)
+        text, count = re.subn(
+            rf"^(SENSOR\((?:{'|'.join(names)}),(?:[^,)]+,){{5}}[^,)]+)",
+            r"\1, (trigger)",
+            (copy / "transds.def").read_text("utf-8"),
+            flags=re.M,
+        )
+        assert count == len(names)
+        (copy / "transds.def").write_text(text, "utf-8")
+        variables |= {"PORT": "avr-serial", "BAUD": "500000"}
+        done = make(APP=app, APP_DIR=copy, OUT=tmp_path / "out", **variables)
+        assert done.returncode == 0, done.stderr
+        return tmp_path / "out" / f"{app}.elf"
+
+    return build
+
+
+# Microseconds. What a trigger is late by at most: a turn of the main loop in which no SIF is sent,
+# while edges interrupt it; with SyncUSB the core waits for the time. What a conversion takes at
+# most: 13 to 15 periods of the ADC's clock, its interrupt with a stamp, and what interrupts that.
+TURN_US = 700
+BOUNDS = {"": (TURN_US, 128), "-DJ2A_WITH_SYNC=1": (300, 220)}
+SAMPLED_US = 92  # before the end of its conversion, 11.5 periods
+
+
+def trigger_at(board, delay_us, *sensors):
+    """Trigger sensors at one time of the device, which is so far ahead; returns that time."""
+    (now_us,) = struct.unpack("<Q", board.transd(sensors[0], c.TRANSD_TIME).payload)
+    at_us = now_us + delay_us
+    for sensor in sensors:
+        reply = board.transd(sensor, c.TRANSD_TRIGGER, struct.pack("<Q", at_us))
+        assert (reply.opcode, reply.payload) == (0, b"")
+    return at_us
+
+
+def ramp(board, start, steps, cycles):
+    """Raise all inputs by one count each so many cycles; returns the count by cycle."""
+    for step in range(steps):
+        for channel in board.chip.analog:
+            volts = (step + 1) * 5 / 1024 + 0.001
+            board.sim.adc.set_volts(channel, volts, start + step * cycles)
+    return lambda cycle: 1 + (cycle - start) / cycles
+
+
+@pytest.mark.avr
+def test_nothing_is_measured_before_the_trigger(triggered):
+    """Edges, time and set counts are none; a trigger is one sample, of counts that went on."""
+    board = Board(triggered("sensors", "quad", "dist_ir", "adc"))
+    board.run_to(board.turn(0, 100, board.sim.cycle + 1000, 900))
+    board.set(QUAD_AT, 7, channel=1)
+    board.pause(0.2)
+    for sensor in (QUAD, DIST_IR, ADC):
+        assert {time_us for time_us, _ in board.sample(sensor)} == {0}
+    assert board.sim.adc.conversions == 0
+    assert board.sample(MISSES) == [(0, 0), (0, 0)]
+    trigger_at(board, 0, QUAD)
+    assert [count for _, count in board.sample(QUAD)] == [100, 7]
+    board.sim.close()
+
+
+@pytest.mark.avr
+@pytest.mark.parametrize("options", BOUNDS)
+@pytest.mark.parametrize("order", [(QUAD, DIST_IR, ADC), (ADC, DIST_IR, QUAD)])
+def test_sensors_triggered_at_one_time_measure_at_that_time(triggered, order, options):
+    """Each tells the moment by its value: an encoder counts steps, voltages rise.
+
+    Each begins within a turn of the main loop. There is one converter, so channel n of it is
+    n conversions behind, and both sensors at it take the same scan or one after the other.
+    """
+    board = Board(triggered("sensors", "quad", "dist_ir", "adc", OPTIONS=options))
+    board.quiet()  # the core sends the sample of one sensor before it starts the next one
+    offset = clock_offset(board, MISSES)
+    turn_us, conversion_us = BOUNDS[options]
+    for delay_us in (5000, 5111, 6789, 7001, 13133, 4321):
+        before = board.sim.adc.conversions
+        board.set(QUAD_AT, 0, 0)
+        start = board.sim.cycle + 1000
+        count_at = ramp(board, start, 600, 800)
+        end = board.turn(0, 300, start, 1600)
+        at_us = trigger_at(board, delay_us, *order)
+        board.run_to(end)
+        (quad_us, count), (other_us, none) = board.sample(QUAD)
+        assert 0 <= quad_us - at_us <= turn_us
+        assert none == 0
+        assert 0 <= other_us - quad_us <= 200  # a stamp, which takes its time with SyncUSB
+        assert count == pytest.approx(0.5 + (quad_us * US + offset - start) / 1600, abs=1)
+        for channel, (time_us, counts) in enumerate(board.sample(ADC)):
+            late_us = (channel + 1) * conversion_us
+            assert SAMPLED_US <= time_us - at_us <= turn_us + late_us
+            assert -turn_us <= time_us - quad_us <= turn_us + late_us
+            sampled = time_us * US + offset - SAMPLED_US * US
+            assert counts == pytest.approx(count_at(sampled), abs=1.5)
+        for time_us, _ in board.sample(DIST_IR):  # by a division behind its scan, in the main loop
+            assert 0 < time_us - at_us <= 2 * turn_us + 8 * conversion_us
+        assert board.sim.adc.conversions - before in {4, 8}
+    assert board.sim.log == ""
+    board.sim.close()
+
+
+@pytest.mark.avr
+def test_a_trigger_while_another_sensor_scans(triggered):
+    """A scan for distances may run when its time comes: then the one behind it counts, as a whole.
+
+    Scans for distances come each 40 ms and last 0.4 ms; triggers come at steps of 50 us around one.
+    """
+    board = Board(triggered("sensors", "adc"))
+    board.quiet()
+    offset = clock_offset(board)
+    for step in range(30):
+        scanned = board.sample(DIST_IR)[0][0]
+        while board.sample(DIST_IR)[0][0] == scanned:
+            board.pause(0.0005)
+        start = board.sim.cycle
+        count_at = ramp(board, start, 900, 1000)
+        at_us = board.sample(DIST_IR)[0][0] + 39_000 + 50 * step
+        before = board.sim.adc.conversions
+        assert board.transd(ADC, c.TRANSD_TRIGGER, struct.pack("<Q", at_us)).opcode == 0
+        board.run_to(start + 900 * 1000)
+        sample = board.sample(ADC)
+        for channel, (time_us, counts) in enumerate(sample):
+            assert time_us - SAMPLED_US >= at_us
+            assert time_us - sample[0][0] <= channel * 128
+            assert counts == pytest.approx(count_at((time_us - SAMPLED_US) * US + offset), abs=1.5)
+        assert board.sim.adc.conversions - before == 8
+    board.sim.close()
+
+
+@pytest.mark.avr
+def test_ultrasonic_sensors_and_encoders_triggered_at_one_time(triggered):
+    """An SRF02 is told by three bytes at 100 kHz, and the next one in the turn behind that.
+
+    Without a trigger none measures. A trigger while they measure is one more measurement.
+    """
+    dist_us = 2
+    board = Board(triggered("listing", "quad", "dist_us"))
+    twi, addresses = board.sim.twi, range(0x70, 0x7C)
+    for sensor in (QUAD, dist_us):
+        board.enable(sensor, on=False)
+    for number, address in enumerate(addresses):
+        twi.set_distance(address, 20 + 40 * number)
+
+    def seen():
+        return list(struct.iter_unpack("<QI", board.transd(dist_us, c.TRANSD_SAMPLE).payload))
+
+    board.pause(0.3)
+    assert seen() == [(0, 0)] * 12
+    assert {twi.measurements(address) for address in addresses} == {0}
+    board.pins.drive("PD2", 1)
+    trigger_at(board, 0, QUAD)
+    offset = board.sim.cycle - board.sample(QUAD)[0][0] * US  # 2 ms too much at most
+    at_us = trigger_at(board, 30_000, QUAD, dist_us)
+    due = at_us * US + offset
+    board.pins.drive("PD3", 1, due - 4000 * US)
+    board.pins.drive("PD2", 0, due + 4000 * US)
+    for count, address in enumerate(addresses, 1):
+        while twi.measurements(address) == 0:
+            board.sim.run(160)
+        assert -2000 <= (board.sim.cycle - due) / US <= TURN_US + 450 * count
+    board.pause(0.05)
+    trigger_at(board, 0, dist_us)
+    board.pause(0.3)
+    assert {twi.measurements(address) for address in addresses} == {2}
+    assert [cm for _, cm in seen()] == [20 + 40 * number for number in range(12)]
+    (one_us, one), (other_us, other) = board.sample(QUAD)
+    assert (one, other) == (2, 0)
+    assert 0 <= one_us - at_us <= other_us - at_us <= TURN_US
     board.sim.close()
 
 

@@ -9,6 +9,7 @@
 
 #include "j2a_port.h"
 #include "pins.h"
+#include "triggered.h"
 
 #ifdef ADC_INPUTS
 static const uint8_t PROGMEM inputs[ADC_COUNT] = ADC_INPUTS;
@@ -16,6 +17,9 @@ static uint16_t values[ADC_COUNT];
 static volatile bool busy;
 static volatile uint8_t scans; /* that are over */
 static uint8_t channel; /* that is being converted */
+static bool is_next;    /* another scan follows */
+static bool is_asked;   /* by adc_trigger(): the next scan to end its first conversion is for the callback ... */
+static bool is_told;    /* ... which gets it */
 static void (*callback)(uint8_t channel, uint16_t value);
 
 #define CONTROL (_BV(ADEN) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0)) /* F_CPU / 128 */
@@ -32,7 +36,11 @@ ISR(ADC_vect, ISR_NOBLOCK) {
     const uint8_t done = channel;
     const uint16_t value = ADC;
     values[done] = value;
-    if (callback)
+    if (IS_TRIGGERED(adc) && done == 0) {
+        is_told = is_asked;
+        is_asked = false;
+    }
+    if (callback && (!IS_TRIGGERED(adc) || is_told))
         callback(done, value);
     cli();
     if (done + 1 < ADC_COUNT) {
@@ -40,6 +48,11 @@ ISR(ADC_vect, ISR_NOBLOCK) {
     } else {
         busy = false;
         scans++;
+        if ((IS_TRIGGERED(adc) || IS_TRIGGERED(sharp)) && is_next) {
+            is_next = false;
+            busy = true;
+            convert(0);
+        }
     }
 }
 
@@ -62,7 +75,7 @@ void adc_set_cb(void (*new_value)(uint8_t channel, uint16_t value)) {
 
 void adc_task(void) {
     static uint16_t since;
-    if ((uint16_t)(j2a_port_ticks() - since) >= ADC_PERIOD_MS * J2A_TICKS_PER_MS) {
+    if (!IS_TRIGGERED(adc) && (uint16_t)(j2a_port_ticks() - since) >= ADC_PERIOD_MS * J2A_TICKS_PER_MS) {
         since = j2a_port_ticks();
         adc_start();
     }
@@ -74,6 +87,26 @@ void adc_start(void) {
             busy = true;
             convert(0);
         }
+    }
+}
+
+uint8_t adc_scan(void) {
+    uint8_t over;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        over = (uint8_t)(scans + 1);
+        if (busy && channel != 0) {
+            is_next = true;
+            over++;
+        }
+        adc_start();
+    }
+    return over;
+}
+
+void adc_trigger(void) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        is_asked = true;
+        (void)adc_scan();
     }
 }
 

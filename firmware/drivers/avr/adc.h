@@ -3,7 +3,8 @@
  * Rules: adc_start() begins a scan, one conversion for each input in turn; the conversions' interrupts do the
  * rest, 104 us each at 16 MHz (13 periods of the ADC's clock, which is F_CPU / 128). The callback runs in
  * the interrupt, with other interrupts on, and the next conversion waits for it. A value is as it
- * was 12 us after its conversion began. Several may begin scans: a scan has values for all. */
+ * was 12 us after its conversion began. Several may begin scans: a scan has values for all. With the key trigger the
+ * callback gets one scan for each adc_trigger(), and nothing else begins one but the driver of another sensor. */
 #ifndef ADC_H
 #define ADC_H
 
@@ -17,8 +18,15 @@ void adc_init(void);
 /* The callback for new values, NULL for none. Called by the interrupt. */
 void adc_set_cb(void (*new_value)(uint8_t channel, uint16_t value));
 
-/* Begins a scan each ADC_PERIOD_MS. Called in each turn of the main loop. */
+/* Begins a scan each ADC_PERIOD_MS, unless it is triggered. Called in each turn of the main loop. */
 void adc_task(void);
+
+/* Measures once. Called from the main context, as all of the rest but adc_start(). */
+void adc_trigger(void);
+
+/* Begins a scan. One that is running counts if its first conversion is, else another one follows it. Returns what
+ * adc_scans() is when it is over. */
+uint8_t adc_scan(void);
 
 /* Begins a scan, unless one is running. May be called by an interrupt. */
 void adc_start(void);

@@ -8,6 +8,7 @@
 
 #include "pins.h"
 #include "quadrature.h"
+#include "triggered.h"
 
 static int16_t values[QUAD_COUNT];
 static uint16_t misses[QUAD_COUNT];
@@ -44,7 +45,7 @@ static inline __attribute__((always_inline)) void step(uint8_t channel, uint8_t 
     } else {
         const int16_t value = values[channel] + steps;
         values[channel] = value;
-        if (callback)
+        if (callback && !IS_TRIGGERED(quad))
             callback(channel, value);
     }
 }
@@ -84,6 +85,18 @@ void quad_misses_init(void) {
 void quad_misses_task(void) {
 }
 
+void quad_trigger(void) {
+    int16_t latched[QUAD_COUNT];
+    uint8_t channel;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+        for (channel = 0; channel < QUAD_COUNT; channel++)
+            latched[channel] = values[channel];
+    }
+    for (channel = 0; channel < QUAD_COUNT; channel++)
+        if (callback)
+            callback(channel, latched[channel]);
+}
+
 int16_t quad_get(uint8_t channel) {
     int16_t value;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
@@ -95,7 +108,7 @@ int16_t quad_get(uint8_t channel) {
 void quad_set(uint8_t channel, int16_t value) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         values[channel] = value;
-        if (callback)
+        if (callback && !IS_TRIGGERED(quad))
             callback(channel, value);
     }
 }

@@ -2,7 +2,7 @@
  * were illegal, with a call for each new count.
  * Rules: the count wraps at 16 bits. The callbacks run in the interrupt, or with interrupts off, and must be short. Edges
  * that come faster than the interrupt takes are lost; where both channels have changed in between, that is an illegal
- * transition, and the count stays as it was. */
+ * transition, and the count stays as it was. With the key trigger no step calls back, but quad_trigger(). */
 #ifndef QUAD_H
 #define QUAD_H
 
@@ -28,6 +28,9 @@ void quad_set_cb(void (*new_value)(uint8_t channel, int16_t value));
 
 /* The callback for the illegal transitions since the start, NULL for none. They stay at 65535. */
 void quad_misses_set_cb(void (*new_value)(uint8_t channel, uint16_t value));
+
+/* Calls back for both counts, which are of one moment. Called from the main context. */
+void quad_trigger(void);
 
 int16_t quad_get(uint8_t channel);
 
