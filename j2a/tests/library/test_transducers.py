@@ -943,6 +943,31 @@ class TestVirtualBoards:
                     assert None not in sensor.wait(PATIENCE_S).values
                 board.transducers["imu"].trigger()
 
+    def test_two_sensors_are_triggered_at_one_time(self):
+        """Neither measures before, and both once; each request would do so at a time of its own."""
+        lines = (
+            f"SENSOR({name}, {number}, {name}, X, {number + 1}, u8, none, (trigger))\n"
+            for number, name in enumerate(("near", "far"))
+        )
+        with VirtualBoard(read_transds("".join(lines))) as device, linked(device) as board:
+            near, far = (board.transducers[name] for name in ("near", "far"))
+            with near.samples() as of_near, far.samples() as of_far:
+                at_us = near.time_us() + 200_000
+                for sensor in (near, far):
+                    sensor.trigger(at_us)
+                assert near.time_us() < at_us
+                assert [one.time_us for sensor in (near, far) for one in sensor.read()] == [
+                    None
+                ] * 3
+                times = [
+                    time_us
+                    for samples in (of_near, of_far)
+                    for time_us in samples.wait(PATIENCE_S).times_us
+                ]
+                assert len(times) == 3
+                assert min(times) >= at_us
+                assert max(times) - min(times) < 100_000
+
     @pytest.mark.parametrize(
         ("kind", "na", "limits", "step"),
         [
