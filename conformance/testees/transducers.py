@@ -63,6 +63,7 @@ def device(clock: float | None = None) -> DemoDevice:
         clock=clock,
     )
     count = 0
+    is_set = False
 
     @made.function
     def stimulus(payload: bytes) -> None:
@@ -105,5 +106,12 @@ def device(clock: float | None = None) -> DemoDevice:
         nonlocal count
         count += 1
         made.sense("imu", 0, [(count, 0, 0), (0, 0, 0), (0, 0, 0)], raw=True)
+
+    @made.on_trigger("flag")
+    def turn() -> None:
+        nonlocal is_set
+        is_set = not is_set
+        made.sense("flag", 0, is_set)
+        made.sense("flag", 1, not is_set)
 
     return made

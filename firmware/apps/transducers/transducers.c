@@ -36,6 +36,16 @@ void imu_trigger(void) {
     imu_cb(0, &value);
 }
 
+#if TRANSDUCERS_NUMBERS
+/* Both channels, each time the other way round. */
+void flag_trigger(void) {
+    static bool is_set;
+    is_set = !is_set;
+    flag_cb(0, is_set);
+    flag_cb(1, !is_set);
+}
+#endif
+
 #define TAKER(prefix, type) \
     void prefix##_set(uint8_t channel, type value) { \
         (void)channel; \

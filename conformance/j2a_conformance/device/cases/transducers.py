@@ -9,7 +9,7 @@ import random
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import combinations
+from itertools import combinations, permutations
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -1630,7 +1630,7 @@ class Watchdog(_TransducerCase):
 
 
 class Trigger(_TransducerCase):
-    """Triggers sensors at once, at a time ahead, and anew before that."""
+    """Triggers sensors at once, at a time ahead, and anew before that, and several at one time."""
 
     ID = "transducers.trigger"
     EXPECTATION = "One sample each, not measured before its time; the later request replaces one."
@@ -1660,6 +1660,13 @@ class Trigger(_TransducerCase):
                     since = self._measured(board, one, since, due_us)
                     board.wait_until(now_us + _DUE_US + _LATER_US)
                     board.no_sif(one, since, "for a trigger that was replaced")
+        for pair in permutations(board.sensors("trigger"), 2):
+            with board.tuned(pair[0]), board.tuned(pair[1]):
+                since, due_us = board.seen, board.time_us() + _DUE_US
+                for one in pair:
+                    board.write(one, c.TRANSD_TRIGGER, _US.pack(due_us))
+                for one in pair:
+                    self._measured(board, one, since, due_us)
 
     @staticmethod
     def _measured(board: Board, one: oracle.Transducer, since: int, due_us: int) -> int:
