@@ -1,8 +1,8 @@
 /* Infrared distance sensors on the analog inputs of adc.h. In: their voltages. Out: a call for each with its millimetres,
  * each SHARP_PERIOD_MS, which is about how often they measure themselves; SHARP_OUT_OF_RANGE where they see nothing.
  * Rules: sharp_task() never waits, and is called in each turn of the main loop; the callback runs in it, because the
- * arithmetic divides. It begins its own scans; with the key trigger one for each sharp_trigger(), and no others. A chip without an ADC has nothing to measure with, so all that it ever says
- * is SHARP_OUT_OF_RANGE, once for each channel. */
+ * arithmetic divides. It begins its own scans; with the key trigger one for each sharp_trigger(), and no others. A chip
+ * without an ADC has nothing to measure with, so all that it ever says is SHARP_OUT_OF_RANGE, once for each channel. */
 #ifndef SHARP_SENSOR_H
 #define SHARP_SENSOR_H
 

@@ -25,8 +25,8 @@ void sharp_init(void) {
 void sharp_task(void) {
     if (is_scanning) {
         uint8_t channel;
-        if ((adc_scans() == scans) != IS_TRIGGERED(sharp))
-            return;
+        if (IS_TRIGGERED(sharp) ? (int8_t)(adc_scans() - scans) < 0 : adc_scans() == scans)
+            return; /* another sensor's scans may have followed since */
         is_scanning = false;
         for (channel = 0; channel < ADC_COUNT; channel++)
             if (callback)
