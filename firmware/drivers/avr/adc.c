@@ -17,8 +17,9 @@ static uint16_t values[ADC_COUNT];
 static volatile bool busy;
 static volatile uint8_t scans; /* that are over */
 static uint8_t channel; /* that is being converted */
+static bool is_new;     /* the scan that runs was begun by a trigger */
 static bool is_next;    /* another scan follows */
-static bool is_asked;   /* by adc_trigger(): the next scan to end its first conversion is for the callback ... */
+static bool is_asked;   /* by adc_trigger(): the next scan to begin is for the callback ... */
 static bool is_told;    /* ... which gets it */
 static void (*callback)(uint8_t channel, uint16_t value);
 
@@ -30,16 +31,22 @@ static inline void convert(uint8_t which) {
     ADCSRA = CONTROL | _BV(ADSC);
 }
 
+static inline void scan(void) {
+    if (IS_TRIGGERED(adc) || IS_TRIGGERED(sharp)) {
+        is_new = false;
+        is_told = is_asked;
+        is_asked = false;
+    }
+    busy = true;
+    convert(0);
+}
+
 /* Other interrupts may come in between, above all the receiver's. This one comes again only after the next
  * conversion, which therefore begins last, with interrupts off: so it never piles up on the stack. */
 ISR(ADC_vect, ISR_NOBLOCK) {
     const uint8_t done = channel;
     const uint16_t value = ADC;
     values[done] = value;
-    if (IS_TRIGGERED(adc) && done == 0) {
-        is_told = is_asked;
-        is_asked = false;
-    }
     if (callback && (!IS_TRIGGERED(adc) || is_told))
         callback(done, value);
     cli();
@@ -50,8 +57,7 @@ ISR(ADC_vect, ISR_NOBLOCK) {
         scans++;
         if ((IS_TRIGGERED(adc) || IS_TRIGGERED(sharp)) && is_next) {
             is_next = false;
-            busy = true;
-            convert(0);
+            scan();
         }
     }
 }
@@ -83,10 +89,8 @@ void adc_task(void) {
 
 void adc_start(void) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-        if (!busy) {
-            busy = true;
-            convert(0);
-        }
+        if (!busy)
+            scan();
     }
 }
 
@@ -94,11 +98,13 @@ uint8_t adc_scan(void) {
     uint8_t over;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         over = (uint8_t)(scans + 1);
-        if (busy && channel != 0) {
+        if (!busy) {
+            scan();
+            is_new = true;
+        } else if (!is_new || channel != 0) {
             is_next = true;
             over++;
         }
-        adc_start();
     }
     return over;
 }
@@ -107,6 +113,10 @@ void adc_trigger(void) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
         is_asked = true;
         (void)adc_scan();
+        if (!is_next) { /* it may have been begun for another sensor, at this time */
+            is_told = true;
+            is_asked = false;
+        }
     }
 }
 

@@ -24,8 +24,8 @@ void adc_task(void);
 /* Measures once. Called from the main context, as all of the rest but adc_start(). */
 void adc_trigger(void);
 
-/* Begins a scan. One that is running counts if its first conversion is, else another one follows it. Returns what
- * adc_scans() is when it is over. */
+/* Begins a scan. One that is running counts if this began it and its first conversion runs, else another one follows
+ * it. Returns what adc_scans() is when it is over. */
 uint8_t adc_scan(void);
 
 /* Begins a scan, unless one is running. May be called by an interrupt. */
