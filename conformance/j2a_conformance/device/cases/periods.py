@@ -15,13 +15,15 @@ from j2a_spec import transducers as oracle
 
 from j2a_conformance._judge import fail
 
-from .transducers import STIMULUS, Board, _TransducerCase, spread
+from .transducers import STIMULUS, Board, _TransducerCase, queued, spread
 
 _SHORT_US: Final = 25_000
 _LONG_US: Final = 70_000  # more than 16 bits
 _LONGEST_US: Final = 400_000
+_NEVER_US: Final = 0xFFFFFFFF
+_LATE: Final = ((2, 4), (6, 2), (8, 1))  # tenths of a period, and how many SIFs in a row
 _RATE: Final = 0.95  # the clock may run slower than the local time
-_IN_TIME: Final = 0.9
+_IN_TIME: Final = 0.94
 
 
 class _Due(_TransducerCase):
@@ -82,8 +84,8 @@ class _Due(_TransducerCase):
 
 
 class LatePeriod(_Due):
-    """Gives sensors a value when most of a period is over since it was due, and others behind it,
-    also where the sensor was disabled meanwhile.
+    """Gives sensors values late by some of a period, one and several in a row, and others behind
+    them, also where the sensor was disabled meanwhile or several values wait.
     """
 
     ID = "transducers.period-late"
@@ -91,23 +93,46 @@ class LatePeriod(_Due):
     REQUIREMENTS = ("J2A-TRANS-011",)
 
     def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
-        self._in_time(one, period_us, lambda us: self._late(board, one, us, bool(odd)))
+        for number, late in enumerate(_LATE):
+            is_disabled = (number + odd) % 2 == 1
+            attempt = partial(self._late, board, one, late, is_disabled)
+            self._in_time(one, period_us, attempt)
 
-    def _late(self, board: Board, one: oracle.Transducer, us: int, is_disabled: bool) -> bool:
+    def _late(
+        self,
+        board: Board,
+        one: oracle.Transducer,
+        late: tuple[int, int],
+        is_disabled: bool,
+        us: int,
+    ) -> bool:
+        tenths, count = late
         low_us, high_us = self._refer(board, one)
         self._period(board, one, us)
         if is_disabled:
             for enabled in (b"\0", b"\1"):
                 board.write(one, c.TRANSD_ENABLED, enabled)
-        board.wait_until(high_us + us * 8 // 5)
-        given_us = board.time_us()
-        late_us = self._send(board, one, 0)
+        for number in range(1, count + 1):
+            is_several = number == count and "queue" in one.attributes
+            if is_several:  # they wait, and are due with the next write of PERIOD
+                self._period(board, one, _NEVER_US)
+                since = board.seen
+                self._give(board, one, -1)
+                self._give(board, one)
+            board.wait_until(high_us + number * us + us * tenths // 10)
+            given_us = board.time_us()
+            if is_several:
+                self._period(board, one, us)
+                board.sif(one, since)
+                late_us = board.time_us()
+            else:
+                late_us = self._send(board, one, 0)
+            if late_us >= low_us + (number + 1) * us:
+                return False  # it may have been late by a period, which delays the next one
         second_us = self._send(board, one, -1)
         third_us = self._send(board, one, 0)
-        if late_us >= low_us + 2 * us:
-            return False  # it may have been late by a period, which delays the next one
-        self._not_before(one, second_us, low_us, 2 * us)
-        self._not_before(one, third_us, low_us, 3 * us)
+        self._not_before(one, second_us, low_us, (count + 1) * us)
+        self._not_before(one, third_us, low_us, (count + 2) * us)
         return second_us < given_us + us * _IN_TIME
 
 
@@ -119,13 +144,13 @@ class SilentPeriod(_Due):
     REQUIREMENTS = ("J2A-TRANS-011",)
 
     def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
-        for periods, is_disabled in ((2, odd == 0), (4, odd == 1)):
+        for tenths, is_disabled in ((21, odd == 0), (45, odd == 1), (25, False)):
             _, high_us = self._refer(board, one)
             self._period(board, one, period_us)
             if is_disabled:
                 board.write(one, c.TRANSD_ENABLED, b"\0")
                 self._give(board, one)
-            board.wait_until(high_us + periods * period_us + period_us // 2)
+            board.wait_until(high_us + period_us * tenths // 10)
             if is_disabled:
                 board.write(one, c.TRANSD_ENABLED, b"\1")
             given_us = board.time_us()
@@ -134,36 +159,106 @@ class SilentPeriod(_Due):
 
 
 class WrittenPeriod(_Due):
-    """Writes a longer and a shorter PERIOD while a value waits for the end of one."""
+    """Writes PERIOD and ENABLED in the middle of a period: longer, shorter and the same values."""
 
     ID = "transducers.period-written"
-    EXPECTATION = "It is sent when the new PERIOD is over, counted from the sample SIF before."
+    EXPECTATION = "A value is sent when PERIOD, as written last, is over since the SIF before."
     REQUIREMENTS = ("J2A-TRANS-011",)
 
     def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
-        for change in (self._longer, self._shorter):
+        for change in (
+            self._longer,
+            partial(self._waiting, is_same=True),
+            partial(self._waiting, is_same=False),
+            partial(self._between, item=c.TRANSD_PERIOD),
+            partial(self._between, item=c.TRANSD_ENABLED),
+            partial(self._between, item=None),
+        ):
             self._in_time(one, period_us, partial(change, board, one))
 
     def _longer(self, board: Board, one: oracle.Transducer, us: int) -> bool:
-        low_us, _ = self._refer(board, one)
-        since = board.seen
-        self._period(board, one, us)
-        self._give(board, one, -1)
-        self._period(board, one, 2 * us)
-        is_waiting = board.time_us() < low_us + us
-        board.sif(one, since)
-        self._not_before(one, board.time_us(), low_us, (1 + is_waiting) * us)
-        return is_waiting
-
-    def _shorter(self, board: Board, one: oracle.Transducer, us: int) -> bool:
         low_us, high_us = self._refer(board, one)
         since = board.seen
-        self._period(board, one, 4 * us)
+        self._period(board, one, us)
         self._give(board, one, -1)
         board.wait_until(high_us + us // 2)
         written_us = board.time_us()
+        self._period(board, one, 2 * us)
+        is_waiting = board.time_us() < low_us + us
+        board.sif(one, since)
+        begun_us = board.time_us()
+        self._not_before(one, begun_us, low_us, (1 + is_waiting) * us)
+        return is_waiting and begun_us < written_us + 2 * us * _IN_TIME
+
+    def _waiting(self, board: Board, one: oracle.Transducer, us: int, *, is_same: bool) -> bool:
+        """Write a shorter PERIOD, or the same one, while a value waits."""
+        begun = self._refer(board, one)
+        since = board.seen
+        self._period(board, one, us if is_same else _NEVER_US)
+        self._give(board, one, -1)
+        return self._in_middle(
+            board, one, us, begun, since, change=partial(self._period, board, one, us)
+        )
+
+    def _between(self, board: Board, one: oracle.Transducer, us: int, *, item: int | None) -> bool:
+        """Write PERIOD or ENABLED as 0 and back, or ENABLED as it is, and then give a value."""
+        begun = self._refer(board, one)
         self._period(board, one, us)
+        since = board.seen
+
+        def change() -> None:
+            if item == c.TRANSD_PERIOD:
+                self._period(board, one, 0)
+                self._period(board, one, us)
+            else:
+                for enabled in (b"\1",) if item is None else (b"\0", b"\1"):
+                    board.write(one, c.TRANSD_ENABLED, enabled)
+            self._give(board, one, -1)
+
+        return self._in_middle(board, one, us, begun, since, change=change)
+
+    def _in_middle(
+        self,
+        board: Board,
+        one: oracle.Transducer,
+        us: int,
+        begun: tuple[int, int],
+        since: int,
+        *,
+        change: Callable[[], None],
+    ) -> bool:
+        """Change something within the period; return whether the sample SIF comes in time."""
+        low_us, high_us = begun
+        board.wait_until(high_us + us // 2)
+        written_us = board.time_us()
+        change()
         board.sif(one, since)
         begun_us = board.time_us()
         self._not_before(one, begun_us, low_us, us)
         return begun_us < written_us + us * _IN_TIME
+
+
+class QueuedPeriod(_Due):
+    """Gives sensors with queue more values within a period than a sample SIF holds."""
+
+    ID = "transducers.period-queue"
+    EXPECTATION = "The sample SIF with the rest comes a period behind the one before."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
+        longest, size = board.peer.longest, board.size(one)
+        count = min(int(one.attributes.get("queue", 0)), (longest - 1) // (1 + size))
+        if count <= (longest - 2) // (9 + size):
+            return
+        low_us, _ = self._refer(board, one)
+        since = board.seen
+        self._period(board, one, period_us)
+        board.stimulate(one, *((0, board.value(one)) for _ in range(count)))
+        index, payload = board.sif(one, since)
+        left = count - len(queued(board, one, payload))
+        for number in range(2, 2 + count):
+            if not left:
+                break
+            index, payload = board.sif(one, index + 1)
+            self._not_before(one, board.time_us(), low_us, number * period_us)
+            left -= len(queued(board, one, payload))

@@ -41,6 +41,7 @@ _SLACK_US: Final = 1_000_000  # a busy device, or a simulated one
 # Times that none of us will see, also for who takes them for fewer bits or for a sign.
 _FAR_US: Final = (1 << 62, (1 << 63) - 1, 1 << 63, (1 << 63) + 12345, (1 << 64) - 1)
 _BYTES: Final = (0x00, 0x01, 0x11, 0x12, 0x7C, 0x7D, 0x7F, 0x80, 0xEC, 0xED, 0xFF)
+_FAR_BITS: Final = (25, 33, 41, 49, 57)  # so much ahead of the clock: one in each byte
 _TRIES: Final = 100
 _WRAP: Final = 65536
 _MANY: Final = 600  # a number of one byte has wrapped
@@ -1630,7 +1631,9 @@ class Watchdog(_TransducerCase):
 
 
 class Trigger(_TransducerCase):
-    """Triggers sensors at once, at a time ahead, and anew before that, and several at one time."""
+    """Triggers sensors at once, at a time ahead, and anew before that, and several at one time;
+    reads and writes other items meanwhile, and triggers sensors that are disabled.
+    """
 
     ID = "transducers.trigger"
     EXPECTATION = "One sample each, not measured before its time; the later request replaces one."
@@ -1643,23 +1646,10 @@ class Trigger(_TransducerCase):
                     begin_us, since = board.time_us(), board.seen
                     board.write(one, c.TRANSD_TRIGGER, _US.pack(at_us))
                     self._measured(board, one, since, begin_us)
-                for later_us in (None, _DUE_US // 2, 2 * _DUE_US, 0):
-                    since, now_us = board.seen, board.time_us()
-                    for far_us in _FAR_US:
-                        board.write(one, c.TRANSD_TRIGGER, _US.pack(far_us))
-                    board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + _DUE_US))
-                    board.exchange(  # replaces nothing
-                        bytes((one.id, c.TRANSD_TRIGGER)) + bytes(7), c.TRANSD_BAD_LENGTH
-                    )
-                    if later_us is not None:
-                        board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + later_us))
-                    due_us = now_us + (_DUE_US if later_us is None else later_us)
-                    if board.time_us() >= now_us + _DUE_US:  # a stall: it was replaced too late
-                        board.wait_until(max(due_us, now_us + _DUE_US) + _LATER_US)
-                        continue
-                    since = self._measured(board, one, since, due_us)
-                    board.wait_until(now_us + _DUE_US + _LATER_US)
-                    board.no_sif(one, since, "for a trigger that was replaced")
+                for later_us in (None, _DUE_US // 2, 2 * _DUE_US, 0, -1):
+                    self._replaced(board, one, later_us)
+                if "queue" not in one.attributes:
+                    self._disabled(board, one)
         for pair in permutations(board.sensors("trigger"), 2):
             with board.tuned(pair[0]), board.tuned(pair[1]):
                 since, due_us = board.seen, board.time_us() + _DUE_US
@@ -1667,6 +1657,60 @@ class Trigger(_TransducerCase):
                     board.write(one, c.TRANSD_TRIGGER, _US.pack(due_us))
                 for one in pair:
                     self._measured(board, one, since, due_us)
+
+    def _replaced(self, board: Board, one: oracle.Transducer, later_us: int | None) -> None:
+        """Trigger for times far ahead, for a near one, and unless it is None for another one.
+
+        That is so long behind the begin; a negative one stands for the time 0.
+        """
+        since, now_us = board.seen, board.time_us()
+        for far_us in (*_FAR_US, *(now_us + (1 << bit) for bit in _FAR_BITS)):
+            board.write(one, c.TRANSD_TRIGGER, _US.pack(far_us))
+        board.write(one, c.TRANSD_TRIGGER, _US.pack(now_us + _DUE_US))
+        self._disturb(board, one)
+        due_us = now_us + _DUE_US
+        if later_us is not None:
+            at_us = 0 if later_us < 0 else now_us + later_us
+            board.write(one, c.TRANSD_TRIGGER, _US.pack(at_us))
+            due_us = max(at_us, now_us)
+        if board.time_us() >= now_us + _DUE_US:  # a stall: it was replaced too late
+            board.wait_until(max(due_us, now_us + _DUE_US) + _LATER_US)
+            return
+        since = self._measured(board, one, since, due_us)
+        board.wait_until(now_us + _DUE_US + _LATER_US)
+        board.no_sif(one, since, "for a trigger that was replaced")
+
+    @staticmethod
+    def _disturb(board: Board, one: oracle.Transducer) -> None:
+        """Have requests refused, and read and write other items, none of which is to matter."""
+        begin = bytes((one.id, c.TRANSD_TRIGGER))
+        for length in (1, 7, 9):
+            board.exchange(begin + bytes(length), c.TRANSD_BAD_LENGTH)
+        board.exchange(begin, c.TRANSD_NO_ITEM)
+        board.write(one, c.TRANSD_ENABLED, b"\0")
+        board.write(one, c.TRANSD_ENABLED, b"\1")
+        for item in range(_ITEMS):
+            if is_readable(board, one, item):
+                value = board.read(one, item)
+                if is_writable(board, one, item):
+                    board.write(one, item, value)
+
+    @staticmethod
+    def _disabled(board: Board, one: oracle.Transducer) -> None:
+        """Trigger a sensor that sends no sample SIFs: SAMPLE must show what it measures."""
+        board.write(one, c.TRANSD_ENABLED, b"\0")
+        for later_us in (0, _DUE_US):
+            due_us = board.time_us() + later_us
+            board.write(one, c.TRANSD_TRIGGER, _US.pack(due_us))
+            for _ in board.until(due_us + _SLACK_US):
+                sample = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+                if (time_us := max(time_us for time_us, _ in sample)) >= due_us:
+                    break
+            else:
+                fail(f"{one.name}, which was disabled, did not measure when it was triggered")
+            if time_us > due_us + _SLACK_US:
+                fail(f"{one.name} has measured at {time_us} us, due was {due_us} us")
+        board.write(one, c.TRANSD_ENABLED, b"\1")
 
     @staticmethod
     def _measured(board: Board, one: oracle.Transducer, since: int, due_us: int) -> int:
