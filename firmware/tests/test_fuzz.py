@@ -75,8 +75,8 @@ DEFECTS = {
     ),
     "a sample comes one microsecond too early": (
         "ext/j2a_transducers.c",
-        "local_us() - sensor->reference_us - sensor->period_us;",
-        "local_us() + 1 - sensor->reference_us - sensor->period_us;",
+        "|| late_us >> 63 != 0)",
+        "|| (late_us + 1) >> 63 != 0)",
         "--transducers",
     ),
     "samples that are late delay those behind them": (
