@@ -198,7 +198,7 @@ def test_what_cannot_be_exported(run, path, tmp_path):
     assert "is no MCAP file" in result.err
     result = run("export", path, path)
     assert result.code == 2
-    assert "File exists" in result.err
+    assert "drive.mcap is a file: name a folder" in result.err
     cut = tmp_path / "cut.mcap"
     with Recorder(cut) as recorder:
         recorder.add_board("cart", read_transds(FILE), url="sim:x", properties={})
