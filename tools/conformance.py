@@ -5,8 +5,8 @@ each in build/conformance, a matrix page over all of them, one line a testee, an
 all conform. Rules: three runs at a time, of different kinds as long as there are some: an emulator
 needs a core, on this machine a run waits most of the time, and simulated time is disturbed by
 nothing; a testee that cannot be built here fails. With `--sample` those of PARTS do their levels
-only, all but those of COMPLETE and the hosts leave out SWEEPS, and FURTHER is left to a run without
-it.
+only, all but those of COMPLETE and SWEEPING and the hosts leave out SWEEPS, and FURTHER is left to
+a run without it.
 """
 
 import argparse
@@ -31,10 +31,7 @@ CONFORM = [sys.executable, "-m", "j2a_conformance"]
 # but with another compiler, chip, port or option: they can differ in a kind of frame, a time or a
 # limit, but hardly in one of the thousand lengths and places that a sweep tries; what each sweep is
 # about has a shorter case, too, which all of them run.
-COMPLETE = (
-    *("posix", "avr-1m", "avr-usb", "python"),
-    *("transducers", "transducers-avr", "python-transducers"),
-)
+COMPLETE = ("posix", "avr-1m", "avr-usb", "python", "transducers")
 SWEEPS = (
     *("frame.interrupted-anywhere", "frame.lengths", "frame.pieces", "stuff.escape-ff-anywhere"),
     *("stuff.needless", "sum.every-length", "sif.every-length", "many.echo-lengths"),
@@ -63,6 +60,8 @@ PARTS = {
     "python-transducers": ("transducers",),
     "transducers-avr": ("transducers",),
 }
+# Of PARTS, the one of each kind of code that does the sweeps of its levels, too.
+SWEEPING = ("python-transducers", "transducers-avr")
 KINDS = ("simulated", "machine", "emulator")
 
 
@@ -79,10 +78,9 @@ def commands() -> dict[str, list[str]]:
 def sampled(name: str, arguments: list[str]) -> list[str]:
     """Return the arguments for a testee, without the sweeps where it is not one of COMPLETE.
 
-    One that names levels, itself or in PARTS, runs only their cases, and one of COMPLETE that is
-    not in PARTS is left as it is.
+    One that names levels, itself or in PARTS, runs only their cases, of SWEEPING all of them.
     """
-    if arguments[0] != "run" or (name in COMPLETE and name not in PARTS):
+    if arguments[0] != "run" or name in COMPLETE:
         return arguments
     testee = tomllib.loads(Path(arguments[1]).read_text("utf-8"))
     levels = PARTS.get(name) or testee.get("levels")
@@ -92,7 +90,7 @@ def sampled(name: str, arguments: list[str]) -> list[str]:
     ]
     if unknown := {*SWEEPS} - {case.ID for case in load()}:
         raise SystemExit(f"there is no case {', '.join(sorted(unknown))}")
-    left_out = () if name in COMPLETE else SWEEPS
+    left_out = () if name in SWEEPING else SWEEPS
     return [*arguments, "--case", *(case for case in every if case not in left_out)]
 
 

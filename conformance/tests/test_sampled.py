@@ -71,3 +71,5 @@ def test_sweeps_run_on_each_kind_of_code(left_out, name):
 
 def test_all_names_are_testees():
     assert {*tool.PARTS, *tool.COMPLETE} <= set(TESTEES)
+    assert not {*tool.PARTS} & {*tool.COMPLETE}
+    assert {*tool.SWEEPING} <= {*tool.PARTS}
