@@ -699,14 +699,17 @@ def test_nothing_is_measured_before_the_trigger(triggered):
 @pytest.mark.avr
 @pytest.mark.parametrize("options", BOUNDS)
 @pytest.mark.parametrize("order", [(QUAD, DIST_IR, ADC), (ADC, DIST_IR, QUAD)])
-def test_sensors_triggered_at_one_time_measure_at_that_time(triggered, order, options):
+@pytest.mark.parametrize("is_enabled", [False, True])
+def test_sensors_triggered_at_one_time_measure_at_that_time(triggered, order, options, is_enabled):
     """Each tells the moment by its value: an encoder counts steps, voltages rise.
 
-    Each begins within a turn of the main loop. There is one converter, so channel n of it is
-    n conversions behind, and both sensors at it take the same scan or one after the other.
+    Each begins within a turn of the main loop, before the sample SIF of one that began. There is
+    one converter, so channel n of it is n conversions behind, and both sensors at it take the same
+    scan or one after the other.
     """
     board = Board(triggered("sensors", "quad", "dist_ir", "adc", OPTIONS=options))
-    board.quiet()  # the core sends the sample of one sensor before it starts the next one
+    if not is_enabled:
+        board.quiet()
     offset = clock_offset(board, MISSES)
     turn_us, conversion_us = BOUNDS[options]
     for delay_us in (5000, 5111, 6789, 7001, 13133, 4321):
@@ -728,8 +731,10 @@ def test_sensors_triggered_at_one_time_measure_at_that_time(triggered, order, op
             assert -turn_us <= time_us - quad_us <= turn_us + late_us
             sampled = time_us * US + offset - SAMPLED_US * US
             assert counts == pytest.approx(count_at(sampled), abs=1.5)
-        for time_us, _ in board.sample(DIST_IR):  # by a division behind its scan, in the main loop
-            assert 0 < time_us - at_us <= 2 * turn_us + 8 * conversion_us
+        # By a division behind its scan, in the main loop, which may send a sample SIF before.
+        sent_us = 1500 if is_enabled else 0
+        for time_us, _ in board.sample(DIST_IR):
+            assert 0 < time_us - at_us <= 2 * turn_us + 8 * conversion_us + sent_us
         assert board.sim.adc.conversions - before in {4, 8}
     assert board.sim.log == ""
     board.sim.close()

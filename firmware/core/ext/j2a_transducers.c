@@ -15,6 +15,7 @@ bool j2a_is_heard;
 
 static uint32_t heard_ms;
 static uint8_t next; /* the transducer whose turn it is to be sent */
+static bool has_orders; /* SET or TRIGGER may wait for its time */
 
 static void load(j2a_transducer *to, uint8_t index) {
     j2a_flash_load(to, &j2a_transducers[index], sizeof *to);
@@ -329,15 +330,21 @@ static void set(const j2a_transducer *t, uint8_t channel, const uint8_t *value) 
     write_value(write_time(slot, now_us()), value, t->size);
 }
 
-static void set_due(const j2a_transducer *t) {
+/* Returns whether it set a channel. */
+static bool set_due(const j2a_transducer *t) {
+    bool has_set = false;
     uint8_t channel;
     for (channel = 0; channel < t->channels; channel++) {
         j2a_due *const waiting = &t->waiting[channel];
         if (waiting->waits && is_due(waiting->due_us)) {
             waiting->waits = false;
             set(t, channel, t->values + channel * t->size);
+            has_set = true;
         }
+        if (waiting->waits)
+            has_orders = true;
     }
+    return has_set;
 }
 
 static void set_safe(const j2a_transducer *t) {
@@ -415,6 +422,7 @@ static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8
     if (first >= t->channels || count > t->channels - first || !are_in_range(t, value, count))
         return J2A_TRANSD_BAD_VALUE;
     due_us = j2a_get_u64(bytes + 1);
+    has_orders = true;
     for (; count != 0; count--, value += t->size) {
         const uint8_t channel = (uint8_t)(first + (length - 1 - J2A_TIME_BYTES) / t->size - count);
         j2a_due *const waiting = &t->waiting[channel];
@@ -433,10 +441,14 @@ static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8
 void j2a_turn(uint8_t *payload) {
     const uint32_t now_ms = (uint32_t)(j2a_port_time_us() / 1000);
     bool has_sent = !payload;
+    /* Orders go before a sample SIF, which takes the link its time: so many more transducers are looked at for them. Each
+     * one that is due begins another round, because others of the same time were perhaps not due yet. */
+    uint8_t ordering = has_orders ? j2a_transducer_count : 0;
     j2a_transducer t;
     uint8_t index;
     uint8_t left;
 
+    has_orders = false;
     if (j2a_is_heard) {
         j2a_is_heard = false;
         heard_ms = now_ms;
@@ -446,18 +458,29 @@ void j2a_turn(uint8_t *payload) {
 #endif
     /* Once around, from the transducer whose turn it is. */
     index = next;
-    for (left = j2a_transducer_count; left != 0; left--) {
+    left = j2a_transducer_count;
+    while (left != 0) {
         if (index >= j2a_transducer_count)
             index = 0;
         load(&t, index++);
-        if (t.trigger && t.trigger->waits && is_due(t.trigger->due_us)) {
-            t.trigger->waits = false;
-            t.start();
+        if (t.trigger && t.trigger->waits) {
+            if (is_due(t.trigger->due_us)) {
+                t.trigger->waits = false;
+                t.start();
+                ordering = j2a_transducer_count;
+            } else {
+                has_orders = true;
+            }
         }
         if (t.watchdog)
             watch(&t, now_ms);
-        if (t.waiting)
-            set_due(&t);
+        if (t.waiting && set_due(&t))
+            ordering = j2a_transducer_count;
+        if (ordering != 0) {
+            ordering--;
+            continue;
+        }
+        left--;
         if (!has_sent && t.sensor && report(&t, payload)) {
             has_sent = true;
             next = index;
@@ -638,6 +661,7 @@ static uint8_t write_item(const j2a_transducer *t, uint8_t item, const uint8_t *
     case J2A_TRANSD_SET:
         return set_channels(t, value, length);
     default: /* TRIGGER */
+        has_orders = true;
         t->trigger->due_us = j2a_get_u64(value);
         t->trigger->waits = t->trigger->due_us > clock_us();
         if (!t->trigger->waits)
