@@ -2,7 +2,9 @@
 
 All times are those of the device's clock. TIME is read when a sample SIF has come, so the SIF began
 before: if the time is too early, so was the SIF; if it is late, only the reading may be. A SIF that
-must not be late is therefore tried with longer and longer periods, until it is in time.
+must not be late is therefore tried several times, with longer periods, until it is in time. A
+device may break the rule only where a period takes 16 bits, or more, so a period of 16 bits stays
+one unless the link is too slow for it.
 """
 
 import struct
@@ -19,7 +21,10 @@ from .transducers import STIMULUS, Board, _TransducerCase, queued, spread
 
 _SHORT_US: Final = 25_000
 _LONG_US: Final = 70_000  # more than 16 bits
+_LONGEST_SHORT_US: Final = 65_000  # 16 bits
 _LONGEST_US: Final = 400_000
+_TRIES: Final = 6
+_SLOW: Final = 8  # a link is, where giving a value takes more than one part of so many of a period
 _NEVER_US: Final = 0xFFFFFFFF
 _LATE: Final = ((2, 4), (6, 2), (8, 1))  # tenths of a period, and how many SIFs in a row
 _RATE: Final = 0.95  # the clock may run slower than the local time
@@ -43,12 +48,22 @@ class _Due(_TransducerCase):
         raise NotImplementedError
 
     @staticmethod
-    def _in_time(one: oracle.Transducer, period_us: int, attempt: Callable[[int], bool]) -> None:
-        """Fail where an attempt is in vain, however long the period is that it is given."""
-        while not attempt(period_us):
-            period_us *= 2
-            if period_us > _LONGEST_US:
-                fail(f"a sample SIF of {one.name} comes long after it was due", suspect=True)
+    def _in_time(
+        board: Board, one: oracle.Transducer, period_us: int, attempt: Callable[[int], bool]
+    ) -> None:
+        """Fail where all attempts are in vain, each with a longer period as far as it may be."""
+        is_short = period_us <= _LONGEST_SHORT_US and not _Due._is_slow(board, one)
+        for _ in range(_TRIES):
+            if attempt(period_us):
+                return
+            period_us = min(2 * period_us, _LONGEST_SHORT_US if is_short else _LONGEST_US)
+        fail(f"a sample SIF of {one.name} comes long after it was due", suspect=True)
+
+    @staticmethod
+    def _is_slow(board: Board, one: oracle.Transducer) -> bool:
+        """Whether no time is told soon enough for short periods; a stall spoils only some."""
+        spans_us = (high - low for low, high in (_Due._refer(board, one) for _ in range(_TRIES)))
+        return all(span_us > _LONGEST_SHORT_US // _SLOW for span_us in spans_us)
 
     @staticmethod
     def _refer(board: Board, one: oracle.Transducer) -> tuple[int, int]:
@@ -96,7 +111,7 @@ class LatePeriod(_Due):
         for number, late in enumerate(_LATE):
             is_disabled = (number + odd) % 2 == 1
             attempt = partial(self._late, board, one, late, is_disabled)
-            self._in_time(one, period_us, attempt)
+            self._in_time(board, one, period_us, attempt)
 
     def _late(
         self,
@@ -174,7 +189,7 @@ class WrittenPeriod(_Due):
             partial(self._between, item=c.TRANSD_ENABLED),
             partial(self._between, item=None),
         ):
-            self._in_time(one, period_us, partial(change, board, one))
+            self._in_time(board, one, period_us, partial(change, board, one))
 
     def _longer(self, board: Board, one: oracle.Transducer, us: int) -> bool:
         low_us, high_us = self._refer(board, one)

@@ -1059,6 +1059,7 @@ class Period(_TransducerCase):
     def _sensor(board: Board, one: oracle.Transducer, channel: int, period_s: float) -> None:
         link = board.peer.link
         board.write(one, c.TRANSD_PERIOD, bytes(4))
+        board.peer.settle()  # a value of the attempt before may have waited
         since = board.seen
         board.stimulate(one, (channel, board.value(one)))
         first, _ = board.sif(one, since)
