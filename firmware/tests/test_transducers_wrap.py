@@ -4,6 +4,7 @@ The device starts shortly before such a time, at it and behind it; what it does 
 that passes, and never on the number that the counter shows (J2A-TRANS-007, 011, 016 to 018).
 """
 
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -126,6 +127,27 @@ def test_lateness_is_not_added_up_where_it_is_less_than_a_period(device, sensor,
     assert is_sent(first + 4 * period_us)  # late by a whole one
     assert not is_sent(first + 5 * period_us - 1)
     assert is_sent(first + 5 * period_us)
+
+
+@pytest.mark.requirement("J2A-TRANS-011")
+@pytest.mark.parametrize("period_us", [1, 1000, 65_536, (1 << 24) + 1, 1 << 31, (1 << 32) - 1])
+@pytest.mark.parametrize("sensor", [NEWEST, QUEUED])
+def test_all_bits_of_the_lateness_count(device, sensor, period_us):
+    device.item(sensor, c.TRANSD_PERIOD, period_us.to_bytes(4, "little"))
+    device.sense(sensor, 1)
+    assert device.turn()
+    reference = device.now
+    for bits, more_us in product((16, 24, 31, 32), (-1, 0, 1, 999, period_us)):
+        late_us = (1 << bits) + more_us
+        begun = reference + period_us + late_us
+        device.sense(sensor, 1)
+        assert device.turn(begun)
+        due = (begun if late_us >= period_us else reference + period_us) + period_us
+        device.sense(sensor, 1)
+        assert not device.turn(begun)
+        assert not device.turn(due - 1)
+        assert device.turn(due)
+        reference = due
 
 
 @pytest.mark.requirement("J2A-TRANS-017")
