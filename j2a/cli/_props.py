@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 
-from j2a_spec.nearest import did_you_mean
+from j2a_spec.nearest import nearest_or_all
 
 from j2a.cli._exit import OK, UsageError
 from j2a.cli._info import columns
@@ -28,9 +28,8 @@ def run(args: argparse.Namespace) -> int:
         properties = client.properties
     if args.key is not None:
         if args.key not in properties:
-            has = f"it has: {', '.join(properties)}" if properties else "it has none"
-            has = did_you_mean(args.key, properties) or has
-            raise UsageError(f"the device has no property {args.key!r}; {has}")
+            hint = nearest_or_all(args.key, properties) if properties else "it has none"
+            raise UsageError(f"the device has no property {args.key!r}; {hint}")
         (show_json if args.json else show)(properties[args.key])
         return OK
     if args.json:

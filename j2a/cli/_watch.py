@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
-from j2a_spec.nearest import did_you_mean
+from j2a_spec.nearest import nearest_or_all
 
 import j2a
 from j2a.cli._exit import (
@@ -342,9 +342,7 @@ def _opcodes_of(
     known = dict(sensors) | {shape.name: opcode for opcode, (shape, _) in shapes.items()}
     for name in wanted:
         if isinstance(name, str) and name not in known:
-            hint = did_you_mean(name, known) or (
-                f"it has: {', '.join(known) or 'none'}; give its opcode, 0..255"
-            )
+            hint = nearest_or_all(name, known, advice="; give its opcode, 0..255")
             raise UsageError(f"the device describes no SIF or sensor {name!r}; {hint}")
     return [known[one] if isinstance(one, str) else one for one in wanted] or None
 

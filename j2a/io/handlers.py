@@ -14,7 +14,7 @@ from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
-from j2a_spec.nearest import did_you_mean
+from j2a_spec.nearest import nearest_or_all
 
 from j2a.errors import J2AError, LocalError
 from j2a.events import Sif
@@ -58,10 +58,7 @@ class NamedSif:
 
     def __init__(self, device: DeviceInfo, name: str) -> None:
         if name not in device.sifs:
-            known = ", ".join(device.sifs) or "none"
-            hint = did_you_mean(name, device.sifs) or (
-                f"it has: {known}; take one by its opcode, 0..255"
-            )
+            hint = nearest_or_all(name, device.sifs, advice="; take one by its opcode, 0..255")
             raise LocalError(f"the device describes no SIF {name!r}; {hint}")
         self._name = name
         self._device = device

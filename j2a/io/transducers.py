@@ -12,7 +12,7 @@ from numbers import Integral, Real
 from typing import Any, Final, TypeVar
 
 from j2a_spec import constants as c
-from j2a_spec.nearest import did_you_mean
+from j2a_spec.nearest import nearest_or_all
 
 from j2a.errors import (
     BatchTimeout,
@@ -363,8 +363,7 @@ class Transducers(Mapping[str, _TransducerT]):
             return found
         if not self._made:
             raise UnknownTransducer(f"there is no transducer {name!r}: {self.why}")
-        hint = did_you_mean(str(name), self._made, most=3, cutoff=0.5)
-        hint = hint or f"it has: {', '.join(self._made)}"
+        hint = nearest_or_all(str(name), self._made, most=3, cutoff=0.5)
         raise UnknownTransducer(f"the device has no transducer {name!r}; {hint}")
 
     def __iter__(self) -> Iterator[str]:

@@ -28,7 +28,7 @@ from j2a_spec.constants import (
     RET_OK,
     SPEC_VERSION,
 )
-from j2a_spec.nearest import did_you_mean
+from j2a_spec.nearest import nearest_or_all
 
 from j2a.errors import (
     DeviceRestarted,
@@ -167,8 +167,7 @@ class DeviceInfo:
             raise UnknownFunction(
                 f"the device cannot be asked for {function!r}: {self._no_map}; call it by opcode"
             )
-        hint = did_you_mean(function, known, most=3, cutoff=0.5)
-        hint = hint or f"it has: {', '.join(known)}"
+        hint = nearest_or_all(function, known, most=3, cutoff=0.5)
         raise UnknownFunction(f"the device has no function {function!r}; {hint}")
 
     def missing(self, function: str) -> UnknownFunction:
