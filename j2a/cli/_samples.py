@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections import defaultdict, deque
+from collections import deque
 from itertools import pairwise
 from typing import Any, Final
 
@@ -22,7 +22,6 @@ from j2a.cli._typed import json_of, plain
 __all__ = [
     "LAST",
     "Facts",
-    "LastRates",
     "Rates",
     "last_text",
     "rate_head",
@@ -152,9 +151,14 @@ class _Rate:
 
 
 class Rates:
-    """How regularly the samples of each sensor come."""
+    """How regularly the samples of each sensor come.
 
-    def __init__(self) -> None:
+    Args:
+        last: so many last samples of each are counted; None: all.
+    """
+
+    def __init__(self, last: int | None = None) -> None:
+        self._last = last
         self._rates: dict[str, _Rate] = {}
 
     def add(
@@ -173,34 +177,19 @@ class Rates:
             error_us: bound of the error of its `host_us`.
             is_doubted: the clock of the board was asked, and does not run as expected.
         """
-        rate = self._rates.setdefault(sample.name, _Rate())
+        rate = self._rates.setdefault(sample.name, _Rate(self._last))
         rate.add(sample, came_us, error_us, is_doubted=is_doubted)
+
+    def facts(self, name: str) -> Facts:
+        """Return what is seen now of a sensor, of which a sample was taken."""
+        rate = self._rates[name]
+        return rate.facts(is_relative=rate.is_relative)
 
     def take(self) -> dict[str, Facts]:
         """Return for each sensor what was seen of it since the last time; a new span begins."""
-        rates, self._rates = self._rates, {name: _Rate() for name in self._rates}
+        rates, self._rates = self._rates, {name: _Rate(self._last) for name in self._rates}
         is_relative = any(rate.is_relative for rate in rates.values())
         return {name: rate.facts(is_relative=is_relative) for name, rate in rates.items()}
-
-
-class LastRates:
-    """How regularly the last samples of each sensor came."""
-
-    def __init__(self) -> None:
-        self._rates: defaultdict[str, _Rate] = defaultdict(lambda: _Rate(LAST))
-
-    def add(
-        self,
-        sample: j2a.Sample,
-        came_us: float,
-        error_us: float = 0.0,
-        *,
-        is_doubted: bool = False,
-    ) -> Facts:
-        """Take a sample, as `Rates.add`; returns what is seen now of its sensor."""
-        rate = self._rates[sample.name]
-        rate.add(sample, came_us, error_us, is_doubted=is_doubted)
-        return rate.facts(is_relative=rate.is_relative)
 
 
 def last_text(facts: Facts) -> str:

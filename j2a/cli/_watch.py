@@ -44,7 +44,6 @@ from j2a.cli._output import note, show, show_json
 from j2a.cli._samples import (
     LAST,
     Facts,
-    LastRates,
     Rates,
     last_text,
     rate_head,
@@ -110,10 +109,10 @@ class _Arrivals:
             client.clock.measure(1)  # now, for the first samples
             client.clock.follow(_RATES_S)  # ends with the client
 
-    def add_to(self, rates: LastRates | _RateTable, sample: j2a.Sample) -> Facts | None:
-        """Let the rates take a sample; returns what they do."""
+    def add_to(self, rates: Rates, sample: j2a.Sample) -> None:
+        """Let the rates take a sample."""
         error_us, is_doubted = self._doubts()
-        return rates.add(sample, self._came_us(sample), error_us, is_doubted=is_doubted)
+        rates.add(sample, self._came_us(sample), error_us, is_doubted=is_doubted)
 
     def _came_us(self, sample: j2a.Sample) -> float:
         """Return when a sample came, in microseconds since 1970; it may have waited for long."""
@@ -129,24 +128,18 @@ class _Arrivals:
 
     def _doubts(self) -> tuple[float, bool]:
         """Return the bound of the error of `host_us` now, and whether the clock is in doubt."""
-        estimator = self._clock._discipline.estimator
-        estimate = estimator.estimate
-        if estimate is None:
-            return 0.0, estimator.newest is not None
-        return self._clock._uncertainty_us(estimate), False
+        bound_us = self._clock.known_bound_us
+        return (0.0, True) if bound_us == math.inf else (bound_us or 0.0, False)
 
 
 class _RateTable:
     """What `--rates` shows."""
 
-    def __init__(self, client: j2a.Client, args: argparse.Namespace) -> None:
-        self._rates = Rates()
+    def __init__(self, rates: Rates, client: j2a.Client, args: argparse.Namespace) -> None:
+        self._rates = rates
         self._now = client.now
         self._due = self._now() + _RATES_S
         self._as_json = args.json
-
-    def add(self, sample: j2a.Sample, came_us: float, error_us: float, *, is_doubted: bool) -> None:
-        self._rates.add(sample, came_us, error_us, is_doubted=is_doubted)
 
     def show_if_due(self) -> None:
         if self._now() >= self._due:
@@ -247,7 +240,7 @@ def _watch(
     opcodes = _opcodes_of(wanted, shapes, sensors)
     asks = any(opcodes is None or opcode in opcodes for opcode in sensors.values())
     arrivals = _Arrivals(client, asks=asks)
-    last = LastRates()
+    rates = Rates(None if args.rates else LAST)
     left_out = 0
 
     def take(sif: j2a.Sif) -> None:
@@ -261,11 +254,11 @@ def _watch(
     _call_each(client, first)
     end = math.inf if args.duration is None else client.now() + args.duration
     seen = 0
-    rates = _RateTable(client, args) if args.rates else None
+    table = _RateTable(rates, client, args) if args.rates else None
     while args.count is None or seen < args.count:
         left_s = min(_LOOK_S, end - client.now())
-        if rates is not None:
-            rates.show_if_due()
+        if table is not None:
+            table.show_if_due()
         try:
             one = arrived.get(timeout=max(left_s, 0.0))
         except queue.Empty:
@@ -277,13 +270,13 @@ def _watch(
         if one.came_at > end:  # simulated time may run faster than that of this machine
             break
         seen += 1
-        figures = None
         if one.sample is not None:
-            figures = arrivals.add_to(rates or last, one.sample)
-        if rates is None:
+            arrivals.add_to(rates, one.sample)
+        if table is None:
+            figures = None if one.sample is None else rates.facts(one.sample.name)
             _print(one, figures, shapes, args)
-    if rates is not None:
-        rates.show()
+    if table is not None:
+        table.show()
     if left_out:
         note(f"j2a: {left_out} SIFs were left out: whoever reads the output is too slow")
     if args.count is not None and seen < args.count:

@@ -9,6 +9,7 @@ the user has asked for that (J2A-CLOCK-024).
 """
 
 import logging
+import math
 import random
 import weakref
 from dataclasses import dataclass
@@ -171,6 +172,19 @@ class ClockBase:
     def uncertainty_us(self) -> float:
         """The bound of the error of `offset_us` and of `to_host` now, in microseconds."""
         return self.read().uncertainty_us
+
+    @property
+    def known_bound_us(self) -> float | None:
+        """The bound of the error of `Sample.host_us` now, in microseconds; asks nothing.
+
+        None where nothing is known of the clock; infinite while its newest times do not fit those
+        before, as those of a recording that is replayed faster.
+        """
+        estimator = self._discipline.estimator
+        estimate = estimator.estimate
+        if estimate is not None:
+            return self._uncertainty_us(estimate)
+        return None if estimator.newest is None else math.inf
 
     def _reading(self) -> ClockReading:
         estimate, status = self._estimate(), self._discipline.status

@@ -10,7 +10,6 @@ import j2a
 from j2a.cli import _watch
 from j2a.cli._samples import (
     LAST,
-    LastRates,
     Rates,
     last_text,
     rate_head,
@@ -72,11 +71,12 @@ def test_samples_and_how_regularly_they_come_are_one_view(run, board):
 
 
 def test_figures_of_a_line_are_of_the_last_samples():
-    last = LastRates()
+    last = Rates(LAST)
     for at in range(200):  # each 10 ms, then each 20 ms, with one gap
         ms = 10 * at if at < 100 else 1000 + 20 * (at - 100) + 500 * (at > 100)
         one = sample((0, 1000 * ms, 1, 1), host_time=ms / 1000 + 1, missed=at == 101)
-        facts = last.add(one, 0)
+        last.add(one, 0)
+    facts = last.facts("quad")
     assert (facts["samples"], facts["missed"]) == (LAST, 1)
     assert last_text(facts) == (
         "  [50.00/s, jitter 0.00 ms, rel. delay 0.00 ms, most 0.00 ms, missed 1]"
@@ -225,12 +225,12 @@ def test_delays_are_true_where_the_clock_is_known():
 
 def test_there_are_no_delays_where_the_clock_does_not_run_as_that_of_the_host():
     for is_doubted, host_us in ((True, None), (True, 1_000_000), (False, 1_003_000)):
-        rates, last = Rates(), LastRates()
+        rates, last = Rates(), Rates(LAST)
         for number in (1, 2):
             one = sample((0, 40_000 * number, 1, 1), host_us=host_us, host_time=5 + number / 100)
             rates.add(one, 1_000_500, 1_400, is_doubted=is_doubted)
-            facts = last.add(one, 1_000_500, 1_400, is_doubted=is_doubted)
-        assert last_text(facts) == "  [100.00/s]"
+            last.add(one, 1_000_500, 1_400, is_doubted=is_doubted)
+        assert last_text(last.facts(one.name)) == "  [100.00/s]"
         [(_, facts)] = rates.take().items()
         assert (facts["delay_ms"], facts["most_ms"], facts["is_relative"]) == (None, None, False)
 

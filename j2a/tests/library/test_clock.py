@@ -71,6 +71,20 @@ def test_a_clock_is_measured_when_it_is_looked_at(board, device):
     assert all(one[0] in (c.CLOCK_EXCHANGE, c.CLOCK_STATUS) for one in device.requests)
 
 
+def test_the_bound_that_is_known_is_told_without_asking(board, device):
+    assert board.clock.known_bound_us is None
+    assert not device.requests
+    board.clock.measure()
+    asked = len(device.requests)
+    assert 0 < board.clock.known_bound_us <= board.clock.uncertainty_us
+    assert len(device.requests) == asked
+    device._began_s -= 1.0  # faster than any counter runs
+    board.clock.exchange()
+    assert board.clock.known_bound_us == math.inf
+    board.clock.exchange()  # agrees with the one before
+    assert 0 < board.clock.known_bound_us < math.inf
+
+
 def test_times_are_converted_there_and_back(board, device):
     board.clock.measure()
     bound = board.clock.uncertainty_us
