@@ -182,38 +182,25 @@ class WrittenPeriod(_Due):
 
     def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
         for change in (
-            self._longer,
-            partial(self._waiting, is_same=True),
-            partial(self._waiting, is_same=False),
+            partial(self._waiting, first=1, then=2),
+            partial(self._waiting, first=1, then=1),
+            partial(self._waiting, first=_NEVER_US, then=1),
             partial(self._between, item=c.TRANSD_PERIOD),
             partial(self._between, item=c.TRANSD_ENABLED),
             partial(self._between, item=None),
         ):
             self._in_time(board, one, period_us, partial(change, board, one))
 
-    def _longer(self, board: Board, one: oracle.Transducer, us: int) -> bool:
-        low_us, high_us = self._refer(board, one)
-        since = board.seen
-        self._period(board, one, us)
-        self._give(board, one, -1)
-        board.wait_until(high_us + us // 2)
-        written_us = board.time_us()
-        self._period(board, one, 2 * us)
-        is_waiting = board.time_us() < low_us + us
-        board.sif(one, since)
-        begun_us = board.time_us()
-        self._not_before(one, begun_us, low_us, (1 + is_waiting) * us)
-        return is_waiting and begun_us < written_us + 2 * us * _IN_TIME
-
-    def _waiting(self, board: Board, one: oracle.Transducer, us: int, *, is_same: bool) -> bool:
-        """Write a shorter PERIOD, or the same one, while a value waits."""
+    def _waiting(
+        self, board: Board, one: oracle.Transducer, us: int, *, first: int, then: int
+    ) -> bool:
+        """Write PERIOD, and while a value waits again; both as multiples of a period."""
         begun = self._refer(board, one)
         since = board.seen
-        self._period(board, one, us if is_same else _NEVER_US)
+        self._period(board, one, min(first * us, _NEVER_US))
         self._give(board, one, -1)
-        return self._in_middle(
-            board, one, us, begun, since, change=partial(self._period, board, one, us)
-        )
+        change = partial(self._period, board, one, then * us)
+        return self._in_middle(board, one, us, begun, since, change=change, periods=then)
 
     def _between(self, board: Board, one: oracle.Transducer, us: int, *, item: int | None) -> bool:
         """Write PERIOD or ENABLED as 0 and back, or ENABLED as it is, and then give a value."""
@@ -241,16 +228,20 @@ class WrittenPeriod(_Due):
         since: int,
         *,
         change: Callable[[], None],
+        periods: int = 1,
     ) -> bool:
-        """Change something within the period; return whether the sample SIF comes in time."""
+        """Change something within the period; return whether that was in time, and so is the
+        sample SIF, so many periods behind the one before.
+        """
         low_us, high_us = begun
         board.wait_until(high_us + us // 2)
         written_us = board.time_us()
         change()
+        is_early = board.time_us() < low_us + us
         board.sif(one, since)
         begun_us = board.time_us()
-        self._not_before(one, begun_us, low_us, us)
-        return begun_us < written_us + us * _IN_TIME
+        self._not_before(one, begun_us, low_us, (periods if is_early else 1) * us)
+        return is_early and begun_us < written_us + periods * us * _IN_TIME
 
 
 class QueuedPeriod(_Due):
