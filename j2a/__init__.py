@@ -10,6 +10,9 @@ from j2a.client import Client, Function, connect
 from j2a.device import Device
 from j2a.errors import (
     BadUrl,
+    BatchClosed,
+    BatchError,
+    BatchLost,
     BatchTimeout,
     ByteTimeoutRefused,
     CallTimeout,
@@ -88,6 +91,9 @@ __all__ = [
     "AsyncSifStream",
     "BadUrl",
     "Batch",
+    "BatchClosed",
+    "BatchError",
+    "BatchLost",
     "BatchTimeout",
     "BoardChange",
     "ByteTimeoutRefused",

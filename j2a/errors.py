@@ -23,6 +23,9 @@ from j2a_spec.printable import printable
 
 __all__ = [
     "BadUrl",
+    "BatchClosed",
+    "BatchError",
+    "BatchLost",
     "BatchTimeout",
     "ByteTimeoutRefused",
     "CallTimeout",
@@ -237,14 +240,26 @@ class CallTimeout(J2AError, TimeoutError):
     """No reply came within the time limit of the call."""
 
 
-class BatchTimeout(CallTimeout):
-    """Too few samples of a batch came in time.
+class BatchError(J2AError):
+    """Too few samples of a batch came; base of the errors that say why.
 
     Attributes:
         batch: those that came, a `Batch` of 0 samples or more.
     """
 
     batch: Any = None
+
+
+class BatchTimeout(BatchError, CallTimeout):
+    """Too few samples of a batch came in time."""
+
+
+class BatchLost(BatchError, LinkLost):
+    """The link was lost before all samples of a batch came."""
+
+
+class BatchClosed(BatchError, LinkClosed):
+    """This program closed the link before all samples of a batch came."""
 
 
 class ProtocolError(J2AError):

@@ -11,7 +11,7 @@ from typing import Any
 
 from j2a_spec import constants as c
 
-from j2a.errors import CallTimeout, WrongArgument
+from j2a.errors import CallTimeout, LinkError, WrongArgument
 from j2a.events import Reading, Sample
 from j2a.io.streams import MAX_SIFS
 from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
@@ -105,8 +105,8 @@ class AsyncSensor(_Async):
             try:
                 while len(found) < count:
                     found.append(await stream.wait(max(0.0, end - client.now())))
-            except CallTimeout as error:
-                raise self._late_batch(self._batch(before, found), count, error) from None
+            except (CallTimeout, LinkError) as error:
+                raise self._batch_error(before, found, count, error) from None
         return self._batch(before, found)
 
     def on_sample(self, handler: Callable[[Sample], object]) -> Any:

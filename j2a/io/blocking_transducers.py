@@ -11,7 +11,7 @@ from typing import Any
 
 from j2a_spec import constants as c
 
-from j2a.errors import CallTimeout
+from j2a.errors import CallTimeout, LinkError
 from j2a.events import Reading, Sample
 from j2a.io.streams import MAX_SIFS
 from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
@@ -145,7 +145,8 @@ class Sensor(_Blocking):
             count: so many samples.
             timeout: the time limit for all of them in seconds; None takes the client's.
 
-        Raises: as `wait`, but BatchTimeout, whose `batch` has the samples that came in time;
+        Raises: as `wait`, but BatchTimeout, BatchLost and BatchClosed, each a BatchError whose
+            `batch` has the samples that came;
             LocalError where NumPy is missing; InterfaceChanged where the device has restarted as
             another one.
         """
@@ -157,8 +158,8 @@ class Sensor(_Blocking):
             try:
                 while len(found) < count:
                     found.append(stream.wait(max(0.0, end - client.now())))
-            except CallTimeout as error:
-                raise self._late_batch(self._batch(before, found), count, error) from None
+            except (CallTimeout, LinkError) as error:
+                raise self._batch_error(before, found, count, error) from None
         return self._batch(before, found)
 
     def on_sample(self, handler: Callable[[Sample], object]) -> Any:

@@ -15,11 +15,15 @@ from j2a_spec import constants as c
 from j2a_spec.nearest import nearest_or_all
 
 from j2a.errors import (
+    BatchClosed,
+    BatchError,
+    BatchLost,
     BatchTimeout,
     CallTimeout,
     FunctionFailed,
     InterfaceChanged,
     LinkClosed,
+    LinkError,
     ProtocolError,
     UnknownTransducer,
     WrongArgument,
@@ -300,15 +304,24 @@ class RemoteTransducer:
             raise WrongArgument(f"a batch has 1 sample or more, not {count!r:.40}")
         return self.descriptor, self._stream(max(int(count), MAX_SIFS))
 
-    def _late_batch(self, came: Batch, count: int, error: CallTimeout) -> BatchTimeout:
-        """Return the error of a batch that was not full in time, which hands over what came."""
-        late = BatchTimeout(
-            f"{came.counts.size} of {count} samples of {self.name} came in time, which the error "
-            "has as its batch; ask for fewer, or wait longer",
-            outcome=error.outcome,
-        )
-        late.batch = came
-        return late
+    def _batch_error(
+        self, before: Transducer, found: list[Sample], count: int, error: CallTimeout | LinkError
+    ) -> BatchError:
+        """Return the error of a batch that did not get full, which hands over what came.
+
+        Raises: as `_batch`.
+        """
+        came = f"{len(found)} of {count} samples of {self.name} came"
+        has = "which the error has as its batch"
+        made: BatchError
+        if isinstance(error, CallTimeout):
+            text = f"{came} in time, {has}; ask for fewer, or wait longer"
+            made = BatchTimeout(text, outcome=error.outcome)
+        else:
+            kind = BatchClosed if isinstance(error, LinkClosed) else BatchLost
+            made = kind(f"{error}; {came} before, {has}", outcome=error.outcome)
+        made.batch = self._batch(before, found)
+        return made
 
     def _batch(self, before: Transducer, samples: list[Sample]) -> Batch:
         """Return samples of a sensor as arrays.
@@ -316,7 +329,7 @@ class RemoteTransducer:
         Raises:
             InterfaceChanged: since the device has restarted, the sensor is another one.
         """
-        if self.descriptor != before:
+        if self._checked(self._source.codec_of_reply(self.name)).transducer != before:
             raise InterfaceChanged(
                 f"the device has restarted, and {self.name} is another sensor now: its samples "
                 "do not fit into one batch"

@@ -424,6 +424,57 @@ class TestSamples:
         assert late.value.batch.values.shape == (0, 2)
         assert late.value.outcome is j2a.Outcome.NOT_SENT
 
+    @pytest.mark.parametrize("came", [0, 2])
+    def test_a_batch_whose_link_is_lost_hands_over_what_came(self, came):
+        pytest.importorskip("numpy")
+        with make_device() as device, linked(device) as board:
+            quad, seen = board.transducers["quad"], threading.Semaphore(0)
+            quad.on_sample(lambda _: seen.release())
+
+            def lose():
+                for value in range(came):
+                    device.sense("quad", 0, value, raw=True)
+                    seen.acquire(timeout=PATIENCE_S)
+                device.stop()
+
+            sender = threading.Timer(0.05, lose)
+            sender.start()
+            with pytest.raises(j2a.BatchLost, match=f"; {came} of 3 samples of quad") as lost:
+                quad.read_batch(3, timeout=PATIENCE_S)
+            sender.join()
+        assert isinstance(lost.value, j2a.LinkLost)
+        assert isinstance(lost.value, j2a.BatchError)
+        assert lost.value.batch.raw[:, 0].tolist() == list(range(came))
+
+    def test_a_batch_whose_client_is_closed_hands_over_what_came(self, device, board):
+        pytest.importorskip("numpy")
+        quad = board.transducers["quad"]
+        sender = threading.Timer(0.05, lambda: device.sense("quad", 0, 7, raw=True))
+        quad.on_sample(lambda _: threading.Thread(target=board.close).start())
+        sender.start()
+        with pytest.raises(j2a.BatchClosed) as closed:
+            quad.read_batch(2, timeout=PATIENCE_S)
+        sender.join()
+        assert isinstance(closed.value, j2a.LinkClosed)
+        assert closed.value.batch.raw[:, 0].tolist() == [7]
+
+    def test_a_batch_that_is_late_while_all_is_learnt_anew_hands_over_what_came(
+        self, device, board
+    ):
+        pytest.importorskip("numpy")
+        quad = board.transducers["quad"]
+
+        def forget(_sample):
+            board._device.descriptors = None
+
+        quad.on_sample(forget)
+        sender = threading.Timer(0.05, lambda: device.sense("quad", 0, 7, raw=True))
+        sender.start()
+        with pytest.raises(j2a.BatchTimeout) as late:
+            quad.read_batch(2, timeout=1.0)
+        sender.join()
+        assert late.value.batch.raw[:, 0].tolist() == [7]
+
     @pytest.mark.parametrize("name", ["quad", "log", "field"])
     def test_a_batch_makes_no_reading_of_its_values(self, device, board, name, monkeypatch):
         pytest.importorskip("numpy")
@@ -1063,6 +1114,17 @@ class TestAsyncio:
                 with pytest.raises(j2a.BatchTimeout) as caught:
                     await late
                 assert caught.value.batch.values[0, 1] == 15.0
+                lost = asyncio.create_task(quad.read_batch(2, timeout=PATIENCE_S))
+                seen = asyncio.Event()
+                quad.on_sample(lambda _: seen.set())
+                await asyncio.sleep(0)
+                device.sense("quad", 1, 17)
+                await asyncio.wait_for(seen.wait(), PATIENCE_S)
+                device.stop()
+                with pytest.raises(j2a.BatchLost) as lost_error:
+                    await lost
+                assert isinstance(lost_error.value, j2a.LinkLost)
+                assert lost_error.value.batch.values[0, 1] == 17.0
 
 
 class TestSaving:
