@@ -19,6 +19,7 @@ from typing import Final
 
 import j2a
 from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_sigterm
+from j2a.cli._heartbeat import Pulse
 from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._progress import Progress, size_text
@@ -33,7 +34,9 @@ examples:
   j2a record tcp://127.0.0.1:5000 tcp://127.0.0.1:5001 -o two.mcap --seconds 60
 
 Topics are those of the sensors; with several boards the name of the board stands before. Values are
-raw. It needs the package mcap: pip install "j2a[record]"."""
+raw. A board from which nothing came for 3 s is asked for an echo. One that answers to none of two
+is taken for lost, as one whose link ended, and taken in again when it answers. It needs the package
+mcap: pip install "j2a[record]"."""
 _EACH_S: Final = 1.0
 _WAIT_S: Final = 10.0
 _MIB: Final = 1 << 20
@@ -125,8 +128,7 @@ class _Board:
 
     Attributes:
         is_gone: the link is lost.
-        gaps: how often it was, and came back.
-        gap_s: for how long in all.
+        gaps: how often it was.
     """
 
     def __init__(
@@ -140,7 +142,8 @@ class _Board:
         self._descriptors = client.transducers.descriptors or Descriptors()
         self.is_gone = False
         self.gaps = 0
-        self.gap_s = 0.0
+        self._gap_s = 0.0  # of those that are over
+        self._gone_s = 0.0
 
     def begin(self, *, is_alone: bool) -> None:
         """Announce the board, and take its samples."""
@@ -154,6 +157,7 @@ class _Board:
             settings=_settings(client),
         )
         self._subscribe()
+        start_thread(self._keep, f"j2a record {client.url}")
 
     def _subscribe(self) -> None:
         known = {one.name: one for one in self._descriptors.transducers if one.is_sensor}
@@ -161,36 +165,55 @@ class _Board:
             if isinstance(sensor, j2a.Sensor) and name in known:
                 sensor.on_sample(self._session.keep(self._name, sensor, known[name]))
 
-    def look(self) -> None:
-        """Note that the link is lost, and have a thread open it again."""
-        if not self.is_gone and not self._client.is_open:
+    @property
+    def gap_s(self) -> float:
+        """For how long nothing came from it, in all."""
+        return self._gap_s + (time.monotonic() - self._gone_s if self.is_gone else 0.0)
+
+    def _keep(self) -> None:
+        """Watch the link, and open it again when it is lost, until the recording ends."""
+        while (why := self._wait_for_loss()) is not None:
+            note(f"j2a: {why}")
+            self._client.close()
+            self._come_back()
+
+    def _wait_for_loss(self) -> str | None:
+        """Wait until the link is lost or the board hangs; return which, None at the end."""
+        client = self._client
+        pulse = Pulse(client)
+        while not self._session.ended.wait(_EACH_S):
+            with contextlib.suppress(j2a.J2AError):
+                pulse.check()
+                continue
+            self._gone_s = time.monotonic() - (client.now() - pulse.heard_s)
+            self.gaps += 1
             self.is_gone = True
-            note(f"j2a: lost {self._client.url}")
-            start_thread(self._come_back, f"j2a record {self._client.url}")
+            return f"{client.url} does not answer" if client.is_open else f"lost {client.url}"
+        return None
 
     def _come_back(self) -> None:
-        began_s, told = time.monotonic(), ""
+        told = ""
         while not self._session.ended.wait(_EACH_S):
             try:
-                client = self._connect()
+                client = self._client = self._connect()
                 identity = _identity(client)
-                if identity != self._identity:
-                    client.close()
-                    if told != identity:
-                        told = identity
-                        note(f"j2a: {client.url} is another board now: {identity}")
-                    continue
-                self._client = client
-                if self._session.ended.is_set():
-                    client.close()
-                    return
-                self._subscribe()
+                if identity == self._identity:
+                    self._subscribe()
             except j2a.J2AError:  # it may be lost again meanwhile
+                self._client.close()
                 continue
-            gap_s = time.monotonic() - began_s
-            self.gaps, self.gap_s = self.gaps + 1, self.gap_s + gap_s
+            if identity != self._identity:
+                client.close()
+                if told != identity:
+                    told = identity
+                    note(f"j2a: {client.url} is another board now: {identity}")
+                continue
+            if self._session.ended.is_set():
+                client.close()
+                return
+            gap_s = time.monotonic() - self._gone_s
+            self._gap_s, self.is_gone = self._gap_s + gap_s, False
             note(f"j2a: {client.url} is here again, after {gap_s:.1f} s without samples")
-            self.is_gone = False
             return
 
     def close(self) -> None:
@@ -231,6 +254,7 @@ def run(args: argparse.Namespace) -> int:
         ]
         for board in boards:
             stack.callback(board.close)
+        stack.callback(session.ended.set)
         try:
             for board in boards:
                 board.begin(is_alone=len(boards) == 1)
@@ -295,8 +319,6 @@ def _wait(
                 session.failure = error
         if session.failure is not None:
             return FAILED
-        for board in boards:
-            board.look()
         if not all(board.is_gone for board in boards):
             here = time.monotonic()
         elif time.monotonic() - here >= wait_s:

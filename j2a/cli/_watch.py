@@ -32,6 +32,7 @@ from j2a.cli._exit import (
     end_on_sigterm,
     error_facts,
 )
+from j2a.cli._heartbeat import Pulse
 from j2a.cli._link import (
     add_json_argument,
     add_link_arguments,
@@ -72,7 +73,10 @@ that were lost because the queue of the board was full, and SIFs that the link m
 the same of all samples of each second as a table. For the delay the board is asked for its time
 each second, and its clock is not set. Where it does not tell, it says "rel. delay": above that of
 the quickest sample among them. There is no delay where the clock of the board runs in another way
-than that of this computer, as with j2a replay --speed 4."""
+than that of this computer, as with j2a replay --speed 4.
+
+A board from which nothing came for 3 s is asked for an echo; one that answers to none of two ends
+the watching."""
 _LOOK_S = 0.2
 _RATES_S = 1.0
 _TRIES = 5
@@ -255,6 +259,7 @@ def _watch(
     end = math.inf if args.duration is None else client.now() + args.duration
     seen = 0
     table = _RateTable(rates, client, args) if args.rates else None
+    pulse = Pulse(client)
     while args.count is None or seen < args.count:
         left_s = min(_LOOK_S, end - client.now())
         if table is not None:
@@ -264,8 +269,7 @@ def _watch(
         except queue.Empty:
             if left_s <= 0:
                 break
-            if not client.is_open:
-                client.call(0)  # raises what ended the link
+            pulse.check()
             continue
         if one.came_at > end:  # simulated time may run faster than that of this machine
             break
