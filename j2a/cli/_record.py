@@ -92,7 +92,7 @@ class _Session:
 
         def write(sample: j2a.Sample) -> None:
             nonlocal announced
-            if self.failure is not None or self.ended.is_set():
+            if self.failure is not None:
                 return
             lost = sample.lost + sample.missed
             with self._lock:
@@ -129,6 +129,7 @@ class _Board:
     Attributes:
         is_gone: the link is lost.
         gaps: how often it was.
+        dropped: SIFs that came, and for which this program was too slow, of links that are closed.
     """
 
     def __init__(
@@ -141,7 +142,8 @@ class _Board:
         self._identity = _identity(client)
         self._descriptors = client.transducers.descriptors or Descriptors()
         self.is_gone = False
-        self.gaps = 0
+        self.gaps = self.dropped = 0
+        self._closed: j2a.Client | None = None
         self._gap_s = 0.0  # of those that are over
         self._gone_s = 0.0
 
@@ -174,7 +176,7 @@ class _Board:
         """Watch the link, and open it again when it is lost, until the recording ends."""
         while (why := self._wait_for_loss()) is not None:
             note(f"j2a: {why}")
-            self._client.close()
+            self.close()
             self._come_back()
 
     def _wait_for_loss(self) -> str | None:
@@ -185,6 +187,8 @@ class _Board:
             with contextlib.suppress(j2a.J2AError):
                 pulse.check()
                 continue
+            if self._session.ended.is_set():
+                break
             self._gone_s = time.monotonic() - (client.now() - pulse.heard_s)
             self.gaps += 1
             self.is_gone = True
@@ -200,7 +204,7 @@ class _Board:
                 if identity == self._identity:
                     self._subscribe()
             except j2a.J2AError:  # it may be lost again meanwhile
-                self._client.close()
+                self.close()
                 continue
             if identity != self._identity:
                 client.close()
@@ -217,8 +221,12 @@ class _Board:
             return
 
     def close(self) -> None:
-        """Close the link."""
-        self._client.close()
+        """Write the samples that have come, and close the link."""
+        client = self._client
+        client.close()
+        if client is not self._closed:
+            self._closed = client
+            self.dropped += client.counters.sifs_dropped
 
 
 def _identity(client: j2a.Client) -> str:
@@ -330,12 +338,17 @@ def _wait(
 
 def _finish(session: _Session, boards: list[_Board]) -> None:
     recorder = session.recorder
-    failure = session.failure
+    failure = None
     session.ended.set()
     try:
-        recorder.close()
-    except OSError as error:
-        failure = failure or error
+        for board in boards:
+            board.close()
+    finally:  # a second Ctrl-C ends the file, too
+        try:
+            recorder.close()
+        except OSError as error:
+            failure = error
+    failure = session.failure or failure
     paths = ", ".join(map(str, recorder.paths))
     if failure is not None:
         why = failure.strerror or failure
@@ -345,5 +358,7 @@ def _finish(session: _Session, boards: list[_Board]) -> None:
     show(f"wrote {paths}: {recorder.samples} samples, {session.lost} lost on the way{more}")
     if session.refused:
         note(f"j2a: {session.refused} samples were left out: their times fit into no message")
+    if dropped := sum(board.dropped for board in boards):
+        note(f"j2a: {dropped} SIFs were left out: this computer is too slow for all of them")
     for what in sorted(session.changed):
         note(f"j2a: {what} is another one since the board restarted: its samples were left out")

@@ -21,7 +21,7 @@ from mcap import reader as mcap_reader
 
 import j2a
 from j2a.cli._record import _Session
-from j2a.recording import Recording
+from j2a.recording import Recorder, Recording
 from j2a.replay import ReplayBoard
 from j2a.tests.library.support import linked
 from j2a.types.transds_file import read_transds
@@ -40,6 +40,7 @@ def board_file():
 FILE_BEFORE = "SENSOR(quad, 0, quad, X, 1, i16, none)\nSENSOR(same, 1, same, X, 1, u8, none)\n"
 FILE_AFTER = FILE_BEFORE.replace("i16", "u16")
 SAME = struct.pack("<QB", 2, 9)
+BURST = struct.pack("<QB", 3, 9)
 
 
 @pytest.fixture
@@ -386,3 +387,44 @@ def test_a_sample_has_its_payload(board):
         sample = client.transducers["plain"].wait(30)
     assert len(sample.payload) == 20
     assert "payload" not in repr(sample)
+
+
+@pytest.fixture
+def slow(monkeypatch):
+    """A board that sends 100 samples at once to a recorder that needs a moment for each."""
+    device = j2a.Device(transducers=read_transds(FILE_BEFORE))
+    write, is_written = Recorder.write, threading.Event()
+
+    def write_slowly(*words):
+        is_written.set()
+        time.sleep(0.02)
+        write(*words)
+
+    def send():
+        while not is_written.wait(0.05):
+            device.send_sif(1, SAME)
+        for _ in range(100):
+            device.send_sif(1, BURST)
+
+    monkeypatch.setattr(Recorder, "write", write_slowly)
+    thread = threading.Thread(target=send)
+    thread.start()
+    yield from served(device)
+    thread.join()
+
+
+def test_samples_that_wait_at_the_end_are_written(run, slow, tmp_path):
+    path = tmp_path / "a.mcap"
+    result = run("record", slow, "-o", path, "--seconds", "1")
+    assert (result.code, result.err) == (0, "")
+    assert payloads(path).count(("same", BURST)) == 100
+
+
+def test_samples_for_which_the_computer_is_too_slow_are_told(run, slow, tmp_path, monkeypatch):
+    monkeypatch.setattr("j2a.io.blocking.MAX_SIFS_WAITING", 3)
+    path = tmp_path / "a.mcap"
+    result = run("record", slow, "-o", path, "--seconds", "1")
+    assert result.code == 0
+    left_out = 100 - payloads(path).count(("same", BURST))
+    assert left_out > 50
+    assert f"{left_out} SIFs were left out: this computer is too slow" in result.err
