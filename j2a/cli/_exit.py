@@ -23,7 +23,9 @@ TIMEOUT: Final = 4
 REMOTE: Final = 5
 INTERRUPTED: Final = 130
 OUTPUT_CLOSED: Final = 141
+HUNG_UP: Final = 129
 TERMINATED: Final = 128 + signal.SIGTERM  # 143
+_ENDING: Final = [signal.SIGTERM, *filter(None, [getattr(signal, "SIGHUP", None)])]
 
 EXIT_CODES: Final = {
     OK: "done",
@@ -32,6 +34,7 @@ EXIT_CODES: Final = {
     LINK: "the link could not be opened, or was lost",
     TIMEOUT: "no answer in time",
     REMOTE: "the device refused the request, or broke the protocol",
+    HUNG_UP: "stopped by SIGHUP, as when its terminal is closed",
     INTERRUPTED: "stopped by Ctrl-C",
     OUTPUT_CLOSED: "the reader of the output went away, as in: j2a watch URL | head -1",
     TERMINATED: "stopped by SIGTERM",
@@ -75,14 +78,20 @@ class CommandFailed(Exception):  # noqa: N818 - the name says what happened
         self.code = code
 
 
-def end_on_sigterm() -> None:
-    """Make SIGTERM end the program as Ctrl-C does, by an exception that passes every `finally`."""
-    signal.signal(signal.SIGTERM, _on_sigterm)
+def end_on_signals() -> None:
+    """Make SIGTERM and SIGHUP end the program as Ctrl-C does, by an exception.
+
+    It passes every `finally`. `nohup` keeps SIGHUP ignored.
+    """
+    for number in _ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _on_signal)
 
 
-def _on_sigterm(number: int, _frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)  # a second one must not cut the cleaning up short
-    raise SystemExit(TERMINATED)
+def _on_signal(number: int, _frame: FrameType | None) -> None:
+    for one in _ENDING:
+        signal.signal(one, signal.SIG_IGN)  # a second one must not cut the cleaning up short
+    raise SystemExit(128 + number)
 
 
 def exit_code(error: Exception) -> int | None:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final
 
 import j2a
-from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_sigterm
+from j2a.cli._exit import FAILED, LINK, OK, CommandFailed, UsageError, end_on_signals
 from j2a.cli._heartbeat import Pulse
 from j2a.cli._link import add_link_options, connect_to, finite_seconds, whole_number
 from j2a.cli._output import note, show
@@ -242,7 +242,7 @@ def run(args: argparse.Namespace) -> int:
     if twice:
         raise UsageError(f"{twice[0]} stands there twice")
     check_package()  # now, as samples come as soon as the boards are there
-    end_on_sigterm()
+    end_on_signals()
     with contextlib.ExitStack() as stack:
         clients = [stack.enter_context(connect_to(args, url)) for url in args.urls]
         for client in clients:

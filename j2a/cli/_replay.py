@@ -14,7 +14,7 @@ from typing import Final
 
 import j2a_transports
 
-from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError, end_on_sigterm
+from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError, end_on_signals
 from j2a.cli._link import add_listen_argument, check_listen_url, positive_number, takes_stdio
 from j2a.cli._output import note, show
 from j2a.cli._progress import Progress
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         board = ReplayBoard(args.file, args.board)
     except OSError as error:
         raise UsageError(f"cannot read {args.file}: {error.strerror}") from None
-    end_on_sigterm()
+    end_on_signals()
     with j2a_transports.listen(args.listen) as listener, board:
         tell = note if takes_stdio(listener.url) else show
         tell(f"listening on {listener.url}")

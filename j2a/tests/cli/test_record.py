@@ -90,7 +90,12 @@ def test_for_so_many_seconds(run, board, tmp_path):
 
 @pytest.mark.parametrize(
     ("number", "code", "is_whole"),
-    [(signal.SIGINT, 130, True), (signal.SIGTERM, 143, True), (signal.SIGKILL, -9, False)],
+    [
+        (signal.SIGINT, 130, True),
+        (signal.SIGTERM, 143, True),
+        (signal.SIGHUP, 129, True),
+        (signal.SIGKILL, -9, False),
+    ],
 )
 def test_a_program_that_is_ended_leaves_its_samples(board, tmp_path, number, code, is_whole):
     path = tmp_path / "a.mcap"
