@@ -81,7 +81,7 @@ class _Session:
         self._lock = threading.Lock()  # each board has a thread of its own
         self.lost = 0
         self.refused = 0
-        self.changed: set[str] = set()
+        self.told: set[str] = set()  # what else is to be told at the end
         self.failure: OSError | None = None
         self.ended = threading.Event()
 
@@ -100,7 +100,10 @@ class _Session:
             descriptor = sensor.descriptor
             if descriptor is not announced:
                 if descriptor != announced:
-                    self.changed.add(f"{sensor.name} of {board}")
+                    self.told.add(
+                        f"{sensor.name} of {board} is another one since the board restarted: its "
+                        "samples were left out"
+                    )
                     return
                 announced = descriptor
             try:
@@ -166,6 +169,22 @@ class _Board:
         for name, sensor in self._client.transducers.items():
             if isinstance(sensor, j2a.Sensor) and name in known:
                 sensor.on_sample(self._session.keep(self._name, sensor, known[name]))
+        self._client.on_restart(lambda _: self._compare())
+        self._compare()
+
+    def _compare(self) -> None:
+        """Note which sensors the board has now that it did not have, and the other way round."""
+        descriptors = self._client.transducers.descriptors
+        if descriptors is None:
+            return
+        names, before = (
+            {one.name for one in known.transducers if one.is_sensor}
+            for known in (descriptors, self._descriptors)
+        )
+        for name in names - before:
+            self._session.told.add(f"{name} of {self._name} is new: its samples were left out")
+        for name in before - names:
+            self._session.told.add(f"{name} of {self._name} is gone since the board restarted")
 
     @property
     def gap_s(self) -> float:
@@ -360,5 +379,5 @@ def _finish(session: _Session, boards: list[_Board]) -> None:
         note(f"j2a: {session.refused} samples were left out: their times fit into no message")
     if dropped := sum(board.dropped for board in boards):
         note(f"j2a: {dropped} SIFs were left out: this computer is too slow for all of them")
-    for what in sorted(session.changed):
-        note(f"j2a: {what} is another one since the board restarted: its samples were left out")
+    for what in sorted(session.told):
+        note(f"j2a: {what}")

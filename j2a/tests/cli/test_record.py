@@ -39,6 +39,7 @@ def board_file():
 
 FILE_BEFORE = "SENSOR(quad, 0, quad, X, 1, i16, none)\nSENSOR(same, 1, same, X, 1, u8, none)\n"
 FILE_AFTER = FILE_BEFORE.replace("i16", "u16")
+FILE_OTHER = FILE_BEFORE.replace("quad", "added")
 SAME = struct.pack("<QB", 2, 9)
 BURST = struct.pack("<QB", 3, 9)
 
@@ -126,11 +127,16 @@ def test_a_board_that_is_lost_ends_it(tmp_path):
     assert f"wrote {path}" in out
 
 
-@contextlib.contextmanager
 def at(url, properties):
     """Serve a board that measures; yields its URL."""
     device = VirtualBoard(board_file(), properties)
     device.measure()
+    return listening(device, url)
+
+
+@contextlib.contextmanager
+def listening(device, url):
+    """Serve a device at a URL, which it yields."""
     with j2a_transports.listen(url) as listener:
         thread = threading.Thread(target=device.serve_forever, args=(listener,))
         thread.start()
@@ -225,6 +231,41 @@ def test_a_sensor_that_is_another_one_after_a_restart_is_left_out(tmp_path):
     assert "times fit" not in err
     assert {payload[8:] for name, payload in payloads(path) if name == "quad"} == {b"\xff\xff"}
     assert struct.pack("<QH", 1, 0xFFFF) not in {payload for _, payload in payloads(path)}
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_sensors_that_come_and_go_are_told(tmp_path, is_lost):
+    path = tmp_path / "a.mcap"
+    device = j2a.Device({"serial": "A3"}, transducers=read_transds(FILE_BEFORE), boot=True)
+    serving = served(device)
+    url = next(serving)
+    with contextlib.ExitStack() as stack:
+        stack.callback(next, serving, None)
+        process = record(url, "-o", path)
+        stack.callback(process.kill)
+        while not payloads_or_none(path) if path.exists() else True:
+            device.sense("same", 0, 7)
+            assert process.poll() is None
+            time.sleep(0.05)
+        if is_lost:
+            next(serving, None)
+            device = j2a.Device({"serial": "A3"}, transducers=read_transds(FILE_OTHER), boot=True)
+            stack.enter_context(listening(device, url))
+            assert "lost" in process.stderr.readline()
+            assert "is here again" in process.stderr.readline()
+        else:
+            device._runner._server.content = str(read_transds(FILE_OTHER)).encode()
+            [connection] = device._connections
+            connection.send_sif(BOOT, struct.pack("<BHI", 0, 1, 0))
+        while not payloads(path).count(("same", SAME)):
+            device.send_sif(0, struct.pack("<Qh", 1, 5))
+            device.send_sif(1, SAME)
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert "added of board is new: its samples were left out" in err
+    assert "quad of board is gone since the board restarted" in err
 
 
 def test_two_boards_of_one_name_are_told_apart(run, board, tmp_path):
