@@ -219,17 +219,17 @@ class _Board:
         while not self._session.ended.wait(_EACH_S):
             try:
                 client = self._client = self._connect()
-                identity = _identity(client)
-                if identity == self._identity:
+                problem = self._problem(client)
+                if not problem:
                     self._subscribe()
             except j2a.J2AError:  # it may be lost again meanwhile
                 self.close()
                 continue
-            if identity != self._identity:
-                client.close()
-                if told != identity:
-                    told = identity
-                    note(f"j2a: {client.url} is another board now: {identity}")
+            if problem:
+                self.close()
+                if told != problem:
+                    told = problem
+                    note(f"j2a: {client.url} {problem}")
                 continue
             if self._session.ended.is_set():
                 client.close()
@@ -238,6 +238,14 @@ class _Board:
             self._gap_s, self.is_gone = self._gap_s + gap_s, False
             note(f"j2a: {client.url} is here again, after {gap_s:.1f} s without samples")
             return
+
+    def _problem(self, client: j2a.Client) -> str:
+        """Return why a link cannot take the place of the one that was lost, or ""."""
+        identity = _identity(client)
+        if identity != self._identity:
+            return f"is another board now: {identity}"
+        transducers = client.transducers
+        return "" if transducers else f"has no sensors now: {transducers.why}"
 
     def close(self) -> None:
         """Write the samples that have come, and close the link."""

@@ -268,6 +268,27 @@ def test_sensors_that_come_and_go_are_told(tmp_path, is_lost):
     assert "quad of board is gone since the board restarted" in err
 
 
+def test_a_board_that_comes_back_is_taken_in_when_it_tells_its_sensors(tmp_path):
+    path = tmp_path / "a.mcap"
+    with at("tcp://127.0.0.1:0", {"serial": "A3"}) as url:
+        process = record(url, "-o", path)
+        wait_for(path, 10, process)
+    try:
+        assert "lost tcp://" in process.stderr.readline()
+        device = VirtualBoard(board_file(), {"serial": "A3"})
+        server = device._runner._server
+        server.content, content = b"", server.content
+        device.measure()
+        with listening(device, url):
+            assert f"{url} has no sensors now: " in process.stderr.readline()
+            server.content = content
+            assert "is here again" in process.stderr.readline()
+            wait_for(path, len(payloads(path)) + 30, process)
+    finally:
+        process.kill()
+        process.communicate()
+
+
 def test_two_boards_of_one_name_are_told_apart(run, board, tmp_path):
     path = tmp_path / "a.mcap"
     other = board.replace("127.0.0.1", "localhost")
