@@ -241,7 +241,7 @@ def _watch(
     }
     if args.rates and not sensors:
         raise UsageError(f"{client.url} has no sensors: {client.transducers.why}")
-    opcodes = _opcodes_of(wanted, shapes, sensors)
+    opcodes = _opcodes_of(wanted, shapes, sensors, client.transducers.why)
     asks = any(opcodes is None or opcode in opcodes for opcode in sensors.values())
     arrivals = _Arrivals(client, asks=asks)
     rates = Rates(None if args.rates else LAST)
@@ -329,9 +329,14 @@ def _opcode_or_name(text: str) -> str | int:
 
 
 def _opcodes_of(
-    wanted: Sequence[str | int], shapes: _Shapes, sensors: Mapping[str, int]
+    wanted: Sequence[str | int], shapes: _Shapes, sensors: Mapping[str, int], why: str
 ) -> list[int] | None:
     """Return the opcodes of SIFs by name or opcode, None for all.
+
+    Args:
+        wanted: the names and opcodes.
+        shapes, sensors: what the device has.
+        why: it has no sensors.
 
     Raises:
         UsageError: the device describes no SIF and has no sensor of a name.
@@ -339,7 +344,8 @@ def _opcodes_of(
     known = dict(sensors) | {shape.name: opcode for opcode, (shape, _) in shapes.items()}
     for name in wanted:
         if isinstance(name, str) and name not in known:
-            hint = nearest_or_all(name, known, advice="; give its opcode, 0..255")
+            advice = "; give its opcode, 0..255" if known else f", as {why}; give its opcode, 0..255"
+            hint = nearest_or_all(name, known, advice=advice)
             raise UsageError(f"the device describes no SIF or sensor {name!r}; {hint}")
     return [known[one] if isinstance(one, str) else one for one in wanted] or None
 

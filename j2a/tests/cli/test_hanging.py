@@ -132,3 +132,15 @@ def test_watching_a_board_that_hangs_ends(hanging, start, words):
     result = begun.end()
     assert result.code == 4
     assert "a2jEcho" in result.err
+
+
+def test_a_name_that_could_not_be_learnt(run, monkeypatch):
+    device = VirtualBoard(board_file())
+    monkeypatch.setattr(device._runner._server, "content", b"")
+    serving = served(device)
+    try:
+        result = run("watch", next(serving), "plain")
+    finally:
+        next(serving, None)
+    assert result.code == 2
+    assert "no SIF or sensor 'plain'; it has: none, as the descriptors break the" in result.err
