@@ -6,7 +6,7 @@ Rule: each mistake is one error, which tells file, line and column.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
 from j2a_spec.nearest import did_you_mean
@@ -205,6 +205,8 @@ class _Entry:
                 raise self._reader.error(
                     f"a {what} is 1 to 32 letters, digits and _, and begins with no digit", word
                 )
+        if str(name) in C_KEYWORDS:  # the firmware has a member of this name
+            raise self._reader.error(f"{name} is a word of C, which takes it for no name", name)
         element = self._type(kind).partition("[")[0]
         known = (*self._types, *_C_NAMES, "bool", "text", "bytes")
         if element not in known:
@@ -359,11 +361,7 @@ def _comment(text: str) -> str:
 
 def _definition(one: Enumeration | Structure) -> str:
     fields = () if isinstance(one, Enumeration) else one.fields
-    for name in (one.name, *(field.name for field in fields)):
-        if name in C_KEYWORDS:
-            raise LocalError(
-                f"{one.name}: {name} is a word of C, so it cannot stand in a transds.def"
-            )
+    _refuse_c_words(one.name, (one.name, *(field.name for field in fields)))
     if isinstance(one, Enumeration):
         for name, number in one.values:
             if number not in C_INT:
@@ -394,7 +392,15 @@ def _element(text: str) -> str:
     return f"array({name}, {count})" if bracket else name
 
 
+def _refuse_c_words(owner: str, names: Iterable[str]) -> None:
+    """Refuse to write a name that the compiler would not take."""
+    for name in names:
+        if name in C_KEYWORDS:
+            raise LocalError(f"{owner}: {name} is a word of C, so it cannot stand in a transds.def")
+
+
 def _entry(one: Transducer) -> str:
+    _refuse_c_words(one.name, (one.name,))
     kind = str(one.type).partition(" ")[0]
     key = "na" if one.is_sensor else "safe"
     first: list[str] = [one.name, str(one.id), one.prefix or one.name]

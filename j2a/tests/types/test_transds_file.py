@@ -119,6 +119,8 @@ WRONG = [
     ("J2A_STRUCT(s, (i16, x), (i16, int))", 1, 31, "int is a word of C"),
     ("J2A_STRUCT(struct, (i16, x))", 1, 12, "struct is a word of C"),
     ("J2A_ENUM(long, u8, (a, 0))", 1, 10, "long is a word of C"),
+    ("SENSOR(int, 1, a, X, 1, u8, none)", 1, 8, "int is a word of C"),
+    ("ACTUATOR(switch, 1, a, X, 1, u8, none)", 1, 10, "switch is a word of C"),
     ("SENSOR(9a, 1, a, X, 1, u8, none)", 1, 8, "a name is 1 to 32 letters"),
     ("SENSOR(a-b, 1, a, X, 1, u8, none)", 1, 8, "a name is 1 to 32 letters"),
     (f"SENSOR({'a' * 33}, 1, a, X, 1, u8, none)", 1, 8, "a name is 1 to 32 letters"),
@@ -425,6 +427,10 @@ class TestWriting:
         descriptors = parse_descriptors(f"\nsensor a 1 1 u8\n model {model}\n")
         with pytest.raises(j2a.LocalError, match=r"cannot stand in a transds\.def"):
             transds_text(descriptors, "x")
+
+    def test_a_name_that_c_reserves_is_an_error(self):
+        with pytest.raises(j2a.LocalError, match=r"int is a word of C, so it cannot stand in"):
+            transds_text(parse_descriptors("\nsensor int 1 1 u8\n"), "x")
 
     def test_numbers_of_an_enumeration_are_those_of_an_int(self):
         text = "enum m {} (a={})\n\nsensor a 1 1 m\n"
