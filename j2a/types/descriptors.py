@@ -139,7 +139,7 @@ def _checked(text: str, transducer: Transducer) -> str:
     is_float = transducer.type.element in ("f32", "f64")
     if is_float or _HEX.fullmatch(text) or _INTEGER.fullmatch(text):
         return text
-    raise ValueError(f"{text} is no integer")
+    raise ValueError(f"{text} is no integer; write a raw value, before scale and offset")
 
 
 def _is_raw(text: str) -> bool:

@@ -236,6 +236,8 @@ class MacroReader:
         while (token := self._next()) is not None:
             name = self._word(token)
             self._start = name.at
+            if token == ";":
+                raise self._wrong("no semicolon stands between entries; leave it out")
             if self._next(is_inside=True) != "(":
                 raise self._wrong(f'a "(" is expected behind {token}')
             yield name, self._list(), self._start < self._body_end
@@ -497,7 +499,8 @@ def _not_read(line: str) -> str:
     if word not in _LINES:
         known = (*_LINES, "if", "ifdef", "ifndef", "else", "endif")
         hint = did_you_mean(f"#{word}", (f"#{one}" for one in known))
-        return f"#{word} is no line of C" + (hint and f"; {hint}")
+        hint = hint or "a comment stands behind // or between /* and */"
+        return f"#{word} is no line of C; {hint}"
     return _ONLY_A_BUILD
 
 

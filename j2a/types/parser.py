@@ -31,9 +31,11 @@ from j2a.types.model import (
 )
 
 __all__ = [
+    "A_UNIT",
     "DOC",
     "NAME",
     "REST",
+    "UNIT",
     "Scanner",
     "Types",
     "parse_definitions",
@@ -46,7 +48,8 @@ __all__ = [
 
 NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}(?![A-Za-z0-9_])")
 _LABEL: Final = re.compile(r"[!-'\)-~]+")
-_UNIT: Final = re.compile(r"[A-Za-z0-9%'*./^_+\-\[\]{}]{1,32}")
+A_UNIT: Final = "a unit of UCUM in ASCII, such as mm, deg or Cel,"
+UNIT: Final = re.compile(r"[A-Za-z0-9%'*./^_+\-\[\]{}]{1,32}")
 _COUNT: Final = re.compile(r"[1-9][0-9]{0,4}(?![0-9])")
 _NUMBER: Final = re.compile(r"-?[0-9]{1,20}(?![0-9])")
 DOC: Final = re.compile(r"[^\x00-\x1f\x7f]+")
@@ -271,7 +274,7 @@ def read_type(scanner: Scanner, types: Types) -> Type:
         else:
             count = scanner.number(_COUNT, range(1, _MAX_COUNT + 1), "a length")
         scanner.expect("]", "behind the length of an array")
-    unit = scanner.take(_UNIT, "a unit") if scanner.more() else ""
+    unit = scanner.take(UNIT, A_UNIT) if scanner.more() else ""
     return Type(element, count, unit)
 
 

@@ -26,7 +26,7 @@ from j2a.types.descriptors import parse_transducer
 from j2a.types.macros import Arguments, MacroReader, Node, Opener, Word, bare_text
 from j2a.types.model import Enumeration, Field, Structure
 from j2a.types.naming import C_KEYWORDS
-from j2a.types.parser import NAME, Scanner, read_definition
+from j2a.types.parser import A_UNIT, NAME, UNIT, Scanner, read_definition
 from j2a.types.transducers import KEYS, NONE, Descriptors, Transducer, numbers_element
 
 __all__ = ["read_transds", "strange_keys", "transds_text"]
@@ -164,7 +164,8 @@ class _Entry:
         words = self._arguments[: len(fields)]
         for word, what in zip(words, fields, strict=True):
             if not isinstance(word, Word) and what not in ("a model", "a type"):
-                raise self._reader.error(f"{what} is expected here", word)
+                order = ", ".join(fields)
+                raise self._reader.error(f"{what} is expected here, in the order {order}", word)
         name, number, prefix, model, channels, kind, na = words
         unit, doc, lines = self._items(self._arguments[len(fields) :])
         head: list[tuple[str, Node]] = [(self._kind, name), (f" {name}", name)]
@@ -270,6 +271,8 @@ class _Entry:
                 if len(item) != 2 or not isinstance(item[1], Word):
                     raise self._reader.error("unit is one symbol of UCUM, such as (unit, mV)", item)
                 unit = item[1]
+                if not UNIT.fullmatch(unit):
+                    raise self._reader.error(f"{A_UNIT} is expected, not {unit}", unit)
                 continue
             if key in ("prefix", "model", "na" if self._kind == "sensor" else "safe"):
                 raise self._reader.error(f"{key} has its place in the first seven", key)
