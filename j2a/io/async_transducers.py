@@ -71,7 +71,8 @@ class _Async(RemoteTransducer):
 
     async def is_saved(self) -> bool:
         """Ask whether a reset brings settings back that were saved."""
-        return self._is_saved(await self._ask(partial(self._request, c.TRANSD_SAVE)))
+        make = partial(self._request, c.TRANSD_SAVE)
+        return self._is_saved(await self._client._call_transducer(make))
 
 
 class AsyncSensor(_Async):

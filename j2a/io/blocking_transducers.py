@@ -84,7 +84,7 @@ class _Blocking(RemoteTransducer):
 
         Raises: as `Client.call`; FunctionFailed when the device keeps none.
         """
-        return self._is_saved(self._ask(partial(self._request, c.TRANSD_SAVE)))
+        return self._is_saved(self._client._call_transducer(partial(self._request, c.TRANSD_SAVE)))
 
     @property
     def topic(self) -> str:

@@ -245,12 +245,7 @@ class RemoteTransducer:
         """
         if reply.code == c.TRANSD_BUSY and not is_over:
             return value
-        if reply.code == c.TRANSD_NO_ITEM:
-            raise FunctionFailed(
-                f"{self.name}: the device keeps no settings without power",
-                code=reply.code,
-                payload=reply.payload,
-            )
+        self._check_saves(reply)
         state = self._answer(reply)
         if state == SAVE:
             return None
@@ -262,8 +257,17 @@ class RemoteTransducer:
             )
         return b""
 
-    def _is_saved(self, state: bytes) -> bool:
-        return state == SAVE
+    def _is_saved(self, reply: Reply) -> bool:
+        self._check_saves(reply)
+        return self._answer(reply) == SAVE
+
+    def _check_saves(self, reply: Reply) -> None:
+        if reply.code == c.TRANSD_NO_ITEM:
+            raise FunctionFailed(
+                f"{self.name}: the device keeps no settings without power",
+                code=reply.code,
+                payload=reply.payload,
+            )
 
     def _time(self, data: bytes) -> int:
         if len(data) != TIME_BYTES:

@@ -1226,6 +1226,9 @@ class TestSaving:
     def test_without_a_file_it_is_refused(self, board):
         with pytest.raises(j2a.FunctionFailed, match="keeps no settings without power"):
             board.transducers["quad"].save()
+        with pytest.raises(j2a.FunctionFailed, match="keeps no settings without power") as caught:
+            board.transducers["quad"].is_saved()
+        assert caught.value.code == c.TRANSD_NO_ITEM
         with pytest.raises(j2a.LocalError, match="transducers"):
             j2a.Device(settings="x")
 
