@@ -18,7 +18,7 @@ import shlex
 import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from j2a_spec.nearest import nearest_or_all
 
@@ -55,6 +55,7 @@ from j2a.cli._samples import (
 )
 from j2a.cli._typed import json_of, plain, takes_values, values_of
 from j2a.cli._values import Decoder, payload_of, short_hex, text_of
+from j2a.io.transducers import Transducers
 from j2a.types.coding import Codec, PythonTypes
 from j2a.types.model import SifShape
 
@@ -241,7 +242,7 @@ def _watch(
     }
     if args.rates and not sensors:
         raise UsageError(f"{client.url} has no sensors: {client.transducers.why}")
-    opcodes = _opcodes_of(wanted, shapes, sensors, client.transducers.why)
+    opcodes = _opcodes_of(wanted, shapes, sensors, client.transducers)
     asks = any(opcodes is None or opcode in opcodes for opcode in sensors.values())
     arrivals = _Arrivals(client, asks=asks)
     rates = Rates(None if args.rates else LAST)
@@ -329,14 +330,16 @@ def _opcode_or_name(text: str) -> str | int:
 
 
 def _opcodes_of(
-    wanted: Sequence[str | int], shapes: _Shapes, sensors: Mapping[str, int], why: str
+    wanted: Sequence[str | int],
+    shapes: _Shapes,
+    sensors: Mapping[str, int],
+    transducers: Transducers[Any],
 ) -> list[int] | None:
     """Return the opcodes of SIFs by name or opcode, None for all.
 
     Args:
         wanted: the names and opcodes.
-        shapes, sensors: what the device has.
-        why: it has no sensors.
+        shapes, sensors, transducers: what the device has; actuators are no sensors.
 
     Raises:
         UsageError: the device describes no SIF and has no sensor of a name.
@@ -344,8 +347,12 @@ def _opcodes_of(
     known = dict(sensors) | {shape.name: opcode for opcode, (shape, _) in shapes.items()}
     for name in wanted:
         if isinstance(name, str) and name not in known:
-            advice = "; give its opcode, 0..255" if known else f", as {why}; give its opcode, 0..255"
-            hint = nearest_or_all(name, known, advice=advice)
+            if "://" in name:
+                raise UsageError(f"{name}: j2a watch takes one board; run it once for each")
+            if name in transducers:
+                raise UsageError(f"{name} is an actuator, which sends no samples")
+            reason = "" if known else f", as {transducers.why}"
+            hint = nearest_or_all(name, known, advice=f"{reason}; give its opcode, 0..255")
             raise UsageError(f"the device describes no SIF or sensor {name!r}; {hint}")
     return [known[one] if isinstance(one, str) else one for one in wanted] or None
 

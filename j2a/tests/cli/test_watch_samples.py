@@ -155,8 +155,11 @@ def test_a_name_that_is_none(run, board, demo):
     result = run("watch", board, "servo")
     assert result.code == 2
     assert "no SIF or sensor 'servo'; it has: quad, log;" in result.err
-    result = run("watch", board, "lamp")  # which sends nothing
+    result = run("watch", board, "lamp")
+    assert (result.code, result.err) == (2, "j2a: lamp is an actuator, which sends no samples\n")
+    result = run("watch", board, demo)
     assert result.code == 2
+    assert "j2a watch takes one board; run it once for each" in result.err
     result = run("watch", demo, "--rates")
     assert result.code == 2
     assert "has no sensors" in result.err
