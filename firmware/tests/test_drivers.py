@@ -927,7 +927,9 @@ def test_the_example_in_the_documentation(build, capsys):
     page = PAGE.read_text("utf-8")
     _, code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     elf = build("sensors", "avr-serial", BAUD="500000")
-    exec(compile(code, "drivers.md", "exec"), {"ELF": elf})
+    placed = code.replace('"firmware/build/avr-serial/sensors.elf"', repr(str(elf)))
+    assert placed != code
+    exec(compile(placed, "drivers.md", "exec"), {})
     assert capsys.readouterr().out.splitlines() == [
         "100 steps, the last one at 1.006 s",
         "255 mm",
