@@ -13,6 +13,7 @@ from j2a.types.model import Enumeration, Structure
 from j2a.types.transducers import (
     KEYS,
     LOST_BYTES,
+    NONE,
     TIME_BYTES,
     Descriptors,
     Transducer,
@@ -76,7 +77,7 @@ def _characteristics(one: Transducer) -> Rows:
     yield "Channels", str(one.channels)
     element = one.type.element
     is_structure = isinstance(element, Structure)
-    yield "Unit", one.unit or ("those of its fields" if is_structure else "none (a number)")
+    yield "Unit", one.unit or ("those of its fields" if is_structure else "none")
     yield "Raw value", str(one.type).partition(" ")[0]
     if isinstance(element, Structure):
         yield "Fields", ", ".join(map(str, element.fields))
@@ -94,7 +95,8 @@ def _calibration(one: Transducer) -> Rows:
     if one.is_scaled:
         offset = one.get("offset", "0")
         sign = "-" if offset.startswith("-") else "+"
-        yield "Value", f"raw * {one.get('scale', '1')} {sign} {offset.lstrip('-')}{_unit(one)}"
+        added = f" {sign} {offset.lstrip('-')}" if one.offset else ""
+        yield "Value", f"raw * {one.get('scale', '1')}{added}{_unit(one)}"
         element = numbers_element(one.type)
         if element is not None and element[0] in "ui":
             yield "Resolution", f"{abs(one.scale):g}{_unit(one)}"
@@ -118,11 +120,12 @@ def _timing(one: Transducer) -> Rows:
 def _configuration(one: Transducer) -> Rows:
     if one.is_sensor:
         yield "enabled, period", "yes"
-    for key in ("decimation", "threshold", "topic"):
+    for key, raw in (("decimation", ""), ("threshold", "raw "), ("topic", "")):
         if one.has(key):
-            yield key, f"yes; {one.get(key)} when the board starts"
+            yield key, f"yes; {raw}{one.get(key)} when the board starts"
     if not one.is_sensor:
-        yield "Safe value", one.get("safe") or "zero"
+        safe = one.get("safe") or NONE
+        yield "Safe value", "zero" if safe == NONE else f"raw {safe}"
         if one.has("watchdog"):
             yield "watchdog", f"yes; {one.get('watchdog')} ms when the board starts, 0 is never"
 

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -139,6 +140,31 @@ def test_a_module_works(run, board, tmp_path, monkeypatch):
         transducers.servo.set(10, channel=1)
         assert transducers.servo.read()[1].value == 10
         assert transducers.queued.wait(30).unit == "mV"
+
+
+def test_a_data_sheet_tells_raw_values_from_others(run, tmp_path):
+    path = tmp_path / "transds.def"
+    path.write_text(
+        "SENSOR(bump, 1, bump, X, 8, bool, none)\n"
+        "SENSOR(batt, 2, batt, X, 1, u16, none, (unit, V), (scale, 0.5), (offset, -2), "
+        "(threshold, 5))\n"
+        "ACTUATOR(servo, 3, servo, X, 1, i8, 10, (unit, deg), (scale, 0.9))\n"
+        "ACTUATOR(lamp, 4, lamp, X, 1, u8, none)\n"
+    )
+    run("transds", path, "--html", tmp_path / "a.html")
+    page = re.sub(r"<[^>]+>", "|", (tmp_path / "a.html").read_text())
+    rows = re.findall(r"\|(Unit|Value|threshold|Safe value)\|+([^|]+)\|", page)
+    assert rows == [
+        ("Unit", "none"),
+        ("Unit", "V"),
+        ("Value", "raw * 0.5 - 2 V"),
+        ("threshold", "yes; raw 5 when the board starts"),
+        ("Unit", "deg"),
+        ("Value", "raw * 0.9 deg"),
+        ("Safe value", "raw 10"),
+        ("Unit", "none"),
+        ("Safe value", "zero"),
+    ]
 
 
 def test_what_a_board_says_is_escaped(run, tmp_path):
