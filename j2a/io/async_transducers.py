@@ -91,9 +91,12 @@ class AsyncSensor(_Async):
 
     async def wait(self, timeout: float | None = None) -> Sample:
         """Return the next sample that comes; `Sensor.wait` for asyncio."""
-        client = self._client
+        limit_s = self._client._limit_s(timeout)
         async with self.samples() as stream:
-            sample: Sample = await stream.wait(client._limit_s(timeout))
+            try:
+                sample: Sample = await stream.wait(limit_s)
+            except CallTimeout as error:
+                raise self._late(limit_s, error) from None
             return sample
 
     async def read_batch(self, count: int, timeout: float | None = None) -> Batch:

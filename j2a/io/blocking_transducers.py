@@ -133,9 +133,12 @@ class Sensor(_Blocking):
 
         Raises: as `Client.wait_sif`.
         """
-        client = self._client
+        limit_s = self._client._limit_s(timeout)
         with self.samples() as stream:
-            sample: Sample = stream.wait(client._limit_s(timeout))
+            try:
+                sample: Sample = stream.wait(limit_s)
+            except CallTimeout as error:
+                raise self._late(limit_s, error) from None
             return sample
 
     def read_batch(self, count: int, timeout: float | None = None) -> Batch:

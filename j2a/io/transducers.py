@@ -33,6 +33,7 @@ from j2a.io.samples import SampleSource, WantedSamples
 from j2a.io.streams import MAX_SIFS
 from j2a.types.arrays import Batch
 from j2a.types.coding import PayloadMismatchError
+from j2a.types.model import Structure
 from j2a.types.samples import SampleCodec
 from j2a.types.transducers import TIME_BYTES, Descriptors, Transducer
 
@@ -281,6 +282,13 @@ class RemoteTransducer:
             raise ProtocolError(f"{self.name}: {error}") from None
 
     def _set_request(self, values: tuple[Any, ...], channel: int, at_us: int, raw: bool) -> bytes:
+        one = self.descriptor
+        is_single = one.type.count is None and not isinstance(one.type.element, Structure)
+        if is_single and one.channels > 1 and isinstance(next(iter(values), 0), list):
+            raise WrongArgument(
+                f"{self.name} has {one.channels} channels: give each an argument of its own, as in "
+                "set(*values)"
+            )
         data = self._codec.pack_set(values, channel, at_us, is_raw=raw)
         return self._request(c.TRANSD_SET, data)
 
@@ -307,6 +315,15 @@ class RemoteTransducer:
         if not isinstance(count, Integral) or count < 1:
             raise WrongArgument(f"a batch has 1 sample or more, not {count!r:.40}")
         return self.descriptor, self._stream(max(int(count), MAX_SIFS))
+
+    def _late(self, timeout: float, error: CallTimeout) -> CallTimeout:
+        """Return the error of a sample that did not come, which names what may be the cause."""
+        why = "it may be disabled"
+        if self.descriptor.has("trigger"):
+            why += ", or wait for its trigger"
+        return CallTimeout(
+            f"no sample of {self.name} came within {timeout:g} s: {why}", outcome=error.outcome
+        )
 
     def _batch_error(
         self, before: Transducer, found: list[Sample], count: int, error: CallTimeout | LinkError

@@ -660,6 +660,17 @@ class TestSettings:
             board.transducers[name].configure(**settings)
         assert board.counters.frames_sent == before
 
+    def test_a_sample_that_does_not_come(self, board):
+        with pytest.raises(j2a.CallTimeout) as caught:
+            board.transducers["quad"].wait(0.01)
+        assert str(caught.value) == "no sample of quad came within 0.01 s: it may be disabled"
+        with pytest.raises(j2a.CallTimeout, match="it may be disabled, or wait for its trigger"):
+            board.transducers["imu"].wait(0.01)
+
+    def test_a_list_of_values_is_no_value(self, board):
+        with pytest.raises(j2a.WrongArgument, match=r"servo has 2 channels: give each an argument"):
+            board.transducers["servo"].set([5, 6])
+
     def test_a_name_that_is_no_setting(self, board):
         with pytest.raises(AttributeError, match="quad has no setting peroid; there are: enabled"):
             board.transducers["quad"].peroid = 1
@@ -1106,6 +1117,10 @@ class TestAsyncio:
                 assert (await batch).values[0, 1] == 12.0
                 with pytest.raises(j2a.WrongArgument, match="1 sample or more"):
                     await quad.read_batch(0)
+                with pytest.raises(
+                    j2a.CallTimeout, match=r"no sample of quad .* 0\.01 s: it may be"
+                ):
+                    await quad.wait(0.01)
                 with pytest.raises(j2a.CallTimeout, match="0 of 9 samples of quad came in time"):
                     await quad.read_batch(9, timeout=0.05)
                 late = asyncio.create_task(quad.read_batch(2, timeout=1.0))
