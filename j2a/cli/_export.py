@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise CommandFailed(f"cannot write the tables: {error.strerror}", FAILED) from None
     for table in tables.values():
-        show(f"wrote {table.path}: {table.rows} rows")
+        show(f"wrote {table.path}: {table.rows} {'row' if table.rows == 1 else 'rows'}")
     if not tables and not problems:
         note(f"j2a: {args.file} has no samples")
     if problems:

@@ -264,7 +264,9 @@ def _identity(client: j2a.Client) -> str:
 def run(args: argparse.Namespace) -> int:
     """Record until the end; returns the exit code."""
     if args.output.suffix != ".mcap":
-        raise UsageError(f"{args.output}: the name ends in .mcap")
+        raise UsageError(
+            f"{args.output}: give it a name that ends in .mcap; j2a export makes tables of it"
+        )
     twice = [url for url in args.urls if args.urls.count(url) > 1]
     if twice:
         raise UsageError(f"{twice[0]} stands there twice")

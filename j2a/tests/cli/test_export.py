@@ -71,7 +71,8 @@ def test_csv(run, path, tmp_path):
     assert (out / "left_cart_bump.csv").read_text() == (
         f"host_time_ns,time_us,channel,value\n{NOW_NS},22,0,True\n"
     )
-    assert f"wrote {out / 'left_cart_quad.csv'}: 3 rows" in result.out
+    assert f"wrote {out / 'left_cart_quad.csv'}: 3 rows\n" in result.out
+    assert f"wrote {out / 'left_cart_bump.csv'}: 1 row\n" in result.out
     again = run("export", path, out)
     assert again.code == 2
     assert "is there already" in again.err

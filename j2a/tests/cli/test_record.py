@@ -419,7 +419,7 @@ def on_terminal(words):
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("record", "URL", "-o", "a.csv"), "ends in .mcap"),
+        (("record", "URL", "-o", "a.csv"), "ends in .mcap; j2a export makes tables of it"),
         (("record", "URL", "-o", "there.mcap"), "is there already"),
         (("record", "URL", "-o", "none/a.mcap"), "cannot write"),
         (("record", "DEMO", "DEMO", "-o", "a.mcap"), "stands there twice"),
