@@ -47,7 +47,7 @@ class _Async(RemoteTransducer):
     async def setting(self, name: str) -> Any:
         """Return a setting as the device has it now, such as "period" in seconds."""
         if name not in SETTINGS:
-            raise WrongArgument(f"{name} is no setting; there are: {', '.join(SETTINGS)}")
+            raise WrongArgument(f"{name} is no setting; {self._settings_it_has()}")
         return self._unpack(name, await self._ask(partial(self._request, SETTINGS[name])))
 
     async def read(self) -> tuple[Reading, ...]:

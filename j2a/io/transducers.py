@@ -100,7 +100,7 @@ class RemoteTransducer:
         super().__setattr__(name, value)
 
     def _no_attribute(self, name: str) -> str:
-        return f"{self.name} has no setting {name}; there are: {', '.join(SETTINGS)}"
+        return f"{self.name} has no setting {name}; {self._settings_it_has()}"
 
     @property
     def _client(self) -> Any:
@@ -166,6 +166,12 @@ class RemoteTransducer:
         keys = [item for item in SETTINGS.values() if self.descriptor.has(_NEEDS.get(item, ""))]
         return [*common, *keys]
 
+    def _settings_it_has(self) -> str:
+        """Return what to say behind a setting that it does not have."""
+        items = self._items()
+        names = ", ".join(name for name, item in SETTINGS.items() if item in items)
+        return f"{self.name} has: {names}" if names else f"{self.name} has no settings"
+
     def _answer(self, reply: Reply) -> bytes:
         """Return the item that a reply holds.
 
@@ -185,7 +191,7 @@ class RemoteTransducer:
         """
         item = SETTINGS.get(setting)
         if item is None:
-            raise WrongArgument(f"{setting} is no setting; there are: {', '.join(SETTINGS)}")
+            raise WrongArgument(f"{setting} is no setting; {self._settings_it_has()}")
         is_sensor = self.descriptor.is_sensor
         if (item in (c.TRANSD_ENABLED, c.TRANSD_PERIOD)) and not is_sensor:
             raise WrongArgument(f"{self.name} is an actuator, which has no {setting}")

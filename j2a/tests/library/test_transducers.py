@@ -672,8 +672,23 @@ class TestSettings:
             board.transducers["servo"].set([5, 6])
 
     def test_a_name_that_is_no_setting(self, board):
-        with pytest.raises(AttributeError, match="quad has no setting peroid; there are: enabled"):
+        with pytest.raises(AttributeError, match="quad has no setting peroid; quad has: enabled"):
             board.transducers["quad"].peroid = 1
+
+    @pytest.mark.parametrize(
+        ("name", "has"),
+        [
+            ("log", "log has: enabled, period$"),
+            ("servo", "servo has: watchdog$"),
+            ("lamp", "lamp has no settings$"),
+        ],
+    )
+    def test_a_mistake_names_only_the_settings_that_are_there(self, board, name, has):
+        with pytest.raises(AttributeError, match=f"has no setting color; {has}"):
+            board.transducers[name].color = 1
+        with pytest.raises(j2a.WrongArgument, match=f"color is no setting; {has}") as caught:
+            board.transducers[name].configure(color=1)
+        assert ("period" in str(caught.value)) == (name == "log")
 
     def test_what_the_device_refuses(self, board):
         with pytest.raises(j2a.FunctionFailed, match="keeps no settings without power") as caught:
