@@ -29,6 +29,7 @@ _TRIGRAPH: Final = re.compile(r"\?\?[=/'()!<>-]")
 _TRIGRAPH_SPLICE: Final = re.compile(r"\?\?/\r?\n")
 
 _SPACE: Final = re.compile(r"[ \t\r\n\v\f]+")
+_SPACE_BEHIND: Final = re.compile(r"\\[ \t\v\f]+(?:\r?\n|$)")
 _TOKEN: Final = re.compile(rf"{_LITERAL}|[(),]|[^ \t\r\n\v\f(),\"'\\]+")
 _PIECE: Final = re.compile(r"\.?[0-9](?:[eEpP][+-]|[\w.])*|[A-Za-z_$][\w$]*")
 _ESCAPE: Final = re.compile(r"\\(.)")
@@ -284,6 +285,10 @@ class MacroReader:
         """Return what is wrong here, where no token begins."""
         character = self._source.text[self._at]
         if character == "\\":
+            if _SPACE_BEHIND.match(self._source.text, self._at):
+                return "a space or a comment stands behind this backslash; end the line with it"
+            if self._at + 1 == len(self._source.text):
+                return "the file ends behind this backslash; leave it out"
             return 'a backslash stands in a text, in front of " or \\, or at the end of a line'
         return f"a second {character} is missing in this line"
 
