@@ -52,6 +52,7 @@ _TOP: Final = 1 << 63
 _STRING: Final = re.compile(r'"(?:[^"\\\n]|\\.)*"')
 _TEXTS: Final = ("model", "unit", "topic")
 _QUOTED: Final = re.compile(r"\".*\"|'.+'")  # '' is the second of arc, a unit
+_ASSIGNED: Final = re.compile(rf"({NAME.pattern})\s*[=:]\s*(.+)")
 _UNQUOTED: Final = re.compile(r"[^\s(),\"'\\]+(?: [^\s(),\"'\\]+)*")
 _BOOL: Final = re.compile(r"\bbool\b")
 _C_NAMES: Final = {name: c_name for c_name, name in _C_TYPES.items()}
@@ -108,7 +109,7 @@ def read_transds(
             ids[transducer.id] = names[transducer.name] = arguments[0]
             found[transducer.name] = transducer
         elif macro not in DEFINITIONS:
-            hint = did_you_mean(macro, (*_KINDS, *DEFINITIONS))
+            hint = did_you_mean(macro.upper(), (*_KINDS, *DEFINITIONS))
             what = f"{macro} is no entry of transds.def"
             raise reader.error(f"{what}; {hint}" if hint else what, macro)
     return Descriptors(tuple(types.values()), tuple(found.values()))
@@ -261,7 +262,10 @@ class _Entry:
                 continue
             key = item[0] if item and is_group(item) else None
             if not isinstance(key, Word) or not NAME.fullmatch(key):
-                raise self._reader.error("a key is expected behind this parenthesis", item)
+                what = "a key is expected behind this parenthesis"
+                if match := _ASSIGNED.fullmatch(str(key)):
+                    what = f"write ({match[1]}, {match[2]}), with a comma"
+                raise self._reader.error(what, item)
             if key in lines or (key == "unit" and unit is not None):
                 raise self._reader.error(f"the key {key} stands here twice", key)
             if key in _TEXTS:
