@@ -7,6 +7,7 @@ What flows in: the pieces, from the parser, or from a `transds.def`. What flows 
 import math
 import struct
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 from j2a_spec.constants import MAX_PAYLOAD, TRANSD_MAX_ID
@@ -63,7 +64,7 @@ NONE: Final = "none"
 
 
 @immutable
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots, so that properties can be cached
 class Transducer:
     """A sensor or an actuator.
 
@@ -160,7 +161,7 @@ class Transducer:
         """It sends sample SIFs when the device starts."""
         return self.is_sensor and self.get("enabled", "1") != "0"
 
-    @property
+    @cached_property
     def queue(self) -> int:
         """So many values wait until they are sent; 0 where each channel keeps its newest one."""
         return int(self.get("queue", "0")) if self.is_sensor else 0
