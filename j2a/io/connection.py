@@ -2,13 +2,15 @@
 
 What flows in: bytes of the host, SIFs from any thread. What flows out: requests to execute, replies
 and SIFs on the wire.
-Rules: replies are written by the thread that serves the host, SIFs by one that is started with the
-first; so a host that does not read delays nobody but itself. What waits for it is bounded: further
-SIFs are lost for this host, which sees the gap in their numbers.
+Rules: replies are written by the thread that serves the host. A SIF is written by the thread that
+sends it as far as the link takes it at once. The rest, and SIFs in quick succession, are written by
+one that is started for it; so a host that does not read delays nobody but itself. What waits for it
+is bounded: further SIFs are lost for this host, which sees the gap in their numbers.
 """
 
 import contextlib
 import logging
+import math
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
@@ -26,6 +28,8 @@ __all__ = ["MAX_WAITING", "Connection"]
 MAX_WAITING: Final = 2**18
 """So many bytes may wait for a host that reads slowly."""
 LAST_WRITE_S: Final = 0.2
+SUCCESSION_S: Final = 0.001
+"""A SIF so soon after another is left to the thread, which writes several of them at once."""
 _logger = logging.getLogger("j2a")
 
 
@@ -52,6 +56,8 @@ class Connection:
         # order; a write that waits for the host holds up nothing but other writes to it.
         self._writing = threading.Lock()
         self._state = threading.Lock()
+        self._unwritten = b""
+        self._last_sif = -math.inf
         self._sif_writer: threading.Thread | None = None
         self._sif_waits = threading.Event()
         self._ended = False
@@ -84,13 +90,10 @@ class Connection:
                 self._server.skip_sif()
                 return False
             self._server.send_sif(opcode, payload)
-            if self._sif_writer is None:
-                # Without a thread to give for it, the SIF goes out with the next reply.
-                with contextlib.suppress(LinkError):
-                    self._sif_writer = start_thread(
-                        self._write_sifs, f"j2a SIFs {self.transport.url}"
-                    )
-        self._sif_waits.set()
+            before, self._last_sif = self._last_sif, self._now()
+            is_alone = self._last_sif - before >= SUCCESSION_S
+        if not (is_alone and self._try_write()):
+            self._write_soon()
         return True
 
     @property
@@ -108,6 +111,28 @@ class Connection:
             finally:
                 self._writing.release()
         self.transport.close()
+
+    def _try_write(self) -> bool:
+        """Write what the link takes at once; return whether nothing is left for another thread."""
+        if not self._writing.acquire(blocking=False):
+            return False
+        try:
+            if not self._unwritten:
+                data = self._fetch()
+                self._unwritten = data[self.transport.try_write(data) :]
+            return not self._unwritten
+        finally:
+            self._writing.release()
+
+    def _write_soon(self) -> None:
+        with self._state:
+            if self._sif_writer is None:
+                # Without a thread to give for it, the SIF goes out with the next reply.
+                with contextlib.suppress(LinkError):
+                    self._sif_writer = start_thread(
+                        self._write_sifs, f"j2a SIFs {self.transport.url}"
+                    )
+        self._sif_waits.set()
 
     def _write_sifs(self) -> None:
         try:
@@ -148,10 +173,14 @@ class Connection:
             self._write()
 
     def _write(self) -> None:
-        with self._state:
-            data = self._server.data_to_send()
+        data = self._fetch()
+        self._unwritten = b""
         if data:
             self.transport.write(data)
+
+    def _fetch(self) -> bytes:
+        with self._state:
+            return self._unwritten + self._server.data_to_send()
 
 
 def _log_end(error: Exception) -> None:

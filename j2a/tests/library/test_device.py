@@ -344,8 +344,21 @@ def test_a_host_that_does_not_read_delays_nobody():
         assert host.frames(1)[0].payload == b"reply"
 
 
-def test_a_sif_that_is_lost_leaves_a_gap():
-    near = LoopbackTransport("near", Channel(), Channel(limit=100), write_timeout_s=None)
+class AtOnce(LoopbackTransport):
+    """Takes at once what has room; has a time of its own."""
+
+    now = 0.0
+
+    def clock(self):
+        return self.now
+
+    def try_write(self, data):
+        return self._outgoing.put(memoryview(data), 0)
+
+
+@pytest.mark.parametrize("kind", [LoopbackTransport, AtOnce])
+def test_a_sif_that_is_lost_leaves_a_gap(kind):
+    near = kind("near", Channel(), Channel(limit=100), write_timeout_s=None)
     far = LoopbackTransport("far", near._outgoing, near._incoming)
     device = j2a.Device()
     server = threading.Thread(target=device.serve, args=(near,))
@@ -363,6 +376,35 @@ def test_a_sif_that_is_lost_leaves_a_gap():
     assert oracle.decode(data) == frames
     assert device.send_sif(2, b"") == 1
     assert oracle.decode(far.read(PATIENCE_S)) == [oracle.Frame(SOS, 3001 & 0xFF, 2, b"")]
+    device.stop()
+    server.join(PATIENCE_S)
+
+
+@pytest.mark.parametrize(("size", "later_s"), [(200, 1.0), (10, 0.0)])
+def test_a_sif_that_the_link_takes_at_once_needs_no_thread(size, later_s):
+    """One that it does not, or that comes right behind another, does."""
+    device, has_thread = j2a.Device(), []
+    sifs = ((20, 1.0), (30, 1.0), (size, later_s))
+
+    @device.function
+    def tell(_payload):
+        for length, seconds in sifs:
+            near.now += seconds
+            device.send_sif(1, bytes(length))
+            has_thread.append(any(one.name == "j2a SIFs near" for one in threading.enumerate()))
+
+    near = AtOnce("near", Channel(), Channel(limit=100))
+    far = LoopbackTransport("far", near._outgoing, near._incoming)
+    server = threading.Thread(target=device.serve, args=(near,))
+    server.start()
+    far.write(oracle.encode(oracle.Frame(SOF, 7, device.functions["tell"], b"")))
+    due = [oracle.Frame(SOS, n, 1, bytes(length)) for n, (length, _) in enumerate(sifs)]
+    due.append(oracle.Frame(SOF, 7, 0, b""))
+    data = b""
+    while len(data) < sum(len(oracle.encode(frame)) for frame in due):
+        data += far.read(PATIENCE_S)
+    assert oracle.decode(data) == due
+    assert has_thread == [False, False, True]
     device.stop()
     server.join(PATIENCE_S)
 
