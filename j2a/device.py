@@ -271,21 +271,24 @@ class Device(FunctionRegistry):
             )
         return self._runner
 
-    def sense(self, name: str, channel: int, value: Any, *, raw: bool = False) -> None:
-        """Take a value that a sensor has measured now, as a driver of firmware calls back.
+    def sense(self, name: str, channel: int, value: Any, *more: Any, raw: bool = False) -> None:
+        """Take values that a sensor has measured now, as a driver of firmware calls back.
 
-        It is sent to each host as the settings of the sensor say; any thread may call this.
+        They are sent to each host as the settings of the sensor say; any thread may call this. The
+        values of one call come in one sample, all of them with the same time.
 
         Args:
             name: of the sensor.
             channel: which of its channels, from 0 on.
             value: in the unit of the descriptor; None is the N/A value.
-            raw: it is a raw one, before scale and offset.
+            more: values of the channels behind it.
+            raw: they are raw ones, before scale and offset.
 
         Raises:
-            LocalError: the device has no such sensor or channel, or the value is not of its type.
+            LocalError: the device has no such sensor or channel, or a value is not of its type; no
+                value was taken.
         """
-        self._transducers().sense(name, [(channel, value)], is_raw=raw)
+        self._transducers().sense(name, channel, (value, *more), is_raw=raw)
 
     def actuator(self, name: str) -> Callable[[_Moved], _Moved]:
         """Register the function that sets an actuator; a decorator.

@@ -86,7 +86,7 @@ class VirtualBoard(Device):
     def _measure(self, sensor: Transducer) -> None:
         phase = self._local_us() / _US / _WAVE_S
         values = [wave(sensor, phase + n / sensor.channels) for n in range(sensor.channels)]
-        self._transducers().sense(sensor.name, enumerate(values), is_raw=True)
+        self.sense(sensor.name, 0, *values, raw=True)
 
 
 def wave(sensor: Transducer, phase: float) -> Any:

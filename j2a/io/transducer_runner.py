@@ -10,7 +10,7 @@ import logging
 import math
 import os
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -24,8 +24,7 @@ __all__ = ["TransducerRunner"]
 
 _logger = logging.getLogger("j2a")
 _US: Final = 1_000_000
-_SLOWEST: Final = 0.98
-"""A wait is so much shorter, because the clock may run faster than the local time."""
+_NOW: Final = -math.inf
 _LONGEST_WAIT_S: Final = 3600.0
 
 
@@ -61,7 +60,7 @@ class TransducerRunner:
         self._send = send
         self._calling = calling
         self._changed = threading.Condition()
-        self._is_due = False
+        self._next_us = math.inf
         self._local_us = local_us
         self._clock_us = clock_us
         self._seconds = 0.0
@@ -102,16 +101,31 @@ class TransducerRunner:
             raise LocalError(f"the device has no sensor {name!r} with the key trigger")
         self._server.on_trigger[name] = function
 
-    def sense(self, name: str, values: Iterable[tuple[int, Any]], *, is_raw: bool) -> None:
-        """Take values that a sensor has measured now, each with its channel.
+    def sense(self, name: str, first: int, values: Sequence[Any], *, is_raw: bool) -> None:
+        """Take values that a sensor has measured now, of the channels from the first one on.
 
-        No SIF is sent in between.
+        With a value for each channel the sample is whole, and this thread sends it if it is due.
+        Otherwise the device's own thread does, because the other channels may follow at once.
+
+        Raises:
+            LocalError: as `TransducerServer.sensor` and `SensorState.sense`; no value was taken.
         """
-        with self._changed:
-            now_us = self.now_us()
-            for channel, value in values:
-                self._server.sense(name, channel, value, now_us, is_raw=is_raw)
-            self._wake()
+        sensor = self._server.sensor(name)
+        is_whole = len(values) == sensor.transducer.channels and self._thread is not None
+        # While a function of the device runs, the sample SIF waits for its end.
+        may_send = is_whole and self._calling.acquire(blocking=False)
+        try:
+            with self._changed:
+                sensor.sense(first, values, self.now_us(), is_raw=is_raw)
+                payload, due_us = b"", sensor.due_us()
+                if may_send:
+                    payload, due_us = sensor.report(self._local_us())
+                self._turn_by(due_us)
+            if payload:
+                self._send(sensor.transducer.id, payload)
+        finally:
+            if may_send:
+                self._calling.release()
 
     def give(self, values: Callable[[int], list[tuple[int, bytes]]]) -> None:
         """Have something given to the server at this local time, and send the SIFs that it returns.
@@ -146,7 +160,7 @@ class TransducerRunner:
     def set_pace(self, pace: float) -> None:
         """Notice that so many local microseconds pass in one from now on."""
         with self._changed:
-            self._seconds = _SLOWEST / (_US * pace)
+            self._seconds = 1 / (_US * pace)
             self._wake()
 
     def move(self, by_us: int) -> None:
@@ -173,24 +187,29 @@ class TransducerRunner:
             self._wake()
 
     def _wake(self) -> None:
-        self._is_due = True
-        self._changed.notify_all()
+        self._turn_by(_NOW)
+
+    def _turn_by(self, due_us: float) -> None:
+        """Have the thread take its next turn at this local time, unless it does so before."""
+        if due_us < self._next_us:
+            self._next_us = due_us
+            self._changed.notify_all()
 
     def _work(self) -> None:
-        left_us = math.inf
-        while self._wait(left_us):
+        while self._wait():
             with self._calling:
                 with self._changed:
-                    self._is_due = False
-                    sifs, actions, left_us = self._server.turn(self.now_us(), self._local_us())
+                    local_us = self._local_us()
+                    sifs, actions, left_us = self._server.turn(self.now_us(), local_us)
+                    self._next_us = local_us + left_us
                 for opcode, payload in sifs:
                     self._send(opcode, payload)
                 _run(actions)
 
-    def _wait(self, left_us: float) -> bool:
-        """Wait for something to do, about so long at most; return False at the end."""
+    def _wait(self) -> bool:
+        """Wait until the next turn; return False at the end."""
         with self._changed:
-            if not self._is_due and not self._is_stopped:
+            while not self._is_stopped and (left_us := self._next_us - self._local_us()) > 0:
                 self._changed.wait(min(left_us * self._seconds, _LONGEST_WAIT_S))
             return not self._is_stopped
 

@@ -29,6 +29,8 @@ Action = Callable[[], object]
 _LOST_MODULO: Final = 0x10000
 _MS: Final = 1000
 _NEVER: Final = math.inf
+_SLOWEST: Final = 0.98
+"""A wait is so much shorter, because the clock may run faster than the local time."""
 _BYTES: Final[Mapping[int, int]] = {
     c.TRANSD_ENABLED: 1,
     c.TRANSD_PERIOD: 4,
@@ -90,33 +92,17 @@ class TransducerServer:
 
     # ------------------------------------------------------------------ drivers
 
-    def sense(self, name: str, channel: int, value: Any, now_us: int, *, is_raw: bool) -> None:
-        """Take a value that a sensor has measured.
-
-        Args:
-            name: of the sensor.
-            channel: which of its channels.
-            value: in the unit of the descriptor; None is its N/A value.
-            now_us: the time of the device's clock, from 1 on.
-            is_raw: the value is a raw one.
+    def sensor(self, name: str) -> "SensorState":
+        """Return a sensor.
 
         Raises:
-            LocalError: there is no such sensor or channel, or the value is not of its type.
+            LocalError: there is none of this name.
         """
         sensor = self._by_name.get(name)
         if not isinstance(sensor, SensorState):
             known = ", ".join(one.transducer.name for one in self._sensors) or "none"
             raise LocalError(f"the device has no sensor {name!r}, but {known}")
-        if not isinstance(channel, int) or not 0 <= channel < sensor.transducer.channels:
-            raise LocalError(
-                f"{name} has channels 0 to {sensor.transducer.channels - 1}, and none {channel!r}"
-            )
-        if value is None and not is_raw:
-            if sensor.transducer.na is None:
-                raise LocalError(f"{name} has no value for N/A: each of its values is one")
-            value, is_raw = sensor.transducer.na, True
-        codec = sensor.codec
-        sensor.take(channel, codec.pack_raw(value) if is_raw else codec.pack(value), now_us)
+        return sensor
 
     # ------------------------------------------------------------------ requests
 
@@ -245,7 +231,7 @@ class TransducerServer:
             local_us: the local time, by which intervals are measured (J2A-CLOCK-019).
 
         Returns: opcodes and payloads of the sample SIFs to send, what is to be called, and the
-            microseconds until the next turn, infinity while nothing waits.
+            local microseconds until the next turn, infinity while nothing waits.
         """
         sifs: list[tuple[int, bytes]] = []
         actions: list[Action] = []
@@ -256,12 +242,15 @@ class TransducerServer:
             payload, due_us = sensor.report(local_us)
             if payload:
                 sifs.append((sensor.transducer.id, payload))
+                # A value that comes before the next one is due need not ask for a turn then.
+                due_us = sensor.next_us() if sensor.period_us else due_us
             next_local_us = min(next_local_us, due_us)
         for actuator in self._actuators:
             watch_us = self._watch(actuator, now_us, local_us, actions)
             next_local_us = min(next_local_us, watch_us)
             next_us = min(next_us, self._move(actuator, now_us, actions))
-        return sifs, actions, min(next_us - now_us, next_local_us - local_us)
+        left_us = (next_us - now_us) * _SLOWEST
+        return sifs, actions, min(left_us, next_local_us - local_us)
 
     def _start(self, sensor: "SensorState", now_us: int, actions: list[Action]) -> float:
         due_us = sensor.trigger_us
@@ -360,7 +349,42 @@ class SensorState(_Transducer):
         self._queue: deque[bytes] = deque()
         self._lost = 0
         self._is_fresh = False
-        self._reference_us: int | None = None
+        self._reference_us: float | None = None
+
+    def sense(self, first: int, values: Sequence[Any], now_us: int, *, is_raw: bool) -> None:
+        """Take values that the sensor has measured: all of them, or none if one is wrong.
+
+        Args:
+            first: the channel of the first value; the others are those of the channels behind it.
+            values: in the unit of the descriptor; None is the N/A value.
+            now_us: the time of the device's clock, from 1 on.
+            is_raw: the values are raw ones.
+
+        Raises:
+            LocalError: there is no such channel, or a value is not of the type.
+        """
+        name, channels = self.transducer.name, self.transducer.channels
+        if not isinstance(first, int) or not 0 <= first < channels:
+            raise LocalError(f"{name} has channels 0 to {channels - 1}, and none {first!r}")
+        if first + len(values) > channels:
+            raise LocalError(
+                f"{name}: {len(values)} values from channel {first} on, where there are {channels} "
+                "channels"
+            )
+        packed = [self._pack(value, is_raw) for value in values]
+        for channel, data in enumerate(packed, first):
+            self.take(channel, data, now_us)
+
+    def _pack(self, value: Any, is_raw: bool) -> bytes:
+        if is_raw:
+            return self.codec.pack_raw(value)
+        if value is not None:
+            return self.codec.pack(value)
+        if self.transducer.na is None:
+            raise LocalError(
+                f"{self.transducer.name} has no value for N/A: each of its values is one"
+            )
+        return self.codec.pack_raw(self.transducer.na)
 
     def take(self, channel: int, data: bytes, now_us: int) -> None:
         """Take a value, unless decimation or threshold leave it out."""
@@ -393,14 +417,21 @@ class SensorState(_Transducer):
         assert self.threshold is not None
         return self.codec.difference(raw, last) < self.threshold
 
-    def report(self, local_us: int) -> tuple[bytes, float]:
-        """Return the payload of a sample SIF that is due, and when to look again."""
-        has_some = bool(self._queue) if self.transducer.queue else self._is_fresh
-        if not self.is_enabled or not has_some:
-            return b"", _NEVER
-        due_us = local_us
+    def next_us(self) -> float:
+        """Return the local time from which the next sample SIF may begin; the first may at once."""
+        due_us = -math.inf
         if self._reference_us is not None:
             due_us = self._reference_us + self.period_us
+        return due_us
+
+    def due_us(self) -> float:
+        """Return the local time at which a sample SIF is due, infinity while there is no value."""
+        has_some = bool(self._queue) if self.transducer.queue else self._is_fresh
+        return self.next_us() if self.is_enabled and has_some else _NEVER
+
+    def report(self, local_us: int) -> tuple[bytes, float]:
+        """Return the payload of a sample SIF that is due, and when to look again."""
+        due_us = self.due_us()
         if local_us < due_us:
             return b"", due_us
         # Lateness of less than one PERIOD does not add up (J2A-TRANS-011).

@@ -113,8 +113,7 @@ class Measuring:
         for number in range(1, round(BOARD_S * BOARD_HZ) + 1):
             time.sleep(max(0.0, start + number / BOARD_HZ - time.monotonic()))
             for device in self.devices:
-                for channel in range(CHANNELS):
-                    device.sense("eight", channel, number + channel)
+                device.sense("eight", 0, *range(number, number + CHANNELS))
         self._seconds = time.monotonic() - start
         time.sleep(REST_S)  # what PERIOD has held back
         self._cpu_s = time.process_time() - cpu_s

@@ -61,7 +61,7 @@ class Wire(j2a.Device):
         runner = self._referee._transducers()
         with runner._changed:
             stamp_us = there - late_us + self.delay_us
-            runner._server.sense("edge", 0, value, stamp_us, is_raw=True)
+            runner._server.sensor("edge").sense(0, [value], stamp_us, is_raw=True)
             runner._wake()
 
 

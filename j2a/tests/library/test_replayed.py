@@ -132,7 +132,7 @@ class TestOtherSettings:
             if name == "log":
                 payload = bytes(2) + bytes([channel]) + struct.pack("<Qi", time_us, value)
             found = replayed.replay(name, payload, 1000 * time_us)
-            device.sense(name, channel, value, time_us, is_raw=True)
+            device.sensor(name).sense(channel, [value], time_us, is_raw=True)
             due = device.turn(time_us, 1000 * time_us)[0]
             if name == "log":
                 assert [one[1][2:] for one in found] == [one[1][2:] for one in due]

@@ -6,10 +6,12 @@ import itertools
 import math
 import os
 import pickle
+import queue
 import random
 import struct
 import threading
 from pathlib import Path
+from time import sleep
 
 import j2a_transports
 import pytest
@@ -100,6 +102,24 @@ class TestSamples:
             device.sense("imu", 0, [(1, -2, 3), True], raw=True)
             value = samples.wait(PATIENCE_S).values[0]
         assert (tuple(value.rate), value.up) == ((1, -2, 3), True)
+
+    def test_values_of_one_call_come_in_one_sample(self, device, board):
+        with board.transducers["quad"].samples() as samples:
+            for number in range(20):
+                device.sense("quad", 0, number, number + 1)
+                sample = samples.wait(PATIENCE_S)
+                assert sample.values == (number, number + 1)
+                assert len(set(sample.times_us)) == 1
+        with board.transducers["log"].samples() as samples:
+            device.sense("log", 0, 3, 4, raw=True)
+            readings = samples.wait(PATIENCE_S).readings
+        assert [(one.channel, one.raw) for one in readings] == [(0, 3), (1, 4)]
+
+    @pytest.mark.parametrize("values", [(12, "x"), (12, 13, 14)])
+    def test_no_value_is_taken_if_one_is_wrong(self, device, board, values):
+        with pytest.raises(j2a.LocalError, match="quad"):
+            device.sense("quad", 0, *values)
+        assert [one.time_us for one in board.transducers["quad"].read()] == [None, None]
 
     def test_units_by_name(self, device, board):
         for name, units in {
@@ -842,6 +862,77 @@ class TestActuators:
         servo.watchdog = 0.05
         device.actuator("servo")(lambda channel, value: value == 5 and channel == 1 and moved.set())
         assert moved.wait(PATIENCE_S)
+
+
+class _Noted(TransducerRunner):
+    """Notes by which thread each sample SIF is sent, and how many turns there were."""
+
+    def __init__(self, text):
+        self.calling = threading.Lock()
+        self.senders, self.turns, self.local_us = queue.SimpleQueue(), 0, 1_000_000
+        server = TransducerServer(read_transds(text))
+        self._of_server, server.turn = server.turn, self._turn
+        super().__init__(
+            server,
+            lambda *_: self.senders.put(threading.current_thread().name),
+            self.calling,
+            local_us=lambda: self.local_us,
+            clock_us=lambda: self.local_us,
+            pace=1.0,
+        )
+
+    def _turn(self, *times):
+        self.turns += 1
+        return self._of_server(*times)
+
+
+class TestThreads:
+    """Which thread sends a sample SIF; that of the device begins with the first host."""
+
+    @pytest.fixture
+    def runner(self):
+        made = _Noted("SENSOR(two, 0, two, X, 2, u8, none, (period, 1000000))")
+        made.start()
+        while not made.turns:  # its first one
+            sleep(0.001)
+        with made.calling:
+            pass
+        yield made
+        made.stop()
+
+    def test_a_whole_sample_is_sent_by_the_thread_that_measures(self, runner):
+        runner.sense("two", 0, [1, 2], is_raw=True)
+        assert runner.senders.get_nowait() == threading.current_thread().name
+
+    def test_one_that_is_not_whole_waits_for_its_other_channels(self, runner):
+        runner.sense("two", 0, [1], is_raw=True)
+        assert runner.senders.get(timeout=PATIENCE_S) == "j2a transducers"
+
+    def test_none_is_sent_while_a_function_runs(self, runner):
+        with runner.calling:
+            runner.sense("two", 0, [1, 2], is_raw=True)
+            assert runner.senders.empty()
+        assert runner.senders.get(timeout=PATIENCE_S) == "j2a transducers"
+
+    def test_values_before_the_first_host_wait_for_it(self):
+        runner = _Noted("SENSOR(one, 0, one, X, 1, u8, none)")
+        runner.sense("one", 0, [1], is_raw=True)
+        assert runner.senders.empty()
+        runner.start()
+        assert runner.senders.get(timeout=PATIENCE_S) == "j2a transducers"
+        runner.stop()
+
+    def test_values_that_wait_for_their_period_wake_no_thread(self, runner, monkeypatch):
+        runner.sense("two", 0, [1], is_raw=True)
+        runner.senders.get(timeout=PATIENCE_S)
+        with monkeypatch.context() as patch:
+            patch.setattr(runner._changed, "notify_all", lambda: pytest.fail("woken"))
+            runner.sense("two", 1, [2], is_raw=True)
+            runner.sense("two", 0, [3, 4], is_raw=True)
+        assert runner.senders.empty()
+        runner.local_us += 1_000_000
+        runner.request(b"")  # the thread notices how late it is
+        assert runner.senders.get(timeout=PATIENCE_S) == "j2a transducers"
 
 
 class TestDescriptors:
