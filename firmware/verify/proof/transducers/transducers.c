@@ -312,6 +312,7 @@ static void forget_all(void) {
     j2a_is_heard = any_bool;
     heard_ms = any_u32;
     next = any_u8 % (ALL + 1);
+    has_orders = any_bool;
 }
 
 static void check_all(void) {
