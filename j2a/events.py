@@ -109,6 +109,8 @@ class Sif:
         values: a named tuple of what the payload holds, for those who ask for the SIF by its name;
             else None.
         epoch: of the session when it came, another one after each restart of the device.
+        gone: SIFs that were lost up to this one since the link was opened, on the way or because
+            this program was too slow.
     """
 
     opcode: int
@@ -117,6 +119,7 @@ class Sif:
     missed: int
     values: Any = None
     epoch: int = field(default=0, repr=False, compare=False)
+    gone: int = field(default=0, repr=False, compare=False)
 
 
 class ResetCause(IntEnum):
@@ -240,6 +243,7 @@ class Sample:
         host_us: when the newest reading was taken, on the clock of this computer, in microseconds
             since 1970; None where the clock of the board was not asked yet, see `Client.clock`.
         field_units: of a structure the name and the unit of each field, else nothing.
+        gone: SIFs of any kind that were lost before this one; see `Sif.gone`.
     """
 
     board: str
@@ -254,6 +258,7 @@ class Sample:
     payload: bytes = field(default=b"", repr=False)
     host_us: int | None = None
     field_units: tuple[tuple[str, str], ...] = field(default=(), repr=False)
+    gone: int = field(default=0, repr=False, compare=False)
 
     @property
     def units(self) -> dict[str, str]:

@@ -381,7 +381,9 @@ class Engine:
         if handlers is not None:
             handlers.finish(reason or LinkClosed(f"{self._transport.url} was closed"))
 
-    def stream(self, wanted: Opcodes | NamedSif, max_waiting: int) -> SifStream:
+    def stream(
+        self, wanted: Opcodes | NamedSif, max_waiting: int, *, drops_newest: bool = False
+    ) -> SifStream:
         """Return the SIFs from now on; see `Client.sifs`."""
         self.check_process()
         handlers = self._handlers()
@@ -392,6 +394,7 @@ class Engine:
             self._clock,
             came=threading.Event(),
             max_waiting=max_waiting,
+            drops_newest=drops_newest,
             dispatcher=self._dispatcher,
             slice_s=slice_of(self._is_simulated),
         )

@@ -331,7 +331,9 @@ class AsyncEngine:
         if handlers is not None:
             handlers.finish(reason or LinkClosed(f"{self._transport.url} was closed"))
 
-    def stream(self, wanted: Wanted, max_waiting: int) -> AsyncSifStream:
+    def stream(
+        self, wanted: Wanted, max_waiting: int, *, drops_newest: bool = False
+    ) -> AsyncSifStream:
         """Return the SIFs from now on; see `AsyncClient.sifs`."""
         self.check_process()
         handlers = self._handlers()
@@ -342,6 +344,7 @@ class AsyncEngine:
             self.now,
             came=asyncio.Event(),
             max_waiting=max_waiting,
+            drops_newest=drops_newest,
             dispatcher=self.dispatcher,
             slice_s=slice_of(self._is_simulated),
         )

@@ -206,6 +206,7 @@ class SampleSource:
             sif.payload,
             self._host_us(newest_us) if newest_us else None,
             state.field_units,
+            sif.gone,
         )
 
 

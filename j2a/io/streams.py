@@ -1,8 +1,9 @@
 """SIFs as iterators, for those who wait for them in place of being called.
 
 What flows in: SIFs from the handlers' thread or task. What flows out: the same, in order.
-Rules: so many SIFs wait at most; beyond that the oldest are dropped and counted. A stream that
-nobody uses any more ends its subscription. A lost link is an error, a closed one the end.
+Rules: so many SIFs wait at most; beyond that the oldest are dropped, or the newest, and counted. A
+stream that nobody uses any more ends its subscription. A lost link is an error, a closed one the
+end.
 """
 
 import threading
@@ -44,6 +45,7 @@ class SifStreamBase(Generic[_EventT]):
         max_waiting: so many SIFs wait at most.
         dispatcher: the thread or task of the SIF handlers.
         slice_s: a wait looks at the time so often, in seconds.
+        drops_newest: if too many wait, the newest are dropped in place of the oldest.
 
     Attributes:
         lost: SIFs that were dropped because too many waited.
@@ -59,6 +61,7 @@ class SifStreamBase(Generic[_EventT]):
         max_waiting: int,
         dispatcher: object,
         slice_s: float,
+        drops_newest: bool = False,
     ) -> None:
         if not isinstance(max_waiting, int) or max_waiting < 1:
             raise LocalError(f"max_waiting is a number of SIFs from 1 on, not {max_waiting!r}")
@@ -70,6 +73,7 @@ class SifStreamBase(Generic[_EventT]):
         self._now = now
         self._sifs: deque[Sif] = deque()
         self._max_waiting = max_waiting
+        self._drops_newest = drops_newest
         self._reason: J2AError | None = None
         stream = weakref.ref(self)
         subscription = handlers.add(wanted, lambda sif: _put(stream, sif))
@@ -83,8 +87,10 @@ class SifStreamBase(Generic[_EventT]):
 
     def _put(self, sif: Sif) -> None:
         if len(self._sifs) >= self._max_waiting:
-            self._sifs.popleft()
             self.lost += 1
+            if self._drops_newest:
+                return
+            self._sifs.popleft()
         self._sifs.append(sif)
         self._came.set()
 

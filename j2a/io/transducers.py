@@ -30,7 +30,6 @@ from j2a.errors import (
 )
 from j2a.events import Reading, Reply, Sample
 from j2a.io.samples import SampleSource, WantedSamples
-from j2a.io.streams import MAX_SIFS
 from j2a.types.arrays import Batch
 from j2a.types.coding import PayloadMismatchError
 from j2a.types.model import Structure
@@ -320,7 +319,9 @@ class RemoteTransducer:
         """
         if not isinstance(count, Integral) or count < 1:
             raise WrongArgument(f"a batch has 1 sample or more, not {count!r:.40}")
-        return self.descriptor, self._stream(max(int(count), MAX_SIFS))
+        engine = self._client._engine
+        # With room for all of them, what is dropped comes after the last one of the batch.
+        return self.descriptor, engine.stream(self._wanted(), int(count), drops_newest=True)
 
     def _late(self, timeout: float, error: CallTimeout) -> CallTimeout:
         """Return the error of a sample that did not come, which names what may be the cause."""

@@ -459,7 +459,8 @@ class Session:
         self._counts["sifs"] += 1
         self._counts["sif_gaps"] += missed > 0
         self._counts["sifs_missed"] += missed
-        return Sif(frame.opcode, frame.payload, frame.seq, missed, epoch=self.epoch)
+        gone = self._counts["sifs_missed"] + self._counts["sifs_dropped"]
+        return Sif(frame.opcode, frame.payload, frame.seq, missed, epoch=self.epoch, gone=gone)
 
     def _take_reply(self, frame: Frame) -> list[Call]:
         """Take a reply; return the calls that it ends."""

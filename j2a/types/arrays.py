@@ -47,7 +47,8 @@ class Batch:
         raw: the values as they are on the wire; a structure is a structured type of NumPy.
         counts: how many values each sample has.
         lost: so many values found no room in the queue of the device meanwhile.
-        missed: so many SIFs were lost on the way meanwhile.
+        missed: so many SIFs of any kind were lost meanwhile, on the way or because this program was
+            too slow.
         is_reset: the board was reset meanwhile, so that the times went back.
 
     Raises:
@@ -156,7 +157,9 @@ class Batch:
         found = list(samples)
         batch = cls(sensor, [sample.payload for sample in found])
         batch.lost = sum(sample.lost for sample in found)
-        batch.missed = sum(sample.missed for sample in found)
+        # One sample tells only what was lost since the SIF before, which another sensor may have.
+        told = sum(sample.missed for sample in found)
+        batch.missed = max(told, found[-1].gone - found[0].gone + found[0].missed) if found else 0
         batch.is_reset = any(sample.is_reset for sample in found)
         return batch
 

@@ -23,6 +23,7 @@ import j2a
 from j2a import Batch
 from j2a.demo import DemoDevice
 from j2a.io import transducer_runner
+from j2a.io.streams import SifStream
 from j2a.io.transducer_runner import TransducerRunner
 from j2a.protocol.transducers import TransducerServer
 from j2a.types.transds_file import read_transds
@@ -516,6 +517,72 @@ class TestSamples:
         batch = j2a.Batch.of(log, samples)
         assert (batch.lost, batch.missed, batch.is_reset) == (4, 0, True)
         assert batch.times_us.tolist() == [9, 10, 5]
+
+    def test_a_batch_of_a_slow_reader_has_no_gap(self, device, board, monkeypatch):
+        pytest.importorskip("numpy")
+        monkeypatch.setattr("j2a.io.streams.MAX_SIFS", 3)
+        log, came = board.transducers["log"], threading.Event()
+        board.on_sif(0x50, lambda _: came.set())
+        wait = SifStream.wait
+
+        def late_wait(stream, timeout):
+            sample = wait(stream, timeout)
+            if sample.values == (0,):
+                for n in range(1, 20):
+                    device.send_sif(1, struct.pack("<HBQB", 0, 0, n + 1, n))
+                device.send_sif(0x50)
+                assert came.wait(PATIENCE_S)
+            return sample
+
+        monkeypatch.setattr(SifStream, "wait", late_wait)
+        first = struct.pack("<HBQB", 0, 0, 1, 0)
+        sender = threading.Timer(0.05, lambda: device.send_sif(1, first))
+        sender.start()
+        batch = log.read_batch(6, timeout=PATIENCE_S)
+        sender.join()
+        assert batch.raw.tolist() == list(range(6))
+        assert batch.missed == 0
+
+    def test_a_batch_tells_sifs_that_were_missed_before_those_of_others(self, device, board):
+        pytest.importorskip("numpy")
+        quad, samples = board.transducers["quad"], []
+        with quad.samples() as stream, board.transducers["level"].samples() as others:
+            for value in (1, 2):
+                device.sense("quad", 0, value, raw=True)
+                samples.append(stream.wait(PATIENCE_S))
+                skip(device, 2)
+                device.sense("level", 0, value)
+                assert others.wait(PATIENCE_S).missed == 2
+        assert Batch.of(quad.descriptor, samples).missed == 2
+        assert Batch.of(quad.descriptor, []).missed == 0
+
+    def test_a_batch_tells_sifs_for_which_the_program_was_too_slow(
+        self, device, board, monkeypatch
+    ):
+        pytest.importorskip("numpy")
+        quad, went_on, samples = board.transducers["quad"], threading.Event(), []
+        began = threading.Event()
+
+        def block(_sif):
+            began.set()
+            assert went_on.wait(PATIENCE_S)
+
+        with quad.samples() as stream:
+            device.sense("quad", 0, 1, raw=True)
+            samples.append(stream.wait(PATIENCE_S))
+            board.on_sif(0x50, block)
+            device.send_sif(0x50)
+            assert began.wait(PATIENCE_S)
+            monkeypatch.setattr("j2a.io.blocking.MAX_SIFS_WAITING", 0)
+            for _ in range(3):
+                device.send_sif(0x51)
+            while board.counters.sifs_dropped < 3:
+                sleep(0.001)
+            monkeypatch.undo()
+            went_on.set()
+            device.sense("quad", 0, 2, raw=True)
+            samples.append(stream.wait(PATIENCE_S))
+        assert Batch.of(quad.descriptor, samples).missed == 3
 
     def test_a_batch_is_of_one_sensor(self):
         pytest.importorskip("numpy")
