@@ -38,6 +38,7 @@ board.py has a class with a method for each function. It refuses boards with ano
 A functions.def is read as for a build with all parts, and with transducers where a transds.def
 lies beside it, so its hash is that of such a board."""
 _SUFFIXES: Final = (".py", ".json", ".h")
+_MOST: Final = 1 << 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,12 +81,20 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
+def _text(path: Path) -> str:
+    with path.open(encoding="utf-8") as file:
+        text = file.read(_MOST + 1)
+    if len(text) > _MOST:
+        raise OSError(0, f"it has more than {_MOST} characters")
+    return text
+
+
 def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
     """Return the interface, its hash and what to call its source."""
     if is_file(args, "functions.def"):
         path = Path(args.url)
         try:
-            text = path.read_text("utf-8")
+            text = _text(path)
         except OSError as error:
             raise UsageError(f"cannot read {path}: {error.strerror}") from None
         except UnicodeDecodeError as error:

@@ -4,6 +4,7 @@ What flows in: a path. What flows out: the descriptors that firmware makes of th
 include is looked for beside the file that includes, as a compiler does.
 """
 
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -40,6 +41,9 @@ def load_transds(path: str | Path, options: Mapping[str, str | None] | None = No
 
 def _open(outer: str, name: str) -> tuple[str, str]:
     path = Path(outer).parent / name
+    mode = path.stat().st_mode
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # a pipe may never say anything
+        raise OSError(0, "it is no regular file")
     return str(path), _text(path)
 
 

@@ -54,6 +54,7 @@ _LINES: Final = ("", "define", "elif", "error", "include", "line", "pragma", "un
 _ONLY_A_BUILD: Final = "only a build can decide this; ask a board, by its URL"
 _DIFFERENT: Final = ("true", "false")
 _MAX_INCLUDES: Final = 100
+_MAX_SIZE: Final = 1 << 22
 _MAX_DEPTH: Final = 32
 _MAX_VALUE: Final = 255
 
@@ -203,6 +204,7 @@ class MacroReader:
         self._defined: dict[str, str] = {}
         self._outer: list[tuple[_Source, int, list[bool]]] = []
         self._includes = 0
+        self._size = 0  # of all files, in characters
         self._defined_bodies: set[str] = set()
         self._body_end = 0
 
@@ -232,6 +234,7 @@ class MacroReader:
     def _read(self) -> Iterator[tuple[Word, Arguments, bool]]:
         """Yield each macro, its arguments, and whether it stands in the body of another one."""
         self._source, self._at, self._body_end, self._includes = self._first, 0, 0, 0
+        self._size = len(self._first.text)
         self._defined_bodies.clear()
         self._source.check()
         while (token := self._next()) is not None:
@@ -349,6 +352,11 @@ class MacroReader:
             file, text = opener(self._source.file, name)
         except (OSError, UnicodeDecodeError) as error:
             raise self._wrong(f"cannot read {name}: {getattr(error, 'strerror', error)}") from None
+        self._size += len(text)
+        if self._size > _MAX_SIZE:
+            raise self._wrong(
+                f"this file and what it includes have more than {_MAX_SIZE} characters"
+            )
         self._outer.append((self._source, self._at, self._has_else))
         self._source, self._at, self._has_else = _Source(file, text), 0, []
         self._body_end = 0

@@ -178,6 +178,15 @@ def test_nobody_answers(run):
     assert "no byte came" in result.err
 
 
+@pytest.mark.parametrize("command", ["transds", "stub"])
+def test_a_file_without_an_end(run, command, tmp_path):
+    path = tmp_path / "long.def"
+    path.write_text(" " * ((1 << 20) + 1))
+    result = run(command, path)
+    assert result.code == 2
+    assert "has more than 1048576" in result.err
+
+
 @pytest.mark.parametrize(
     ("command", "name"), [("transds", "transds.def"), ("stub", "functions.def")]
 )

@@ -1,5 +1,8 @@
 """transds.def, read as a compiler reads it: listings of the thesis, and each mistake told."""
 
+import os
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -358,6 +361,31 @@ class TestMistakes:
         path.write_text('#include "transds.def"\n')
         with pytest.raises(SignatureError, match="includes itself"):
             j2a.load_transds(path)
+
+    @pytest.mark.parametrize("name", ["/dev/null", "/dev/zero", "pipe"])
+    def test_an_include_of_what_is_no_file(self, name, tmp_path):
+        if not Path("/dev/zero").exists():
+            pytest.skip("needs the devices of Unix")
+        os.mkfifo(tmp_path / "pipe")  # nobody writes into it
+        (tmp_path / "transds.def").write_text(f'\n#include "{name}"\n')
+        with pytest.raises(SignatureError, match=f"cannot read {name}: it is no regular") as caught:
+            j2a.load_transds(tmp_path / "transds.def")
+        assert caught.value.line == 2
+
+    def test_an_include_of_a_folder(self, tmp_path):
+        (tmp_path / "transds.def").write_text('#include "."\n')
+        with pytest.raises(SignatureError, match=r"cannot read \."):
+            j2a.load_transds(tmp_path / "transds.def")
+
+    def test_files_that_are_too_long_together(self, tmp_path):
+        (tmp_path / "half.def").write_text(" " * 1_000_000 + "\n")
+        path = tmp_path / "transds.def"
+        path.write_text('#include "half.def"\n' * 4)
+        assert j2a.load_transds(path).transducers == ()
+        path.write_text('#include "half.def"\n' * 5)
+        with pytest.raises(SignatureError, match="more than 4194304 characters") as caught:
+            j2a.load_transds(path)
+        assert caught.value.line == 5
 
     @pytest.mark.parametrize(
         ("data", "line", "column"),
