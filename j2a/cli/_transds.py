@@ -117,12 +117,16 @@ def read_transds_argument(path: str, options: Mapping[str, str | None]) -> tuple
         UsageError: it is wrong; the text tells file, line and column.
     """
     try:
-        return load_transds(path, options), Path(path).name
+        return load_transds(path, options, warn=_warn), Path(path).name
     except j2a.SignatureError as error:
         place = f"{error.file}:{error.line}:{error.position + 1}"
         raise UsageError(f"{place}: {error.reason}") from None
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from None
+
+
+def _warn(text: str) -> None:
+    note(f"j2a: {text}")
 
 
 def _files(

@@ -5,7 +5,7 @@ include is looked for beside the file that includes, as a compiler does.
 """
 
 import stat
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -17,13 +17,19 @@ __all__ = ["load_transds"]
 _MAX_BYTES: Final = 1 << 20
 
 
-def load_transds(path: str | Path, options: Mapping[str, str | None] | None = None) -> Descriptors:
+def load_transds(
+    path: str | Path,
+    options: Mapping[str, str | None] | None = None,
+    *,
+    warn: Callable[[str], object] | None = None,
+) -> Descriptors:
     """Return the transducers that a transds.def lists.
 
     Args:
         path: of the file.
         options: what names stand for in conditions such as `#if NAME`; None for one that the build
             does not define.
+        warn: called with what is well formed and the build of the firmware refuses all the same.
 
     Returns: the descriptors, as `Device` and `Transducers.descriptors` have them.
 
@@ -36,7 +42,7 @@ def load_transds(path: str | Path, options: Mapping[str, str | None] | None = No
     """
     from j2a.types.transds_file import read_transds  # noqa: PLC0415 - slow to load, rarely used
 
-    return read_transds(_text(Path(path)), options, file=str(path), opener=_open)
+    return read_transds(_text(Path(path)), options, file=str(path), opener=_open, warn=warn)
 
 
 def _open(outer: str, name: str) -> tuple[str, str]:

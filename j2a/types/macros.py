@@ -21,6 +21,7 @@ __all__ = ["Arguments", "MacroReader", "Node", "Opener", "Word", "bare_text"]
 
 # What a compiler does first: it joins lines, and makes one space of a comment.
 _SPLICE: Final = re.compile(r"\\\r?\n")
+_LAST_SPLICE: Final = re.compile(r"\\\r?\n\Z")
 _LITERAL: Final = r'"(?:[^"\\\n]|\\[^\n])*"|' r"'(?:[^'\\\n]|\\[^\n])*'"
 _COMMENT: Final = re.compile(
     rf"(?P<kept>{_LITERAL}|[\"'][^\n]*)|//[^\n]*|/\*(?:.*?\*/|(?P<open>.*))", re.DOTALL
@@ -123,6 +124,11 @@ class _Source:
         if match := _TRIGRAPH_SPLICE.search(self._original):
             raise self._error("??/ continues a line in C", match.start())
 
+    @property
+    def ends_in_backslash(self) -> bool:
+        """Whether the last line is continued, which compilers warn of."""
+        return _LAST_SPLICE.search(self._original) is not None
+
     def error(self, what: str, at: int) -> SignatureError:
         """Return an error that tells a place of the text."""
         return self._error(what, self._joined.before(self._plain.before(at)))
@@ -181,6 +187,9 @@ class MacroReader:
         file: its name, for errors.
         opener: opens what the file includes; None includes nothing.
         bodies: macros without arguments whose body is read where the file ends.
+
+    Attributes:
+        continued: files whose last line ends in a backslash.
     """
 
     def __init__(
@@ -194,6 +203,7 @@ class MacroReader:
     ) -> None:
         self._first = _Source(file, text)
         self._source = self._first
+        self.continued: dict[str, None] = {}  # in the order in which they are read
         self._opener = opener
         self._bodies = bodies
         self._options = options
@@ -236,7 +246,7 @@ class MacroReader:
         self._source, self._at, self._body_end, self._includes = self._first, 0, 0, 0
         self._size = len(self._first.text)
         self._defined_bodies.clear()
-        self._source.check()
+        self._check()
         while (token := self._next()) is not None:
             name = self._word(token)
             self._start = name.at
@@ -360,7 +370,12 @@ class MacroReader:
         self._outer.append((self._source, self._at, self._has_else))
         self._source, self._at, self._has_else = _Source(file, text), 0, []
         self._body_end = 0
+        self._check()
+
+    def _check(self) -> None:
         self._source.check()
+        if self._source.ends_in_backslash:
+            self.continued[self._source.file] = None
 
     def _leave(self) -> None:
         if self._has_else:

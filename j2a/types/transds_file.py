@@ -6,7 +6,7 @@ Rule: each mistake is one error, which tells file, line and column.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Final
 
 from j2a_spec.nearest import did_you_mean
@@ -64,6 +64,7 @@ def read_transds(
     *,
     file: str = "transds.def",
     opener: Opener | None = None,
+    warn: Callable[[str], object] | None = None,
 ) -> Descriptors:
     """Return the transducers that a transds.def lists.
 
@@ -73,6 +74,7 @@ def read_transds(
             does not define.
         file: its name, for errors.
         opener: opens the files that it includes; None includes nothing.
+        warn: called with what is well formed and the build of the firmware refuses all the same.
 
     Raises:
         SignatureError: an entry is wrong; the error tells file, line and column.
@@ -112,6 +114,9 @@ def read_transds(
             hint = did_you_mean(macro.upper(), (*_KINDS, *DEFINITIONS))
             what = f"{macro} is no entry of transds.def"
             raise reader.error(f"{what}; {hint}" if hint else what, macro)
+    if warn is not None:
+        for name in reader.continued:
+            warn(f"{name}: the last line ends in a backslash, which the firmware's build refuses")
     return Descriptors(tuple(types.values()), tuple(found.values()))
 
 

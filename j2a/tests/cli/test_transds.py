@@ -225,6 +225,21 @@ def test_other_mistakes(run, transds, tmp_path):
     assert "did you mean period?" in run("transds", transds).err
 
 
+def test_a_last_line_that_is_continued(run, transds, tmp_path):
+    other = tmp_path / "other.def"
+    other.write_text(LISTING_9_2.rstrip("\n") + " \\\r\n")
+    for text, name in (
+        (other.read_text(), transds),
+        ('#include "other.def"\n', other),
+    ):
+        transds.write_text(text)
+        result = run("transds", transds)
+        assert (result.code, result.err.count("\n")) == (0, 1)
+        assert f"j2a: {name}: the last line ends in a backslash" in result.err
+    transds.write_text(f"{other.read_text()}\n")
+    assert run("transds", transds).err == ""
+
+
 def test_a_board_of_a_file_with_conditions_and_a_serial_number(start, run, transds):
     transds.write_text("#if BIG\nSENSOR(a, 1, a, X, 1, u8, none)\n#endif\n")
     server = start("serve", "--transds", str(transds), "-D", "BIG", "--serial", "cart-1")
