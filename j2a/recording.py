@@ -14,13 +14,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Final, Self
+from typing import Any, Final, Self
 
 from j2a_spec.constants import TRANSD_TOPIC
 
 from j2a.errors import LocalError
 from j2a.events import Sample, immutable
-from j2a.io.mcap_file import About, ChannelRecord, McapFile
+from j2a.io.mcap_file import END, About, ChannelRecord, McapFile
+from j2a.io.whole_file import WholeFile
 from j2a.protocol.saved_settings import SavedSettings, dump
 from j2a.types.cdr import SampleMessage
 from j2a.types.descriptors import parse_descriptors
@@ -113,14 +114,14 @@ class Recorder:
         self._channels: dict[tuple[str, str], tuple[int, SampleMessage]] = {}
         self.paths: list[Path] = []
         self.samples = 0
-        self._file: IO[bytes] | None = None
+        self._file: WholeFile | None = None
         self._size = 0  # of the file, when it was flushed last
         self._writer: Any = None
         self._begin()
 
     @property
     def size(self) -> int:
-        """Bytes of the file that is being written, as far as they were flushed."""
+        """Bytes of the file that is being written."""
         with self._lock:
             return 0 if self._file is None else self._file.tell()
 
@@ -183,17 +184,14 @@ class Recorder:
             OSError: it cannot be written, such as on a full disk.
         """
         with self._lock:
-            self._check_open()
+            file = self._check_open()
+            self._flush_chunk(file)  # one for which there was no room
             channel, message = self._channel(board, sample.name)
             data = message.pack(sample.payload)
             self._writer.add_message(channel, time_ns, data, time_ns, sample.sequence & 0xFFFFFFFF)
-            assert self._file is not None
-            size = self._file.tell()
-            if size != self._size:  # a chunk is complete
-                self._file.flush()
-                self._size = size
+            self._flush_chunk(file)
             self.samples += 1
-            if self._segment_bytes and size >= self._segment_bytes:
+            if self._segment_bytes and self._size >= self._segment_bytes:
                 self._end()
                 self._begin()
 
@@ -211,7 +209,8 @@ class Recorder:
         """End the file; may be called twice.
 
         Raises:
-            OSError: its end cannot be written; what was flushed stays readable.
+            OSError: not all can be written; the file then ends behind the last chunk that was, and
+                has no index.
         """
         with self._lock:
             if self._file is not None:
@@ -228,9 +227,15 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def _check_open(self) -> None:
+    def _check_open(self) -> WholeFile:
         if self._file is None:
             raise LocalError("the recorder is closed")
+        return self._file
+
+    def _flush_chunk(self, file: WholeFile) -> None:
+        if file.tell() != self._size:  # a chunk is complete
+            file.flush()
+            self._size = file.tell()
 
     def _channel(self, board: str, sensor: str) -> tuple[int, SampleMessage]:
         if board in self._boards and board not in self._announced:
@@ -244,6 +249,7 @@ class Recorder:
         writer = _mcap("writer")
         path = self._open()
         self.paths.append(path)
+        self._size = 0
         self._writer = writer.Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._writer.start(profile="ros2", library="j2a")
         self._announced.clear()  # a segment has the boards of its own samples
@@ -256,7 +262,7 @@ class Recorder:
             name = f"{self._first.stem}-{number}" if number else self._first.stem
             path = self._first.with_stem(name)
             try:
-                self._file = path.open("xb")
+                self._file = WholeFile(path)
             except FileExistsError:
                 if not number:
                     raise
@@ -291,6 +297,10 @@ class Recorder:
         file, self._file = self._file, None
         try:
             self._writer.finish()
+            file.flush()
+        except OSError:
+            file.end_early(END)
+            raise
         finally:
             file.close()
 

@@ -16,12 +16,14 @@ from typing import IO, Any, Final, NamedTuple
 
 from j2a.errors import LocalError
 
-__all__ = ["About", "ChannelRecord", "McapFile", "MessageRecord"]
+__all__ = ["END", "About", "ChannelRecord", "McapFile", "MessageRecord"]
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _FOOTER, _CHANNEL, _MESSAGE, _CHUNK, _METADATA = 0x02, 0x04, 0x05, 0x06, 0x0C
 _DATA_END: Final = 0x0F
 _HEAD: Final = struct.Struct("<BQ")
+END: Final = _HEAD.pack(_DATA_END, 4) + bytes(4) + _HEAD.pack(_FOOTER, 20) + bytes(20) + _MAGIC
+"""Of a file without an index, which readers then read from its begin."""
 _MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 _CHUNK_HEAD: Final = struct.Struct("<QQQI")
 _TIMES: Final = struct.Struct("<QQ")

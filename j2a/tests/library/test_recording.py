@@ -11,11 +11,17 @@ import threading
 from importlib import import_module
 from pathlib import Path
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import j2a
+from j2a.io.whole_file import WholeFile
 from j2a.recording import _CHUNK_BYTES, Recorder, Recording, topic_of
 from j2a.replay import ReplayBoard
 from j2a.types.cdr import SampleMessage
@@ -482,14 +488,92 @@ for n in count():
     def test_a_full_disk_is_an_error(self, path):
         recorder = Recorder(path)
         recorder.add_board("a", FILE)
-        recorder._file.flush()
         with open("/dev/full", "wb", buffering=0) as full:  # noqa: PTH123
-            os.dup2(full.fileno(), recorder._file.fileno())
-        recorder.write("a", sample("quad", bytes(20)), 0)
+            os.dup2(full.fileno(), recorder._file._file.fileno())
+        with pytest.raises(OSError, match="No space left"):
+            recorder.write("a", sample("quad", bytes(20)), 0)
         with pytest.raises(OSError, match="No space left"):
             recorder.flush()
         with pytest.raises(OSError, match="No space left"):
             recorder.close()
+
+    def write_within(self, limits, most=None):
+        """Write 4 chunks of 10 samples; return the size after each, and what failed."""
+        sizes, failed = [], []
+        path = limits / f"{most}.mcap"
+        recorder = Recorder(path)
+        recorder.add_board("a", FILE)
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft if most is None else most, hard))
+        try:
+            for number in range(40):
+                payload = struct.pack("<QhQh", number + 1, 1, number + 1, 2)
+                recorder.write("a", sample("quad", payload, number), number)
+                if number % 10 == 9:
+                    recorder.flush()
+                    sizes.append(recorder.size)
+        except OSError as error:
+            failed.append(error)
+        try:
+            recorder.close()
+        except OSError as error:
+            failed.append(error)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        return path, sizes, failed
+
+    @pytest.mark.skipif(resource is None, reason="needs limits of files")
+    @pytest.mark.parametrize(
+        ("more", "kept"), [(0, 10), (49, 10), (50, 20), (51, 20), (150, 20), (-1, 10)]
+    )
+    def test_a_recording_ends_properly_on_a_full_disk(self, more, kept, tmp_path):
+        _, sizes, failed = self.write_within(tmp_path)
+        assert not failed
+        path, _, failed = self.write_within(tmp_path, sizes[1] + more)
+        assert len(failed) == 2
+        recording = Recording(path)
+        assert [one.sequence for one in recording] == list(range(kept))
+        assert recording.is_whole
+        assert count_by_mcap(path) == kept
+        assert count_by_rosbags(path) == kept
+
+    @pytest.mark.skipif(resource is None, reason="needs limits of files")
+    def test_a_recording_whose_index_has_no_room_has_all_samples(self, tmp_path):
+        _, sizes, _ = self.write_within(tmp_path)
+        path, _, failed = self.write_within(tmp_path, sizes[-1] + 60)
+        assert len(failed) == 1
+        assert count_by_mcap(path) == count_by_rosbags(path) == 40
+
+    def test_a_disk_that_has_room_again_loses_nothing(self, path, monkeypatch):
+        def fail(file, data, begin):
+            raise OSError("full")
+
+        with Recorder(path) as recorder:
+            recorder.add_board("a", FILE)
+            with monkeypatch.context() as patch:
+                patch.setattr(WholeFile, "_write", fail)
+                with pytest.raises(OSError, match="full"):
+                    recorder.write("a", sample("quad", bytes(20)), 0)
+            recorder.write("a", sample("quad", bytes(20), 1), 0)
+            with monkeypatch.context() as patch:
+                patch.setattr(WholeFile, "_write", fail)
+                with pytest.raises(OSError, match="full"):
+                    recorder.flush()
+            recorder.write("a", sample("quad", bytes(20), 2), 0)
+        assert [one.sequence for one in Recording(path)] == [1, 2]
+
+
+def count_by_mcap(path):
+    with path.open("rb") as file:
+        return len(list(import_module("mcap.reader").make_reader(file).iter_messages()))
+
+
+def count_by_rosbags(path):
+    highlevel = pytest.importorskip("rosbags.highlevel")
+    typesys = import_module("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    with highlevel.AnyReader([path], default_typestore=store) as reader:
+        return len(list(reader.messages()))
 
 
 def small(cache=[]):  # noqa: B006 - made once
