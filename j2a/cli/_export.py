@@ -54,9 +54,9 @@ def run(args: argparse.Namespace) -> int:
     if args.folder.exists() and not args.folder.is_dir():
         raise UsageError(f"{args.folder} is a file: name a folder, which is made if there is none")
     try:
-        args.folder.mkdir(parents=True, exist_ok=True)
         overview = Recording(args.file)
         overview.read_boards()
+        args.folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{error.filename}: {error.strerror}") from None
     tables: dict[tuple[str, Transducer], _Table] = {}

@@ -237,3 +237,13 @@ def test_all_that_can_be_read_of_a_damaged_recording_is_written(run, path, tmp_p
     assert "Traceback" not in result.err
     read = {"csv": pandas.read_csv, "parquet": pandas.read_parquet}[form]
     assert read(out / f"left_cart_quad.{form}")["value"].tolist() == [2.0]
+
+
+def test_a_file_that_cannot_be_read_leaves_no_folder(run, tmp_path):
+    out, other = tmp_path / "out", tmp_path / "other.mcap"
+    other.write_text("no recording")
+    for file, told in ((tmp_path / "gone.mcap", "No such file"), (other, "is no MCAP file")):
+        result = run("export", file, out)
+        assert result.code == 2
+        assert told in result.err
+        assert not out.exists()
