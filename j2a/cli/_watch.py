@@ -4,7 +4,8 @@ In: a link. Out: a line for each SIF, that of a sample with how regularly those 
 and one for each gap in their numbers; with `--rates` a table of sensors each second, in place of
 them. SIFs that the device describes are printed by their fields.
 Rules: the library's thread collects, this one prints, so that a slow reader of the output loses
-nothing until too many SIFs wait; then new ones are left out, and counted. What `--then` names is
+nothing until too many SIFs wait; then new ones are left out, and counted, as are those that wait
+for too long behind the end of `--duration`. What `--then` names is
 called however the watching ends, unless the link is gone.
 """
 
@@ -83,6 +84,8 @@ _RATES_S = 1.0
 _TRIES = 5
 _QUICK_S = 100e-6
 _MOST_WAITING = 1 << 18
+_LATE_S = 1.0
+"""So long may the end of `--duration` be printed that waits then."""
 _Call = tuple[str | int, list[str]]
 _Shapes = dict[int, tuple[SifShape, Codec]]  # by opcode
 
@@ -135,6 +138,35 @@ class _Arrivals:
         """Return the bound of the error of `host_us` now, and whether the clock is in doubt."""
         bound_us = self._clock.known_bound_us
         return (0.0, True) if bound_us == math.inf else (bound_us or 0.0, False)
+
+
+class _Limit:
+    """The end of `--duration`.
+
+    Args:
+        client: of the board.
+        duration_s: the time from now, None without one.
+
+    Attributes:
+        end: on the clock of the link.
+        is_late: it is over for so long that what waits is not shown.
+    """
+
+    def __init__(self, client: j2a.Client, duration_s: float | None) -> None:
+        self._now = client.now
+        self.end = math.inf if duration_s is None else client.now() + duration_s
+        self._stop_at = math.inf  # on the clock of this computer, as printing takes its time
+
+    def left_s(self) -> float:
+        """Return for how long to wait for a SIF, in seconds."""
+        left_s = min(_LOOK_S, self.end - self._now())
+        if left_s <= 0:
+            self._stop_at = min(self._stop_at, time.monotonic() + _LATE_S)
+        return left_s
+
+    @property
+    def is_late(self) -> bool:
+        return time.monotonic() > self._stop_at
 
 
 class _RateTable:
@@ -257,12 +289,13 @@ def _watch(
 
     client.on_sif(opcodes, take)
     _call_each(client, first)
-    end = math.inf if args.duration is None else client.now() + args.duration
+    limit = _Limit(client, args.duration)
     seen = 0
     table = _RateTable(rates, client, args) if args.rates else None
     pulse = Pulse(client)
+    unseen = 0
     while args.count is None or seen < args.count:
-        left_s = min(_LOOK_S, end - client.now())
+        left_s = limit.left_s()
         if table is not None:
             table.show_if_due()
         try:
@@ -272,7 +305,10 @@ def _watch(
                 break
             pulse.check()
             continue
-        if one.came_at > end:  # simulated time may run faster than that of this machine
+        if one.came_at > limit.end:  # simulated time may run faster than that of this machine
+            break
+        if limit.is_late:
+            unseen = 1 + _count_until(arrived, limit.end)
             break
         seen += 1
         if one.sample is not None:
@@ -282,11 +318,37 @@ def _watch(
             _print(one, figures, shapes, args)
     if table is not None:
         table.show()
+    _tell_end(args, seen, unseen, left_out)
+
+
+def _tell_end(args: argparse.Namespace, seen: int, unseen: int, left_out: int) -> None:
+    """Tell what was not shown.
+
+    Args:
+        args: of the command line.
+        seen, unseen: SIFs that came in time.
+        left_out: SIFs that were not even taken.
+
+    Raises:
+        CommandFailed: fewer SIFs came than were asked for.
+    """
+    why = "whoever reads the output is too slow"
     if left_out:
-        note(f"j2a: {left_out} SIFs were left out: whoever reads the output is too slow")
-    if args.count is not None and seen < args.count:
-        came = f"{seen} of {args.count} SIFs came within {args.duration:g} s"
+        note(f"j2a: {left_out} SIFs were left out: {why}")
+    if unseen:
+        note(f"j2a: {unseen} SIFs came in time and are not shown: {why}")
+    if args.count is not None and seen + unseen < args.count:
+        came = f"{seen + unseen} of {args.count} SIFs came within {args.duration:g} s"
         raise CommandFailed(came, TIMEOUT)
+
+
+def _count_until(arrived: queue.SimpleQueue[_Arrived], end: float) -> int:
+    """Return how many of those that wait came before the end."""
+    count = 0
+    with contextlib.suppress(queue.Empty):
+        while arrived.get_nowait().came_at <= end:
+            count += 1
+    return count
 
 
 def _call_each(client: j2a.Client, calls: Sequence[_Call]) -> None:

@@ -3,6 +3,7 @@
 import json
 import re
 import struct
+from time import monotonic, sleep
 
 import pytest
 
@@ -269,3 +270,23 @@ def test_rates_begin_anew_when_the_clock_does():
     [(_, facts)] = rates.take().items()
     assert facts["samples"] == 2
     assert facts["most_ms"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_flood_does_not_defer_the_end(run, board, monkeypatch):
+    shown = []
+
+    def show_slowly(one, *_args):
+        sleep(0.1)
+        shown.append(one)
+
+    monkeypatch.setattr(_watch, "_print", show_slowly)
+    begin = monotonic()
+    result = run("watch", board, "--duration", "2")
+    took_s = monotonic() - begin
+    assert result.code == 0
+    assert 10 < len(shown) < 40
+    [unseen] = re.findall("^j2a: ([0-9]+) SIFs came in time and are not shown", result.err)
+    assert 100 < len(shown) + int(unseen) < 250  # 2 sensors, 50 each second
+    assert took_s < 10
+    result = run("watch", board, "--duration", "2", "--count", "100")
+    assert result.code == 0
