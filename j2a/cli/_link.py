@@ -165,6 +165,8 @@ def connect_to(args: argparse.Namespace, url: str) -> j2a.Client:
         if name in _OWN:
             raise UsageError(f"-O {option}: {name} is no option of a URL; see --help")
         options[name] = value
+    if url.endswith(".mcap") and ":" not in url:
+        raise UsageError(f"{url} is a recording: j2a replay makes a board of it, and tells its URL")
     return j2a.connect(
         url,
         timeout=TIMEOUT_S if args.timeout is None else args.timeout,

@@ -42,6 +42,12 @@ _C_TYPES: Final = {
     "float": "f32",
     "double": "f64",
 }
+_OF_ANY_SIZE: Final = {
+    "int": ("int16_t", "int32_t"),
+    "unsigned": ("uint16_t", "uint32_t"),
+    "long": ("int32_t", "int64_t"),
+}
+"""Types whose size is that of the chip."""
 _KIND_OF: Final = {
     "watchdog": "actuator",
     **dict.fromkeys(("period", "enabled", "queue", "decimation", "threshold", "trigger"), "sensor"),
@@ -218,6 +224,11 @@ class _Entry:
         known = (*self._types, *_C_NAMES, "bool", "text", "bytes")
         if element not in known:
             hint = f"; {did_you_mean(element, (*known, *_C_TYPES))}".removesuffix("; ")
+            if element in _OF_ANY_SIZE:
+                likely = _OF_ANY_SIZE[element]
+                if self._type(kind) != element:  # an array
+                    likely = (_C_TYPES[likely[0]], _C_TYPES[likely[1]])
+                hint = f"; did you mean {' or '.join(likely)}?"
             if element in _C_TYPES:
                 hint = f" in an array; write {_C_TYPES[element]}"
             raise self._reader.error(f"{element} is no type{hint}", kind)

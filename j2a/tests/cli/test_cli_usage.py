@@ -202,6 +202,14 @@ def test_a_source_that_is_neither_a_file_nor_a_url(run, tmp_path, command, name)
         assert told in result.err
 
 
+@pytest.mark.parametrize("command", ["watch", "info", "record"])
+def test_a_recording_is_no_board(run, command, tmp_path):
+    options = ["-o", tmp_path / "new.mcap"] if command == "record" else []
+    result = run(command, "a/drive.mcap", *options)
+    assert (result.code, result.out) == (2, "")
+    assert "a/drive.mcap is a recording: j2a replay makes a board of it" in result.err
+
+
 def test_a_property_that_is_not_there(run, demo):
     assert run("props", demo, "nam").err.endswith("no property 'nam'; did you mean name?\n")
     assert "no property 'colour'; it has: j2a.spec, " in run("props", demo, "colour").err

@@ -266,6 +266,10 @@ WRONG = [
     ('SENSOR(a, 1, a, X, 1, u8, none, (topic, "imu/data"))', 1, 41, "topic; write imu/data"),
     ("SENSOR(a, 1, a, X, 1, u8, none, (topic, 'a'))", 1, 41, "be part of the topic; write a"),
     ('SENSOR(a, 1, a, X, 1, u8, none, (topic, ""))', 1, 41, "part of the topic; leave them out"),
+    ("SENSOR(a, 1, a, X, 1, int, -1)", 1, 23, "int is no type; did you mean int16_t or int32_t?"),
+    ("SENSOR(a, 1, a, X, 1, unsigned, 0)", 1, 23, "did you mean uint16_t or uint32_t?"),
+    ("SENSOR(a, 1, a, X, 1, array(int, 3), none)", 1, 23, "no type; did you mean i16 or i32?"),
+    ("SENSOR(a, 1, a, X, 1, intt8_t, -1)", 1, 23, "intt8_t is no type; did you mean int8_t?"),
     ("#define N " + "x" * 256 + "\n", 1, 1, "N stands for more than 255 characters"),
 ]  # fmt: skip
 
