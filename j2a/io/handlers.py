@@ -64,6 +64,9 @@ class NamedSif:
         self._device = device
         self._prepared: tuple[SifShape | None, Codec, type[Any]] | None = None
 
+    def __str__(self) -> str:
+        return f"SIF {self._name}"
+
     def __contains__(self, opcode: object) -> bool:
         shape = self._device.sifs.get(self._name)
         return shape is not None and shape.opcode == opcode
@@ -105,6 +108,15 @@ class Subscription(Generic[_Handler]):
         self.handler = handler
         self.opcodes: Container[int] | None = opcodes
         self._cancel = cancel
+
+    def __repr__(self) -> str:
+        wanted = self.opcodes
+        if isinstance(wanted, frozenset):
+            what = f"SIFs {', '.join(map(str, sorted(wanted)))}"
+        else:
+            what = "all SIFs" if wanted is None else str(wanted)
+        name = getattr(self.handler, "__qualname__", repr(self.handler))
+        return f"<j2a subscription of {name} to {what}>"
 
     @property
     def deliver(self) -> Callable[[Any], Any]:

@@ -217,6 +217,9 @@ class WantedSamples:
         self._source = source
         self._name = name
 
+    def __str__(self) -> str:
+        return "all samples" if self._name is None else f"samples of {self._name}"
+
     def __contains__(self, opcode: object) -> bool:
         current = self._source.current
         return current is not None and self._name in (None, current.name)

@@ -85,6 +85,14 @@ class Batch:
     def __len__(self) -> int:
         return len(self.raw)
 
+    def __repr__(self) -> str:
+        count = len(self.counts)
+        told = [f"{count} sample{'s' * (count != 1)}"]
+        told += [f"{len(self)} values"] * bool(self.sensor.queue)
+        told += [f"{getattr(self, key)} {key}" for key in ("lost", "missed") if getattr(self, key)]
+        told += ["reset"] * self.is_reset
+        return f"<j2a.Batch of {self.sensor.name}: {', '.join(told)}>"
+
     @property
     def values(self) -> Any:
         """The values in the unit as 64-bit floating-point numbers, NaN where there is none.

@@ -606,6 +606,27 @@ class TestSamples:
                 quad.read_batch(2, timeout=PATIENCE_S)
             sender.join()
 
+    def test_batches_and_subscriptions_tell_what_they_are(self, device, board):
+        pytest.importorskip("numpy")
+        quad, log = (board.transducers[name] for name in ("quad", "log"))
+        samples = [j2a.Sample("", "quad", n, (), 0.0, payload=bytes(20)) for n in range(3)]
+        assert repr(Batch.of(quad.descriptor, samples)) == "<j2a.Batch of quad: 3 samples>"
+        payload = struct.pack("<HBQBBQB", 0, 0, 1, 1, 0, 2, 1)
+        batch = Batch.of(
+            log.descriptor,
+            [j2a.Sample("", "log", 0, (), 0.0, "", 7, 8, is_reset=True, payload=payload)],
+        )
+        told = "1 sample, 2 values, 7 lost, 8 missed, reset"
+        assert repr(batch) == f"<j2a.Batch of log: {told}>"
+        for subscription, what in (
+            (quad.on_sample(print), "samples of quad"),
+            (board.on_sif([80, 5], print), "SIFs 5, 80"),
+            (board.on_sif(None, print), "all SIFs"),
+        ):
+            assert repr(subscription) == f"<j2a subscription of print to {what}>"
+        with linked(DemoDevice()) as demo:
+            assert repr(demo.on_sif("counter", print)).endswith(" of print to SIF counter>")
+
     def test_sifs_go_on_beside_samples(self, device, board):
         with board.sifs(0) as sifs, board.transducers["quad"].samples() as samples:
             device.sense("quad", 0, 11)
