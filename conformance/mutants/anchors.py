@@ -12,6 +12,7 @@ import keyword
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 __all__ = ["AnchorError", "Place", "function_at", "locate", "names_of"]
@@ -148,6 +149,12 @@ def names_of(text: str, *, is_python: bool) -> set[str]:
     return {token.text for token in _tokens(text, is_python) if _is_name(token.text)}
 
 
+@lru_cache(maxsize=32)
+def _parsed(text: str) -> ast.Module:
+    """Return the tree of a source, in which many edits are looked for."""
+    return ast.parse(text)
+
+
 def function_at(text: str, at: int, is_python: bool) -> tuple[str, int, int]:
     """Return the function around a place, its first character and the one behind its last.
 
@@ -161,7 +168,7 @@ def function_at(text: str, at: int, is_python: bool) -> tuple[str, int, int]:
     lines = [0, *(match.end() for match in re.finditer("\n", text)), len(text)]
     number = text.count("\n", 0, at) + 1
     name, first, last = "", 1, len(lines) - 1
-    node: ast.AST = ast.parse(text)
+    node: ast.AST = _parsed(text)
     while inner := [
         child
         for child in ast.iter_child_nodes(node)
