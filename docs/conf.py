@@ -25,6 +25,7 @@ extensions = [
     "requirement_pages",
     "transport_tables",
     "usb_checks",
+    "worked_out_once",
 ]
 exclude_patterns = ["_build", "_ext", "tests", "examples"]
 
