@@ -1,6 +1,6 @@
 """Sphinx directive `program-help`: what a command prints for `--help`, asked at build time.
 
-What flows in: a module that runs with `python -m` and the arguments before `--help`. What flows
+What flows in: the name of a program and the arguments before `--help`. What flows
 out: the text, each line with its term and its meaning marked, so that j2a.css can put one below the
 other on a narrow screen. Rules: the page cannot differ from the program.
 
@@ -8,18 +8,22 @@ other on a narrow screen. Rules: the page cannot differ from the program.
 """
 
 import html
+import io
 import os
 import re
-import subprocess
-import sys
+from contextlib import redirect_stderr, redirect_stdout
 from typing import Any
+from unittest.mock import patch
 
+import j2a_conformance.cli
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-MODULES = {"j2a": "j2a", "j2a-conform": "j2a_conformance"}
-COLUMNS = 88
+import j2a.cli
+
+PROGRAMS = {"j2a": j2a.cli.main, "j2a-conform": j2a_conformance.cli.main}
+SETTINGS = {"COLUMNS": "88", "NO_COLOR": "1"}
 LINE = re.compile(r"( *)(\S.*?)(?:( {2,})(\S.*))?")
 CONTINUED = 6
 """Blanks at its start by which a line goes on with what the one before it says."""
@@ -30,16 +34,20 @@ SHORT = 6
 def help_text(program: str, *arguments: str) -> str:
     """Return what a program of this project prints for `--help`.
 
+    It runs within this process: some thirty interpreters would be a sixth of the whole build.
+
     Raises:
-        CalledProcessError: it has no such command.
+        ValueError: it has no such command; the text is what it says of it.
     """
-    return subprocess.run(
-        [sys.executable, "-m", MODULES[program], *arguments, "--help"],
-        check=True,
-        capture_output=True,
-        text=True,
-        env=os.environ | {"COLUMNS": str(COLUMNS), "NO_COLOR": "1"},
-    ).stdout.rstrip()
+    out, err = io.StringIO(), io.StringIO()
+    with patch.dict(os.environ, SETTINGS), redirect_stdout(out), redirect_stderr(err):
+        try:
+            code: object = PROGRAMS[program]([*arguments, "--help"])
+        except SystemExit as stop:
+            code = stop.code
+    if code:
+        raise ValueError(err.getvalue())
+    return out.getvalue().rstrip()
 
 
 def marked_up(text: str) -> str:
@@ -79,8 +87,8 @@ class ProgramHelp(SphinxDirective):
         program, *arguments = self.arguments
         try:
             text = help_text(program, *arguments)
-        except subprocess.CalledProcessError as error:
-            raise self.error(f"{' '.join(self.arguments)}: {error.stderr}") from error
+        except ValueError as error:
+            raise self.error(f"{' '.join(self.arguments)}: {error}") from error
         page = f'<div class="highlight"><pre class="program-help">{marked_up(text)}</pre></div>'
         return [nodes.raw("", page, format="html")]
 
