@@ -16,7 +16,7 @@ from j2a_spec.oracle import Frame, decode, encode
 
 FIRMWARE = Path(__file__).parents[1]
 OWN = FIRMWARE / "tests/transducers_native"
-NEWEST, QUEUED, SERVO = 0, 1, 2
+NEWEST, QUEUED, SERVO, SECOND, PAIR = range(5)
 """The ids of transds.def."""
 SAFE = 7
 TRIGGERED = -1
@@ -71,6 +71,11 @@ class NativeTransducers:
     def now(self) -> int:
         return self._now.value
 
+    def take(self, read_us: int, byte_us: int) -> None:
+        """Let each read of the clock, and each byte on the link, take so many microseconds."""
+        for name, spent_us in (("fake_read_us", read_us), ("fake_byte_us", byte_us)):
+            ctypes.c_uint32.in_dll(self._c, name).value = spent_us
+
     def turn(self, at_us: int | None = None) -> list[tuple[int, bytes]]:
         """Have a turn of the main loop, at this time; returns the SIFs since the last one.
 
@@ -84,7 +89,7 @@ class NativeTransducers:
 
     def sense(self, transducer: int, value: int) -> None:
         """Let the driver of a sensor give a value."""
-        self._c.fake_sense(ctypes.c_uint8(transducer == QUEUED), ctypes.c_uint16(value))
+        self._c.fake_sense(ctypes.c_uint8(transducer), ctypes.c_uint16(value))
 
     def told(self) -> list[tuple[int, int]]:
         """Return, and forget, what drivers were told: when, and the value or TRIGGERED."""

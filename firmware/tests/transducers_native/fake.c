@@ -1,5 +1,5 @@
 /* A port without hardware for transducers: whoever loads it sets the time, gives requests and takes what was sent.
- * Rule: fake_log holds what drivers of actuators and triggers were told, and when by fake_us, in order. */
+ * A read of the clock and a byte on the link may take their time. Rule: fake_log holds what drivers of actuators and triggers were told, and when by fake_us, in order. */
 #include "j2a_clock.h"
 #include "j2a_port.h"
 #include "transds.h"
@@ -7,6 +7,7 @@
 enum { LINK_BYTES = 1024, ENTRIES = 64 };
 
 uint64_t fake_us;
+uint32_t fake_read_us, fake_byte_us;
 uint8_t fake_input[LINK_BYTES], fake_sent[LINK_BYTES];
 uint32_t fake_input_length, fake_sent_length;
 struct {
@@ -17,7 +18,7 @@ uint32_t fake_log_length;
 
 void fake_begin(void);
 void fake_turn(void);
-void fake_sense(uint8_t is_queued, uint16_t value);
+void fake_sense(uint8_t transducer, uint16_t value);
 
 static uint32_t input_next;
 
@@ -26,6 +27,7 @@ int16_t j2a_port_rx(void) {
 }
 
 void j2a_port_tx(uint8_t byte) {
+    fake_us += fake_byte_us;
     if (fake_sent_length < LINK_BYTES)
         fake_sent[fake_sent_length++] = byte;
 }
@@ -35,6 +37,7 @@ uint16_t j2a_port_ticks(void) {
 }
 
 uint64_t j2a_port_time_us(void) {
+    fake_us += fake_read_us;
     return fake_us;
 }
 
@@ -53,24 +56,39 @@ static void note(int32_t value) {
     }
 }
 
-static void (*newest_cb)(uint8_t channel, uint16_t value);
-static void (*queued_cb)(uint8_t channel, uint16_t value);
+enum { NEWEST, QUEUED, SECOND = 3, SENSORS };
+
+static void (*callbacks[SENSORS])(uint8_t channel, uint16_t value);
 
 void newest_set_cb(void (*callback)(uint8_t channel, uint16_t value)) {
-    newest_cb = callback;
+    callbacks[NEWEST] = callback;
 }
 
 void queued_set_cb(void (*callback)(uint8_t channel, uint16_t value)) {
-    queued_cb = callback;
+    callbacks[QUEUED] = callback;
+}
+
+void second_set_cb(void (*callback)(uint8_t channel, uint16_t value)) {
+    callbacks[SECOND] = callback;
 }
 
 /* Measures at once. */
 void newest_trigger(void) {
     note(-1);
-    newest_cb(0, 0xABCD);
+    callbacks[NEWEST](0, 0xABCD);
+}
+
+void second_trigger(void) {
+    note(-1);
+    callbacks[SECOND](0, 0xABCD);
 }
 
 void servo_set(uint8_t channel, uint16_t value) {
+    (void)channel;
+    note(value);
+}
+
+void pair_set(uint8_t channel, uint16_t value) {
     (void)channel;
     note(value);
 }
@@ -89,6 +107,6 @@ void fake_turn(void) {
 }
 
 /* Lets a driver give a value. */
-void fake_sense(uint8_t is_queued, uint16_t value) {
-    (is_queued ? queued_cb : newest_cb)(0, value);
+void fake_sense(uint8_t transducer, uint16_t value) {
+    callbacks[transducer](0, value);
 }
