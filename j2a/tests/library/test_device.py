@@ -17,6 +17,7 @@ from j2a_transports._tcp import TcpTransport
 import j2a
 from j2a.demo import SIF_PERIODIC, DemoDevice
 from j2a.device import default_max_hosts
+from j2a.io import connection
 
 from .support import PATIENCE_S, linked, served
 
@@ -407,6 +408,98 @@ def test_a_sif_that_the_link_takes_at_once_needs_no_thread(size, later_s):
     assert has_thread == [False, False, True]
     device.stop()
     server.join(PATIENCE_S)
+
+
+class InParts(AtOnce):
+    """Takes at once all but some of the bytes."""
+
+    leaves = 0
+
+    def try_write(self, data):
+        self.now += 1.0  # no SIF comes right behind another
+        return super().try_write(data[: max(0, len(data) - self.leaves)])
+
+
+@contextlib.contextmanager
+def in_parts(monkeypatch, device, kind=InParts):
+    """Serve a device whose thread writes only what it must, at both ends of such a link."""
+    monkeypatch.setattr(connection, "WAIT_S", 2 * PATIENCE_S)
+    near = kind("near", Channel(), Channel())
+    far = LoopbackTransport("far", near._outgoing, near._incoming)
+    server = threading.Thread(target=device.serve, args=(near,))
+    server.start()
+    far.write(oracle.encode(oracle.Frame(SOF, 1, 0, b"")))
+    assert far.read(PATIENCE_S)
+    try:
+        yield near, far
+    finally:
+        device.stop()
+        server.join(PATIENCE_S)
+
+
+def read_sifs(far, first, count):
+    """Read SIFs of this opcode, whose payload is their number."""
+    due = [oracle.Frame(SOS, n, 1, bytes((n,))) for n in range(first, first + count)]
+    data = b""
+    while len(data) < sum(len(oracle.encode(frame)) for frame in due):
+        data += far.read(PATIENCE_S) or pytest.fail(f"only {oracle.decode(data)} came")
+    assert oracle.decode(data) == due
+
+
+@pytest.mark.parametrize("leaves", [1, 2, 5, 100])
+def test_what_the_link_does_not_take_at_once_follows(monkeypatch, leaves):
+    """Each time, and without another SIF or a request behind it."""
+    device = j2a.Device()
+    with in_parts(monkeypatch, device) as (near, far):
+        near.leaves = leaves
+        for number in range(4):
+            device.send_sif(1, bytes((number,)))
+            read_sifs(far, number, 1)
+
+
+@pytest.mark.parametrize("leaves", [1, 2, 5, 100])
+@pytest.mark.parametrize("is_asked", [True, False])
+def test_sifs_behind_what_waits_stay_behind_it(monkeypatch, leaves, is_asked):
+    """Also if the system has no thread to give, so that a reply or the end writes them."""
+
+    def refuse(*_):
+        raise j2a.LinkError("no thread")
+
+    device = j2a.Device()
+    with in_parts(monkeypatch, device) as (near, far):
+        monkeypatch.setattr(connection, "start_thread", refuse)
+        near.leaves = leaves
+        device.send_sif(1, b"\0")
+        near.leaves = 0
+        for number in range(1, 4):
+            device.send_sif(1, bytes((number,)))
+        if is_asked:
+            far.write(oracle.encode(oracle.Frame(SOF, 2, 0, b"")))
+        else:
+            device.stop()
+        data = b""
+        with contextlib.suppress(j2a_transports.LinkLost):
+            while data.count(SOF if is_asked else SOS) < (1 if is_asked else 4):
+                data += far.read(PATIENCE_S) or pytest.fail(f"only {data} came")
+        sifs = [one for one in oracle.decode(data) if one.start == SOS]
+        assert sifs == [oracle.Frame(SOS, n, 1, bytes((n,))) for n in range(4)]
+
+
+def test_a_sif_while_another_is_being_written_follows(monkeypatch):
+    class Meanwhile(InParts):
+        leaves = 0
+
+        def write(self, data):
+            super().write(data)
+            if self.leaves:
+                self.leaves = 0
+                device.send_sif(1, b"\1")
+
+    device = j2a.Device()
+    with in_parts(monkeypatch, device, Meanwhile) as (near, far):
+        near.leaves = 100
+        device.send_sif(1, b"\0")
+        read_sifs(far, 0, 2)
 
 
 def test_sifs_reach_the_host_before_the_device_stops():

@@ -1,6 +1,7 @@
 """Transducers on the host: samples, settings, actuators, and what a device says wrong of them."""
 
 import asyncio
+import contextlib
 import errno
 import itertools
 import math
@@ -121,6 +122,35 @@ class TestSamples:
         with pytest.raises(j2a.LocalError, match="quad"):
             device.sense("quad", 0, *values)
         assert [one.time_us for one in board.transducers["quad"].read()] == [None, None]
+
+    def test_values_of_one_call_go_to_their_channels(self):
+        """From the second one on, more than two, and with none among them."""
+        four = "SENSOR(four, 0, four, X, 4, i16, -1, (scale, 0.5), (offset, 10))"
+        with make_device(four) as device, linked(device) as client:
+            sensor = client.transducers["four"]
+            device.sense("four", 1, 11, 12, 13)
+            times = [one.time_us for one in sensor.read()]
+            assert [one.raw for one in sensor.read()] == [0, 2, 4, 6]
+            assert times[0] is None
+            assert len(set(times[1:])) == 1
+            device.sense("four", 0, 14, None, 15, None)
+            assert [one.raw for one in sensor.read()] == [8, -1, 10, -1]
+            device.sense("four", 1, 7, 8, 9, raw=True)
+            assert [one.raw for one in sensor.read()] == [8, 7, 8, 9]
+            with pytest.raises(j2a.LocalError, match="3 values from channel 2 on"):
+                device.sense("four", 2, 1, 2, 3)
+            assert [one.raw for one in sensor.read()] == [8, 7, 8, 9]
+
+    def test_each_value_of_one_call_that_finds_the_queue_full_is_lost(self):
+        few = "SENSOR(few, 0, few, X, 4, u8, none, (queue, 2))"
+        with make_device(few) as device, linked(device) as client:
+            with client.transducers["few"].samples() as samples:
+                device.sense("few", 0, 1, 2)  # from here on the host counts
+                samples.wait(PATIENCE_S)
+                device.sense("few", 0, 3, 4, 5, 6)
+                sample = samples.wait(PATIENCE_S)
+            assert [one.raw for one in sample.readings] == [3, 4]
+            assert sample.lost == 2
 
     def test_units_by_name(self, device, board):
         for name, units in {
@@ -478,6 +508,25 @@ class TestSamples:
         sender.join()
         assert isinstance(closed.value, j2a.LinkClosed)
         assert closed.value.batch.raw[:, 0].tolist() == [7]
+
+    @pytest.mark.parametrize("came", [0, 5])
+    def test_a_batch_whose_client_is_closed_hands_over_none_and_many(self, device, board, came):
+        pytest.importorskip("numpy")
+        quad, seen = board.transducers["quad"], queue.SimpleQueue()
+        quad.on_sample(seen.put)
+
+        def measure():
+            for number in range(came):
+                device.sense("quad", 0, number, number, raw=True)
+                seen.get(timeout=PATIENCE_S)
+            board.close()
+
+        sender = threading.Timer(0.05, measure)
+        sender.start()
+        with pytest.raises(j2a.BatchClosed, match=f"{came} of 6 samples") as closed:
+            quad.read_batch(6, timeout=PATIENCE_S)
+        sender.join()
+        assert closed.value.batch.raw[:, 1].tolist() == list(range(came))
 
     def test_a_batch_that_is_late_while_all_is_learnt_anew_hands_over_what_came(
         self, device, board
@@ -992,8 +1041,9 @@ class TestThreads:
         runner.sense("two", 0, [1, 2], is_raw=True)
         assert runner.senders.get_nowait() == threading.current_thread().name
 
-    def test_one_that_is_not_whole_waits_for_its_other_channels(self, runner):
-        runner.sense("two", 0, [1], is_raw=True)
+    @pytest.mark.parametrize("channel", [0, 1])
+    def test_one_that_is_not_whole_waits_for_its_other_channels(self, runner, channel):
+        runner.sense("two", channel, [1], is_raw=True)
         assert runner.senders.get(timeout=PATIENCE_S) == "j2a transducers"
 
     def test_none_is_sent_while_a_function_runs(self, runner):
@@ -1008,6 +1058,22 @@ class TestThreads:
         assert runner.senders.empty()
         runner.start()
         assert runner.senders.get(timeout=PATIENCE_S) == "j2a transducers"
+        runner.stop()
+
+    @pytest.mark.parametrize("period_us", [0, 10_000])
+    @pytest.mark.parametrize("is_held", [False, True])
+    def test_values_that_do_not_fit_into_one_sample_sif_follow(self, period_us, is_held):
+        """25 do."""
+        many = f"SENSOR(many, 0, many, X, 60, u8, none, (queue, 60), (period, {period_us}))"
+        runner = _Noted(many)
+        runner.start()
+        while not runner.turns:
+            sleep(0.001)
+        with runner.calling if is_held else contextlib.nullcontext():
+            runner.sense("many", 0, range(60), is_raw=True)
+        for _ in range(3):
+            runner.senders.get(timeout=PATIENCE_S)
+            runner.local_us += period_us
         runner.stop()
 
     def test_values_that_wait_for_their_period_wake_no_thread(self, runner, monkeypatch):
