@@ -67,7 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, print and write; returns the exit code."""
-    descriptors, source = read_source(args)
+    others = (args.json, args.c_path, args.def_path, args.python_path, args.html_path)
+    are_messages = bool(args.ros1_path or args.ros2_path) and not any(others)
+    descriptors, source = read_source(args, are_boards=are_messages)
     files = _distinct(_files(args, descriptors, source), Path(args.url))
     changed = _changed_messages(files)
     if args.json:
@@ -91,8 +93,12 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
-def read_source(args: argparse.Namespace) -> tuple[Descriptors, str]:
+def read_source(args: argparse.Namespace, *, are_boards: bool = False) -> tuple[Descriptors, str]:
     """Return the descriptors of the SOURCE of the command line, and what to call it.
+
+    Args:
+        args: of the command line.
+        are_boards: as of `load_transds`.
 
     Raises:
         UsageError: a transds.def is wrong, or SOURCE is a folder, or neither a file nor a URL.
@@ -100,7 +106,7 @@ def read_source(args: argparse.Namespace) -> tuple[Descriptors, str]:
         J2AError: as `j2a.connect`.
     """
     if is_file(args, "transds.def"):
-        return read_transds_argument(args.url, conditions_of(args))
+        return read_transds_argument(args.url, conditions_of(args), are_boards=are_boards)
     if args.define or args.undefine:
         raise UsageError("-D and -U are for a transds.def; a board knows what it is built with")
     with connect_to_source(args) as client:
@@ -110,14 +116,19 @@ def read_source(args: argparse.Namespace) -> tuple[Descriptors, str]:
         return descriptors, args.url
 
 
-def read_transds_argument(path: str, options: Mapping[str, str | None]) -> tuple[Descriptors, str]:
+def read_transds_argument(
+    path: str, options: Mapping[str, str | None], *, are_boards: bool = False
+) -> tuple[Descriptors, str]:
     """Return the transducers of a transds.def of the command line, and its name.
+
+    Args: as `load_transds`.
 
     Raises:
         UsageError: it is wrong; the text tells file, line and column.
     """
     try:
-        return load_transds(path, options, warn=_warn), Path(path).name
+        descriptors = load_transds(path, options, warn=_warn, are_boards=are_boards)
+        return descriptors, Path(path).name
     except j2a.SignatureError as error:
         place = f"{error.file}:{error.line}:{error.position + 1}"
         raise UsageError(f"{place}: {error.reason}") from None

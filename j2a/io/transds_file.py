@@ -22,6 +22,7 @@ def load_transds(
     options: Mapping[str, str | None] | None = None,
     *,
     warn: Callable[[str], object] | None = None,
+    are_boards: bool = False,
 ) -> Descriptors:
     """Return the transducers that a transds.def lists.
 
@@ -30,6 +31,8 @@ def load_transds(
         options: what names stand for in conditions such as `#if NAME`; None for one that the build
             does not define.
         warn: called with what is well formed and the build of the firmware refuses all the same.
+        are_boards: each file that it includes may be of a board of its own, whose ids and prefixes
+            are those of others, too; for messages, which have names alone.
 
     Returns: the descriptors, as `Device` and `Transducers.descriptors` have them.
 
@@ -42,7 +45,14 @@ def load_transds(
     """
     from j2a.types.transds_file import read_transds  # noqa: PLC0415 - slow to load, rarely used
 
-    return read_transds(_text(Path(path)), options, file=str(path), opener=_open, warn=warn)
+    return read_transds(
+        _text(Path(path)),
+        options,
+        file=str(path),
+        opener=_open,
+        warn=warn,
+        are_boards=are_boards,
+    )
 
 
 def _open(outer: str, name: str) -> tuple[str, str]:

@@ -71,6 +71,7 @@ def read_transds(
     file: str = "transds.def",
     opener: Opener | None = None,
     warn: Callable[[str], object] | None = None,
+    are_boards: bool = False,
 ) -> Descriptors:
     """Return the transducers that a transds.def lists.
 
@@ -81,6 +82,8 @@ def read_transds(
         file: its name, for errors.
         opener: opens the files that it includes; None includes nothing.
         warn: called with what is well formed and the build of the firmware refuses all the same.
+        are_boards: each file that it includes may be of a board of its own, whose ids and prefixes
+            are those of others, too (listing 9.5); for messages, which have names alone.
 
     Raises:
         SignatureError: an entry is wrong; the error tells file, line and column.
@@ -89,8 +92,8 @@ def read_transds(
     types: dict[str, Enumeration | Structure] = {}
     found: dict[str, Transducer] = {}
     names: dict[str, Node] = {}
-    ids: dict[int, Node] = {}
-    prefixes: dict[str, str] = {}
+    ids: dict[tuple[object, int], Node] = {}
+    prefixes: dict[tuple[object, str], str] = {}
     entries = reader.entries()
     for macro, arguments in entries:  # all of them come first, wherever they stand
         if make := DEFINITIONS.get(macro):
@@ -102,19 +105,20 @@ def read_transds(
                 what = f"another transducer has the name {transducer.name}"
                 what += _elsewhere(reader, names[transducer.name], arguments[0])
                 raise reader.error(what, arguments[0])
-            if transducer.id in ids:
-                what = f"{ids[transducer.id]} has the id {transducer.id}, too"
-                what += _elsewhere(reader, ids[transducer.id], arguments[1])
+            board = arguments[0].source if are_boards else None
+            if before := ids.get((board, transducer.id)):
+                what = f"{before} has the id {transducer.id}, too"
+                what += _elsewhere(reader, before, arguments[1])
                 raise reader.error(what, arguments[1])
-            if transducer.is_sensor and transducer.prefix in prefixes:
+            if transducer.is_sensor and (board, transducer.prefix) in prefixes:
                 what = (
-                    f"{prefixes[transducer.prefix]} has the prefix {transducer.prefix}, too; a "
-                    "driver has one callback, so only the last of them would get values"
+                    f"{prefixes[board, transducer.prefix]} has the prefix {transducer.prefix}, "
+                    "too; a driver has one callback, so only the last of them would get values"
                 )
                 raise reader.error(what, arguments[2])
             if transducer.is_sensor:
-                prefixes[transducer.prefix] = transducer.name
-            ids[transducer.id] = names[transducer.name] = arguments[0]
+                prefixes[board, transducer.prefix] = transducer.name
+            ids[board, transducer.id] = names[transducer.name] = arguments[0]
             found[transducer.name] = transducer
         elif macro not in DEFINITIONS:
             hint = did_you_mean(macro.upper(), (*_KINDS, *DEFINITIONS))
@@ -132,8 +136,8 @@ def _elsewhere(reader: MacroReader, other: Node, node: Node) -> str:
         return ""
     place = reader.error("", other)
     return (
-        f", in {place.file}:{place.line}; a file is of one board: for messages of several, "
-        "run j2a transds once for the file of each, with one DIR"
+        f", in {place.file}:{place.line}; a file is of one board, unless only messages are made of "
+        "it, by --ros1 or --ros2: run j2a transds once for the file of each"
     )
 
 

@@ -273,6 +273,29 @@ def test_no_two_files_have_one_name(run, transds):
     assert not folder.exists()
 
 
+@pytest.mark.parametrize("others", [(), ("--json",), ("--html", "x.html")])
+def test_messages_of_several_boards_come_from_one_file(run, tmp_path, others, monkeypatch):
+    """Listing 9.5 of the thesis; each board has the ids and the drivers that it likes."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("one", "two"):
+        entry = f"SENSOR({name}, 0, quad, X, 2, int16_t, none)\n"
+        (tmp_path / f"{name}.def").write_text(entry)
+    (tmp_path / "all.def").write_text('#include "one.def"\n#include "two.def"\n')
+    result = run("transds", "all.def", "--ros1", "r1", "--ros2", "r2", *others)
+    if others:  # they are of one board
+        assert result.code == 2
+        assert "two.def:1:13: one has the id 0, too, in one.def:1" in result.err
+    else:
+        assert result.code == 0
+        for path in ("r1/msg/one.msg", "r1/msg/two.msg"):
+            assert (tmp_path / path).read_bytes() == b"time[] times\nint16[] values\n"
+        assert (tmp_path / "r2/msg/Two.msg").is_file()
+    (tmp_path / "two.def").write_text(
+        "SENSOR(a, 1, a, X, 1, u8, none)\nSENSOR(b, 1, b, X, 1, u8, none)"
+    )
+    assert "a has the id 1, too" in run("transds", "all.def", "--ros1", "r1").err
+
+
 @pytest.mark.parametrize("option", ["--ros1", "--ros2"])
 def test_a_message_of_another_board_is_not_lost_silently(run, transds, tmp_path, option):
     folder = tmp_path / "msgs"
