@@ -24,7 +24,10 @@ _LONG_US: Final = 70_000  # more than 16 bits
 _LONGEST_SHORT_US: Final = 65_000  # 16 bits
 _LONGEST_US: Final = 400_000
 _TRIES: Final = 6
-_SLOW: Final = 8  # a link is, where giving a value takes more than one part of so many of a period
+_SLOW: Final = 12
+"""A link is, where giving a value takes more than one part of so many of a period: a value that is
+late by 0.8 of one needs that time twice before the next one.
+"""
 _NEVER_US: Final = 0xFFFFFFFF
 _LATE: Final = ((2, 4), (6, 2), (8, 1))  # tenths of a period, and how many SIFs in a row
 _RATE: Final = 0.95  # the clock may run slower than the local time
