@@ -68,7 +68,11 @@ def payloads_or_none(path):
 
 def record(*words):
     command = [sys.executable, "-m", "j2a", "record", *map(str, words)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored, which is inherited
+    try:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def wait_for(path, count, process):
