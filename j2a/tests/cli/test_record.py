@@ -68,7 +68,7 @@ def payloads_or_none(path):
 
 def record(*words):
     command = [sys.executable, "-m", "j2a", "record", *map(str, words)]
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup has it ignored, which is inherited
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it
     try:
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     finally:
