@@ -158,7 +158,7 @@ class Both:
         value, channel = self.number(one), self.rng.randrange(one.channels)
         assert self.board.call("report", bytes((one.id, channel)) + value).code == 0
         raw = self.server.codecs[one.name].unpack_raw(value)
-        self.server.sense(one.name, channel, raw, NOW_US, is_raw=True)
+        self.server.sensor(one.name).sense(channel, [raw], NOW_US, is_raw=True)
         if not one.queue:
             self.exchange(bytes((one.id, c.TRANSD_SAMPLE)))
 
