@@ -23,6 +23,7 @@ from j2a.cli._link import (
 )
 from j2a.cli._output import show, show_text
 from j2a.errors import SignatureError
+from j2a.io.transds_file import read_source
 from j2a.types.definition_file import interface_text, read_definition_file
 from j2a.types.header import c_header
 from j2a.types.model import Interface
@@ -38,7 +39,6 @@ board.py has a class with a method for each function. It refuses boards with ano
 A functions.def is read as for a build with all parts, and with transducers where a transds.def
 lies beside it, so its hash is that of such a board."""
 _SUFFIXES: Final = (".py", ".json", ".h")
-_MOST: Final = 1 << 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,30 +81,19 @@ def run(args: argparse.Namespace) -> int:
     return OK
 
 
-def _text(path: Path) -> str:
-    with path.open(encoding="utf-8") as file:
-        text = file.read(_MOST + 1)
-    if len(text) > _MOST:
-        raise OSError(0, f"it has more than {_MOST} characters")
-    return text
-
-
 def _interface(args: argparse.Namespace) -> tuple[Interface, str, str]:
     """Return the interface, its hash and what to call its source."""
     if is_file(args, "functions.def"):
         path = Path(args.url)
-        try:
-            text = _text(path)
-        except OSError as error:
-            raise UsageError(f"cannot read {path}: {error.strerror}") from None
-        except UnicodeDecodeError as error:
-            raise UsageError(f"cannot read {path}: {error}") from None
         options = conditions_of(args)
         is_off = options.get("J2A_WITH_TRANSDUCERS") == "0"
         has_transducers = not is_off and path.with_name("transds.def").exists()
         try:
+            text = read_source(path)
             own = interface_text(text, options, has_transducers=has_transducers)
             interface = read_definition_file(text, options, has_transducers=has_transducers)
+        except OSError as error:
+            raise UsageError(f"cannot read {path}: {error.strerror}") from None
         except SignatureError as error:
             place = f"{path}:{error.line}:{error.position + 1}"
             raise UsageError(f"{place}: {error.reason}") from None

@@ -12,7 +12,7 @@ from typing import Final
 from j2a.errors import SignatureError
 from j2a.types.transducers import Descriptors
 
-__all__ = ["load_transds"]
+__all__ = ["load_transds", "read_source"]
 
 _MAX_BYTES: Final = 1 << 20
 
@@ -46,7 +46,7 @@ def load_transds(
     from j2a.types.transds_file import read_transds  # noqa: PLC0415 - slow to load, rarely used
 
     return read_transds(
-        _text(Path(path)),
+        read_source(Path(path)),
         options,
         file=str(path),
         opener=_open,
@@ -60,10 +60,16 @@ def _open(outer: str, name: str) -> tuple[str, str]:
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # a pipe may never say anything
         raise OSError(0, "it is no regular file")
-    return str(path), _text(path)
+    return str(path), read_source(path)
 
 
-def _text(path: Path) -> str:
+def read_source(path: Path) -> str:
+    """Return the text of a file that people write for firmware, at most 1 MiB.
+
+    Raises:
+        SignatureError: it is no UTF-8; the error tells file, line and column.
+        OSError: it cannot be read, or is larger.
+    """
     with path.open("rb") as file:
         data = file.read(_MAX_BYTES + 1)
     if len(data) > _MAX_BYTES:

@@ -43,11 +43,12 @@ _C_TYPES: Final = {
     "double": "f64",
 }
 _OF_ANY_SIZE: Final = {
+    "char": ("int8_t", "uint8_t"),
     "int": ("int16_t", "int32_t"),
     "unsigned": ("uint16_t", "uint32_t"),
     "long": ("int32_t", "int64_t"),
 }
-"""Types whose size is that of the chip."""
+"""Types whose size or sign is that of the chip."""
 _KIND_OF: Final = {
     "watchdog": "actuator",
     **dict.fromkeys(("period", "enabled", "queue", "decimation", "threshold", "trigger"), "sensor"),
@@ -256,7 +257,8 @@ class _Entry:
         try:
             text = type_text(node)
         except ValueError:
-            raise self._reader.error("this is no type", node) from None
+            what = "this is no type: write one word such as uint16_t, or array(uint16_t, 3)"
+            raise self._reader.error(what, node) from None
         return _C_TYPES.get(text, text)
 
     def _items(

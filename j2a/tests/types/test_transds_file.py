@@ -150,6 +150,8 @@ WRONG = [
     ("SENSOR(a, 1, a, X, 1, text, none)", 1, 8, "any length"),
     ("SENSOR(a, 1, a, X, 1, array(u8), none)", 1, 8, "any length"),
     ("SENSOR(a, 1, a, X, 1, array(), none)", 1, 23, "this is no type"),
+    ("SENSOR(a, 1, a, X, 1, char, none)", 1, 23, "char is no type; did you mean int8_t or u"),
+    ("SENSOR(a, 1, a, X, 1, unsigned int, none)", 1, 23, "write one word such as uint16_t"),
     ("SENSOR(a, 1, a, X, 1, array(xyz, 3), none)", 1, 23, "xyz is no type"),
     ("SENSOR(a, 1, a, X, 100, u16, none)", 1, 8, "takes 1000 bytes"),
     ("SENSOR(a, 1, a, X, 1, array(u8, 250), none, (queue, 4))", 1, 8, "takes 261 bytes"),
