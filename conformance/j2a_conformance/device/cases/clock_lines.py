@@ -86,7 +86,12 @@ class Slews(ClockCase):
             self._check_told(board, board.status())
         board.step()
         for off in (400, -400, 7, -7, 4, -3, 2600, -6000):
-            board.adjust(off, uncertainty=c.CLOCK_UNKNOWN if off in (-400, 7) else 3)
+            board.adjust(
+                off,
+                uncertainty=c.CLOCK_UNKNOWN if off in (-400, 7) else 3,
+                wander=10_000 if off in (-7, 4) else 0,
+                rate={-3: -9_000, 4: 9_000}.get(off, 0),
+            )
             board.wait(_REACHED_US + 1000 * abs(off), 0.02 if abs(off) < 1000 else 0.1)
             board.again()
         board.adjust(300)
