@@ -126,6 +126,8 @@ def run(args: argparse.Namespace) -> int:
         number = _simulate(args)
     except KeyboardInterrupt:  # before the firmware ran
         return INTERRUPTED
+    except BrokenPipeError:  # the reader of the output went away, which is no error of the run
+        raise
     except (SimError, TransportError, OSError, UsageError) as error:
         note(f"j2a sim: {error}")
         if isinstance(error, FirmwareStopped):

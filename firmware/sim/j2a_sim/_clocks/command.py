@@ -70,8 +70,7 @@ def run_clocks(args: argparse.Namespace) -> None:
 
     Raises:
         SimError: a setting is wrong, or the firmware cannot be built.
-        UsageError: numpy is missing.
-        OSError: the file for the picture cannot be written.
+        UsageError: numpy is missing, or the file for the picture cannot be written.
     """
     names = [name.replace("-", "_") for name, *_ in _OPTIONS]
     chosen = {name: getattr(args, name) for name in (*names, "link", "engine", "load")}
@@ -85,6 +84,8 @@ def run_clocks(args: argparse.Namespace) -> None:
         raise UsageError(
             "`j2a sim clocks` needs numpy: pip install numpy (the extra j2a[arrays])"
         ) from None
+    if args.svg is not None:
+        _check_file(args.svg)  # a run may take an hour
     with Progress("sim clocks", in_seconds=True) as progress:
         report = run(settings, lambda done_s: progress(done_s, settings.seconds))
     if args.json:
@@ -93,5 +94,23 @@ def run_clocks(args: argparse.Namespace) -> None:
         for line in report.as_text().splitlines():
             show(line)
     if args.svg is not None:
-        args.svg.write_text(picture(report), "utf-8")
+        try:
+            args.svg.write_text(picture(report), "utf-8")
+        except OSError as error:
+            raise UsageError(f"cannot write {args.svg}: {error.strerror}") from None
         note(f"wrote {args.svg}")
+
+
+def _check_file(path: Path) -> None:
+    """Find out whether a file can be written, and leave what is there.
+
+    Raises:
+        UsageError: it cannot.
+    """
+    was_there = path.exists()
+    try:
+        path.open("ab").close()
+        if not was_there:
+            path.unlink()
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}") from None

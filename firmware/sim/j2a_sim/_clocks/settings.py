@@ -106,6 +106,11 @@ class Settings:
                 raise SimError(f"{_option(name)} needs --link usb: only a USB has frames")
         for at, how in DISTURBANCES:
             self._check_disturbance(at, how)
+        if self.holdover_at is not None and self.holdover_at <= self.settle_s:
+            raise SimError(
+                f"--holdover-at {self.holdover_at:g} comes before the clocks have settled, which "
+                f"takes {self.settle_s:g} s here"
+            )
 
     def _is_chosen(self, name: str) -> bool:
         return bool(getattr(self, name) != type(self).__dataclass_fields__[name].default)

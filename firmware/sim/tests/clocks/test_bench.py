@@ -1,6 +1,8 @@
 """`j2a sim clocks`: the clocks of boards agree as well as they promise, in exact simulated time."""
 
 import json
+import os
+import subprocess
 import sys
 
 import pytest
@@ -9,7 +11,7 @@ from j2a_sim._clocks.run import run
 from j2a_sim._clocks.settings import Settings
 
 from j2a.cli import main
-from j2a.cli._exit import USAGE
+from j2a.cli._exit import OUTPUT_CLOSED, USAGE
 
 READINGS = 40_000
 SEEDS = range(1, 21)
@@ -205,6 +207,43 @@ def test_the_command_says_what_is_wrong(capsys, monkeypatch):
         monkeypatch.delitem(sys.modules, name)
     assert main(["sim", "clocks", "--seconds", "4"]) == USAGE
     assert "pip install numpy" in capsys.readouterr().err
+
+
+def test_a_picture_that_cannot_be_written_is_told_before_the_run(capsys, tmp_path):
+    words = "sim clocks --boards 8 --seconds 86400 --engine native --svg"
+    for path in (tmp_path, tmp_path / "none" / "clocks.svg"):
+        assert main([*words.split(), str(path)]) == USAGE
+        told = capsys.readouterr()
+        assert f"cannot write {path}: " in told.err
+        assert not told.out
+
+
+def test_a_picture_that_is_there_stays_until_the_run_has_ended(capsys, tmp_path):
+    for text in (None, "before"):
+        picture = tmp_path / f"{text}.svg"
+        if text is not None:
+            picture.write_text(text)
+        words = "sim clocks --boards 2 --seconds 3 --period-s 2 --link usb --engine native --svg"
+        assert main([*words.split(), str(picture)]) == USAGE, "no clock is set so soon"
+        assert "choose more --seconds" in capsys.readouterr().err
+        assert (picture.read_text() if picture.exists() else None) == text
+
+
+def test_a_reader_of_the_figures_that_goes_away_is_no_error():
+    words = "sim clocks --boards 1 --seconds 4 --link serial --engine native --readings 100 --json"
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "j2a", *words.split()],
+            stdout=writer,
+            stderr=subprocess.PIPE,
+            timeout=120,
+            check=False,
+        )
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (OUTPUT_CLOSED, b"")
 
 
 # -- hours ----------------------------------------------------------------------------------------

@@ -125,6 +125,7 @@ def test_a_report_is_json_text_and_a_picture(times, clock):
         ({"unplug_for": 1.0}, "--unplug-for needs --unplug-at"),
         ({"suspend_at": 1.0, "suspend_for": 0.0}, "--suspend-for 0 is out of range"),
         ({"holdover_at": 20.0}, "--holdover-at 20 is out of the run"),
+        ({"holdover_at": 10.0}, "--holdover-at 10 comes before the clocks have settled"),
         ({"step_at": -1.0}, "--step-at -1 is out of the run"),
         ({"unplug_at": float("nan")}, "--unplug-at nan is out of the run"),
     ],
@@ -136,7 +137,7 @@ def test_settings_are_checked(wrong, said):
 
 def test_a_run_that_ends_before_its_clocks_have_settled_has_no_figures(times, clock):
     with pytest.raises(SimError, match="choose more --seconds"):
-        report(times, clock, [np.zeros(len(times))], step_at=95.0, holdover_at=9.0)
+        report(times, clock, [np.zeros(len(times))], step_at=95.0, unplug_at=9.0, unplug_for=80.0)
 
 
 def test_bounds_are_those_of_clocks_that_have_settled(times, clock):
