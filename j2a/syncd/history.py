@@ -13,9 +13,10 @@ from array import array
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Final
 
-__all__ = ["History", "Round", "allan_deviation"]
+__all__ = ["History", "Round", "allan_deviation", "phases_us", "rounds_of"]
 
 MAX_ROUNDS: Final = 7200
 """Of a board: two hours of a round each second."""
@@ -93,6 +94,20 @@ def rounds_of(facts: object) -> list[Round]:
         return [Round(*(float(value) for value in one)) for one in facts]  # type: ignore[attr-defined]
     except (TypeError, ValueError) as error:
         raise ValueError(f"no history: {error}") from None
+
+
+def phases_us(rounds: Sequence[Round], period_s: float) -> list[float]:
+    """Return by how much frames, or the counter of the board, are ahead at each round.
+
+    The offset alone tells of a round what the line through those before did not foresee. The line
+    follows the crystal, so what a crystal does in minutes is in the rate.
+
+    Args:
+        rounds: of one bus or board.
+        period_s: between two of them; their times are of a clock that may be set.
+    """
+    ahead_us = accumulate(one.rate_ppb * 1e-3 * period_s for one in rounds)
+    return [ahead - one.offset_us for ahead, one in zip(ahead_us, rounds, strict=True)]
 
 
 def allan_deviation(offsets_us: Sequence[float], period_s: float) -> list[tuple[float, float]]:

@@ -9,9 +9,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
+from statistics import median
 from typing import Final
 
-from j2a.syncd.history import Round, allan_deviation
+from j2a.syncd.history import Round, allan_deviation, phases_us
 
 __all__ = ["Panel", "draw", "panels_of"]
 
@@ -56,9 +58,10 @@ def panels_of(boards: dict[str, list[Round]]) -> list[Panel]:
     deviations = {}
     for board, rounds in boards.items():
         if len(rounds) > 3:
-            period_s = (rounds[-1].time_s - rounds[0].time_s) / (len(rounds) - 1)
+            # The median, for the clock of the computer may have been set, or slept.
+            period_s = median(later.time_s - one.time_s for one, later in pairwise(rounds))
             if period_s > 0:
-                deviations[board] = allan_deviation([r.offset_us for r in rounds], period_s)
+                deviations[board] = allan_deviation(phases_us(rounds, period_s), period_s)
     seconds = "seconds since the first round"
     return [
         Panel("offset (µs)", seconds, over_time("offset_us")),

@@ -1,12 +1,14 @@
 """What boards say of their frames becomes one line, however many they are and whatever one says."""
 
+import math
 import random
 
 import pytest
 
 from j2a.io.host_time import HostTime
 from j2a.syncd import usb_bus
-from j2a.syncd.history import History
+from j2a.syncd.history import History, rounds_of
+from j2a.syncd.plot import panels_of
 from j2a.syncd.usb_bus import Bus
 
 UNIX_US = 1_700_000_000_000_000
@@ -93,6 +95,27 @@ def test_what_is_told_is_of_a_frame_that_has_begun_from_the_first_packet_on(boar
         ages = [age for _, age in frames.packets]
         assert len(ages) >= 3
         assert all(0 <= age < 500 for age in ages), (seed, ages)
+
+
+def test_the_allan_deviation_is_that_of_the_controller():
+    """Its rate drifts by D a second, so that the deviation is D * tau / sqrt(2)."""
+    drift_ppm = 0.02
+
+    class Drifting(Frames):
+        def frames(self, host_us):
+            return host_us / 1000 * (1 + drift_ppm * 1e-12 * host_us / 2)
+
+    frames = Drifting()
+    for _ in range(1500):
+        frames.round(["a", "b"])
+    rounds = rounds_of(frames.bus._history.facts(frames.bus.name))
+    (panel,) = (one for one in panels_of({"bus": rounds}) if "Allan" in one.title)
+    slow = [(tau, deviation) for tau, deviation in panel.series["bus"] if tau > 100]
+    assert len(slow) >= 3
+    for tau, deviation in slow:
+        assert deviation == pytest.approx(drift_ppm * tau / math.sqrt(2), rel=0.02)
+    # From one round to the next it is the noise of single exchanges that shows.
+    assert 5 < panel.series["bus"][0][1] < 100
 
 
 def test_an_answer_that_came_late_tells_little_and_does_no_harm():

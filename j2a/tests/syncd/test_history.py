@@ -5,6 +5,7 @@ import json
 import math
 import random
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import pytest
 
@@ -81,6 +82,17 @@ def test_allan_deviation_of_a_drift_is_nothing_and_of_white_noise_falls_with_tim
         assert deviation == pytest.approx(3 * math.sqrt(3) / tau, rel=0.2)
         assert later < deviation
     assert allan_deviation([1.0, 2.0], 1.0) == []
+
+
+@pytest.mark.parametrize("set_s", [3600.0, -3600.0])
+def test_a_step_of_the_clock_changes_no_allan_deviation(set_s):
+    def deviations(rounds):
+        (panel,) = (one for one in panels_of({"left": rounds}) if "Allan" in one.title)
+        return panel.series["left"]
+
+    rounds = some(400)
+    moved = [replace(one, time_s=one.time_s + set_s) for one in rounds[200:]]
+    assert deviations(rounds[:200] + moved) == deviations(rounds)
 
 
 def texts(svg):
