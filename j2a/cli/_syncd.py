@@ -21,12 +21,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import j2a_transports
+from j2a_spec.constants import CLOCK_HOLDOVER_S
 
 from j2a.cli._exit import INTERRUPTED, LINK, OK, CommandFailed, UsageError
-from j2a.cli._link import finite_seconds
+from j2a.cli._link import finite_seconds, whole_number
 from j2a.cli._output import note, show
 from j2a.cli._setup import GROUP
-from j2a.syncd.daemon import Daemon
+from j2a.syncd.daemon import MAX_BOARDS, Daemon
 from j2a.syncd.realtime import realtime
 from j2a.syncd.singleton import LIMIT_S, NotRunning, Server, Taken, ask, folders
 
@@ -58,6 +59,11 @@ class _User(NamedTuple):
     group: int
 
 
+def _padded(read: Callable[[str], int]) -> Callable[[str], int]:
+    """Take zeros in front, too, as in the variables BUSNUM and DEVNUM of udev."""
+    return lambda text: read(text.lstrip("0") or "0")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command; the short ones are those of the thesis (listing 6.3)."""
     parser.add_argument("urls", nargs="*", metavar="URL", help="a board without SyncUSB")
@@ -67,11 +73,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=finite_seconds,
         default=INTERVAL_S,
         metavar="S",
-        help=f"seconds between two packets to a board, at least {SHORTEST_S:g} (1)",
+        help=f"seconds between two packets to a board, {SHORTEST_S:g} to {CLOCK_HOLDOVER_S} (1)",
     )
-    parser.add_argument("-b", "--busnum", type=int, metavar="BUS", help="only boards of this bus")
     parser.add_argument(
-        "-d", "--device", type=int, metavar="ADDRESS", help="only the one of this address there"
+        "-b",
+        "--busnum",
+        type=_padded(whole_number(0)),
+        metavar="BUS",
+        help="only boards of this bus",
+    )
+    parser.add_argument(
+        "-d",
+        "--device",
+        type=_padded(whole_number(1, MAX_BOARDS)),
+        metavar="ADDRESS",
+        help="only the one of this address there",
     )
     parser.add_argument("--no-usb", action="store_true", help="only the boards of the URLs")
     parser.add_argument("-D", "--daemon", action="store_true", help="go to the background")
@@ -96,8 +112,11 @@ def run(args: argparse.Namespace) -> int:
     """Be the daemon, or tell the one that runs; returns the exit code."""
     if sys.platform == "win32":
         raise UsageError("syncd needs Unix sockets: it runs on Linux and macOS")
-    if args.interval < SHORTEST_S:
-        raise UsageError(f"--interval is at least {SHORTEST_S:g} seconds")
+    if not SHORTEST_S <= args.interval <= CLOCK_HOLDOVER_S:
+        raise UsageError(
+            f"--interval is at least {SHORTEST_S:g} seconds, and {CLOCK_HOLDOVER_S} at most: a "
+            "board that hears nothing for longer takes itself for alone"
+        )
     if args.device is not None and args.busnum is None:
         raise UsageError("--device needs --busnum: addresses are those of a bus")
     if args.user is not None and os.geteuid() != 0:

@@ -82,6 +82,19 @@ def test_a_second_one_tells_the_first_which_board_it_means(run, daemon, monkeypa
     assert told.rstrip().endswith("; it does not take --interval, --realtime")
 
 
+@pytest.mark.parametrize("words", [["-b", "008", "-d", "019"], ["-b", "8", "-d", "19"]])
+def test_numbers_of_a_board_as_udev_writes_them(run, daemon, monkeypatch, words):
+    asked = []
+
+    def answers(folder, request):
+        asked.append(request["only"])
+        return ask(folder, request)
+
+    monkeypatch.setattr("j2a.cli._syncd.ask", answers)
+    assert run("syncd", "--no-usb", *words).code == 0
+    assert asked == [[8, 19]]
+
+
 def test_after_kill_9_the_next_one_begins(daemon, start):
     daemon.process.kill()
     daemon.process.wait(WAIT_S)
@@ -129,7 +142,12 @@ def test_in_the_background(run, folder):
     ("words", "text"),
     [
         (["-i", "0.01"], "at least 0.05"),
+        (["-i", "10.1"], "10 at most"),
+        (["-i", "1e300"], "10 at most"),
         (["-i", "nan"], "nan"),
+        (["-b", "-1"], "-1"),
+        (["-b", "1", "-d", "0"], "from 1 to 127"),
+        (["-b", "1", "-d", "128"], "from 1 to 127"),
         (["-d", "3"], "--device needs --busnum"),
         (["--user", "no-such-user"], "user"),
         (["nonsense"], "nonsense"),
