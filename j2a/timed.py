@@ -76,7 +76,12 @@ class _At:
 
         Raises:
             UnknownTransducer: there is none.
+            WrongArgument: `boards` is one text, whose letters are no boards, or no list.
         """
+        if isinstance(boards, str) or not isinstance(boards, Iterable | None):
+            raise WrongArgument(
+                f"boards is a list of identities, such as ['left', 'right'], not {boards!r:.40}"
+            )
         if boards is not None:
             chosen = {board: self._boards[board] for board in boards}
         else:

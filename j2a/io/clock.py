@@ -15,7 +15,6 @@ from j2a.errors import CallTimeout, J2AError, LinkError, LocalError, Outcome
 from j2a.io.clock_base import ClockBase, ClockReading
 from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
-from j2a.protocol.arguments import check_timeout
 from j2a.protocol.clock import LOOK_S, Exchange, Status
 from j2a.protocol.clock.discipline import BURST
 from j2a.protocol.transfer import Transfer
@@ -299,6 +298,10 @@ def check_period(period_s: float) -> float:
     Raises:
         LocalError: it is no time above 0, or so long that the board takes itself for alone.
     """
-    if check_timeout(period_s) > MAX_PERIOD_S or period_s <= 0:
-        raise LocalError(f"period_s is above 0 and at most {MAX_PERIOD_S:g} s, not {period_s!r}")
+    is_number = isinstance(period_s, int | float) and not isinstance(period_s, bool)
+    if not is_number or not 0 < period_s <= MAX_PERIOD_S:
+        raise LocalError(
+            f"period_s is a number of seconds above 0 and at most {MAX_PERIOD_S:g}, "
+            f"not {period_s!r:.40}"
+        )
     return period_s

@@ -379,10 +379,11 @@ def test_a_number_of_rounds_is_one(board, rounds):
         board.clock.measure(rounds)
 
 
-@pytest.mark.parametrize("period_s", [0, -1.0, 6.0, float("nan"), "1"])
+@pytest.mark.parametrize("period_s", [0, -1.0, 6.0, math.inf, math.nan, "1", None, True])
 def test_a_period_keeps_a_board_from_holdover(board, period_s):
-    with pytest.raises(j2a.LocalError):
-        board.clock.discipline(period_s)
+    for keep in (board.clock.discipline, board.clock.follow):
+        with pytest.raises(j2a.LocalError, match=r"period_s is a number of .* at most 5, not"):
+            keep(period_s)
 
 
 # ---------------------------------------------------------------------------- ends and losses

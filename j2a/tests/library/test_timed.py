@@ -91,6 +91,14 @@ def in_time(fleet, order):
     raise AssertionError
 
 
+@pytest.mark.parametrize("wrong", ["left", "", 5])
+def test_one_name_is_no_list_of_boards(boards, fleet, wrong):
+    del boards
+    for order in (fleet.at(soon_us(5)).set, fleet.at(soon_us(5)).trigger):
+        with pytest.raises(j2a.WrongArgument, match=r"boards is a list .* not"):
+            order("lamp", boards=wrong)
+
+
 def check(boards, told, fleet, time_us):
     """The two boards acted when they were to, on their clocks."""
     assert set(told) == {"left", "right"}
