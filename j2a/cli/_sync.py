@@ -160,24 +160,44 @@ def _ask(request: dict[str, object]) -> dict[str, object]:
 
 
 def _show(status: dict[str, object]) -> None:
-    show(
-        f"daemon {status.get('pid')}, for {status.get('uptime_s')} s, steps: {status.get('steps')}"
+    try:
+        lines = _lines(status)
+    except (KeyError, TypeError, ValueError) as error:
+        raise CommandFailed(
+            f"what the daemon told is no status ({error!r:.80}): is it of another version of "
+            "J2A? Start it again, or see what it told by --json",
+            LINK,
+        ) from None
+    for line in lines:
+        show(line)
+
+
+def _lines(status: dict[str, object]) -> list[str]:
+    """Return the table of a status.
+
+    Raises:
+        KeyError, TypeError, ValueError: it is none.
+    """
+    lines = [f"daemon {status['pid']}, for {status['uptime_s']} s, steps: {status['steps']}"]
+    boards = _list(status["boards"])
+    if not boards:
+        return [*lines, "no boards"]
+    lines.append(
+        f"{'board':<24} {'state':<10} {'offset':>12} {'rate':>12} {'uncertainty':>12} {'lost':>5}"
     )
-    boards = status.get("boards")
-    if not isinstance(boards, list) or not boards:
-        show("no boards")
-        return
-    show(f"{'board':<24} {'state':<10} {'offset':>12} {'rate':>12} {'uncertainty':>12} {'lost':>5}")
     for one in boards:
-        show(
+        if not isinstance(one, dict):
+            raise TypeError(f"{one!r:.40} is no board")
+        lines.append(
             f"{one['board']:<24} {one['state']:<10} {_number(one['offset_us'], 'us'):>12} "
             f"{_number(one['rate_ppb'], 'ppb'):>12} {_number(one['uncertainty_us'], 'us'):>12} "
             f"{one['lost']:>5}"
         )
         if one.get("frames_modulo") == SHORT:
-            show(f"  frames modulo {SHORT}")
+            lines.append(f"  frames modulo {SHORT}")
         if one.get("problem"):
-            show(f"  {one['problem']}")
+            lines.append(f"  {one['problem']}")
+    return lines
 
 
 def _number(value: object, unit: str) -> str:

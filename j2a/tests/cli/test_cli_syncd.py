@@ -22,7 +22,7 @@ import pytest
 from j2a.cli import _setup
 from j2a.demo import DemoDevice
 from j2a.syncd import system
-from j2a.syncd.singleton import ask
+from j2a.syncd.singleton import Server, ask
 
 WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
 
@@ -119,6 +119,23 @@ def test_a_daemon_that_does_not_answer_is_told(run, folder):
         result = run("syncd", "--no-usb")
     assert result.code == 3
     assert "does not answer" in result.err
+
+
+@pytest.mark.parametrize(
+    "boards", [None, "left", [1], [{}], [{"board": 1, "state": None, "lost": None}]]
+)
+def test_a_daemon_that_tells_something_else_is_named(run, folder, boards):
+    status = {"pid": 1, "uptime_s": 2, "steps": 0, "boards": boards}
+    server = Server(folder, lambda _request, _is_trusted: status)
+    server.start()
+    try:
+        result = run("sync", "status")
+        as_json = run("sync", "status", "--json")
+    finally:
+        server.close()
+    assert (result.code, result.out) == (3, "")
+    assert "is it of another version" in result.err
+    assert json.loads(as_json.out) == status
 
 
 def test_in_the_background(run, folder):
