@@ -258,8 +258,10 @@ def _announced_us(board: j2a.Client, status: Status) -> float:
     # The daemon knows a board by its URL, or by its serial number or path of ports, the URL's end.
     url = unquote(board.url.partition("?")[0])
     names = {url, url.partition(":")[2].rpartition("/")[2]}
+    # A daemon of another version may tell something else.
+    unknown = (NotRunning, AttributeError, KeyError, TypeError, ValueError)
     for folder in folders():
-        with contextlib.suppress(NotRunning):
+        with contextlib.suppress(*unknown):
             rows: Any = ask(folder, {"command": "status"}).get("boards", [])
             found = [row for row in rows if names & {row["board"], row["place"].split()[-1]}]
             if len(found) == 1 and found[0]["uncertainty_us"] is not None:

@@ -14,6 +14,7 @@ import pytest
 from j2a_spec import constants as c
 
 import j2a
+from j2a.cli._exit import UsageError
 from j2a.cli._sync_verify import _announced_us
 from j2a.protocol.clock import Adjust
 from j2a.syncd.singleton import Server
@@ -201,6 +202,14 @@ def test_boards_on_a_usb_are_known_to_the_daemon_by_serial_or_place(monkeypatch,
     monkeypatch.setattr("j2a.cli._sync_verify.ask", lambda *_what: {"boards": rows})
     board, status = SimpleNamespace(url=url), SimpleNamespace(uncertainty_us=None)
     assert _announced_us(board, status) == 80
+
+
+@pytest.mark.parametrize("rows", [None, "x", [1], [{}], [{"board": "left", "place": 1}]])
+def test_a_daemon_that_tells_something_else_announces_nothing(monkeypatch, rows):
+    monkeypatch.setattr("j2a.cli._sync_verify.ask", lambda *_what: {"boards": rows})
+    board, status = SimpleNamespace(url="usb://left"), SimpleNamespace(uncertainty_us=None)
+    with pytest.raises(UsageError, match="no j2a syncd says so: --bound US"):
+        _announced_us(board, status)
 
 
 def test_without_a_wire(run, wire, urls, monkeypatch):
