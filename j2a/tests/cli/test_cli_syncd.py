@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import pty
+import re
 import select
 import signal
 import stat
@@ -24,6 +25,7 @@ from j2a.demo import DemoDevice
 from j2a.syncd import system
 from j2a.syncd.singleton import Server, ask
 
+ROOT = Path(__file__).parents[3]
 WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
 
 
@@ -119,6 +121,24 @@ def test_a_daemon_that_does_not_answer_is_told(run, folder):
         result = run("syncd", "--no-usb")
     assert result.code == 3
     assert "does not answer" in result.err
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give capabilities away")
+def test_the_rights_that_the_page_gives_a_punctual_service_are_enough(need, folder):
+    need("setpriv")
+    text = (ROOT / "docs/syncd.md").read_text("utf-8")
+    (names,) = re.findall("^CapabilityBoundingSet=(.*)$", text, re.MULTILINE)
+    kept = "".join(f",+{name.removeprefix('CAP_').lower()}" for name in names.split())
+    command = ["setpriv", f"--bounding-set=-all{kept}", "--inh-caps=-all", "--no-new-privs"]
+    command += [sys.executable, "-m", "j2a", "syncd", "--no-usb", "--realtime", "-v"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
+        lines = iter(program.stderr.readline, "")
+        assert any(f"runs, socket {folder}" in line for line in lines)
+        status = Path(f"/proc/{program.pid}/status").read_text("utf-8")
+        program.terminate()
+        assert program.wait(WAIT_S) == 0
+    assert re.search(r"^CapEff:\s+0+$", status, re.MULTILINE), "all given away"
+    assert "\nUid:\t0" not in status
 
 
 @pytest.mark.parametrize(
