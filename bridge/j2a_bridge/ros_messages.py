@@ -437,26 +437,26 @@ _NUMBERS: Final[Mapping[str, tuple[str, str, Callable[..., dict[str, Any]]]]] = 
 
 
 def _joint_state(topic: Topic, ros: RosMessages, quantity: Quantity) -> Message:
-    """Return the angles of all channels as positions of joints."""
+    """Return the angles of the channels that were read as positions of joints."""
     kind = "sensor_msgs/msg/JointState"
     store, make = ros.store, ros.store.types[kind]
     serialize = ros._serializer(store, kind)
     channels = topic.transducer.channels
     base = topic.name.replace("/", "_")
     names = [base] if channels == 1 else [f"{base}_{channel}" for channel in range(channels)]
+    newest = [_Newest(topic.transducer, channel) for channel in range(channels)]
     nothing = np.zeros(0)
 
     def pack(update: Update) -> bytes | None:
-        there = [
-            (names[one.channel], one.value * quantity.factor)
-            for one in update.sample.readings
-            if one.value is not None
-        ]
+        # The message has one stamp: the position of a joint that was not read is not of that time.
+        found = zip(names, [one.of(update) for one in newest], strict=True)
+        there = [(name, *one) for name, one in found if one is not None]
         if not there:
             return None
-        positions = np.array([value for _, value in there])
-        header = ros.header(store, update.stamp_ns, topic.name)
-        return serialize(make(header, [name for name, _ in there], positions, nothing, nothing))
+        positions = np.array([value * quantity.factor for _, value, _ in there])
+        header = ros.header(store, max(stamp for _, _, stamp in there), topic.name)
+        joints = [name for name, _, _ in there]
+        return serialize(make(header, joints, positions, nothing, nothing))
 
     return Message(f"{topic.name}/joints", kind, pack)
 

@@ -245,11 +245,31 @@ def test_angles_are_positions_of_joints_in_radians() -> None:
     topic = topic_of(
         "SENSOR(quad, 0, quad, M, 2, i16, -1, (unit, deg), (scale, 0.5))", name="left/quad"
     )
-    found = published(topic, struct.pack("<QhQh", 7, 180, 9_000_000, -1), "jazzy")
+    found = published(topic, struct.pack("<QhQh", 8_000_000, 180, 9_000_000, -1), "jazzy")
     joints = found["left/quad/joints"]
     assert joints.name == ["left_quad_0"]
     assert joints.position.tolist() == [pytest.approx(math.pi / 2)]
-    assert joints.header.stamp.sec == 9
+    assert joints.header.stamp.sec == 8  # that of the joint, not of the one that is N/A
+
+
+def test_a_joint_that_was_not_read_is_in_no_message() -> None:
+    ros = RosMessages("noetic")
+    topic = topic_of("SENSOR(quad, 0, quad, M, 3, i16, none, (unit, rad))")
+    [_, message] = ros.messages(topic)
+
+    def joints_of(*parts: int) -> Any:
+        data = message.pack(update_of(topic, struct.pack("<QhQhQh", *parts)))
+        if data is None:
+            return None
+        found = ros.read(message.type, data)
+        return found.header.stamp.sec, dict(zip(found.name, found.position, strict=True))
+
+    second = 1_000_000
+    assert joints_of(second, 5, 0, 0, 2 * second, 6) == (2, {"quad_0": 5, "quad_2": 6})
+    assert joints_of(3 * second, 5, 0, 0, 2 * second, 6) == (3, {"quad_0": 5})
+    assert joints_of(3 * second, 5, 0, 0, 2 * second, 6) is None
+    # The stamp is that of the joints which are in it, and not of one that was newer before.
+    assert joints_of(3 * second, 5, 2 * second, 7, 2 * second, 6) == (2, {"quad_1": 7})
 
 
 @pytest.mark.parametrize("kind", ["sensor_msgs/Imu", "sensor_msgs/Nonsense"])
