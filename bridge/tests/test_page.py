@@ -299,6 +299,52 @@ def test_the_axis_of_a_bool_has_nothing_but_false_and_true(value, low, high):
 
 
 @needs_browser
+def test_a_bool_jumps_from_one_value_to_the_other():
+    # Columns of the plot with a line between the rows of false and true.
+    between = (
+        "(() => { const canvas ="
+        "  document.querySelector('[aria-label=\"plot of on\"] canvas');"
+        "const { width, height } = canvas;"
+        "const { data } = canvas.getContext('2d').getImageData(0, 0, width, height);"
+        "const columns = new Set();"
+        "for (let at = 0; at < data.length; at += 4) {"
+        "  const parts = data.slice(at, at + 3), row = at / 4 / width / height;"
+        "  const isLine = data[at + 3] > 90 && Math.max(...parts) - Math.min(...parts) > 80;"
+        "  if (isLine && row > 0.3 && row < 0.5) columns.add((at / 4) % width);"
+        "} return columns.size; })()"
+    )
+
+    async def work():
+        device = board_of("SENSOR(on, 0, o, M, 1, bool, none)\n")
+        async with shown(device) as (page, _):
+            device.sense("on", 0, False)
+            await page.until(f"({drawn('on')}).some((row) => row > 0.6)")
+            await asyncio.sleep(4)  # 20 pixels of a plot of 60 s
+            device.sense("on", 0, True)
+            await page.until(f"({drawn('on')}).some((row) => row < 0.2)")
+            return await page.run(between)
+
+    assert 1 <= asyncio.run(work()) <= 4
+
+
+@needs_browser
+def test_the_marks_of_channels_follow_the_colours_of_the_system():
+    script = "getComputedStyle(document.querySelector('.values i')).backgroundColor"
+
+    async def work():
+        device = board_of()
+        async with shown(device) as (page, _):
+            await page.prefer("light")
+            device.sense("quad", 0, 90)
+            await page.until("document.querySelector('.values i') !== null")
+            light = await page.run(script)
+            await page.prefer("dark")
+            await page.until(f"{script} !== {light!r}", 30)
+
+    asyncio.run(work())
+
+
+@needs_browser
 def test_a_board_that_goes_and_comes_and_a_server_that_does():
     async def work():
         port = free_port()

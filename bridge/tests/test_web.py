@@ -536,7 +536,9 @@ def test_values_are_shown_with_unit_and_what_is_none_as_such():
     assert span.object()["v"] == ["1234.5 mV", "N/A", "none yet"]
     span = _Span({})
     span.add(update_of(topic_of(IMU), struct.pack("<Q9h", 7, *range(9))))
-    assert span.object()["v"] == ["rate  0  1  2\nacceleration  3  4  5\nfield  6  7  8"]
+    assert span.object()["v"] == [
+        "rate  0  1  2 mdeg/s\nacceleration  3  4  5 mg\nfield  6  7  8 uT"
+    ]
     queue = topic_of("SENSOR(s, 0, s, M, 2, u8, none, (queue, 4))")
     span = _Span({})
     span.add(update_of(queue, struct.pack("<HBQB", 0, 1, 1, 9)))

@@ -300,14 +300,18 @@ function drawPlot(topic) {
   });
 }
 
+function hue(at) {
+  return (205 + 137 * (at % COLOURS)) % 360;
+}
+
 function colour(at) {
-  const isDark = matchMedia("(prefers-color-scheme: dark)").matches;
-  return `hsl(${(205 + 137 * (at % COLOURS)) % 360} 70% ${isDark ? 65 : 40}%)`;
+  const style = getComputedStyle(document.documentElement);
+  return `hsl(${hue(at)} 70% ${style.getPropertyValue("--curve")})`;
 }
 
 function dot(series) {
   const element = make("i", { "aria-hidden": "true" });
-  element.style.background = colour(series);
+  element.style.background = `hsl(${hue(series)} 70% var(--curve))`; // follows the colours of the system
   return element;
 }
 
@@ -343,6 +347,8 @@ function newPlot(topic, names) {
     width: 1.5,
     spanGaps: true,
     points: { size: 5, fill: colour(at), show: isSparse },
+    // Between two readings a bool is what it was: a slope would be read as neither.
+    ...(topic.isBool ? { paths: uPlot.paths.stepped({ align: 1 }) } : {}),
   }));
   return new uPlot(
     {

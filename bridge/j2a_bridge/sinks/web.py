@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from j2a import LocalError
 from j2a.cli._typed import plain
+from j2a.types.model import Structure, Type
 from j2a_bridge.json_values import finite
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
 from j2a_bridge.sinks.mcap import McapSink
@@ -61,6 +62,7 @@ class _Span:
     def add(self, update: Update) -> None:
         """Take a sample in: of each series the least, the greatest and the newest are kept."""
         unit = f" {update.sample.unit}" if update.sample.unit else ""
+        kind = update.topic.transducer.type
         channels = self._newest
         for one in update.sample.readings:
             if one.time_us is None:
@@ -68,7 +70,7 @@ class _Span:
             elif one.value is None:
                 channels[one.channel] = "N/A"
             else:
-                channels[one.channel] = f"{_shown(one.value)}{unit}"
+                channels[one.channel] = f"{_shown(one.value, kind)}{unit}"
         for stamp, name, value in numbers(update):
             point = stamp // _NS_PER_MS, value
             kept = self.series.get(name)
@@ -94,14 +96,17 @@ class _Span:
         return {"v": values, "s": series}
 
 
-def _shown(value: Any) -> str:
-    """Return a value as the page shows it, a line for each field of a structure."""
+def _shown(value: Any, kind: Type) -> str:
+    """Return a value as the page shows it, a line for each field of a structure with its unit."""
     if isinstance(value, float):
         return f"{value:.6g}"
-    if hasattr(value, "_asdict"):
-        return "\n".join(f"{name}  {_shown(one)}" for name, one in value._asdict().items())
+    if hasattr(value, "_asdict") and isinstance(kind.element, Structure):
+        lines = []
+        for field, one in zip(kind.element.fields, value, strict=True):
+            lines.append(f"{field.name}  {_shown(one, field.type)} {field.type.unit}".rstrip())
+        return "\n".join(lines)
     if isinstance(value, list | tuple):
-        return "  ".join(_shown(one) for one in value)
+        return "  ".join(_shown(one, kind) for one in value)
     return plain(value)
 
 
