@@ -88,6 +88,22 @@ def test_samples_come_as_messages_of_ros2_and_commands_go_back(caplog):
     assert message.values.tolist() == [0, 91]
 
 
+def test_channels_of_a_board_that_has_gone_are_not_kept():
+    sink = make_sink(SinkRequest.parse("foxglove:127.0.0.1:0"), None)
+    sink.open()
+    try:
+        topic = topic_of("SENSOR(s, 0, s, M, 1, u8, none, (unit, deg))")
+        kept = sink._foxglove.channel._channels_by_id
+        before = len(kept)
+        for _ in range(3):
+            sink.announce(topic)
+            assert len(kept) == before + 2
+            sink.retract(topic)
+        assert len(kept) == before
+    finally:
+        sink.close()
+
+
 def test_no_page_commands_actuators_unless_the_user_says_so(caplog):
     sink = make_sink(SinkRequest.parse("foxglove:127.0.0.1:0"), None)
     sink.open()
