@@ -275,7 +275,7 @@ class SinkRunner:
 
     def _fail(self, error: Exception) -> None:
         is_expected = isinstance(error, SinkError | OSError)
-        what = str(error) if is_expected else f"{type(error).__name__}: {error}"
+        what = _words(error) if is_expected else f"{type(error).__name__}: {error}"
         self.problem = what or type(error).__name__
         if self.problem != self._told:
             self._told = self.problem
@@ -288,3 +288,10 @@ class SinkRunner:
         self._is_open = False
         with contextlib.suppress(Exception):
             self.sink.close()
+
+
+def _words(error: Exception) -> str:
+    """Return what an expected error says, without the number that Python has before it."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)

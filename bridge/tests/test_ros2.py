@@ -16,7 +16,7 @@ import pytest
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.domain import DomainParticipant
 from j2a_bridge.ros_messages import RosMessages
-from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sink import SinkError, SinkRequest, make_sink
 from j2a_bridge.sinks.ros2 import Ros2Sink
 
 from j2a import LocalError
@@ -276,6 +276,13 @@ def test_discovery_stays_on_this_computer(domain):
 def test_what_is_wrong_is_told(words, told):
     with pytest.raises(LocalError, match=told):
         make_sink(SinkRequest.parse(words), None)
+
+
+def test_a_network_that_is_not_there_is_told(domain, capfd):
+    sink = make_sink(SinkRequest.parse(f"ros2:domain={domain},network=nosuch0"), None)
+    with pytest.raises(SinkError, match=r"no network interface 'nosuch0'; there are: .*lo"):
+        sink.open()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_domain_of_the_environment_counts(monkeypatch):

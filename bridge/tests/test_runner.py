@@ -231,3 +231,27 @@ def test_a_sink_that_has_failed_is_not_opened_once_more_at_the_end(runner, sink,
     assert runner.join(PATIENCE_S)
     assert not opened
     assert (runner.published, runner.dropped) == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (
+            OSError(2, "No such file or directory", "/nowhere/a.mcap"),
+            "/nowhere/a.mcap: No such file or directory",
+        ),
+        (OSError(-2, "Name or service not known"), "Name or service not known"),
+        (OSError("the plug is out"), "the plug is out"),
+    ],
+)
+def test_an_error_of_the_system_is_told_without_its_number(runner, sink, monkeypatch, error, told):
+    def fail(topic):
+        raise error
+
+    monkeypatch.setattr(Blocked, "RETRY_S", None)
+    monkeypatch.setattr(sink, "announce", fail)
+    runner.announce(topic("level"))
+    sink.let_go.set()
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert runner.problem == told

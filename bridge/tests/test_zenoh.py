@@ -12,7 +12,9 @@ import xxhash
 import zenoh
 from j2a_bridge.command_fleet import read_status
 from j2a_bridge.ros_messages import RosMessages
+from j2a_bridge.sink import SinkRequest, make_sink
 
+import j2a
 from j2a.types.transds_file import read_transds
 
 from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, free_port, served, until
@@ -246,6 +248,12 @@ def test_fleet_tells_what_a_locator_is(locator):
     assert result.returncode == 2
     wrong = locator.rpartition("+")[2]
     assert f"{wrong!r} is no locator of Zenoh, such as tcp/192.168.1.5:7447" in result.stderr
+
+
+@pytest.mark.parametrize("option", ["connect", "listen"])
+def test_a_locator_that_is_none_is_refused_before_the_bridge_begins(option):
+    with pytest.raises(j2a.LocalError, match="'nowhere' is no locator of Zenoh"):
+        make_sink(SinkRequest.parse(f"zenoh:{option}=nowhere"), None)
 
 
 def test_fleet_shows_no_place_in_sources_of_zenoh(tmp_path):

@@ -108,7 +108,7 @@ class FoxgloveSink(Sink):
         self._topics.pop(f"/{topic.name}/cmd", None)
         for _, channel in self._channels.pop(topic.name, ()):
             channel.close()
-            # The package would keep each closed channel with its schema for as long as it is loaded.
+            # The package would keep each closed channel with its schema.
             vars(self._foxglove.channel).get("_channels_by_id", {}).pop(channel.id(), None)
 
     def publish(self, update: Update) -> None:

@@ -101,7 +101,7 @@ class Ros1Sink(Sink):
             )
         except OSError as error:
             self._scratch.cleanup()
-            raise SinkError(f"{command[0]} does not start: {error}") from None
+            raise SinkError(f"{command[0]} does not start: {error.strerror}") from None
         self._process = process
         self._answers = ThreadPoolExecutor(1, thread_name_prefix="j2a ros1 answers")
         assert process.stdin is not None

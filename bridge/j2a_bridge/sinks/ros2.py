@@ -9,6 +9,7 @@ computer unless it is told otherwise.
 
 import logging
 import os
+import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -86,6 +87,7 @@ class Ros2Sink(Sink):
         dds = self._dds
         self._writers.clear()
         self._readers.clear()
+        _check_network(self.options["network"])
         try:
             _configure(dds, self._domain, self.options["network"])
             enclave = dds.Qos(dds.Policy.Userdata(b"enclave=/;"))
@@ -224,6 +226,19 @@ def _domain_of_environment() -> int:
     if not text.isdecimal():
         raise LocalError(f"ROS_DOMAIN_ID is a number, not {text!r:.40}")
     return int(text)
+
+
+def _check_network(network: str) -> None:
+    """Refuse an interface that is not there: DDS would only say "non specific error".
+
+    Raises:
+        SinkError: it is not there now; it may come later.
+    """
+    there = [name for _, name in socket.if_nameindex()]
+    if network not in ("", "any", *there):
+        raise SinkError(
+            f"this computer has no network interface {network!r:.40}; there are: {', '.join(there)}"
+        )
 
 
 def _configure(dds: "_Dds", number: int, network: str) -> None:

@@ -132,6 +132,8 @@ class ZenohSink(Sink):
             )
         if not 0 <= options["domain"] <= _MAX_DOMAIN:
             raise LocalError(f"a domain is 0 to {_MAX_DOMAIN}, not {options['domain']}")
+        for option in ("connect", "listen"):
+            _locators(options[option])
         _zenoh()
         self._ros = RosMessages(options["distro"])
         self._session: Any = None
