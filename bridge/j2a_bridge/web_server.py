@@ -151,6 +151,7 @@ class PageServer:
         app = web.Application(client_max_size=1024)
         app.router.add_get("/{token}/ws", self._socket)
         app.router.add_get("/{token}/{name:[a-z.]*}", self._file)
+        app.router.add_get("/{token:[^/]*}", self._bare)
         app.on_response_prepare.append(_add_headers)
         self._runner = web.AppRunner(app, access_log=None, logger=_logger, keepalive_timeout=5.0)
         await self._runner.setup()
@@ -223,6 +224,11 @@ class PageServer:
         if not path.is_file():
             raise web.HTTPNotFound(text=f"{_NO_PLOTS}\n")
         return web.Response(body=path.read_bytes(), content_type=found[1], charset="utf-8")
+
+    async def _bare(self, request: Any) -> Any:
+        """Lead an address whose last slash was not copied to the page."""
+        self._check(request)
+        raise web.HTTPFound(self.url)
 
     async def _socket(self, request: Any) -> Any:
         self._check(request)

@@ -241,6 +241,21 @@ def test_a_token_is_long_and_stays_as_it_is_in_an_address(token, is_right):
             WebSink("", options, None)
 
 
+def test_an_address_without_its_last_slash_leads_to_the_page():
+    async def work():
+        async with paged(board_of()) as (session, server, _):
+            async with session.get(server.url[:-1]) as answer:
+                assert str(answer.url) == server.url
+                assert "<title>J2A live view</title>" in await answer.text()
+            base = server.url.rsplit("/", 2)[0]
+            for path in ("/", "/wrong", "/wrong/"):
+                async with session.get(base + path) as answer:
+                    assert answer.status == 403
+                    assert "needs the token" in await answer.text()
+
+    in_loop(work)
+
+
 def test_what_is_no_http_is_refused_without_a_word(caplog):
     async def work():
         found = []
