@@ -12,10 +12,14 @@ from collections.abc import Collection, Container, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from j2a import LocalError
 from j2a.types.transducers import Descriptors, Transducer
 
-__all__ = ["Names", "Topic", "plain_name"]
+__all__ = ["NODE", "Names", "Topic", "check_node", "plain_name"]
 
+NODE: Final = "j2a_bridge"
+"""What the node of ROS 2 is called, unless the user says otherwise."""
+_NODE_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
 _LONGEST: Final = 64
 """Of the name that a board gives itself: names of topics in ROS 2 are not longer than 250."""
 _BESIDE: Final = re.compile(
@@ -52,6 +56,16 @@ def plain_name(text: str) -> str:
     """Return a name that ROS 1, ROS 2 and brokers take: letters and digits with one "_" between."""
     name = _BETWEEN.sub("_", text).strip("_")
     return name if name[:1].isalpha() else f"x{name}"
+
+
+def check_node(name: str) -> None:
+    """Refuse what ROS 2 does not take as the name of a node.
+
+    Raises:
+        LocalError: it is none.
+    """
+    if not _NODE_NAME.fullmatch(name):
+        raise LocalError(f"the name of a node is letters, digits and _, not {name!r:.60}")
 
 
 class Names:

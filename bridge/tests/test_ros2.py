@@ -92,7 +92,7 @@ class FastDds:
 async def bridged(domain, *more, text=TRANSDS):
     device = board_of(text)
     with served(device) as url:
-        config = config_for(url, sinks=(f"ros2:domain={domain}", "kept", *more))
+        config = config_for(url, sinks=(f"ros2:domain={domain},node=arm", "kept", *more))
         async with bridging(config) as bridge:
             assert bridge.runners[0].problem == ""
             await until(lambda: len(bridge._flows) == text.count("\n") - 1)
@@ -204,7 +204,7 @@ def test_the_graph_names_the_node_with_all_that_it_has(program, domain):
             peer.end()
 
     node = asyncio.run(work())
-    assert (node.node_namespace, node.node_name) == ("/", "j2a_bridge")
+    assert (node.node_namespace, node.node_name) == ("/", "arm")
 
 
 def test_endpoints_tell_the_hash_of_their_type_and_the_quality_of_sensor_data(domain):
@@ -271,6 +271,9 @@ def test_discovery_stays_on_this_computer(domain):
         ("ros2:domain=233", "a domain is 0 to 232"),
         ("ros2:distro=noetic", "humble or jazzy"),
         ("ros2:domain=x", "whole number"),
+        ("ros2:node=a b", "the name of a node is letters"),
+        ("ros2:node=", "the name of a node is letters"),
+        ("zenoh:node=a/b", "the name of a node is letters"),
     ],
 )
 def test_what_is_wrong_is_told(words, told):

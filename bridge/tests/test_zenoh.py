@@ -53,7 +53,7 @@ class Peer:
 async def with_peer(locator, work, text=None):
     device = board_of() if text is None else board_of(text)
     with served(device) as url:
-        sink = f"zenoh:mode=router,listen={locator}"
+        sink = f"zenoh:mode=router,listen={locator},node=arm"
         async with bridging(config_for(url, sinks=(sink, "kept"))) as bridge:
             assert not bridge.runners[0].problem
             await until(lambda: "servo" in bridge.runners[0].sink._parts)
@@ -79,11 +79,11 @@ def test_samples_are_under_the_keys_of_rmw_zenoh_with_its_attachment(locator):
 
     found, tokens, zid = asyncio.run(with_peer(locator, work))
     assert str(found[0].key_expr) == f"0/quad/{QUAD}/{HASH}"
-    node = f"@ros2_lv/0/{zid}/0/0/NN/%/%/j2a_bridge"
+    node = f"@ros2_lv/0/{zid}/0/0/NN/%/%/arm"
     assert node in tokens
-    [token] = [one for one in tokens if f"/MP/%/%/j2a_bridge/%quad/{QUAD}/{HASH}/" in one]
+    [token] = [one for one in tokens if f"/MP/%/%/arm/%quad/{QUAD}/{HASH}/" in one]
     assert token.endswith("/2::,5:,:,:,,")
-    assert any("/MS/%/%/j2a_bridge/%servo%cmd/" in one for one in tokens)
+    assert any("/MS/%/%/arm/%servo%cmd/" in one for one in tokens)
     numbers = []
     for one in found:
         sequence, stamp, size = struct.unpack_from("<qqB", one.attachment.to_bytes())

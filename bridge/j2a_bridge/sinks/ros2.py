@@ -20,7 +20,7 @@ import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
-from j2a_bridge.topics import Topic
+from j2a_bridge.topics import NODE, Topic, check_node
 
 try:
     from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
@@ -34,7 +34,6 @@ _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _GRAPH: Final = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _GRAPH_TOPIC: Final = "ros_discovery_info"
 _MAX_DOMAIN: Final = 232
-_NODE: Final = "j2a_bridge"
 _LOOPBACK: Final = """\
 <General>
   <Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>
@@ -64,6 +63,7 @@ class Ros2Sink(Sink):
             str, "", "let others find it: the name of an interface, or any (this computer alone)"
         ),
         "distro": Option(str, "jazzy", "whose messages: humble or jazzy"),
+        "node": Option(str, NODE, f"name of the node; another one for each bridge ({NODE})"),
     }
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
@@ -73,6 +73,7 @@ class Ros2Sink(Sink):
         self._domain = options["domain"] if options["domain"] != -1 else _domain_of_environment()
         if not 0 <= self._domain <= _MAX_DOMAIN:
             raise LocalError(f"a domain is 0 to {_MAX_DOMAIN}, not {self._domain}")
+        check_node(options["node"])
         self._dds = _Dds()
         self._ros = RosMessages(options["distro"])
         self._participant: Any = None
@@ -102,7 +103,7 @@ class Ros2Sink(Sink):
     def told(self) -> str:
         """Return what it is."""
         where = self.options["network"] or "this computer alone"
-        return f"node {_NODE} of ROS 2, domain {self._domain}, {where}"
+        return f"node {self.options['node']} of ROS 2, domain {self._domain}, {where}"
 
     def close(self) -> None:
         """Leave the domain."""
@@ -199,7 +200,10 @@ class Ros2Sink(Sink):
         writers += [one.writer for found in self._writers.values() for _, one in found]
         readers = [one for found in self._readers.values() for one in found]
         node = types["rmw_dds_common/msg/NodeEntitiesInfo"](
-            "/", _NODE, [gid_of(one) for one in readers], [gid_of(one) for one in writers]
+            "/",
+            self.options["node"],
+            [gid_of(one) for one in readers],
+            [gid_of(one) for one in writers],
         )
         message = types[_GRAPH](gid_of(self._participant), [node])
         self._graph.put(bytes(self._ros.store.serialize_cdr(message, _GRAPH)))

@@ -21,7 +21,7 @@ import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
-from j2a_bridge.topics import Topic, plain_name
+from j2a_bridge.topics import NODE, Topic, check_node, plain_name
 
 try:
     from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
@@ -120,6 +120,7 @@ class ZenohSink(Sink):
         "file": Option(str, "", "a file with the configuration of Zenoh, such as keys for TLS"),
         "domain": Option(int, 0, "domain id of ROS 2"),
         "distro": Option(str, "jazzy", "whose messages: humble or jazzy"),
+        "node": Option(str, NODE, f"name of the node; another one for each bridge ({NODE})"),
     }
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
@@ -132,6 +133,7 @@ class ZenohSink(Sink):
             )
         if not 0 <= options["domain"] <= _MAX_DOMAIN:
             raise LocalError(f"a domain is 0 to {_MAX_DOMAIN}, not {options['domain']}")
+        check_node(options["node"])
         for option in ("connect", "listen"):
             _locators(options[option])
         _zenoh()
@@ -228,7 +230,8 @@ class ZenohSink(Sink):
 
     def _token(self, kind: str, number: int, *about: str) -> str:
         zid = self._session.info.zid()
-        head = f"@ros2_lv/{self.options['domain']}/{zid}/0/{number}/{kind}/%/%/j2a_bridge"
+        domain, node = self.options["domain"], self.options["node"]
+        head = f"@ros2_lv/{domain}/{zid}/0/{number}/{kind}/%/%/{node}"
         return "/".join([head, *(one.replace("/", "%") for one in about)])
 
     def _key(self, topic: str, kind: str, type_hash: str) -> str:
