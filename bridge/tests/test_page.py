@@ -27,10 +27,10 @@ needs_browser = pytest.mark.skipif(
 
 
 @contextlib.asynccontextmanager
-async def shown(device, width=1280, height=900):
+async def shown(device, width=1280, height=900, **more):
     with served(device) as url:
         async with (
-            bridging(config_for(url, sinks=("web", "kept"))) as bridge,
+            bridging(config_for(url, sinks=("web", "kept"), **more)) as bridge,
             browser() as chromium,
         ):
             await until(lambda: bridge._flows)
@@ -296,6 +296,18 @@ def test_the_axis_of_a_bool_has_nothing_but_false_and_true(value, low, high):
     rows = asyncio.run(work())
     assert low <= min(rows)
     assert max(rows) <= high
+
+
+@needs_browser
+@pytest.mark.parametrize(
+    ("clock", "told"), [("off", "clock not known"), ("follow", "clock free \u00b1")]
+)
+def test_what_is_known_of_a_clock_is_told_also_where_that_is_nothing(clock, told):
+    async def work():
+        async with shown(board_of(), clock=clock) as (page, _):
+            await page.until(f"document.querySelector('.about').innerText.includes('{told}')", 30)
+
+    asyncio.run(work())
 
 
 @needs_browser

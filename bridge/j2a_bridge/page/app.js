@@ -144,6 +144,8 @@ function takeStatus(about) {
     if (status.clock) {
       const known = status.uncertainty_us === null ? "" : ` ±${short(status.uncertainty_us)} µs`;
       parts.push(`clock ${status.clock}${known}`);
+    } else if (status.is_here) {
+      parts.push("clock not known");
     }
     if (status.problem) parts.push(status.problem);
     board.facts.textContent = parts.join(" · ");
