@@ -4,7 +4,7 @@
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test exhaustive lint conformance mutants trace docs bench demo-servo demo-robot page firmware flash venv constraints clean distclean
+.PHONY: help demo test exhaustive lint conformance mutants trace docs bench demo-servo demo-robot picture page firmware flash venv constraints clean distclean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -27,6 +27,9 @@ demo-robot: $(INSTALLED)  ## two simulated boards in ROS 1, in ROS 2 and on a li
 	@sh tools/system.sh test
 	@sh tools/page.sh
 	@$(BIN)/python tools/demo_robot.py
+
+picture: demo-robot  ## take the picture of the live page in README and docs anew
+	@cp build/demo-robot.png docs/_static/view.png
 
 test: $(INSTALLED)  ## all checks and all tests; CHECK=ruff,mypy runs only these steps
 	@sh tools/system.sh test

@@ -314,7 +314,7 @@ async def tell_clocks(page: Page) -> None:
         " (one.innerText.match(/clock (free|locked|settling|holdover)[^\\n]*/)"
         " ?? ['clock not known'])[0])"
     )
-    for _ in range(50):
+    for _ in range(300):
         found = await page.run(script)
         if all("locked" in one or "settling" in one for one in found):
             break
