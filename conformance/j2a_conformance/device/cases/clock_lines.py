@@ -184,7 +184,7 @@ class Ages(ClockCase):
     ID = "clock.ages"
     EXPECTATION = "The target holds since then, uncertainty and state count from the request on."
     REQUIREMENTS = ("J2A-CLOCK-009", "J2A-CLOCK-012", "J2A-CLOCK-013", "J2A-CLOCK-017")
-    _AGES_US = (1, 1000, 1_500_000, 12 * S, c.CLOCK_MAX_BEHIND - 2 * S)
+    _AGES_US = (1, 1000, 1_500_000, 12 * S, 25 * S, c.CLOCK_MAX_BEHIND - 2 * S)
 
     def _judge(self, board: Board) -> None:
         if (now := board.status().local) < 2 * S:
