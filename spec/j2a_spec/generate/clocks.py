@@ -35,6 +35,8 @@ def _set(local: int = _S, **others: int) -> list[_Step]:
 
 
 _BEYOND = c.CLOCK_MAX_RATE + 1
+_OLD = 2**34 + 5  # the local time of a device that has run for some hours
+_OLDEST = _OLD + 1 - c.CLOCK_MAX_BEHIND
 _ROWS: list[tuple[str, str, list[_Step]]] = [
     ("no item", "003", [(5, b"")]),
     *(
@@ -120,6 +122,13 @@ _ROWS: list[tuple[str, str, list[_Step]]] = [
             2 * _S, _adjust(2 * _S, _UNIX + _S + 40, uncertainty=given, wander=wander),
             0.1, 3, 9, 1000)])
         for given in (0, 39, 41, 2**32 - 2, 2**32 - 1) for wander in (0, c.CLOCK_MAX_RATE)
+    ),
+    *(
+        (f"local time too old by {by} us, mode {mode}, epoch {epoch}", "009", [
+            *_set(_OLD)[:epoch], (_OLD + 1, _adjust(_OLDEST - by, 9, mode=mode)),
+            (_OLD + 2, _STATUS)])
+        for by in (1, _S, 2**31 - 1, 2**31, 2**32, 2**33) for mode in (c.CLOCK_SLEW, c.CLOCK_STEP)
+        for epoch in (0, 1)
     ),
 ]  # fmt: skip
 

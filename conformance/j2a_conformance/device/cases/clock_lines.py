@@ -78,7 +78,10 @@ class Slews(ClockCase):
     )
 
     def _judge(self, board: Board) -> None:
-        for off, rate in ((900, 0), (-900, 0), (900, -20_000), (-900, 20_000), (900, 70_000)):
+        for off, rate in (
+            *((900, 0), (-900, 0), (900, -20_000), (-900, 20_000), (900, 70_000)),
+            *((3000, 0), (-3000, 5_000)),  # at 1000 ppm
+        ):
             board.step(rate=rate)
             self._check_told(board, board.adjust(off, rate=rate))
             self._check_rates(list(board.watch(300_000 if rate else 600_000)))
