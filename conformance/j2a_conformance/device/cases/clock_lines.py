@@ -35,9 +35,12 @@ class Steps(ClockCase):
         "J2A-CLOCK-018",
     )
 
+    # One of them is near the time, however long a request is under way.
+    _NEAR_US: Final = (2000, 4000, 7000, 10_000, 14_000)
+
     def _judge(self, board: Board) -> None:
         board.step()
-        for by in (1, -1, 1000, -1000, S, -S, _HOUR, -_HOUR):
+        for by in (1, -1, 1000, -1000, *self._NEAR_US, S, -S, _HOUR, -_HOUR):
             before = board.status()
             status = board.step(before.time + by, rate=by % 40_001 - 20_000)
             if status.local - before.local > 60 * S:
@@ -88,7 +91,7 @@ class Slews(ClockCase):
             self._check_told(board, board.adjust_back(off, rate=rate))
             self._check_told(board, board.status())
         board.step()
-        for off in (400, -400, 7, -7, 4, -3, 2600, -6000):
+        for off in (400, -400, 7, -7, 18, -18, 4, -3, 2600, -6000):
             board.adjust(
                 off,
                 uncertainty=c.CLOCK_UNKNOWN if off in (-400, 7) else 3,
@@ -186,8 +189,15 @@ class Ages(ClockCase):
 
     ID = "clock.ages"
     EXPECTATION = "The target holds since then, uncertainty and state count from the request on."
-    REQUIREMENTS = ("J2A-CLOCK-009", "J2A-CLOCK-012", "J2A-CLOCK-013", "J2A-CLOCK-017")
+    REQUIREMENTS = (
+        "J2A-CLOCK-009",
+        "J2A-CLOCK-011",
+        "J2A-CLOCK-012",
+        "J2A-CLOCK-013",
+        "J2A-CLOCK-017",
+    )
     _AGES_US = (1, 1000, 1_500_000, 12 * S, 25 * S, c.CLOCK_MAX_BEHIND - 2 * S)
+    _LED_US: Final = (1_500_000, 12 * S)  # until it is there
 
     def _judge(self, board: Board) -> None:
         if (now := board.status().local) < 2 * S:
@@ -203,6 +213,10 @@ class Ages(ClockCase):
                     for off in (0, 3000, -3000):
                         board.adjust(off, age_us=age_us, **fields)
                         board.status()
+            if age_us in self._LED_US:
+                board.step(rate=9_000)
+                board.adjust(-300, age_us=age_us, rate=9_000)
+                board.wait(_REACHED_US + 300_000)
 
 
 class States(ClockCase):
@@ -254,6 +268,7 @@ class Holdover(ClockCase):
     REQUIREMENTS = (
         "J2A-CLOCK-003",
         "J2A-CLOCK-011",
+        "J2A-CLOCK-012",
         "J2A-CLOCK-013",
         "J2A-CLOCK-015",
         "J2A-CLOCK-016",
