@@ -25,9 +25,11 @@ from j2a.cli._exit import UsageError
 from j2a.cli._typed import json_of, values_of
 from j2a.io.transducers import SETTINGS
 from j2a.types.model import Enumeration, Field, Structure
+from j2a_bridge.actuator_values import ActuatorValues
 from j2a_bridge.json_values import finite
 from j2a_bridge.reports import report_of
 from j2a_bridge.sink import Control
+from j2a_bridge.topics import Topic
 
 if TYPE_CHECKING:
     from j2a_conformance._model import Run
@@ -49,6 +51,7 @@ _MAX_ORDERS: Final = 8
 _WAITING: Final = 64
 _PING_S: Final = 20.0
 _DEBUG_S: Final = 0.5
+_ACTUATORS_S: Final = 1.0
 _FILES: Final = {
     "": ("index.html", "text/html"),
     "app.js": ("app.js", "text/javascript"),
@@ -77,10 +80,14 @@ class Source(Protocol):
     """Who knows what there is to show: the sink `web`. What it returns is an object for pages."""
 
     control: Control
+    actuators: ActuatorValues
     reports: Sequence["Run"]
 
     def topics(self) -> dict[str, Any]:
         """Return all transducers."""
+
+    def actuators_of(self, board: str) -> list[Topic]:
+        """Return the actuators of a board."""
 
     def state(self) -> dict[str, Any]:
         """Return the state of all."""
@@ -241,14 +248,15 @@ class PageServer:
         page = _Page(self._sink, socket)
         self._pages[page] = None
         try:
-            for about in (self._sink.topics(), self._sink.state(), self._sink.log()):
+            sink = self._sink
+            for about in (sink.topics(), sink.actuators.all(), sink.state(), sink.log()):
                 page.send(json.dumps(about, allow_nan=False))
             await page.run()
         finally:
             self._pages.pop(page, None)
         return socket
 
-    # ------------------------------------------------------------------ the log of boards
+    # ------------------------------------------------------------------ what boards are asked for
 
     async def _watch(self, names: Collection[str]) -> None:
         """Watch boards that are here and are not watched yet; in the loop of the bridge."""
@@ -260,6 +268,20 @@ class PageServer:
                 if self._watched.get(name) is not client:
                     self._watched[name] = client
                     self._sink.control.submit(self._watch_board(name, client))
+                    self._sink.control.submit(self._follow_actuators(name, client))
+
+    async def _follow_actuators(self, name: str, client: j2a.AsyncClient) -> None:
+        """Read the actuators of a board once, and again and again while a page is open.
+
+        They are also set by other hosts, by other sinks, and by their watchdog.
+        """
+        values = self._sink.actuators
+        while client.is_open and self._watched.get(name) is client:
+            for topic in self._sink.actuators_of(name):
+                if self._pages or not values.is_known(topic.name):
+                    with contextlib.suppress(j2a.J2AError):  # it is asked again
+                        await values.read(topic, client)
+            await asyncio.sleep(_ACTUATORS_S)
 
     async def _watch_board(self, name: str, client: j2a.AsyncClient) -> None:
         """Note the SIFs of a board that are no samples, and its debug text, while it is here."""
@@ -404,7 +426,11 @@ async def _set(sink: Source, about: dict[str, Any]) -> None:
     values = [_value(text)] if isinstance(text, str) else about.get("values")
     if not isinstance(values, list) or not isinstance(channel, int):
         raise LocalError("it has values, a list, or a text, and a channel")
-    await asyncio.wrap_future(sink.control.set(_text(about, "topic"), values, channel=channel))
+    topic = _text(about, "topic")
+    try:
+        await asyncio.wrap_future(sink.control.set(topic, values, channel=channel))
+    finally:
+        sink.actuators.forget(topic)  # also where it was refused: the page shows what it wanted
 
 
 async def _configure(sink: Source, about: dict[str, Any]) -> dict[str, Any]:

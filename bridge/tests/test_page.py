@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import itertools
+import json
 import os
 import re
 import shutil
@@ -16,7 +17,7 @@ from j2a_conformance._model import Claims, Run
 
 import j2a
 
-from .support import board_of, bridging, config_for, free_port, served, until
+from .support import PATIENCE_S, board_of, bridging, config_for, free_port, served, until
 
 PAGE = Path(j2a_bridge.__file__).parent / "page"
 needs_browser = pytest.mark.skipif(
@@ -111,6 +112,51 @@ def test_a_slider_moves_by_steps_of_the_raw_value():
     assert arm[2] == pytest.approx(0.789)
     assert gain[2] == pytest.approx(0.123456)
     assert servo[2] == 7
+
+
+@needs_browser
+def test_controls_start_where_the_actuators_are_and_follow_them():
+    text = (
+        "ACTUATOR(arm, 0, a, M, 2, i16, 100, (unit, rad), (scale, -0.001), (range, -1570, 1570))\n"
+        "ACTUATOR(lamp, 1, l, M, 1, bool, none)\n"
+        "ACTUATOR(count, 2, c, M, 1, u32, 7)\n"
+    )
+    script = (
+        "JSON.stringify(['arm-0', 'arm-1', 'lamp-0', 'count-0'].map((name) => {"
+        "const input = document.getElementById(`set-${name}`);"
+        "const shown = input.parentElement.querySelector('output')?.textContent;"
+        "return [input.type === 'checkbox' ? input.checked : input.value, shown ?? '']; }))"
+    )
+
+    async def work():
+        async with shown(board_of(text)) as (page, bridge):
+
+            async def until_it_is(*wanted):
+                end = asyncio.get_running_loop().time() + PATIENCE_S
+                while (found := json.loads(await page.run(script))) != list(map(list, wanted)):
+                    assert asyncio.get_running_loop().time() < end, found
+                    await asyncio.sleep(0.1)
+
+            not_set = "-0.1 rad (not set yet)"
+            await until_it_is(("-0.1", not_set), ("-0.1", not_set), (False, ""), ("7", ""))
+            board = await bridge.client("robot").transducers()
+            await board["arm"].set(1.25, channel=1)
+            await board["lamp"].set(True)
+            await board["count"].set(9)
+            await until_it_is(("-0.1", not_set), ("1.25", "1.25 rad"), (True, ""), ("9", ""))
+            # What somebody types is not taken away.
+            await page.run("document.getElementById('set-count-0').value = '12'")
+            await board["count"].set(10)
+            await board["lamp"].set(False)
+            await until_it_is(("-0.1", not_set), ("1.25", "1.25 rad"), (False, ""), ("12", ""))
+            await page.run(
+                "(() => { const slider = document.getElementById('set-arm-0');"
+                "slider.value = '0.5'; slider.dispatchEvent(new Event('input')); })()"
+            )
+            await until_it_is(("0.5", "0.5 rad"), ("1.25", "1.25 rad"), (False, ""), ("12", ""))
+            assert page.errors == []
+
+    asyncio.run(work())
 
 
 @needs_browser

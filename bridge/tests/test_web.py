@@ -12,6 +12,7 @@ import threading
 import aiohttp
 import pytest
 from j2a_bridge import web_server
+from j2a_bridge.actuator_values import ActuatorValues
 from j2a_bridge.sink import BoardStatus, Status
 from j2a_bridge.sinks.web import WebSink, _Span
 
@@ -44,12 +45,13 @@ async def opened(session, server, **headers):
 
 
 async def next_of(page, op, is_right=lambda about: True):
-    while True:
-        message = await page.receive(timeout=PATIENCE_S)
-        assert message.type is aiohttp.WSMsgType.TEXT, message
-        about = json.loads(message.data)
-        if about["op"] == op and is_right(about):
-            return about
+    async with asyncio.timeout(PATIENCE_S):  # of all: states come every second
+        while True:
+            message = await page.receive()
+            assert message.type is aiohttp.WSMsgType.TEXT, message
+            about = json.loads(message.data)
+            if about["op"] == op and is_right(about):
+                return about
 
 
 async def ask(page, **order):
@@ -125,6 +127,107 @@ def test_orders_are_done_or_refused_with_a_reason():
     assert "add" in names
     assert answers[10]["result"] == 5
     assert all(one["message"] for one in answers if not one["ok"])
+
+
+ARM = """
+J2A_ENUM(speed, u8, (slow, 0), (fast, 1))
+ACTUATOR(arm, 0, a, M, 2, i16, 100, (unit, m), (scale, 0.1), (range, -1000, 1000))
+ACTUATOR(lamp, 1, l, M, 1, bool, none)
+ACTUATOR(fan, 2, f, M, 1, speed, 1)
+ACTUATOR(gain, 3, g, M, 1, f32, none)
+ACTUATOR(count, 4, c, M, 1, u64, none)
+SENSOR(quad, 5, q, M, 1, u8, none)
+"""
+SERVO = "ACTUATOR(servo, 2, servo, X, 1, i8, 5)"
+
+
+def test_pages_are_told_what_actuators_have_and_when_another_host_sets_them():
+    async def work():
+        device = board_of(ARM)
+        async with paged(device) as (session, server, bridge):
+            page = await opened(session, server)
+            known = {}
+
+            async def told(name, *texts):
+                while [one["text"] for one in known.get(name, ())] != list(texts):
+                    known.update((await next_of(page, "actuators"))["d"])
+                return [one["is_set"] for one in known[name]]
+
+            at_first = [
+                await told("arm", "10", "10"),
+                await told("lamp", None),
+                await told("fan", "fast"),
+                await told("gain", None),
+            ]
+            board = bridge.client("robot")
+            transducers = await board.transducers()
+            await transducers["arm"].set(0.3, channel=1)
+            await transducers["lamp"].set(True)
+            await transducers["fan"].set("slow")
+            await transducers["gain"].set(0.1)
+            await transducers["count"].set(2**64 - 1)
+            later = [
+                await told("arm", "10", "0.3"),
+                await told("lamp", "true"),
+                await told("fan", "slow"),
+                await told("gain", "0.1"),
+                await told("count", str(2**64 - 1)),
+            ]
+            # One that is opened later knows it at once.
+            page = await opened(session, server)
+            known.clear()
+            await told("arm", "10", "0.3")
+            assert "quad" not in known
+            # An order may have changed it, so it is told anew, also what is as before.
+            assert (await ask(page, op="set", topic="arm", values=[0.3], channel=1))["ok"]
+            known.clear()
+            await told("arm", "10", "0.3")
+        return at_first, later
+
+    at_first, later = in_loop(work)
+    assert at_first == [[False, False], [False], [False], [False]]
+    assert later == [[False, True], [True], [True], [True], [True]]
+
+
+def test_a_value_that_was_read_before_an_order_was_answered_is_not_told():
+    class Late:
+        """A board whose reply is on the way while an order is answered."""
+
+        descriptor = topic_of(SERVO).transducer
+
+        async def transducers(self):
+            return {"servo": self}
+
+        async def read(self):
+            values.forget("servo")
+            return (j2a.Reading(0, 1, 5, 5),)
+
+    values = ActuatorValues()
+    asyncio.run(values.read(topic_of(SERVO), Late()))
+    assert values.news() is None
+    assert not values.is_known("servo")
+
+
+def test_a_board_that_does_not_tell_its_actuators_is_asked_again(monkeypatch):
+    asked = []
+
+    async def work():
+        device = board_of()
+        read = ActuatorValues.read
+
+        async def refused(self, topic, client):
+            asked.append(topic.name)
+            if len(asked) < 3:
+                raise j2a.CallTimeout("no answer")
+            await read(self, topic, client)
+
+        monkeypatch.setattr(ActuatorValues, "read", refused)
+        monkeypatch.setattr(web_server, "_ACTUATORS_S", 0.01)
+        async with paged(device) as (session, server, _):
+            page = await opened(session, server)
+            await next_of(page, "actuators", lambda about: "servo" in about["d"])
+
+    in_loop(work)
 
 
 def test_what_is_odd_is_answered_in_json_as_of_its_standard(monkeypatch):

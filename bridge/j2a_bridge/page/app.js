@@ -67,6 +67,7 @@ function order(about) {
 function take(about) {
   if (about.op === "topics") takeTopics(about.topics);
   else if (about.op === "data") takeData(about.d);
+  else if (about.op === "actuators") takeActuators(about.d);
   else if (about.op === "status") takeStatus(about);
   else if (about.op === "log") takeLog(about.lines);
   else if (about.op === "answer") {
@@ -377,16 +378,30 @@ function actuatorCard(name, about) {
   const element = make("article", { class: "card", "aria-label": `actuator ${name}` }, head(name, about));
   if (about.doc) element.append(make("small", {}, about.doc));
   const answer = make("output", { role: "status" });
+  const controls = [];
+  const topic = { element, controls, orders: 0 };
   const send = async (text, channel) => {
+    topic.orders++;
     const reply = await order({ op: "set", topic: name, text, channel });
     answer.className = reply.ok ? "good" : "bad";
     answer.textContent = reply.ok ? "set" : reply.message;
+    topic.orders--;
   };
   for (let channel = 0; channel < about.channels; channel++) {
-    element.append(control(name, about, channel, send));
+    controls.push(control(name, about, channel, send));
+    element.append(controls[channel].element);
   }
   element.append(answer);
-  return { element };
+  return topic;
+}
+
+function takeActuators(all) {
+  for (const [name, values] of Object.entries(all)) {
+    const topic = topics.get(name);
+    // What was read before an order was answered would move a slider back; it is read again then.
+    if (topic?.controls === undefined || topic.orders) continue;
+    values.forEach((value, channel) => topic.controls[channel]?.take(value.text, value.is_set));
+  }
 }
 
 function control(name, about, channel, send) {
@@ -396,7 +411,10 @@ function control(name, about, channel, send) {
   if (type === "bool") {
     const input = make("input", { id, type: "checkbox", role: "switch" });
     input.addEventListener("change", () => send(String(input.checked), channel));
-    return make("div", { class: "slider" }, label, input);
+    const take = (text) => {
+      if (text !== null) input.checked = text === "true";
+    };
+    return { element: make("div", { class: "slider" }, label, input), take };
   }
   const range = about.range;
   // Whole numbers that are greater cannot be told apart here, so a slider would miss them.
@@ -406,9 +424,15 @@ function control(name, about, channel, send) {
     const form = make("form", {}, input, make("button", {}, "Set"));
     form.addEventListener("submit", (event) => {
       event.preventDefault();
+      told = input.value;
       send(input.value, channel);
     });
-    return make("div", { class: "slider" }, label, form);
+    let told = "";
+    const take = (text) => {
+      if (text === null || input.value !== told) return; // somebody types
+      input.value = told = text;
+    };
+    return { element: make("div", { class: "slider" }, label, form), take };
   }
   const [low, high] = [Math.min(...range), Math.max(...range)];
   const input = make("input", {
@@ -420,8 +444,8 @@ function control(name, about, channel, send) {
     value: String(Math.min(high, Math.max(low, 0))),
   });
   const shown = make("output", { for: id });
-  const show = () => {
-    shown.textContent = `${Number(input.value)} ${about.unit}`;
+  const show = (more = "") => {
+    shown.textContent = `${Number(input.value)} ${about.unit}${more}`;
   };
   show();
   // While it is dragged, an order goes out when the one before was answered.
@@ -441,7 +465,11 @@ function control(name, about, channel, send) {
     show();
     push();
   });
-  return make("div", { class: "slider" }, label, shown, input);
+  const take = (text, isSet) => {
+    if (text !== null) input.value = text;
+    show(isSet ? "" : " (not set yet)");
+  };
+  return { element: make("div", { class: "slider" }, label, shown, input), take };
 }
 
 // ---------------------------------------------------------------------- functions

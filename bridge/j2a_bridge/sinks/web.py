@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 from j2a import LocalError
 from j2a.cli._typed import plain
 from j2a.types.model import Structure, Type
+from j2a_bridge.actuator_values import ActuatorValues
 from j2a_bridge.json_values import finite
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
 from j2a_bridge.sinks.mcap import McapSink
@@ -124,6 +125,7 @@ class WebSink(Sink):
     """Serves the live page.
 
     Attributes:
+        actuators: the values that they have.
         reports: what j2a-conform found of boards, as of `j2a_bridge.reports.read_reports`.
         server: of the page.
     """
@@ -154,6 +156,7 @@ class WebSink(Sink):
         self._recorder: McapSink | None = None
         self._wanted: str | None = None
         self._problem = ""
+        self.actuators = ActuatorValues()
         self.reports: Sequence[Run] = ()
         self.server = PageServer(self, int(argument or 0), options["token"])
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -167,6 +170,7 @@ class WebSink(Sink):
             self._topics.clear()
             self._spans.clear()
             self._newest.clear()
+        self.actuators.forget()
         started: list[str] = []
         ready = threading.Event()
 
@@ -226,6 +230,7 @@ class WebSink(Sink):
             self._spans.pop(topic.name, None)
             self._newest.pop(topic.name, None)
             self._has_changed = True
+        self.actuators.forget(topic.name)
 
     def publish(self, update: Update) -> None:
         """Take a sample in."""
@@ -272,6 +277,12 @@ class WebSink(Sink):
             },
         }
 
+    def actuators_of(self, board: str) -> list[Topic]:
+        """Return the actuators of a board."""
+        with self._lock:
+            topics = list(self._topics.values())
+        return [one for one in topics if one.board == board and not one.transducer.is_sensor]
+
     def state(self) -> dict[str, Any]:
         """Return the state of all."""
         about = {} if self._status is None else finite(dataclasses.asdict(self._status))
@@ -288,6 +299,8 @@ class WebSink(Sink):
         news = [self.topics()] if has_changed else []
         if spans:
             news.append({"op": "data", "d": {name: span.object() for name, span in spans.items()}})
+        if (values := self.actuators.news()) is not None:
+            news.append(values)
         if left_out:
             lines.append(_line("", "log", f"{left_out} more lines are not shown"))
         if lines:
