@@ -306,7 +306,7 @@ class Bridge:
     async def _try_clock(self, board: _Board, client: j2a.AsyncClient) -> bool:
         """Begin to keep a clock; return whether there is no more to try."""
         try:
-            board.uncertainty_us = (await client.clock.measure(2)).uncertainty_us
+            await self._measure_clock(board, client)
             can_be_set = "clock" in await client.capabilities()
             is_set = self._config.clock == "discipline" and can_be_set
             await (client.clock.discipline() if is_set else client.clock.follow())
@@ -316,6 +316,19 @@ class Bridge:
         except j2a.J2AError:
             return not client.is_open
         return True
+
+    async def _measure_clock(self, board: _Board, client: j2a.AsyncClient) -> None:
+        """Know the clock for the first samples, before it is kept.
+
+        Raises:
+            NoClock: the board has none.
+        """
+        try:
+            board.uncertainty_us = (await client.clock.measure(2)).uncertainty_us
+        except j2a.NoClock:
+            raise
+        except j2a.LocalError:
+            pass  # the exchanges contradict each other; those that follow will decide
 
     async def _learn(self, board: _Board) -> bool:
         """Announce the transducers of a board, and take those back that it has no more.

@@ -16,6 +16,7 @@ from j2a_bridge.sink import SinkError, SinkRequest
 
 import j2a
 from j2a.aio import AsyncTransducers
+from j2a.io.async_clock import AsyncClock
 
 from .support import (
     PATIENCE_S,
@@ -267,6 +268,25 @@ class TestSamples:
         assert update.stamps_ns[0] == update.stamp_ns
         assert update.stamps_ns[1] is None
         assert (update.uncertainty_us is None) == (clock == "off")
+
+    @in_event_loop
+    async def test_a_clock_whose_first_exchanges_contradict_each_other_is_kept(
+        self, kept, monkeypatch
+    ):
+        async def contradict(_clock, _rounds):
+            raise j2a.LocalError("nothing is known of the clock yet")
+
+        monkeypatch.setattr(AsyncClock, "measure", contradict)
+        with served(board_of(clock=20.0)) as url:
+            async with bridging(config_for(url)):
+                await until(
+                    lambda: [
+                        one
+                        for status in kept[0].statuses
+                        for one in status.boards
+                        if one.clock in ("settling", "locked")
+                    ]
+                )
 
     @in_event_loop
     async def test_a_channel_that_was_read_before_the_clock_was_set_has_no_stamp(self, kept):
