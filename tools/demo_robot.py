@@ -22,7 +22,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, cast
@@ -34,7 +34,7 @@ from cyclonedds.idl import IdlStruct
 from cyclonedds.pub import DataWriter
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
-from demo_servo import MIDDLE_US, TICK_US, US_PER_PERCENT, _drive, turns
+from demo_servo import LEVELS, MIDDLE_US, TICK_US, US_PER_PERCENT, turns
 from j2a_bridge.browser import Page, browser
 from j2a_sim import AvrSim, SimLink, pulses
 from j2a_sim._usb.link import UsbLink
@@ -46,6 +46,10 @@ SWINGS: Final = 30
 SLOWER: Final = 4.0
 PATIENCE_S: Final = 180.0
 SERVO_PIN: Final = "PB1"
+WIRES: Final = "PD4", "PD5"
+"""Of the second encoder. While PD2 or PD3, those of the first one, are low, simavr looks at them in
+each cycle, as at INT0 and INT1: simulated time then passes at a third of real time, and no clock is
+known."""
 LISTENER: Final = r"""
 import sys, time, rospy, genpy.dynamic
 text = "time[] times\nint16[] values\n"
@@ -58,9 +62,9 @@ def show(message):
     global count
     count += 1
     if count % 50 == 1:
-        stamp = message.times[0].to_sec()
+        stamp = message.times[1].to_sec()
         when = time.strftime("%H:%M:%S", time.localtime(stamp)) + ("%.6f" % (stamp % 1))[1:]
-        print("Received quad value %d from %s" % (message.values[0], when), flush=True)
+        print("Received quad value %d from %s" % (message.values[1], when), flush=True)
 rospy.Subscriber("/shafts/quad", quad, show)
 orders = rospy.Publisher("/shafts/servo", servo, queue_size=1)
 while orders.get_num_connections() == 0:
@@ -194,17 +198,25 @@ def process(*command: object, **more: Any) -> Iterator[subprocess.Popen[str]]:
             one.wait()
 
 
+def turn_encoder(sim: AvrSim) -> None:
+    """Have an encoder turn there and back, 2 s from now on."""
+    start = sim.cycle + sim.cycles(2.0)
+    for wire in WIRES:
+        sim.pins.drive(wire, 0)
+    place = 0
+    for seconds, step in turns(SWINGS):
+        for wire, before, now in zip(WIRES, LEVELS[place % 4], LEVELS[step % 4], strict=True):
+            if before != now:
+                sim.pins.drive(wire, now, start + sim.cycles(SLOWER * seconds))
+        place = step
+
+
 def serve(app: str, program: Path) -> None:
     """Be a board: print its URL; a line on standard input asks for the newest width of a pulse."""
     if app == "servo":
         sim = AvrSim(program)
-        for wire in ("PD2", "PD3", "PD4", "PD5"):
-            sim.pins.drive(wire, 0)
         sim.pins.watch(SERVO_PIN)
-        start = sim.cycle + sim.cycles(2.0)
-        place = 0
-        for seconds, step in turns(SWINGS):
-            place = _drive(sim, start + sim.cycles(SLOWER * seconds), [step], place)
+        turn_encoder(sim)
         board = Board(SimLink(sim, speed=1, patience_s=None))
     else:
         sim = AvrSim(program, mcu="atmega32u4")
@@ -213,9 +225,9 @@ def serve(app: str, program: Path) -> None:
     mhz = sim.frequency_hz / 1e6
     edges: list[Any] = []
     for _ in sys.stdin:
-        edges += sim.pins.edges(SERVO_PIN)
+        edges += sim.pins.edges(SERVO_PIN) if app == "servo" else []
         found = [one.cycles / mhz for one in pulses(edges)][-1:]
-        print(*(found or [0.0]), flush=True)
+        print(*(found or [0.0]), sim.time_s, flush=True)
     board.close()
 
 
@@ -241,12 +253,13 @@ class Served:
             raise SystemExit("a board has ended")
         return line
 
-    def width_us(self) -> float:
-        """Return the width of the newest pulse at the pin of its servo."""
+    def look(self) -> tuple[float, float]:
+        """Return the width of the newest pulse at the servo's pin in us, and simulated seconds."""
         assert self._process.stdin is not None
         self._process.stdin.write("\n")
         self._process.stdin.flush()
-        return float(self._read())
+        width_us, time_s = map(float, self._read().split())
+        return width_us, time_s
 
 
 @contextlib.contextmanager
@@ -277,7 +290,7 @@ async def wait_for_width(board: Served, percent: int) -> float:
     """Wait until the pulses are those of a value; return the width."""
     wanted = MIDDLE_US + US_PER_PERCENT * percent
     for _ in range(int(PATIENCE_S / 0.1)):
-        found = board.width_us()
+        found, _ = board.look()
         if abs(found - wanted) <= TICK_US:
             return found
         await asyncio.sleep(0.1)
@@ -302,11 +315,11 @@ def set_by_ros2(domain: int, percent: int) -> None:
     del config
 
 
-async def tell_clocks(page: Page) -> None:
+async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> None:
     """Print what the page says of the clocks, which takes a few seconds to be good news.
 
-    The simulator passes time in steps: beside a browser clocks may only settle, and on a busy
-    machine not even that.
+    On a busy machine simulated time falls behind, which no clock does: nothing is known of it then,
+    so how fast it has passed is printed, too.
     """
     script = (
         "[...document.querySelectorAll('.board')]"
@@ -314,16 +327,20 @@ async def tell_clocks(page: Page) -> None:
         " (one.innerText.match(/clock (free|locked|settling|holdover)[^\\n]*/)"
         " ?? ['clock not known'])[0])"
     )
-    for _ in range(300):
+    for _ in range(30):
+        start_s, began = time.monotonic(), {name: one.look()[1] for name, one in boards.items()}
+        await asyncio.sleep(2)
         found = await page.run(script)
         if all("locked" in one or "settling" in one for one in found):
             break
-        await asyncio.sleep(0.2)
+    span_s = time.monotonic() - start_s
     for line in found:
-        print(f"the page: {line}")
+        name = line.split(":")[0]
+        pace = (boards[name].look()[1] - began[name]) / span_s
+        print(f"the page: {line}, simulated time at {pace:.1%} of real time")
 
 
-async def look(url: str, board: Served, picture: Path) -> None:
+async def look(url: str, boards: Mapping[str, Served], picture: Path) -> None:
     """Look at the page as a person would, and move the slider."""
     if shutil.which("chromium") is None:
         print("the page is left out: there is no chromium")
@@ -335,7 +352,7 @@ async def look(url: str, board: Served, picture: Path) -> None:
         await page.open(url)
         await page.until("document.querySelectorAll('.card').length >= 8", PATIENCE_S)
         await page.until("document.querySelectorAll('form.call').length > 0", PATIENCE_S)
-        await tell_clocks(page)
+        await tell_clocks(page, boards)
         await page.run(
             "(() => { const form = [...document.querySelectorAll('form.call')]"
             ".find((one) => one.textContent.startsWith('measure'));"
@@ -346,7 +363,7 @@ async def look(url: str, board: Served, picture: Path) -> None:
             "(() => { const slider = document.getElementById('set-shafts/servo-0');"
             "slider.value = '-40'; slider.dispatchEvent(new Event('input')); })()"
         )
-        width = await wait_for_width(board, -40)
+        width = await wait_for_width(boards["shafts"], -40)
         print(f"the page: slider to -40 %, the pulse at the pin is {width:.0f} us")
         await asyncio.sleep(8)
         rates = await page.run(
@@ -416,7 +433,7 @@ def main() -> int:
                 width = asyncio.run(wait_for_width(one, 20))
                 print(f"ROS 2: servo to 20 %, the pulse at the pin is {width:.0f} us")
                 url = f"http://127.0.0.1:{port}/{token}/"
-                asyncio.run(look(url, one, args.picture))
+                asyncio.run(look(url, {"shafts": one, "robot": other}, args.picture))
     print("the demonstration is over")
     return 0
 
