@@ -264,6 +264,19 @@ def test_the_command_ends_properly_by_a_signal(tmp_path, number):
     assert recording.is_whole
 
 
+@pytest.mark.parametrize(
+    ("sink", "told"),
+    [
+        ("udp", "sending datagrams in the format json to 127.0.0.1:9870"),
+        ("udp:[::1]:99,format=teleplot", "sending datagrams in the format teleplot to [::1]:99"),
+    ],
+)
+def test_the_command_tells_where_datagrams_go(sink, told):
+    process = run_command("loopback:none", "--sink", sink, "--seconds", "0.1")
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert told in err
+
+
 def _recorded(path):
     try:
         return list(Recording(path))

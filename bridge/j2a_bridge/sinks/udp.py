@@ -55,6 +55,12 @@ class UdpSink(Sink):
         self._socket = socket.socket(family, kind, protocol)
         self._target = address
 
+    def told(self) -> str:
+        """Return where datagrams go."""
+        host, port = self._address
+        shown = f"[{host}]" if ":" in host else host
+        return f"sending datagrams in the format {self.options['format']} to {shown}:{port}"
+
     def announce(self, topic: Topic) -> None:
         """Begin anew with a topic; receivers learn its name from datagrams."""
         self._before.pop(topic.name, None)
