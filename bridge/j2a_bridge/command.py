@@ -189,7 +189,8 @@ async def run_bridge(
         note(f"j2a: {status.name}: {status.published} samples, {status.dropped} dropped")
     failed = [runner for runner in bridge.runners if runner.problem]
     if failed:
-        raise CommandFailed(f"sink {failed[0].name}: {failed[0].problem}", FAILED)
+        # The log has the reason already.
+        raise CommandFailed(f"the sink {failed[0].name} has failed", FAILED)
     if interrupted:
         code = 128 + interrupted[0]
     return code

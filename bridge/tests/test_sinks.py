@@ -277,6 +277,15 @@ def test_the_command_tells_where_datagrams_go(sink, told):
     assert told in err
 
 
+def test_the_command_tells_once_why_a_sink_has_failed(tmp_path):
+    path = tmp_path / "none" / "a.mcap"
+    process = run_command("loopback:none", "--sink", f"mcap:{path}")
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert err.count("No such file or directory") == 1
+    assert err.splitlines()[-1] == f"j2a: the sink mcap:{path} has failed"
+
+
 def _recorded(path):
     try:
         return list(Recording(path))
