@@ -5,6 +5,7 @@ Rules: without a file everything is published under sensible names; a word that 
 error that names it and what is near.
 """
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -129,20 +130,44 @@ def check_url(url: str) -> None:
         raise link_error(error) from None
 
 
+class _WrongKeyError(LocalError):
+    """A key of the file, or its value, is wrong."""
+
+    def __init__(self, message: str, key: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
 def load_config(path: Path) -> Config:
     """Read a file.
 
     Raises:
-        LocalError: it is wrong; the message has its name and what is wrong.
+        LocalError: it is wrong; the message has its name, the line where that is certain, and what
+            is wrong.
         OSError: it cannot be read.
     """
+    text = ""
     try:
-        config = _config(tomllib.loads(path.read_text(encoding="utf-8-sig")))
+        text = path.read_text(encoding="utf-8-sig")
+        config = _config(tomllib.loads(text))
     except RecursionError:
         raise LocalError(f"{path}: tables and lists are nested too deep") from None
+    except _WrongKeyError as error:
+        raise LocalError(f"{path}{_place(text, error.key)}: {error}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, LocalError) as error:
         raise LocalError(f"{path}: {error}") from None
     return replace(config, sinks=tuple(replace(one, source=f"{path}: ") for one in config.sinks))
+
+
+def _place(text: str, key: str) -> str:
+    """Return the line in which a key of a TOML file stands, such as ", line 3".
+
+    tomllib tells no lines, so it is looked for as a word; "" where that is in several lines, or in
+    none.
+    """
+    word = re.compile(rf"(?<![\w-]){re.escape(key)}(?![\w-])")
+    found = [number for number, line in enumerate(text.split("\n"), 1) if word.search(line)]
+    return f", line {found[0]}" if key and len(found) == 1 else ""
 
 
 def _config(table: Mapping[str, Any]) -> Config:
@@ -150,8 +175,8 @@ def _config(table: Mapping[str, Any]) -> Config:
         table, "the file", {"boards": list, "sinks": list, "usb": bool, "names": str, "clock": str}
     )
     names, clock = table.get("names", ""), table.get("clock", "discipline")
-    _one_of("names", names, ("", *NAMES))
-    _one_of("clock", clock, CLOCKS)
+    _one_of("names", "names", names, ("", *NAMES))
+    _one_of("clock", "clock", clock, CLOCKS)
     boards = tuple(_board(one) for one in table.get("boards", ()))
     for key, values in (
         ("url", [one.url for one in boards]),
@@ -189,9 +214,11 @@ def _sensor(name: str, table: Any) -> SensorConfig:
     _check(table, f"the transducer {name}", kinds)
     rate = table.get("rate")
     if rate is not None and not _LEAST_HZ <= rate <= _MOST_HZ:
-        raise LocalError(f"the rate of {name} is a number of samples a second, not {rate!r:.40}")
+        raise _WrongKeyError(
+            f"the rate of {name} is a number of samples a second, not {rate!r:.40}", "rate"
+        )
     message = table.get("message", "auto")
-    _one_of(f"the message of {name}", message.replace("/msg/", "/"), MESSAGES)
+    _one_of("message", f"the message of {name}", message.replace("/msg/", "/"), MESSAGES)
     return SensorConfig(
         table.get("topic", ""),
         None if rate is None else float(rate),
@@ -216,17 +243,17 @@ def _check(table: Any, where: str, kinds: Mapping[str, Any]) -> None:
         raise LocalError(f"{where} is a table, not {table!r:.60}")
     for key, value in table.items():
         if key not in kinds:
-            raise LocalError(f"{where} has no {key!r:.60}; {_near(key, kinds)}")
+            raise _WrongKeyError(f"{where} has no {key!r:.60}; {_near(key, kinds)}", key)
         if not isinstance(value, kinds[key]) or (
             isinstance(value, bool) and kinds[key] is not bool
         ):
-            raise LocalError(f"{key} of {where} cannot be {value!r:.60}")
+            raise _WrongKeyError(f"{key} of {where} cannot be {value!r:.60}", key)
 
 
-def _one_of(key: str, value: str, allowed: Iterable[str]) -> None:
+def _one_of(key: str, what: str, value: str, allowed: Iterable[str]) -> None:
     if value not in allowed:
         listed = ", ".join(one for one in allowed if one)
-        raise LocalError(f"{key} is one of {listed}, not {value!r:.60}")
+        raise _WrongKeyError(f"{what} is one of {listed}, not {value!r:.60}", key)
 
 
 def _near(key: str, known: Iterable[str]) -> str:

@@ -207,3 +207,22 @@ def test_a_url_that_can_never_be_opened_is_told_with_file_and_key(tmp_path, url,
         load_config(file)
     assert str(error.value).startswith(f"{file}: url of [[boards]]: ")
     assert why in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "place"),
+    [
+        ('clock = "follow"', ("clock = 'never'", ", line 3")),
+        ('serial = "A3"', ("seriel = 'A3'", ", line 12")),
+        ("rate = 50", ("rate = -1", ", line 8")),
+        ('message = "raw"', ("message = 1", ", line 8")),
+        # Both boards have a name, and tomllib does not tell which of them it is.
+        ('name = "right"', ("name = 1", "")),
+    ],
+)
+def test_a_wrong_key_or_value_is_told_with_its_line_where_that_is_certain(tmp_path, wrong, place):
+    path = tmp_path / "robot.toml"
+    path.write_text(FILE.replace(wrong, place[0]))
+    with pytest.raises(LocalError) as caught:
+        load_config(path)
+    assert str(caught.value).startswith(f"{path}{place[1]}: ")
