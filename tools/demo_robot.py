@@ -374,6 +374,16 @@ async def look(url: str, boards: Mapping[str, Served], picture: Path) -> None:
         )
         for line in rates:
             print(f"the page: {line}")
+        # All of the page, at a moment at which all clocks are known, if there is one.
+        height = await page.run("document.documentElement.scrollHeight")
+        await page.resize(1280, min(int(height), 2400))
+        with contextlib.suppress(TimeoutError):
+            await page.until(
+                "document.querySelectorAll('.board').length === "
+                "[...document.querySelectorAll('.about')]"
+                ".filter((one) => /clock (settling|locked)/.test(one.innerText)).length",
+                30,
+            )
         picture.parent.mkdir(exist_ok=True)
         await page.picture(picture)
         print(f"wrote {picture.relative_to(ROOT) if picture.is_relative_to(ROOT) else picture}")
