@@ -28,6 +28,10 @@ ACTUATOR(lamp, 11, lamp, X, 1, u8, none, (range, 0, 9))
 """
 
 
+SET_LAMP = bytes([11, c.TRANSD_SET])
+"""What an order for the lamp begins with; the second byte alone may be one of a nonce."""
+
+
 class Board(j2a.Device):
     """Notes when it acts, on its own clock."""
 
@@ -157,7 +161,7 @@ def test_an_order_that_comes_too_late_is_an_error(boards, fleet):
     answer = slow._table.execute
 
     def execute(opcode, payload):
-        if payload[1:2] == bytes([c.TRANSD_SET]):
+        if payload[:2] == SET_LAMP:
             while soon_us(0) <= time_us + 1000:
                 time.sleep(0.01)
         return answer(opcode, payload)
@@ -297,7 +301,7 @@ def test_an_order_for_a_clock_that_is_gone_is_not_sent(meanwhile, error, text):
 
         def note(execute, number):
             def answer(opcode, payload):
-                if payload[1:2] == bytes([c.TRANSD_SET]):
+                if payload[:2] == SET_LAMP:
                     told.append(number)
                     meanwhile(link, clients["right"], devices[1])
                 return execute(opcode, payload)
