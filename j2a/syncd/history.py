@@ -118,7 +118,7 @@ def allan_deviation(offsets_us: Sequence[float], period_s: float) -> list[tuple[
         period_s: between two of them, in seconds.
 
     Returns: pairs of the averaging time in seconds and the deviation in parts per million, for
-        averaging times that double, as long as there are three intervals of it.
+        averaging times that double, as long as there are two second differences to average.
     """
     found = []
     n = 1

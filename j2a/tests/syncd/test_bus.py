@@ -25,7 +25,7 @@ class Frames:
         packets: that were told, as (true time of the frame less the one told, age of the frame).
     """
 
-    def __init__(self, ppm=60.0, seed=1, interval_s=1.0):
+    def __init__(self, ppm=60.0, seed=1, interval_s=1.0, clock_ppm=0):
         self.now_us = 5e6
         self.ahead = 0
         self.packets = []
@@ -33,7 +33,10 @@ class Frames:
         self.interval_us = interval_s * 1e6
         self._rate = 1 + ppm * 1e-6
         self.set_us = 0
-        host = HostTime(lambda: self.now_us, lambda: UNIX_US + round(self.now_us) + self.set_us)
+        rate = 1 + clock_ppm * 1e-6
+        host = HostTime(
+            lambda: self.now_us, lambda: UNIX_US + round(self.now_us * rate) + self.set_us
+        )
         self.bus = Bus("usb bus 1", interval_s, History(), host)
 
     def frames(self, host_us):
@@ -75,12 +78,16 @@ def test_many_boards_are_known_as_well_as_one(boards):
 
 
 @pytest.mark.parametrize("ppm", [-150, 60])
-def test_the_rate_is_that_of_frames_to_the_clock(ppm):
-    """As that of a board by a URL is that of its counter to the clock."""
-    frames = Frames(ppm)
-    for _ in range(30):
+@pytest.mark.parametrize("clock_ppm", [-200, 0, 100])
+def test_the_rate_is_that_of_frames_to_the_clock(ppm, clock_ppm):
+    """As that of a board by a URL is that of its counter to the clock, which NTP may slew."""
+    frames = Frames(ppm, clock_ppm=clock_ppm)
+    for _ in range(60):
         frames.round([1])
-    assert abs(frames.bus.facts()["rate_ppb"] - 1000 * ppm) < 10_000
+    expected = 1e9 * ((1 + ppm * 1e-6) / (1 + clock_ppm * 1e-6) - 1)
+    assert abs(frames.bus.facts()["rate_ppb"] - expected) < 10_000
+    told = rounds_of(frames.bus._history.facts(frames.bus.name))[-1]
+    assert abs(told.rate_ppb - expected) < 10_000
 
 
 @pytest.mark.parametrize("boards", [1, 2, 8, 64])
@@ -134,6 +141,48 @@ def test_an_age_that_stands_for_more_counts_for_nothing():
             frames.ask(1, age_us=65_535)
         frames.now_us += 1e6
         assert frames.bus.packet()[1] is None
+
+
+@pytest.mark.parametrize("interval_s", [0.01, 0.1, 0.2, 0.3, 0.5, 1.0, 5.0])
+def test_boards_of_one_round_are_told_the_same_and_those_of_the_next_one_something_new(interval_s):
+    """But for those that ask so late in a round that the packet would be too old."""
+    frames, before = Frames(interval_s=interval_s), None
+    fresh_us = min(0.3, 0.9 * interval_s) * 1e6
+    for _ in range(20):
+        frames.now_us += frames.bus.until_next_round_s() * 1e6
+        first, began_us = frames.bus.packet(), frames.now_us
+        assert first[0] != before
+        for part in (0.1, 0.6, 0.99):
+            frames.now_us = began_us + part * fresh_us
+            assert frames.bus.packet() == first
+        before = first[0]
+    frames.now_us = began_us + 1.01 * fresh_us
+    assert frames.bus.packet()[0] != before
+
+
+@pytest.mark.parametrize("boards", [1, 3])
+@pytest.mark.parametrize("frames", [70, 200, 900])
+def test_an_age_that_stands_for_more_speaks_against_nobody(boards, frames):
+    """Neither the line nor the board that told it is the worse for it."""
+    bus = Frames(ppm=0)
+    for _ in range(10):
+        bus.round(range(boards))
+        for _ in range(EXCHANGES):
+            bus.ask("old", frames_off=-frames, age_us=65_535)
+    assert not bus.bus.is_odd("old")
+    assert not any(bus.bus.is_odd(board) for board in range(boards))
+    assert max(abs(error) for error, _ in bus.packets[3:]) < 200
+
+
+@pytest.mark.parametrize("frames", [0, 1, 30, 64])
+def test_an_age_that_is_told_counts(frames):
+    bus = Frames(ppm=0)
+    for _ in range(10):
+        bus.round([])
+        for _ in range(EXCHANGES):
+            part_us = int((bus.now_us + 20) % 1000)
+            bus.ask("old", frames_off=-frames, age_us=1000 * frames + part_us)
+    assert bus.packets
 
 
 @pytest.mark.parametrize("frames_off", [3, -3, 50, 700, 1024])

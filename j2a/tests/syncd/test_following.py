@@ -1,5 +1,7 @@
 """How far boards are behind what they are told: the firmware itself is measured by the bench."""
 
+import random
+
 import pytest
 
 from j2a.protocol.clock import Frame
@@ -33,21 +35,23 @@ def test_boards_that_are_told_one_line_are_on_it(rate, gap_s):
     assert max(lags_us[-10:]) < 2
 
 
-def test_a_slew_is_followed_late_and_then_forgotten():
+@pytest.mark.parametrize("rate", [500e-6, -500e-6])
+def test_a_slew_is_followed_late_and_then_forgotten(rate):
     told = Told()
     for _ in range(20):
         told.after(1.0)
-    lags_us = [told.after(1.0, 500e-6) for _ in range(20)]
+    lags_us = [told.after(1.0, rate) for _ in range(20)]
     assert lags_us[0] == pytest.approx(500, abs=5)
     assert max(lags_us) < 1000
     assert lags_us[-1] < 15
 
 
-def test_what_is_too_little_for_a_step_is_made_up_for_at_1000_ppm():
+@pytest.mark.parametrize("set_us", [250_000, -250_000])
+def test_what_is_too_little_for_a_step_is_made_up_for_at_1000_ppm(set_us):
     told = Told()
     for _ in range(20):
         told.after(1.0)
-    first_us = told.after(1.0, set_us=250_000)
+    first_us = told.after(1.0, set_us=set_us)
     assert first_us == pytest.approx(250_000, abs=10)
     for _ in range(100):
         told.after(1.0)
@@ -73,3 +77,31 @@ def test_one_packet_twice_changes_nothing():
         told.after(1.0)
     before_us = told.after(1.0, set_us=300)
     assert told.after(0.0) == before_us
+
+
+@pytest.mark.parametrize("set_us", [250_000, -250_000])
+@pytest.mark.parametrize("numbers", [0.25, 0.5, 1, 2, 3, 29])
+@pytest.mark.parametrize("off_ms", [-1.4, -0.4, -0.1, 0, 0.1, 0.4, 1.4])
+def test_a_gap_of_any_length_is_told_by_the_numbers_of_frames(set_us, numbers, off_ms):
+    """A frame number begins anew each 2.048 s, a little before or behind what the counter says."""
+    gap_s = 2.048 * numbers + off_ms / 1000
+    for phase in range(10):
+        told = Told()
+        told.after(1 + phase / 10_000)
+        for _ in range(12):
+            told.after(gap_s)
+        assert told.following.lag_us < 2
+        assert told.after(gap_s, set_us=set_us) == pytest.approx(250_000, abs=10)
+        # No step, behind which there would be nothing to make up for.
+        assert 249_000 - 2000 * gap_s < told.after(gap_s) < 500_000
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_boards_are_as_far_behind_in_either_direction(seed):
+    there, back = Told(), Told()
+    drawn = random.Random(seed)
+    for _ in range(100):
+        gap_s = drawn.choice([0.05, 0.3, 1.0, 2.0, 5.0])
+        rate, set_us = drawn.uniform(-1e-3, 1e-3), drawn.choice([0, 0, 0, 70, 3000, -90_000])
+        one_us, other_us = there.after(gap_s, rate, set_us), back.after(gap_s, -rate, -set_us)
+        assert one_us == pytest.approx(other_us, abs=20)

@@ -40,6 +40,17 @@ def test_memory_is_bounded(monkeypatch):
     assert sum(map(len, kept._boards.values())) <= 3 * 4 * 5
 
 
+@pytest.mark.parametrize("most", [1, 2, 3, 7])
+def test_those_that_were_heard_last_are_kept_in_the_order_in_which_they_were(monkeypatch, most):
+    monkeypatch.setattr(history, "MAX_BOARDS", most)
+    kept, drawn, heard = History(), random.Random(most), []
+    for _ in range(300):
+        board = f"board {drawn.randrange(most + 3)}"
+        kept.add(board, *some(1))
+        heard = [*(one for one in heard if one != board), board][-most:]
+        assert kept.boards == heard
+
+
 @pytest.mark.parametrize("count", [1, 2, 1999, 2000, 2001, 3999, 4001, 7200, 20_000])
 def test_what_is_told_is_thinned_regularly_and_ends_with_the_newest(count):
     kept = History()
@@ -82,6 +93,12 @@ def test_allan_deviation_of_a_drift_is_nothing_and_of_white_noise_falls_with_tim
         assert deviation == pytest.approx(3 * math.sqrt(3) / tau, rel=0.2)
         assert later < deviation
     assert allan_deviation([1.0, 2.0], 1.0) == []
+
+
+@pytest.mark.parametrize("count", range(40))
+def test_a_deviation_is_the_mean_of_two_second_differences_at_least(count):
+    found = allan_deviation([one.offset_us for one in some(count)], 0.5)
+    assert [tau / 0.5 for tau, _ in found] == [n for n in (1, 2, 4, 8, 16) if 2 * n + 2 <= count]
 
 
 @pytest.mark.parametrize("set_s", [3600.0, -3600.0])
