@@ -1,5 +1,6 @@
 """Messages of ROS: their types, their bytes, and which standard ones a sensor is published as."""
 
+import itertools
 import math
 import struct
 from collections.abc import Container
@@ -270,6 +271,21 @@ def test_a_joint_that_was_not_read_is_in_no_message() -> None:
     assert joints_of(3 * second, 5, 0, 0, 2 * second, 6) is None
     # The stamp is that of the joints which are in it, and not of one that was newer before.
     assert joints_of(3 * second, 5, 2 * second, 7, 2 * second, 6) == (2, {"quad_1": 7})
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize("seconds", list(itertools.product([0, 2, 3, 4], repeat=3)))
+def test_joints_are_of_the_time_of_the_newest_one(distro: str, seconds: tuple[int, ...]) -> None:
+    """Whichever of the channels it is; those without a time were not read."""
+    topic = topic_of("SENSOR(quad, 0, quad, M, 3, i16, none, (unit, rad))")
+    payload = b"".join(struct.pack("<Qh", one * 1_000_000, 7) for one in seconds)
+    joints: Any = published(topic, payload, distro).get("quad/joints")
+    read = [f"quad_{channel}" for channel, one in enumerate(seconds) if one]
+    if read:
+        assert joints.name == read
+        assert joints.header.stamp.sec == max(seconds)
+    else:
+        assert joints is None
 
 
 @pytest.mark.parametrize("kind", ["sensor_msgs/Imu", "sensor_msgs/Nonsense"])
