@@ -3,8 +3,10 @@
 import json
 import os
 import socket
+import struct
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -244,11 +246,39 @@ def test_who_hangs_up_disturbs_nobody(folder, server):
     assert ask(folder, {})["trusted"]
 
 
-def test_a_folder_that_others_may_write_into_is_refused(folder):
+@pytest.mark.parametrize("owner", [None, pytest.param(OTHER, marks=root)])
+@pytest.mark.parametrize("mode", [0o700, 0o711, 0o755, 0o777, 0o775, 0o757, 0o720, 0o702])
+def test_a_folder_that_others_may_write_into_is_refused(folder, mode, owner):
     folder.mkdir()
-    folder.chmod(0o777)
-    with pytest.raises(PermissionError, match="others may write"):
-        Server(folder, echo)
+    folder.chmod(mode)
+    if mode & 0o022:
+        with pytest.raises(PermissionError, match="others may write"):
+            Server(folder, echo, owner)
+        assert not list(folder.iterdir())
+    else:
+        Server(folder, echo, owner).close()
+
+
+@pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="nobody is known here")
+@pytest.mark.parametrize("own", [0, 1000])
+@pytest.mark.parametrize("other", [0, 999, 1000, 1001, 65534])
+def test_the_user_of_the_daemon_and_root_are_trusted(monkeypatch, own, other):
+    monkeypatch.setattr(os, "geteuid", lambda: own)
+    facts = struct.pack("=iII", 1, other, 0)
+    connection = SimpleNamespace(getsockopt=lambda *_what: facts)
+    assert singleton._is_trusted(connection) == (other in (0, own))
+
+
+@pytest.mark.parametrize("over", [-4000, -1, 0, 1])
+def test_a_request_may_be_as_long_as_is_allowed(folder, server, over):
+    """With its line feed."""
+    empty = len(json.dumps({"command": ""})) + 1
+    request = {"command": "x" * (singleton.MAX_REQUEST + over - empty)}
+    reply = ask(folder, request)
+    if over > 0:
+        assert "longer than 4096 bytes" in reply["error"]
+    else:
+        assert "error" not in reply
 
 
 def test_a_reply_that_is_none_is_told(folder):
