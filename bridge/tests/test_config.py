@@ -226,3 +226,34 @@ def test_a_wrong_key_or_value_is_told_with_its_line_where_that_is_certain(tmp_pa
     with pytest.raises(LocalError) as caught:
         load_config(path)
     assert str(caught.value).startswith(f"{path}{place[1]}: ")
+
+
+@pytest.mark.parametrize("key", ["url", "serial"])
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_boards_are_told_from_each_other(tmp_path, key, count):
+    same = f'[[boards]]\n{key} = "loopback:a"\n'
+    others = f'[[boards]]\n{key} = "loopback:b"\n'
+    path = tmp_path / "robot.toml"
+    path.write_text(count * same + others, encoding="utf-8")
+    if count == 1:
+        assert len(load_config(path).boards) == 2
+    else:
+        with pytest.raises(LocalError, match=f"two .* have the {key} 'loopback:a'"):
+            load_config(path)
+
+
+@pytest.mark.parametrize(("rate", "is_one"), [
+    ("1e-6", True), ("1", True), ("0.5", True), ("1000000", True), ("1e6", True),
+    ("0.9e-6", False), ("0", False), ("-1", False), ("1000001", False), ("1e7", False),
+    ("nan", False), ("inf", False), ("true", False),
+])  # fmt: skip
+def test_a_rate_is_one_that_times_can_show(tmp_path, rate, is_one):
+    path = tmp_path / "robot.toml"
+    path.write_text(
+        f'[[boards]]\nurl = "loopback:a"\ntransducers.q = {{rate = {rate}}}\n', encoding="utf-8"
+    )
+    if is_one:
+        assert load_config(path).boards[0].transducers["q"].rate_hz == float(rate)
+    else:
+        with pytest.raises(LocalError, match="rate"):
+            load_config(path)

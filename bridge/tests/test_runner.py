@@ -255,3 +255,36 @@ def test_an_error_of_the_system_is_told_without_its_number(runner, sink, monkeyp
     runner.end()
     assert runner.join(PATIENCE_S)
     assert runner.problem == told
+
+
+@pytest.mark.parametrize("is_refused_again", [False, True])
+def test_a_topic_is_offered_anew_to_a_sink_that_is_opened_anew(
+    runner, sink, monkeypatch, is_refused_again
+):
+    monkeypatch.setattr(Blocked, "RETRY_S", 0.0)
+    odd, good = topic("odd"), topic("good")
+    sink.refused = odd
+    sink.let_go.set()
+    assert runner.opened.wait(PATIENCE_S)
+    reopened = threading.Event()
+
+    def reopen():
+        sink.fails_at = ""
+        sink.topics.clear()
+        sink.refused = odd if is_refused_again else None
+        reopened.set()
+
+    monkeypatch.setattr(sink, "open", reopen)
+    with runner._wake:  # the thread waits
+        for each in (odd, good):
+            runner.announce(each)
+        runner.publish(value(odd, 1))
+        sink.fails_at = "publish"
+        runner.publish(value(good, 2))
+    assert reopened.wait(PATIENCE_S)
+    for each, number in ((odd, 3), (good, 4)):
+        runner.publish(value(each, number))
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert sink.values == ([4] if is_refused_again else [3, 4])
+    assert runner.dropped == 2 + is_refused_again
