@@ -471,6 +471,25 @@ def test_a_position_has_degrees_and_metres_of_the_fields_that_are_called_so(dist
     assert fix.altitude == pytest.approx(34)
 
 
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
+def test_of_fields_that_measure_the_same_the_first_one_counts(order: tuple[int, ...]) -> None:
+    fields = [
+        ("(array(i16, 3), one, rad/s)", "(f64, lat, deg)"),
+        ("(array(i16, 3), two, m/s2)", "(f64, lon, deg)"),
+        ("(array(i16, 3), three, m/s2)", "(f64, lat_error, deg)"),
+    ]
+    payload = struct.pack("<Q", 7)
+    chosen = [fields[at] for at in order]
+    made = "SENSOR(s, 3, s, M, 1, made, none)"
+    motion = topic_of(f"J2A_STRUCT(made, {', '.join(one for one, _ in chosen)})\n{made}")
+    numbers = struct.pack("<9h", *(10 * at for at in order for _ in range(3)))
+    imu: Any = published(motion, payload + numbers, "noetic")["s/imu"]
+    assert imu.linear_acceleration.x == next(10 * at for at in order if at in (1, 2))
+    place = topic_of(f"J2A_STRUCT(made, {', '.join(one for _, one in chosen)})\n{made}")
+    fix: Any = published(place, payload + struct.pack("<3d", *order), "noetic")["s/fix"]
+    assert fix.latitude == pytest.approx(next(at for at in order if at in (0, 2)))
+
+
 @pytest.mark.parametrize("distro", DISTROS)
 def test_values_of_an_actuator_with_arrays_are_grouped(distro: str) -> None:
     topic = topic_of("ACTUATOR(leds, 1, leds, M, 2, array(u8, 3), none)")
