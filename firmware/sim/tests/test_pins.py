@@ -1,6 +1,7 @@
 """The simulated pins and analog inputs: levels, edges, voltages, and their cycles."""
 
 import itertools
+import time
 
 import pytest
 from j2a_sim import AvrSim, Edge, Pulse, SimError, pulses
@@ -60,6 +61,42 @@ def test_edges_that_come_at_their_cycles(sim):
     assert sim.pins.edges("PD2") == edges
     assert sim.pins.level("PD2") == 1
     assert ask(sim, b"n", 1) == bytes([41])
+
+
+def test_an_interrupt_comes_again_and_again_while_its_pin_is_low(simulate):
+    sim = simulate("low")
+    sim.boot()
+    sim.pins.drive("PD2", 1)
+
+    def count():
+        before = sim.interrupts(1).count
+        sim.run(10_000)
+        return sim.interrupts(1).count - before
+
+    assert count() == 0
+    assert ask(sim, b"e", 1) == b"e"
+    assert count() == 0
+    sim.pins.drive("PD2", 0)
+    assert 200 < count() < 1000
+    assert ask(sim, b"d", 1) == b"d"
+    assert count() == 0
+    sim.pins.drive("PD2", 1)
+    assert ask(sim, b"e", 1) == b"e"
+    sim.run(1000)
+    assert count() == 0
+
+
+def test_a_low_pin_without_an_interrupt_costs_no_time(simulate):
+    """simavr would look at it in each cycle, and take 17 times as long."""
+    took = {}
+    for level in (1, 0):
+        sim = simulate("echo")
+        sim.boot()
+        sim.pins.drive("PD3", level)
+        began = time.process_time()
+        sim.run(SECOND // 4)
+        took[level] = time.process_time() - began
+    assert took[0] < 5 * took[1]
 
 
 def test_interrupts_are_counted_and_measured(sim):

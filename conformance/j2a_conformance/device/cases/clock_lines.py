@@ -194,6 +194,7 @@ class Ages(ClockCase):
         "J2A-CLOCK-011",
         "J2A-CLOCK-012",
         "J2A-CLOCK-013",
+        "J2A-CLOCK-015",
         "J2A-CLOCK-017",
     )
     _AGES_US = (1, 1000, 1_500_000, 12 * S, 25 * S, c.CLOCK_MAX_BEHIND - 2 * S)

@@ -3,6 +3,7 @@
 
 #include <string.h>
 
+#include "avr_extint.h"
 #include "avr_ioport.h"
 #include "avr_timer.h"
 
@@ -99,10 +100,37 @@ static void mend_output(mcu_t *m, avr_timer_t *timer, int index)
     avr_irq_register_notify(output, on_output, o);
 }
 
+/* EIMSK is written: simavr is to look at the pins whose interrupts are on. */
+static void enable_write(avr_t *avr, avr_io_addr_t reg, uint8_t value, void *param)
+{
+    avr_extint_t *interrupts = param;
+    avr_core_watch_write(avr, reg, value);
+    for (int i = 0; i < EXTINT_COUNT; i++) {
+        avr_int_vector_t *vector = &interrupts->eint[i].vector;
+        if (vector->vector && vector->enable.reg == reg)
+            interrupts->eint[i].strict_lvl_trig = avr_regbit_get(avr, vector->enable);
+    }
+}
+
+/* While a pin is low that has a level interrupt, simavr looks at it in each cycle, which takes 17 times as long; also where
+ * the interrupt is off, as in each program that uses such a pin for something else. */
+static void mend_interrupts(avr_t *avr, avr_extint_t *interrupts)
+{
+    avr_io_addr_t last = 0;
+    for (int i = 0; i < EXTINT_COUNT; i++) {
+        avr_io_addr_t reg = interrupts->eint[i].vector.enable.reg;
+        interrupts->eint[i].strict_lvl_trig = 0;
+        if (interrupts->eint[i].vector.vector && reg != last)
+            avr_register_io_write(avr, last = reg, enable_write, interrupts);
+    }
+}
+
 void mcu_mend(mcu_t *m, avr_t *avr)
 {
     for (avr_io_t *io = avr->io_port; io; io = io->next)
-        if (io->kind && !strcmp(io->kind, "timer"))
+        if (io->kind && !strcmp(io->kind, "extint"))
+            mend_interrupts(avr, (avr_extint_t *)io);
+        else if (io->kind && !strcmp(io->kind, "timer"))
             for (int i = 0; i < AVR_TIMER_COMP_COUNT; i++)
                 mend_output(m, (avr_timer_t *)io, i);
 }

@@ -5,6 +5,7 @@
  * ATmega32U4: same registers, same vectors.
  * simavr takes a timer's normal and CTC modes for fast PWM when it sets the outputs of compare units: each
  * write to a compare register inverts them. Its outputs are let through only where a match can mean them.
+ * simavr looks at a low pin of a level interrupt in each cycle: here only while the interrupt is on.
  * A pin that a compare unit drives is seen in its PORT bit as well, unlike on the chip.
  */
 #ifndef J2A_SIM_MCU_H
