@@ -108,6 +108,8 @@ def _check_file(path: Path) -> None:
         UsageError: it cannot.
     """
     was_there = path.exists()
+    if was_there and not path.is_file() and not path.is_dir():
+        return  # to open a pipe may wait for its reader
     try:
         path.open("ab").close()
         if not was_there:

@@ -218,6 +218,15 @@ def test_a_picture_that_cannot_be_written_is_told_before_the_run(capsys, tmp_pat
         assert not told.out
 
 
+def test_a_pipe_for_the_picture_is_not_opened_before_the_run(capsys, tmp_path):
+    """It would wait for a reader."""
+    pipe = tmp_path / "clocks.svg"
+    os.mkfifo(pipe)
+    words = "sim clocks --boards 2 --seconds 3 --period-s 2 --link usb --engine native --svg"
+    assert main([*words.split(), str(pipe)]) == USAGE, "no clock is set so soon"
+    assert "choose more --seconds" in capsys.readouterr().err
+
+
 def test_a_picture_that_is_there_stays_until_the_run_has_ended(capsys, tmp_path):
     for text in (None, "before"):
         picture = tmp_path / f"{text}.svg"
