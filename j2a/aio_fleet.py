@@ -9,7 +9,7 @@ waits for another. Where a link has a descriptor it has no thread; only opening 
 import asyncio
 import inspect
 import logging
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -226,21 +226,47 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
             slice_s=slice_of(is_simulated=False),
         )
 
-    async def _deliver(self, sample: Sample) -> None:
-        for deliver in self._takers(sample.name):
-            await self._call(deliver, sample)
+    def _deliver(self, sample: Sample) -> Awaitable[None] | None:
+        takers = self._takers(sample.name)
+        for deliver in takers:
+            if (rest := self._call(deliver, sample)) is not None:
+                return self._deliver_rest(rest, takers, sample)
+        return None
+
+    async def _deliver_rest(
+        self, rest: Awaitable[None] | None, takers: Iterator[Callable[[Any], Any]], sample: Sample
+    ) -> None:
+        """Go on after a handler that is to be awaited."""
+        while True:
+            if rest is not None:
+                await rest
+            if (deliver := next(takers, None)) is None:
+                return
+            rest = self._call(deliver, sample)
 
     async def _tell(self, change: BoardChange | None) -> None:
         if change is not None:
             for deliver in self._changes.matching():
-                await self._call(deliver, change)
+                if (rest := self._call(deliver, change)) is not None:
+                    await rest
 
-    async def _call(self, handler: Callable[[Any], Any], event: Sample | BoardChange) -> None:
+    def _call(
+        self, handler: Callable[[Any], Any], event: Sample | BoardChange
+    ) -> Awaitable[None] | None:
+        """Call a handler; return what is to be awaited, None where it has ended already."""
         try:
             result = handler(event)
-            if inspect.isawaitable(result):
-                await result
         except Exception as error:  # a handler of the user may raise anything
+            self._reporter.report(error, event)
+            return None
+        if result is None or not inspect.isawaitable(result):
+            return None
+        return self._finish_handler(result, event)
+
+    async def _finish_handler(self, result: Awaitable[object], event: Sample | BoardChange) -> None:
+        try:
+            await result
+        except Exception as error:
             self._reporter.report(error, event)
 
 

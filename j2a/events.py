@@ -6,7 +6,7 @@ times as much to build; what is made less often is a dataclass.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import FrozenInstanceError, dataclass, field
+from dataclasses import FrozenInstanceError, dataclass, field, fields, make_dataclass
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple, NoReturn, TypeVar, overload
 
@@ -34,6 +34,7 @@ __all__ = [
     "Sample",
     "Sif",
     "immutable",
+    "quick_maker",
 ]
 
 _AnyT = TypeVar("_AnyT")
@@ -59,6 +60,23 @@ def immutable(cls: type[_AnyT]) -> type[_AnyT]:
     cls.__setattr__ = refuse_to_set  # type: ignore[method-assign]
     cls.__delattr__ = refuse_to_delete  # type: ignore[method-assign]
     return cls
+
+
+def quick_maker(cls: type[_AnyT]) -> Callable[..., _AnyT]:
+    """Return what makes objects of a frozen dataclass out of all fields in order, and quickly.
+
+    For what is made with each frame: a frozen class sets each attribute by a call, which costs
+    three times as much. While it is being made, the object is one of a twin that is not frozen.
+    """
+    names = [one.name for one in fields(cls)]  # type: ignore[arg-type]
+    twin: Any = make_dataclass(cls.__name__, names, slots="__slots__" in cls.__dict__)
+
+    def make(*values: Any) -> _AnyT:
+        made: _AnyT = twin(*values)
+        made.__class__ = cls
+        return made
+
+    return make
 
 
 class Frame(NamedTuple):

@@ -18,6 +18,7 @@ from concurrent.futures import Future
 from typing import Any, Final
 
 import j2a
+from j2a.events import quick_maker
 from j2a.protocol.roster import BoardChange
 from j2a_bridge.config import BoardConfig, Config, SensorConfig, check_url
 from j2a_bridge.runner import SinkRunner
@@ -44,6 +45,7 @@ _LATEST_US: Final = (1 << 63) // 1000
 _NS_PER_US: Final = 1000
 _NS_PER_MS: Final = 1e6
 _SETTINGS: Final = ("enabled", "period", "decimation", "threshold", "topic", "watchdog")
+_new_update = quick_maker(Update)
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -476,7 +478,7 @@ class Bridge:
             shift = sample.host_us - newest
             flow.latencies_ns.append(arrived_ns - sample.host_us * _NS_PER_US)
             uncertainty = board.uncertainty_us
-        update = Update(flow.topic, sample, times, shift, arrived_ns, uncertainty)
+        update = _new_update(flow.topic, sample, times, shift, arrived_ns, uncertainty)
         for runner in self.runners:
             runner.publish(update)
 

@@ -138,7 +138,7 @@ class ClockBase:
     @property
     def _is_known(self) -> bool:
         known, client = self._discipline, self._client_ref()
-        if client is not None and client.counters.restarts != self._restarts:
+        if client is not None and client._session.restarts != self._restarts:
             return False  # what is known is of before
         return known.estimator.estimate is not None and (
             known.status is not None or not self._can_be_set
@@ -209,7 +209,7 @@ class ClockBase:
 
     def _to_host(self, time_us: int, *, is_stamp: bool = False) -> int:
         estimate = self._estimate()
-        now_us = estimate.to_counter(self._host.observe())
+        now_us = estimate.to_counter(self._host.glance() if is_stamp else self._host.observe())
         latest_us = now_us + estimate.uncertainty_us(now_us) + STEP_US
         if not self._discipline.is_of_epoch(time_us, latest_us, is_stamp=is_stamp):
             raise LocalError(
@@ -237,7 +237,7 @@ class ClockBase:
     def _course(self) -> tuple[int, int]:
         """What a time of the board belongs to: how often it has restarted, and its epoch."""
         status = self._discipline.status
-        return self._client.counters.restarts, 0 if status is None else status.epoch
+        return self._client._session.restarts, 0 if status is None else status.epoch
 
     def _check_course(self, planned: tuple[int, int]) -> None:
         """Look whether times that were planned hold.
@@ -278,8 +278,6 @@ class ClockBase:
 
     def host_time_of_sample(self, time_us: int) -> int | None:
         """Return the time of this computer at a time stamp, None where it is not known."""
-        if not self._is_known:
-            return None
         try:
             return self._to_host(time_us, is_stamp=True)
         except LocalError:
@@ -297,7 +295,7 @@ class ClockBase:
         device = client._device
         if client._is_stale or device.functions is None or not device.asked_for_transducers:
             yield from client._load_functions()
-        restarts = client.counters.restarts
+        restarts = client._session.restarts
         if restarts != self._restarts:
             self._restarts = restarts
             self._discipline.reset()

@@ -95,9 +95,13 @@ Wanted = Opcodes | NamedSif | WantedSamples
 
 
 class Subscription(Generic[_Handler]):
-    """A registered handler; `cancel` ends it."""
+    """A registered handler; `cancel` ends it.
 
-    __slots__ = ("_cancel", "handler", "opcodes")
+    Attributes:
+        deliver: calls the handler with a SIF that it is for.
+    """
+
+    __slots__ = ("_cancel", "deliver", "handler", "opcodes")
 
     def __init__(
         self,
@@ -108,6 +112,9 @@ class Subscription(Generic[_Handler]):
         self.handler = handler
         self.opcodes: Container[int] | None = opcodes
         self._cancel = cancel
+        self.deliver: Callable[[Any], Any] = handler
+        if isinstance(opcodes, NamedSif | WantedSamples):
+            self.deliver = lambda sif: handler(opcodes.decode(sif))
 
     def __repr__(self) -> str:
         wanted = self.opcodes
@@ -117,16 +124,6 @@ class Subscription(Generic[_Handler]):
             what = "all SIFs" if wanted is None else str(wanted)
         name = getattr(self.handler, "__qualname__", repr(self.handler))
         return f"<j2a subscription of {name} to {what}>"
-
-    @property
-    def deliver(self) -> Callable[[Any], Any]:
-        """What calls the handler with a SIF that it is for."""
-        wanted, handler = self.opcodes, self.handler
-        return (
-            (lambda sif: handler(wanted.decode(sif)))
-            if isinstance(wanted, NamedSif | WantedSamples)
-            else handler
-        )
 
     def cancel(self) -> None:
         """Call the handler no more; may be called twice. A call that is running goes on."""

@@ -12,6 +12,7 @@ import inspect
 import logging
 import math
 import weakref
+from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -72,7 +73,8 @@ class AsyncEngine:
         self._loop = asyncio.get_running_loop()
         self.now = clock_of(transport)
         self._is_simulated = transport.is_simulated
-        self._sifs: asyncio.Queue[Sif | Restart | None] = asyncio.Queue()
+        self._sifs: deque[Sif | Restart | None] = deque()  # None is the end
+        self._came = asyncio.Event()
         self._takes_sifs = True
         self._drops_sifs = False
         # The next time at which time limits are judged; nothing may be late then.
@@ -212,8 +214,8 @@ class AsyncEngine:
                 if event.has_ended and not event.waiter.done():
                     event.waiter.set_result(None)
             elif isinstance(event, Sif):
-                if self._takes_sifs and self._sifs.qsize() < MAX_SIFS_WAITING:
-                    self._sifs.put_nowait(event)
+                if self._takes_sifs and len(self._sifs) < MAX_SIFS_WAITING:
+                    self._queue(event)
                 else:
                     self._session.count("sifs_dropped")
             else:
@@ -276,9 +278,20 @@ class AsyncEngine:
                 looked.set_result(None)
         self._looks = [look for look in self._looks if not look[1].done()]
 
+    def _queue(self, event: Sif | Restart | None) -> None:
+        """Have the dispatcher take something."""
+        self._sifs.append(event)
+        self._came.set()
+
     async def _dispatch(self) -> None:
         turn_ends = 0.0
-        while (event := await self._sifs.get()) is not None:
+        while True:
+            while not self._sifs:
+                self._came.clear()
+                await self._came.wait()
+            event = self._sifs.popleft()
+            if event is None:
+                break
             if isinstance(event, Restart):
                 await self._deliver_restart(event)
             else:
@@ -298,7 +311,7 @@ class AsyncEngine:
             return
         # A device that restarts all the time is told of once, when there is time for it.
         if self._restart is None and self._takes_sifs:
-            self._sifs.put_nowait(restart)
+            self._queue(restart)
         self._restart = restart
 
     async def _deliver_restart(self, restart: Restart) -> None:
@@ -309,21 +322,36 @@ class AsyncEngine:
         restart, handlers = await restarted(restart)
         del restarted  # it keeps the client alive
         for handler in handlers.matching():
-            await self._call_handler(handler, restart)
+            if (rest := self._call_handler(handler, restart)) is not None:
+                await rest
             if self._drops_sifs:
                 return
 
-    async def _call_handler(self, handler: Callable[[Any], Any], event: Sif | Restart) -> None:
+    def _call_handler(
+        self, handler: Callable[[Any], Any], event: Sif | Restart
+    ) -> Awaitable[None] | None:
+        """Call a handler; return what is to be awaited, None where it has ended already."""
         try:
             result = handler(event)
-            if inspect.isawaitable(result):
-                await result
         except (Exception, asyncio.CancelledError) as error:
-            # A handler may meet a cancelled future; only cancelling this task ends it.
-            if self.dispatcher.cancelling():
-                raise
-            self._session.count("handler_errors")
-            self._reporter.report(error, event)
+            self._handler_failed(error, event)
+            return None
+        if result is None or not inspect.isawaitable(result):
+            return None
+        return self._finish_handler(result, event)
+
+    async def _finish_handler(self, result: Awaitable[object], event: Sif | Restart) -> None:
+        try:
+            await result
+        except (Exception, asyncio.CancelledError) as error:
+            self._handler_failed(error, event)
+
+    def _handler_failed(self, error: BaseException, event: Sif | Restart) -> None:
+        # A handler may meet a cancelled future; only cancelling this task ends it.
+        if self.dispatcher.cancelling():
+            raise error
+        self._session.count("handler_errors")
+        self._reporter.report(error, event)
 
     def _finish_streams(self) -> None:
         """Tell those who wait for SIFs that none will come any more."""
@@ -355,7 +383,8 @@ class AsyncEngine:
             self._session.count("sifs_dropped")
             return
         for handler in handlers.matching(sif.opcode):
-            await self._call_handler(handler, sif)
+            if (rest := self._call_handler(handler, sif)) is not None:
+                await rest
             if self._drops_sifs:
                 return
 
@@ -365,16 +394,16 @@ class AsyncEngine:
         """Let the dispatcher run out after the SIFs that wait."""
         if self._takes_sifs:
             self._takes_sifs = False
-            self._sifs.put_nowait(None)
+            self._queue(None)
 
     def _finish(self, reason: LinkClosed) -> None:
         """End what `close` ends: calls no handler any more after the one that runs."""
         self._drops_sifs = True
         self._end(reason)
         dropped = 0
-        while not self._sifs.empty():
-            dropped += isinstance(self._sifs.get_nowait(), Sif)
-        self._sifs.put_nowait(None)
+        while self._sifs:
+            dropped += isinstance(self._sifs.popleft(), Sif)
+        self._queue(None)
         self._finish_streams()
         for _ in range(dropped):
             self._session.count("sifs_dropped")

@@ -15,7 +15,7 @@ from operator import le
 from typing import Any
 
 from j2a.errors import ProtocolError
-from j2a.events import Sample, Sif
+from j2a.events import Sample, Sif, quick_maker
 from j2a.protocol.device_info import DeviceInfo
 from j2a.types.coding import PayloadMismatchError
 from j2a.types.model import Structure
@@ -25,6 +25,7 @@ from j2a.types.transducers import Descriptors, Transducer
 __all__ = ["BadPayload", "SampleSource", "WantedSamples"]
 
 _LOST_MODULO = 0x10000
+_new_sample = quick_maker(Sample)
 
 
 class BadPayload(ProtocolError):  # noqa: N818 - named as those of j2a.errors
@@ -193,7 +194,7 @@ class SampleSource:
             channels = range(len(times))
         is_reset = state.goes_back(channels, times)
         newest_us = max(times)
-        return Sample(
+        return _new_sample(
             self.board,
             state.transducer.name,
             next(state.count),

@@ -35,7 +35,7 @@ from j2a.errors import (
     ProtocolError,
     remote_error,
 )
-from j2a.events import Counters, Doubt, Frame, FrameError, Reply, Restart, Sif
+from j2a.events import Counters, Doubt, Frame, FrameError, Reply, Restart, Sif, quick_maker
 from j2a.protocol.boot import unpack_boot
 from j2a.protocol.calls import Call, Deadlines
 from j2a.protocol.codec import encode
@@ -54,6 +54,7 @@ _MAX_NONCES: Final = 256
 Event = Call | Sif | Restart
 """What `Session.receive` returns."""
 _new_reply = tuple.__new__  # half the price of Reply(...)
+_new_sif = quick_maker(Sif)
 _OK: Final = frozenset((*range(RET_MAX + 1), RET_FAILED))
 
 
@@ -460,7 +461,7 @@ class Session:
         self._counts["sif_gaps"] += missed > 0
         self._counts["sifs_missed"] += missed
         gone = self._counts["sifs_missed"] + self._counts["sifs_dropped"]
-        return Sif(frame.opcode, frame.payload, frame.seq, missed, epoch=self.epoch, gone=gone)
+        return _new_sif(frame.opcode, frame.payload, frame.seq, missed, None, self.epoch, gone)
 
     def _take_reply(self, frame: Frame) -> list[Call]:
         """Take a reply; return the calls that it ends."""
@@ -539,6 +540,11 @@ class Session:
     def count(self, name: Literal["sifs_dropped", "handler_errors"]) -> None:
         """Count what happened in the client."""
         self._counts[name] += 1
+
+    @property
+    def restarts(self) -> int:
+        """How often the device has begun anew; that of `counters`, for those who ask very often."""
+        return self._counts["restarts"]
 
     @property
     def counters(self) -> Counters:

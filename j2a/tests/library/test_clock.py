@@ -585,6 +585,25 @@ def test_a_reading_that_was_interrupted_is_left_out():
     assert clock.reference._anchor == before
 
 
+def test_a_glance_reads_the_clock_once_a_millisecond():
+    """So a step of the clock is known to all that is converted later than that."""
+    now, read = [0.0], []
+
+    def unix_us():
+        read.append(now[0])
+        return 10**15 + int(now[0])
+
+    clock = host_time.HostTime(lambda: now[0], unix_us)
+    for _ in range(1000):
+        now[0] += 0.125 * 1000
+        assert clock.glance() == now[0]
+        assert clock.reference._anchor[0] > now[0] - 1000
+    assert len(read) == 125
+    now[0] -= 5000  # a counter that goes back is no reason not to look
+    clock.glance()
+    assert read[-1] == now[0]
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="the system tells no steps")
 def test_this_computer_tells_steps_from_slews():
     slewed_us = host_time._HOST._slewed_us
