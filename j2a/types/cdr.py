@@ -7,7 +7,8 @@ not what the descriptor says is a ValueError, however it is damaged.
 
 import struct
 from collections.abc import Iterator
-from typing import Final
+from dataclasses import dataclass
+from typing import Any, Final
 
 from j2a_spec.constants import MAX_PAYLOAD
 
@@ -35,10 +36,10 @@ class SampleMessage:
         self._has_queue = sensor.queue > 0
         self._channels = sensor.channels
         self._sizes = tuple(_sizes(sensor.type))
-        self._bytes = sensor.type.size
         # Of an array the elements are elements of the message, which has no array in an array.
         self._elements = 1 if isinstance(sensor.type.element, Structure) else len(self._sizes)
-        self._entry = self._has_queue + TIME_BYTES + self._bytes
+        self._entry = self._has_queue + TIME_BYTES + sensor.type.size
+        self._layouts: dict[int, _Layout] = {}
 
     def pack(self, payload: bytes) -> bytes:
         """Return the message of a sample.
@@ -46,31 +47,42 @@ class SampleMessage:
         Raises:
             ValueError: a time is behind the year 2106, or the payload is no sample.
         """
-        start = LOST_BYTES if self._has_queue else 0
-        count, rest = divmod(len(payload) - start, self._entry)
-        if rest or count < 1:
-            raise ValueError(f"{len(payload)} bytes are no sample")
-        entries = [payload[at : at + self._entry] for at in range(start, len(payload), self._entry)]
-        out = _Writer()
-        out.count(count)
-        skipped = int(self._has_queue)
-        for entry in entries:
-            time_us = int.from_bytes(entry[skipped : skipped + TIME_BYTES], "little")
+        layout = self._layouts.get(len(payload))
+        if layout is None:
+            layout = self._layouts[len(payload)] = self._layout(len(payload))
+        lost, *parts = layout.payload.unpack(payload)
+        count, width = layout.count, len(parts) // layout.count
+        time_at = int(self._has_queue)
+        numbers: list[Any] = [_HEADER, count]
+        for time_us in parts[time_at::width]:
             seconds, us = divmod(time_us, _US)
             if seconds >= _SECONDS:
                 raise ValueError(f"a message has no time of {time_us} us")
-            out.add(_TIME.pack(seconds, us * _NS_PER_US), 4)
-        out.count(count * self._elements)
-        for entry in entries:
-            at = skipped + TIME_BYTES
-            for size in self._sizes:
-                out.add(entry[at : at + size], size)
-                at += size
+            numbers += seconds, us * _NS_PER_US
+        numbers.append(count * self._elements)
+        for at in range(time_at + 1, len(parts), width):
+            numbers += parts[at : at + width - time_at - 1]
         if self._has_queue:
-            out.count(count)
-            out.add(bytes(entry[0] for entry in entries), 1)
-            out.add(payload[:LOST_BYTES], LOST_BYTES)
-        return bytes(out.data)
+            numbers += count, b"".join(parts[::width]), lost
+        return layout.message.pack(*numbers)
+
+    def _layout(self, length: int) -> "_Layout":
+        start = LOST_BYTES if self._has_queue else 0
+        count, rest = divmod(length - start, self._entry)
+        if rest or count < 1 or length > MAX_PAYLOAD:
+            raise ValueError(f"{length} bytes are no sample")
+        values = "".join(f"{size}s" for size in self._sizes)
+        payload = f"<{start}s" + f"{'s' * self._has_queue}Q{values}" * count
+        message = _Format()
+        for _ in range(2 + 2 * count):  # how many times, their seconds and ns, how many values
+            message.add("I", _COUNT.size)
+        for size in self._sizes * count:
+            message.add(f"{size}s", size)
+        if self._has_queue:
+            message.add("I", _COUNT.size)
+            message.add(f"{count}s", 1, count)
+            message.add(f"{LOST_BYTES}s", LOST_BYTES)
+        return _Layout(count, struct.Struct(payload), struct.Struct(message.text))
 
     def unpack(self, message: bytes) -> bytes:
         """Return the payload of the sample that a message is.
@@ -114,21 +126,30 @@ def _sizes(kind: Type) -> Iterator[int]:
             yield element_size(kind.element)
 
 
-class _Writer:
-    """Numbers, each at a multiple of its size."""
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How samples of one length and their messages are laid out; numbers are bytes."""
+
+    count: int
+    payload: struct.Struct
+    message: struct.Struct
+
+
+class _Format:
+    """The format of a message, in which each number is at a multiple of its size."""
 
     def __init__(self) -> None:
-        self.data = bytearray(_HEADER)
+        self.text = f"<{len(_HEADER)}s"
+        self._size = 0
 
-    def add(self, number: bytes, align: int) -> None:
-        self.data += bytes(-(len(self.data) - len(_HEADER)) % align) + number
-
-    def count(self, count: int) -> None:
-        self.add(_COUNT.pack(count), _COUNT.size)
+    def add(self, code: str, align: int, size: int = 0) -> None:
+        skipped = -self._size % align
+        self.text += f"{skipped}x{code}"
+        self._size += skipped + (size or align)
 
 
 class _Reader:
-    """The same, read."""
+    """A message, read: each number is at a multiple of its size."""
 
     def __init__(self, data: bytes) -> None:
         if data[: len(_HEADER)] != _HEADER:
