@@ -10,6 +10,7 @@ beside it the input that breaks the core, into the folder of --inputs.
 """
 
 import argparse
+import hashlib
 import shutil
 import subprocess
 import sys
@@ -45,18 +46,32 @@ TRANSDUCERS_WITH = {
 SMALL = ["-DJ2A_ROOM=32", "-DJ2A_WITH_MAPPING=0"]
 
 
-def build(core: Path, folder: Path, options: list[str], own: Path = HERE) -> Path:
+def build(
+    core: Path, folder: Path, options: list[str], own: Path = HERE, objects: Path | None = None
+) -> Path:
     """Build a target over the core in this folder with these options; returns the program.
 
     Args:
         own: the folder of the target's own files.
+        objects: what was compiled of the same text before is taken from there, and what is
+            compiled is left there; none: the folder of the program.
     """
     program = folder / "link"
     sources = [*sorted(own.glob("*.c")), *sorted(core.rglob("*.c"))]
     if own == TRANSDUCERS:
         sources = [path for path in sources if not path.name.startswith("j2a_clock")]
-    command = ["clang", *FLAGS.split(), *options, f"-I{core}", f"-I{own}", *map(str, sources)]
-    subprocess.run([*command, "-o", str(program)], check=True)
+    command = ["clang", *FLAGS.split(), *options]
+    included = sorted(path for where in (own, core) for path in where.rglob("*.[hd]*"))
+    common = repr((command, [path.read_bytes() for path in included])).encode()
+    compiled = []
+    for source in sources:
+        digest = hashlib.sha256(common + source.read_bytes()).hexdigest()
+        made = (objects or folder) / f"{source.stem}-{digest}.o"
+        if not made.exists():
+            where = [f"-I{core}", f"-I{own}", "-c", "-o", str(made)]
+            subprocess.run([*command, *where, str(source)], check=True)
+        compiled.append(str(made))
+    subprocess.run([*command, *compiled, "-o", str(program)], check=True)
     return program
 
 
@@ -84,8 +99,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Run the C core under libFuzzer.")
     parser.add_argument("--core", type=Path, default=CORE, help="the core's folder")
     parser.add_argument("--seconds", type=int, default=60, help="how long; 0: replay the corpus")
+    parser.add_argument("--runs", type=int, default=-1, help="how many, those of the corpus too")
     parser.add_argument("--seed", type=int, default=1, help="seed of the fuzzer (default: 1)")
     parser.add_argument("--inputs", default=".", help="folder for the inputs that break the core")
+    parser.add_argument("--objects", type=Path, help="folder that keeps what was compiled")
     parser.add_argument("--small", action="store_true", help="a device with room for 32 bytes")
     parser.add_argument(
         "--transducers",
@@ -112,13 +129,15 @@ def main() -> int:
         grown.mkdir()
         if arguments.transducers:
             options = ["-DJ2A_WITH_TRANSDUCERS=1", *TRANSDUCERS_WITH[arguments.transducers]]
-            program = build(core, folder, options, TRANSDUCERS)
+            program = build(core, folder, options, TRANSDUCERS, arguments.objects)
             corpus, max_len = TRANSDUCERS / "corpus", 512
         else:
-            program = build(core, folder, SMALL if arguments.small else [])
+            options = SMALL if arguments.small else []
+            program = build(core, folder, options, objects=arguments.objects)
             seed(grown)
         shutil.copytree(corpus, grown, dirs_exist_ok=True)
-        limit = [f"-max_total_time={arguments.seconds}"] if arguments.seconds else ["-runs=0"]
+        runs = arguments.runs if arguments.seconds else 0
+        limit = [f"-max_total_time={arguments.seconds}", f"-runs={runs}"]
         command = [str(program), *limit, f"-seed={arguments.seed}"]
         if not arguments.transducers:
             command += [f"-dict={HERE}/markers.dict"]
