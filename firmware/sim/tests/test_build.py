@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import shlex
 import struct
 import subprocess
 import sys
@@ -127,9 +128,19 @@ def test_without_simavr(monkeypatch, tmp_path):
         _build.build()
 
 
-@pytest.mark.avr
-def test_a_compiler_that_fails(firmware, monkeypatch, tmp_path):
+@pytest.fixture
+def shim(firmware, monkeypatch, tmp_path):
+    """In place of the shim one that compiles at once, and an empty cache; gives its folder."""
+    chip = tmp_path / "chip"
+    chip.mkdir()
+    (chip / "shim.c").write_text("#include <sim_avr.h>\nint sim_new(void) {\n    return 42;\n}\n")
+    monkeypatch.setattr(_build, "_CHIP", chip)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return chip
+
+
+@pytest.mark.avr
+def test_a_compiler_that_fails(shim, monkeypatch, tmp_path):
     monkeypatch.setenv("CC", "cc -Dsim_new=1")
     with pytest.raises(SimError, match="cannot compile"):
         _build.build()
@@ -155,8 +166,7 @@ def test_a_place_that_cannot_be_written(firmware, monkeypatch, tmp_path):
 
 
 @pytest.mark.avr
-def test_a_damaged_library_is_compiled_anew(firmware, monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+def test_a_damaged_library_is_compiled_anew(shim):
     good = _build.build()
     whole = good.read_bytes()
     assert _build.build() == good
@@ -165,24 +175,29 @@ def test_a_damaged_library_is_compiled_anew(firmware, monkeypatch, tmp_path):
         good.write_bytes(damaged)
         assert _build.build() == good
         assert good.read_bytes() != damaged
-    assert hasattr(ctypes.CDLL(str(good)), "sim_new")
+    assert ctypes.CDLL(str(good)).sim_new() == 42
 
 
 @pytest.mark.avr
-def test_processes_that_start_together_share_one_library(firmware, tmp_path):
+def test_processes_that_start_together_share_one_library(shim, tmp_path):
+    """Each compiles it, because none has ended when the last one begins."""
     code = (
-        "import sys; from j2a_sim import AvrSim\n"
-        "with AvrSim(sys.argv[1]) as sim: sim.boot(); print(sim.cycle)"
+        "import ctypes, pathlib, sys; from j2a_sim import _build\n"
+        "_build._CHIP = pathlib.Path(sys.argv[1])\n"
+        "print(ctypes.CDLL(str(_build.build())).sim_new())"
     )
+    began = tmp_path / "began"
+    wait = f"echo >>{began}; until [ $(wc -l <{began}) = 4 ]; do sleep 0.1; done"
+    compiler = shlex.join(["sh", "-c", f'{wait}; exec cc "$@"', "cc"])
     processes = [
         subprocess.Popen(
-            [sys.executable, "-c", code, str(firmware("echo"))],
-            env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
+            [sys.executable, "-c", code, str(shim)],
+            env={**os.environ, "CC": compiler},
             stdout=subprocess.PIPE,
         )
         for _ in range(4)
     ]
-    cycles = {process.communicate(timeout=120)[0] for process in processes}
+    printed = [process.communicate(timeout=120)[0] for process in processes]
     assert [process.returncode for process in processes] == [0] * 4
-    assert len(cycles) == 1
+    assert printed == [b"42\n"] * 4
     assert [path.suffix for path in (tmp_path / "j2a").iterdir()] == [".so"]

@@ -8,6 +8,7 @@ see those of our models.
 
 import os
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -70,12 +71,14 @@ def programs() -> list[str]:
     return lines + [f"{seed} 4000 9478 {HERE:x}" for seed in range(1, SEEDS + 1)]
 
 
-@pytest.fixture
-def compiled(tmp_path, need):
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory, need):
+    """Compile the runner of programs with these options, each once."""
     need("cc")
 
+    @cache
     def compile_(*options: str, without: str = "") -> Path:
-        made = tmp_path / "wild"
+        made = tmp_path_factory.mktemp("wild") / "wild"
         sources = [path for path in _CHIP.glob("*.c") if path.name != "simavr_shim.c"]
         flags, _ = _pkg_config()
         command = ["cc", "-std=gnu11", "-g", "-O1", *options, f"-I{_CHIP}", str(SOURCE)]
