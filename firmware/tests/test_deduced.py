@@ -6,6 +6,7 @@ byte, the interface, and what the compilers say of mistakes.
 
 import struct
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -33,26 +34,42 @@ def two_files(tmp_path_factory, tool):
     return out
 
 
-def compile_app(folder, out, compiler="g++", standard="c++11", options=()):
-    """Compile the core as C and the app as C++; returns what the compiler of the app said."""
-    flags = ["-DJ2A_RXBUF=255", "-DJ2A_TXBUF=0", f"-I{folder}", *options]
-    if "-DJ2A_WITH_INTERFACE=0" not in options:
-        flags.append("-DJ2A_WITH_INTERFACE=1")
-    objects = []
-    for source in (folder / "j2a.c", folder / "port.c"):
-        objects.append(out / f"{source.stem}.o")
-        command = ["gcc", "-std=gnu99", *flags, *SANITIZED, "-c", source, "-o", objects[-1]]
-        subprocess.run(list(map(str, command)), check=True, capture_output=True)
-    words = [compiler, f"-std={standard}", *WARNINGS, *flags, *SANITIZED, APP, *objects]
-    command = [*map(str, words), "-o", str(out / "app")]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+@pytest.fixture(scope="module")
+def core(two_files, tmp_path_factory):
+    """Compile the core as C with these flags, each once; returns the objects."""
+
+    @cache
+    def compiled(*flags):
+        out = tmp_path_factory.mktemp("core")
+        for name in ("j2a", "port"):
+            command = ["gcc", "-std=gnu99", *flags, "-c", two_files / f"{name}.c"]
+            subprocess.run([*command, "-o", out / f"{name}.o"], check=True, capture_output=True)
+        return [out / "j2a.o", out / "port.o"]
+
+    return compiled
 
 
 @pytest.fixture(scope="module")
-def program(two_files, tmp_path_factory, need):
+def compile_app(two_files, core):
+    """Compile the app as C++ with the core; returns what the compiler of the app said."""
+
+    def compiled(out, compiler="g++", standard="c++11", options=("-O1",)):
+        flags = ["-DJ2A_RXBUF=255", "-DJ2A_TXBUF=0", f"-I{two_files}", *options]
+        if "-DJ2A_WITH_INTERFACE=0" not in options:
+            flags.append("-DJ2A_WITH_INTERFACE=1")
+        command = [compiler, f"-std={standard}", *WARNINGS, *flags, APP, *core(*flags)]
+        return subprocess.run(
+            [*command, "-o", out / "app"], capture_output=True, text=True, check=False
+        )
+
+    return compiled
+
+
+@pytest.fixture(scope="module")
+def program(compile_app, tmp_path_factory, need):
     need("g++")
     out = tmp_path_factory.mktemp("app")
-    result = compile_app(two_files, out)
+    result = compile_app(out, options=SANITIZED)
     assert result.returncode == 0, result.stderr
     return out / "app"
 
@@ -203,9 +220,9 @@ OPTIONS = [
 
 
 @pytest.mark.parametrize(("compiler", "standard", "options"), OPTIONS)
-def test_compilers_and_options(two_files, tmp_path, need, compiler, standard, options):
+def test_compilers_and_options(compile_app, tmp_path, need, compiler, standard, options):
     need(compiler)
-    result = compile_app(two_files, tmp_path, compiler, standard, options.split())
+    result = compile_app(tmp_path, compiler, standard, ["-O1", *options.split()])
     assert result.returncode == 0, result.stderr
 
 
