@@ -13,6 +13,7 @@ import re
 import shutil
 import struct
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -629,13 +630,15 @@ def test_one_sif_in_a_turn_of_the_main_loop(build):
 # -- triggered ---------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def triggered(make, need, tmp_path):
-    """Build a copy of an app in which these lines of transds.def have the key trigger."""
+@pytest.fixture(scope="module")
+def triggered(make, need, tmp_path_factory):
+    """Build a copy of an app in which these lines of transds.def have the key trigger, once."""
     need("avr-gcc")
 
+    @cache
     def build(app, *names, **variables):
-        copy = tmp_path / app
+        folder = tmp_path_factory.mktemp("triggered")
+        copy = folder / app
         shutil.copytree(DRIVERS.parent / "apps" / app, copy)
         text, count = re.subn(
             rf"^(SENSOR\((?:{'|'.join(names)}),(?:[^,)]+,){{5}}[^,)]+)",
@@ -646,9 +649,9 @@ def triggered(make, need, tmp_path):
         assert count == len(names)
         (copy / "transds.def").write_text(text, "utf-8")
         variables |= {"PORT": "avr-serial", "BAUD": "500000"}
-        done = make(APP=app, APP_DIR=copy, OUT=tmp_path / "out", **variables)
+        done = make(APP=app, APP_DIR=copy, OUT=folder / "out", **variables)
         assert done.returncode == 0, done.stderr
-        return tmp_path / "out" / f"{app}.elf"
+        return folder / "out" / f"{app}.elf"
 
     return build
 
