@@ -28,6 +28,12 @@ LAUNCHER = FIRMWARE / "ports/common/qemu.py"
 RAM, RAM_SIZE, FILL = 0x20000000, 0x4000, 0xA5
 STACK_MIN = 1024  # what cortex_m.ld asks for
 PATIENCE_S = 40
+# Hundreds of frames of kinds that other cases send as well. The stack is 192 to 224 bytes with any
+# of them or without: which interrupt comes at the deepest place is chance.
+OFTEN = {
+    *("debug.nothing-pending", "debug.text", "many.reply-flags", "many.store", "many.write-flags"),
+    *("many.wrong-function", "properties.direct", "sif.every-length"),
+}
 ATTEMPTS = 10
 
 
@@ -200,7 +206,7 @@ def test_stack(image, tmp_path):
     ).stdout
     bss_end = int(re.search(r"(\w+) \w cortex_m_bss_end", listing)[1], 16) - RAM
     deep = re.compile(r"limits|many\.(?!echo-lengths)|properties|debug|sif")
-    cases = [case for case in load() if deep.match(case.ID)]
+    cases = [case for case in load() if deep.match(case.ID) and case.ID not in OFTEN]
     dumps = []
     with Board(elf, tmp_path) as board:
 
