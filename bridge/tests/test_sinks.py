@@ -99,10 +99,11 @@ def test_a_recording_goes_on_when_a_board_comes_back_with_other_firmware(tmp_pat
         for topic in topics:
             sink.announce(topic)
         for topic in topics:
-            sink.publish(update_of(topic, struct.pack("<Q", 7) + value))
+            sink.publish(update_of(topic, struct.pack("<Q", 7) + value, arrived_ns=1_000_009))
         for topic in topics:
             sink.retract(topic)
     sink.close()
+    assert {one.time_ns for one in Recording(tmp_path / "a.mcap")} == {1_000_009}
     found = [
         (one.board, one.sensor.name, one.payload[8:]) for one in Recording(tmp_path / "a.mcap")
     ]
@@ -133,6 +134,46 @@ def test_lines_for_teleplot(receiver):
     name, ms, value = line.split(":")
     assert (name, value) == ("quad/1", "45.5§deg")
     assert float(ms) == pytest.approx(time.time() * 1000, abs=PATIENCE_S * 1000)
+
+
+def datagrams(receiver, format_, topic, payload):
+    """Return what is sent for one sample."""
+    port = receiver.getsockname()[1]
+    sink = make_sink(SinkRequest.parse(f"udp:127.0.0.1:{port},format={format_}"), None)
+    sink.open()
+    try:
+        sink.publish(update_of(topic, payload))
+        end = topic_of("SENSOR(end, 0, s, M, 1, u8, none)")
+        sink.publish(update_of(end, struct.pack("<QB", 1, 1)))
+        found = []
+        while b"end" not in (data := receiver.recv(65536)):
+            found.append(data)
+        return found
+    finally:
+        sink.close()
+
+
+@pytest.mark.parametrize("count", [1, 40, 60, 80, 200])
+@pytest.mark.parametrize("length", [1, 20, 64])
+def test_datagrams_for_teleplot_are_not_too_long_and_have_all_values_once(receiver, count, length):
+    name = "n" * length
+    topic = topic_of(f"SENSOR(s, 0, s, M, 1, array(u8, {count}), none)", name=name)
+    found = datagrams(receiver, "teleplot", topic, struct.pack("<Q", 7) + bytes(range(count)))
+    assert all(len(one) <= 1400 for one in found)
+    lines = b"\n".join(found).decode().split("\n")
+    assert lines == [f"{name}/0/{at}:0.007:{at}" for at in range(count)]
+
+
+@pytest.mark.parametrize("times", [(7, 8), (999, 1000), (1_000_000, 1_000_001), (5, 5)])
+def test_values_for_plotjuggler_have_their_time_to_the_microsecond(receiver, times):
+    topic = topic_of("SENSOR(s, 0, s, M, 2, u64, none)")
+    values = 2**63 + 1, 2**53 + 1
+    payload = b"".join(struct.pack("<QQ", *one) for one in zip(times, values, strict=True))
+    found = {}
+    for data in datagrams(receiver, "json", topic, payload):
+        about = json.loads(data)
+        found |= {name: (about["timestamp"], value) for name, value in about["s"].items()}
+    assert found == {str(channel): (times[channel] / 1e6, values[channel]) for channel in range(2)}
 
 
 def test_a_recording_has_all_samples_under_their_topics(tmp_path):

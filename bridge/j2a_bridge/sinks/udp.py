@@ -108,7 +108,7 @@ class UdpSink(Sink):
         lines = b""
         for stamp, name, value in found:
             line = f"{update.topic.name}/{name}:{stamp / _NS_PER_MS:.3f}:{value!r}{suffix}".encode()
-            if lines and len(lines) + len(line) > _MAX_DATAGRAM:
+            if lines and len(lines) + 1 + len(line) > _MAX_DATAGRAM:
                 yield lines
                 lines = b""
             lines += b"\n" * bool(lines) + line
