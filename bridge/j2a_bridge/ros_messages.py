@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from j2a import LocalError, Reading
+from j2a import LocalError
 from j2a.types.arrays import Batch
 from j2a.types.model import Structure
 from j2a.types.ros import PACKAGE, ros1_messages, ros2_messages
@@ -342,13 +342,14 @@ class _Newest:
     def __init__(self, sensor: Transducer, channel: int) -> None:
         self._is_alone = sensor.channels == 1
         self._channel = channel
-        self._before: Reading | None = None
+        self._before = b""
 
     def of(self, update: Update) -> tuple[Any, int] | None:
         """Return the value and its stamp; None where there is none, or it was there before."""
         reading, stamp = update.sample.readings[self._channel], update.stamps_ns[self._channel]
-        is_old = reading == self._before and not (self._is_alone or update.sample.is_reset)
-        self._before = reading
+        is_always_new = self._is_alone or update.sample.is_reset
+        is_old = not is_always_new and update.is_old(self._channel, self._before)
+        self._before = update.sample.payload
         return None if is_old or reading.value is None or stamp is None else (reading.value, stamp)
 
 

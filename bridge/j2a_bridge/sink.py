@@ -17,7 +17,7 @@ from importlib.metadata import entry_points
 from typing import Any, ClassVar, Final, Protocol
 
 from j2a import LocalError, Sample
-from j2a.types.transducers import LOST_BYTES, Transducer
+from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Transducer
 from j2a_bridge.topics import Topic
 
 __all__ = [
@@ -81,6 +81,19 @@ class Update:
         """When the newest reading was taken; when the sample came where there is no reading."""
         newest = max(self.times_us)
         return (newest + self.shift_us) * _NS_PER_US if newest else self.arrived_ns
+
+    def is_old(self, channel: int, before: bytes) -> bool:
+        """Return whether a channel was not read since the sample before.
+
+        The bytes are compared, as NaN equals no NaN.
+
+        Args:
+            channel: of a sensor without a queue.
+            before: the payload of that sample, b"" where there is none.
+        """
+        size = TIME_BYTES + self.topic.transducer.type.size
+        entry = slice(channel * size, (channel + 1) * size)
+        return bool(before) and self.sample.payload[entry] == before[entry]
 
 
 class Times:

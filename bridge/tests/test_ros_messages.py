@@ -95,7 +95,13 @@ def test_the_hash_of_a_type_of_ros2_is_the_known_one() -> None:
 @pytest.mark.parametrize("distro", DISTROS)
 @pytest.mark.parametrize(
     ("shift_us", "expected"),
-    [(-2_000_000, (0, 0)), (1 << 60, None)],
+    [
+        (-2_000_000, (0, 0)),
+        (1 << 60, None),
+        (((1 << 31) - 2) * 1_000_000, ((1 << 31) - 1, 500_000_000)),
+        (-1_500_000, (0, 0)),
+        (-1_499_999, (0, 1000)),
+    ],
 )
 def test_times_before_1970_and_beyond_the_last_one_are_the_nearest(
     distro: str, shift_us: int, expected: tuple[int, int] | None
@@ -360,6 +366,36 @@ def test_diagnostics_tell_what_is_wrong(distro: str) -> None:
     assert facts["clock"] == "locked"
 
 
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize("is_here", [False, True])
+@pytest.mark.parametrize("problem", ["", "odd"])
+@pytest.mark.parametrize("count", [0, 5])
+def test_the_level_of_diagnostics_is_that_of_the_state_now(
+    distro: str, is_here: bool, problem: str, count: int
+) -> None:
+    """Not of what was before: a board or a sink that has gone may have done well."""
+    ros = RosMessages(distro)
+    topics = (TopicStatus("quad", count, 0.0, None, 0, 0),) * bool(count)
+    board = BoardStatus("left", "A1", "tcp://x", is_here, problem, topics=topics)
+    status = Status("host", (board,), (SinkStatus("udp", is_here, problem, count, 0),))
+    message = ros.read("diagnostic_msgs/msg/DiagnosticArray", ros.diagnostics(status, 5))
+    levels = [int(one.level) for one in message.status]
+    assert levels == ([int(bool(problem)), 0] if is_here else [2, 2])
+
+
+@pytest.mark.parametrize("distro", DISTROS)
+def test_transducers_of_equal_shape_have_each_its_own_type(distro: str) -> None:
+    names = ["left", "right", "wheel", "servo"]
+    text = "".join(
+        f"{'ACTUATOR' if name == 'servo' else 'SENSOR'}({name}, {at}, {name}, M, 1, u8, 0)\n"
+        for at, name in enumerate(names)
+    )
+    ros, descriptors = RosMessages(distro), read_transds(text)
+    found = [ros.type_of(Topic(one.name, "b", one, descriptors)) for one in descriptors.transducers]
+    expected = names if ros.is_ros1 else [name.capitalize() for name in names]
+    assert found == [f"j2a_msgs/msg/{name}" for name in expected]
+
+
 def test_types_of_boards_that_differ_do_not_meet() -> None:
     ros = RosMessages("jazzy")
     one, other = topic_of(QUAD), topic_of("SENSOR(quad, 0, quad, M, 2, u8, none)")
@@ -424,6 +460,37 @@ def test_a_structure_that_was_not_read_is_not_published_again() -> None:
     found = stamps_of(IMU.replace("M, 1, motion", "M, 2, motion"), *samples)
     assert found[1] == {"imu/imu_1": 3, "imu/magnetic_field_1": 3}
     assert len(found[0]) == 4
+
+
+NAN = struct.pack("<f", math.nan)
+PAIR = "J2A_STRUCT(place, (array(f32, 3), field, uT))\nSENSOR(d, 0, s, M, 2, place, none)"
+
+
+@pytest.mark.parametrize(
+    ("definition", "value", "first", "second"),
+    [
+        (
+            "SENSOR(d, 0, s, M, 2, f32, none, (unit, Cel))",
+            NAN,
+            {"d/temperature_0": 1, "d/temperature_1": 2},
+            {"d/temperature_1": 3},
+        ),
+        (
+            PAIR,
+            bytes(4) + NAN + bytes(4),
+            {"d/magnetic_field_0": 1, "d/magnetic_field_1": 2},
+            {"d/magnetic_field_1": 3},
+        ),
+    ],
+)
+def test_what_is_no_number_is_not_published_again_either(
+    definition: str, value: bytes, first: dict[str, int], second: dict[str, int]
+) -> None:
+    samples = [
+        b"".join(struct.pack("<Q", time * 1_000_000) + value for time in times)
+        for times in ((1, 2), (1, 3), (1, 3))
+    ]
+    assert stamps_of(definition, *samples) == [first, second, {}]
 
 
 def test_of_a_channel_that_is_alone_each_sample_is_published() -> None:

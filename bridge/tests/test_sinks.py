@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import json
+import math
 import os
 import re
 import signal
@@ -80,6 +81,17 @@ def test_a_channel_that_was_not_read_is_not_sent_again(receiver):
             assert sent(queue, "<HBQB", 0, 1, 1_000_000, 5) == [(1.0, "1", 5)]
     finally:
         sink.close()
+
+
+def test_fields_beside_one_that_is_no_number_are_not_sent_again():
+    text = "J2A_STRUCT(pair, (f32, a), (f32, b))\nSENSOR(s, 0, s, M, 2, pair, none)"
+    values = struct.pack("<ff", math.nan, 2.5)
+    payloads = [
+        b"".join(struct.pack("<Q", one) + values for one in times) for times in ((7, 8), (7, 9))
+    ]
+    update = update_of(topic_of(text), payloads[1])
+    assert list(numbers(update, payloads[0])) == [(9000, "1/b", 2.5)]
+    assert list(numbers(update)) == [(7000, "0/b", 2.5), (9000, "1/b", 2.5)]
 
 
 async def sent(device, url, sink, receiver):

@@ -7,10 +7,10 @@ not read since the sample before.
 
 import json
 import socket
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, ClassVar
 
-from j2a import LocalError, Reading
+from j2a import LocalError
 from j2a_bridge.sink import Control, Option, Sink, Update
 from j2a_bridge.topics import Topic
 
@@ -46,7 +46,7 @@ class UdpSink(Sink):
             )
         self._address = host.strip("[]"), int(port)
         self._socket: socket.socket | None = None
-        self._before: dict[str, Container[Reading]] = {}
+        self._before: dict[str, bytes] = {}
 
     def open(self) -> None:
         """Find the address."""
@@ -72,17 +72,17 @@ class UdpSink(Sink):
     def publish(self, update: Update) -> None:
         """Send a sample."""
         assert self._socket is not None
-        found = numbers(update, self._unread(update))
+        found = numbers(update, self._payload_before(update))
         for data in (self._json if self._is_json else self._teleplot)(update, found):
             self._socket.sendto(data, self._target)
 
-    def _unread(self, update: Update) -> Container[Reading]:
-        """Return the readings that a sample may have from the one before it."""
+    def _payload_before(self, update: Update) -> bytes:
+        """Return the sample before, of which this one may have readings; b"" where it has none."""
         sensor, name = update.topic.transducer, update.topic.name
         if sensor.queue or sensor.channels == 1:
-            return ()
-        before = () if update.sample.is_reset else self._before.get(name, ())
-        self._before[name] = update.sample.readings
+            return b""
+        before = b"" if update.sample.is_reset else self._before.get(name, b"")
+        self._before[name] = update.sample.payload
         return before
 
     def close(self) -> None:
@@ -116,13 +116,14 @@ class UdpSink(Sink):
             yield lines
 
 
-def numbers(update: Update, before: Container[Reading] = ()) -> Iterator[tuple[int, str, float]]:
+def numbers(update: Update, before: bytes = b"") -> Iterator[tuple[int, str, float]]:
     """Yield the numbers of a sample: when each was taken in ns, its name such as "0/x", and it.
 
-    N/A, infinities and what is no number are left out, and readings that were there before.
+    N/A, infinities and what is no number are left out, and readings that were there in the payload
+    of the sample before.
     """
     for reading, stamp in zip(update.sample.readings, update.stamps_ns, strict=True):
-        if stamp is None or reading.value is None or reading in before:
+        if stamp is None or reading.value is None or update.is_old(reading.channel, before):
             continue
         for name, value in _flat(str(reading.channel), reading.value):
             yield stamp, name, value
