@@ -3,11 +3,13 @@
 import asyncio
 import json
 import struct
+from types import SimpleNamespace
 
 import aiohttp
 import pytest
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sinks.foxglove import _Listener
 
 from j2a import LocalError
 
@@ -53,7 +55,7 @@ def test_samples_come_as_messages_of_ros2_and_commands_go_back(caplog):
                 while not got.done():
                     device.sense("quad", 1, 45.5)
                     await asyncio.wait([got], timeout=0.05)
-                data = got.result()
+                data, log_time_ns = got.result()
                 await socket.send_json(
                     {
                         "op": "advertise",
@@ -78,14 +80,16 @@ def test_samples_come_as_messages_of_ros2_and_commands_go_back(caplog):
                 await until(lambda: "servo was not set" in caplog.text)
                 await until(lambda: caplog.text.count("a command was refused") >= 5)
                 await socket.close()
-        return quad, data
+        return quad, data, log_time_ns
 
-    quad, data = asyncio.run(work())
+    quad, data, log_time_ns = asyncio.run(work())
     assert (quad["encoding"], quad["schemaName"]) == ("cdr", "j2a_msgs/msg/Quad")
     assert "int16[] values" in quad["schema"]
     ros = RosMessages("jazzy")
     message = ros.store_of(_descriptors()).deserialize_cdr(data, "j2a_msgs/msg/Quad")
     assert message.values.tolist() == [0, 91]
+    # When it was measured, not when it came.
+    assert log_time_ns == max(one.sec * 10**9 + one.nanosec for one in message.times)
 
 
 def test_channels_of_a_board_that_has_gone_are_not_kept():
@@ -119,7 +123,7 @@ async def binary(socket):
     while True:
         message = await socket.receive(timeout=PATIENCE_S)
         if message.type is aiohttp.WSMsgType.BINARY and message.data[0] == 1:
-            return message.data[13:]
+            return message.data[13:], int.from_bytes(message.data[5:13], "little")
 
 
 def test_a_viewer_that_reads_nothing_delays_nobody(kept):
@@ -145,3 +149,31 @@ def test_a_viewer_that_reads_nothing_delays_nobody(kept):
 def test_an_address_that_is_none_is_told(word):
     with pytest.raises(LocalError, match="foxglove listens at HOST:PORT"):
         make_sink(SinkRequest.parse(f"foxglove:{word}"), None)
+
+
+@pytest.mark.parametrize(
+    ("host", "told"), [("127.0.0.1", "ws://127.0.0.1:"), ("[::1]", "ws://[::1]:")]
+)
+def test_what_to_open_is_a_url(host, told):
+    sink = make_sink(SinkRequest.parse(f"foxglove:{host}:0"), None)
+    sink.open()
+    try:
+        assert sink.told() == f"open {told}{sink.port} in Foxglove"
+    finally:
+        sink.close()
+
+
+def test_viewers_number_their_channels_each_for_itself():
+    taken = []
+    listener = _Listener(SimpleNamespace(take=lambda name, data: taken.append((name, data))))
+    viewers = [SimpleNamespace(id=number) for number in (1, 2, 7)]
+    for at, viewer in enumerate(viewers):
+        for channel in (1, 2):
+            about = SimpleNamespace(id=channel, topic=f"/{at}/{channel}")
+            listener.on_client_advertise(viewer, about)
+    listener.on_client_unadvertise(viewers[0], 2)
+    for viewer in viewers:
+        for channel in (1, 2):
+            listener.on_message_data(viewer, channel, b"")
+    names = [name for name, _ in taken]
+    assert names == ["/0/1", "", "/1/1", "/1/2", "/2/1", "/2/2"]

@@ -11,6 +11,7 @@ import struct
 import subprocess
 import time
 from concurrent.futures import CancelledError, Future
+from dataclasses import replace
 
 import paho.mqtt.client as paho
 import pytest
@@ -18,6 +19,8 @@ from j2a_bridge.sink import Control, SinkError
 from j2a_bridge.sinks import mqtt
 from j2a_bridge.sinks.mqtt import MqttSink
 from j2a_bridge.topics import plain_name
+
+from j2a import LocalError
 
 from .support import PATIENCE_S, board_of, bridging, config_for, free_port, served, until
 from .test_ros_messages import topic_of, update_of
@@ -395,19 +398,103 @@ def test_the_birth_of_a_bridge_that_has_ended_is_no_other_bridge(broker, listene
     assert not [one for one in caplog.records if "has the node" in one.message]
 
 
-def test_boards_that_went_while_the_broker_was_away_are_dead_when_it_is_back(broker, listener):
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_boards_that_went_while_the_broker_was_away_are_dead_when_it_is_back(
+    broker, listener, count
+):
     sink = sink_of(broker.port)
     sink.open()
-    topic = topic_of("SENSOR(s, 0, s, M, 1, u8, none)")
-    birth = f"j2a/DBIRTH/{HOST}/{topic.board}"
+    one = topic_of("SENSOR(s, 0, s, M, 1, u8, none)")
+    topics = [replace(one, board=f"board{number}") for number in range(count)]
+
+    def births():
+        return [listener.next(f"j2a/DBIRTH/{HOST}/{topic.board}") for topic in topics]
+
     try:
-        sink.announce(topic)
-        assert listener.next(birth)["topics"]
+        for topic in topics:
+            sink.announce(topic)
+        assert all(one["topics"] for one in births())
         sink.close()
         sink.open()
-        listener.next(f"j2a/DDEATH/{HOST}/{topic.board}")
-        assert listener.next(birth) == {}  # it stays with the broker, in place of the old one
-        sink.announce(topic)
-        assert listener.next(birth)["topics"]
+        # It stays with the broker, in place of the old one.
+        for topic in topics:
+            listener.next(f"j2a/DDEATH/{HOST}/{topic.board}")
+            assert listener.next(f"j2a/DBIRTH/{HOST}/{topic.board}") == {}
+        for topic in topics:
+            sink.announce(topic)
+        assert all(one["topics"] for one in births())
     finally:
         sink.close()
+
+
+@pytest.mark.parametrize(
+    "kind", ["SENSOR(s, 0, s, M, 1, u8, none)", "ACTUATOR(s, 0, s, M, 1, u8, 0)"]
+)
+def test_the_birth_of_a_board_has_all_that_is_here_of_it(broker, listener, kind):
+    sink = sink_of(broker.port)
+    sink.open()
+    topics = [topic_of(kind, name=f"s{number}") for number in range(3)]
+
+    def born():
+        return sorted(listener.next(f"j2a/DBIRTH/{HOST}/board")["topics"])
+
+    try:
+        for count, topic in enumerate(topics, 1):
+            sink.announce(topic)
+            assert born() == [one.name for one in topics[:count]]
+        for count in (2, 1):
+            sink.retract(topics[count])
+            assert born() == [one.name for one in topics[:count]]
+    finally:
+        sink.close()
+
+
+def test_who_comes_after_a_bridge_has_died_is_told_of_it(broker, listener):
+    sink = sink_of(broker.port)
+    sink.open()
+    try:
+        sink._client.socket().shutdown(socket.SHUT_RDWR)  # and it says no word
+        listener.next(f"j2a/NDEATH/{HOST}")
+        later = Listener(broker.port)
+        later.next(f"j2a/NDEATH/{HOST}")
+        later.end()
+    finally:
+        sink.close()
+
+
+@pytest.mark.parametrize(
+    ("argument", "host", "port"),
+    [
+        ("", "127.0.0.1", 1883),
+        ("box", "box", 1883),
+        ("box:2000", "box", 2000),
+        ("[::1]:2000", "::1", 2000),
+        ("[::1]", "::1", 1883),
+    ],
+)
+def test_a_broker_is_a_name_or_an_address_with_or_without_a_port(argument, host, port):
+    options = {name: option.default for name, option in MqttSink.OPTIONS.items()}
+    sink = MqttSink(argument, options, None)
+    assert (sink._host, sink._port) == (host, port)
+
+
+@pytest.mark.parametrize("argument", ["box:", "box:0", "box:65536", "box:x", "[::1]x", "[::1]:x"])
+def test_a_broker_that_cannot_be_is_refused(argument):
+    options = {name: option.default for name, option in MqttSink.OPTIONS.items()}
+    with pytest.raises(LocalError, match="mqtt speaks with HOST:PORT"):
+        MqttSink(argument, options, None)
+
+
+@pytest.mark.parametrize(("lost", "missed"), [(0, 0), (3, 0), (0, 4), (3, 4)])
+def test_what_the_board_and_what_the_link_has_lost_counts(lost, missed):
+    update = update_of(topic_of("SENSOR(s, 0, s, M, 1, u8, none)"), struct.pack("<QB", 7, 1))
+    sample = replace(update.sample, lost=lost, missed=missed)
+    assert mqtt.sample_object(replace(update, sample=sample))["lost"] == lost + missed
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1, 0), (0.5, 0), (1, -40), (-0.25, 12)])
+def test_the_range_of_a_birth_is_in_the_unit(scale, offset):
+    more = f"(scale, {scale}), (offset, {offset})"
+    topic = topic_of(f"SENSOR(s, 0, s, M, 1, i16, none, (unit, Cel), {more}, (range, -20, 60))")
+    ends = [-20 * scale + offset, 60 * scale + offset]
+    assert mqtt.transducer_object(topic)["range"] == pytest.approx(ends)

@@ -82,7 +82,9 @@ class FoxgloveSink(Sink):
 
     def told(self) -> str:
         """Return what to open."""
-        return f"open ws://{self._address[0]}:{self.port} in Foxglove"
+        host = self._address[0]
+        shown = f"[{host}]" if ":" in host else host
+        return f"open ws://{shown}:{self.port} in Foxglove"
 
     def announce(self, topic: Topic) -> None:
         """Offer a sensor, or take commands for an actuator."""

@@ -54,13 +54,17 @@ class MqttSink(Sink):
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
         super().__init__(argument, options, control)
         _paho()
-        host, colon, port = argument.rpartition(":") if ":" in argument else (argument, "", "")
-        self._host = host or "127.0.0.1"
+        host, colon, port = argument.rpartition(":")
+        if not colon or argument.endswith("]"):  # an address of IPv6 is in brackets
+            host, colon, port = argument, "", ""
+        self._host = host.strip("[]") or "127.0.0.1"
         self._port = 8883 if options["ca"] else 1883
         if colon:
             if not port.isdecimal() or not 0 < int(port) < 1 << 16:
                 raise LocalError(f"mqtt speaks with HOST:PORT, not {argument!r:.60}")
             self._port = int(port)
+        shown = f"[{self._host}]" if ":" in self._host else self._host
+        self._where = f"{shown}:{self._port}"
         group = options["group"]
         if not group or any(one in group for one in "#+\0"):
             raise LocalError(f"the group of mqtt is a topic without # and +, not {group!r:.40}")
@@ -102,7 +106,7 @@ class MqttSink(Sink):
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
         client.on_message = self._on_message
-        where = f"{self._host}:{self._port}"
+        where = self._where
         try:
             client.connect(self._host, self._port, keepalive=15)
         except OSError as error:
@@ -119,7 +123,7 @@ class MqttSink(Sink):
 
     def told(self) -> str:
         """Return where it publishes."""
-        return f"publishing {self.options['group']}/# at {self._host}:{self._port}"
+        return f"publishing {self.options['group']}/# at {self._where}"
 
     def close(self) -> None:
         """Tell that this computer is gone, and disconnect."""
@@ -158,9 +162,9 @@ class MqttSink(Sink):
             return
         self._namesakes.add(other)
         _logger.warning(
-            "mqtt: another bridge at %s:%d has the node %s, too, so that each replaces what the "
-            "other tells: give each its own, as in mqtt:%s:%d,node=NAME",
-            *(self._host, self._port, self._node, self._host, self._port),
+            "mqtt: another bridge at %s has the node %s, too, so that each replaces what the "
+            "other tells: give each its own, as in mqtt:%s,node=NAME",
+            *(self._where, self._node, self._where),
         )
         with contextlib.suppress(SinkError):  # the broker is gone already
             self._tell_birth()
@@ -176,13 +180,13 @@ class MqttSink(Sink):
         sent = client.publish(self._topic(kind, *parts), data, qos=qos, retain=retain)
         if qos and sent is not None and sent.rc == _QUEUE_FULL:
             # Opened anew, it tells all boards that are here then.
-            raise SinkError(f"the broker at {self._host}:{self._port} takes no births")
+            raise SinkError(f"the broker at {self._where} takes no births")
         return sent
 
     def _here(self) -> Any:
         client = self._client  # `close` may take it away while an order is answered
         if client is None or not self._connected.is_set():
-            raise SinkError(f"the broker at {self._host}:{self._port} is gone: {self._why}")
+            raise SinkError(f"the broker at {self._where} is gone: {self._why}")
         return client
 
     def status(self, status: Status) -> None:
@@ -228,7 +232,7 @@ class MqttSink(Sink):
         except RuntimeError:  # the connection has ended meanwhile
             is_taken = False
         if not is_taken:
-            raise SinkError(f"the broker at {self._host}:{self._port} takes no samples")
+            raise SinkError(f"the broker at {self._where} takes no samples")
 
     # ------------------------------------------------------------------ orders
 
