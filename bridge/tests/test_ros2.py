@@ -13,13 +13,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsPublication,
+    BuiltinTopicDcpsSubscription,
+)
 from cyclonedds.domain import DomainParticipant
+from j2a_bridge.actuators import FLOATS
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sink import SinkError, SinkRequest, make_sink
 from j2a_bridge.sinks.ros2 import Ros2Sink
+from j2a_bridge.topics import Topic
 
 from j2a import LocalError
+from j2a.types.transds_file import read_transds
 
 from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, served, until
 from .test_zenoh import HASH, _descriptors
@@ -229,6 +236,108 @@ def test_endpoints_tell_the_hash_of_their_type_and_the_quality_of_sensor_data(do
     assert "KeepLast(depth=5)" in about
     assert f"typehash={HASH};" in about
     assert "Reliable" in str(diagnostics.qos)
+
+
+BOARDS = {
+    "arm": "SENSOR(quad, 0, q, M, 2, i16, none, (unit, deg))\nACTUATOR(servo, 1, s, M, 2, i8, 0)",
+    "leg": "SENSOR(far, 0, f, M, 3, u16, none, (unit, cm))\nACTUATOR(lamp, 1, l, M, 1, bool, 0)",
+}
+
+
+def topics_of_boards():
+    """Return the topics of two boards, and all types that they are published or taken as."""
+    topics, kinds = [], {}
+    for board, text in BOARDS.items():
+        descriptors = read_transds(text)
+        for one in descriptors.transducers:
+            topic = Topic(f"{board}/{one.name}", board, one, descriptors)
+            ros = RosMessages("jazzy")
+            store = ros.store_of(descriptors)
+            topics.append(topic)
+            kinds |= {
+                f"rt/{message.topic}": store.hash_rihs01(message.type)
+                for message in ros.messages(topic)
+            }
+            if not one.is_sensor:
+                kinds[f"rt/{topic.name}"] = store.hash_rihs01(ros.type_of(topic))
+                if one.name != "lamp":  # which no number sets
+                    kinds[f"rt/{topic.name}/cmd"] = store.hash_rihs01(FLOATS)
+    return topics, kinds
+
+
+def test_the_graph_has_all_writers_and_readers_of_the_boards_that_are_here(domain):
+    sink = make_sink(SinkRequest.parse(f"ros2:domain={domain}"), None)
+    sink.open()
+    told = []
+    sink._graph.put = told.append
+
+    def graph():
+        """What was told last, and what there is."""
+        kind = "rmw_dds_common/msg/ParticipantEntitiesInfo"
+        [node] = RosMessages("jazzy").read(kind, told[-1]).node_entities_info_seq
+        readers = [one for found in sink._readers.values() for one in found]
+        writers = [sink._diagnostics.writer]
+        writers += [one.writer for found in sink._writers.values() for _, one in found]
+        told_gids = [
+            sorted(bytes(one.data) for one in gids)
+            for gids in (node.writer_gid_seq, node.reader_gid_seq)
+        ]
+        assert told_gids == [
+            sorted(one.guid.bytes for one in found) for found in (writers, readers)
+        ]
+        return len(writers), len(readers)
+
+    topics, _ = topics_of_boards()
+    try:
+        counts = []
+        for topic in topics:
+            sink.announce(topic)
+            counts.append(graph())
+        assert counts == [(3, 0), (3, 2), (7, 2), (7, 3)]
+        for topic in reversed(topics):
+            sink.retract(topic)
+            counts.append(graph())
+        assert counts[4:] == [(7, 2), (3, 2), (3, 0), (1, 0)]
+    finally:
+        sink.close()
+
+
+def test_each_endpoint_has_the_hash_of_its_type_and_the_quality_that_its_peers_expect(domain):
+    sink = make_sink(SinkRequest.parse(f"ros2:domain={domain}"), None)
+    sink.open()
+    topics, kinds = topics_of_boards()
+    actuators = {f"rt/{one.name}" for one in topics if not one.transducer.is_sensor}
+    actuators |= {f"{one}/cmd" for one in actuators}
+    try:
+        for topic in topics:
+            sink.announce(topic)
+        participant = DomainParticipant(domain)
+        readers = [
+            BuiltinDataReader(participant, one)
+            for one in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
+        ]
+        found = {}
+
+        def look():
+            for at, reader in enumerate(readers):
+                found.update({(at, one.topic_name): str(one.qos) for one in reader.take(N=100)})
+            return {name for _, name in found} >= {"ros_discovery_info", *kinds}
+
+        async def wait():
+            await until(look)
+
+        asyncio.run(wait())
+    finally:
+        sink.close()
+    for name, type_hash in kinds.items():
+        qos = found[int(name in actuators), name]
+        assert f"typehash={type_hash};" in qos, name
+        kind, depth = ("Reliable", 10) if name in actuators else ("BestEffort", 5)
+        assert f"Reliability.{kind}" in qos and f"KeepLast(depth={depth})" in qos, name
+        assert "Durability.Volatile" in qos, name
+    graph = found[0, "ros_discovery_info"]
+    for word in ("Reliability.Reliable", "KeepLast(depth=1)", "Durability.TransientLocal"):
+        assert word in graph
 
 
 def test_discovery_stays_on_this_computer(domain):

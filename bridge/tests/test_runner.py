@@ -286,5 +286,6 @@ def test_a_topic_is_offered_anew_to_a_sink_that_is_opened_anew(
         runner.publish(value(each, number))
     runner.end()
     assert runner.join(PATIENCE_S)
+    assert runner.status.problem == ""
     assert sink.values == ([4] if is_refused_again else [3, 4])
     assert runner.dropped == 2 + is_refused_again

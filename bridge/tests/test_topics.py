@@ -90,6 +90,33 @@ def test_a_board_that_is_here_again_has_its_name():
     assert names.board("A6", "u5", {"name": "arm"}) == "arm"
 
 
+@pytest.mark.parametrize("with_board", [False, True])
+def test_a_board_that_is_forgotten_leaves_its_topics_to_others(with_board):
+    names = Names(with_board=with_board)
+    sensors = read_transds("SENSOR(a, 0, a, M, 1, u8, none)\nSENSOR(b, 1, b, M, 1, u8, none)\n")
+    others = {}
+    for identity, name in (("1", "leg"), ("2", "arm")):
+        board = names.board(identity, f"u{identity}", {"name": name})
+        found = [names.topic(board, one) for one in sensors.transducers]
+        others[board] = found
+    names.forget_board("1")
+    board = names.board("3", "u3", {"name": "hip"})
+    found = [names.topic(board, one) for one in sensors.transducers]
+    assert found == [one.replace("leg/", "hip/") for one in others["leg"]]
+    # The other board keeps its own.
+    assert [names.topic("arm", one) for one in sensors.transducers] == others["arm"]
+
+
+@pytest.mark.parametrize("chosen", [{}, {"S1": "arm", "S2": "arm"}, {"u2": "arm"}])
+def test_of_boards_of_one_name_the_later_ones_have_their_serial_number(chosen):
+    names = Names(with_board=True, boards=chosen)
+    found = [
+        names.board(serial, url, {"name": "arm", "serial": serial})
+        for serial, url in (("S1", "u1"), ("S2", "u2"))
+    ]
+    assert found == ["arm", "arm_S2"]
+
+
 def test_the_topic_of_the_diagnostics_is_taken():
     names = Names(with_board=False)
     [one] = read_transds("SENSOR(diagnostics, 1, d, M, 1, u8, none)").transducers

@@ -2,8 +2,11 @@
 
 import asyncio
 import contextlib
+import errno
 import json
 import math
+import os
+import random
 import re
 import socket
 import struct
@@ -12,12 +15,13 @@ import threading
 import aiohttp
 import pytest
 from j2a_bridge import web_server
-from j2a_bridge.actuator_values import ActuatorValues
+from j2a_bridge.actuator_values import ActuatorValues, _object
 from j2a_bridge.sink import BoardStatus, Status
-from j2a_bridge.sinks.web import WebSink, _Span
+from j2a_bridge.sinks.web import _SERIES, WebSink, _Span
+from j2a_bridge.web_server import _Page
 
 import j2a
-from j2a.recording import Recording
+from j2a.recording import Recorder, Recording
 
 from .support import PATIENCE_S, TRANSDS, board_of, bridging, config_for, free_port, served, until
 from .test_ros_messages import IMU, topic_of, update_of
@@ -301,7 +305,13 @@ def test_bytes_of_a_call_name_no_file(tmp_path):
         ({}, "/ws"),
         ({"Origin": "http://evil.example"}, None),
         ({"Origin": "null"}, None),
+        ({"Origin": "http://{host}.evil.example"}, None),
+        ({"Origin": "http://{host}0"}, None),
+        ({"Origin": "http://{host}/"}, None),
+        ({"Origin": "https://{host}"}, None),
+        ({"Origin": "http://127.0.0.1"}, None),
         ({"Host": "evil.example"}, None),
+        ({"Host": "{host}.evil.example"}, None),
         ({"Host": "127.0.0.1"}, None),
     ],
 )
@@ -309,14 +319,16 @@ def test_strangers_are_refused(headers, path):
     async def work():
         async with paged(board_of()) as (session, server, _):
             base = server.url.rsplit("/", 2)[0] + "/"
+            host = server.url.split("/")[2]
+            sent = {key: value.replace("{host}", host) for key, value in headers.items()}
             for name in ("ws", "", "app.js"):
                 url = server.url + name if path is None else base + path.replace("ws", name)
-                async with session.get(url, headers=headers) as answer:
+                async with session.get(url, headers=sent) as answer:
                     assert answer.status in (403, 404), name
                     assert "robot" not in await answer.text()
             if path is None:
                 with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
-                    await opened(session, server, **headers)
+                    await opened(session, server, **sent)
                 assert caught.value.status == 403
             with pytest.raises(aiohttp.WSServerHandshakeError):
                 await session.ws_connect(server.url + "ws")  # no browser: no origin
@@ -456,6 +468,65 @@ def test_a_flood_of_connections_and_of_messages_is_bounded():
     in_loop(work)
 
 
+def test_as_many_pages_are_served_as_the_limit_says():
+    async def work():
+        async with paged(board_of()) as (session, server, _):
+            pages = [await opened(session, server) for _ in range(web_server._MAX_PAGES)]
+            for _ in range(2):
+                with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+                    await opened(session, server)
+                assert caught.value.status == 503
+                await pages.pop().close()
+                await until(lambda: len(server._pages) < web_server._MAX_PAGES)
+                pages.append(await opened(session, server))  # there is room again
+
+    in_loop(work)
+
+
+class Blocked:
+    """The socket of a page that reads nothing."""
+
+    def __init__(self):
+        self.codes = []
+        self.is_closed = asyncio.Event()
+
+    async def send_str(self, text):
+        await asyncio.Event().wait()
+
+    async def close(self, code):
+        self.codes.append(code)
+        self.is_closed.set()
+
+    async def __aiter__(self):
+        await self.is_closed.wait()
+        for _ in ():
+            yield
+
+
+@pytest.mark.parametrize("lines", [1, 31, 32])
+def test_a_page_that_does_not_read_misses_values_and_is_dropped_at_last(lines):
+    """There is room for lines of the log after any number of values, but not for ever."""
+
+    async def work():
+        socket = Blocked()
+        page = _Page(None, socket)
+        task = asyncio.create_task(page.run())
+        await asyncio.sleep(0)
+        for _ in range(1000):
+            page.send("value", is_lossy=True)
+        for _ in range(lines):
+            page.send("line")
+        await asyncio.sleep(0.01)
+        assert not socket.codes
+        for _ in range(web_server._WAITING):
+            page.send("line")
+        await asyncio.wait_for(task, PATIENCE_S)
+        return socket.codes
+
+    codes = in_loop(work)
+    assert codes and set(codes) == {aiohttp.WSCloseCode.TRY_AGAIN_LATER}
+
+
 def test_a_page_that_reads_nothing_disturbs_nobody(kept):
     async def work():
         device = board_of()
@@ -525,7 +596,8 @@ def test_recordings_are_begun_and_ended_by_the_page(tmp_path):
                 device.sense("quad", 0, value, raw=True)
                 await asyncio.sleep(0.01)
             assert (await ask(page, op="record", on=False))["ok"]
-            await next_of(page, "status", lambda about: not about["recording"])
+            ended = await next_of(page, "status", lambda about: not about["recording"])
+            assert ended["problem"] == ""
         return state["recording"]
 
     path = in_loop(work)
@@ -534,6 +606,30 @@ def test_recordings_are_begun_and_ended_by_the_page(tmp_path):
     assert found == sorted(found)
     assert found
     assert recording.is_whole
+
+
+def test_a_recording_that_fails_ends_and_is_not_begun_again(tmp_path, monkeypatch):
+    def fail(self, *args):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    sink = WebSink("", {"folder": str(tmp_path), "token": ""}, None)
+    topic = topic_of("SENSOR(s, 0, s, M, 1, u8, none)")
+    sink.announce(topic)
+    sink.want_recording(True)
+    sink.status(Status("host"))
+    assert sink.state()["recording"] and sink.state()["problem"] == ""
+    with monkeypatch.context() as patched:
+        patched.setattr(Recorder, "write", fail)
+        sink.publish(update_of(topic, struct.pack("<QB", 7, 1)))
+    for _ in range(3):
+        sink.status(Status("host"))
+        assert sink.state()["recording"] is None
+        assert "No space left" in sink.state()["problem"]
+    assert len(list(tmp_path.iterdir())) == 1
+    sink.want_recording(True)  # as the user wants
+    sink.status(Status("host"))
+    assert sink.state()["recording"] and sink.state()["problem"] == ""
+    sink.close()
 
 
 def test_sifs_and_debug_text_are_in_the_log():
@@ -645,6 +741,68 @@ def test_spikes_stay_visible_when_samples_are_thinned():
     assert (322, -30000) in points
     assert points == sorted(points)
     assert len(points) <= 3
+
+
+def test_least_greatest_and_newest_value_of_a_span_are_kept():
+    topic = topic_of("SENSOR(s, 0, s, M, 1, i16, none)")
+    chance = random.Random(7)
+    for length in (*range(1, 12), 100):
+        values = [chance.randrange(-5, 6) for _ in range(length)]
+        span = _Span({})
+        for at, value in enumerate(values):
+            span.add(update_of(topic, struct.pack("<Qh", 1000 + 1000 * at, value)))
+        flat = span.object()["s"]["0"]
+        points = list(zip(flat[::2], flat[1::2], strict=True))
+        assert points[-1] == (length, values[-1])
+        assert {min(values), max(values)} <= {value for _, value in points}
+        assert all(values[at - 1] == value for at, value in points)
+
+
+@pytest.mark.parametrize("count", [1, _SERIES - 1, _SERIES, _SERIES + 1, 2 * _SERIES])
+def test_so_many_lines_are_drawn_of_a_topic_and_no_more(count):
+    topic = topic_of(f"SENSOR(s, 0, s, M, 1, array(u8, {count}), none)")
+    span = _Span({})
+    for time in (1000, 2000):
+        span.add(update_of(topic, struct.pack("<Q", time) + bytes(range(count))))
+    series = span.object()["s"]
+    assert list(series) == [f"0/{at}" for at in range(min(count, _SERIES))]
+    assert all(len(one) == 4 for one in series.values())
+
+
+def test_a_transducer_that_comes_again_with_fewer_channels_shows_these_alone():
+    sink = WebSink("", {"folder": ".", "token": ""}, None)
+    for channels in (3, 1, 2):
+        topic = topic_of(f"SENSOR(s, 0, s, M, {channels}, u8, none)")
+        sink.announce(topic)
+        sink.publish(update_of(topic, struct.pack("<QB", 7, channels) * channels))
+        [data] = [one for one in sink.news() if one["op"] == "data"]
+        assert data["d"]["s"]["v"] == [str(channels)] * channels
+        sink.retract(topic)
+
+
+@pytest.mark.parametrize(
+    ("kind", "raw", "value"),
+    [
+        ("i16, 100, (unit, m), (scale, 0.1)", 100, 10),
+        ("i16, 100, (unit, m), (scale, 0.1), (offset, -3)", 100, 7),
+        ("i16, -7, (unit, Cel), (offset, 40)", -7, 33),
+        ("i32, 1234567891, (unit, m), (scale, 0.001)", 1234567891, 1234567.891),
+        ("u64, 0xFFFFFFFFFFFFFFFF", 2**64 - 1, 2**64 - 1),
+        ("f64, none", math.pi, math.pi),
+        ("f32, none", struct.unpack("f", struct.pack("f", 0.1))[0], 0.1),
+    ],
+)
+def test_a_control_begins_at_the_value_that_the_actuator_has_or_is_safe(kind, raw, value):
+    topic = topic_of(f"ACTUATOR(a, 0, a, M, 1, {kind})")
+    one = topic.transducer
+    known = raw * one.scale + one.offset if one.is_scaled else raw
+    found = [_object(one, j2a.Reading(0, 7, raw, known))]
+    if one.safe is not None:
+        found.append(_object(one, j2a.Reading(0, None, 0, None)))
+    assert [one["is_set"] for one in found] == [True, False][: len(found)]
+    for about in found:
+        shown = json.loads(about["text"])
+        assert shown == (value if isinstance(value, int) else pytest.approx(value, rel=1e-14))
 
 
 def test_values_are_shown_with_unit_and_what_is_none_as_such():

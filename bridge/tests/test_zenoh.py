@@ -5,14 +5,17 @@ import json
 import struct
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xxhash
 import zenoh
-from j2a_bridge.command_fleet import read_status
+from j2a_bridge.command_fleet import ask, lines, read_status
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sinks.zenoh import FLEET
+from j2a_bridge.topics import Topic
 
 import j2a
 from j2a.types.transds_file import read_transds
@@ -130,6 +133,76 @@ def test_actuators_are_set_by_messages_of_both_types(locator, caplog):
 
     asyncio.run(with_peer(locator, work))
     assert "servo is -100 % to 100 %, not 101 %" in caplog.text
+
+
+def test_tokens_of_a_board_that_has_gone_go_with_it(locator):
+    sink = make_sink(SinkRequest.parse(f"zenoh:mode=router,listen={locator}"), None)
+    text = """
+SENSOR(far, 0, f, M, 3, u16, none, (unit, cm))
+SENSOR(level, 1, l, M, 1, u8, none)
+ACTUATOR(servo, 2, s, M, 2, i8, 0)
+"""
+    descriptors = read_transds(text)
+    topics = [Topic(one.name, "arm", one, descriptors) for one in descriptors.transducers]
+    sink.open()
+    peer = Peer(locator)
+    try:
+        found = [peer.tokens()]
+        for topic in topics:
+            sink.announce(topic)
+            found.append(peer.tokens())
+        # Its own type, and a range of each channel; its own type; its own type, and commands.
+        assert [len(one - found[0]) for one in found] == [0, 4, 5, 7]
+        for topic in reversed(topics):
+            sink.retract(topic)
+            del found[-1]
+            assert peer.tokens() == found[-1]
+    finally:
+        peer.session.close()
+        sink.close()
+
+
+def test_a_peer_does_without_a_router(locator):
+    sink = make_sink(SinkRequest.parse(f"zenoh:connect={locator}"), None)
+    sink.open()
+    sink.close()
+
+
+def test_bridges_that_answer_badly_hide_no_other():
+    def reply(key, data=None, *, is_good=True):
+        payload = SimpleNamespace(to_bytes=lambda: data)
+        good = SimpleNamespace(key_expr=f"{FLEET}/{key}", payload=payload)
+        return SimpleNamespace(ok=good if is_good else None)
+
+    def state(host):
+        return json.dumps({**GOOD, "host": host}).encode()
+
+    answers = [
+        reply("a/1", is_good=False),
+        reply("d/4", state("d")),
+        reply("b/2", b"nonsense"),
+        reply("c/3", state("c")),
+    ]
+    there = [reply(key) for key in ("e/5", "d/4", "b/2", "c/3", "a/1")]
+    session = SimpleNamespace(
+        get=lambda *_, **__: answers,
+        liveliness=lambda: SimpleNamespace(get=lambda *_, **__: there),
+    )
+    found, silent = ask(session, 0.0)
+    assert [one["host"] for one in found] == ["c", "d"]
+    assert silent == ["a/1", "b/2", "e/5"]
+
+
+@pytest.mark.parametrize("is_here", [False, True])
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_line_says_whether_the_board_is_here(is_here, count):
+    [board] = GOOD["boards"]
+    topics = [board["topics"][0] | {"name": f"t{number}"} for number in range(count)]
+    found = list(lines({**GOOD, "boards": [board | {"is_here": is_here, "topics": topics}]}))
+    assert len(found) == max(count, 1)
+    for number, line in enumerate(found):
+        assert line.split()[2] == ("here" if is_here else "gone")
+        assert (f"t{number}" in line.split()) == bool(count)
 
 
 def fleet(*words):
