@@ -9,7 +9,9 @@ import shutil
 import subprocess
 import sys
 import threading
+from concurrent.futures import Future
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -338,6 +340,46 @@ def test_each_endpoint_has_the_hash_of_its_type_and_the_quality_that_its_peers_e
     graph = found[0, "ros_discovery_info"]
     for word in ("Reliability.Reliable", "KeepLast(depth=1)", "Durability.TransientLocal"):
         assert word in graph
+
+
+@pytest.mark.parametrize("waiting", [1, 2, 10])
+def test_all_commands_that_wait_are_done_in_their_order(domain, monkeypatch, waiting):
+    """A reader is told once of what came at once; one that is refused stops no other."""
+    values, listeners = [], []
+
+    def take(topic, wanted, **more):
+        del topic, more
+        if wanted == [1]:
+            raise LocalError("not this one")
+        values.append(wanted)
+        return Future()
+
+    sink = make_sink(SinkRequest.parse(f"ros2:domain={domain}"), SimpleNamespace(set=take))
+    topic = next(one for one in topics_of_boards()[0] if one.name == "arm/servo")
+    sink.open()
+    try:
+        real = sink._dds.DataReader
+
+        def make(*about, **more):
+            listeners.append(more["listener"])
+            return real(*about, **more)
+
+        monkeypatch.setattr(sink._dds, "DataReader", make)
+        sink.announce(topic)
+        store = sink._ros.store_of(topic.descriptors)
+        layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+        kind = sink._dds.kind(store, FLOATS)
+        samples = []
+        for number in range(waiting):
+            sample = object.__new__(kind)
+            message = store.types[FLOATS](layout, np.array([float(number)]))
+            sample.j2a_data = bytes(store.serialize_cdr(message, FLOATS))
+            samples.append(sample)
+        reader = SimpleNamespace(take=lambda N: samples[:N])  # noqa: N803 - of cyclonedds
+        listeners[1].on_data_available(reader)
+    finally:
+        sink.close()
+    assert values == [[number] for number in range(waiting) if number != 1]
 
 
 def test_discovery_stays_on_this_computer(domain):
