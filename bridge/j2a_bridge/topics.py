@@ -7,6 +7,7 @@ transducers never share a topic, nor has one the name of what sinks publish besi
 """
 
 import logging
+import os
 import re
 from collections.abc import Collection, Container, Mapping
 from dataclasses import dataclass
@@ -15,10 +16,13 @@ from typing import Final
 from j2a import LocalError
 from j2a.types.transducers import Descriptors, Transducer
 
-__all__ = ["NODE", "Names", "Topic", "check_node", "plain_name"]
+__all__ = ["ENVIRONMENT", "NODE", "Names", "Topic", "check_node", "domain_of", "plain_name"]
 
 NODE: Final = "j2a_bridge"
 """What the node of ROS 2 is called, unless the user says otherwise."""
+ENVIRONMENT: Final = -1
+"""In place of a domain of ROS 2: that of the environment."""
+_MAX_DOMAIN: Final = 232
 _NODE_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
 _LONGEST: Final = 64
 """Of the name that a board gives itself: names of topics in ROS 2 are not longer than 250."""
@@ -66,6 +70,25 @@ def check_node(name: str) -> None:
     """
     if not _NODE_NAME.fullmatch(name):
         raise LocalError(f"the name of a node is letters, digits and _, not {name!r:.60}")
+
+
+def domain_of(number: int) -> int:
+    """Return the domain of ROS 2 that was asked for.
+
+    Args:
+        number: of it, or `ENVIRONMENT` for ROS_DOMAIN_ID, or 0 where that is not set.
+
+    Raises:
+        LocalError: there is no such domain.
+    """
+    if number == ENVIRONMENT:
+        text = os.environ.get("ROS_DOMAIN_ID", "") or "0"
+        if not text.isdecimal():
+            raise LocalError(f"ROS_DOMAIN_ID is a number, not {text!r:.40}")
+        number = int(text)
+    if not 0 <= number <= _MAX_DOMAIN:
+        raise LocalError(f"a domain is 0 to {_MAX_DOMAIN}, not {number}")
+    return number
 
 
 class Names:

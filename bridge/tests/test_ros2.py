@@ -24,7 +24,6 @@ from cyclonedds.domain import DomainParticipant
 from j2a_bridge.actuators import FLOATS
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sink import SinkError, SinkRequest, make_sink
-from j2a_bridge.sinks.ros2 import Ros2Sink
 from j2a_bridge.topics import Topic
 
 from j2a import LocalError
@@ -439,10 +438,24 @@ def test_a_network_that_is_not_there_is_told(domain, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_the_domain_of_the_environment_counts(monkeypatch):
-    options = {name: one.default for name, one in Ros2Sink.OPTIONS.items()}
-    monkeypatch.setenv("ROS_DOMAIN_ID", "17")
-    assert Ros2Sink("", options, None)._domain == 17
+@pytest.mark.parametrize("kind", ["ros2", "zenoh"])
+@pytest.mark.parametrize(
+    ("environment", "option", "domain"),
+    [("", "", 0), ("17", "", 17), ("17", "domain=5", 5), ("17", "domain=0", 0)],
+)
+def test_the_domain_of_the_environment_counts_where_no_option_says_another_one(
+    monkeypatch, kind, environment, option, domain
+):
+    monkeypatch.setenv("ROS_DOMAIN_ID", environment)
+    assert make_sink(SinkRequest.parse(f"{kind}:,{option}".strip(":,")), None)._domain == domain
+
+
+@pytest.mark.parametrize("kind", ["ros2", "zenoh"])
+@pytest.mark.parametrize("text", ["x", "-2", "1.5", "233"])
+def test_a_domain_of_the_environment_that_is_none_is_told(monkeypatch, kind, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(LocalError, match=r"ROS_DOMAIN_ID is a number|a domain is 0 to 232"):
+        make_sink(SinkRequest.parse(kind), None)
 
 
 @pytest.mark.parametrize("distro", ["humble", "jazzy"])

@@ -162,6 +162,22 @@ ACTUATOR(servo, 2, s, M, 2, i8, 0)
         sink.close()
 
 
+@pytest.mark.parametrize("domain", [0, 17])
+def test_keys_and_tokens_have_the_domain_of_the_environment(locator, monkeypatch, domain):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    sink = make_sink(SinkRequest.parse(f"zenoh:mode=router,listen={locator}"), None)
+    sink.open()
+    peer = Peer(locator)
+    try:
+        tokens = peer.tokens()
+        assert tokens
+        assert all(one.startswith(f"@ros2_lv/{domain}/") for one in tokens)
+        assert sink._key("/quad", "a/msg/B", "hash") == f"{domain}/quad/a::msg::dds_::B_/hash"
+    finally:
+        peer.session.close()
+        sink.close()
+
+
 def test_a_peer_does_without_a_router(locator):
     sink = make_sink(SinkRequest.parse(f"zenoh:connect={locator}"), None)
     sink.open()

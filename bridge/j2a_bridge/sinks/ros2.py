@@ -8,7 +8,6 @@ computer unless it is told otherwise.
 """
 
 import logging
-import os
 import socket
 import threading
 import time
@@ -20,7 +19,7 @@ import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
-from j2a_bridge.topics import NODE, Topic, check_node
+from j2a_bridge.topics import ENVIRONMENT, NODE, Topic, check_node, domain_of
 
 try:
     from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
@@ -33,7 +32,6 @@ __all__ = ["Ros2Sink"]
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _GRAPH: Final = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 _GRAPH_TOPIC: Final = "ros_discovery_info"
-_MAX_DOMAIN: Final = 232
 _LOOPBACK: Final = """\
 <General>
   <Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>
@@ -58,7 +56,7 @@ class Ros2Sink(Sink):
 
     SUMMARY = "topics of ROS 2 over DDS"
     OPTIONS: ClassVar[Mapping[str, Option]] = {
-        "domain": Option(int, -1, "domain id (ROS_DOMAIN_ID, else 0)"),
+        "domain": Option(int, ENVIRONMENT, "domain id (ROS_DOMAIN_ID, else 0)"),
         "network": Option(
             str, "", "let others find it: the name of an interface, or any (this computer alone)"
         ),
@@ -70,9 +68,7 @@ class Ros2Sink(Sink):
         super().__init__(argument, options, control)
         if options["distro"] not in ("humble", "jazzy"):
             raise LocalError(f"the distro is humble or jazzy, not {options['distro']!r:.40}")
-        self._domain = options["domain"] if options["domain"] != -1 else _domain_of_environment()
-        if not 0 <= self._domain <= _MAX_DOMAIN:
-            raise LocalError(f"a domain is 0 to {_MAX_DOMAIN}, not {self._domain}")
+        self._domain = domain_of(options["domain"])
         check_node(options["node"])
         self._dds = _Dds()
         self._ros = RosMessages(options["distro"])
@@ -223,13 +219,6 @@ class _Writer:
 
 def _user_data(store: Any, kind: str) -> bytes:
     return f"typehash={store.hash_rihs01(kind)};".encode()
-
-
-def _domain_of_environment() -> int:
-    text = os.environ.get("ROS_DOMAIN_ID", "") or "0"
-    if not text.isdecimal():
-        raise LocalError(f"ROS_DOMAIN_ID is a number, not {text!r:.40}")
-    return int(text)
 
 
 def _check_network(network: str) -> None:

@@ -21,7 +21,7 @@ import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
-from j2a_bridge.topics import NODE, Topic, check_node, plain_name
+from j2a_bridge.topics import ENVIRONMENT, NODE, Topic, check_node, domain_of, plain_name
 
 try:
     from j2a_bridge.actuators import FLOATS, set_by_command, set_by_own
@@ -40,7 +40,6 @@ ROUTER: Final = "tcp/127.0.0.1:7447"
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _SENSOR_DATA: Final = "2::,5:,:,:,,"  # best effort, the last five
 _RELIABLE: Final = "::,10:,:,:,,"
-_MAX_DOMAIN: Final = 232
 _MODES: Final = ("peer", "router", "client")
 _SOURCES: Final = re.compile(r" at \S+\.rs:\d+\.?")
 """Where in its sources Zenoh has seen an error: nothing that a user could look at."""
@@ -118,7 +117,7 @@ class ZenohSink(Sink):
         "connect": Option(str, "", f"locators of routers, with + between them ({ROUTER})"),
         "listen": Option(str, "", "locators to listen at, such as tls/0.0.0.0:7448 (loopback)"),
         "file": Option(str, "", "a file with the configuration of Zenoh, such as keys for TLS"),
-        "domain": Option(int, 0, "domain id of ROS 2"),
+        "domain": Option(int, ENVIRONMENT, "domain id of ROS 2 (ROS_DOMAIN_ID, else 0)"),
         "distro": Option(str, "jazzy", "whose messages: humble or jazzy"),
         "node": Option(str, NODE, f"name of the node; another one for each bridge ({NODE})"),
     }
@@ -131,8 +130,7 @@ class ZenohSink(Sink):
             raise LocalError(
                 f"the mode of zenoh is one of {', '.join(_MODES)}, not {options['mode']!r:.40}"
             )
-        if not 0 <= options["domain"] <= _MAX_DOMAIN:
-            raise LocalError(f"a domain is 0 to {_MAX_DOMAIN}, not {options['domain']}")
+        self._domain = domain_of(options["domain"])
         check_node(options["node"])
         for option in ("connect", "listen"):
             _locators(options[option])
@@ -230,12 +228,12 @@ class ZenohSink(Sink):
 
     def _token(self, kind: str, number: int, *about: str) -> str:
         zid = self._session.info.zid()
-        domain, node = self.options["domain"], self.options["node"]
-        head = f"@ros2_lv/{domain}/{zid}/0/{number}/{kind}/%/%/{node}"
+        node = self.options["node"]
+        head = f"@ros2_lv/{self._domain}/{zid}/0/{number}/{kind}/%/%/{node}"
         return "/".join([head, *(one.replace("/", "%") for one in about)])
 
     def _key(self, topic: str, kind: str, type_hash: str) -> str:
-        return f"{self.options['domain']}{topic}/{_dds_name(kind)}/{type_hash}"
+        return f"{self._domain}{topic}/{_dds_name(kind)}/{type_hash}"
 
     def _publisher(
         self, parts: list[Any], topic: str, kind: str, type_hash: str, qos: str
@@ -252,7 +250,7 @@ class ZenohSink(Sink):
         self._entities += 1
         token = self._token("MS", self._entities, topic, _dds_name(kind), type_hash, _RELIABLE)
         # Publishers of another version of ROS 2 may tell no hash of the type.
-        key = f"{self.options['domain']}{topic}/{_dds_name(kind)}/*"
+        key = f"{self._domain}{topic}/{_dds_name(kind)}/*"
         parts.append(self._session.declare_subscriber(key, take))
         parts.append(self._session.liveliness().declare_token(token))
 
