@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import pytest
 from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sinks import mcap
 from j2a_bridge.sinks.udp import numbers
 from j2a_bridge.topics import Topic
 from mcap.reader import make_reader
@@ -259,6 +260,14 @@ def test_a_time_that_a_message_cannot_have_ends_no_recording(tmp_path):
 def _is_kind(bridge, kind):
     flow = bridge._flows.get("s")
     return flow is not None and str(flow.topic.transducer.type) == kind
+
+
+@pytest.mark.parametrize(("segment", "size"), [(0, None), (1, 1 << 20), (3, 3 << 20)])
+def test_a_segment_has_so_many_mib(tmp_path, monkeypatch, segment, size):
+    sizes = []
+    monkeypatch.setattr(mcap, "Recorder", lambda path, segment_bytes: sizes.append(segment_bytes))
+    make_sink(SinkRequest.parse(f"mcap:{tmp_path / 'a.mcap'},segment={segment}"), None).open()
+    assert sizes == [size]
 
 
 def test_a_full_disk_ends_the_recording_and_nothing_else(kept, tmp_path, monkeypatch):
