@@ -104,10 +104,14 @@ def test_boards_that_come_and_go_do_not_fill_the_memory_while_a_sink_is_blocked(
     assert runner.status.dropped == 2 * _MOST_NEWS - sink.WAITING
 
 
-def test_the_limit_grows_with_the_topics_that_there_are(runner, sink):
+def test_the_limit_grows_with_the_topics_that_there_are(runner, sink, monkeypatch):
     topics = [topic(f"t{number}") for number in range(_MOST_NEWS + 200)]
+    shortened = []
+    shorten = runner._shorten
+    monkeypatch.setattr(runner, "_shorten", lambda: (shortened.append(1), shorten()))
     for each in topics:
         runner.announce(each)
+    assert len(shortened) == 1  # it looks at all that waits
     runner.publish(value(topics[-1], 7))
     sink.let_go.set()
     runner.end()
