@@ -567,6 +567,23 @@ def test_values_of_an_actuator_with_arrays_are_grouped(distro: str) -> None:
     assert ros.read_own(topic, data) == ([[0, 1, 2], [3, 4, 5]], 0)
 
 
+@pytest.mark.parametrize("distro", DISTROS)
+@pytest.mark.parametrize("length", range(8))
+def test_a_command_for_arrays_has_all_its_numbers_also_of_one_that_is_not_whole(
+    distro: str, length: int
+) -> None:
+    """The board refuses that one; left out in silence, it would look as if it were done."""
+    topic = topic_of("ACTUATOR(leds, 1, leds, M, 3, array(u8, 3), none)")
+    ros, orders = RosMessages(distro), Orders()
+    layout = ros.store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    message = ros.store.types[FLOATS](layout, np.arange(length, dtype=np.float64))
+    write = ros.store.serialize_ros1 if ros.is_ros1 else ros.store.serialize_cdr
+    set_by_command(orders, ros, topic, bytes(write(message, FLOATS)))  # type: ignore[arg-type]
+    [(_, values, _)] = orders.given
+    assert [one for group in values for one in group] == list(range(length))
+    assert [len(one) for one in values[:-1]] == [3] * (len(values) - 1)
+
+
 class Orders:
     """Takes what is ordered."""
 

@@ -629,6 +629,10 @@ def test_a_recording_that_fails_ends_and_is_not_begun_again(tmp_path, monkeypatc
     sink.want_recording(True)  # as the user wants
     sink.status(Status("host"))
     assert sink.state()["recording"] and sink.state()["problem"] == ""
+    sink.want_recording(False)
+    for _ in range(3):
+        sink.status(Status("host"))
+        assert sink.state()["recording"] is None and sink.state()["problem"] == ""
     sink.close()
 
 
