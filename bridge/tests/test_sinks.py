@@ -75,6 +75,7 @@ def test_a_channel_that_was_not_read_is_not_sent_again(receiver):
         assert sent(topic, "<QBQB", 1_000_000, 7, 3_000_000, 6) == [(1.0, "0", 7)]
         assert sent(topic, *first, is_reset=True) == both
         assert sent(topic, *first) == []
+        assert sent(topic, *first, is_reset=True) == both  # equal, and yet measured anew
         sink.announce(topic)
         assert sent(topic, *first) == both
         for _ in range(2):
