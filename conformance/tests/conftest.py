@@ -15,6 +15,7 @@ from j2a_spec.oracle import checksum, stuff
 from j2a_transports import LinkClosed, LinkLost, Transport, pair
 
 MANY = (c.GET_PROPERTIES, c.GET_ECHO_MANY, "store")
+_LONGEST_S = 10.0  # a broken device may have a period that no wait takes
 
 
 class ReferenceDevice:
@@ -42,7 +43,7 @@ class ReferenceDevice:
     def serve(self) -> None:
         try:
             while True:
-                data = self.link.read(self.timeout_s if self.start is not None else 0.002)
+                data = self.link.read(self.patience_s())
                 for byte in self.received(data):
                     self.byte(byte)
                 if not data:
@@ -50,6 +51,14 @@ class ReferenceDevice:
                 self.periodic()
         except (LinkLost, LinkClosed):
             pass
+
+    def patience_s(self) -> float | None:
+        """Return how long to wait for a byte; None: until one comes, because nothing is due."""
+        if self.start is not None:
+            return self.timeout_s
+        if not self.period_s:
+            return None
+        return min(max(self.due_s - time.monotonic(), 0.0), _LONGEST_S)
 
     def received(self, data: bytes) -> bytes:
         return data

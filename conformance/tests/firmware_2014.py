@@ -17,6 +17,7 @@ from j2a_transports import LinkClosed, LinkLost, Transport
 __all__ = ["BUILDS", "Build", "Firmware2014"]
 
 _TIMEOUT_S = 0.0108
+_LONGEST_S = 10.0  # a payload of any length may be the period
 _SEQ_AT_MARKER, _SEQ_AT_TIMEOUT = 0x0E, 0x0C
 _LINE = 321
 _CHUNK = 20
@@ -100,7 +101,7 @@ class Firmware2014:
         """Serve until the link ends."""
         try:
             while True:
-                data = self.link.read(_TIMEOUT_S if self.in_frame else 0.002)
+                data = self.link.read(_TIMEOUT_S if self.in_frame else self.rest_s())
                 if not data and self.in_frame:
                     self.give_up(c.ERR_TIMEOUT, _SEQ_AT_TIMEOUT)
                 self.input += data
@@ -112,6 +113,12 @@ class Firmware2014:
             pass
         except WildJumpError:
             self.crash()
+
+    def rest_s(self) -> float | None:
+        """Return the time to the next periodic SIF, None where there is none."""
+        if not self.period_s:
+            return None
+        return min(max(self.due_s - time.monotonic(), 0.0), _LONGEST_S)
 
     def crash(self) -> None:
         """Hang, or send 0x12 for ever."""

@@ -148,6 +148,9 @@ class RepliesInReverse:
         self.held = []
         super().__init__(link)
 
+    def patience_s(self):
+        return 0.002 if self.held else super().patience_s()
+
     def received(self, data):
         for frame in reversed(self.held):
             self.link.write(frame)
