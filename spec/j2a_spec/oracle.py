@@ -5,6 +5,7 @@ came. Rules: nothing here is fast, nothing is incremental, and no implementation
 run; tests compare with it and the vectors are made by it.
 """
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -27,6 +28,9 @@ __all__ = [
     "encode",
     "stuff",
 ]
+
+# As Python code: to interpret the grammar for each frame takes more than twice the time.
+_PACKET = PACKET.compile()
 
 Reason = Literal["checksum", "marker", "escape"]
 
@@ -79,7 +83,9 @@ Event = Frame | FrameError | Skipped | Incomplete
 
 def stuff(data: bytes) -> bytes:
     """Return `data` with SOF, SOS and ESC escaped (J2A-STUFF-001)."""
-    return b"".join(bytes((c.ESC, b - 1)) if b in c.STUFFED else bytes((b,)) for b in data)
+    for value in (c.ESC, c.SOF, c.SOS):  # ESC first, or those that are put in would be escaped
+        data = data.replace(bytes((value,)), bytes((c.ESC, value - 1)))
+    return data
 
 
 def encode(frame: Frame) -> bytes:
@@ -92,8 +98,8 @@ def encode(frame: Frame) -> bytes:
         raise ValueError(f"start byte 0x{frame.start:02X} is neither SOF nor SOS")
     fields = {"seq": frame.seq, "opcode": frame.opcode, "payload": frame.payload}
     try:
-        body = PACKET.build(fields)
-    except cs.ConstructError as error:
+        body = _PACKET.build(fields)
+    except (cs.ConstructError, struct.error) as error:
         raise ValueError(f"no such frame: {frame}") from error
     return bytes((frame.start,)) + stuff(body)
 
@@ -114,18 +120,19 @@ def decode(stream: bytes) -> list[Event]:
 
 
 def _decode(stream: bytes) -> Iterator[Event]:
+    markers, esc, header = c.MARKERS, c.ESC, c.HEADER
     start: int | None = None
     body = bytearray()
     escaped = False
     for byte in stream:
-        if byte in c.MARKERS:
+        if byte in markers:
             if start is not None:
                 yield FrameError("marker", start, body[0] if body else None)
             start, escaped = byte, False
             body.clear()
         elif start is None:
             yield Skipped(1)
-        elif not escaped and byte == c.ESC:
+        elif byte == esc and not escaped:
             escaped = True
         elif escaped and byte == 0xFF:
             yield FrameError("escape", start, body[0] if body else None)
@@ -133,7 +140,7 @@ def _decode(stream: bytes) -> Iterator[Event]:
         else:
             body.append(byte + 1 if escaped else byte)
             escaped = False
-            if len(body) > c.HEADER and len(body) == c.HEADER + body[2] + 1:
+            if len(body) > header and len(body) == header + body[2] + 1:
                 yield _frame(start, bytes(body))
                 start = None
     if start is not None:
@@ -142,7 +149,7 @@ def _decode(stream: bytes) -> Iterator[Event]:
 
 def _frame(start: int, body: bytes) -> Event:
     try:
-        packet = PACKET.parse(body)
+        packet = _PACKET.parse(body)
     except cs.ChecksumError:
         return FrameError("checksum", start, body[0])
     return Frame(start, packet.seq, packet.opcode, packet.payload)

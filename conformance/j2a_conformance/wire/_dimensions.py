@@ -8,6 +8,7 @@ that no two dimensions stay in step.
 
 import random
 from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import Final
 
 from j2a_spec import constants as c
@@ -34,6 +35,7 @@ _EDGES: Final = (0, 1, 2, 12, 17, 18, 31, 32, 33, 63, 64, 65, 100, 125, 127, 128
 _EDGES_ABOVE: Final = (236, 237, 238, 248, 249, 250, 253, 254, 255)
 
 
+@cache
 def payload_of(length: int, n: int = 0) -> bytes:
     """Return `length` bytes of the kind that `n` chooses.
 
