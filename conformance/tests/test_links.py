@@ -211,7 +211,9 @@ def slow(reference):
 # Hundreds of exchanges that take no longer than those of other cases.
 SAME_AGAIN = (
     *("frame.lengths", "frame.garbage", "frame.interrupted-anywhere", "frame.sos-to-device"),
-    *("seq.every-value", "error.seq", "stuff.replies", "stuff.escape-ff-anywhere"),
+    *("frame.noise", "seq.every-value", "error.seq", "error.opcode-out-of-range"),
+    *("stuff.needless", "stuff.replies", "stuff.escape-ff-anywhere"),
+    *("sum.every-length", "sum.every-wrong-value"),
 )
 
 
