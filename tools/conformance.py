@@ -4,7 +4,7 @@ What flows in: conformance/testees/*.toml and conformance/hosts/*.py. What flows
 each in build/conformance, a matrix page over all of them, one line a testee, and exit status 0 when
 all conform. Rules: three runs at a time, of different kinds as long as there are some: an emulator
 needs a core, on this machine a run waits most of the time, and simulated time is disturbed by
-nothing; a testee that cannot be built here fails. With `--sample` those of PARTS do their levels
+nothing; a testee that cannot be built here fails. With `--sample` those of PARTS do their parts
 only, all but those of COMPLETE and SWEEPING and the hosts leave out SWEEPS, and FURTHER is left to
 a run without it.
 """
@@ -23,6 +23,7 @@ from pathlib import Path
 import j2a_transports
 from j2a_conformance import load
 from j2a_conformance.device._testee import load_testee
+from j2a_spec.capabilities import LEVELS
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "conformance"
@@ -31,13 +32,16 @@ CONFORM = [sys.executable, "-m", "j2a_conformance"]
 # but with another compiler, chip, port or option: they can differ in a kind of frame, a time or a
 # limit, but hardly in one of the thousand lengths and places that a sweep tries; what each sweep is
 # about has a shorter case, too, which all of them run.
-COMPLETE = ("posix", "avr-1m", "avr-usb", "python", "transducers")
+COMPLETE = ("posix-sanitized", "avr-1m", "avr-usb", "python")
 SWEEPS = (
-    *("frame.interrupted-anywhere", "frame.lengths", "frame.pieces", "stuff.escape-ff-anywhere"),
-    *("stuff.needless", "sum.every-length", "sif.every-length", "many.echo-lengths"),
-    *("types.bools", "types.lengths"),
+    *("frame.interrupted-anywhere", "frame.lengths", "frame.noise", "frame.pieces"),
+    *("frame.sos-to-device", "stuff.escape-ff-anywhere", "stuff.needless", "stuff.replies"),
+    *("sum.every-length", "sum.every-wrong-value", "seq.every-value", "sif.every-length"),
+    *("error.opcode-out-of-range", "error.seq", "debug.text", "interface.chunks"),
+    *("many.echo-lengths", "many.four-offset-bytes", "types.bools", "types.lengths"),
     *("timing.gives-up-long", "timing.pause-in-long-frame", "timing.trickle-long"),
-    *("timing.wraps", "transducers.refused", "transducers.threshold"),
+    *("timing.wraps", "clock.refusals", "transducers.chunks", "transducers.refused"),
+    *("transducers.refused-meanwhile", "transducers.threshold"),
 )
 # The same firmware as that of another testee, on a further chip or in a further shell: each costs
 # the processor as much as three others.
@@ -46,22 +50,35 @@ FURTHER = (
     *("clock-328p", "clock-32bit", "clock-big-endian", "clock-rp2040"),
 )
 LINK = ("frame", "core", "sif", "timing")
-# Testees that are another one with a part more, or on another chip of the same kind or another of
-# its links: the levels of that part, or those in which the link has a part. The rest is what the
-# other one shows.
+# The clock, and what transducers do at a time of the clock.
+TIMED = (
+    *("clock", "transducers.period", "transducers.period-late", "transducers.samples"),
+    *("transducers.set", "transducers.trigger", "transducers.waiting", "transducers.watchdog"),
+)
+# Testees that are another one with a part more, in another shell, on another chip of the same kind
+# or another of its links: the levels and cases of that part, or those in which the link has a part.
+# The rest is what the other one shows.
 PARTS = {
+    "arduino": (*LINK, "mapping", "interface"),
+    "avr": LINK,
     "avr-32u4": LINK,
     "avr-usb-32u2": LINK,
-    "clock": ("transducers", "clock"),
+    "clock": TIMED,
     "clock-avr": ("clock",),
     "clock-usb": ("clock",),
     "cortex-m-two": LINK,
-    "python-clock": ("transducers", "clock"),
+    "python-clock": TIMED,
     "python-transducers": ("transducers",),
+    "selftest-avr": ("properties",),
+    "selftest-posix": ("properties",),
+    "transducers": ("transducers",),
     "transducers-avr": ("transducers",),
 }
 # Of PARTS, the one of each kind of code that does the sweeps of its levels, too.
-SWEEPING = ("python-transducers", "transducers-avr")
+SWEEPING = (
+    *("clock", "clock-avr", "python-clock"),
+    *("python-transducers", "transducers", "transducers-avr"),
+)
 KINDS = ("simulated", "machine", "emulator")
 
 
@@ -78,17 +95,17 @@ def commands() -> dict[str, list[str]]:
 def sampled(name: str, arguments: list[str]) -> list[str]:
     """Return the arguments for a testee, without the sweeps where it is not one of COMPLETE.
 
-    One that names levels, itself or in PARTS, runs only their cases, of SWEEPING all of them.
+    One that names levels, itself or in PARTS, runs only their cases, of SWEEPING all of them; PARTS
+    may name single cases, too.
     """
     if arguments[0] != "run" or name in COMPLETE:
         return arguments
     testee = tomllib.loads(Path(arguments[1]).read_text("utf-8"))
-    levels = PARTS.get(name) or testee.get("levels")
+    parts = {*(PARTS.get(name) or testee.get("levels") or LEVELS)}
     # Without levels, all; else the rest is what another testee of that chip shows.
-    every = [
-        case.ID for case in load() if not case.ON_DEMAND and (not levels or case.LEVEL in levels)
-    ]
-    if unknown := {*SWEEPS} - {case.ID for case in load()}:
+    every = [case.ID for case in load() if not case.ON_DEMAND and parts & {case.ID, case.LEVEL}]
+    named = {*SWEEPS, *TIMED} - {*LEVELS}
+    if unknown := named - {case.ID for case in load()}:
         raise SystemExit(f"there is no case {', '.join(sorted(unknown))}")
     left_out = () if name in SWEEPING else SWEEPS
     return [*arguments, "--case", *(case for case in every if case not in left_out)]
