@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gc
 import logging
 import signal
 from collections.abc import Callable
@@ -124,6 +125,8 @@ def run(args: argparse.Namespace) -> int:
         known = ", ".join(sorted(sink_classes()))
         raise UsageError(f"name a sink, as in --sink ros2; there are: {known}")
     log_to_stderr()
+    # Samples make no cycles: to look for some as often as Python does costs a twentieth of it all.
+    gc.set_threshold(10_000)
     return asyncio.run(run_bridge(config, args.seconds, timeout=args.timeout))
 
 

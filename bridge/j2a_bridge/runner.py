@@ -22,6 +22,8 @@ from j2a_bridge.topics import Topic
 __all__ = ["SinkRunner"]
 
 _CLOSE_S: Final = 5.0
+_EACH_OF: Final = 64
+"""Of as many samples as may wait, one is taken alone."""
 _MOST_NEWS: Final = 10_000
 """Boards that come and go all the time must not fill the memory while a sink is blocked."""
 _logger = logging.getLogger("j2a.bridge")
@@ -42,10 +44,13 @@ class SinkRunner:
         self.name = name
         self.sink = sink
         self._on_fatal = on_fatal
-        self._wake = threading.Condition()
+        self._lock = threading.RLock()
+        self._wake = threading.Condition(self._lock)
+        self._is_asleep = False
         self._news: deque[tuple[bool, Topic]] = deque()  # which no sample before it overtakes
         self._waiting: deque[Update | tuple[bool, Topic]] = deque()
         self._samples = 0
+        self._taken: deque[Update | tuple[bool, Topic]] = deque()  # of these, by the thread
         self._most = self.sink.WAITING + _MOST_NEWS
         self._status: Status | None = None
         self._is_ended = False
@@ -98,12 +103,13 @@ class SinkRunner:
 
     def publish(self, update: Update) -> None:
         """Pass a sample on; returns at once."""
-        with self._wake:
+        with self._lock:
             if self._samples >= self.sink.WAITING:
                 self._drop_oldest()
             self._waiting.append(update)
             self._samples += 1
-            self._wake.notify()
+            if self._is_asleep:
+                self._wake.notify()
 
     def _drop_oldest(self) -> None:
         while True:
@@ -166,6 +172,8 @@ class SinkRunner:
 
     def _next(self, due: float | None) -> "Update | tuple[bool, Topic] | Status | bool | None":
         """Return what is to be done; True when nothing is, None at the end."""
+        if self._taken:
+            return self._taken.popleft()
         with self._wake:
             while True:
                 if self._news:
@@ -175,15 +183,23 @@ class SinkRunner:
                     status, self._status = self._status, None
                     return status
                 if self._waiting:
-                    item = self._waiting.popleft()
-                    self._samples -= isinstance(item, Update)
-                    return item
+                    return self._take()
                 if self._is_ended:
                     return None
                 left = None if due is None else due - time.monotonic()
                 if left is not None and left <= 0:
                     return True
+                self._is_asleep = True
                 self._wake.wait(left)
+                self._is_asleep = False
+
+    def _take(self) -> "Update | tuple[bool, Topic]":
+        """Take several at once, where many may wait: the loop of the bridge has this lock, too."""
+        for _ in range(min(len(self._waiting), 1 + self.sink.WAITING // _EACH_OF)):
+            item = self._waiting.popleft()
+            self._samples -= isinstance(item, Update)
+            self._taken.append(item)
+        return self._taken.popleft()
 
     def _handle(self, item: "Update | tuple[bool, Topic] | Status | bool") -> bool:
         """Do one thing; return whether the sink did not fail."""
@@ -201,7 +217,7 @@ class SinkRunner:
                     self.sink.status(item)
             elif not isinstance(item, bool):
                 self._change(*item)
-            if self._is_open and not self._is_flushed and not self._waiting:
+            if self._is_open and not self._is_flushed and not self._taken and not self._waiting:
                 self._is_flushed = True
                 self.sink.flush()
         except Exception as error:  # of a sink of anybody

@@ -13,6 +13,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from j2a_spec.constants import (
@@ -114,9 +115,9 @@ class ClientBase:
         self._source = SampleSource(
             url,
             self._device,
-            lambda: _now_of(client),
-            lambda: _described(client),
-            lambda time_us: _host_us(client, time_us),
+            partial(_now_of, client),
+            partial(_described, client),
+            partial(_host_us, client),
         )
         self._clock: ClockBase | None = None
         self._handlers.add(None, self._source.take)

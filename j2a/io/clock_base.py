@@ -117,8 +117,8 @@ class ClockBase:
         Raises:
             LocalError: nothing is.
         """
-        estimate = self._discipline.estimator.estimate
-        if estimate is None or not self._is_known:
+        estimate = self._known_estimate()
+        if estimate is None:
             raise LocalError(
                 f"nothing is known of the clock of {self._url} yet, or no more since the board "
                 "has restarted: use clock.measure() or clock.follow() first"
@@ -135,14 +135,17 @@ class ClockBase:
         client = self._client_ref()
         return client is not None and c.CLOCK in (client._device.functions or {})
 
-    @property
-    def _is_known(self) -> bool:
+    def _known_estimate(self) -> Estimate | None:
         known, client = self._discipline, self._client_ref()
         if client is not None and client._session.restarts != self._restarts:
-            return False  # what is known is of before
-        return known.estimator.estimate is not None and (
-            known.status is not None or not self._can_be_set
-        )
+            return None  # what is known is of before
+        if known.status is None and self._can_be_set:
+            return None
+        return known.estimator.estimate
+
+    @property
+    def _is_known(self) -> bool:
+        return self._known_estimate() is not None
 
     def read(self) -> ClockReading:
         """Return all that is known, of one instant; a client says whether it asks for that."""
@@ -208,16 +211,19 @@ class ClockBase:
         return estimate.uncertainty_us(estimate.to_counter(self._host.counter_us()))
 
     def _to_host(self, time_us: int, *, is_stamp: bool = False) -> int:
-        estimate = self._estimate()
-        now_us = estimate.to_counter(self._host.glance() if is_stamp else self._host.observe())
-        latest_us = now_us + estimate.uncertainty_us(now_us) + STEP_US
-        if not self._discipline.is_of_epoch(time_us, latest_us, is_stamp=is_stamp):
+        estimate, discipline, host = self._estimate(), self._discipline, self._host
+        now_us = estimate.to_counter(host.glance() if is_stamp else host.observe())
+        # A time that is over for certain needs no bound, as that of nearly each sample.
+        is_of_epoch = discipline.is_of_epoch(time_us, now_us, is_stamp=is_stamp)
+        if not is_of_epoch:
+            latest_us = now_us + estimate.uncertainty_us(now_us) + STEP_US
+            is_of_epoch = discipline.is_of_epoch(time_us, latest_us, is_stamp=is_stamp)
+        if not is_of_epoch:
             raise LocalError(
                 f"{time_us} us was on the clock of {self._url} before it was set, and can no more "
                 "be converted (J2A-CLOCK-027)"
             )
-        local_us = self._discipline.to_local(time_us)
-        return self._host.reference.to_unix(estimate.to_host(local_us))
+        return host.reference.to_unix(estimate.to_host(discipline.to_local(time_us)))
 
     def _to_device(self, host_us: int) -> int:
         estimate = self._estimate()

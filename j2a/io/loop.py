@@ -13,7 +13,7 @@ import logging
 import math
 import weakref
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
@@ -215,11 +215,13 @@ class AsyncEngine:
                     event.waiter.set_result(None)
             elif isinstance(event, Sif):
                 if self._takes_sifs and len(self._sifs) < MAX_SIFS_WAITING:
-                    self._queue(event)
+                    self._sifs.append(event)
                 else:
                     self._session.count("sifs_dropped")
             else:
                 self._queue_restart(event)
+        if self._sifs:
+            self._came.set()
         self._send()
 
     def _send(self) -> None:
@@ -294,8 +296,8 @@ class AsyncEngine:
                 break
             if isinstance(event, Restart):
                 await self._deliver_restart(event)
-            else:
-                await self._deliver(event)
+            elif (rest := self._deliver(event)) is not None:
+                await rest
             if self._loop.time() >= turn_ends:
                 await asyncio.sleep(0)
                 turn_ends = self._loop.time() + _TURN_S
@@ -377,16 +379,30 @@ class AsyncEngine:
             slice_s=slice_of(self._is_simulated),
         )
 
-    async def _deliver(self, sif: Sif) -> None:
+    def _deliver(self, sif: Sif) -> Awaitable[None] | None:
+        """Call the handlers of a SIF; return what is to be awaited, None where all have ended."""
         handlers = self._handlers()
         if handlers is None or self._drops_sifs:
             self._session.count("sifs_dropped")
-            return
-        for handler in handlers.matching(sif.opcode):
+            return None
+        matching = handlers.matching(sif.opcode)
+        for handler in matching:
             if (rest := self._call_handler(handler, sif)) is not None:
-                await rest
+                return self._deliver_rest(rest, matching, sif)
             if self._drops_sifs:
+                break
+        return None
+
+    async def _deliver_rest(
+        self, rest: Awaitable[None] | None, matching: Iterator[Callable[[Any], Any]], sif: Sif
+    ) -> None:
+        """Go on after a handler that is to be awaited."""
+        while True:
+            if rest is not None:
+                await rest
+            if self._drops_sifs or (handler := next(matching, None)) is None:
                 return
+            rest = self._call_handler(handler, sif)
 
     # ------------------------------------------------------------------ the end
 

@@ -9,7 +9,7 @@ still wait (J2A-TRANS-027). Handlers and users call from several threads.
 """
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import count
 from operator import le
 from typing import Any
@@ -44,7 +44,10 @@ class _State:
         self.count = count()
         self.lost: int | None = None
         self.last_us = 0
-        self.times_us: dict[int, int] = {}
+        self.has_queue = transducer.queue > 0
+        self._times_us: dict[int, int] = {}  # by channel
+        self._latest_us = 1  # of these, and of the sample before, where it has all channels
+        self._before: tuple[int, ...] = ()
 
     def losses(self, told: int, times: tuple[int, ...]) -> int:
         """Return how many values were lost since the SIF before (J2A-TRANS-026).
@@ -62,19 +65,41 @@ class _State:
             return told  # the device was reset in between, and counts anew
         return (told - before) % _LOST_MODULO
 
-    def goes_back(self, channels: Iterable[int], times: tuple[int, ...]) -> bool:
-        """Note the times of channels, 0 for none; return whether one is before that of its last."""
-        is_sorted = not self.transducer.queue or all(map(le, times, times[1:]))
-        if is_sorted and min(times) >= max(self.times_us.values(), default=1):
+    def go_on(self, before: "_State") -> None:
+        """Count and compare times as one that knew the same transducer did."""
+        self.count = before.count
+        before._note()
+        self._times_us, self._latest_us = before._times_us, before._latest_us
+
+    def goes_back(self, times: tuple[int, ...], channels: bytes | None = None) -> bool:
+        """Note the times of channels, 0 for none; return whether one is before that of its last.
+
+        Args:
+            times: of readings.
+            channels: of the same readings; None for all in order.
+        """
+        if min(times) >= self._latest_us and (channels is None or all(map(le, times, times[1:]))):
             # As nearly always; there is no loop over values.
-            self.times_us.update(zip(channels, times, strict=True))
+            self._latest_us = max(times)
+            if channels is None:
+                self._before = times
+            else:
+                self._times_us.update(zip(channels, times, strict=True))
             return False
+        self._note()
         is_back = False
+        if channels is None:
+            channels = bytes(range(len(times)))
         for channel, time_us in zip(channels, times, strict=True):
             if time_us:
-                is_back |= time_us < self.times_us.get(channel, 0)
-                self.times_us[channel] = time_us
+                is_back |= time_us < self._times_us.get(channel, 0)
+                self._times_us[channel] = time_us
+        self._latest_us = max(self._times_us.values(), default=1)
         return is_back
+
+    def _note(self) -> None:
+        self._times_us.update(enumerate(self._before))
+        self._before = ()
 
 
 class _Known:
@@ -135,7 +160,7 @@ class SampleSource:
                 # Where the device was reset in between, its times go back.
                 before = self._before.get(state.transducer.name)
                 if before is not None:
-                    state.times_us, state.count = before.times_us, before.count
+                    state.go_on(before)
             self._known = _Known(descriptors, states)
             if descriptors is not None:
                 self._before = self._known.by_name
@@ -184,15 +209,13 @@ class SampleSource:
             raise BadPayload(f"a sample of {state.transducer.name}: {error}") from None
 
     def _sample(self, state: _State, sif: Sif) -> Sample:
-        lost = 0
-        channels: Iterable[int]
-        if state.transducer.queue:
+        lost, channels = 0, None
+        if state.has_queue:
             told, readings, channels, times = state.codec.times_queued(sif.payload)
             lost = state.losses(told, times)
         else:
             readings, times = state.codec.times(sif.payload)
-            channels = range(len(times))
-        is_reset = state.goes_back(channels, times)
+        is_reset = state.goes_back(times, channels)
         newest_us = max(times)
         return _new_sample(
             self.board,

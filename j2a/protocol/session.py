@@ -453,15 +453,17 @@ class Session:
         return [*self._end_all(DeviceRestarted(f"the device has restarted{cause}")), restart]
 
     def _take_sif(self, frame: Frame) -> Sif:
-        missed = 0 if self._next_sif is None else (frame.seq - self._next_sif) % _SEQS
-        # Going back is also what the counter of a device does that was reset.
-        self.epoch += missed > 0 and frame.seq < (self._next_sif or 0)
-        self._next_sif = (frame.seq + 1) % _SEQS
-        self._counts["sifs"] += 1
-        self._counts["sif_gaps"] += missed > 0
-        self._counts["sifs_missed"] += missed
-        gone = self._counts["sifs_missed"] + self._counts["sifs_dropped"]
-        return _new_sif(frame.opcode, frame.payload, frame.seq, missed, None, self.epoch, gone)
+        _, seq, opcode, payload = frame
+        counts, missed = self._counts, 0
+        if self._next_sif is not None and (missed := (seq - self._next_sif) % _SEQS):
+            # Going back is also what the counter of a device does that was reset.
+            self.epoch += seq < self._next_sif
+            counts["sif_gaps"] += 1
+            counts["sifs_missed"] += missed
+        self._next_sif = (seq + 1) % _SEQS
+        counts["sifs"] += 1
+        gone = counts["sifs_missed"] + counts["sifs_dropped"]
+        return _new_sif(opcode, payload, seq, missed, None, self.epoch, gone)
 
     def _take_reply(self, frame: Frame) -> list[Call]:
         """Take a reply; return the calls that it ends."""

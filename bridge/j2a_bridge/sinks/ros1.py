@@ -40,6 +40,8 @@ __all__ = ["Ros1Sink"]
 
 _READY_S: Final = 20.0
 _WRITE_S: Final = 5.0
+_TOGETHER: Final = 1 << 15
+"""Where samples come without end, so many bytes go to the node at once."""
 _END_S: Final = 3.0
 _LINES: Final = 20
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
@@ -62,6 +64,7 @@ class Ros1Sink(Sink):
         self._ros = RosMessages("noetic")
         self._process: subprocess.Popen[bytes] | None = None
         self._lock = threading.Lock()
+        self._unsent = bytearray()  # frames of samples, which only this sink's thread keeps back
         self._reader: threading.Thread | None = None
         self._said: deque[str] = deque(maxlen=_LINES)
         self._ready = threading.Event()
@@ -84,6 +87,7 @@ class Ros1Sink(Sink):
         self._messages.clear()
         self._numbers.clear()
         self._takers.clear()
+        self._unsent.clear()
         self._next, self._shift_ns = 1, 0
         # genpy makes modules in it, which it would leave behind when the node is killed.
         self._scratch = tempfile.TemporaryDirectory(prefix="j2a-ros1-", ignore_cleanup_errors=True)
@@ -185,7 +189,15 @@ class Ros1Sink(Sink):
         for number, message in self._messages.get(update.topic.name, ()):
             data = message.pack(update)
             if data is not None:
-                self._send(node.PUBLISH, number, data)
+                with self._lock:
+                    self._unsent += node.HEADER.pack(node.PUBLISH, number, len(data)) + data
+                    if len(self._unsent) >= _TOGETHER:
+                        self._write()
+
+    def flush(self) -> None:
+        """Send the samples that came together by one write: each costs the node as much."""
+        with self._lock:
+            self._write()
 
     def status(self, status: Status) -> None:
         """Publish diagnostics."""
@@ -325,30 +337,35 @@ class Ros1Sink(Sink):
         Raises:
             SinkError: it has ended, or takes nothing.
         """
-        process = self._process
+        with self._lock:
+            self._unsent += node.HEADER.pack(what, number, len(data)) + data
+            self._write()
+
+    def _write(self) -> None:
+        """Write what is unsent; raises as `_send`."""
+        process, unsent = self._process, memoryview(bytes(self._unsent))
+        self._unsent.clear()
         if process is None or process.stdin is None:
             raise SinkError("the node of ROS 1 has ended")
-        frame = memoryview(node.HEADER.pack(what, number, len(data)) + data)
-        with self._lock:
-            fd = process.stdin.fileno()
-            end = 0.0
-            while frame:
-                try:
-                    frame = frame[os.write(fd, frame) :]
-                    continue
-                except BlockingIOError:
-                    pass
-                except OSError:
-                    why = self._said[-1] if self._said else f"code {process.poll()}"
-                    raise SinkError(f"the node of ROS 1 has ended: {why}") from None
-                end = end or time.monotonic() + _WRITE_S
-                left = end - time.monotonic()
-                if left <= 0:
-                    # Frames behind a part of one would be none, whoever sends them.
-                    process.kill()
-                    self._said.append(f"it took nothing for {_WRITE_S:g} s")
-                    raise SinkError(f"the node of ROS 1 takes nothing for {_WRITE_S:g} s")
-                select.select([], [fd], [], left)
+        fd = process.stdin.fileno()
+        end = 0.0
+        while unsent:
+            try:
+                unsent = unsent[os.write(fd, unsent) :]
+                continue
+            except BlockingIOError:
+                pass
+            except OSError:
+                why = self._said[-1] if self._said else f"code {process.poll()}"
+                raise SinkError(f"the node of ROS 1 has ended: {why}") from None
+            end = end or time.monotonic() + _WRITE_S
+            left = end - time.monotonic()
+            if left <= 0:
+                # Frames behind a part of one would be none, whoever sends them.
+                process.kill()
+                self._said.append(f"it took nothing for {_WRITE_S:g} s")
+                raise SinkError(f"the node of ROS 1 takes nothing for {_WRITE_S:g} s")
+            select.select([], [fd], [], left)
 
 
 def _value(text: str) -> Any:
