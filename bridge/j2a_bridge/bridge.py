@@ -150,7 +150,6 @@ class Bridge:
         self._ended = asyncio.Event()
         self._error: Exception | None = None
         self._ticked = time.monotonic()
-        self._changed = asyncio.Event()
         self._host = socket.gethostname()
         self.runners = [
             SinkRunner(str(one), make_sink(one, self), self._sink_gave_up) for one in config.sinks

@@ -190,7 +190,7 @@ class Ros1Sink(Sink):
             data = message.pack(update)
             if data is not None:
                 with self._lock:
-                    self._unsent += node.HEADER.pack(node.PUBLISH, number, len(data)) + data
+                    self._keep(node.PUBLISH, number, data)
                     if len(self._unsent) >= _TOGETHER:
                         self._write()
 
@@ -338,8 +338,11 @@ class Ros1Sink(Sink):
             SinkError: it has ended, or takes nothing.
         """
         with self._lock:
-            self._unsent += node.HEADER.pack(what, number, len(data)) + data
+            self._keep(what, number, data)
             self._write()
+
+    def _keep(self, what: int, number: int, data: bytes) -> None:
+        self._unsent += node.HEADER.pack(what, number, len(data)) + data
 
     def _write(self) -> None:
         """Write what is unsent; raises as `_send`."""
