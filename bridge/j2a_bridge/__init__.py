@@ -7,7 +7,8 @@ adds another way out.
 from typing import TYPE_CHECKING
 
 from j2a_bridge.config import Config, load_config
-from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, SinkRequest, Status, Update
+from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, Status, Update
+from j2a_bridge.sink_request import SinkRequest
 from j2a_bridge.topics import Topic
 
 if TYPE_CHECKING:

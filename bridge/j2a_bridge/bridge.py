@@ -22,7 +22,8 @@ from j2a.events import quick_maker
 from j2a.protocol.roster import BoardChange
 from j2a_bridge.config import BoardConfig, Config, SensorConfig, check_url
 from j2a_bridge.runner import SinkRunner
-from j2a_bridge.sink import BoardStatus, Status, Times, TopicStatus, Update, make_sink
+from j2a_bridge.sink import BoardStatus, Status, Times, TopicStatus, Update
+from j2a_bridge.sink_request import make_sink
 from j2a_bridge.topics import Names, Topic
 
 __all__ = ["Bridge"]

@@ -24,7 +24,7 @@ from j2a.cli._output import note, show
 from j2a.cli._urls import open_help
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
 from j2a_bridge.log_limit import LogLimit
-from j2a_bridge.sink import SinkRequest, sink_classes
+from j2a_bridge.sink_request import SinkRequest, sink_classes
 
 if TYPE_CHECKING:
     from j2a_bridge.bridge import Bridge

@@ -21,7 +21,7 @@ from j2a.cli._urls import open_help
 from j2a_bridge.command import log_to_stderr, run_bridge
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config
 from j2a_bridge.reports import read_reports
-from j2a_bridge.sink import SinkRequest
+from j2a_bridge.sink_request import SinkRequest
 
 if TYPE_CHECKING:
     from j2a_bridge.bridge import Bridge

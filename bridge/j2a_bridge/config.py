@@ -17,7 +17,7 @@ from j2a_spec.nearest import did_you_mean
 
 from j2a import J2AError, LocalError
 from j2a.io.opening import link_error
-from j2a_bridge.sink import SinkRequest
+from j2a_bridge.sink_request import SinkRequest
 
 __all__ = [
     "CLOCKS",

@@ -129,7 +129,9 @@ class SinkRunner:
     @property
     def status(self) -> SinkStatus:
         """How the sink is."""
-        return SinkStatus(self.name, self._is_open, self.problem, self.published, self.dropped)
+        lost = self.sink.lost
+        published, dropped = self.published - lost, self.dropped + lost
+        return SinkStatus(self.name, self._is_open, self.problem, published, dropped)
 
     def end(self) -> None:
         """Have it end when all that waits was published; returns at once."""

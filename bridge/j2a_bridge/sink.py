@@ -3,17 +3,15 @@
 What flows in: topics that come and go, and samples. What flows out: whatever the sink makes of
 them; back flow values for actuators, settings and calls, through `Control`.
 Rules: all methods of a sink are called by one thread of its own, so a sink may wait; what it cannot
-take is dropped for it alone, and counted. A sink of another package is found by the entry-point
-group `j2a.sinks` (name = what stands behind `--sink`, object = a class).
+take is dropped for it alone, and counted.
 """
 
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import entry_points
 from typing import Any, ClassVar, Final, Protocol
 
 from j2a import LocalError, Sample
@@ -21,6 +19,7 @@ from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Transducer
 from j2a_bridge.topics import Topic
 
 __all__ = [
+    "PROCESS",
     "BoardStatus",
     "Control",
     "NotTaken",
@@ -32,11 +31,8 @@ __all__ = [
     "Times",
     "TopicStatus",
     "Update",
-    "make_sink",
-    "sink_classes",
 ]
 
-ENTRY_POINT_GROUP: Final = "j2a.sinks"
 _NS_PER_US: Final = 1000
 
 
@@ -274,6 +270,12 @@ class Option:
         raise LocalError(f"the option {name} of a sink is {kinds[self.kind]}, not {value!r:.60}")
 
 
+PROCESS: Final[Mapping[str, Option]] = {
+    "process": Option(bool, False, "be a process of its own: for more samples than a core bears"),
+}
+"""Of the options of a sink that can be one: it uses neither `Control.client` nor `submit`."""
+
+
 class Sink(ABC):
     """A way out for samples.
 
@@ -291,10 +293,12 @@ class Sink(ABC):
     ARGUMENT: ClassVar[str] = ""
     """What stands behind the name, such as "FILE.mcap"; "" for nothing, in brackets if optional."""
     OPTIONS: ClassVar[Mapping[str, Option]] = {}
-    RETRY_S: ClassVar[float | None] = 2.0
+    RETRY_S: float | None = 2.0
     """After so long it is opened again when it has failed; None for never."""
-    WAITING: ClassVar[int] = 4096
+    WAITING: int = 4096
     """So many samples may wait for it."""
+    lost: int = 0
+    """Samples that it has taken and that came to nothing all the same."""
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
         self.argument = argument
@@ -344,91 +348,3 @@ class Sink(ABC):
     @abstractmethod
     def close(self) -> None:
         """End; may be called twice, and after a failure."""
-
-
-@dataclass(frozen=True)
-class SinkRequest:
-    """A sink that was asked for.
-
-    Attributes:
-        name: which one.
-        argument: what stands behind it.
-        options: that were given.
-        source: who asked for it, such as "robot.toml: ", for errors.
-    """
-
-    name: str
-    argument: str = ""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    source: str = field(default="", compare=False)
-
-    @classmethod
-    def parse(cls, text: str) -> "SinkRequest":
-        """Read NAME[:ARGUMENT][,OPTION=VALUE...].
-
-        Raises:
-            LocalError: it is none.
-        """
-        head, *parts = text.split(",")
-        name, _, argument = head.partition(":")
-        if not name:
-            raise LocalError(f"{text!r:.60} names no sink; write it as in --sink mcap:drive.mcap")
-        parts.insert(0, argument)
-        options: dict[str, Any] = {}
-        while parts and (found := _option(parts[-1])):
-            key, value = found
-            if key in options:
-                raise LocalError(f"{text}: the option {key} is given twice")
-            options[key] = value
-            parts.pop()
-        return cls(name, ",".join(parts), options)
-
-    def __str__(self) -> str:
-        return f"{self.name}:{self.argument}" if self.argument else self.name
-
-
-def _option(text: str) -> tuple[str, str] | None:
-    key, equals, value = text.partition("=")
-    return (key, value) if equals and key.isidentifier() else None
-
-
-def sink_classes() -> dict[str, Any]:
-    """Return the entry points of all sinks, by name; `load()` gives the class."""
-    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
-
-
-def make_sink(request: SinkRequest, control: Control) -> Sink:
-    """Make a sink.
-
-    Raises:
-        LocalError: there is none of that name, or it refuses its argument or an option.
-    """
-    try:
-        return _make_sink(request, control)
-    except LocalError as error:
-        raise LocalError(f"{request.source}{error}") from None
-
-
-def _make_sink(request: SinkRequest, control: Control) -> Sink:
-    known = sink_classes()
-    if request.name not in known:
-        raise LocalError(f"there is no sink {request.name!r:.40}; there are: {', '.join(known)}")
-    try:
-        kind: type[Sink] = known[request.name].load()
-    except ImportError as error:
-        raise LocalError(f"the sink {request.name} does not load: {error}") from None
-    if request.argument and not kind.ARGUMENT:
-        raise LocalError(f"the sink {request.name} takes nothing behind a colon")
-    if kind.ARGUMENT and kind.ARGUMENT[0] != "[" and not request.argument:
-        raise LocalError(f"the sink {request.name} needs more: {request.name}:{kind.ARGUMENT}")
-    for name in request.options:
-        if name not in kind.OPTIONS:
-            has = ", ".join(kind.OPTIONS) or "none"
-            raise LocalError(f"the sink {request.name} has no option {name}; it has: {has}")
-    options = {
-        name: option.read(name, request.options[name])
-        if name in request.options
-        else option.default
-        for name, option in kind.OPTIONS.items()
-    }
-    return kind(request.argument, options, control)

@@ -12,7 +12,8 @@ from collections import Counter
 import pytest
 from j2a_bridge.bridge import _EARLY, _MAX_ORDERS, Bridge
 from j2a_bridge.config import BoardConfig, Config, SensorConfig
-from j2a_bridge.sink import SinkError, SinkRequest
+from j2a_bridge.sink import SinkError
+from j2a_bridge.sink_request import SinkRequest
 
 import j2a
 from j2a.aio import AsyncTransducers

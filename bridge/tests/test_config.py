@@ -2,7 +2,7 @@
 
 import pytest
 from j2a_bridge.config import MESSAGES, BoardConfig, Config, SensorConfig, load_config
-from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sink_request import SinkRequest, make_sink
 
 from j2a import LocalError
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import aiohttp
 import pytest
 from j2a_bridge.ros_messages import RosMessages
-from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sink_request import SinkRequest, make_sink
 from j2a_bridge.sinks.foxglove import _Listener
 
 from j2a import LocalError

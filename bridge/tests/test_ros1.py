@@ -17,7 +17,8 @@ from pathlib import Path
 import j2a_bridge.sinks.ros1_node
 import pytest
 from j2a_bridge.ros_messages import RosMessages
-from j2a_bridge.sink import SinkError, SinkRequest, make_sink
+from j2a_bridge.sink import SinkError
+from j2a_bridge.sink_request import SinkRequest, make_sink
 from j2a_bridge.sinks.ros1 import Ros1Sink
 from rosbags.typesys import Stores, get_typestore
 

@@ -23,7 +23,8 @@ from cyclonedds.builtin import (
 from cyclonedds.domain import DomainParticipant
 from j2a_bridge.actuators import FLOATS
 from j2a_bridge.ros_messages import RosMessages
-from j2a_bridge.sink import SinkError, SinkRequest, make_sink
+from j2a_bridge.sink import SinkError
+from j2a_bridge.sink_request import SinkRequest, make_sink
 from j2a_bridge.topics import Topic
 
 from j2a import LocalError
@@ -97,10 +98,10 @@ class FastDds:
 
 
 @contextlib.asynccontextmanager
-async def bridged(domain, *more, text=TRANSDS):
+async def bridged(domain, *more, text=TRANSDS, option=""):
     device = board_of(text)
     with served(device) as url:
-        config = config_for(url, sinks=(f"ros2:domain={domain},node=arm", "kept", *more))
+        config = config_for(url, sinks=(f"ros2:domain={domain},node=arm{option}", "kept", *more))
         async with bridging(config) as bridge:
             assert bridge.runners[0].problem == ""
             await until(lambda: len(bridge._flows) == text.count("\n") - 1)
@@ -117,14 +118,15 @@ async def first(device, sense, got):
 
 
 @needs_fastdds
-def test_samples_reach_fast_dds_and_its_messages_actuators(program, domain, caplog):
+@pytest.mark.parametrize("option", ["", ",process=yes"])
+def test_samples_reach_fast_dds_and_its_messages_actuators(program, domain, caplog, option):
     ros = RosMessages("jazzy")
     store = ros.store_of(_descriptors())
 
     async def work():
         peer = await asyncio.to_thread(FastDds, program, domain)
         try:
-            async with bridged(domain) as (device, _):
+            async with bridged(domain, option=option) as (device, _):
                 peer.tell("sub", "rt/quad", "j2a_msgs::msg::dds_::Quad_", "best")
                 [data] = await first(
                     device,

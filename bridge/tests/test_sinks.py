@@ -15,7 +15,7 @@ import time
 from dataclasses import replace
 
 import pytest
-from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sink_request import SinkRequest, make_sink
 from j2a_bridge.sinks import mcap
 from j2a_bridge.sinks.udp import numbers
 from j2a_bridge.topics import Topic

@@ -13,7 +13,7 @@ import xxhash
 import zenoh
 from j2a_bridge.command_fleet import ask, lines, read_status
 from j2a_bridge.ros_messages import RosMessages
-from j2a_bridge.sink import SinkRequest, make_sink
+from j2a_bridge.sink_request import SinkRequest, make_sink
 from j2a_bridge.sinks.zenoh import FLEET
 from j2a_bridge.topics import Topic
 
@@ -53,13 +53,14 @@ class Peer:
         }
 
 
-async def with_peer(locator, work, text=None):
+async def with_peer(locator, work, text=None, option=""):
     device = board_of() if text is None else board_of(text)
     with served(device) as url:
-        sink = f"zenoh:mode=router,listen={locator},node=arm"
+        sink = f"zenoh:mode=router,listen={locator},node=arm{option}"
         async with bridging(config_for(url, sinks=(sink, "kept"))) as bridge:
             assert not bridge.runners[0].problem
-            await until(lambda: "servo" in bridge.runners[0].sink._parts)
+            known = "_numbers" if option else "_parts"
+            await until(lambda: "servo" in getattr(bridge.runners[0].sink, known))
             peer = await asyncio.to_thread(Peer, locator)
             try:
                 return await work(device, peer, bridge)
@@ -108,7 +109,8 @@ def _descriptors():
     return read_transds(TRANSDS)
 
 
-def test_actuators_are_set_by_messages_of_both_types(locator, caplog):
+@pytest.mark.parametrize("option", ["", ",process=yes"])
+def test_actuators_are_set_by_messages_of_both_types(locator, caplog, option):
     async def work(device, peer, bridge):
         ros = RosMessages("jazzy")
         store = ros.store_of(_descriptors())
@@ -131,7 +133,7 @@ def test_actuators_are_set_by_messages_of_both_types(locator, caplog):
         await until(lambda: caplog.text.count("was not set") >= 3)
         assert len(device.was_set) == count
 
-    asyncio.run(with_peer(locator, work))
+    asyncio.run(with_peer(locator, work, option=option))
     assert "servo is -100 % to 100 %, not 101 %" in caplog.text
 
 

@@ -14,7 +14,15 @@ from typing import Any, ClassVar, Final
 from j2a import LocalError
 from j2a.recording import Recorder, check_package
 from j2a.types.transducers import Descriptors
-from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, Update
+from j2a_bridge.sink import (
+    PROCESS,
+    Control,
+    NotTaken,
+    Option,
+    Sink,
+    SinkError,
+    Update,
+)
 from j2a_bridge.topics import Topic
 
 __all__ = ["McapSink"]
@@ -30,6 +38,7 @@ class McapSink(Sink):
     ARGUMENT = "FILE.mcap"
     OPTIONS: ClassVar[Mapping[str, Option]] = {
         "segment": Option(int, 0, "begin another file when one has so many MiB"),
+        **PROCESS,
     }
     RETRY_S = None
     WAITING = 1 << 16

@@ -18,7 +18,15 @@ from typing import Any, ClassVar, Final
 import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
+from j2a_bridge.sink import (
+    PROCESS,
+    Control,
+    Option,
+    Sink,
+    SinkError,
+    Status,
+    Update,
+)
 from j2a_bridge.topics import ENVIRONMENT, NODE, Topic, check_node, domain_of
 
 try:
@@ -62,6 +70,7 @@ class Ros2Sink(Sink):
         ),
         "distro": Option(str, "jazzy", "whose messages: humble or jazzy"),
         "node": Option(str, NODE, f"name of the node; another one for each bridge ({NODE})"),
+        **PROCESS,
     }
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:

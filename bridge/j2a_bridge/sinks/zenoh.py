@@ -20,7 +20,15 @@ from typing import Any, ClassVar, Final
 import j2a
 from j2a import LocalError
 from j2a.types.transducers import numbers_element
-from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
+from j2a_bridge.sink import (
+    PROCESS,
+    Control,
+    Option,
+    Sink,
+    SinkError,
+    Status,
+    Update,
+)
 from j2a_bridge.topics import ENVIRONMENT, NODE, Topic, check_node, domain_of, plain_name
 
 try:
@@ -120,6 +128,7 @@ class ZenohSink(Sink):
         "domain": Option(int, ENVIRONMENT, "domain id of ROS 2 (ROS_DOMAIN_ID, else 0)"),
         "distro": Option(str, "jazzy", "whose messages: humble or jazzy"),
         "node": Option(str, NODE, f"name of the node; another one for each bridge ({NODE})"),
+        **PROCESS,
     }
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:

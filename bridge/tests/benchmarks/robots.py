@@ -31,6 +31,7 @@ HERE = Path(__file__).parent
 PYTHON = "/usr/bin/python3"
 RATE_HZ, SECONDS = 200.0, 5.0
 TOPICS, FAST_HZ = 16, 1000.0
+APART = ",process=yes"
 _TICK = os.sysconf("SC_CLK_TCK")
 
 
@@ -148,12 +149,15 @@ class Ros1:
         return [int(word) for word in read(one).split()]
 
 
-def bridged(name: str, ros: Ros1 | Ros2, topics: int, rate: float, seconds: float) -> None:
+def bridged(
+    name: str, ros: Ros1 | Ros2, topics: int, rate: float, seconds: float, option: str = ""
+) -> None:
     """Measure samples that go through a bridge."""
+    sink = "--sink", f"{ros.sink}{option}"
     with (
         process(sys.executable, "-m", f"{__package__}.board", topics, rate, seconds) as board,
         ros.counting(topics) as counter,
-        process(sys.executable, "-m", "j2a", "bridge", read(board), "--sink", ros.sink) as bridge,
+        process(sys.executable, "-m", "j2a", "bridge", read(board), *sink) as bridge,
     ):
         time.sleep(6)  # for all to find each other
         before, start = cpu_s(bridge), time.monotonic()
@@ -212,14 +216,15 @@ def relayed(ros: Ros1, rate: float, seconds: float) -> None:
             link.close()
 
 
-def recorded(topics: int, rate: float, seconds: float) -> None:
+def recorded(name: str, topics: int, rate: float, seconds: float, option: str = "") -> None:
     """Measure whether all samples are in a recording."""
     with (
         tempfile.TemporaryDirectory() as folder,
         process(sys.executable, "-m", f"{__package__}.board", topics, rate, seconds) as board,
     ):
         path = Path(folder, "a.mcap")
-        command = sys.executable, "-m", "j2a", "bridge", read(board), "--sink", f"mcap:{path}"
+        sink = "--sink", f"mcap:{path}{option}"
+        command = sys.executable, "-m", "j2a", "bridge", read(board), *sink
         with process(*command) as bridge:
             time.sleep(3)
             before, start = cpu_s(bridge), time.monotonic()
@@ -230,7 +235,7 @@ def recorded(topics: int, rate: float, seconds: float) -> None:
             bridge.terminate()
             bridge.wait()
         count = sum(1 for _ in Recording(path))
-        parts = f"{'MCAP':<34}", f"{count:>8} of {sent:<8}", " " * 35, f"{100 * used:>6.0f} %"
+        parts = f"{name:<34}", f"{count:>8} of {sent:<8}", " " * 35, f"{100 * used:>6.0f} %"
         print(*parts, flush=True)
 
 
@@ -273,6 +278,7 @@ def main() -> None:
         print(f"one topic at {RATE_HZ:g} Hz")
         if ros2 is not None:
             bridged("ROS 2, bridge", ros2, 1, RATE_HZ, seconds)
+            bridged("ROS 2, process=yes", ros2, 1, RATE_HZ, seconds, APART)
             raw_dds(ros2, RATE_HZ, seconds)
         if ros1 is not None:
             bridged("ROS 1, bridge", ros1, 1, RATE_HZ, seconds)
@@ -280,9 +286,11 @@ def main() -> None:
         print(f"{TOPICS} topics at {FAST_HZ:g} Hz")
         if ros2 is not None:
             bridged("ROS 2, bridge", ros2, TOPICS, FAST_HZ, seconds)
+            bridged("ROS 2, process=yes", ros2, TOPICS, FAST_HZ, seconds, APART)
         if ros1 is not None:
             bridged("ROS 1, bridge", ros1, TOPICS, FAST_HZ, seconds)
-        recorded(TOPICS, FAST_HZ, seconds)
+        recorded("MCAP", TOPICS, FAST_HZ, seconds)
+        recorded("MCAP, process=yes", TOPICS, FAST_HZ, seconds, APART)
 
 
 if __name__ == "__main__":
