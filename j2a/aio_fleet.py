@@ -9,13 +9,14 @@ waits for another. Where a link has a descriptor it has no thread; only opening 
 import asyncio
 import inspect
 import logging
-from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from j2a.aio import AsyncClient, aconnect
 from j2a.errors import J2AError, LocalError, OpenFailed, Outcome
 from j2a.events import Sample
+from j2a.io.async_calls import AsyncCalls
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.fleet_base import FleetBase, by_url
@@ -82,6 +83,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         except RuntimeError:
             raise LocalError("make a j2a.AsyncFleet in a coroutine: no event loop runs") from None
         self._identify = identify
+        self._calls = AsyncCalls(self._reporter.report)
         self._changed = asyncio.Event()  # replaced when it is set
         self._tasks: dict[asyncio.Task[None], _Member] = {}
         try:
@@ -227,47 +229,11 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         )
 
     def _deliver(self, sample: Sample) -> Awaitable[None] | None:
-        takers = self._takers(sample.name)
-        for deliver in takers:
-            if (rest := self._call(deliver, sample)) is not None:
-                return self._deliver_rest(rest, takers, sample)
-        return None
-
-    async def _deliver_rest(
-        self, rest: Awaitable[None] | None, takers: Iterator[Callable[[Any], Any]], sample: Sample
-    ) -> None:
-        """Go on after a handler that is to be awaited."""
-        while True:
-            if rest is not None:
-                await rest
-            if (deliver := next(takers, None)) is None:
-                return
-            rest = self._call(deliver, sample)
+        return self._calls.call(self._takers(sample.name), sample)
 
     async def _tell(self, change: BoardChange | None) -> None:
-        if change is not None:
-            for deliver in self._changes.matching():
-                if (rest := self._call(deliver, change)) is not None:
-                    await rest
-
-    def _call(
-        self, handler: Callable[[Any], Any], event: Sample | BoardChange
-    ) -> Awaitable[None] | None:
-        """Call a handler; return what is to be awaited, None where it has ended already."""
-        try:
-            result = handler(event)
-        except Exception as error:  # a handler of the user may raise anything
-            self._reporter.report(error, event)
-            return None
-        if result is None or not inspect.isawaitable(result):
-            return None
-        return self._finish_handler(result, event)
-
-    async def _finish_handler(self, result: Awaitable[object], event: Sample | BoardChange) -> None:
-        try:
-            await result
-        except Exception as error:
-            self._reporter.report(error, event)
+        if change is not None and (rest := self._calls.call(self._changes.matching(), change)):
+            await rest
 
 
 class _Member(Member[AsyncClient]):

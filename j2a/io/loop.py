@@ -8,16 +8,16 @@ link keeps the engine alive, but neither the client nor its handlers.
 
 import asyncio
 import contextlib
-import inspect
 import logging
 import math
 import weakref
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
 from j2a.events import Doubt, Reply, Restart, Sif
+from j2a.io.async_calls import AsyncCalls
 from j2a.io.async_streams import AsyncSifStream
 from j2a.io.client_base import MAX_SIFS_WAITING, take_stale_input
 from j2a.io.handlers import ErrorHook, Handlers, Reporter, Wanted
@@ -76,7 +76,7 @@ class AsyncEngine:
         self._sifs: deque[Sif | Restart | None] = deque()  # None is the end
         self._came = asyncio.Event()
         self._takes_sifs = True
-        self._drops_sifs = False
+        self._calls = AsyncCalls(self._handler_failed, (asyncio.CancelledError,))
         # The next time at which time limits are judged; nothing may be late then.
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due = math.inf
@@ -319,34 +319,12 @@ class AsyncEngine:
     async def _deliver_restart(self, restart: Restart) -> None:
         restart, self._restart = self._restart or restart, None
         restarted = self._restarted()
-        if restarted is None or self._drops_sifs:
+        if restarted is None or self._calls.are_over:
             return
         restart, handlers = await restarted(restart)
         del restarted  # it keeps the client alive
-        for handler in handlers.matching():
-            if (rest := self._call_handler(handler, restart)) is not None:
-                await rest
-            if self._drops_sifs:
-                return
-
-    def _call_handler(
-        self, handler: Callable[[Any], Any], event: Sif | Restart
-    ) -> Awaitable[None] | None:
-        """Call a handler; return what is to be awaited, None where it has ended already."""
-        try:
-            result = handler(event)
-        except (Exception, asyncio.CancelledError) as error:
-            self._handler_failed(error, event)
-            return None
-        if result is None or not inspect.isawaitable(result):
-            return None
-        return self._finish_handler(result, event)
-
-    async def _finish_handler(self, result: Awaitable[object], event: Sif | Restart) -> None:
-        try:
-            await result
-        except (Exception, asyncio.CancelledError) as error:
-            self._handler_failed(error, event)
+        if (rest := self._calls.call(handlers.matching(), restart)) is not None:
+            await rest
 
     def _handler_failed(self, error: BaseException, event: Sif | Restart) -> None:
         # A handler may meet a cancelled future; only cancelling this task ends it.
@@ -382,27 +360,10 @@ class AsyncEngine:
     def _deliver(self, sif: Sif) -> Awaitable[None] | None:
         """Call the handlers of a SIF; return what is to be awaited, None where all have ended."""
         handlers = self._handlers()
-        if handlers is None or self._drops_sifs:
+        if handlers is None or self._calls.are_over:
             self._session.count("sifs_dropped")
             return None
-        matching = handlers.matching(sif.opcode)
-        for handler in matching:
-            if (rest := self._call_handler(handler, sif)) is not None:
-                return self._deliver_rest(rest, matching, sif)
-            if self._drops_sifs:
-                break
-        return None
-
-    async def _deliver_rest(
-        self, rest: Awaitable[None] | None, matching: Iterator[Callable[[Any], Any]], sif: Sif
-    ) -> None:
-        """Go on after a handler that is to be awaited."""
-        while True:
-            if rest is not None:
-                await rest
-            if self._drops_sifs or (handler := next(matching, None)) is None:
-                return
-            rest = self._call_handler(handler, sif)
+        return self._calls.call(handlers.matching(sif.opcode), sif)
 
     # ------------------------------------------------------------------ the end
 
@@ -414,7 +375,7 @@ class AsyncEngine:
 
     def _finish(self, reason: LinkClosed) -> None:
         """End what `close` ends: calls no handler any more after the one that runs."""
-        self._drops_sifs = True
+        self._calls.are_over = True
         self._end(reason)
         dropped = 0
         while self._sifs:

@@ -1,0 +1,68 @@
+"""Handlers that may be coroutine functions, called one after the other.
+
+What flows in: handlers, and what they are called with. What flows out: exceptions that they raise.
+Rules: a handler ends before the next one begins. Nearly all of them wait for nothing, and calling
+these takes no coroutine.
+"""
+
+import inspect
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
+
+__all__ = ["AsyncCalls"]
+
+
+class AsyncCalls:
+    """Calls handlers in the running event loop.
+
+    Args:
+        failed: called with what a handler raises, and what it was called with.
+        catches: what else than `Exception` is passed to it.
+
+    Attributes:
+        are_over: no handler is called any more after the one that runs.
+    """
+
+    def __init__(
+        self,
+        failed: Callable[[BaseException, Any], object],
+        catches: tuple[type[BaseException], ...] = (),
+    ) -> None:
+        self.are_over = False
+        self._failed = failed
+        self._catches: tuple[type[BaseException], ...] = (Exception, *catches)
+
+    def call(
+        self, handlers: Iterator[Callable[[Any], Any]], event: object
+    ) -> Awaitable[None] | None:
+        """Call handlers; return what is to be awaited, None where all of them have ended."""
+        first = self._until_one_waits(handlers, event)
+        return None if first is None else self._go_on(first, handlers, event)
+
+    def _until_one_waits(
+        self, handlers: Iterator[Callable[[Any], Any]], event: object
+    ) -> Awaitable[object] | None:
+        for handler in handlers:
+            try:
+                result = handler(event)
+            except self._catches as error:
+                self._failed(error, event)
+            else:
+                if result is not None and inspect.isawaitable(result):
+                    return result
+            if self.are_over:
+                break
+        return None
+
+    async def _go_on(
+        self,
+        waits: Awaitable[object] | None,
+        handlers: Iterator[Callable[[Any], Any]],
+        event: object,
+    ) -> None:
+        while waits is not None:
+            try:
+                await waits
+            except self._catches as error:
+                self._failed(error, event)
+            waits = None if self.are_over else self._until_one_waits(handlers, event)
