@@ -411,6 +411,34 @@ def test_the_page_allows_no_foreign_scripts_and_no_frames():
     assert "http" not in text
 
 
+def test_48_connections_are_taken_and_one_more_is_ended():
+    async def work():
+        async with paged(board_of()) as (_, server, _):
+            port = int(server.url.split("/")[2].split(":")[1])
+            taken = server._runner.server.connections
+            links = []
+            try:
+                while len(taken) < 48:
+                    links.append(await asyncio.open_connection("127.0.0.1", port))
+                    count = len(links)
+                    await until(lambda count=count: len(taken) >= count)
+                reader, _ = refused = await asyncio.open_connection("127.0.0.1", port)
+                links.append(refused)
+                assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
+                assert len(taken) == 48
+                links.pop(0)[1].close()
+                await until(lambda: len(taken) < 48)
+                reader, writer = again = await asyncio.open_connection("127.0.0.1", port)
+                links.append(again)
+                writer.write(b"GET /none HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+                assert (await asyncio.wait_for(reader.readline(), PATIENCE_S)).startswith(b"HTTP/")
+            finally:
+                for _, writer in links:
+                    writer.close()
+
+    in_loop(work)
+
+
 def test_a_flood_of_connections_and_of_messages_is_bounded():
     gate = threading.Event()
 
