@@ -97,6 +97,19 @@ class AvrSim(AvrCore):
                 self._run(limit_cycles, _build.STOP_OUTPUT)
             return self.readable > 0
 
+    def run_while_output(self, gap_cycles: int, most: int) -> None:
+        """Run until uart_read() has `most` bytes, or none has come for a while.
+
+        Args:
+            gap_cycles: how long.
+            most: bytes.
+
+        Raises:
+            FirmwareStopped: as for run().
+        """
+        with self._lock:
+            self._check_state(self._lib.sim_run_output(self._handle, gap_cycles, most))
+
     def run_until_usb(self, limit_cycles: int) -> bool:
         """Run until a transfer of `usb` has completed that was not taken yet, or the limit is over.
 

@@ -137,7 +137,10 @@ class AvrCore:
         Raises:
             FirmwareStopped: illegal instruction, crash, or sleep with interrupts off.
         """
-        return self._run(cycles, 0)
+        with self._lock:
+            before = self.cycle
+            self._run(cycles, 0)
+            return self.cycle - before
 
     def run_until(
         self, condition: Callable[[], bool], limit_cycles: int, step_cycles: int = 1000
@@ -168,18 +171,18 @@ class AvrCore:
         with self._lock:
             self._lib.sim_reset(self._handle)
 
-    def _run(self, cycles: int, stop: int) -> int:
+    def _run(self, cycles: int, stop: int) -> None:
         with self._lock:
-            handle = self._handle
-            before = self.cycle
-            state = self._lib.sim_run(handle, max(0, cycles), stop)
-            name = _build.STATES[state]
-            if self._lib.sim_illegal(handle):
-                name = "illegal instruction"
-            if name in {"illegal instruction", "done", "crashed"}:
-                pc = int(self._lib.sim_pc(handle))
-                raise FirmwareStopped(self._why_stopped(name), self.cycle, pc)
-            return self.cycle - before
+            self._check_state(self._lib.sim_run(self._handle, max(0, cycles), stop))
+
+    def _check_state(self, state: int) -> None:
+        """Raise FirmwareStopped if a run ended for good in that state."""
+        name = _build.STATES[state]
+        if self._lib.sim_illegal(self._handle):
+            name = "illegal instruction"
+        if name in {"illegal instruction", "done", "crashed"}:
+            pc = int(self._lib.sim_pc(self._handle))
+            raise FirmwareStopped(self._why_stopped(name), self.cycle, pc)
 
     def _why_stopped(self, name: str) -> str:
         said = [line for line in self.log.strip().splitlines() if line != _CRASH]

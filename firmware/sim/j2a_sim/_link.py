@@ -6,6 +6,7 @@ A `sim:` URL with `link=usb` goes over the chip's USB instead: see `_usb.link`.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final
 from urllib.parse import unquote
 
@@ -15,7 +16,7 @@ from j2a_transports.options import text
 from j2a_sim._avr import AvrSim
 from j2a_sim._errors import SimError
 from j2a_sim._options import frequency, rate, speed
-from j2a_sim._timed_link import PATIENCE_S, TimedLink
+from j2a_sim._timed_link import PATIENCE_S, SLICE_S, TimedLink
 from j2a_sim._usb.link import UsbLink
 
 # A gap on the wire that ends what one read returns, in characters.
@@ -64,15 +65,18 @@ class SimLink(TimedLink):
         self.sim.run(cycles)
 
     def _collect(self) -> bytes:
-        data = bytearray(self.sim.uart_read())
+        data = self.sim.uart_read()
         gap = int(GAP_CHARS * self.sim.char_cycles)
-        while len(data) < MOST_BYTES:
-            self._pass(self._run_until_readable, gap)
+        # As many bytes at once as come within a slice however slowly, for each call of C costs.
+        at_once = max(1, self.sim.cycles(SLICE_S) // gap)
+        is_quiet = False
+        while not is_quiet and (room := MOST_BYTES - len(data)) > 0:
+            most = min(room, at_once)
+            self._pass(partial(self.sim.run_while_output, most=most), gap)
             more = self.sim.uart_read()
-            if not more:
-                break
+            is_quiet = len(more) < most
             data += more
-        return bytes(data)
+        return data
 
 
 def _seconds(text: str) -> float | None:

@@ -39,6 +39,21 @@ def test_echo_of_every_byte_at_wire_rate(simulate, name, baud):
     assert (counters.overruns, counters.queued, counters.tx_ignored) == (0, 0, 0)
 
 
+def test_running_while_output_comes_ends_with_a_gap_or_with_enough(simulate):
+    sim = simulate("echo", BAUD=115200)
+    sim.boot()
+    sim.uart_write(b"0123456789")
+    assert sim.run_until_output(SECOND)
+    gap = int(2 * sim.char_cycles)
+    sim.run_while_output(gap, 4)
+    fourth = sim.cycle
+    sim.run_while_output(gap, 100)
+    out = sim.uart_read_stamped()
+    assert bytes(byte.value for byte in out) == b"0123456789"
+    assert 0 <= fourth - out[3].cycle < 8
+    assert 0 <= sim.cycle - out[-1].cycle - gap < 16
+
+
 @pytest.mark.parametrize(
     ("ucsr0c", "bits"),
     [(0x06, 10), (0x2E, 12), (0x36, 11), (0x04, 9), (0x00, 7)],

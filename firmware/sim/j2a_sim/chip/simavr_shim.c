@@ -310,6 +310,17 @@ int sim_run(sim_t *s, uint64_t cycles, int stop_mask)
     return state;
 }
 
+int sim_run_output(sim_t *s, uint64_t gap, uint32_t most)
+{
+    uint32_t before;
+    int state;
+    do {
+        before = s->out_count;
+        state = sim_run(s, gap, STOP_OUTPUT);
+    } while (before < s->out_count && s->out_count < most);
+    return state;
+}
+
 /* ---- what the host sees ---- */
 
 uint64_t sim_cycle(const sim_t *s) { return s->avr->cycle; }
