@@ -12,12 +12,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
-from typing import Final, Protocol, cast
+from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from j2a.cli._exit import UsageError
 from j2a.errors import LocalError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 __all__ = ["BUILT_IN", "ENTRY_POINT_GROUP", "Command", "load", "names", "summaries"]
 
@@ -99,5 +101,7 @@ def load(name: str) -> tuple[Command, str] | None:
 
 
 def _others() -> dict[str, EntryPoint]:
+    from importlib.metadata import entry_points  # noqa: PLC0415 - slow to load
+
     found = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
     return {name: found[name] for name in sorted(found.keys() - BUILT_IN.keys())}

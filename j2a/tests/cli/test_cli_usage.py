@@ -65,7 +65,11 @@ def test_commands_of_other_packages(run, monkeypatch):
         Point("broken", ImportError("no module somebody")),
         Point("echo", ImportError("takes the place of a command of ours")),
     ]
-    monkeypatch.setattr(_commands, "entry_points", lambda group: found)
+
+    def entry_points(group, name=None):
+        return found if group == _commands.ENTRY_POINT_GROUP else []
+
+    monkeypatch.setattr("importlib.metadata.entry_points", entry_points)
     listed = re.sub(" +", " ", run("--help").out)
     assert " zebra what it does\n" in listed
     assert " broken (does not load: ImportError: no module somebody)\n" in listed
