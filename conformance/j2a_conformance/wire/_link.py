@@ -119,6 +119,10 @@ class Link:
         """Return the time in seconds; of a simulated device it is the simulated time."""
         return self._clock()
 
+    def pause(self, time_s: float) -> None:
+        """Let so much time pass; a little more where the machine is slow to wake up."""
+        (self.transport.sleep if self.transport.is_simulated else time.sleep)(time_s)
+
     def wait_until(self, moment_s: float) -> None:
         """Return at `moment_s` of `now_s`, more exactly than a sleep alone does."""
         rest_s = moment_s - self.now_s()

@@ -187,7 +187,7 @@ class Board:
         while status.local < end:
             if self.peer.link.now_s() > end_s:
                 fail(f"the local time is {status.local} us where {end} us had long come")
-            self.peer.link.wait_until(self.peer.link.now_s() + pause_s)
+            self.peer.link.pause(pause_s)
             status = self.status()
             yield status
 
