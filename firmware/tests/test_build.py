@@ -211,6 +211,11 @@ def test_other_options_rebuild_and_the_same_do_not(make, tmp_path):
         ("BAUD", "0"),
         ("RXBUF", "0"),
         ("TXBUF", "-1"),
+        ("TXBUF", ""),
+        ("TXBUF", "00"),
+        ("BAUD", "9600 8"),
+        ("LINKS", "01"),
+        ("ROOM", "123456789"),
     ],
 )
 def test_wrong_variables_are_refused_in_one_line(make, tmp_path, name, value):
