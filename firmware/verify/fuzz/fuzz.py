@@ -135,14 +135,14 @@ def main() -> int:
             options = SMALL if arguments.small else []
             program = build(core, folder, options, objects=arguments.objects)
             seed(grown)
-        shutil.copytree(corpus, grown, dirs_exist_ok=True)
         runs = arguments.runs if arguments.seconds else 0
         limit = [f"-max_total_time={arguments.seconds}", f"-runs={runs}"]
         command = [str(program), *limit, f"-seed={arguments.seed}"]
         if not arguments.transducers:
             command += [f"-dict={HERE}/markers.dict"]
         command += [f"-artifact_prefix={arguments.inputs}/", "-print_final_stats=1"]
-        command += [f"-max_len={max_len}", "-timeout=10", "-detect_leaks=0", str(grown)]
+        inputs = [str(grown), str(corpus)]  # written into; only read
+        command += [f"-max_len={max_len}", "-timeout=10", "-detect_leaks=0", *inputs]
         result = subprocess.run(command, check=False)
         if result.returncode == 0 and arguments.keep:
             merged = folder / "merged"
@@ -150,7 +150,7 @@ def main() -> int:
                 shutil.copytree(corpus, merged)
             else:
                 merged.mkdir()
-            subprocess.run([str(program), "-merge=1", str(merged), str(grown)], check=True)
+            subprocess.run([str(program), "-merge=1", str(merged), *inputs], check=True)
             shutil.rmtree(corpus)
             shutil.copytree(merged, corpus)
     return int(result.returncode != 0)
