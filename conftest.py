@@ -4,6 +4,7 @@ J2A_REQUIRE_AVR=1, which tools/check.sh sets in CI, is all that decides whether 
 are missing is skipped or fails.
 """
 
+import hashlib
 import os
 import shutil
 import signal
@@ -131,15 +132,25 @@ def make(need: Callable[[str], None]) -> Make:
 def build_firmware(
     make: Make, need: Callable[[str], None], tmp_path_factory: pytest.TempPathFactory
 ) -> Build:
-    """Build an app, each set of variables once and in a folder of its own; returns the program."""
+    """Build an app, each set of variables once and in a folder of its own; returns the program.
+
+    The workers of pytest-xdist share the folders: what one has built, make only looks at again.
+    """
+    import fcntl  # noqa: PLC0415 - not on every system
+
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "firmware"
     done: dict[tuple[object, ...], Path] = {}
 
     def run(app: str = "demo", port: str = "posix", **variables: object) -> Path:
         need(str(variables.get("CC", COMPILERS.get(port, "cc"))))
         key = (app, port, *sorted((name, str(value)) for name, value in variables.items()))
         if key not in done:
-            out = tmp_path_factory.mktemp(f"{port}-{app}")
-            result = make(APP=app, PORT=port, OUT=out, **variables)
+            out = shared / f"{port}-{app}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}"
+            out.mkdir(parents=True, exist_ok=True)
+            with out.with_suffix(".lock").open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                result = make(APP=app, PORT=port, OUT=out, **variables)
             assert result.returncode == 0, result.stderr
             done[key] = out / (f"{app}.elf" if port in COMPILERS else app)
         return done[key]
