@@ -189,21 +189,37 @@ def test_an_escape_takes_no_longer_than_two_bytes(checked, out, name):
     assert around + min(costs) < figures["received"] < figures["received_dearest"]
 
 
-def deep_app(folder, body):
-    folder.mkdir()
-    (folder / "app.c").write_text(
-        '#include "j2a_functions.h"\nvoid j2a_app_task(void) {\n}\n'
-        f"{body}\n"
-        "uint8_t deep(uint8_t *const length, uint8_t **const payload) {\n"
-        "    return down(*length, *payload);\n}\n"
-    )
-    (folder / "functions.def").write_text("J2A_CALL(deep, deep)\n")
-    (folder / "properties.def").write_text("")
-    return folder
+DEEP = """#include "j2a_functions.h"
+void j2a_app_task(void) {
+}
+BODY
+uint8_t deep(uint8_t *const length, uint8_t **const payload) {
+    return down(*length, *payload);
+}
+"""
 
 
-def plain_build(app):
-    return builds.Build("test", "", "avr-serial", (), app, {}, {}, (), {})
+@pytest.fixture(scope="module")
+def deep(avr, make, tmp_path_factory):
+    """Build a program whose function goes deep; the rest of it is compiled once."""
+    folder = tmp_path_factory.mktemp("deep")
+    app = folder / "app"
+    app.mkdir()
+    (app / "functions.def").write_text("J2A_CALL(deep, deep)\n")
+    (app / "properties.def").write_text("")
+
+    def run(body):
+        (app / "app.c").write_text(DEEP.replace("BODY", body))
+        elf = folder / "out/deep.elf"
+        elf.unlink(missing_ok=True)
+        result = make(PORT="avr-serial", APP="deep", APP_DIR=app, OUT=folder / "out")
+        assert result.returncode == 0, result.stderr
+        return elf
+
+    return run
+
+
+PLAIN = builds.Build("test", "", "avr-serial", (), "deep", {}, {}, (), {})
 
 
 FRAME = """static uint8_t down(uint8_t length, uint8_t *payload) {
@@ -222,11 +238,10 @@ RECURSION = """static __attribute__((noinline)) uint8_t down(uint8_t length, uin
 
 # The compiler makes room by other instructions from 64 bytes on, and for multiples of 256.
 @pytest.mark.parametrize("size", [50, 100, 255, 256, 300, 512])
-def test_deep_stack_is_seen(build, tmp_path, checked, size):
-    app = deep_app(tmp_path / "deep", FRAME.replace("SIZE", f"{size}"))
-    elf = build("deep", "avr-serial", APP_DIR=str(app))
-    stack = avr_run.stack(elf, plain_build("deep"))
-    bound = avr_stack.stack_bound(elf, plain_build("deep"))
+def test_deep_stack_is_seen(deep, checked, size):
+    elf = deep(FRAME.replace("SIZE", f"{size}"))
+    stack = avr_run.stack(elf, PLAIN)
+    bound = avr_stack.stack_bound(elf, PLAIN)
     # Deeper than a2jMany, which is the deepest otherwise, by nearly all of the frame.
     assert size < stack <= bound < checked[1][FULL]["bound"] + size
 
@@ -237,16 +252,16 @@ static __attribute__((noinline)) uint8_t down(uint8_t length, uint8_t *payload) 
 }"""
 
 
-def test_pointers_to_functions_have_no_bound(build, tmp_path):
-    elf = build("deep", "avr-serial", APP_DIR=str(deep_app(tmp_path / "deep", POINTER)))
+def test_pointers_to_functions_have_no_bound(deep):
+    elf = deep(POINTER)
     with pytest.raises(BudgetError, match=r"\w+ (calls|jumps) through a pointer"):
-        avr_stack.stack_bound(elf, plain_build("deep"))
+        avr_stack.stack_bound(elf, PLAIN)
 
 
-def test_recursion_has_no_bound(build, tmp_path):
-    elf = build("deep", "avr-serial", APP_DIR=str(deep_app(tmp_path / "deep", RECURSION)))
+def test_recursion_has_no_bound(deep):
+    elf = deep(RECURSION)
     with pytest.raises(BudgetError, match="down calls itself"):
-        avr_stack.stack_bound(elf, plain_build("deep"))
+        avr_stack.stack_bound(elf, PLAIN)
 
 
 CALLS = """graph: { title: "x.c"
