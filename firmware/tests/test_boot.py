@@ -1,6 +1,7 @@
 """The boot SIF of the C core (SPEC.md, section 21): own firmware, and chips that are reset."""
 
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -38,16 +39,20 @@ J2A_FUNCTION(raw, u8, (u8, opcode), "Sends a SIF.")
 """
 
 
-@pytest.fixture
-def firmware(tmp_path, build):
-    """Build firmware whose application sends a SIF as soon as it runs."""
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory, build):
+    """Build firmware whose application sends a SIF as soon as it runs, each kind once."""
+
+    @cache
+    def app(own, opcode):
+        folder = tmp_path_factory.mktemp("boot")
+        (folder / "app.c").write_text(APP.format(own=own))
+        (folder / "functions.def").write_text(FUNCTIONS.format(opcode=opcode))
+        (folder / "properties.def").write_text('J2A_PROPERTY("name", "x")\n')
+        return folder
 
     def make(own="", opcode=32, port="posix", **variables):
-        (tmp_path / "app.c").write_text(APP.format(own=own))
-        (tmp_path / "functions.def").write_text(FUNCTIONS.format(opcode=opcode))
-        (tmp_path / "properties.def").write_text('J2A_PROPERTY("name", "x")\n')
-        variables = {"APP_DIR": tmp_path, "OPTIONS": ON, **variables}
-        return build("x", port, **variables)
+        return build("x", port, **{"APP_DIR": app(own, opcode), "OPTIONS": ON, **variables})
 
     return make
 
