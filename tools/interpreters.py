@@ -168,7 +168,6 @@ def run_tests(python: Path, tests: tuple[str, ...]) -> subprocess.CompletedProce
     return subprocess.run(
         [python, "-m", "pytest", *options, *tests],
         cwd=ROOT,
-        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
