@@ -153,6 +153,8 @@ class SinkProcess(Sink):
 
     def publish(self, update: Update) -> None:
         """Have a sample published there, together with others that come at the same time."""
+        if len(self._batch) >= _TOGETHER:
+            self._send_batch()  # before: where this fails, the runner counts this sample
         sample = update.sample
         self._batch.append(
             (
@@ -164,8 +166,6 @@ class SinkProcess(Sink):
                 (update.times_us, update.shift_us, update.arrived_ns, update.uncertainty_us),
             )
         )
-        if len(self._batch) >= _TOGETHER:
-            self._send_batch()
 
     def flush(self) -> None:
         """Send what came together."""
