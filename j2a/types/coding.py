@@ -236,9 +236,21 @@ class Codec:
 
 
 def tuple_class(name: str, fields: Sequence[Field]) -> type[Any]:
-    """Return a named tuple for fields."""
+    """Return a named tuple for fields; it can be pickled, though no module has it."""
     [own] = python_names([name])
-    return namedtuple(own, python_names([field.name for field in fields]))
+    return _tuple_class(own, *python_names([field.name for field in fields]))
+
+
+def _tuple_class(own: str, *names: str) -> type[Any]:
+    def reduce(values: tuple[Any, ...]) -> Any:
+        return _unpickled, ((own, *names), *values)
+
+    made: type[Any] = type(own, (namedtuple(own, names),), {"__slots__": (), "__reduce__": reduce})
+    return made
+
+
+def _unpickled(words: tuple[str, ...], *values: Any) -> Any:
+    return _tuple_class(*words)(*values)
 
 
 def python_names(names: Iterable[str]) -> list[str]:

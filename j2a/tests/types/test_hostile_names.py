@@ -1,6 +1,7 @@
 """What a hostile board cannot do by its names and texts: break or leave the files made of them."""
 
 import ast
+import pickle
 import re
 import subprocess
 from html.parser import HTMLParser
@@ -261,3 +262,5 @@ def test_a_board_that_says_so_is_understood_the_same(board):
 def test_a_structure_whose_name_python_reserves_has_a_class(name):
     kind = tuple_class(name, [Field(name, Type("u8"))])
     assert (kind.__name__, kind(5)[0]) == (f"{name}_", 5)
+    twin = pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(kind(kind(5))))))
+    assert repr(twin) == repr(kind(kind(5)))
