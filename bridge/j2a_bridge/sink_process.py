@@ -26,7 +26,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any, Final, NoReturn
 
-import j2a
 from j2a import LocalError
 from j2a.events import Sample, quick_maker
 from j2a.types.coding import PythonTypes
@@ -278,7 +277,7 @@ class SinkProcess(Sink):
         future: Future[Any]
         try:
             future = getattr(self.control, name)(*args, **options)
-        except j2a.J2AError as error:
+        except Exception as error:  # wrong arguments, too: the sink is told, as it is in the bridge
             future = Future()
             future.set_exception(error)
         future.add_done_callback(told)
@@ -473,6 +472,8 @@ class _Orders:
     def take(self, number: int, is_done: bool, found: Any) -> None:
         """Take the result of an order."""
         future = self._futures.pop(number)
+        if not future.set_running_or_notify_cancel():  # the sink does not wait any more
+            return
         if is_done:
             future.set_result(found)
         else:

@@ -89,6 +89,9 @@ class Apart(Sink):
         told("raw", self.control.set("servo", [-7], raw=True))
         told("settings", self.control.settings("servo"))
         told("configure", self.control.configure("quad", {"period": 0.25}))
+        self.control.set("servo", [6]).cancel()
+        told("option", self.control.set("servo", [5], speed=1))
+        told("structure", self.control.call("robot", "pair", []))
         told("unknown", self.control.call("robot", "nothing", [1]))
         for refused in (lambda: self.control.client("robot"), lambda: self.control.submit(_none())):
             try:

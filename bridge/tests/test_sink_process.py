@@ -284,13 +284,14 @@ def test_orders_of_the_sink_reach_the_board_and_results_the_sink(monkeypatch, pa
             await until(lambda: "orders" in bridge._flows)
             assert isinstance(bridge.runners[0].sink, SinkProcess)
             device.sense("orders", 0, SETS)
-            await until(lambda: len(named(events(path), "result")) == 8)
+            await until(lambda: len(named(events(path), "result")) == 10)
 
     device = board_of(
         "SENSOR(orders, 0, level, M, 1, u8, none)\n"
         "SENSOR(quad, 1, quad, M, 1, u8, none)\n"
         "ACTUATOR(servo, 2, servo, HS-311, 2, int8_t, 5, (unit, %), (range, -100, 100))\n"
     )
+    device.function("pair", signature="() (left u8, right u8)")(lambda: (3, 4))
     with served(device) as url:
         asyncio.run(work(device, url))
     results = named(events(path), "result")
@@ -303,6 +304,9 @@ def test_orders_of_the_sink_reach_the_board_and_results_the_sink(monkeypatch, pa
     assert found["configure"]["period"] == pytest.approx(0.25)
     assert isinstance(found["settings"], dict)
     assert isinstance(found["unknown"], j2a.J2AError)
+    assert isinstance(found["option"], TypeError)
+    assert found["structure"] == (3, 4)
+    assert found["structure"].right == 4
     refused = [str(what) for name, what in results if name == "refused"]
     assert refused == [
         "a sink that is a process has no client of robot",
