@@ -297,7 +297,8 @@ def _plain(error: BaseException) -> Exception:
 
 def serve() -> None:
     """Be the process of a sink; the first argument is the descriptor of the link."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # systemd tells all processes
+        signal.signal(number, signal.SIG_IGN)  # that is for the bridge, which then ends this one
     gc.set_threshold(10_000)  # as in the bridge: samples make no cycles
     served = _Served(Connection(int(sys.argv[1])))
     try:

@@ -363,6 +363,10 @@ def test_a_recording_is_whole_however_the_bridge_ends(tmp_path, number):
             device.sense("quad", 0, 1)
             time.sleep(0.02)
             assert process.poll() is None
+        if number == signal.SIGTERM:  # systemd tells all
+            for pid in pids:
+                os.kill(pid, number)
+                os.kill(pid, signal.SIGHUP)
         os.killpg(process.pid, number)  # as Ctrl-C does it
         _, err = process.communicate(timeout=PATIENCE_S)
     assert "Traceback" not in err
