@@ -15,6 +15,7 @@ import marshal
 import os
 import pickle
 import queue
+import select
 import signal
 import socket
 import struct
@@ -300,13 +301,23 @@ def serve() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # systemd tells all processes
         signal.signal(number, signal.SIG_IGN)  # that is for the bridge, which then ends this one
     gc.set_threshold(10_000)  # as in the bridge: samples make no cycles
-    served = _Served(Connection(int(sys.argv[1])))
+    link = Connection(int(sys.argv[1]))
+    threading.Thread(target=_end_alone, args=(link,), daemon=True).start()
+    served = _Served(link)
     try:
         served.run()
     finally:
         # A sink that does not end is ended, even if nobody is left to do it.
         signal.alarm(2 * _END_S)
         served.end()
+
+
+def _end_alone(link: Connection) -> None:
+    """End the process some time after the bridge, whatever the sink does."""
+    bridge = select.poll()
+    bridge.register(link, 0)
+    bridge.poll()  # until nobody has the other end
+    signal.alarm(2 * _END_S)
 
 
 class _Served:

@@ -376,6 +376,35 @@ def test_a_recording_is_whole_however_the_bridge_ends(tmp_path, number):
     assert recording.is_whole
 
 
+ALONE = """
+import sys, time
+from j2a_bridge import sink_process
+from bridge.tests.apart import HANGS, Apart
+from bridge.tests.test_ros_messages import topic_of, update_of
+
+sink_process._START = "from j2a_bridge import sink_process as it; it._END_S = 1; it.serve()"
+sink = sink_process.SinkProcess(Apart(sys.argv[1], {}, None))
+sink.open()
+topic = topic_of("SENSOR(orders, 0, level, M, 1, u8, none)")
+sink.announce(topic)
+sink.publish(update_of(topic, bytes([*[0] * 8, HANGS])))
+sink.flush()
+time.sleep(1000)
+"""
+
+
+def test_one_that_hangs_ends_when_the_bridge_is_killed(path):
+    bridge = subprocess.Popen([sys.executable, "-c", ALONE, str(path)], cwd=ROOT)
+    try:
+        wait_for(lambda: path.exists() and named(events(path), "announce"))
+        [[pid]] = named(events(path), "open")
+        time.sleep(0.1)
+    finally:
+        bridge.kill()
+        bridge.wait()
+    wait_for(lambda: not state_of(pid))
+
+
 def _recorded(file):
     try:
         return next(iter(Recording(file)), None)
