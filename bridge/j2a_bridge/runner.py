@@ -170,7 +170,7 @@ class SinkRunner:
                         self._on_fatal()
         finally:
             self.opened.set()
-            self._close()
+            self._end()
 
     def _next(self, due: float | None) -> "Update | tuple[bool, Topic] | Status | bool | None":
         """Return what is to be done; True when nothing is, None at the end."""
@@ -301,6 +301,15 @@ class SinkRunner:
                 "sink %s: %s", self.name, self.problem, exc_info=None if is_expected else error
             )
         self._close()
+
+    def _end(self) -> None:
+        """Close the sink; what it cannot write even now is a failure as any other."""
+        try:
+            self.sink.close()
+        except Exception as error:
+            if self._is_open:  # or it was told before
+                self._fail(error)
+        self._is_open = False
 
     def _close(self) -> None:
         self._is_open = False

@@ -347,4 +347,8 @@ class Sink(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End; may be called twice, and after a failure."""
+        """End; may be called twice, and after a failure.
+
+        Raises:
+            SinkError, OSError: what was published has not all come through.
+        """

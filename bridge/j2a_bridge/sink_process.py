@@ -102,7 +102,9 @@ class SinkProcess(Sink):
             self._link.close()
             raise
         self._results = ThreadPoolExecutor(1, thread_name_prefix="j2a sink results")
-        self._reader = threading.Thread(target=self._read, args=(self._link,), daemon=True)
+        self._reader = threading.Thread(
+            target=self._read, args=(self._link, self._process), daemon=True
+        )
         self._reader.start()
         level = _logger.getEffectiveLevel()
         self._told = self._ask("open", self._kind, self.argument, dict(self.options), level)
@@ -112,7 +114,12 @@ class SinkProcess(Sink):
         return self._told
 
     def close(self) -> None:
-        """End the process, behind what it was given."""
+        """End the process, behind what it was given.
+
+        Raises:
+            SinkError: it has not done all of that.
+            Exception: that with which the sink has failed.
+        """
         process = self._process
         if process is None:
             return
@@ -133,10 +140,15 @@ class SinkProcess(Sink):
         self._reader.join(_END_S)
         self._results.shutdown(cancel_futures=True)
         self._link.close()
-        self.lost += self._given - self._done + len(self._batch)
+        lost = self._given - self._done + len(self._batch)
+        self.lost += lost
         self._given = self._done = 0
         self._numbers.clear()
         self._batch.clear()
+        if self._failure is not None:
+            raise self._failure
+        if lost:
+            raise SinkError(_why_ended(process))
 
     # ------------------------------------------------------------------ topics
 
@@ -208,7 +220,7 @@ class SinkProcess(Sink):
             process.kill()  # what is behind a part of a message would be none
             raise SinkError(f"its process takes nothing for {_WRITE_S} s") from None
         except OSError:
-            raise SinkError(self._why_ended()) from None
+            raise SinkError(_why_ended(process)) from None
 
     def _ask(self, name: str, *args: Any) -> Any:
         """Return what the sink returns.
@@ -228,16 +240,9 @@ class SinkProcess(Sink):
             raise found
         return found
 
-    def _why_ended(self) -> str:
-        code = None
-        if self._process is not None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                code = self._process.wait(_END_S)
-        return "its process has ended" + ("" if code is None else f" with code {code}")
-
     # ------------------------------------------------------------------ from the process
 
-    def _read(self, link: Connection) -> None:
+    def _read(self, link: Connection, process: "subprocess.Popen[bytes]") -> None:
         """Take what the process says, in a thread of its own."""
         try:
             while True:
@@ -258,7 +263,7 @@ class SinkProcess(Sink):
         except (EOFError, OSError):
             pass
         finally:
-            self._answers.put((False, SinkError(self._why_ended())))
+            self._answers.put((False, SinkError(_why_ended(process))))
 
     def _order(self, number: int, name: str, args: Sequence[Any], options: Any) -> None:
         """Do what the sink asks the bridge for."""
@@ -282,6 +287,13 @@ class SinkProcess(Sink):
             future = Future()
             future.set_exception(error)
         future.add_done_callback(told)
+
+
+def _why_ended(process: "subprocess.Popen[bytes]") -> str:
+    code = None
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        code = process.wait(_END_S)
+    return "its process has ended" + ("" if code is None else f" with code {code}")
 
 
 def _plain(error: BaseException) -> Exception:
@@ -357,7 +369,10 @@ class _Served:
     def end(self) -> None:
         """End the sink."""
         if self._sink is not None:
-            self._sink.close()
+            try:
+                self._sink.close()
+            except Exception as error:
+                self._fail(error)
         self._tell_done()
 
     def send(self, *message: Any) -> None:
@@ -400,6 +415,8 @@ class _Served:
         self._done = self._left_out = 0
 
     def _fail(self, error: Exception) -> None:
+        if self._has_failed:  # and does not close, either
+            return
         self._has_failed = True
         if not isinstance(error, SinkError | OSError):
             _logger.error("a sink in its process", exc_info=error)

@@ -77,6 +77,8 @@ class Apart(Sink):
 
     def close(self) -> None:
         self._note("close")
+        if self._path.with_suffix(".full").exists():
+            raise SinkError("the disk is full")
 
     def _ask(self) -> None:
         def told(name: str, future: Any) -> None:

@@ -237,6 +237,26 @@ def test_a_sink_that_has_failed_is_not_opened_once_more_at_the_end(runner, sink,
     assert (runner.published, runner.dropped) == (0, 2)
 
 
+@pytest.mark.parametrize("has_failed", [False, True])
+def test_what_a_sink_cannot_write_at_the_end_is_told(runner, sink, monkeypatch, caplog, has_failed):
+    def close():
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Blocked, "RETRY_S", None)
+    sink.close = close
+    sink.let_go.set()
+    level = topic("level")
+    runner.announce(level)
+    if has_failed:
+        sink.fails_at = "publish"
+    runner.publish(value(level, 1))
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert runner.problem == ("the disk is full" if has_failed else "No space left on device")
+    assert caplog.text.count("sink blocked: ") == 1
+    assert not runner.status.is_open
+
+
 @pytest.mark.parametrize(
     ("error", "told"),
     [

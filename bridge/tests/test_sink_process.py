@@ -314,16 +314,23 @@ def test_orders_of_the_sink_reach_the_board_and_results_the_sink(monkeypatch, pa
     ]
 
 
-def test_ends_with_the_bridge(runner, path):
+@pytest.mark.parametrize("problem", ["", "the disk is full", "its process has ended with code 7"])
+def test_ends_with_the_bridge(runner, path, problem, caplog):
     [[pid]] = named(events(path), "open")
     topic = topic_of(ORDERS)
     runner.announce(topic)
-    for number in range(100):
+    last = {"its process has ended with code 7": ENDS}.get(problem, 1)
+    for number in (*range(99), last):
         runner.publish(order(topic, number))
+    if problem:
+        path.with_suffix(".full").touch()
     runner.end()
     assert runner.join(PATIENCE_S)
-    assert len(named(events(path), "publish")) == 100
-    assert runner.status.published == 100
+    assert len(named(events(path), "publish")) == (99 if last == ENDS else 100)
+    assert runner.status.published == (0 if last == ENDS else 100)
+    assert runner.status.dropped == (100 if last == ENDS else 0)
+    assert runner.problem == problem
+    assert caplog.text.count(f"sink apart: {problem}") == bool(problem)
     assert not state_of(pid)
 
 
@@ -428,6 +435,8 @@ def test_the_level_of_the_log_is_that_of_the_bridge(path, caplog):
             while True:
                 sink.publish(order(topic, 1))
                 taken += 1
+        with pytest.raises(ZeroDivisionError, match="nobody"):
+            sink.close()
         sink.close()
     assert "is left out" not in caplog.text
     assert "a sink in its process" in caplog.text
