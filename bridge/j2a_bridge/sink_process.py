@@ -57,7 +57,7 @@ class SinkProcess(Sink):
         made: a sink like it, which has found its argument and options right, and is never opened.
 
     Raises:
-        LocalError: this system cannot do that.
+        LocalError: this system or this sink cannot do that.
     """
 
     SUMMARY = "another sink, in a process of its own"
@@ -66,6 +66,10 @@ class SinkProcess(Sink):
         super().__init__(made.argument, made.options, made.control)
         if os.name != "posix":
             raise LocalError("a sink can be a process of its own on Linux and macOS only")
+        try:
+            pickle.dumps((type(made), dict(made.options)))
+        except Exception as error:  # of a class or an option of anybody
+            raise LocalError(f"this sink cannot be a process of its own: {error}") from None
         self.RETRY_S = made.RETRY_S
         self.WAITING = made.WAITING
         self._kind = type(made)
@@ -301,6 +305,9 @@ def _plain(error: BaseException) -> Exception:
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # classes of anybody
+        for kind in (SinkError, NotTaken, OSError):  # which mean something to the runner
+            if isinstance(error, kind):
+                return kind(str(error))
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error if isinstance(error, Exception) else RuntimeError(repr(error))
 
@@ -346,6 +353,7 @@ class _Served:
         self._topics: dict[int, _Known] = {}
         self._orders = _Orders(self)
         self._done = self._left_out = 0  # samples, since that was told
+        self._lost = 0  # of the sink, as it was told
         self._has_failed = False
 
     def run(self) -> None:
@@ -411,8 +419,10 @@ class _Served:
             self._tell_done()
 
     def _tell_done(self) -> None:
-        self.send(_DONE, self._done + self._left_out, self._left_out)
+        lost = 0 if self._sink is None else self._sink.lost
+        self.send(_DONE, self._done + self._left_out, self._left_out + lost - self._lost)
         self._done = self._left_out = 0
+        self._lost = lost
 
     def _fail(self, error: Exception) -> None:
         if self._has_failed:  # and does not close, either
@@ -548,4 +558,7 @@ class _Handler(logging.Handler):
         self._served = served
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._served.send(_LOG, record.levelno, self.format(record))
+        try:
+            self._served.send(_LOG, record.levelno, self.format(record))
+        except Exception:
+            self.handleError(record)

@@ -1,5 +1,6 @@
 """A sink for tests that runs in a process of its own, and tells by a file what happens there."""
 
+import logging
 import os
 import pickle
 import time
@@ -11,7 +12,21 @@ from j2a_bridge import NotTaken, Sink, SinkError
 
 from j2a import J2AError
 
-NOT_TAKEN, FAILS, UNEXPECTED, ENDS, HANGS, SETS = range(200, 206)
+NOT_TAKEN, FAILS, UNEXPECTED, ENDS, HANGS, SETS, LOSES = range(200, 207)
+
+
+class FullError(SinkError):
+    """An error that cannot be pickled."""
+
+    def __init__(self, _code: int, why: str) -> None:
+        super().__init__(why)
+
+
+class NotThis(NotTaken):
+    """Another."""
+
+    def __init__(self, _code: int, why: str) -> None:
+        super().__init__(why)
 
 
 class Apart(Sink):
@@ -35,6 +50,7 @@ class Apart(Sink):
             raise SinkError("it may not")
         self._note("open", os.getpid())
         print("a sink prints what it likes")
+        logging.getLogger("j2a.bridge").warning("a sink logs %d", "what it likes")
 
     def told(self) -> str:
         return f"writes {self._path.name}"
@@ -43,7 +59,7 @@ class Apart(Sink):
         if topic.name == "refused":
             raise TypeError("a name that is reserved")
         if topic.name == "not_taken":
-            raise NotTaken("not this one")
+            raise NotThis(29, "not this one")
         if topic.name == "hangs":
             time.sleep(1000)
         self._note("announce", topic)
@@ -58,13 +74,15 @@ class Apart(Sink):
         if what == NOT_TAKEN:
             raise NotTaken("it is too great")
         if what == FAILS:
-            raise SinkError("the disk is full")
+            raise FullError(28, "the disk is full")
         if what == UNEXPECTED:
             raise ZeroDivisionError("nobody thought of it")
         if what == ENDS:
             os._exit(7)
         if what == HANGS:
             time.sleep(1000)
+        if what == LOSES:
+            self.lost += 2
         if what == SETS:
             self._ask()
         self._note("publish", update.topic, told_of(update))

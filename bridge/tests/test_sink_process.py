@@ -25,6 +25,7 @@ from .apart import (
     ENDS,
     FAILS,
     HANGS,
+    LOSES,
     NOT_TAKEN,
     SETS,
     UNEXPECTED,
@@ -158,7 +159,9 @@ def test_topics_come_and_go_and_the_state_is_told(runner, path):
     assert runner.sink.told() == "writes events"
 
 
-@pytest.mark.parametrize(("name", "why"), [("refused", "TypeError"), ("not_taken", "not this one")])
+@pytest.mark.parametrize(
+    ("name", "why"), [("refused", "TypeError"), ("not_taken", "NotTaken: not this one\n")]
+)
 def test_a_topic_that_is_not_taken_disturbs_no_other(runner, path, caplog, name, why):
     bad, good = topic_of(ORDERS, name=name), topic_of(ORDERS, name="good")
     for topic in (bad, good):
@@ -177,14 +180,19 @@ def test_a_topic_that_is_not_taken_disturbs_no_other(runner, path, caplog, name,
 def test_a_sample_that_is_not_taken_is_counted_and_told_once(runner, path, caplog):
     topic = topic_of(ORDERS)
     runner.announce(topic)
-    for number in (1, NOT_TAKEN, 2, NOT_TAKEN, 3):
+    for number in (1, NOT_TAKEN, LOSES, NOT_TAKEN, 3):
         runner.publish(order(topic, number))
     wait_for(lambda: len(named(events(path), "publish")) == 3)
     runner.tell_status(Status("here"))
-    wait_for(lambda: runner.status.dropped == 2)
-    assert runner.status.published == 3
+    wait_for(lambda: runner.status.dropped == 4)
+    assert runner.status.published == 1
+    runner.tell_status(Status("there"))
+    wait_for(lambda: len(named(events(path), "status")) == 2)
     assert caplog.text.count("a sample of orders is left out: it is too great") == 1
     assert runner.status.is_open
+    runner.end()
+    assert runner.join(PATIENCE_S)
+    assert (runner.status.published, runner.status.dropped) == (1, 4)
 
 
 @pytest.mark.parametrize(
@@ -216,7 +224,7 @@ def test_a_sink_that_fails_is_started_anew_and_each_sample_counts_once(
         return len(opened) == 2 and named(events(path)[opened[1] :], "publish")
 
     wait_for(is_back)
-    assert why in caplog.text
+    assert f"sink apart: {why}\n" in caplog.text
     [[_], [second]] = named(events(path), "open")
     assert not state_of(first)
     assert second != first
@@ -336,6 +344,12 @@ def test_ends_with_the_bridge(runner, path, problem, caplog):
 
 def test_what_is_wrong_is_refused_before_anything_starts(tmp_path):
     (tmp_path / "a.mcap").touch()
+
+    class Here(Apart):
+        """No other process finds this one."""
+
+    with pytest.raises(j2a.LocalError, match="cannot be a process of its own: "):
+        SinkProcess(Here("", {}, None))
     for text, told in (
         (f"mcap:{tmp_path / 'a.mcap'},process=yes", "is there already"),
         (f"mcap:{tmp_path / 'b.mcap'},process=perhaps", "option process of a sink is true or"),
