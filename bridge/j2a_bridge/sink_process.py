@@ -91,7 +91,7 @@ class SinkProcess(Sink):
         ours, theirs = socket.socketpair()
         # Seconds and microseconds, as the system has them.
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", _WRITE_S, 0))
-        self._link = Connection(ours.detach())
+        self._socket, self._link = ours, Connection(ours.fileno())
         self._answers: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
         try:
             with theirs:
@@ -104,6 +104,7 @@ class SinkProcess(Sink):
                 )
         except OSError:
             self._link.close()
+            ours.detach()
             raise
         self._results = ThreadPoolExecutor(1, thread_name_prefix="j2a sink results")
         self._reader = threading.Thread(
@@ -130,20 +131,20 @@ class SinkProcess(Sink):
         with contextlib.suppress(Exception):  # it may have failed with any
             self._send_batch()
         self._process = None
-        with (
-            contextlib.suppress(OSError),
-            self._sending,
-            socket.socket(fileno=os.dup(self._link.fileno())) as ours,
-        ):
-            ours.shutdown(socket.SHUT_WR)  # what it still says is read
+        with contextlib.suppress(OSError), self._sending:
+            self._socket.shutdown(socket.SHUT_WR)  # what it still says is read
         try:
             process.wait(_END_S)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
         self._reader.join(_END_S)
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # a process that the sink forked may have it
+        self._reader.join(_END_S)
         self._results.shutdown(cancel_futures=True)
         self._link.close()
+        self._socket.detach()
         lost = self._given - self._done + len(self._batch)
         self.lost += lost
         self._given = self._done = 0

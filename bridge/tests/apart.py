@@ -60,6 +60,9 @@ class Apart(Sink):
             raise TypeError("a name that is reserved")
         if topic.name == "not_taken":
             raise NotThis(29, "not this one")
+        if topic.name == "forks" and not os.fork():
+            time.sleep(6)
+            os._exit(0)
         if topic.name == "hangs":
             time.sleep(1000)
         self._note("announce", topic)

@@ -7,6 +7,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -340,6 +341,18 @@ def test_ends_with_the_bridge(runner, path, problem, caplog):
     assert runner.problem == problem
     assert caplog.text.count(f"sink apart: {problem}") == bool(problem)
     assert not state_of(pid)
+
+
+def test_nothing_is_left_of_one_whose_sink_has_forked(sink, monkeypatch):
+    def left():
+        return threading.active_count(), sum(1 for _ in Path("/dev/fd").iterdir())
+
+    monkeypatch.setattr(sink_process, "_END_S", 1)
+    before = left()
+    sink.open()
+    sink.announce(topic_of(ORDERS, name="forks"))
+    sink.close()
+    assert left() == before
 
 
 def test_what_is_wrong_is_refused_before_anything_starts(tmp_path):
