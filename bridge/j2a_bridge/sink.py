@@ -273,7 +273,8 @@ class Option:
 PROCESS: Final[Mapping[str, Option]] = {
     "process": Option(bool, False, "be a process of its own: for more samples than a core bears"),
 }
-"""Of the options of a sink that can be one: it uses neither `Control.client` nor `submit`."""
+"""Of the options of a sink that can be one: it uses neither `Control.client` nor `submit`, and
+waits for no order in a method that the bridge calls: the same thread takes the results."""
 
 
 class Sink(ABC):
