@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import Any, Final
 
 from j2a.errors import LocalError
@@ -216,6 +215,8 @@ class TransducerRunner:
 
 def _keep(path: Path, content: bytes) -> bool:
     """Replace a file at once, so that it is whole at any time; return whether that went well."""
+    from tempfile import NamedTemporaryFile  # noqa: PLC0415 - slow to load; few devices keep any
+
     new: Path | None = None
     try:
         with NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:

@@ -5,8 +5,6 @@ a setting; and the content, which is JSON. Rules: the hash of the descriptors st
 settings of a device with others are never used; nothing in it raises (J2A-TRANS-019).
 """
 
-import hashlib
-import json
 from collections.abc import Mapping
 from typing import Final
 
@@ -34,20 +32,24 @@ def dump(settings: SavedSettings, descriptors: bytes) -> bytes:
         settings: by the name of a transducer the bytes of each item.
         descriptors: what a2jGetTransds returns.
     """
+    import json  # noqa: PLC0415 - slow to load, and few devices keep settings
+
     names = {item: name for name, item in ITEMS.items()}
     table = {
         transducer: {names[item]: value.hex() for item, value in items.items()}
         for transducer, items in settings.items()
     }
-    known = {"descriptors": hashlib.sha256(descriptors).hexdigest(), "settings": table}
+    known = {"descriptors": _hash(descriptors), "settings": table}
     return json.dumps(known, indent=1).encode() + b"\n"
 
 
 def load(content: bytes, descriptors: bytes) -> SavedSettings:
     """Return the settings of a file; none where it is damaged or belongs to other descriptors."""
+    import json  # noqa: PLC0415 - as above
+
     try:
         known = json.loads(content)
-        if known["descriptors"] != hashlib.sha256(descriptors).hexdigest():
+        if known["descriptors"] != _hash(descriptors):
             return {}
         return {
             transducer: {ITEMS[name]: bytes.fromhex(value) for name, value in items.items()}
@@ -55,3 +57,9 @@ def load(content: bytes, descriptors: bytes) -> SavedSettings:
         }
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return {}
+
+
+def _hash(descriptors: bytes) -> str:
+    import hashlib  # noqa: PLC0415 - as above
+
+    return hashlib.sha256(descriptors).hexdigest()

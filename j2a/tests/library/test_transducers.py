@@ -10,6 +10,7 @@ import pickle
 import queue
 import random
 import struct
+import tempfile
 import threading
 from pathlib import Path
 from time import sleep
@@ -23,7 +24,6 @@ from j2a_spec import constants as c
 import j2a
 from j2a import Batch
 from j2a.demo import DemoDevice
-from j2a.io import transducer_runner
 from j2a.io.streams import SifStream
 from j2a.io.transducer_runner import TransducerRunner
 from j2a.protocol.transducers import TransducerServer
@@ -1475,7 +1475,7 @@ class TestSaving:
         def fail(*_args):
             raise OSError(errno.ENOSPC, "No space left on device")
 
-        create = transducer_runner.NamedTemporaryFile
+        create = tempfile.NamedTemporaryFile
 
         def full(*args, **options):
             file = create(*args, **options)
@@ -1489,7 +1489,7 @@ class TestSaving:
             before = path.read_bytes()
             quad.decimation = 9
             with monkeypatch.context() as patched:
-                patched.setattr(transducer_runner, "NamedTemporaryFile", full)
+                patched.setattr(tempfile, "NamedTemporaryFile", full)
                 patched.setattr(*{"replace": (Path, "replace")}.get(broken, (os, "fsync")), fail)
                 with pytest.raises(j2a.FunctionFailed) as caught:
                     quad.save()
