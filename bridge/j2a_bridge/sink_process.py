@@ -145,11 +145,10 @@ class SinkProcess(Sink):
         self._results.shutdown(cancel_futures=True)
         self._link.close()
         self._socket.detach()
-        lost = self._given - self._done + len(self._batch)
+        lost = self._given - self._done
         self.lost += lost
         self._given = self._done = 0
         self._numbers.clear()
-        self._batch.clear()
         if self._failure is not None:
             raise self._failure
         if lost:

@@ -50,7 +50,10 @@ def path(monkeypatch, tmp_path):
 
 
 @pytest.fixture
-def sink(path):
+def sink(path, monkeypatch):
+    # The process must not take this for the module of Python.
+    (path.parent / "logging.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.chdir(path.parent)
     sink = SinkProcess(Apart(str(path), {}, None))
     yield sink
     sink.close()
