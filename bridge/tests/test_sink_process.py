@@ -347,6 +347,19 @@ def test_ends_with_the_bridge(runner, path, problem, caplog):
     assert not state_of(pid)
 
 
+def test_the_state_comes_behind_the_samples_before_it(sink, path):
+    topic = topic_of(ORDERS)
+    sink.open()
+    sink.announce(topic)
+    for number in range(3):
+        sink.publish(order(topic, number))
+        sink.status(Status(f"here {number}"))
+    sink.close()
+    found = [name for name, *_ in events(path)]
+    assert found == ["open", "announce", *["publish", "status"] * 3, "close"]
+    assert sink.lost == 0
+
+
 def test_nothing_is_left_of_one_whose_sink_has_forked(sink, monkeypatch):
     def left():
         return threading.active_count(), sum(1 for _ in Path("/dev/fd").iterdir())
