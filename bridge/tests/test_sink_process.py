@@ -399,6 +399,7 @@ def test_a_recording_is_whole_however_the_bridge_ends(tmp_path, number):
     with served(device) as url:
         process = subprocess.Popen(
             [sys.executable, "-m", "j2a", "bridge", url, "--sink", f"mcap:{file},process=yes"],
+            stdin=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
@@ -410,6 +411,7 @@ def test_a_recording_is_whole_however_the_bridge_ends(tmp_path, number):
             for task in children.iterdir()
             for word in (task / "children").read_text().split()
         ]
+        assert {str(Path(f"/proc/{pid}/fd/0").readlink()) for pid in pids} == {os.devnull}
         while not _recorded(file):
             device.sense("quad", 0, 1)
             time.sleep(0.02)
@@ -485,5 +487,6 @@ def test_the_level_of_the_log_is_that_of_the_bridge(path, caplog):
     assert "is left out" not in caplog.text
     assert "a sink in its process" in caplog.text
     assert sink.lost == 2 + taken
+    assert [name for name, *_ in events(path)] == ["open", "announce", "close"]
     with pytest.raises(SinkError, match="has ended"):
         sink.flush()
