@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -325,6 +326,31 @@ def test_orders_of_the_sink_reach_the_board_and_results_the_sink(monkeypatch, pa
         "a sink that is a process has no client of robot",
         "a sink that is a process runs nothing in the bridge",
     ]
+
+
+class Ended:
+    """The control of a bridge that ends: nothing is done any more."""
+
+    def __getattr__(self, name):
+        def order(*_args, **_options):
+            future = Future()
+            future.cancel()
+            return future
+
+        return order
+
+
+def test_orders_that_a_bridge_gives_up_fail(path):
+    sink = SinkProcess(Apart(str(path), {}, Ended()))
+    sink.open()
+    topic = topic_of(ORDERS)
+    sink.announce(topic)
+    sink.publish(order(topic, SETS))
+    sink.flush()
+    wait_for(lambda: len(named(events(path), "result")) == 10)
+    sink.close()
+    told = [str(what) for name, what in named(events(path), "result") if name != "refused"]
+    assert told == ["the bridge ends"] * 8
 
 
 @pytest.mark.parametrize("problem", ["", "the disk is full", "its process has ended with code 7"])
