@@ -207,13 +207,7 @@ class SinkRunner:
         """Do one thing; return whether the sink did not fail."""
         try:
             if isinstance(item, Update):
-                name = item.topic.name
-                # Of a topic that has changed, the news may be gone while samples of before wait.
-                is_known = self._topics.get(name) is item.topic and name not in self._refused
-                if self._is_open and is_known:
-                    self._publish(item)
-                else:
-                    self.dropped += 1
+                self._publish_taken(item)
             elif isinstance(item, Status):
                 if self._is_open:
                     self.sink.status(item)
@@ -226,6 +220,23 @@ class SinkRunner:
             self._fail(error)
             return False
         return True
+
+    def _publish_taken(self, update: Update) -> None:
+        """Publish a sample, and those behind it that were taken with it."""
+        taken = self._taken
+        while True:
+            topic = update.topic
+            # Of a topic that has changed, the news may be gone while samples of before wait.
+            is_known = self._topics.get(topic.name) is topic and topic.name not in self._refused
+            if self._is_open and is_known:
+                self._publish(update)
+            else:
+                self.dropped += 1
+            behind = taken[0] if taken else None
+            if not isinstance(behind, Update):
+                return
+            taken.popleft()
+            update = behind
 
     def _publish(self, update: Update) -> None:
         try:

@@ -25,6 +25,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
+from operator import attrgetter
 from typing import Any, Final, NoReturn
 
 from j2a import LocalError
@@ -46,6 +47,11 @@ _START: Final = "from j2a_bridge.sink_process import serve; serve()"
 _SAMPLES, _CALL, _TELL, _RESULT = range(4)  # to the process
 _ANSWER, _ORDER, _LOG, _DONE, _FAILED = range(5)  # and back
 _logger = logging.getLogger("j2a.bridge")
+# What else there is follows from the topic.
+_sample_of = attrgetter(
+    *("board", "sequence", "host_time", "lost", "missed", "is_reset", "payload", "host_us", "gone")
+)
+_times_of = attrgetter("times_us", "shift_us", "arrived_ns", "uncertainty_us")
 _new_sample = quick_maker(Sample)
 _new_update = quick_maker(Update)
 
@@ -171,21 +177,15 @@ class SinkProcess(Sink):
         """Have a sample published there, together with others that come at the same time."""
         if len(self._batch) >= _TOGETHER:
             self._send_batch()  # before: where this fails, the runner counts this sample
-        sample = update.sample
-        self._batch.append(
-            (
-                self._numbers[update.topic.name],
-                (
-                    *(sample.board, sample.sequence, sample.host_time, sample.lost, sample.missed),
-                    *(sample.is_reset, sample.payload, sample.host_us, sample.gone),
-                ),
-                (update.times_us, update.shift_us, update.arrived_ns, update.uncertainty_us),
-            )
-        )
+        number = self._numbers[update.topic.name]
+        self._batch.append((number, _sample_of(update.sample), _times_of(update)))
 
     def flush(self) -> None:
         """Send what came together."""
-        self._send(_TELL, "flush")
+        if self._batch:  # one message costs less than two
+            self._send_batch(is_last=True)
+        else:
+            self._write(_TELL, "flush")
 
     def status(self, status: Status) -> None:
         """Tell the state of all there."""
@@ -193,12 +193,12 @@ class SinkProcess(Sink):
 
     # ------------------------------------------------------------------ to the process
 
-    def _send_batch(self) -> None:
+    def _send_batch(self, *, is_last: bool = False) -> None:
         if self._batch:
             # Behind this they are the process's, whatever comes.
             batch, self._batch = self._batch, []
             self._given += len(batch)
-            self._write(_SAMPLES, marshal.dumps(batch))
+            self._write(_SAMPLES, marshal.dumps(batch), is_last)
 
     def _send(self, *message: Any) -> None:
         """Send a message behind the samples that were published before; raises as `_write`."""
@@ -367,10 +367,10 @@ class _Served:
                     self._answer(*rest)
                 elif not self._has_failed:
                     try:
-                        if what == _SAMPLES:
-                            self._publish(marshal.loads(rest[0]))
-                        else:
+                        if what == _TELL:
                             self._tell(*rest)
+                        else:
+                            self._publish(*rest)
                     except Exception as error:  # of a sink of anybody
                         self._fail(error)
 
@@ -432,10 +432,10 @@ class _Served:
             _logger.error("a sink in its process", exc_info=error)
         self.send(_FAILED, _plain(error))
 
-    def _publish(self, batch: Sequence[tuple[Any, ...]]) -> None:
+    def _publish(self, batch: bytes, is_last: bool) -> None:
         assert self._sink is not None
         publish = self._sink.publish
-        for number, sample, times in batch:
+        for number, sample, times in marshal.loads(batch):
             there = self._topics[number]
             topic = there.topic
             try:
@@ -447,6 +447,8 @@ class _Served:
                     _logger.warning("a sample of %s is left out: %s", topic.name, error)
             else:
                 self._done += 1
+        if is_last:
+            self._sink.flush()
 
 
 class _Known:

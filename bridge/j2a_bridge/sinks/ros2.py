@@ -72,6 +72,7 @@ class Ros2Sink(Sink):
         "node": Option(str, NODE, f"name of the node; another one for each bridge ({NODE})"),
         **PROCESS,
     }
+    WAITING = 1 << 14
 
     def __init__(self, argument: str, options: Mapping[str, Any], control: Control) -> None:
         super().__init__(argument, options, control)
