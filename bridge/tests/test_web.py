@@ -415,21 +415,26 @@ def test_48_connections_are_taken_and_one_more_is_ended():
     async def work():
         async with paged(board_of()) as (_, server, _):
             port = int(server.url.split("/")[2].split(":")[1])
-            taken = server._runner.server.connections
             links = []
+
+            async def opened_one():
+                links.append(await asyncio.open_connection("127.0.0.1", port))
+                return links[-1]
+
+            def taken():
+                return len(server._runner.server.connections)
+
             try:
-                while len(taken) < 48:
-                    links.append(await asyncio.open_connection("127.0.0.1", port))
-                    count = len(links)
-                    await until(lambda count=count: len(taken) >= count)
-                reader, _ = refused = await asyncio.open_connection("127.0.0.1", port)
-                links.append(refused)
+                await until(lambda: not taken())
+                for count in range(1, 49):
+                    await opened_one()
+                    await until(lambda count=count: taken() == count)
+                reader, _ = await opened_one()
                 assert await asyncio.wait_for(reader.read(), PATIENCE_S) == b""
-                assert len(taken) == 48
+                assert taken() == 48
                 links.pop(0)[1].close()
-                await until(lambda: len(taken) < 48)
-                reader, writer = again = await asyncio.open_connection("127.0.0.1", port)
-                links.append(again)
+                await until(lambda: taken() == 47)
+                reader, writer = await opened_one()
                 writer.write(b"GET /none HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
                 assert (await asyncio.wait_for(reader.readline(), PATIENCE_S)).startswith(b"HTTP/")
             finally:
