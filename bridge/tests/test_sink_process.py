@@ -1,6 +1,7 @@
 """A sink in a process of its own does what it would do in that of the bridge."""
 
 import asyncio
+import contextlib
 import logging
 import os
 import signal
@@ -418,6 +419,15 @@ def test_what_is_wrong_is_refused_before_anything_starts(tmp_path):
     )
 
 
+def children_of(pid):
+    """Return the processes that one has started; any of its threads may end meanwhile."""
+    found = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            found += map(int, (task / "children").read_text().split())
+    return found
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_recording_is_whole_however_the_bridge_ends(tmp_path, number):
     file = tmp_path / "a.mcap"
@@ -431,12 +441,7 @@ def test_a_recording_is_whole_however_the_bridge_ends(tmp_path, number):
             start_new_session=True,
         )
         assert f"recording into {file}" in process.stderr.readline()
-        children = Path(f"/proc/{process.pid}/task")
-        pids = [
-            int(word)
-            for task in children.iterdir()
-            for word in (task / "children").read_text().split()
-        ]
+        pids = children_of(process.pid)
         assert {str(Path(f"/proc/{pid}/fd/0").readlink()) for pid in pids} == {os.devnull}
         while not _recorded(file):
             device.sense("quad", 0, 1)
