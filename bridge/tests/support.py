@@ -5,6 +5,7 @@ import contextlib
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, ClassVar
 
 import j2a_transports
@@ -41,6 +42,19 @@ def free_port() -> int:
     """Return a port of the loopback that nobody uses now."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         return int(server.getsockname()[1])
+
+
+def children_of(pid: int) -> list[int]:
+    """Return the processes that one has started, none where it is gone.
+
+    Any of its threads may end meanwhile.
+    """
+    found: list[int] = []
+    with contextlib.suppress(OSError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            with contextlib.suppress(OSError):
+                found += map(int, (task / "children").read_text().split())
+    return found
 
 
 @contextlib.contextmanager

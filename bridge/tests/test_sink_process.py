@@ -1,7 +1,6 @@
 """A sink in a process of its own does what it would do in that of the bridge."""
 
 import asyncio
-import contextlib
 import logging
 import os
 import signal
@@ -37,7 +36,7 @@ from .apart import (
     state_of,
     told_of,
 )
-from .support import PATIENCE_S, Point, board_of, bridging, config_for, served, until
+from .support import PATIENCE_S, Point, board_of, bridging, children_of, config_for, served, until
 from .test_ros_messages import IMU, topic_of, update_of
 
 ROOT = Path(__file__).parents[2]
@@ -417,15 +416,6 @@ def test_what_is_wrong_is_refused_before_anything_starts(tmp_path):
     assert isinstance(
         make_sink(SinkRequest.parse(f"mcap:{tmp_path}/c.mcap,process=no"), None), object
     )
-
-
-def children_of(pid):
-    """Return the processes that one has started; any of its threads may end meanwhile."""
-    found = []
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            found += map(int, (task / "children").read_text().split())
-    return found
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

@@ -23,7 +23,7 @@ from pathlib import Path
 from j2a_bridge.ros_messages import RosMessages
 from j2a_bridge.sinks.ros2 import Ros2Sink
 
-from bridge.tests.support import free_port
+from bridge.tests.support import children_of, free_port
 from j2a.recording import Recording
 from j2a.types.transds_file import read_transds
 
@@ -72,21 +72,13 @@ def read(one: subprocess.Popen[str], begin: str = "") -> str:
 
 def cpu_s(one: subprocess.Popen[str]) -> float:
     """Return the CPU time of a process and of its children that are alive."""
-    pids = [one.pid, *_children(one.pid)]
+    pids = [one.pid, *children_of(one.pid)]
     total = 0.0
     for pid in pids:
         with contextlib.suppress(OSError):
             words = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
             total += (int(words[11]) + int(words[12])) / _TICK
     return total
-
-
-def _children(pid: int) -> list[int]:
-    found = []
-    with contextlib.suppress(OSError):
-        for task in Path(f"/proc/{pid}/task").iterdir():
-            found += [int(word) for word in (task / "children").read_text().split()]
-    return found
 
 
 def show(name: str, ages_us: list[int], sent: int, cpu: float | None = None) -> None:
