@@ -48,6 +48,16 @@ async def opened(session, server, **headers):
     )
 
 
+async def refused(session, server, **headers):
+    """Open a page that is refused; returns the status.
+
+    The exception stays here: its traceback would hold the pages of a test beyond its loop.
+    """
+    with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+        await opened(session, server, **headers)
+    return caught.value.status
+
+
 async def next_of(page, op, is_right=lambda about: True):
     async with asyncio.timeout(PATIENCE_S):  # of all: states come every second
         while True:
@@ -327,9 +337,7 @@ def test_strangers_are_refused(headers, path):
                     assert answer.status in (403, 404), name
                     assert "robot" not in await answer.text()
             if path is None:
-                with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
-                    await opened(session, server, **sent)
-                assert caught.value.status == 403
+                assert await refused(session, server, **sent) == 403
             with pytest.raises(aiohttp.WSServerHandshakeError):
                 await session.ws_connect(server.url + "ws")  # no browser: no origin
 
@@ -506,9 +514,7 @@ def test_as_many_pages_are_served_as_the_limit_says():
         async with paged(board_of()) as (session, server, _):
             pages = [await opened(session, server) for _ in range(web_server._MAX_PAGES)]
             for _ in range(2):
-                with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
-                    await opened(session, server)
-                assert caught.value.status == 503
+                assert await refused(session, server) == 503
                 await pages.pop().close()
                 await until(lambda: len(server._pages) < web_server._MAX_PAGES)
                 pages.append(await opened(session, server))  # there is room again
