@@ -17,6 +17,7 @@ ENGINES: Final = ("avr", "native")
 LOADS: Final = ("light", "heavy")
 # The AVR engine takes about a quarter of a second for each second of a board.
 AVR_BOARD_SECONDS: Final = 160
+# With a round each second or more often.
 SETTLE_S: Final = {"usb": 10.0, "serial": 30.0, "tcp": 30.0, "rfcomm": 30.0}
 LEAST_S: Final = 3
 READINGS: Final = 1_000_000
@@ -134,12 +135,17 @@ class Settings:
     @property
     def is_settled(self) -> bool:
         """Whether the run is long enough for the clocks to settle: only then bounds hold."""
-        return self.settle_s == SETTLE_S[self.link]
+        return self.settle_s == self._needed_s
 
     @property
     def settle_s(self) -> float:
-        """After how long figures begin: that of the link, or half of the run if that is shorter."""
-        return min(SETTLE_S[self.link], self.seconds / 2)
+        """After how long figures begin: what clocks need, or half of the run if that is shorter."""
+        return min(self._needed_s, self.seconds / 2)
+
+    @property
+    def _needed_s(self) -> float:
+        """How long clocks take to settle: it is rounds that they need."""
+        return SETTLE_S[self.link] * max(1.0, self.period_s)
 
     def as_dict(self) -> dict[str, Any]:
         """For a report."""

@@ -8,7 +8,7 @@ import pytest
 from j2a_sim import SimError
 from j2a_sim._clocks.plot import picture
 from j2a_sim._clocks.report import UNKNOWN, Readings, allan, bounds, make_report
-from j2a_sim._clocks.settings import Settings
+from j2a_sim._clocks.settings import SETTLE_S, Settings
 from j2a_sim._clocks.truth import UNIX_US, HostClock
 
 
@@ -133,6 +133,21 @@ def test_a_report_is_json_text_and_a_picture(times, clock):
 def test_settings_are_checked(wrong, said):
     with pytest.raises(SimError, match=said):
         Settings(**wrong)
+
+
+@pytest.mark.parametrize("link", SETTLE_S)
+@pytest.mark.parametrize(
+    ("period_s", "rounds"), [(0.1, 1), (0.9, 1), (1.0, 1), (1.5, 1.5), (10.0, 10), (60.0, 60)]
+)
+def test_clocks_settle_in_a_number_of_rounds(link, period_s, rounds):
+    needed_s = rounds * SETTLE_S[link]
+    for seconds, settled_s, is_settled in (
+        (2 * needed_s, needed_s, True),
+        (2 * needed_s - 1, needed_s - 0.5, False),
+    ):
+        settings = Settings(link=link, seconds=seconds, period_s=period_s)
+        assert settings.settle_s == settled_s
+        assert settings.is_settled is is_settled
 
 
 def test_a_run_that_ends_before_its_clocks_have_settled_has_no_figures(times, clock):
