@@ -801,6 +801,24 @@ def test_least_greatest_and_newest_value_of_a_span_are_kept():
         assert all(values[at - 1] == value for at, value in points)
 
 
+@pytest.mark.parametrize("per_ms", [2, 3, 7, 100])
+def test_of_one_millisecond_the_newest_value_is_the_one_that_came_last(per_ms):
+    topic = topic_of("SENSOR(s, 0, s, M, 1, i16, none)")
+    chance = random.Random(per_ms)
+    for length in (*range(1, 12), 100):
+        values = [chance.randrange(-5, 6) for _ in range(length)]
+        span = _Span({})
+        for at, value in enumerate(values):
+            time_us = 1000 + at * 1000 // per_ms
+            span.add(update_of(topic, struct.pack("<Qh", time_us, value)))
+        flat = span.object()["s"]["0"]
+        points = list(zip(flat[::2], flat[1::2], strict=True))
+        assert points[-1] == (1 + (length - 1) // per_ms, values[-1])
+        assert {min(values), max(values)} <= {value for _, value in points}
+        assert [time for time, _ in points] == sorted(time for time, _ in points)
+        assert len(points) <= 3
+
+
 @pytest.mark.parametrize("count", [1, _SERIES - 1, _SERIES, _SERIES + 1, 2 * _SERIES])
 def test_so_many_lines_are_drawn_of_a_topic_and_no_more(count):
     topic = topic_of(f"SENSOR(s, 0, s, M, 1, array(u8, {count}), none)")

@@ -17,6 +17,7 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -46,6 +47,7 @@ _START_S: Final = 10.0
 _TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,}")
 """What nobody guesses, and what is the same in an address."""
 _NS_PER_MS: Final = 1_000_000
+_value: Final = itemgetter(1)
 _logger = logging.getLogger("j2a.bridge")
 
 
@@ -81,10 +83,11 @@ class _Span:
             elif len(kept) < 3:
                 kept.append(point)
             else:
-                points = sorted([*kept, point])
-                least = min(points, key=lambda one: one[1])
-                greatest = max(points, key=lambda one: one[1])
-                self.series[name] = sorted({least, greatest, points[-1]})
+                # Of one millisecond what came last stays last.
+                points = sorted([*kept, point], key=itemgetter(0))
+                chosen = {min(points, key=_value), max(points, key=_value), points[-1]}
+                newest_first = dict.fromkeys(one for one in reversed(points) if one in chosen)
+                self.series[name] = [*reversed(newest_first)]
 
     def object(self) -> dict[str, Any]:
         """Return what pages are told."""
