@@ -3,7 +3,10 @@
 What flows in: nothing. What flows out: a table of CPU time per call of this process, and the ratios
 to a raw round trip over the same kind of socket, measured in alternating rounds of one run.
 Rules: the other end is a process of its own, whose time does not count. The fastest round counts:
-other work on the machine makes rounds slower and never faster.
+other work on the machine makes rounds slower and never faster. Both share a processor, because to
+wake a process on another one costs several times as much, the same for each row, which makes the
+ratios look better. A board is on no processor of the computer, though: where there are two, there
+are rows with the peer on another one, too.
 
 Streams ask for 256 KiB at each read. In a new program glibc maps and unmaps that memory each time;
 once a larger block was freed, as some rounds here do, it keeps it. Programs are of both kinds, so
@@ -36,6 +39,7 @@ START = bytes((SOF,))
 BOARDS = 64
 MAPPING = b"a2jGetMapping\0" + GET_ECHO.encode() + b"\0typed\0"
 TYPED = 2
+APART = "apart"
 RESULT = int.from_bytes(PAYLOAD, "little")
 
 
@@ -85,20 +89,24 @@ def reply_to(sock: socket.socket, known: dict[bytes, bytes]) -> bool:
 
 
 @cache
-def peer_port() -> int:
-    """Start the process that answers and return its port; both share a processor.
+def processors() -> list[int]:
+    """Return those that this process had at first; empty where a process cannot be held on one."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_setaffinity") else []
 
-    To wake a process on another one costs several times as much, the same for each row, which makes
-    the ratios look better.
-    """
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+@cache
+def peer_port() -> int:
+    """Start the process that answers and return its port; both share a processor, but for APART."""
+    if own := processors()[:1]:
+        os.sched_setaffinity(0, processors()[-1:] if APART in sys.argv else own)
     # Not a fork: its copies of pages would be made, and paid for, while this process is measured.
     child = subprocess.Popen(
         [sys.executable, "-m", __spec__.name, "serve"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
+    if own:
+        os.sched_setaffinity(0, own)
     atexit.register(child.communicate)
     assert child.stdout is not None
     return int(child.stdout.readline())
@@ -238,12 +246,18 @@ def awaited() -> float:
     return asyncio.run(run())
 
 
-def in_new_program(row: str) -> float:
-    """Return what a row says in a program of its own."""
-    peer_port()  # for the processor that is shared
-    done = subprocess.run(
-        [sys.executable, "-m", __spec__.name, row], stdout=subprocess.PIPE, check=True
-    )
+def in_new_program(*words: str) -> float:
+    """Return what a row says in a program of its own; words are the row, and APART if it is."""
+    peer_port()  # it pins this process
+    if processors():
+        os.sched_setaffinity(0, processors())
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", __spec__.name, *words], stdout=subprocess.PIPE, check=True
+        )
+    finally:
+        if processors():
+            os.sched_setaffinity(0, processors()[:1])
     return float(done.stdout)
 
 
@@ -255,6 +269,26 @@ def streams_anew() -> float:
 def awaited_anew() -> float:
     """Call in an event loop, in a new program."""
     return in_new_program("awaited")
+
+
+def raw_apart() -> float:
+    """Send 8 bytes and wait for them, peer elsewhere."""
+    return in_new_program("raw", APART)
+
+
+def blocking_apart() -> float:
+    """Call with the blocking client, peer elsewhere."""
+    return in_new_program("blocking", APART)
+
+
+def streams_apart() -> float:
+    """Send 8 bytes by streams, peer elsewhere."""
+    return in_new_program("streams", APART)
+
+
+def awaited_apart() -> float:
+    """Call in an event loop, peer elsewhere."""
+    return in_new_program("awaited", APART)
 
 
 def gathered(calls: int) -> float:
@@ -310,8 +344,8 @@ def main() -> int:
     if sys.argv[1:] == ["serve"]:
         serve()
         return 0
-    for row in (streams, awaited):
-        if sys.argv[1:] == [row.__name__]:
+    for row in (raw, blocking, streams, awaited):
+        if sys.argv[1:2] == [row.__name__]:
             print(min(row() for _ in range(2)))
             return 0
     rows: dict[Callable[[], float], Callable[[], float] | None] = {
@@ -328,6 +362,9 @@ def main() -> int:
         thousands: hundred,
         boards: awaited,
     }
+    if len(processors()) > 1:
+        rows |= {raw_apart: None, blocking_apart: raw_apart}
+        rows |= {streams_apart: None, awaited_apart: streams_apart}
     best = dict.fromkeys(rows, float("inf"))
     for _ in range(ROUNDS):
         for row in rows:
