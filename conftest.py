@@ -4,6 +4,7 @@ J2A_REQUIRE_AVR=1, which tools/check.sh sets in CI, is all that decides whether 
 are missing is skipped or fails.
 """
 
+import gc
 import hashlib
 import os
 import shutil
@@ -84,6 +85,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("slow")
         if item.get_closest_marker("guest"):  # an emulated processor waits for a busy machine
             item.add_marker(pytest.mark.timeout(1200))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish() -> None:
+    """Keep what was collected from the garbage collector, which would look at all of it each time.
+
+    It stays until the end, and tests that call `gc.collect()` would wait a second for it.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def _missing(what: str) -> NoReturn:
