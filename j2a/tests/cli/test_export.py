@@ -10,8 +10,8 @@ from j2a.cli import _export
 from j2a.recording import Recorder
 from j2a.types.transds_file import read_transds
 
-pandas = pytest.importorskip("pandas")
-parquet = pytest.importorskip("pyarrow.parquet")
+# Fixtures, because every worker imports this module and one of them runs its tests.
+pytestmark = pytest.mark.usefixtures("pandas", "parquet")
 
 FILE = """
 J2A_STRUCT(motion, (array(i16, 2), rate), (bool, up))
@@ -34,6 +34,16 @@ SAMPLES = {
     "bump": [struct.pack("<Q?Q?", 22, True, 0, False)],
     "rows": [struct.pack("<QBB", 21, 3, 4)],
 }
+
+
+@pytest.fixture
+def pandas():
+    return pytest.importorskip("pandas")
+
+
+@pytest.fixture
+def parquet():
+    return pytest.importorskip("pyarrow.parquet")
 
 
 @pytest.fixture
@@ -84,7 +94,7 @@ def test_a_file_in_place_of_the_folder(run, path, tmp_path):
     assert f"{path} is a file: name a folder" in result.err
 
 
-def test_parquet(run, path, tmp_path):
+def test_parquet(run, path, tmp_path, pandas, parquet):
     out = tmp_path / "out"
     result = run("export", path, out, "--format", "parquet")
     assert (result.code, result.err) == (0, "")
@@ -99,7 +109,7 @@ def test_parquet(run, path, tmp_path):
     ]
 
 
-def test_units_of_columns(run, tmp_path, monkeypatch):
+def test_units_of_columns(run, tmp_path, monkeypatch, pandas, parquet):
     monkeypatch.setattr(_export, "_PIECE", 1)
     path = tmp_path / "drive.mcap"
     sensors = read_transds(
@@ -126,7 +136,7 @@ def test_units_of_columns(run, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_a_long_recording_is_written_piece_by_piece(run, path, tmp_path, monkeypatch, form):
+def test_a_long_recording_is_written_piece_by_piece(run, path, tmp_path, monkeypatch, form, pandas):
     monkeypatch.setattr(_export, "_PIECE", 1)
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
     run("export", path, pieces, "--format", form)
@@ -154,7 +164,7 @@ def test_what_boards_are_called_stays_in_the_folder(run, tmp_path):
     assert {one.name for one in tmp_path.iterdir()} == {"odd.mcap", "out"}
 
 
-def test_integers_of_64_bits_stay_exact(run, tmp_path):
+def test_integers_of_64_bits_stay_exact(run, tmp_path, parquet):
     path = tmp_path / "wide.mcap"
     sensors = read_transds("SENSOR(big, 0, big, X, 2, u64, 0xFFFFFFFFFFFFFFFF)")
     with Recorder(path) as recorder:
@@ -217,7 +227,7 @@ def test_a_recording_that_ends_early(run, path, tmp_path):
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_all_that_can_be_read_of_a_damaged_recording_is_written(run, path, tmp_path, form):
+def test_all_that_can_be_read_of_a_damaged_recording_is_written(run, path, tmp_path, form, pandas):
     data = bytearray(path.read_bytes())
     at = data.index(b"zstd") + 60
     data[at] ^= 0xFF
