@@ -63,13 +63,22 @@ class Soak:
     bad: list[str] = field(default_factory=list)
     simulated_s: float = 0.0
 
-    def run(self, calls: int) -> None:
-        """Make so many calls, over as many links as it takes."""
+    def run(self, calls: int, until: str = "") -> None:
+        """Make so many calls, over as many links as it takes.
+
+        Args:
+            calls: of all links together.
+            until: no more links once something bad has this in its description.
+        """
         for link in itertools.count():
             left = calls - self.counts["calls"]
-            if left <= 0:
+            if left <= 0 or (until and self.has_seen(until)):
                 return
             _Link(self, Random(f"{self.seed} {link}"), link).run(min(left, CALLS_A_LINK))
+
+    def has_seen(self, text: str) -> bool:
+        """Whether something bad has this in its description."""
+        return any(text in description for description in self.bad)
 
 
 class _Link:

@@ -29,8 +29,8 @@ def test_a_session_that_reuses_an_outstanding_seq_is_found_out(monkeypatch):
     free_seq = Session._free_seq
     monkeypatch.setattr(Session, "_free_seq", reuse)
     soak = Soak(0)
-    soak.run(SAMPLE)
-    assert any("the answer to another one" in text for text in soak.bad)
+    soak.run(SAMPLE, until="the answer to another one")
+    assert soak.has_seen("the answer to another one")
 
 
 def test_a_session_that_believes_an_error_reply_is_found_out(monkeypatch):
@@ -41,5 +41,5 @@ def test_a_session_that_believes_an_error_reply_is_found_out(monkeypatch):
 
     monkeypatch.setattr(Session, "_take_hint", believe)
     soak = Soak(0)
-    soak.run(SAMPLE)
-    assert any("not to have been sent was executed" in text for text in soak.bad)
+    soak.run(SAMPLE, until="not to have been sent was executed")
+    assert soak.has_seen("not to have been sent was executed")
