@@ -31,6 +31,8 @@ if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to
         deadline=None,
         suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
     )
+    # For another interpreter, after ours has tried all of them.
+    settings.register_profile("few", settings.get_profile("j2a"), max_examples=10)
     settings.load_profile("j2a")
 
 # A shell without job control starts its background with Ctrl-C ignored, and programs inherit that.

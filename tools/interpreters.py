@@ -3,9 +3,10 @@
 What flows in: the interpreters in PATH, in /usr/bin, and those of pyenv; constraints.txt. What
 flows out: what pytest says on each, and an exit code. Rules: of each minor version the newest one
 is taken, that of .venv is left to the other tests; each imports every module of the packages, and
-runs the tests in which a Python can make a difference; `--all` adds the versions in between, and
-the other tests of the library and of the transports; each has an environment of its own in
-build/python, with the pinned packages that the tests import, renewed when these change.
+runs the tests in which a Python can make a difference, with few examples of Hypothesis; `--all`
+adds the versions in between, the other tests of the library and of the transports, and all
+examples; each has an environment of its own in build/python, with the pinned packages that the
+tests import, renewed when these change.
 """
 
 import argparse
@@ -151,8 +152,16 @@ def environment(program: Path, version: Version) -> Path:
     return python
 
 
-def run_tests(python: Path, tests: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
-    """Import all, then run the tests; return what was said, and the exit code."""
+def run_tests(
+    python: Path, tests: tuple[str, ...], profile: str
+) -> subprocess.CompletedProcess[str]:
+    """Import all, then run the tests; return what was said, and the exit code.
+
+    Args:
+        python: the interpreter.
+        tests: files and folders.
+        profile: of Hypothesis, see conftest.py.
+    """
     imported = subprocess.run(
         [python, "-W", "error", "-c", IMPORTS],
         cwd=ROOT / "build",
@@ -165,6 +174,7 @@ def run_tests(python: Path, tests: tuple[str, ...]) -> subprocess.CompletedProce
     if imported.returncode:
         return imported
     options = ["-q", "-n", WORKERS, "-m", "not slow and not exhaustive", "-p", "no:cacheprovider"]
+    options.append(f"--hypothesis-profile={profile}")
     return subprocess.run(
         [python, "-m", "pytest", *options, *tests],
         cwd=ROOT,
@@ -181,7 +191,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--all", action="store_true", help="all versions, more tests")
     is_all = parser.parse_args().all
-    tests = ALL_TESTS if is_all else TESTS
+    tests, profile = (ALL_TESTS, "j2a") if is_all else (TESTS, "few")
     found = interpreters(between=is_all)
     if not found:
         print("there is no other Python from 3.11 on here")
@@ -195,7 +205,9 @@ def main() -> int:
             failed.append(name)
     # The tests wait most of the time, so all interpreters run at once.
     with ThreadPoolExecutor(max_workers=len(pythons) or 1) as pool:
-        runs = {name: pool.submit(run_tests, python, tests) for name, python in pythons.items()}
+        runs = {
+            name: pool.submit(run_tests, python, tests, profile) for name, python in pythons.items()
+        }
         for name, run in runs.items():
             print(f"Python {name}", flush=True)
             try:
