@@ -86,17 +86,32 @@ def follow():
     return run
 
 
-def test_on_this_machine(need, follow, copy):
-    """The run of level frame leaves out the sweeps, which that of all levels has."""
+@pytest.mark.parametrize("sweeps", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
+def test_on_this_machine(need, follow, copy, sweeps):
+    """The run of level frame leaves out the sweeps; that of all levels has them, with `sweeps`.
+
+    Without them no run can say which levels are reached.
+    """
     need("cc")
     lines = commands("sh")
     assert len(lines) > 10
     frame = [case.ID for case in load() if case.LEVEL == "frame" and case.ID not in SWEEPS]
     shorter = [line.replace("--level frame", f"--case {' '.join(frame)}") for line in lines]
     assert sum(map(operator.ne, lines, shorter)) == 1
+    told = "".join(re.findall(r"^```text\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE))
+    if not sweeps:
+        every = [case.ID for case in load() if case.ID not in SWEEPS]
+        whole = [
+            f"{line} --case {' '.join(every)}" if "--badge" in line else line for line in shorter
+        ]
+        assert sum(map(operator.ne, shorter, whole)) == 1
+        shorter = whole
+        told, count = re.subn(
+            r"^Levels: .*\n(The device is conformant); .*\n", r"\1\n", told, flags=re.M
+        )
+        assert count == 1
     printed = follow(copy, shorter)
-    shown = re.findall(r"^```text\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
-    for line in "".join(shown).splitlines():
+    for line in told.splitlines():
         if not line.startswith("j2a-conform run"):  # that needs a board
             pattern = r"\s+".join(map(re.escape, line.split())).replace(r"\.\.\.", ".*")
             assert re.search(pattern, printed), line
