@@ -340,7 +340,7 @@ async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> None:
         print(f"the page: {line}, simulated time at {pace:.1%} of real time")
 
 
-async def look(url: str, boards: Mapping[str, Served], picture: Path) -> None:
+async def look(url: str, boards: Mapping[str, Served], picture: Path, seconds: float) -> None:
     """Look at the page as a person would, and move the slider."""
     if shutil.which("chromium") is None:
         print("the page is left out: there is no chromium")
@@ -365,7 +365,7 @@ async def look(url: str, boards: Mapping[str, Served], picture: Path) -> None:
         )
         width = await wait_for_width(boards["shafts"], -40)
         print(f"the page: slider to -40 %, the pulse at the pin is {width:.0f} us")
-        await asyncio.sleep(8)
+        await asyncio.sleep(seconds)
         rates = await page.run(
             "[...document.querySelectorAll('.card')]"
             ".filter((one) => one.querySelector('.facts span'))"
@@ -395,6 +395,7 @@ def main() -> int:
     """Run the demonstration; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--picture", type=Path, default=PICTURE, help="where the picture goes")
+    parser.add_argument("--seconds", type=float, default=8, help="of the curves on it")
     parser.add_argument("--board", nargs=2, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.board:
@@ -443,7 +444,8 @@ def main() -> int:
                 width = asyncio.run(wait_for_width(one, 20))
                 print(f"ROS 2: servo to 20 %, the pulse at the pin is {width:.0f} us")
                 url = f"http://127.0.0.1:{port}/{token}/"
-                asyncio.run(look(url, {"shafts": one, "robot": other}, args.picture))
+                served = {"shafts": one, "robot": other}
+                asyncio.run(look(url, served, args.picture, args.seconds))
     print("the demonstration is over")
     return 0
 
