@@ -142,6 +142,7 @@ def test_integers_of_each_type(distro: str, kind: str, channels: int) -> None:
     assert message.values.tolist() == values
 
 
+@pytest.mark.sampled(5)  # of each kind with and without a queue, and of each number of channels
 @pytest.mark.parametrize("distro", DISTROS)
 @pytest.mark.parametrize(
     "kind", ["u8", "i16", "u32", "f64", "bool", "array(u8, 3)", "array(i32, 2)"]
@@ -279,6 +280,7 @@ def test_a_joint_that_was_not_read_is_in_no_message() -> None:
     assert joints_of(3 * second, 5, 2 * second, 7, 2 * second, 6) == (2, {"quad_1": 7})
 
 
+@pytest.mark.sampled(5)  # of each channel the newest, and the one that was not read
 @pytest.mark.parametrize("distro", DISTROS)
 @pytest.mark.parametrize("seconds", list(itertools.product([0, 2, 3, 4], repeat=3)))
 def test_joints_are_of_the_time_of_the_newest_one(distro: str, seconds: tuple[int, ...]) -> None:
