@@ -255,34 +255,40 @@ def test_whole_numbers_of_64_bits_keep_their_digits():
     asyncio.run(work())
 
 
-@needs_browser
-@pytest.mark.parametrize(
-    ("kind", "values"),
-    [
-        ("u64", ((1 << 64) - 1,)),
-        ("u64", ((1 << 64) - 1, (1 << 64) - 5000)),
-        ("i64", (-(1 << 63), (1 << 63) - 1)),
-        ("f64", (1.7e308, -1.7e308)),
-        ("f64", (5e-324, 0.0)),
-        ("f64", (1e99, 1e99 * (1 + 2e-16))),
-    ],
+HARD_TO_DRAW = (
+    ("u64", ((1 << 64) - 1,)),
+    ("u64", ((1 << 64) - 1, (1 << 64) - 5000)),
+    ("i64", (-(1 << 63), (1 << 63) - 1)),
+    ("f64", (1.7e308, -1.7e308)),
+    ("f64", (5e-324, 0.0)),
+    ("f64", (1e99, 1e99 * (1 + 2e-16))),
 )
-def test_values_that_are_hard_to_draw_end_no_plots(kind, values):
-    text = f"SENSOR(odd, 0, o, M, 1, {kind}, none)\nSENSOR(other, 1, other, M, 1, u8, none)\n"
+
+
+@needs_browser
+def test_values_that_are_hard_to_draw_end_no_plots():
+    """Each of them would end the plots of the others."""
+    text = "".join(
+        f"SENSOR(odd{at}, {at}, o{at}, M, 1, {kind}, none)\n"
+        for at, (kind, _) in enumerate(HARD_TO_DRAW)
+    )
+    text += f"SENSOR(other, {len(HARD_TO_DRAW)}, other, M, 1, u8, none)\n"
 
     async def work():
         device = board_of(text)
         async with shown(device) as (page, _):
             for number in range(30):
-                device.sense("odd", 0, values[number % len(values)])
+                for at, (_, values) in enumerate(HARD_TO_DRAW):
+                    device.sense(f"odd{at}", 0, values[number % len(values)])
                 device.sense("other", 0, number)
                 await asyncio.sleep(0.02)
             for number in (77, 78):
                 device.sense("other", 0, number)
                 await page.until(f"({text_of('other')}).includes('{number}')")
-            await page.until(
-                "document.querySelector('[aria-label=\"plot of other\"] canvas') !== null"
-            )
+            for name in ("other", *(f"odd{at}" for at in range(len(HARD_TO_DRAW)))):
+                await page.until(
+                    f"document.querySelector('[aria-label=\"plot of {name}\"] canvas') !== null"
+                )
             assert page.errors == []
 
     asyncio.run(work())
