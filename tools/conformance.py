@@ -55,6 +55,17 @@ TIMED = (
     *("clock", "transducers.period", "transducers.period-late", "transducers.samples"),
     *("transducers.set", "transducers.trigger", "transducers.waiting", "transducers.watchdog"),
 )
+# The clock with USB frames: what asks for none leads the same lines as over a UART.
+FRAMES = (
+    *("clock.announced", "clock.epochs", "clock.exchanges", "clock.first", "clock.frames"),
+    *("clock.free", "clock.states", "clock.steps", "clock.together", "clock.turnaround"),
+    *("clock.values", "clock.waiting"),
+)
+# What transducers send of themselves, and what comes as often or as late as the link lets it.
+SENT = (
+    *("transducers.announced", "transducers.counted", "transducers.heard", "transducers.period"),
+    *("transducers.queue", "transducers.samples", "transducers.set", "transducers.watchdog"),
+)
 # Testees that are another one with a part more, in another shell, on another chip of the same kind
 # or another of its links: the levels and cases of that part, or those in which the link has a part.
 # The rest is what the other one shows.
@@ -65,7 +76,7 @@ PARTS = {
     "avr-usb-32u2": LINK,
     "clock": TIMED,
     "clock-avr": ("clock",),
-    "clock-usb": ("clock",),
+    "clock-usb": FRAMES,
     "cortex-m-two": LINK,
     "python-clock": TIMED,
     "python-transducers": ("transducers",),
@@ -73,6 +84,7 @@ PARTS = {
     "selftest-posix": ("properties",),
     "transducers": ("transducers",),
     "transducers-avr": ("transducers",),
+    "transducers-avr-usb": SENT,
 }
 # Of PARTS, the one of each kind of code that does the sweeps of its levels, too.
 SWEEPING = (
@@ -104,7 +116,7 @@ def sampled(name: str, arguments: list[str]) -> list[str]:
     parts = {*(PARTS.get(name) or testee.get("levels") or LEVELS)}
     # Without levels, all; else the rest is what another testee of that chip shows.
     every = [case.ID for case in load() if not case.ON_DEMAND and parts & {case.ID, case.LEVEL}]
-    named = {*SWEEPS, *TIMED} - {*LEVELS}
+    named = {*SWEEPS, *TIMED, *FRAMES, *SENT} - {*LEVELS}
     if unknown := named - {case.ID for case in load()}:
         raise SystemExit(f"there is no case {', '.join(sorted(unknown))}")
     left_out = () if name in SWEEPING else SWEEPS
