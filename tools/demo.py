@@ -3,7 +3,8 @@
 What flows in: the folder `firmware/`. What flows out: a tour of J2A on the terminal, and exit
 status 0 when all of it worked. Rules: the device is the AVR in simavr, or where its tools are
 missing the same firmware built for this machine, or where there is no C compiler the Python device;
-which one it is, is said. What this program starts it also ends.
+which one it is, is said. What this program starts it also ends. Arguments are for `j2a-conform
+run`, which does all cases without: `python tools/demo.py --level core`.
 """
 
 import shlex
@@ -179,7 +180,7 @@ def main() -> int:
             device = start(running)
             summary = tour(device.url)
             print("\nConformance: is the device right, requirement by requirement?", flush=True)
-            command = (BIN / "j2a-conform", "run", device.testee)
+            command = [f"{BIN}/j2a-conform", "run", device.testee, *sys.argv[1:]]
             status = subprocess.run(command, check=False).returncode
     except KeyboardInterrupt:
         print("\ninterrupted")
