@@ -50,8 +50,8 @@ step conformance "the suite against every host of ours and every testee, some of
 step mutants "each mutant is killed by a case of the rule that it breaks, or nothing changed since it was" \
     python conformance/mutants/kill.py --changed
 step generated-mutants "a sample of the generated mutants is killed: dimensions, and mechanical changes" bash -c \
-    'python conformance/mutants/kill.py --dimensions --sample 6 &&
-    python conformance/mutants/random_mutants.py --target core --count 12'
+    'python conformance/mutants/kill.py --dimensions --sample 3 &&
+    python conformance/mutants/random_mutants.py --target core --count 6'
 step trace "each requirement, from clause to last result, as the summary says" \
     python -m tools.trace --check
 step docs "documentation, warnings are errors" \
