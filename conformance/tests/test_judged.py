@@ -118,19 +118,24 @@ def test_the_entry_of_the_mutant_counts(hashed):
 
 
 def test_what_is_not_known_is_judged(monkeypatch):
-    monkeypatch.setattr(judged, "digest", lambda *_: "1")
-    known, cases = {CORE.id: (KILLER, "1")}, targets.cases("core")
+    monkeypatch.setattr(judged, "digest", lambda *_: "a1")
+    known, cases = {CORE.id: (KILLER, "a1")}, targets.cases("core")
     assert not judged.is_due("core", CORE, known, cases)
     assert judged.is_due("core", CORE, {}, cases)
-    assert judged.is_due("core", CORE, {CORE.id: (KILLER, "2")}, cases)
-    assert judged.is_due("core", CORE, {CORE.id: ("stuff.no-such-case", "1")}, cases)
+    assert judged.is_due("core", CORE, {CORE.id: (KILLER, "a2")}, cases)
+    assert judged.is_due("core", CORE, {CORE.id: ("stuff.no-such-case", "a1")}, cases)
     renamed = {**cases, KILLER: ("J2A-FRAME-001",)}  # it names the rule no longer
     assert judged.is_due("core", CORE, known, renamed)
 
 
-def test_some_are_judged_nevertheless(monkeypatch):
-    monkeypatch.setattr(judged, "digest", lambda *_: "01")
-    assert judged.is_due("core", CORE, {CORE.id: (KILLER, "01")}, targets.cases("core"))
+def test_one_in_64_is_judged_nevertheless(monkeypatch):
+    due = []
+    for number in range(256):
+        known = f"{number:02x}"
+        monkeypatch.setattr(judged, "digest", lambda *_, known=known: known)
+        if judged.is_due("core", CORE, {CORE.id: (KILLER, known)}, targets.cases("core")):
+            due.append(number)
+    assert len(due) == 256 / 64
 
 
 def test_only_kills_are_kept(monkeypatch, tmp_path, need, capsys):
