@@ -28,6 +28,17 @@ FUNCTIONS = [
 ]
 
 
+# The AVR takes many times as long; of its echoes avr-1m shows each length, in the suite.
+@pytest.mark.parametrize(
+    "client",
+    [
+        "posix",
+        pytest.param("avr-115200", marks=[pytest.mark.avr, pytest.mark.exhaustive]),
+        pytest.param("avr-1000000", marks=[pytest.mark.avr, pytest.mark.exhaustive]),
+        "python",
+    ],
+    indirect=True,
+)
 def test_all_echoes(client: j2a.Client) -> None:
     correct = sum(
         client.call("a2jEcho", pattern[:length]) == j2a.Reply(0xBA, pattern[:length])
