@@ -1,8 +1,9 @@
 """The budgets: each limit is a test, the snapshot is what is measured, and what is wrong is found.
 
-In: firmware/verify/budget/budget.toml and snapshot.json. Out: one test for each limit. Everything
-is measured once, in a folder of its own; the controls change the limits, the snapshot and the
-firmware, and each must be noticed.
+In: firmware/verify/budget/budget.toml and snapshot.json. Out: one test for each limit. What has
+changed since the snapshot was written is measured, and besides one build for each kind of figure of
+each port, in a folder of its own; the controls change the limits, the snapshot and the firmware,
+and each must be noticed.
 """
 
 import contextlib
@@ -20,7 +21,16 @@ import pytest
 from j2a_sim import AvrSim
 from j2a_spec.capabilities import CAPABILITIES
 
-from firmware.verify.budget import avr_run, avr_stack, builds, callgraph, report, snapshot
+from firmware.verify.budget import (
+    avr_run,
+    avr_stack,
+    builds,
+    callgraph,
+    measured,
+    report,
+    runs,
+    snapshot,
+)
 from firmware.verify.budget import measure as command
 from firmware.verify.budget.builds import BudgetError
 
@@ -36,6 +46,13 @@ TOOLS = (
     *("qemu-system-arm", "qemu-system-riscv32", "valgrind", "node"),
 )
 FULL = "avr-serial/full"
+# Measured whatever has changed: each port, each way to measure, and what the tests below look at.
+ALWAYS = [
+    *(FULL, "avr-serial/demo", "avr-serial/sensors", "avr-serial/minimal-room-32"),
+    *("avr-serial/cycles", "avr-serial/cycles-room-32", "avr-usb/full-32u4", "template/atmega328p"),
+    *("cortex-m/full", "cortex-m/counts", "rp2040/full", "rp2040/counts"),
+    *("riscv/demo", "riscv/counts", "posix/full", "posix/counts"),
+]
 COMMAND = [sys.executable, "-m", "firmware.verify.budget.measure"]
 SMALL = "J2A_SELFTEST_SMALL"  # goes with J2A_WITH_SELFTEST
 VARIABLES = {"LINKS", "ROOM", "RXBUF", "TXBUF"}  # of the Makefile, for options of the same names
@@ -75,10 +92,14 @@ def out(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def checked(tools, out):
-    """The run of --check over every build, and the figures."""
-    result = measure("--check", "--out", out, "--save", out / "figures.json")
+    """The run of --check over what has changed, the figures of all, and those of `ALWAYS`."""
+    result = measure("--check", "--changed", "--out", out, "--save", out / "figures.json")
     assert result.returncode in (0, 1), result.stderr
-    return result, json.loads((out / "figures.json").read_text())
+    new = measure("--check", "--only", *ALWAYS, "--out", out, "--save", out / "always.json")
+    assert new.returncode == 0, new.stdout + new.stderr
+    always = json.loads((out / "always.json").read_text())
+    assert set(always) == {*ALWAYS}
+    return result, json.loads((out / "figures.json").read_text()) | always
 
 
 @pytest.fixture
@@ -124,11 +145,87 @@ def test_snapshot_and_table_are_what_is_measured(checked):
     assert result.returncode == 0, result.stdout + result.stderr
 
 
+@pytest.mark.exhaustive
+def test_each_build_is_what_the_snapshot_says(tools, out):
+    """Whatever has changed; the C libraries and the emulators may have, too."""
+    result = measure("--check", "--out", out)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
 def test_each_port_of_ours_is_measured():
     """One that somebody adds may come without a budget: a port is its folder and a testee."""
     there = {path.parent.name for path in FIRMWARE.glob("ports/*/port.mk")}
     assert there >= OURS
     assert {entry["name"].partition("/")[0] for entry in ENTRIES} >= OURS
+    always = [build for build in builds.load() if build.name in ALWAYS]
+    assert {build.name.partition("/")[0] for build in always} >= OURS
+    of_ports = {(build.port, kind) for build in builds.load() for kind in build.measure}
+    of_ports -= {("avr-usb", "callgraph"), ("cortex-m", "core"), ("rp2040", "core")}
+    assert {(build.port, kind) for build in always for kind in build.measure} >= of_ports
+
+
+# ------------------------------------------------------------------- what has changed
+
+
+@pytest.mark.parametrize("name", ["avr-serial/sensors", "avr-usb/full-32u4", "rp2040/full"])
+def test_what_the_compiler_reads_decides_whether_a_build_has_changed(checked, out, name):
+    (build,) = (build for build in builds.load() if build.name == name)
+    counted = {path.resolve() for path in measured.files(build, FIRMWARE)}
+    read = set()
+    for listing in (out / name).rglob("*.d"):
+        words = listing.read_text().replace("\\\n", " ").split()
+        read |= {(FIRMWARE / word.rstrip(":")).resolve() for word in words}
+    ours = {path for path in read if path.is_relative_to(FIRMWARE) and path.suffix != ".o"}
+    assert len(ours) > 30
+    assert ours <= counted
+
+
+def test_each_source_counts(tmp_path):
+    (build,) = (build for build in builds.load() if build.name == FULL)
+    firmware = tmp_path / "firmware"
+    for path in measured.files(build, FIRMWARE):
+        copy = firmware / path.relative_to(FIRMWARE)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(path.read_bytes())
+
+    def digest(build, compiler="avr-gcc"):
+        return measured.digest(build, compiler, firmware)
+
+    before = digest(build)
+    assert before == measured.digest(build, "avr-gcc", FIRMWARE), "wherever the folder is"
+    assert digest(replace(build, limit={}, note="another")) == before
+    assert digest(build, "avr-gcc 4") != before
+    assert digest(replace(build, options={"J2A_ROOM": 64})) != before
+    for name in ("Makefile", "core/ext/j2a_many.c", "ports/common/avr_ram.ld", "apps/main.c"):
+        text = (firmware / name).read_bytes()
+        (firmware / name).write_bytes(text + b"\n")
+        assert digest(build) != before, name
+        (firmware / name).write_bytes(text)
+    (firmware / "core/README.md").write_text("of no consequence")
+    assert digest(build) == before
+    (firmware / "core/ext/j2a_more.c").touch()
+    assert digest(build) != before
+
+
+def test_only_what_has_changed_is_measured(tools, tmp_path, monkeypatch):
+    """The others have the figures of the snapshot."""
+    names = ["avr-serial/full", "avr-serial/minimal"]
+    chosen = [build for build in builds.load() if build.name in names]
+    hashes = {
+        build.name: measured.digest(build, runs.compiler(build, FIRMWARE), FIRMWARE)
+        for build in chosen
+    }
+    monkeypatch.setattr(measured, "read", lambda: hashes | {names[1]: "of other sources"})
+    done = []
+    monkeypatch.setattr(
+        command.runs, "measure", lambda build, *_: done.append(build.name) or figures[build.name]
+    )
+    figures = snapshot.read()
+    result = measure("--check", "--changed", "--only", *names, "--out", tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert done == names[1:]
+    figures[names[1]] = replace(figures[names[1]], figures={"flash": 1.0})
+    assert measure("--check", "--changed", "--only", *names, "--out", tmp_path).returncode == 1
 
 
 def test_each_switch_is_measured():

@@ -3,6 +3,8 @@
 In: budget.toml, snapshot.json, the sources. Out: a table; with --write the snapshot and table.md;
 with --check exit code 1 when a limit is broken or the snapshot differs; with --against a revision,
 what has changed since.
+With --changed only that is measured whose sources are not those of the snapshot, by the hashes in
+measured.json; the others have its figures.
 Rules: everything is built by firmware/Makefile as a user builds it; every figure is exact, so that
 the same sources and compilers give the same figures on every machine. A missing tool leaves its
 builds out and says so; where J2A_REQUIRE_AVR=1 is set, as in CI, it is an error.
@@ -14,13 +16,14 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from fnmatch import fnmatch
 from pathlib import Path
 
 try:
-    from firmware.verify.budget import builds, report, runs, snapshot
+    from firmware.verify.budget import builds, measured, report, runs, snapshot
     from firmware.verify.budget.builds import BudgetError, Build
 except ImportError as error:
     sys.exit(f"{error}: run `make venv` in the project's folder, and take .venv/bin/python")
@@ -38,20 +41,31 @@ def main(argv: Sequence[str] | None = None) -> int:
         chosen = [build for build in every if any(fnmatch(build.name, only) for only in args.only)]
         if not chosen:
             raise BudgetError(f"no build is called {' or '.join(args.only)}")
+        if args.write and (args.changed or args.figures):
+            raise BudgetError("--write measures: leave --changed and --figures out")
         if args.write and len(chosen) != len(every):
             raise BudgetError("--write needs all builds: leave --only out")
         if args.figures:
             kept = snapshot.read(args.figures)
             results = {build.name: kept[build.name] for build in chosen if build.name in kept}
         else:
-            results = _measure(chosen, args.out, builds.FIRMWARE, strict=True)
+            hashes = _hashes(chosen)
+            results = _kept(hashes) if args.changed else {}
+            rest = [build for build in chosen if build.name not in results]
+            if args.changed:
+                print(f"{len(results)} builds are as they were measured, {len(rest)} are not\n")
+            results |= _measure(rest, args.out, builds.FIRMWARE, strict=True)
+            results = {build.name: results[build.name] for build in chosen if build.name in results}
         if args.write and len(results) != len(every):
             raise BudgetError("--write needs all builds, and some were not measured")
         if not results:
             raise BudgetError("nothing was measured")
         if args.save:
             snapshot.write(results, args.save)
-        return _report(args, every, results, len(results) == len(every))
+        code = _report(args, every, results, len(results) == len(every))
+        if args.write and code == 0 and args.snapshot == snapshot.SNAPSHOT:
+            measured.write(hashes)
+        return code
     except BudgetError as error:
         print(f"measure.py: {error}", file=sys.stderr)
         return 2
@@ -71,6 +85,11 @@ def _parser() -> argparse.ArgumentParser:
         "--rebuild",
         action="store_true",
         help="with --against: measure that revision",
+    )
+    parser.add_argument(
+        "--changed",
+        action="store_true",
+        help="measure only what has changed since the snapshot was written",
     )
     parser.add_argument("--markdown", action="store_true", help="tables as Markdown")
     parser.add_argument(
@@ -92,6 +111,26 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--budget", type=Path, default=builds.BUDGET, help="another budget.toml")
     parser.add_argument("--snapshot", type=Path, default=snapshot.SNAPSHOT, help="another snapshot")
     return parser
+
+
+def _hashes(chosen: Sequence[Build]) -> dict[str, str]:
+    """The hash of each build by its name, but of those whose compiler is missing."""
+    hashes = {}
+    for build in chosen:
+        with suppress(builds.ToolMissing):
+            compiler = runs.compiler(build, builds.FIRMWARE)
+            hashes[build.name] = measured.digest(build, compiler, builds.FIRMWARE)
+    return hashes
+
+
+def _kept(hashes: Mapping[str, str]) -> dict[str, snapshot.Result]:
+    """The figures in the snapshot of the builds that have these hashes there, too."""
+    before, figures = measured.read(), snapshot.read()
+    return {
+        name: figures[name]
+        for name in hashes.keys() & figures.keys()
+        if hashes[name] == before.get(name)
+    }
 
 
 def _measure(

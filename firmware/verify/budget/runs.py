@@ -14,7 +14,7 @@ from firmware.verify.budget.builds import BudgetError, Build, ToolMissing
 from firmware.verify.budget.snapshot import Result
 from firmware.verify.packages import advice
 
-__all__ = ["ToolMissing", "measure"]
+__all__ = ["ToolMissing", "compiler", "measure"]
 
 _CC = re.compile(r"^CC\s*[:?]?=\s*(\S+)", re.MULTILINE)
 
@@ -34,15 +34,25 @@ def _compiler(build: Build, firmware: Path) -> str:
 
 
 @cache
-def _version(compiler: str) -> str:
+def _version(name: str) -> str:
     """What a compiler says of itself and of its linker: the two that decide about sizes."""
 
     def first_line(*command: str) -> str:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         return done.stdout.splitlines()[0].strip()
 
-    linker = first_line(compiler, "-print-prog-name=ld")
-    return f"{first_line(compiler, '--version')}, {first_line(linker, '--version')}"
+    linker = first_line(name, "-print-prog-name=ld")
+    return f"{first_line(name, '--version')}, {first_line(linker, '--version')}"
+
+
+def compiler(build: Build, firmware: Path) -> str:
+    """Return the versions of the compiler of a build and of its linker.
+
+    Raises:
+        ToolMissing: it is not installed.
+        BudgetError: there is no such port.
+    """
+    return _version(_compiler(build, firmware))
 
 
 def _figures(kind: str, build: Build, program: Path, out: Path, firmware: Path) -> dict[str, float]:
@@ -84,7 +94,7 @@ def measure(build: Build, out: Path, firmware: Path, strict: bool = True) -> Res
         ToolMissing: a compiler or a tool is not installed.
         BudgetError: it does not compile, or cannot be measured.
     """
-    compiler = _compiler(build, firmware)
+    versions = compiler(build, firmware)
     program = builds.make(build, out, firmware)
     figures: dict[str, float] = {}
     for kind in build.measure:
@@ -100,4 +110,4 @@ def measure(build: Build, out: Path, firmware: Path, strict: bool = True) -> Res
         )
     if deepest is not None and "ram" in figures:
         figures["total"] = figures["ram"] + deepest
-    return Result(_version(compiler), figures)
+    return Result(versions, figures)
