@@ -31,7 +31,7 @@ def test_where_it_cannot_listen(usb_board, host, says):
             UsbipServer([usb_board()], host, port)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.binary(min_size=1, max_size=200))
 def test_nonsense_instead_of_a_request(served, data):
     with socket.create_connection(("127.0.0.1", served.port)) as connection:
@@ -43,7 +43,7 @@ def test_nonsense_instead_of_a_request(served, data):
 field = st.one_of(st.integers(0, 20), st.integers(0, 0xFFFFFFFF))
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(
     st.sampled_from([1, 1, 1, 2, 3, 4, 0, 0xFFFFFFFF]),
     st.lists(field, min_size=8, max_size=8),
