@@ -3,11 +3,13 @@
 What flows in: the packaged library (made first when it is not given), Debian's package
 arduino-core-avr, sketches by the name of an example or as folders. What flows out: BOARD/SKETCH.elf
 in --out, and a line of sizes each. Rules: the commands are those of the package's platform.txt and
-boards.txt; our own files are compiled with all warnings as errors, the core's with none. Headers of
-libraries are found by the #include lines of the sketch.
+boards.txt; our own files are compiled with all warnings as errors, the core's with none; an object
+that the same command has made of the same files is not made again. Headers of libraries are found
+by the #include lines of the sketch.
 """
 
 import argparse
+import hashlib
 import re
 import shlex
 import subprocess
@@ -20,6 +22,7 @@ import arduino_library
 PLATFORM = Path("/usr/share/arduino/hardware/arduino/avr")
 BOARDS = {"uno": "uno", "mega": "mega.menu.cpu.atmega2560", "leonardo": "leonardo"}
 STRICT = "-Wall -Wextra -Wundef -Werror"
+OBJECT = "J2A_OBJECT"  # stands for the object file in a command
 INCLUDE = re.compile(r'^\s*#\s*include\s+[<"](\w+)\.h[>"]', re.M)
 
 
@@ -71,11 +74,21 @@ class Board:
             f"recipe.{kind}.o.pattern",
             includes=f"{self.defines}{flags}" if ours else flags,
             source_file=str(source),
-            object_file=str(target),
+            object_file=OBJECT,
             **({"compiler.warning_flags": STRICT} if ours else {}),
         )
         target.parent.mkdir(parents=True, exist_ok=True)
-        _run(shlex.split(command))
+        # What the same command made of the same files is there, in whichever folder it was made.
+        texts = [source, *(path for each in includes for path in sorted(each.glob("*.[cdh]*")))]
+        text = hashlib.sha256(command.encode())
+        for path in texts:
+            text.update(hashlib.sha256(path.read_bytes()).digest())
+        made_of = target.with_name(f"{target.name}.hash")
+        if target.exists() and made_of.exists() and made_of.read_text() == text.hexdigest():
+            return target
+        made_of.unlink(missing_ok=True)
+        _run(shlex.split(command.replace(OBJECT, str(target))))
+        made_of.write_text(text.hexdigest())
         return target
 
     def core(self, out: Path) -> Path:

@@ -70,6 +70,8 @@ def variant(built, packed, tmp_path, tool):
     def build(board, sketch, options=""):
         (tmp_path / board).mkdir()
         shutil.copy(built[0] / board / "core.a", tmp_path / board)
+        # With the same options the library is there, too.
+        shutil.copytree(built[0] / board / "J2A", tmp_path / board / "J2A")
         arguments = ("--board", board, "--library", packed, "--out", tmp_path, sketch)
         tool("arduino_build.py", *arguments, f"--options={options}")
         return tmp_path / board / f"{Path(sketch).name}.elf"
