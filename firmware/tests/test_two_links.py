@@ -32,14 +32,22 @@ SLOW = {  # several thousand frames; the testee cortex-m-two has them on one lin
     "many.echo-lengths",
     "stuff.escape-ff-anywhere",
 }
-MANY_FRAMES = {  # hundreds of them, and what they find is no matter of links
+MANY_FRAMES = {  # tens or hundreds, and what they find is no matter of links
+    "error.checksum-before-opcode",
     "error.reserved-codes",
     "error.seq",
     "frame.garbage",
     "frame.interrupted",
     "frame.noise-behind",
     "interface.chunks",
+    "mapping.request-payload",
     "many.four-offset-bytes",
+    "many.offsets",
+    "many.reply-flags",
+    "many.store",
+    "many.write-flags",
+    "many.wrong-function",
+    "properties.content",
     "properties.direct",
     "seq.every-value",
     "seq.repeated",
