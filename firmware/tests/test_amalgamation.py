@@ -15,6 +15,8 @@ from j2a_spec.capabilities import ANNOUNCED
 from j2a_spec.grammar import MAPPING
 from j2a_spec.oracle import Frame, encode
 
+from tools.conformance import SWEEPS
+
 ROOT = Path(__file__).parents[2]
 FIRMWARE = ROOT / "firmware"
 TOOL = ROOT / "tools" / "amalgamate.py"
@@ -275,7 +277,9 @@ def test_as_many_items_as_promised(need, two_files, tmp_path, ask):
     assert compile_(*command).returncode != 0
 
 
-def test_demo_with_def_files_is_conformant(need, two_files, tmp_path):
+@pytest.mark.parametrize("left_out", [SWEEPS, pytest.param((), marks=pytest.mark.exhaustive)])
+def test_demo_with_def_files_is_conformant(need, two_files, tmp_path, left_out):
+    """Without the sweeps, which testees of the same sources have."""
     need("cc")
     for path in (FIRMWARE / "apps/demo").iterdir():
         (tmp_path / path.name).write_text(with_one_header(path.read_text()))
@@ -287,8 +291,13 @@ def test_demo_with_def_files_is_conformant(need, two_files, tmp_path):
         *("-DDEMO_STORE_BYTES=2097152", tmp_path / "app.c", tmp_path / "main.c"),
         *(two_files / "j2a.c", two_files / "port.c", "-o", program),
     )
-    left_out = {"timing", *ANNOUNCED}
-    cases = [k for k in load() if k.LEVEL not in left_out and not k.ID.startswith("scenario")]
+    levels = {"timing", *ANNOUNCED}
+    cases = [
+        case
+        for case in load()
+        if case.LEVEL not in levels and not case.ID.startswith("scenario")
+        if case.ID not in left_out
+    ]
     url = f"exec:{program}"
     found = run(lambda: j2a_transports.open(url), cases, url=url)
     failed = [(r.case, r.reason) for r in found.with_verdict(Verdict.FAILED)]
