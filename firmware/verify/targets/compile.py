@@ -41,7 +41,7 @@ OPTIONS: Final = {
         *("--disable-warning", "110", "--disable-warning", "126"),
     ),
 }
-# Of what is not measured, code that is a little longer will do: it takes half as long to compile.
+# Where sizes do not matter, code that is a little longer will do: it takes half as long to compile.
 QUICKLY: Final = {"zig": (), "sdcc": ("--max-allocs-per-node", "100")}
 # The apps whose tables are taken, and what is switched on and off with them.
 BUILDS: Final = {
@@ -108,19 +108,24 @@ def compiler(name: str) -> list[str]:
     return [str(Path(spec.origin).parent / "zig"), "cc"]
 
 
-def compile_core(target: Target, core: Path = FIRMWARE / "core") -> Sizes:
+def compile_core(target: Target, core: Path = FIRMWARE / "core", *, quickly: bool = False) -> Sizes:
     """Compile everything for a target, and measure the builtins.
+
+    Args:
+        target: what for.
+        core: the folder of the core.
+        quickly: a little more code will do for what is measured, too.
 
     Raises:
         ToolMissingError: its compiler is missing.
         RefusedError: the compiler refuses the core, or warns.
     """
     with tempfile.TemporaryDirectory(prefix="j2a-target-") as folder:
-        _compile(target, core, "demo", Path(folder))
-        return measured(_compile(target, core, MEASURED, Path(folder)))
+        _compile(target, core, "demo", Path(folder), quickly=True)
+        return measured(_compile(target, core, MEASURED, Path(folder), quickly=quickly))
 
 
-def _compile(target: Target, core: Path, app: str, folder: Path) -> Path:
+def _compile(target: Target, core: Path, app: str, folder: Path, *, quickly: bool) -> Path:
     source = folder / f"{app}.c"
     files = sorted(path.relative_to(core) for path in core.rglob("*.c"))
     source.write_text("".join(f'#include "{file.as_posix()}"\n' for file in files), "utf-8")
@@ -130,7 +135,7 @@ def _compile(target: Target, core: Path, app: str, folder: Path) -> Path:
         *compiler(target.compiler),
         *target.options,
         *OPTIONS[target.compiler],
-        *(() if app == MEASURED else QUICKLY[target.compiler]),
+        *(QUICKLY[target.compiler] if quickly else ()),
         *BUILDS[app],
         *(f"-I{path}" for path in where),
         *("-c", "-o", str(result), str(source)),
