@@ -163,15 +163,23 @@ class Both:
             self.exchange(bytes((one.id, c.TRANSD_SAMPLE)))
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_firmware_and_python_answer_the_same(need, tmp_path, seed):
+@pytest.fixture(scope="module")
+def built(need, tmp_path_factory):
+    """A device with transducers of many types, sanitized; returns it and its transds.def."""
     need("cc")
+    out = tmp_path_factory.mktemp("many")
     transds, code = board_of((*SCALARS, *ENUMS, *NO_RAW))
-    folder = write_app(tmp_path / "app", transds, code, "J2A_CALL(report, report)\n")
+    folder = write_app(out / "app", transds, code, "J2A_CALL(report, report)\n")
     sanitizers = "-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all"
-    done = make(folder, tmp_path / "out", PORT="posix", CFLAGS=sanitizers)
+    done = make(folder, out / "out", PORT="posix", CFLAGS=sanitizers)
     assert done.returncode == 0, done.stderr
-    with j2a.connect(f"exec:{tmp_path}/out/app") as board:
+    return out / "out/app", transds
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_firmware_and_python_answer_the_same(built, seed):
+    program, transds = built
+    with j2a.connect(f"exec:{program}") as board:
         both = Both(board, read_transds(transds), random.Random(seed))
         assert board.transducers.descriptors == read_transds(transds)
         for _ in range(REQUESTS):
