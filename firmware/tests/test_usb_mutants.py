@@ -359,7 +359,7 @@ def workshop(tmp_path_factory):
     return folder
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("mutant", "mcu"),
     [
