@@ -618,10 +618,10 @@ def test_one_sif_in_a_turn_of_the_main_loop(build):
     board.send_each(1, QUAD)
     board.turn(0, 1000, board.sim.cycle, 3200)
     payload = bytes(255)
-    while len(board.sifs) < 200:
+    while len(board.sifs) < 120:
         assert board.call(c.GET_ECHO, payload).payload == payload
     order = [sif.opcode for sif in board.sifs]
-    assert order.count(ADC) >= 10
+    assert order.count(ADC) >= 6
     assert board.ask("overruns", "H") == (0,)
     assert board.sim.counters.overruns == 0
     board.sim.close()
@@ -701,9 +701,19 @@ def test_nothing_is_measured_before_the_trigger(triggered):
 
 
 @pytest.mark.avr
-@pytest.mark.parametrize("options", BOUNDS)
-@pytest.mark.parametrize("order", [(QUAD, DIST_IR, ADC), (ADC, DIST_IR, QUAD)])
-@pytest.mark.parametrize("is_enabled", [False, True])
+@pytest.mark.parametrize(
+    ("options", "order", "is_enabled"),
+    [
+        pytest.param(
+            *(options, order, is_enabled),
+            # Each two of them have all their values in the half of an even number.
+            marks=pytest.mark.exhaustive if (first + second + is_enabled) % 2 else [],
+        )
+        for first, options in enumerate(BOUNDS)
+        for second, order in enumerate([(QUAD, DIST_IR, ADC), (ADC, DIST_IR, QUAD)])
+        for is_enabled in (False, True)
+    ],
+)
 def test_sensors_triggered_at_one_time_measure_at_that_time(triggered, order, options, is_enabled):
     """Each tells the moment by its value: an encoder counts steps, voltages rise.
 
@@ -748,14 +758,14 @@ def test_sensors_triggered_at_one_time_measure_at_that_time(triggered, order, op
 def test_a_trigger_while_another_sensor_scans(triggered):
     """A scan for distances may run when its time comes: then the one behind it counts, as a whole.
 
-    Scans for distances come each 40 ms and last 0.4 ms; triggers come at steps of 50 us around one.
+    Scans for distances come each 40 ms and last 0.4 ms; triggers come each 100 us around one.
     Distances, which nobody triggers here, share the scan that runs when their time comes.
     """
     board = Board(triggered("sensors", "adc"))
     board.quiet()
     offset = clock_offset(board)
     behind = 0
-    for step in range(30):
+    for step in range(0, 30, 2):
         scanned = board.sample(DIST_IR)[0][0]
         while board.sample(DIST_IR)[0][0] == scanned:
             board.pause(0.0005)
@@ -773,7 +783,7 @@ def test_a_trigger_while_another_sensor_scans(triggered):
         is_behind = board.sample(DIST_IR)[0][0] < sample[3][0]
         assert board.sim.adc.conversions - before == (8 if is_behind else 4)
         behind += is_behind
-    assert behind >= 20
+    assert behind >= 10
     board.sim.close()
 
 
