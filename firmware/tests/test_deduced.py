@@ -212,7 +212,7 @@ OPTIONS = [
     ("g++", "c++11", "-DJ2A_WITH_INTERFACE=0"),
     ("g++", "c++11", "-DJ2A_WITH_INTERFACE=0 -DJ2A_WITH_MAPPING=0"),
     ("g++", "c++11", "-DJ2A_WITH_INTERFACE=0 -DJ2A_WITH_MANY=0"),
-    ("g++", "c++17", ""),
+    pytest.param("g++", "c++17", "", marks=pytest.mark.exhaustive),  # between two others
     ("g++", "c++20", ""),
     ("clang++", "c++11", ""),
     ("clang++", "c++20", ""),
