@@ -14,7 +14,7 @@ import pytest
 FIRMWARE = Path(__file__).parents[1]
 CORPORA = [FIRMWARE / "verify/fuzz" / name for name in ("corpus", "transducers/corpus")]
 SECONDS = 60  # the most; a test ends before, by its runs or with what it finds
-RUNS, RUNS_OF_TRANSDUCERS = 8000, 5000  # those of the corpus among them
+RUNS, RUNS_OF_TRANSDUCERS = 4000, 3000  # those of the corpus among them
 TRANSDUCERS = [("--transducers", *more) for more in ((), ("clock",), ("stamps",))]
 
 
