@@ -334,7 +334,10 @@ RECURSION = """static __attribute__((noinline)) uint8_t down(uint8_t length, uin
 
 
 # The compiler makes room by other instructions from 64 bytes on, and for multiples of 256.
-@pytest.mark.parametrize("size", [50, 100, 255, 256, 300, 512])
+@pytest.mark.parametrize(
+    "size",
+    [50, 256, 300, *(pytest.param(size, marks=pytest.mark.exhaustive) for size in (100, 255, 512))],
+)
 def test_deep_stack_is_seen(deep, checked, size):
     elf = deep(FRAME.replace("SIZE", f"{size}"))
     stack = avr_run.stack(elf, PLAIN)

@@ -31,11 +31,11 @@ def files(build: Build, firmware: Path) -> list[Path]:
         folders.append("drivers")
     folders.append("verify/budget")
     if _IN_SIMULATOR & {*build.measure}:
-        folders.append("sim/j2a_sim")
+        folders += ["sim/j2a_sim", "sim/j2a_sim/chip"]
     found = {firmware / "Makefile", firmware / "apps/main.c"}
     for folder in folders:
-        # Those of apps in folders below are no sources of this one, but those of the core are.
-        glob = "*" if folder in {app, "verify/budget"} else "**/*"
+        # What is below is no source of an app, nor of the simulator without USB, but of the core.
+        glob = "*" if folder in {app, "verify/budget", "sim/j2a_sim"} else "**/*"
         found |= {path for path in (firmware / folder).glob(glob) if path.suffix in _SOURCES}
     if build.emulator[:1] == ("node",):
         found.add(firmware / _EMULATOR)

@@ -275,6 +275,8 @@ class Board:
 
     def _frames(self) -> list[Frame]:
         self._received += self.sim.uart_read()
+        if _goes_on(self._received):
+            return []
         events = decode(self._received)
         frames = [event for event in events if isinstance(event, Frame)]
         if len(frames) != len(events):
@@ -282,6 +284,22 @@ class Board:
         self._received = b""
         self.sifs += [frame for frame in frames if frame.start == c.SOS]
         return [frame for frame in frames if frame.start == c.SOF]
+
+
+def _goes_on(received: bytes) -> bool:
+    """Whether the last frame is shorter than its length says; escapes may make it longer still.
+
+    Bytes come one by one, and to decode all of them with each takes longer than the simulation.
+    """
+    body = received[max(received.rfind(marker) for marker in c.MARKERS) + 1 :]
+    at = length = 0
+    for _ in range(c.HEADER):
+        is_escape = body[at : at + 1] == bytes((c.ESC,))
+        at += 1 + is_escape
+        if at > len(body):
+            return True
+        length = body[at - 1] + is_escape
+    return len(body) < at + length + 1
 
 
 def load(sim: AvrSim) -> None:
