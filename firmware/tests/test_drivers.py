@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 from j2a_sim import AvrSim, pulses
 from j2a_spec import constants as c
+from j2a_spec.oracle import Frame, decode, encode
 
 from firmware.verify.budget.sensor_load import (
     ADC,
@@ -32,6 +33,7 @@ from firmware.verify.budget.sensor_load import (
     QUAD_AT,
     SERVO,
     Board,
+    goes_on,
     values,
 )
 
@@ -54,6 +56,24 @@ SHARP_02 = (
 )
 SHARP_02 += ((900, 0.74), (1000, 0.69), (1100, 0.60), (1200, 0.55), (1300, 0.50), (1400, 0.47))
 SHARP_02 += ((1500, 0.45),)
+
+
+def test_bytes_of_a_frame_that_goes_on_are_not_decoded():
+    """At its end it does not, and before the last byte nothing whole is kept back."""
+    rng = random.Random(1)
+    bytes_ = (c.SOF, c.SOS, c.ESC, c.ESC + 1, 0, 0xFF)
+    for length in [*range(20), c.SOF, c.ESC, c.ESC + 1, c.SOS, 255] * 3:
+        frames = [
+            Frame(c.SOS, *rng.choices(bytes_, k=2)),
+            Frame(c.SOF, *rng.choices(bytes_, k=2), bytes(rng.choices(bytes_, k=length))),
+        ]
+        wire = b"".join(map(encode, frames))
+        assert not goes_on(wire)
+        whole = [n for n in range(len(wire)) if all(isinstance(e, Frame) for e in decode(wire[:n]))]
+        assert whole == [0, len(encode(frames[0]))]
+        assert not goes_on(wire[: whole[1]])
+        assert goes_on(wire[: whole[1] + 1])
+        assert goes_on(wire[: whole[1] + 3 + length])
 
 
 def samples(board, sensor):

@@ -26,6 +26,7 @@ __all__ = [
     "SERVO",
     "Board",
     "Chip",
+    "goes_on",
     "load",
     "values",
 ]
@@ -275,7 +276,7 @@ class Board:
 
     def _frames(self) -> list[Frame]:
         self._received += self.sim.uart_read()
-        if _goes_on(self._received):
+        if goes_on(self._received):
             return []
         events = decode(self._received)
         frames = [event for event in events if isinstance(event, Frame)]
@@ -286,7 +287,7 @@ class Board:
         return [frame for frame in frames if frame.start == c.SOF]
 
 
-def _goes_on(received: bytes) -> bool:
+def goes_on(received: bytes) -> bool:
     """Whether the last frame is shorter than its length says; escapes may make it longer still.
 
     Bytes come one by one, and to decode all of them with each takes longer than the simulation.
