@@ -12,17 +12,20 @@ a run without it.
 import argparse
 import contextlib
 import os
+import re
+import shlex
 import subprocess
 import sys
 import time
 import tomllib
-from collections import deque
+from collections import defaultdict, deque
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import j2a_transports
 from j2a_conformance import load
-from j2a_conformance.device._testee import load_testee
+from j2a_conformance.device._testee import TesteeFile, load_testee
 from j2a_spec.capabilities import LEVELS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -91,6 +94,8 @@ SWEEPING = (
     *("clock", "clock-avr", "python-clock"),
     *("python-transducers", "transducers", "transducers-avr"),
 )
+# What decides about the folder of a build: without OUT it is that of the port.
+_WORD = re.compile(r"\b(OUT|PORT)=([\w/-]+)")
 KINDS = ("simulated", "machine", "emulator")
 
 
@@ -156,6 +161,27 @@ def run(name: str, arguments: list[str]) -> tuple[bool, str]:
     return code == 0, f"{name:24} {took_s:5.1f} s, {cpu_s:5.1f} s of the processors  {last}"
 
 
+def build(files: Iterable[Path]) -> None:
+    """Build testees, and see that each starts: two at a time, but none in a folder of another.
+
+    Raises:
+        HarnessError: one cannot be built, or does not start.
+    """
+    folders = defaultdict(list)
+    for file in files:
+        testee = load_testee(file)
+        words = dict(_WORD.findall(shlex.join(testee.build)))
+        folders[words.get("OUT") or f"build/{words.get('PORT')}"].append(testee)
+
+    def work(testees: list[TesteeFile]) -> None:
+        for testee in testees:
+            with testee.started():
+                pass
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        list(pool.map(work, folders.values()))
+
+
 def main() -> int:
     """Run what was asked for; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -173,10 +199,7 @@ def main() -> int:
             print(f"left to make conformance: {', '.join(FURTHER)}", flush=True)
         chosen = {name: sampled(name, arguments) for name, arguments in chosen.items()}
     if args.build:
-        for _, *files in chosen.values():
-            if files[0].endswith(".toml"):
-                with load_testee(Path(files[0])).started():
-                    pass
+        build(Path(words[1]) for words in chosen.values() if words[1].endswith(".toml"))
         return 0
     OUT.mkdir(parents=True, exist_ok=True)
     for old in OUT.iterdir():
