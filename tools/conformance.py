@@ -43,8 +43,8 @@ SWEEPS = (
     *("error.opcode-out-of-range", "error.seq", "debug.text", "interface.chunks"),
     *("many.echo-lengths", "many.four-offset-bytes", "types.bools", "types.lengths"),
     *("timing.gives-up-long", "timing.pause-in-long-frame", "timing.trickle-long"),
-    *("timing.wraps", "clock.refusals", "transducers.chunks", "transducers.refused"),
-    *("transducers.refused-meanwhile", "transducers.threshold"),
+    *("timing.wraps", "clock.refusals", "transducers.chunks", "transducers.queue"),
+    *("transducers.refused", "transducers.refused-meanwhile", "transducers.threshold"),
 )
 # The same firmware as that of another testee, on a further chip or in a further shell: each costs
 # the processor as much as three others.
@@ -67,7 +67,7 @@ FRAMES = (
 # What transducers send of themselves, and what comes as often or as late as the link lets it.
 SENT = (
     *("transducers.announced", "transducers.counted", "transducers.heard", "transducers.period"),
-    *("transducers.queue", "transducers.samples", "transducers.set", "transducers.watchdog"),
+    *("transducers.samples", "transducers.set", "transducers.watchdog"),
 )
 # Testees that are another one with a part more, in another shell, on another chip of the same kind
 # or another of its links: the levels and cases of that part, or those in which the link has a part.
