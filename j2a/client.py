@@ -298,7 +298,8 @@ class Client(ClientBase):
         if self._clock is None:
             from j2a.io.clock import Clock  # noqa: PLC0415 - few programs need it
 
-            self._clock = Clock(weakref.ref(self), self._transport)
+            # Of threads that come here together, all get the same one.
+            vars(self).setdefault("_clock", Clock(weakref.ref(self), self._transport))
         return cast("Clock", self._clock)
 
     def function(self, function: str | int, signature: str, definitions: str = "") -> Function:

@@ -84,6 +84,9 @@ _STALE_BYTES: Final = 2**18
 class ClientBase:
     """State and options that both clients have; each adds its own way of waiting."""
 
+    # Made when somebody first asks for it.
+    _clock: "ClockBase | None" = None
+
     def __init__(self, url: str, timeout: float, window: int, trace: Trace | None) -> None:
         if not isinstance(window, int) or not 1 <= window <= MAX_WINDOW:
             raise LocalError(f"window is a number of calls from 1 to {MAX_WINDOW}, not {window!r}")
@@ -119,7 +122,6 @@ class ClientBase:
             partial(_described, client),
             partial(_host_us, client),
         )
-        self._clock: ClockBase | None = None
         self._handlers.add(None, self._source.take)
 
     def now(self) -> float:

@@ -62,15 +62,17 @@ class Discipline:
         # That of the request on its way; the clock may be set before the reply comes.
         self._asked_course = self._course
         self._since_reset = 0
+        # Of the exchange before, even if the estimator took it for absurd or doubted it.
+        self._received_us: int | None = None
 
     # ------------------------------------------------------------------ what happens
 
     def add(self, exchange: Exchange) -> Verdict:
         """Take an exchange that was made after all others."""
-        newest = self.estimator.newest
-        is_reset = newest is not None and exchange.received_us < newest.received_us
+        is_reset = self._received_us is not None and exchange.received_us < self._received_us
         if is_reset:
             self.reset()
+        self._received_us = exchange.received_us
         verdict = self.estimator.add(exchange)
         if verdict is Verdict.RESTARTED:
             self._begin_anew()
@@ -81,6 +83,7 @@ class Discipline:
     def reset(self) -> None:
         """Begin anew: the board has restarted."""
         self.estimator.reset()
+        self._received_us = None
         self._begin_anew()
 
     def _begin_anew(self) -> None:

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from j2a_spec import constants as c
@@ -18,6 +19,7 @@ from j2a_spec.constants import SOF
 
 import j2a
 from j2a.io import host_time
+from j2a.io.clock import Clock
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard
 
@@ -446,6 +448,21 @@ def test_several_threads_ask_one_after_the_other(board, device):
         thread.join(PATIENCE_S)
     assert errors == []
     assert board.clock._discipline.estimator.rejected == 0
+
+
+def test_threads_that_ask_for_the_clock_at_once_get_the_same(board, monkeypatch):
+    """Each would make exchanges of its own otherwise, several at once (J2A-CLOCK-029)."""
+    together = threading.Barrier(4)
+    make = Clock.__init__
+
+    def slowly(*arguments):
+        together.wait(PATIENCE_S)
+        make(*arguments)
+
+    monkeypatch.setattr(Clock, "__init__", slowly)
+    with ThreadPoolExecutor(4) as pool:
+        clocks = [one.result() for one in [pool.submit(lambda: board.clock) for _ in range(4)]]
+    assert {id(one) for one in clocks} == {id(board.clock)}
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")

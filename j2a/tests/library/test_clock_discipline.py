@@ -2,6 +2,7 @@
 
 import random
 import struct
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -514,3 +515,28 @@ def test_a_board_told_by_frames_is_read_by_its_status_alone() -> None:
     later = status.local_us + 1_000_000
     assert host.discipline.to_time(later) == pytest.approx(frames.time_us + 1_000_050, abs=1)
     assert host.discipline.to_local(frames.time_us + 1_000_050) == pytest.approx(later, abs=1)
+
+
+@pytest.mark.requirement("J2A-CLOCK-026")
+@pytest.mark.parametrize("what", ["doubted", "slow", "contradicts itself", "says that it is over"])
+def test_a_received_time_before_one_that_was_not_used_is_a_reset(what: str) -> None:
+    board = Board(random.Random(4))
+    discipline = Discipline(ReferenceClock())
+    for _ in range(12):
+        board.run(0.05 * US)
+        assert discipline.add(board.exchange()) is Verdict.TAKEN
+    ahead = board.exchange()
+    changes = {
+        "doubted": {"received_us": ahead.received_us + 5_000_000},
+        "slow": {"sent_us": ahead.sent_us - 1.1 * US},
+        "contradicts itself": {"turnaround_us": 60_000},
+        "says that it is over": {"turnaround_us": 65_535},
+    }
+    discipline.add(replace(ahead, **changes[what]))
+    assert len(discipline.estimator) == 12
+    before = replace(ahead, received_us=ahead.received_us - 1)
+    assert discipline.add(before) is Verdict.RESTARTED
+    assert len(discipline.estimator) == 1
+    # What came before says nothing of what comes now.
+    board.run(0.05 * US)
+    assert discipline.add(board.exchange()) is Verdict.TAKEN

@@ -68,6 +68,8 @@ class _Scripted:
         back_us: by so much its local time goes back at the next exchange.
         once_us: so far before that of the one before is the received time of the next exchange, and
             only of that one.
+        ahead: so many microseconds ahead of its local time is the received time of the next
+            exchange, and that is its turnaround; only of that one.
         state: what it says that its clock is, where that is not what it is.
         nonces: of the exchanges that came.
         adjusts: the adjustments that came.
@@ -81,6 +83,7 @@ class _Scripted:
     refuses: bool = False
     back_us: int = 0
     once_us: int = 0
+    ahead: tuple[int, int] = (0, 0)
     state: int | None = None
     nonces: list[int] = field(default_factory=list)
     adjusts: list[cs.Container] = field(default_factory=list)
@@ -133,12 +136,14 @@ class _Scripted:
         if item == c.CLOCK_EXCHANGE:
             if self.once_us:
                 received, self.once_us = self._received_us - self.once_us, 0
+            (ahead_us, turnaround), self.ahead = self.ahead, (0, 0)
+            received += ahead_us
             self._received_us = received
             nonce = CLOCK_EXCHANGE.parse(request.payload).nonce
             self.nonces.append(nonce)
             self.host.link.wait_until(self.host.link.now_s() + self.delay_s)
-            reply = CLOCK_EXCHANGED.build({"nonce": nonce, "received": received, "turnaround": 0})
-            self.host.reply(request, *self.spoil(reply))
+            fields = {"nonce": nonce, "received": received, "turnaround": turnaround}
+            self.host.reply(request, *self.spoil(CLOCK_EXCHANGED.build(fields)))
             return
         code = self._clock.code(request.payload, received)
         if item == c.CLOCK_ADJUST:
@@ -269,7 +274,7 @@ class Uncertain(_ClockCase):
 
 class Resets(_ClockCase):
     """Resets the clock while the host sets it: it refuses ADJUST, or its local time goes back, for
-    good or for one exchange.
+    good or for one exchange, also from a time that no host uses.
     """
 
     ID = "host.clock.resets"
@@ -304,6 +309,13 @@ class Resets(_ClockCase):
             self._sync(device, "clock", rounds=2 * _ROUNDS)
             device.once_us = once_us
             self._forgotten(device, f"a received time was {once_us} us before the one before")
+        # Nothing tells a host that uses neither of these exchanges but the next received time.
+        for ahead in ((5 * _S, 0), (5 * _S, 0xFFFF)):
+            device.delay_s = 0.0
+            self._sync(device, "clock", rounds=2 * _ROUNDS)
+            device.ahead = ahead
+            self._sync(device, rounds=1)
+            self._forgotten(device, f"a received time was {ahead[0]} us after the next one")
 
     def _forgotten(self, device: _Scripted, why: str) -> None:
         """Make exchanges that are worse than those before, which must not count any more."""
