@@ -67,7 +67,8 @@ with_pip() {
     pip="$venv/bin/python -m pip --quiet --disable-pip-version-check --no-input install"
     # constraints.txt is the whole closure. Resolving it again would only go wrong: pip before 23.3
     # takes the newest of a package that another asks for with an extra, instead of the one pinned.
-    $pip --require-hashes --no-deps -r constraints.txt && $pip --no-deps --no-build-isolation -e .
+    # What is imported is compiled then; most of what the packages bring never is.
+    $pip --no-compile --require-hashes --no-deps -r constraints.txt && $pip --no-deps --no-build-isolation -e .
 }
 
 # uv may be there and yet not reach the packages, where only pip was told how to.
