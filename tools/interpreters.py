@@ -145,6 +145,7 @@ def environment(program: Path, version: Version) -> Path:
         "--disable-pip-version-check",
         "--no-input",
         "install",
+        "--no-compile",
     ]
     subprocess.run([*pip, "--require-hashes", "--no-deps", "-r", folder / "pins.txt"], check=True)
     subprocess.run([*pip, "--no-deps", "--no-build-isolation", "-e", ROOT], check=True)

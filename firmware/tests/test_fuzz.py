@@ -1,7 +1,7 @@
 """The C core under libFuzzer: the corpus, some runs more, and proof that it finds something.
 
-Each defect is compiled anew with all sanitizers; those beside the ones of `TRIED` are left to the
-exhaustive run.
+Each kind of device and each defect is compiled anew with all sanitizers; those beside `DEVICES` and
+`TRIED` are left to the exhaustive run.
 """
 
 import re
@@ -15,8 +15,9 @@ import pytest
 FIRMWARE = Path(__file__).parents[1]
 CORPORA = [FIRMWARE / "verify/fuzz" / name for name in ("corpus", "transducers/corpus")]
 SECONDS = 60  # the most; a test ends before, by its runs or with what it finds
-RUNS, RUNS_OF_TRANSDUCERS = 4000, 3000  # those of the corpus among them
+RUNS, RUNS_OF_TRANSDUCERS = 1500, 2200  # those of the corpus among them
 TRANSDUCERS = [("--transducers", *more) for more in ((), ("clock",), ("stamps",))]
+DEVICES = [(), TRANSDUCERS[-1]]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,13 @@ def test_corpus_is_small_and_there(corpus):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [(), ("--small",), *TRANSDUCERS])
+@pytest.mark.parametrize(
+    "size",
+    [
+        pytest.param(size, marks=[] if size in DEVICES else pytest.mark.exhaustive)
+        for size in [(), ("--small",), *TRANSDUCERS]
+    ],
+)
 def test_nothing_is_found(fuzz, size):
     runs = RUNS_OF_TRANSDUCERS if size in TRANSDUCERS else RUNS
     result = fuzz("--runs", f"{runs}", *size)
@@ -166,14 +173,10 @@ DEFECTS = {
         "stamps",
     ),
 }
-# Of each device that is fuzzed one that shows in what it answers, and one of its memory.
+# Those that show in what a device answers, and one of its memory.
 TRIED = {
-    "a payload longer than the room is sent",
     "a full debug ring loses text silently",
     "bytes beyond a small room are stored",
-    "a queue has room for one value more than its memory",
-    "a watchdog is early by a part of a millisecond",
-    "a period that goes by the clock",
     "a stamp that is sent as the port has it",
 }
 
