@@ -106,8 +106,8 @@ class AvrBoard:
     # ------------------------------------------------------------------ time
 
     def _cycle_of(self, true_s: Floats | float) -> Floats:
-        counted: Floats = self._oscillator.elapsed_s(true_s) - self._began_s
-        return counted * FREQUENCY_HZ
+        counted = np.asarray(self._oscillator.elapsed_s(true_s))
+        return np.asarray((counted - self._began_s) * FREQUENCY_HZ)
 
     def true_s(self, cycle: float) -> float:
         """The true time of a cycle."""

@@ -1,8 +1,7 @@
 """What the simulated oscillators and clocks show at each instant of true time.
 
 In: a random generator, parts per million, kelvin. Out: functions of true time, exact to the
-rounding
-of a double: an hour in seconds is told to less than a picosecond.
+rounding of a double: an hour in seconds is told to less than a picosecond.
 Rules: true time is in seconds from the start of a run; all randomness comes from the generator that
 is given, so that a seed names a run.
 """
@@ -10,7 +9,7 @@ is given, so that a seed names a run.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final, overload
 
 import numpy as np
 from numpy.random import Generator
@@ -44,12 +43,32 @@ class Oscillator:
         self.step_s = step_s
         steps = step_s * (1 + (self.rates[1:] + self.rates[:-1]) / 2)
         self.phases = np.concatenate([[0.0], np.cumsum(steps)])
+        self._rows: list[tuple[float, float, float]] | None = None
 
-    def elapsed_s(self, true_s: Floats | float) -> Floats:
+    @overload
+    def elapsed_s(self, true_s: float) -> float: ...
+
+    @overload
+    def elapsed_s(self, true_s: Floats) -> Floats: ...
+
+    def elapsed_s(self, true_s: Floats | float) -> Floats | float:
         """What it counts from 0 to a true time, in its own seconds."""
+        if isinstance(true_s, float):
+            return self._elapsed_s(true_s)
         at, past = self._place(np.asarray(true_s, dtype=np.float64))
         linear = self.phases[at] + past * (1 + self.rates[at])
         return np.asarray(linear + self._slope(at) * past**2 / 2)
+
+    def _elapsed_s(self, true_s: float) -> float:
+        """The same for one time, for which numpy takes ten times as long."""
+        if self._rows is None:
+            slopes = self._slope(np.arange(len(self.rates)))
+            columns = (self.phases, self.rates, slopes)
+            self._rows = list(zip(*(column.tolist() for column in columns), strict=True))
+        at = min(max(int(true_s / self.step_s), 0), len(self._rows) - 1)
+        phase, rate, slope = self._rows[at]
+        past = true_s - at * self.step_s
+        return phase + past * (1 + rate) + slope * (past * past) / 2
 
     def true_s(self, elapsed_s: Floats | float) -> Floats:
         """The true time at which it has counted so many seconds, to less than a nanosecond."""
@@ -187,13 +206,27 @@ class HostClock:
             offset += rate * GRID_S
         return made
 
-    def monotonic_us(self, true_s: Floats | float) -> Floats:
+    @overload
+    def monotonic_us(self, true_s: float) -> float: ...
+
+    @overload
+    def monotonic_us(self, true_s: Floats) -> Floats: ...
+
+    def monotonic_us(self, true_s: Floats | float) -> Floats | float:
         """Microseconds since the start by the monotonic clock."""
         return self._crystal.elapsed_s(true_s) * 1e6
 
-    def unix_us(self, true_s: Floats | float) -> Floats:
+    @overload
+    def unix_us(self, true_s: float) -> float: ...
+
+    @overload
+    def unix_us(self, true_s: Floats) -> Floats: ...
+
+    def unix_us(self, true_s: Floats | float) -> Floats | float:
         """Real time as microseconds after UNIX_US, so that a double holds their fractions."""
-        shown = self._real.elapsed_s(true_s)
+        shown: Any = self._real.elapsed_s(true_s)
         for step in self.steps:
-            shown = shown + np.where(np.asarray(true_s) >= step.at_s, step.by_s, 0.0)
-        return shown * 1e6
+            # A product, as it is the same for one time and for many.
+            shown = shown + (true_s >= step.at_s) * step.by_s
+        made: Floats | float = shown * 1e6
+        return made

@@ -23,6 +23,15 @@ def test_an_oscillator_counts_by_its_rate():
     assert rising.rate(0.5) == pytest.approx(0.5e-6)
 
 
+def test_one_time_gives_what_many_give():
+    source = rng()
+    clock = HostClock(source, 100.0, 50, steps=(Step(20.0, 0.5),), slews=(Slew(30.0, 5.0, 300),))
+    oscillator = crystal(source, 100.0, 100, temperature(source, 100.0))
+    times = np.concatenate([source.uniform(0, 130, 2000), np.arange(130.0)])
+    for show in (oscillator.elapsed_s, clock.monotonic_us, clock.unix_us):
+        assert show(times).tolist() == [show(one) for one in times.tolist()]
+
+
 def test_true_time_is_the_inverse_of_elapsed_time():
     source = rng()
     oscillator = crystal(source, HOUR_S, 100, temperature(source, HOUR_S))
