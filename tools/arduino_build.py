@@ -143,7 +143,7 @@ def _run(words: list[str]) -> str:
     try:
         done = subprocess.run(words, capture_output=True, text=True, check=False)
     except FileNotFoundError:
-        sys.exit(f"{words[0]} is missing: install the packages gcc-avr and avr-libc")
+        sys.exit(f"{words[0]} is missing: install the package gcc-avr, and avr-libc")
     if done.returncode:
         sys.exit(f"{shlex.join(words)}\n{done.stderr}")
     return done.stdout

@@ -102,7 +102,7 @@ def test_topics_come_back_the_others_have_no_gap_and_nothing_grows(taken, times,
         tracemalloc.stop()
     assert taken == {name: list(range(times)) for name in ("steady/s", "calm/s", "moving/s")}
     print(f"topics were back after {median(back_s):.2f} s, at the latest after {max(back_s):.2f} s")
-    assert median(back_s) < 1  # each one would be a matter of what else runs on this computer
+    assert median(back_s) < 20  # how fast it is on an idle computer, docs/bridge.md says
     (files, threads, size), (files_then, threads_then, size_then) = counts
     assert files_then <= files
     assert threads_then <= threads

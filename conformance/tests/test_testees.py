@@ -11,6 +11,7 @@ from j2a_conformance import Verdict, load, run
 from j2a_conformance.cli import main
 from j2a_conformance.device._testee import load_testee
 from j2a_conformance.reports import _json
+from j2a_spec.capabilities import ANNOUNCED, CAPABILITIES
 
 from tools.conformance import SWEEPS
 
@@ -18,9 +19,10 @@ FOLDER = Path(__file__).parents[1] / "testees"
 NOTHING_LOST = {"limits.overrun"}
 NO_SELF_TEST = {"properties.selftest"}  # such a build is for bringing a port up
 NO_BOOT = {f"boot.{name}" for name in ("first", "payload", "once", "reserved")}
-NO_TRANSDUCERS = {case.ID for case in load() if case.LEVEL == "transducers"}
-NO_CLOCK = {case.ID for case in load() if case.LEVEL == "clock"}
-NOT_OURS = NO_SELF_TEST | NO_BOOT | NO_TRANSDUCERS | NO_CLOCK
+# Levels of parts that a build has only where it asks for them; all but those of the demo.
+LEFT_OUT = {part.level for part in CAPABILITIES.values() if part.default == 0} & ANNOUNCED
+NOT_OURS = NO_SELF_TEST | NO_BOOT
+NOT_OURS |= {case.ID for case in load() if case.LEVEL in LEFT_OUT - {"interface", "boot"}}
 # For devices with less room, or one more function.
 NOT_OURS |= {"limits.room", "many.return-values"}
 

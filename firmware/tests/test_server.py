@@ -348,7 +348,7 @@ def test_a_pause_inside_a_frame(device, error):
     device.send(b"c" + good)
     assert device.frames(1) == [reply(1, c.ECHO)]
     device.send(b"\x12")
-    time.sleep(0.5)  # the byte timeout is 10 ms, but the device may have to wait for its turn
+    time.sleep(2)  # the byte timeout is 10 ms, but the device may have to wait for its turn
     device.send(b"\x05\x04\x00" + good)
     assert device.frames(1) == [reply(1, c.ECHO)]
 

@@ -19,6 +19,7 @@ def _listed() -> dict[str, str]:
 
 PACKAGES: Final = _listed() | {
     "avr-gcc": "gcc-avr, and avr-libc",
+    "arm-none-eabi-gcc": "gcc-arm-none-eabi, and picolibc-arm-none-eabi",
     "cc": "gcc",
     "clang": "clang, and libclang-rt-dev",
     **dict.fromkeys(("qemu-i386", "qemu-mips", "qemu-s390x"), "qemu-user"),
