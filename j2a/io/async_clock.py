@@ -110,10 +110,11 @@ class AsyncClock(ClockBase):
             return result
 
     async def _pause(self, seconds: float) -> None:
-        """Let time of the link pass."""
+        """Let time of the link pass, until the link has ended."""
         now, slice_s = self._now, slice_of(self._is_simulated)
         end = now() + seconds
-        while (left_s := end - now()) > 0:
+        # The time of a simulation stands still when that is over.
+        while (left_s := end - now()) > 0 and not self._is_over():
             await asyncio.sleep(min(left_s, slice_s))
 
 

@@ -189,12 +189,14 @@ class Clock(ClockBase):
                 busy.release()
 
     def _pause(self, seconds: float, ended: threading.Event | None = None) -> None:
-        """Let time of the link pass, until `ended` is set."""
+        """Let time of the link pass, until `ended` is set or the link has ended."""
         event = threading.Event() if ended is None else ended
         now, slice_s = self._now, slice_of(self._is_simulated)
         end = now() + seconds
-        while (left_s := end - now()) > 0 and not event.wait(min(left_s, slice_s)):
-            pass
+        # The time of a simulation stands still when that is over.
+        while (left_s := end - now()) > 0 and not self._is_over():
+            if event.wait(min(left_s, slice_s)):
+                return
 
 
 class ClockKeeper:

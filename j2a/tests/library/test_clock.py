@@ -677,3 +677,39 @@ def test_a_clock_is_disciplined_in_simulated_time():
             error_us = estimate.to_host(counter) - now_s() * 1e6
             assert abs(error_us) <= estimate.uncertainty_us(counter) + 20_000  # it went on
             assert abs(board.clock.to_host(int(device.time_us())) - now_s() * 1e6) < 100_000
+
+
+@pytest.mark.parametrize("ends", ["is closed", "is lost"])
+def test_a_measurement_ends_with_the_link_also_where_its_time_stands_still_then(ends):
+    """Between two exchanges nobody reads or writes who would notice."""
+    with ClockedDevice() as device:
+        link = SimulatedLink(device)
+        with j2a.Client(link, timeout=10.0) as board:
+            board.clock.measure(1)
+            end = threading.Thread(target=board.close if ends == "is closed" else link.close)
+
+            def stand_still(_limit_s=None):
+                if not end.ident:
+                    end.start()
+                    end.join(PATIENCE_S)
+                return frozen_s
+
+            frozen_s = link.clock()
+            board.clock._now = stand_still
+            with pytest.raises(j2a.LinkError):
+                board.clock.measure(3)
+
+
+@in_event_loop
+async def test_a_measurement_in_an_event_loop_ends_with_the_link():
+    with ClockedDevice() as device:
+        link = SimulatedLink(device)
+        async with j2a.AsyncClient(link, timeout=10.0) as board:
+            await board.clock.measure(1)
+            frozen_s = link.clock()
+            board.clock._now = lambda: frozen_s
+            measuring = asyncio.create_task(board.clock.measure(3))
+            await asyncio.sleep(0.05)
+            await board.close()
+            with pytest.raises(j2a.LinkError):
+                await asyncio.wait_for(measuring, PATIENCE_S)
