@@ -1,10 +1,12 @@
 """What a Linux kernel makes of the simulated boards: run in the guest by test_usbip.py.
 
 In: the port of a USB/IP server on the host, which exports two boards with the firmware
-firmware/sim/tests/firmware/usb_board.c. Out: a line for each thing that is so, or an error.
+firmware/sim/tests/firmware/usb_board.c, and a port where a connection has it begin to serve them.
+Out: a line for each thing that is so, or an error.
 """
 
 import errno
+import socket
 import sys
 import threading
 import time
@@ -122,7 +124,8 @@ def transfers(board: usb.core.Device) -> None:
 
 def main() -> None:
     """Attach, use and lose the boards."""
-    port = int(sys.argv[1])
+    port, bell = map(int, sys.argv[1:])
+    socket.create_connection((HOST, bell)).close()
     began_s = time.monotonic()
     first = attach(HOST, port, "1-1")
     folder = device("SNA")

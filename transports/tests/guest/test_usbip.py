@@ -1,5 +1,6 @@
 """A Linux kernel enumerates and uses the simulated chip, over our USB/IP server."""
 
+import socket
 import threading
 
 import pytest
@@ -18,13 +19,24 @@ def test_the_kernel_and_the_chip(guest, firmware: Build):
     with AvrSim(elfs[0], "atmega32u4") as one, AvrSim(elfs[1], "atmega32u4") as two:
         server = UsbipServer([one, two], port=0, say=said.append)
         stop = threading.Event()
-        thread = threading.Thread(target=server.serve, args=[stop])
+        # Time goes on for the boards while they are served: not before the guest has started.
+        door = socket.create_server(("127.0.0.1", 0))
+        bell = door.getsockname()
+
+        def serve() -> None:
+            door.accept()[0].close()
+            server.serve(stop)
+
+        thread = threading.Thread(target=serve)
         thread.start()
+        ports = str(server.port), str(bell[1])
         try:
-            done = guest("python", "-m", "transports.tests.guest.inside_usbip", str(server.port))
+            done = guest("python", "-m", "transports.tests.guest.inside_usbip", *ports)
         finally:
             stop.set()
+            socket.create_connection(bell).close()  # a guest that has failed may not have rung
             thread.join(60)
+            door.close()
         assert not thread.is_alive()
         print(done.stdout)
         assert done.stdout.splitlines()[1:] == [
