@@ -45,6 +45,8 @@ PYTHON: Final = "/usr/bin/python3"
 SWINGS: Final = 30
 SLOWER: Final = 4.0
 PATIENCE_S: Final = 180.0
+FULL_PACE: Final = 0.995
+BUSY_LOOKS: Final = 4
 SERVO_PIN: Final = "PB1"
 WIRES: Final = "PD4", "PD5"
 """Of the second encoder. While PD2 or PD3, those of the first one, are low, simavr looks at them in
@@ -315,11 +317,15 @@ def set_by_ros2(domain: int, percent: int) -> None:
     del config
 
 
-async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> None:
+async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> bool:
     """Print what the page says of the clocks, which takes a few seconds to be good news.
 
     On a busy machine simulated time falls behind, which no clock does: nothing is known of it then,
-    so how fast it has passed is printed, too.
+    so how fast it has passed is printed, too. After BUSY_LOOKS looks at such a machine it is taken
+    to stay busy.
+
+    Returns:
+        Whether all clocks are known.
     """
     script = (
         "[...document.querySelectorAll('.board')]"
@@ -327,17 +333,23 @@ async def tell_clocks(page: Page, boards: Mapping[str, Served]) -> None:
         " (one.innerText.match(/clock (free|locked|settling|holdover)[^\\n]*/)"
         " ?? ['clock not known'])[0])"
     )
+    busy = 0
     for _ in range(30):
         start_s, began = time.monotonic(), {name: one.look()[1] for name, one in boards.items()}
         await asyncio.sleep(2)
         found = await page.run(script)
-        if all("locked" in one or "settling" in one for one in found):
+        known = {line.split(":")[0]: "locked" in line or "settling" in line for line in found}
+        span_s = time.monotonic() - start_s
+        paces = {name: (one.look()[1] - began[name]) / span_s for name, one in boards.items()}
+        if all(known.values()):
             break
-    span_s = time.monotonic() - start_s
+        busy += all(paces[name] < FULL_PACE for name in known if not known[name])
+        if busy == BUSY_LOOKS:
+            break
     for line in found:
-        name = line.split(":")[0]
-        pace = (boards[name].look()[1] - began[name]) / span_s
+        pace = paces[line.split(":")[0]]
         print(f"the page: {line}, simulated time at {pace:.1%} of real time")
+    return all(known.values())
 
 
 async def look(url: str, boards: Mapping[str, Served], picture: Path, seconds: float) -> None:
@@ -352,7 +364,7 @@ async def look(url: str, boards: Mapping[str, Served], picture: Path, seconds: f
         await page.open(url)
         await page.until("document.querySelectorAll('.card').length >= 8", PATIENCE_S)
         await page.until("document.querySelectorAll('form.call').length > 0", PATIENCE_S)
-        await tell_clocks(page, boards)
+        known = await tell_clocks(page, boards)
         await page.run(
             "(() => { const form = [...document.querySelectorAll('form.call')]"
             ".find((one) => one.textContent.startsWith('measure'));"
@@ -382,7 +394,7 @@ async def look(url: str, boards: Mapping[str, Served], picture: Path, seconds: f
                 "document.querySelectorAll('.board').length === "
                 "[...document.querySelectorAll('.about')]"
                 ".filter((one) => /clock (settling|locked)/.test(one.innerText)).length",
-                30,
+                30 if known else 0,
             )
         picture.parent.mkdir(exist_ok=True)
         await page.picture(picture)
