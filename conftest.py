@@ -4,6 +4,7 @@ J2A_REQUIRE_AVR=1, which tools/check.sh sets in CI, is all that decides whether 
 are missing is skipped or fails.
 """
 
+import contextlib
 import gc
 import hashlib
 import os
@@ -12,7 +13,7 @@ import signal
 import subprocess
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import NoReturn
 
@@ -89,6 +90,43 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.timeout(1200))
 
 
+@contextlib.contextmanager
+def alone_with(path: Path) -> Iterator[None]:
+    """Wait until no other process is in this block with the same file."""
+    try:
+        import fcntl  # noqa: PLC0415 - not on every system
+    except ImportError:
+        yield
+        return
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Let one of the workers of pytest-xdist compile a new module, and the others take that.
+
+    Asserting takes as long to compile as all else of the collection.
+    """
+    if "PYTEST_XDIST_WORKER" not in os.environ or not isinstance(collector, pytest.Module):
+        return (yield)
+    with alone_with(collector.path):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect without the garbage collector, which would look at what stays again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
     """Keep what was collected from the garbage collector, which would look at all of it each time.
@@ -149,8 +187,6 @@ def build_firmware(
 
     The workers of pytest-xdist share the folders: what one has built, make only looks at again.
     """
-    import fcntl  # noqa: PLC0415 - not on every system
-
     base = tmp_path_factory.getbasetemp()
     shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "firmware"
     done: dict[tuple[object, ...], Path] = {}
@@ -164,8 +200,9 @@ def build_firmware(
         if key not in done:
             out = shared / f"{port}-{app}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}"
             out.mkdir(parents=True, exist_ok=True)
-            with out.with_suffix(".lock").open("w") as lock:
-                fcntl.flock(lock, fcntl.LOCK_EX)
+            lock = out.with_suffix(".lock")
+            lock.touch()
+            with alone_with(lock):
                 result = make(APP=app, PORT=port, OUT=out, **variables)
             assert result.returncode == 0, result.stderr
             done[key] = out / (f"{app}.elf" if port in COMPILERS else app)

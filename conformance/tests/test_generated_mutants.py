@@ -5,6 +5,7 @@ The runs over them are commands, `kill.py --dimensions` and `random_mutants.py`.
 
 import re
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from textwrap import dedent
 
@@ -15,15 +16,24 @@ from conformance.mutants import dimensional, edit, kill, matrix, mechanical, ran
 from conformance.mutants.tables import ROOT, TARGETS, TableError, changed
 
 FOLDER = Path(__file__).parents[1] / "mutants"
-GENERATED = {target: dimensional.generate(target) for target in TARGETS}
 KINDS = ("operator", "constant", "negation", "statement", "return", "arguments")
 ROLES = {"core": "device", "device": "device", "host": "host"}
 
 
+@pytest.fixture(scope="module")
+def generated():
+    return {target: dimensional.generate(target) for target in TARGETS}
+
+
+@pytest.fixture(scope="module")
+def mechanically():
+    return cache(random_mutants.generate)
+
+
 @pytest.mark.parametrize("target", TARGETS)
-def test_every_product_is_a_mutant_of_a_rule_that_cases_name(target):
+def test_every_product_is_a_mutant_of_a_rule_that_cases_name(target, generated):
     known, cases, shapes = requirements.load(), targets.cases(target), set()
-    for mutant in GENERATED[target]:
+    for mutant in generated[target]:
         assert known[mutant.requirement].role in ("both", ROLES[target]), mutant.id
         assert matrix.killers(mutant.requirement, cases, cases), mutant.id
         after = {change.file: (ROOT / change.file).read_text("utf-8") for change in mutant.edits}
@@ -37,8 +47,8 @@ def test_every_product_is_a_mutant_of_a_rule_that_cases_name(target):
         shapes.add(shape)
 
 
-def test_the_dimensions_are_all_used():
-    ids = [mutant.id for mutants in GENERATED.values() for mutant in mutants]
+def test_the_dimensions_are_all_used(generated):
+    ids = [mutant.id for mutants in generated.values() for mutant in mutants]
     assert len(ids) == len(set(ids)) > 3000
     used = {name.partition("@")[2] for name in ids}
     assert used >= {
@@ -50,8 +60,8 @@ def test_the_dimensions_are_all_used():
     }
 
 
-def test_a_sample_is_the_same_each_time_and_spread_over_the_sites():
-    mutants = GENERATED["core"]
+def test_a_sample_is_the_same_each_time_and_spread_over_the_sites(generated):
+    mutants = generated["core"]
     chosen = dimensional.sample(mutants, 40, seed=3)
     assert chosen == dimensional.sample(dimensional.generate("core"), 40, seed=3)
     assert chosen != dimensional.sample(mutants, 40, seed=4)
@@ -93,8 +103,8 @@ def test_a_dimensional_mutant_that_survives_is_told(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("target", ["core", "device", "library"])
-def test_mechanical_mutants_of_every_kind_are_found(target):
-    found = random_mutants.generate(target)
+def test_mechanical_mutants_of_every_kind_are_found(target, mechanically):
+    found = mechanically(target)
     assert len(found) > 500
     assert {mutant.rule for mutant in found} == {*KINDS}
     assert found == random_mutants.generate(target)
@@ -169,10 +179,10 @@ def test_a_mechanical_mutant_keeps_its_id_when_lines_move():
     assert names[0] == names[1]
 
 
-def test_each_entry_of_the_equivalents_is_of_use():
+def test_each_entry_of_the_equivalents_is_of_use(mechanically):
     used: dict[str, bool] = {}
     for target in ("core", "device", "library"):
-        found = random_mutants.generate(target)
+        found = mechanically(target)
         for entry in random_mutants._equivalents(target):
             assert len(entry["why"]) > 20
             use = any(random_mutants._why_equivalent(mutant, [entry]) for mutant in found)

@@ -27,19 +27,23 @@ from conformance.mutants.tables import (
 )
 
 FOLDER = Path(__file__).parents[1] / "mutants"
-TABLES = {target: load(target) for target in TARGETS}
 EXAMPLE, _ = find("core-stuff-004")
 QUICK, _ = find("core-disp-004")  # of a rule with one case
 
 
-def test_the_tables_are_those_of_the_folder():
-    assert {path.stem for path in FOLDER.glob("*.toml")} == set(TABLES)
-    assert sum(len(table.mutants) for table in TABLES.values()) >= 60
+@pytest.fixture(scope="module")
+def tables():
+    return {target: load(target) for target in TARGETS}
+
+
+def test_the_tables_are_those_of_the_folder(tables):
+    assert {path.stem for path in FOLDER.glob("*.toml")} == set(tables)
+    assert sum(len(table.mutants) for table in tables.values()) >= 60
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_what_an_edit_looks_for_occurs_once(target):
-    for mutant in TABLES[target].mutants:
+def test_what_an_edit_looks_for_occurs_once(target, tables):
+    for mutant in tables[target].mutants:
         before = {e.file: (ROOT / e.file).read_text("utf-8") for e in mutant.edits}
         after = dict(before)
         for change in mutant.edits:
@@ -55,17 +59,17 @@ def test_what_an_edit_looks_for_occurs_once(target):
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_every_requirement_has_a_mutant_or_a_reason(target):
-    assert matrix.uncovered(TABLES[target]) == []
-    assert all(len(entry.why) > 20 for entry in TABLES[target].exempt)
+def test_every_requirement_has_a_mutant_or_a_reason(target, tables):
+    assert matrix.uncovered(tables[target]) == []
+    assert all(len(entry.why) > 20 for entry in tables[target].exempt)
 
 
-def test_the_kill_matrix_is_that_of_the_tables():
+def test_the_kill_matrix_is_that_of_the_tables(tables):
     rows = matrix.read(matrix.MATRIX)
     exceptions = matrix.exceptions(matrix.MATRIX)
-    assert {entry["target"] for entry in exceptions} <= set(TABLES)
-    assert matrix.strangers(TABLES.values(), rows) == []
-    for target, table in TABLES.items():
+    assert {entry["target"] for entry in exceptions} <= set(tables)
+    assert matrix.strangers(tables.values(), rows) == []
+    for target, table in tables.items():
         assert matrix.differences(table, rows, exceptions) == []
         known = targets.cases(target)
         for mutant in table.mutants:
@@ -74,8 +78,8 @@ def test_the_kill_matrix_is_that_of_the_tables():
             assert {*kept.also} <= {*known}
 
 
-def test_a_requirement_without_mutant_is_told():
-    table = TABLES["core"]
+def test_a_requirement_without_mutant_is_told(tables):
+    table = tables["core"]
     without = replace(
         table, mutants=tuple(m for m in table.mutants if m.requirement != EXAMPLE.requirement)
     )
@@ -84,10 +88,10 @@ def test_a_requirement_without_mutant_is_told():
     ]
 
 
-def test_an_exception_that_is_not_in_the_matrix_is_told():
+def test_an_exception_that_is_not_in_the_matrix_is_told(tables):
     rows = matrix.read(matrix.MATRIX)
     changed = [{**entry, "why": "no reason"} for entry in matrix.exceptions(matrix.MATRIX)]
-    assert matrix.differences(TABLES["device"], rows, changed) == [
+    assert matrix.differences(tables["device"], rows, changed) == [
         "device.toml: its exceptions are not so in matrix.json; run kill.py --write"
     ]
 
