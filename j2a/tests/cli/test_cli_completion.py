@@ -1,7 +1,7 @@
 """`j2a completion`: what it offers, and that bash, zsh and fish take it."""
 
 import os
-import shlex
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,25 +12,38 @@ from j2a.cli import _commands
 from j2a.cli._completion import candidates
 
 BIN = str(Path(sys.executable).parent)
-# What each shell is asked for; zsh completes only in a terminal, so its two commands are replaced.
+# How each shell is asked, for line by line of its arguments; a line with a dot ends what is
+# offered for each. zsh completes only in a terminal, so its two commands are replaced.
 ASK = {
     "bash": """
         source <(j2a completion bash)
-        COMP_WORDBREAKS=$' \\t\\n"\\'><=;|&(:' COMP_LINE=$1 COMP_POINT=${#1}
+        COMP_WORDBREAKS=$' \\t\\n"\\'><=;|&(:'
         compopt() { :; }
-        _j2a
-        printf '%s\\n' "${COMPREPLY[@]}"
+        for COMP_LINE; do
+            COMP_POINT=${#COMP_LINE} COMPREPLY=()
+            _j2a
+            printf '%s\\n' "${COMPREPLY[@]}"
+            echo .
+        done
     """,
     "zsh": """
         compdef() { :; }
         _files() { :; }
         compadd() { while [[ $1 != -- ]] { shift }; shift; (( $# )) && print -l -- "$@" }
         source <(j2a completion zsh)
-        words=("${(@s: :)1}") CURRENT=${#words}
-        _j2a
-        true
+        for line; do
+            words=("${(@s: :)line}") CURRENT=${#words}
+            _j2a
+            echo .
+        done
     """,
-    "fish": "j2a completion fish | source; complete -C $argv[1]",
+    "fish": """
+        j2a completion fish | source
+        for line in $argv
+            complete -C $line
+            echo .
+        end
+    """,
 }
 
 
@@ -65,22 +78,26 @@ def test_a_device_that_is_not_there_offers_nothing(run, monkeypatch):
 def test_the_shell_takes_the_script(shell, demo, need):
     need(shell)
 
-    def offered(line):
-        done = subprocess.run(
-            [shell, *(("-f",) if shell == "zsh" else ()), "-c", ASK[shell]]
-            + (["shell", line] if shell != "fish" else [line]),
-            capture_output=True,
-            text=True,
-            check=True,
-            env={**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "HOME": "/nonexistent"},
-        )
-        assert done.stderr == "", shlex.quote(line)
-        return set(done.stdout.split())
-
-    assert offered("j2a ") == set(_commands.names())
-    assert offered("j2a in") == {"info"}
-    assert "--json" in offered("j2a call --")
-    assert offered("j2a completion z") == {"zsh"}
-    assert offered(f"j2a call {demo} ad") == {"add"}
-    assert offered(f"j2a call {demo} nothing") == set()
-    assert offered("j2a call tc") == {"tcp:"}
+    asked = {
+        "j2a ": set(_commands.names()),
+        "j2a in": {"info"},
+        "j2a call --": None,
+        "j2a completion z": {"zsh"},
+        f"j2a call {demo} ad": {"add"},
+        f"j2a call {demo} nothing": set(),
+        "j2a call tc": {"tcp:"},
+    }
+    done = subprocess.run(
+        [shell, *(("-f",) if shell == "zsh" else ()), "-c", ASK[shell]]
+        + ["shell"] * (shell != "fish")
+        + [*asked],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "HOME": "/nonexistent"},
+    )
+    assert done.stderr == ""
+    *offers, rest = (set(words.split()) for words in re.split(r"(?m)^\.\n", done.stdout))
+    assert rest == set()
+    for (line, wanted), offered in zip(asked.items(), offers, strict=True):
+        assert "--json" in offered if wanted is None else offered == wanted, line

@@ -101,8 +101,7 @@ def test_a_board_that_describes_nothing_is_refused(board):
         board.Board(client)
 
 
-def test_a_module_is_strictly_typed(board, tmp_path):
-    pytest.importorskip("mypy")
+def test_a_module_is_strictly_typed(board, tmp_path, strict_errors):
     user = tmp_path / "user.py"
     user.write_text(
         "from demo_board import Mode, Point, connect\n"
@@ -111,15 +110,7 @@ def test_a_module_is_strictly_typed(board, tmp_path):
         "place: Point = board.echoShapes(Mode.off, Point(1.0, 2), [1, 2, 3], 'x').place\n"
         "board.add('40', 2)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", "user.py", "demo_board.py"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PATH": "", "MYPYPATH": str(tmp_path)},
-    )
-    errors = [line for line in done.stdout.splitlines() if ": error:" in line]
+    errors = strict_errors(tmp_path, "user.py", "demo_board.py")
     assert [re.sub(r"^(\S+?):(\d+).*", r"\1:\2", line) for line in errors] == ["user.py:5"]
 
 
@@ -354,29 +345,14 @@ tuple(a u8[2]) u8[2]
 """
 
 
-def assert_strict(module):
-    """See that mypy has nothing to say of a module."""
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", module.name],
-        cwd=module.parent,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={"PATH": "", "MYPYPATH": str(module.parent)},
-    )
-    assert done.returncode == 0, done.stdout
-
-
-def test_a_module_without_types_of_its_own_is_strict(tmp_path):
-    pytest.importorskip("mypy")
+def test_a_module_without_types_of_its_own_is_strict(tmp_path, strict_errors):
     module = tmp_path / "plain_board.py"
     text = "\n" + "".join(f"{name}\n" for name in BUILTINS) + "add(a i32, b i32) i32\n"
     module.write_text(python_module(parse_interface(text), "00000000", "x"))
-    assert_strict(module)
+    assert strict_errors(tmp_path, module.name) == []
 
 
-def test_names_that_clash_are_told_apart(tmp_path):
-    pytest.importorskip("mypy")
+def test_names_that_clash_are_told_apart(tmp_path, strict_errors):
     module = tmp_path / "clashing_board.py"
     module.write_text(python_module(parse_interface(CLASHING), "00000000", "x"))
     made = load(module)
@@ -387,4 +363,4 @@ def test_names_that_clash_are_told_apart(tmp_path):
     assert made.AddResults_ is not made.AddResults
     methods = ["add", "int_", "bool_", "client_", "client__", "connect", "HASH", "tuple_"]
     assert [name for name in vars(made.Board) if not name.startswith("_")] == methods
-    assert_strict(module)
+    assert strict_errors(tmp_path, module.name) == []
