@@ -42,9 +42,15 @@ def sources():
                 yield path
 
 
-def lists(text):
+@pytest.fixture(scope="module")
+def parsed():
+    """The path and the syntax tree of each source."""
+    return [(str(path.relative_to(ROOT)), ast.parse(path.read_text())) for path in sources()]
+
+
+def lists(tree):
     """Return the line and the schemes of each string or collection that names several of ours."""
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(tree):
         found = set()
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             found = set(URL.findall(node.value))
@@ -56,9 +62,9 @@ def lists(text):
             yield node.lineno, sorted(found)
 
 
-def comparisons(text):
+def comparisons(tree):
     """Return the line of each question whether a URL begins or ends with a scheme of ours."""
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             values = [one.value for one in node.args if isinstance(one, ast.Constant)]
             is_asked = node.func.attr in ("startswith", "endswith")
@@ -66,29 +72,20 @@ def comparisons(text):
                 yield node.lineno
 
 
-def test_no_module_lists_the_schemes_by_hand():
-    found = [
-        (str(path.relative_to(ROOT)), schemes)
-        for path in sources()
-        for _, schemes in lists(path.read_text())
-    ]
+def test_no_module_lists_the_schemes_by_hand(parsed):
+    found = [(path, schemes) for path, tree in parsed for _, schemes in lists(tree)]
     # The one table: which module has which scheme.
     table = str((PACKAGE / "_registry.py").relative_to(ROOT))
     assert found == [(table, sorted(_registry._DRIVERS))]
 
 
-def test_no_module_asks_for_a_scheme_by_name():
-    found = [
-        str(path.relative_to(ROOT)) for path in sources() if any(comparisons(path.read_text()))
-    ]
-    assert found == []
+def test_no_module_asks_for_a_scheme_by_name(parsed):
+    assert [path for path, tree in parsed if any(comparisons(tree))] == []
 
 
 def test_questions_for_a_scheme_are_found():
-    assert (
-        len(list(comparisons('a.startswith("exec:"), b.endswith("stdio:"), c.startswith("x")')))
-        == 2
-    )
+    text = 'a.startswith("exec:"), b.endswith("stdio:"), c.startswith("x")'
+    assert len(list(comparisons(ast.parse(text)))) == 2
 
 
 @pytest.mark.parametrize(
@@ -102,9 +99,9 @@ def test_questions_for_a_scheme_are_found():
     ],
 )
 def test_lists_by_hand_are_found(text):
-    assert len(list(lists(text))) == 1
+    assert len(list(lists(ast.parse(text)))) == 1
 
 
 def test_an_example_is_no_list():
     text = '"""As `tcp://127.0.0.1:5000`."""\nKINDS = ["serial", "name"]\nX = "usb: a, and exec"'
-    assert list(lists(text)) == []
+    assert list(lists(ast.parse(text))) == []
