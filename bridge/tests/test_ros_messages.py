@@ -5,6 +5,7 @@ import math
 import struct
 from collections.abc import Container
 from concurrent.futures import Future
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ from j2a.types.samples import SampleCodec
 from j2a.types.transds_file import read_transds
 
 DISTROS = ("noetic", "humble", "jazzy")
+messages_for = cache(RosMessages)
+"""One for all topics, as a sink has it; it compiles what reads and writes each type once."""
 
 
 def topic_of(definition: str, message: str = "auto", name: str = "") -> Topic:
@@ -46,7 +49,7 @@ def update_of(topic: Topic, payload: bytes, shift_us: int = 0, arrived_ns: int =
 
 def published(topic: Topic, payload: bytes, distro: str, shift_us: int = 0) -> dict[str, object]:
     """Return the messages of a sample by their topic, as another reader sees them."""
-    ros = RosMessages(distro)
+    ros = messages_for(distro)
     update = update_of(topic, payload, shift_us)
     store = ros.store_of(topic.descriptors)
     found = {}
@@ -64,7 +67,7 @@ ONE = "SENSOR(quad, 0, quad, HEDS-6500, 1, int16_t, none)"
 
 def test_the_type_of_the_thesis_has_its_text_and_its_sum() -> None:
     topic = topic_of(QUAD)
-    text, md5 = RosMessages("noetic").definition(topic, "j2a_msgs/msg/quad")
+    text, md5 = messages_for("noetic").definition(topic, "j2a_msgs/msg/quad")
     assert text == "time[] times\nint16[] values\n"
     assert md5 == "46f0c8d8ff1275189412c2debb4f0ce2"
 
@@ -79,7 +82,7 @@ def test_the_type_of_the_thesis_has_its_text_and_its_sum() -> None:
 def test_the_bytes_of_a_sample(distro: str, golden: str) -> None:
     topic = topic_of(QUAD)
     payload = struct.pack("<QhQh", 1_000_000, 3, 2_000_000, -4)
-    [message] = RosMessages(distro).messages(topic)[:1]
+    [message] = messages_for(distro).messages(topic)[:1]
     data = message.pack(update_of(topic, payload))
     assert data is not None
     assert data.hex() == golden
@@ -87,7 +90,7 @@ def test_the_bytes_of_a_sample(distro: str, golden: str) -> None:
 
 def test_the_hash_of_a_type_of_ros2_is_the_known_one() -> None:
     topic = topic_of(QUAD)
-    store = RosMessages("jazzy").store_of(topic.descriptors)
+    store = messages_for("jazzy").store_of(topic.descriptors)
     known = "RIHS01_893f27f2d0c94f6c987b3f402c93b264222f3d91d18b6415e0e15590a61f9ce8"
     assert store.hash_rihs01("j2a_msgs/msg/Quad") == known
 
@@ -152,7 +155,7 @@ def test_integers_of_each_type(distro: str, kind: str, channels: int) -> None:
 def test_bytes_are_those_of_rosbags(distro: str, kind: str, channels: int, queue: int) -> None:
     more = f", (queue, {queue})" if queue else ""
     topic = topic_of(f"SENSOR(s, 0, s, M, {channels}, {kind}, none{more})", "raw")
-    size, ros = topic.transducer.type.size, RosMessages(distro)
+    size, ros = topic.transducer.type.size, messages_for(distro)
     store, name = ros.store_of(topic.descriptors), ros.type_of(topic)
     for number in range(1, 8) if queue else (channels,):
         entries = b"".join(
@@ -246,7 +249,7 @@ def test_units_choose_the_message(
 @pytest.mark.parametrize("unit", ["", "V", "%", "furlong"])
 def test_what_is_not_known_is_only_its_own_message(unit: str) -> None:
     topic = topic_of(f"SENSOR(s, 0, s, M, 1, u8, none, (unit, {unit}))" if unit else ONE)
-    assert [one.topic for one in RosMessages("jazzy").messages(topic)] == [topic.name]
+    assert [one.topic for one in messages_for("jazzy").messages(topic)] == [topic.name]
 
 
 def test_angles_are_positions_of_joints_in_radians() -> None:
@@ -261,7 +264,7 @@ def test_angles_are_positions_of_joints_in_radians() -> None:
 
 
 def test_a_joint_that_was_not_read_is_in_no_message() -> None:
-    ros = RosMessages("noetic")
+    ros = messages_for("noetic")
     topic = topic_of("SENSOR(quad, 0, quad, M, 3, i16, none, (unit, rad))")
     [_, message] = ros.messages(topic)
 
@@ -299,13 +302,13 @@ def test_joints_are_of_the_time_of_the_newest_one(distro: str, seconds: tuple[in
 @pytest.mark.parametrize("kind", ["sensor_msgs/Imu", "sensor_msgs/Nonsense"])
 def test_a_message_that_does_not_fit_is_told_and_the_own_one_stays(kind: str, caplog: Any) -> None:
     topic = topic_of("SENSOR(d, 0, s, M, 1, u16, 0, (unit, cm))", kind)
-    assert [one.topic for one in RosMessages("jazzy").messages(topic)] == ["d"]
+    assert [one.topic for one in messages_for("jazzy").messages(topic)] == ["d"]
     assert f"d does not fit into {kind}; what fits is: sensor_msgs/Range" in caplog.text
 
 
 def test_a_chosen_message_is_the_only_one() -> None:
     definition = "SENSOR(d, 0, s, M, 1, u16, 0, (unit, cm))"
-    ros = RosMessages("jazzy")
+    ros = messages_for("jazzy")
     assert [one.type for one in ros.messages(topic_of(definition, "sensor_msgs/Range"))] == [
         "sensor_msgs/msg/Range"
     ]
@@ -316,7 +319,7 @@ UNITS = ("Pa", "lx", "deg", "m", "%", "Cel")
 
 def test_the_configuration_knows_the_standard_messages() -> None:
     definitions = [f"SENSOR(humid, 0, s, M, 1, u8, none, (unit, {unit}))" for unit in UNITS]
-    ros = RosMessages("noetic")
+    ros = messages_for("noetic")
     found = {
         one.type.replace("/msg/", "/")
         for definition in (*definitions, IMU, FIX)
@@ -328,7 +331,7 @@ def test_the_configuration_knows_the_standard_messages() -> None:
 @pytest.mark.parametrize("distro", DISTROS)
 def test_messages_for_actuators_are_read_as_raw_values_and_a_time(distro: str) -> None:
     topic = topic_of("ACTUATOR(servo, 1, servo, M, 2, int8_t, 0)")
-    ros = RosMessages(distro)
+    ros = messages_for(distro)
     store, kind = ros.store_of(topic.descriptors), ros.type_of(topic)
     make = store.types[kind]
     write = store.serialize_ros1 if ros.is_ros1 else store.serialize_cdr
@@ -347,7 +350,7 @@ def test_messages_for_actuators_are_read_as_raw_values_and_a_time(distro: str) -
 
 @pytest.mark.parametrize("distro", DISTROS)
 def test_diagnostics_tell_what_is_wrong(distro: str) -> None:
-    ros = RosMessages(distro)
+    ros = messages_for(distro)
     topics = (TopicStatus("quad", 10, 99.9, 0.5, 3, 0),)
     status = Status(
         "host",
@@ -376,7 +379,7 @@ def test_the_level_of_diagnostics_is_that_of_the_state_now(
     distro: str, is_here: bool, problem: str, count: int
 ) -> None:
     """Not of what was before: a board or a sink that has gone may have done well."""
-    ros = RosMessages(distro)
+    ros = messages_for(distro)
     topics = (TopicStatus("quad", count, 0.0, None, 0, 0),) * bool(count)
     board = BoardStatus("left", "A1", "tcp://x", is_here, problem, topics=topics)
     status = Status("host", (board,), (SinkStatus("udp", is_here, problem, count, 0),))
@@ -392,14 +395,14 @@ def test_transducers_of_equal_shape_have_each_its_own_type(distro: str) -> None:
         f"{'ACTUATOR' if name == 'servo' else 'SENSOR'}({name}, {at}, {name}, M, 1, u8, 0)\n"
         for at, name in enumerate(names)
     )
-    ros, descriptors = RosMessages(distro), read_transds(text)
+    ros, descriptors = messages_for(distro), read_transds(text)
     found = [ros.type_of(Topic(one.name, "b", one, descriptors)) for one in descriptors.transducers]
     expected = names if ros.is_ros1 else [name.capitalize() for name in names]
     assert found == [f"j2a_msgs/msg/{name}" for name in expected]
 
 
 def test_types_of_boards_that_differ_do_not_meet() -> None:
-    ros = RosMessages("jazzy")
+    ros = messages_for("jazzy")
     one, other = topic_of(QUAD), topic_of("SENSOR(quad, 0, quad, M, 2, u8, none)")
     assert ros.definition(one, ros.type_of(one)) != ros.definition(other, ros.type_of(other))
     assert get_typestore(Stores.ROS2_JAZZY).types.keys() == ros.store.types.keys()
@@ -408,13 +411,13 @@ def test_types_of_boards_that_differ_do_not_meet() -> None:
 def test_an_actuator_is_not_published() -> None:
     for distro in DISTROS:
         topic = topic_of("ACTUATOR(servo, 1, servo, M, 2, int8_t, 0, (unit, deg))")
-        assert RosMessages(distro).messages(topic) == []
+        assert messages_for(distro).messages(topic) == []
 
 
 @pytest.mark.parametrize("distro", DISTROS)
 def test_a_time_beyond_what_a_message_can_hold_is_the_nearest(distro: str) -> None:
     last = (1 << 32 if distro == "noetic" else 1 << 31) - 1
-    ros = RosMessages(distro)
+    ros = messages_for(distro)
     for seconds in (0, 1, (1 << 31) - 1, 1 << 31, (1 << 32) - 1, 1 << 32, 1 << 40):
         time = ros.time(seconds * 1_000_000_000 + 5)
         is_inside = seconds <= last
@@ -424,7 +427,7 @@ def test_a_time_beyond_what_a_message_can_hold_is_the_nearest(distro: str) -> No
 
 def stamps_of(definition: str, *samples: Any, resets: Container[int] = ()) -> list[Any]:
     """Return of each sample the standard messages, with the seconds of their stamps."""
-    ros, topic = RosMessages("noetic"), topic_of(definition)
+    ros, topic = messages_for("noetic"), topic_of(definition)
     messages = ros.messages(topic)[1:]
     found = []
     for number, payload in enumerate(samples):
@@ -562,7 +565,7 @@ def test_of_fields_that_measure_the_same_the_first_one_counts(order: tuple[int, 
 @pytest.mark.parametrize("distro", DISTROS)
 def test_values_of_an_actuator_with_arrays_are_grouped(distro: str) -> None:
     topic = topic_of("ACTUATOR(leds, 1, leds, M, 2, array(u8, 3), none)")
-    ros = RosMessages(distro)
+    ros = messages_for(distro)
     store, kind = ros.store_of(topic.descriptors), ros.type_of(topic)
     write = store.serialize_ros1 if ros.is_ros1 else store.serialize_cdr
     data = write(store.types[kind]([], np.arange(6, dtype="u1")), kind)
@@ -576,7 +579,7 @@ def test_a_command_for_arrays_has_all_its_numbers_also_of_one_that_is_not_whole(
 ) -> None:
     """The board refuses that one; left out in silence, it would look as if it were done."""
     topic = topic_of("ACTUATOR(leds, 1, leds, M, 3, array(u8, 3), none)")
-    ros, orders = RosMessages(distro), Orders()
+    ros, orders = messages_for(distro), Orders()
     layout = ros.store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
     message = ros.store.types[FLOATS](layout, np.arange(length, dtype=np.float64))
     write = ros.store.serialize_ros1 if ros.is_ros1 else ros.store.serialize_cdr
@@ -602,7 +605,7 @@ class Orders:
 @pytest.mark.parametrize("distro", DISTROS)
 def test_orders_have_the_values_and_the_time_of_this_computer(distro: str) -> None:
     servo = topic_of("ACTUATOR(servo, 1, servo, M, 2, int8_t, 0)")
-    ros, orders = RosMessages(distro), Orders()
+    ros, orders = messages_for(distro), Orders()
     store, kind = ros.store_of(servo.descriptors), ros.type_of(servo)
     write = store.serialize_ros1 if ros.is_ros1 else store.serialize_cdr
     values = np.array([3, -4], "i1")
