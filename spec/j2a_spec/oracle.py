@@ -1,19 +1,17 @@
 """The oracle: what any byte stream means, slow and obvious.
 
 What flows in: whole byte strings. What flows out: events in the order in which their last byte
-came. Rules: nothing here is fast, nothing is incremental, and no implementation of J2A uses it to
-run; tests compare with it and the vectors are made by it.
+came. Rules: nothing here is incremental, and no implementation of J2A uses it to run; tests compare
+with it and the vectors are made by it. It reads and builds frames without the grammar, so that a
+test can compare the two.
 """
 
-import struct
-from collections.abc import Iterator
+import re
 from dataclasses import dataclass
-from typing import Literal
-
-import construct as cs
+from typing import Final, Literal
 
 from j2a_spec import constants as c
-from j2a_spec.grammar import PACKET, checksum
+from j2a_spec.grammar import checksum
 
 __all__ = [
     "ERROR_CODES",
@@ -29,8 +27,15 @@ __all__ = [
     "stuff",
 ]
 
-# As Python code: to interpret the grammar for each frame takes more than twice the time.
-_PACKET = PACKET.compile()
+_ESC: Final = re.escape(bytes((c.ESC,)))
+_BEFORE_MARKER: Final = re.compile(rb"(?=[%s])" % re.escape(bytes(sorted(c.MARKERS))))
+_ESCAPED: Final = re.compile(rb"%s(.)" % _ESC, re.DOTALL)
+# What stands on the wire for one byte, and for as many as there are: ESC 0xFF ends a frame.
+_BYTE: Final = re.compile(rb"[^%s]|%s[^\xff]" % (_ESC, _ESC), re.DOTALL)
+_BYTES: Final = re.compile(rb"(?:%s)*" % _BYTE.pattern, re.DOTALL)
+_FORBIDDEN: Final = bytes((c.ESC, 0xFF))
+# ESC comes first, or those that are put in would be escaped.
+_STUFFING: Final = tuple((bytes((v,)), bytes((c.ESC, v - 1))) for v in (c.ESC, c.SOF, c.SOS))
 
 Reason = Literal["checksum", "marker", "escape"]
 
@@ -83,9 +88,14 @@ Event = Frame | FrameError | Skipped | Incomplete
 
 def stuff(data: bytes) -> bytes:
     """Return `data` with SOF, SOS and ESC escaped (J2A-STUFF-001)."""
-    for value in (c.ESC, c.SOF, c.SOS):  # ESC first, or those that are put in would be escaped
-        data = data.replace(bytes((value,)), bytes((c.ESC, value - 1)))
+    for value, escaped in _STUFFING:
+        data = data.replace(value, escaped)
     return data
+
+
+def _unstuff(data: bytes) -> bytes:
+    """Return `data` with each escaped byte as it was; ESC 0xFF is not in it."""
+    return _ESCAPED.sub(lambda escaped: bytes((escaped[1][0] + 1,)), data)
 
 
 def encode(frame: Frame) -> bytes:
@@ -96,10 +106,11 @@ def encode(frame: Frame) -> bytes:
     """
     if frame.start not in c.MARKERS:
         raise ValueError(f"start byte 0x{frame.start:02X} is neither SOF nor SOS")
-    fields = {"seq": frame.seq, "opcode": frame.opcode, "payload": frame.payload}
+    seq, opcode, payload = frame.seq, frame.opcode, frame.payload
     try:
-        body = _PACKET.build(fields)
-    except (cs.ConstructError, struct.error) as error:
+        header = bytes((seq, opcode, len(payload)))
+        body = header + payload + bytes((checksum(seq, opcode, payload),))
+    except (TypeError, ValueError) as error:
         raise ValueError(f"no such frame: {frame}") from error
     return bytes((frame.start,)) + stuff(body)
 
@@ -111,45 +122,44 @@ def decode(stream: bytes) -> list[Event]:
     is `Incomplete`. Time does not exist here: a byte timeout is judged elsewhere.
     """
     events: list[Event] = []
-    for event in _decode(stream):
-        if isinstance(event, Skipped) and events and isinstance(events[-1], Skipped):
-            events[-1] = Skipped(events[-1].count + event.count)
-        else:
-            events.append(event)
-    return events
+    skipped = 0
+    pieces = [piece for piece in _BEFORE_MARKER.split(stream) if piece]
+    for index, piece in enumerate(pieces):
+        if piece[0] not in c.MARKERS:  # what stands before the first marker
+            skipped = len(piece)
+            continue
+        if skipped:
+            events.append(Skipped(skipped))
+        event, size = _begun(piece)
+        if isinstance(event, Incomplete) and index < len(pieces) - 1:
+            event = FrameError("marker", event.start, event.seq)
+        events.append(event)
+        skipped = len(piece) - size
+    return [*events, Skipped(skipped)] if skipped else events
 
 
-def _decode(stream: bytes) -> Iterator[Event]:
-    markers, esc, header = c.MARKERS, c.ESC, c.HEADER
-    start: int | None = None
-    body = bytearray()
-    escaped = False
-    for byte in stream:
-        if byte in markers:
-            if start is not None:
-                yield FrameError("marker", start, body[0] if body else None)
-            start, escaped = byte, False
-            body.clear()
-        elif start is None:
-            yield Skipped(1)
-        elif byte == esc and not escaped:
-            escaped = True
-        elif escaped and byte == 0xFF:
-            yield FrameError("escape", start, body[0] if body else None)
-            start = None
-        else:
-            body.append(byte + 1 if escaped else byte)
-            escaped = False
-            if len(body) > header and len(body) == header + body[2] + 1:
-                yield _frame(start, bytes(body))
-                start = None
-    if start is not None:
-        yield Incomplete(start, body[0] if body else None)
+def _begun(piece: bytes) -> tuple[Event, int]:
+    """Return what begins with the marker `piece[0]`, behind which there is no other one.
+
+    Returns:
+        The event, and how many bytes of the piece are its own.
+    """
+    start = piece[0]
+    found = _BYTES.match(piece, 1)
+    assert found is not None  # it may be empty
+    wire = found[0]
+    body = _unstuff(wire)
+    seq = body[0] if body else None
+    if len(body) > c.HEADER and len(body) >= (size := c.HEADER + body[2] + 1):
+        own = wire if len(body) == size else b"".join(_BYTE.findall(wire)[:size])
+        return _frame(start, body[:size]), 1 + len(own)
+    if piece.startswith(_FORBIDDEN, 1 + len(wire)):
+        return FrameError("escape", start, seq), 1 + len(wire) + len(_FORBIDDEN)
+    return Incomplete(start, seq), len(piece)
 
 
 def _frame(start: int, body: bytes) -> Event:
-    try:
-        packet = _PACKET.parse(body)
-    except cs.ChecksumError:
-        return FrameError("checksum", start, body[0])
-    return Frame(start, packet.seq, packet.opcode, packet.payload)
+    seq, opcode, payload = body[0], body[1], body[c.HEADER : -1]
+    if checksum(seq, opcode, payload) != body[-1]:
+        return FrameError("checksum", start, seq)
+    return Frame(start, seq, opcode, payload)

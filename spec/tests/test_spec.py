@@ -1,6 +1,7 @@
 """The specification as code: grammars, oracle, requirements, vectors and generated files."""
 
 import json
+import random
 from pathlib import Path
 
 import construct
@@ -12,8 +13,8 @@ from j2a_spec import constants as c
 from j2a_spec import requirements, vectors
 from j2a_spec.generate import outputs, spec_text, stale
 from j2a_spec.generate.frames import SPECIAL
-from j2a_spec.grammar import GRAMMARS
-from j2a_spec.oracle import Frame, FrameError, Incomplete, Skipped, decode, encode, stuff
+from j2a_spec.grammar import GRAMMARS, checksum
+from j2a_spec.oracle import Event, Frame, FrameError, Incomplete, Skipped, decode, encode, stuff
 from j2a_spec.requirements import load, superseded
 
 ROOT = Path(__file__).parents[2]
@@ -42,6 +43,74 @@ def test_what_is_encoded_decodes_to_itself(frame: Frame) -> None:
     assert decode(encode(frame)) == [frame]
     assert not c.MARKERS & set(encode(frame)[1:])
     assert len(encode(frame)) <= c.MAX_WIRE
+
+
+@given(FRAMES)
+def test_the_oracle_and_the_grammar_tell_the_same_of_a_frame(frame: Frame) -> None:
+    body = GRAMMARS["packet"].build(vars_of(frame))
+    assert encode(frame) == bytes((frame.start,)) + stuff(body)
+    parsed = GRAMMARS["packet"].parse(body)
+    assert frame == Frame(frame.start, parsed.seq, parsed.opcode, parsed.payload)
+    broken = body[:-1] + bytes((body[-1] ^ 1,))
+    with pytest.raises(construct.ChecksumError):
+        GRAMMARS["packet"].parse(broken)
+    expected = [FrameError("checksum", frame.start, frame.seq)]
+    assert decode(bytes((frame.start,)) + stuff(broken)) == expected
+
+
+def test_the_meaning_of_a_stream_byte_by_byte() -> None:
+    """What each byte does to a receiver, told without pieces: the same as the oracle says."""
+    rng = random.Random(7)
+    special = bytes((c.SOF, c.SOS, c.ESC, 0xFF, 0, 1, 2, c.SOF - 1, c.SOS - 1, c.ESC - 1))
+    for _ in range(5000):
+        stream = bytes(rng.choice(special) for _ in range(rng.randrange(20)))
+        if rng.random() < 0.5:
+            payload = bytes(rng.choice(special) for _ in range(rng.randrange(9)))
+            stream += encode(Frame(c.SOF, rng.randrange(256), 1, payload))[: rng.randrange(30)]
+            stream += bytes(rng.choice(special) for _ in range(rng.randrange(5)))
+        assert decode(stream) == by_the_byte(stream), stream.hex(" ")
+
+
+def by_the_byte(stream: bytes) -> list[Event]:
+    events: list[Event] = []
+    start: int | None = None
+    body = bytearray()
+    skipped, escaped = 0, False
+    for byte in stream:
+        if byte not in c.MARKERS and start is None:
+            skipped += 1
+            continue
+        if skipped:
+            events.append(Skipped(skipped))
+            skipped = 0
+        seq = body[0] if body else None
+        if byte in c.MARKERS:
+            if start is not None:
+                events.append(FrameError("marker", start, seq))
+            start, escaped = byte, False
+            body.clear()
+        elif byte == c.ESC and not escaped:
+            escaped = True
+        elif escaped and byte == 0xFF:
+            assert start is not None
+            events.append(FrameError("escape", start, seq))
+            start = None
+        else:
+            body.append(byte + 1 if escaped else byte)
+            escaped = False
+            if len(body) > c.HEADER and len(body) == c.HEADER + body[2] + 1:
+                assert start is not None
+                fields = body[0], body[1], bytes(body[c.HEADER : -1])
+                good = checksum(*fields) == body[-1]
+                events.append(
+                    Frame(start, *fields) if good else FrameError("checksum", start, body[0])
+                )
+                start = None
+    if skipped:
+        events.append(Skipped(skipped))
+    if start is not None:
+        events.append(Incomplete(start, body[0] if body else None))
+    return events
 
 
 @given(FRAMES, st.data())
