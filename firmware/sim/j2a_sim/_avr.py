@@ -162,7 +162,10 @@ class AvrSim(AvrCore):
     @property
     def readable(self) -> int:
         """How many bytes uart_read() would return."""
-        return int(self._lib.sim_out_count(self._handle))
+        try:
+            return self._out_count.value
+        except AttributeError:
+            raise SimError("the simulator is closed") from None
 
     def uart_read(self) -> bytes:
         """Take the bytes that the host has received; b"" when there are none."""

@@ -78,6 +78,9 @@ class AvrCore:
             kind = BadProgram if "needs" in text else SimError
             port = f", UART {uart}" if uart else ""
             raise kind(f"{self.program.path} on {mcu}{port}: {text}")
+        # Read in place: links look at both many times for each millisecond that passes.
+        self._cycle = ctypes.c_uint64.from_address(self._lib.sim_cycle_place(self._sim))
+        self._out_count = ctypes.c_uint32.from_address(self._lib.sim_out_count_place(self._sim))
         flash_size = int(self._lib.sim_flash_size(self._sim))
         if not self.program.suits(max(flash_size, _LARGER.get(mcu, 0))):
             self.close()
@@ -90,6 +93,8 @@ class AvrCore:
         """Free the simulator; nothing else may be called afterwards. Idempotent."""
         with self._lock:
             if self._sim:
+                # What is read in place must not be read from memory that is free.
+                del self._cycle, self._out_count
                 self._lib.sim_free(self._sim)
             self._sim = None
 
@@ -114,7 +119,10 @@ class AvrCore:
     @property
     def cycle(self) -> int:
         """Cycles since the start (a reset does not set it back)."""
-        return int(self._lib.sim_cycle(self._handle))
+        try:
+            return self._cycle.value
+        except AttributeError:
+            raise SimError("the simulator is closed") from None
 
     @property
     def time_s(self) -> float:

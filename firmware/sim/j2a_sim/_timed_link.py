@@ -62,6 +62,7 @@ class TimedLink(Transport):
         self.sim = sim
         self._patience_s, self._speed = patience_s, speed
         self._pacer = Pacer(speed or 1.0)
+        self._is_paced = speed > 0
         self._pending: deque[bytes] = deque()
         self._changed = threading.Condition()  # a write or close, for a reader that paces itself
         self._reading = threading.RLock()
@@ -173,9 +174,13 @@ class TimedLink(Transport):
         """Wait, but for a write or close, while simulated time is too far ahead."""
         now_s = self.sim.time_s
         patient = self._patience_s is None or now_s - self._active_s < self._patience_s
-        if self._speed == 0 and patient:
-            self._pacer.restart(now_s)
-            return
+        if self._speed == 0:
+            if patient:
+                self._is_paced = False
+                return
+            if not self._is_paced:
+                self._pacer.restart(now_s)
+                self._is_paced = True
         wait_s = self._pacer.wait_s(now_s)
         if wait_s:
             with self._changed:

@@ -324,6 +324,7 @@ int sim_run_output(sim_t *s, uint64_t gap, uint32_t most)
 /* ---- what the host sees ---- */
 
 uint64_t sim_cycle(const sim_t *s) { return s->avr->cycle; }
+uint64_t *sim_cycle_place(sim_t *s) { return &s->avr->cycle; }
 uint32_t sim_pc(const sim_t *s) { return s->illegal ? s->illegal_pc : s->avr->pc; }
 int sim_illegal(const sim_t *s) { return s->illegal; }
 int sim_spans_on(const sim_t *s) { return s->spans_on; }
@@ -352,6 +353,7 @@ void sim_counters(const sim_t *s, uint64_t *to)
 }
 
 uint32_t sim_out_count(const sim_t *s) { return s->out_count; }
+uint32_t *sim_out_count_place(sim_t *s) { return &s->out_count; }
 uint32_t sim_span_count(const sim_t *s) { return s->span_count; }
 
 void sim_take_out(sim_t *s, uint32_t n, uint8_t *bytes, uint64_t *cycles)

@@ -21,6 +21,7 @@ int sim_run(sim_t *, uint64_t cycles, int stop_mask);
 int sim_run_output(sim_t *, uint64_t gap, uint32_t most);
 
 uint64_t sim_cycle(const sim_t *);
+uint64_t *sim_cycle_place(sim_t *);      /* where it stands, for who looks often */
 uint32_t sim_pc(const sim_t *);
 int sim_illegal(const sim_t *);
 int sim_spans_on(const sim_t *);
@@ -42,6 +43,7 @@ int sim_receiver_on(const sim_t *);
 void sim_counters(const sim_t *, uint64_t *to);
 
 uint32_t sim_out_count(const sim_t *);
+uint32_t *sim_out_count_place(sim_t *);
 uint32_t sim_span_count(const sim_t *);
 /* Takes the first `n` received bytes away; `cycles` may be NULL. */
 void sim_take_out(sim_t *, uint32_t n, uint8_t *bytes, uint64_t *cycles);
