@@ -105,11 +105,13 @@ class Peer(Requests):
         room = 0 if self.link.lossy else self.room(_BATCH)
         batch: list[tuple[bytes, Sequence[Expected]]] = []
         frames: list[Frame] = []
+        size = 0
         for exchange in exchanges:
-            size = sum(len(stream) for stream, _ in batch)
-            if batch and (size + len(exchange[0]) > room or len(batch) == _IN_FLIGHT):
+            size += len(exchange[0])
+            if batch and (size > room or len(batch) == _IN_FLIGHT):
                 frames += self._play_batch(batch)
                 batch.clear()
+                size = len(exchange[0])
             batch.append(exchange)
         return frames + (self._play_batch(batch) if batch else [])
 

@@ -102,7 +102,8 @@ class Link:
         self.first: Arrival | None = None
         self._splitter = Splitter()
         self._waiting: deque[Arrival] = deque()
-        self._evidence: deque[Evidence] = deque(maxlen=_EVIDENCE_KEPT)
+        # As the arguments of Evidence: nearly all of it is dropped, and nobody looks at it.
+        self._evidence: deque[tuple[Kind, float, bytes, str]] = deque(maxlen=_EVIDENCE_KEPT)
         self._entries = 0
         self._sent: deque[bytes] = deque(maxlen=_SENT_KEPT)
         self._adopt(transport)
@@ -159,11 +160,13 @@ class Link:
         self.expect_loss = bool(self.lossy)
         self._began_s = self.now_s()
 
-    def record(self, kind: Kind, data: bytes = b"", text: str = "") -> None:
-        """Add a line to the evidence."""
+    def record(
+        self, kind: Kind, data: bytes = b"", text: str = "", at_s: float | None = None
+    ) -> None:
+        """Add a line to the evidence; `at_s` is its time, None: now."""
         self._entries += 1
-        at_ms = (self.now_s() - self._began_s) * 1e3
-        self._evidence.append(Evidence(kind, at_ms, data, text))
+        at_ms = ((self.now_s() if at_s is None else at_s) - self._began_s) * 1e3
+        self._evidence.append((kind, at_ms, data, text))
 
     def note(self, text: str) -> None:
         """Add a note to the evidence."""
@@ -172,12 +175,13 @@ class Link:
     def remind(self, text: str, arrival: Arrival | None) -> None:
         """Note bytes that matter for a failure once more, unless they are the last that is seen."""
         last = list(self._evidence)[-2:]
-        if arrival is not None and all(entry.data != arrival.raw for entry in last):
+        if arrival is not None and all(data != arrival.raw for _, _, data, _ in last):
             self.record("note", arrival.raw, text)
 
     def evidence(self) -> tuple[tuple[Evidence, ...], int]:
         """Return the last lines of evidence, and the number of those before them."""
-        return tuple(self._evidence), self._entries - len(self._evidence)
+        lines = tuple(Evidence(*entry) for entry in self._evidence)
+        return lines, self._entries - len(lines)
 
     # Bytes
 
@@ -201,18 +205,21 @@ class Link:
 
     def _read(self, timeout_s: float) -> None:
         data = self.transport.read(timeout_s)
-        for arrival in self._splitter.feed(data, self.now_s()) if data else ():
+        if not data:
+            return
+        now_s = self.now_s()
+        for arrival in self._splitter.feed(data, now_s):
             event = arrival.event
             # A broken frame that begins with SOS is not kept apart: it is a fault of the device.
             is_sif = isinstance(event, Frame) and event.start == c.SOS
             if self.first is None and not isinstance(event, Skipped):
                 self.first = arrival
-            self.record("sif" if is_sif else "received", arrival.raw)
+            self.record("sif" if is_sif else "received", arrival.raw, at_s=now_s)
             (self.sifs if is_sif else self._waiting).append(arrival)
 
     def next(self, timeout_s: float) -> Arrival | None:
         """Return the next arrival that is no SIF, or None when none came in `timeout_s`."""
-        return self._until(timeout_s, self._take)
+        return self._take() or self._until(self.now_s() + timeout_s, self._take)
 
     def arrivals(self, timeout_s: float) -> Iterator[Arrival]:
         """Yield arrivals that are no SIFs for `timeout_s`, however many there are.
@@ -220,21 +227,24 @@ class Link:
         What was read by then is yielded to its end: a stall of this machine loses nothing.
         """
         deadline_s = self.now_s() + timeout_s
-        arrival = self.next(timeout_s)
+        arrival = self._until(deadline_s, self._take)
         while arrival is not None:
             yield arrival
-            left_s = deadline_s - self.now_s()
-            arrival = self.next(left_s) if left_s > 0 else self._take()
+            arrival = self._take()
+            if arrival is None and self.now_s() < deadline_s:
+                arrival = self._until(deadline_s, self._take)
 
     def next_sif(self, index: int, timeout_s: float) -> Arrival | None:
         """Return `sifs[index]`, or None when it did not come in `timeout_s`."""
-        return self._until(timeout_s, lambda: self.sifs[index] if index < len(self.sifs) else None)
+        if index < len(self.sifs):
+            return self.sifs[index]
+        deadline_s = self.now_s() + timeout_s
+        return self._until(deadline_s, lambda: self.sifs[index] if index < len(self.sifs) else None)
 
     def _take(self) -> Arrival | None:
         return self._waiting.popleft() if self._waiting else None
 
-    def _until(self, timeout_s: float, ready: Callable[[], Arrival | None]) -> Arrival | None:
-        deadline_s = self.now_s() + timeout_s
+    def _until(self, deadline_s: float, ready: Callable[[], Arrival | None]) -> Arrival | None:
         while True:
             if (found := ready()) is not None:
                 return found

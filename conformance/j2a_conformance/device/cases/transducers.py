@@ -7,7 +7,7 @@ then values, each with its channel before, that the driver of the sensor gives a
 import math
 import random
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import combinations, permutations
 from typing import Any, Final
@@ -66,6 +66,9 @@ class Board:
             fail(f"the descriptors break a rule of their language: {error}")
         self.all = list(self.descriptors.transducers.values())
         self.rng = random.Random(22)
+        self._sizes = {
+            one.id: types.size((one.type,), self.descriptors.definitions) for one in self.all
+        }
         self._clock_us = 0
 
     def sensors(self, *keys: str, queue: bool | None = None) -> list[oracle.Transducer]:
@@ -88,7 +91,7 @@ class Board:
 
     def size(self, one: oracle.Transducer) -> int:
         """Return the bytes of a value."""
-        return types.size((one.type,), self.descriptors.definitions)
+        return self._sizes[one.id]
 
     def scalar(self, one: oracle.Transducer) -> str:
         """Return what holds a number of the type, such as the integer of an enumeration."""
@@ -125,6 +128,11 @@ class Board:
         """Send a request, whose reply must have this code and this payload."""
         request = self.peer.request(self.peer.opcode(c.TRANSD), payload, code, reply)
         self.peer.ask(request)
+
+    def refuse_all(self, requests: Iterable[tuple[bytes, int]]) -> None:
+        """Send payloads, as many at once as the device takes, each of which has a code due."""
+        peer, opcode = self.peer, self.peer.opcode(c.TRANSD)
+        peer.ask_all(peer.request(opcode, payload, code, b"") for payload, code in requests)
 
     def time_us(self) -> int:
         """Return the clock of the device; fail where it has gone back (J2A-TRANS-007)."""
@@ -469,39 +477,49 @@ class Refused(_TransducerCase):
             board.exchange(payload, c.TRANSD_BAD_LENGTH)
         self._ids(board)
         for one in board.all:
-            self._items(board, one)
+            board.refuse_all((item, c.TRANSD_NO_ITEM) for item in self._items(board, one))
             self._values(board, one)
 
     @staticmethod
     def _ids(board: Board) -> None:
         known = {one.id for one in board.all}
-        for number in range(256):
-            if number not in known:
-                board.exchange(bytes((number, number % 11)), c.TRANSD_NO_ID)
         strange = next(number for number in range(255, -1, -1) if number not in known)
-        for item in (*range(12), 255):
-            board.exchange(bytes((strange, item)) + bytes(item % 3), c.TRANSD_NO_ID)
-        for length in range(board.peer.longest - 1):
-            board.exchange(bytes((strange, length % 11)) + bytes(length), c.TRANSD_NO_ID)
+        payloads = (
+            *(bytes((number, number % 11)) for number in range(256) if number not in known),
+            *(bytes((strange, item)) + bytes(item % 3) for item in (*range(12), 255)),
+            *(
+                bytes((strange, length % 11)) + bytes(length)
+                for length in range(board.peer.longest - 1)
+            ),
+        )
+        board.refuse_all((payload, c.TRANSD_NO_ID) for payload in payloads)
 
     @staticmethod
-    def _items(board: Board, one: oracle.Transducer) -> None:
+    def _items(board: Board, one: oracle.Transducer) -> Iterator[bytes]:
+        """Yield requests for items that a transducer does not have."""
         for item in range(256):
             if item == c.TRANSD_SAVE:
                 continue
             if _ITEMS < item < 255 and board.all[item % len(board.all)] is not one:
                 continue
             if item in _WRITE_ONLY or not board.has(one, item):
-                board.exchange(bytes((one.id, item)), c.TRANSD_NO_ITEM)
+                yield bytes((one.id, item))
             if item in _READ_ONLY or not board.has(one, item):
                 for length in (1, 2, 4, 8, 9, board.peer.longest - 2) if item < 12 else (1,):
-                    board.exchange(bytes((one.id, item)) + bytes(length), c.TRANSD_NO_ITEM)
+                    yield bytes((one.id, item)) + bytes(length)
 
     def _values(self, board: Board, one: oracle.Transducer) -> None:
         readable = [item for item in range(11) if item not in (*_WRITE_ONLY, c.TRANSD_TIME)]
         if one.kind == "sensor" and not board.peer.has(STIMULUS):
             readable.remove(c.TRANSD_SAMPLE)  # its driver measures on its own
         before = {item: board.read(one, item) for item in readable if board.has(one, item)}
+        board.refuse_all(self._wrong_values(board, one))
+        for item, value in before.items():
+            if board.read(one, item) != value:
+                fail(f"item {item} of {one.name} has changed by what was refused")
+
+    def _wrong_values(self, board: Board, one: oracle.Transducer) -> Iterator[tuple[bytes, int]]:
+        """Yield requests that write what an item cannot be, each with its code."""
         longest = board.peer.longest - 2
         for item in range(11):
             if item in _READ_ONLY or not board.has(one, item):
@@ -511,13 +529,9 @@ class Refused(_TransducerCase):
                 if _SHORT < length < longest and self._in_turn(board, having, item, length) != one:
                     continue
                 if not self.fits(board, one, item, length):
-                    payload = bytes((one.id, item)) + bytes(length)
-                    board.exchange(payload, c.TRANSD_BAD_LENGTH)
+                    yield bytes((one.id, item)) + bytes(length), c.TRANSD_BAD_LENGTH
             for value in self.wrong(board, one, item):
-                board.exchange(bytes((one.id, item)) + value, c.TRANSD_BAD_VALUE)
-        for item, value in before.items():
-            if board.read(one, item) != value:
-                fail(f"item {item} of {one.name} has changed by what was refused")
+                yield bytes((one.id, item)) + value, c.TRANSD_BAD_VALUE
 
     @classmethod
     def _in_turn(
