@@ -17,9 +17,7 @@ def printable(text: str, keep: str = "") -> str:
     """
     if text.isprintable():
         return text
-    return "".join(
-        char
-        if char.isprintable() or char in keep
-        else char.encode("unicode_escape").decode("ascii")
-        for char in text
-    )
+    # A page has a million characters, of which a hundred are different.
+    strange = {char for char in {*text} if not char.isprintable() and char not in keep}
+    escapes = {ord(char): char.encode("unicode_escape").decode("ascii") for char in strange}
+    return text.translate(escapes) if escapes else text

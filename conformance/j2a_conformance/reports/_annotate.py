@@ -4,7 +4,7 @@ What flows in: raw bytes. What flows out: one `Annotated` for each piece of the 
 report.
 """
 
-from collections.abc import Iterator
+import re
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +17,7 @@ __all__ = ["Annotated", "Field", "annotate"]
 
 _SHOWN: Final = 12
 _HEADER: Final = ("seq", "opcode", "length")
+_SYMBOL: Final = re.compile(rb"%s.|." % re.escape(bytes((c.ESC,))), re.DOTALL)
 _ESCAPE_FF: Final = bytes((c.ESC, 0xFF))
 
 
@@ -105,13 +106,5 @@ def _piece(raw: bytes, event: object) -> Annotated:
 
 
 def _symbols(data: bytes) -> tuple[bytes, ...]:
-    return tuple(_split(data))
-
-
-def _split(data: bytes) -> Iterator[bytes]:
     """Split into single bytes and escape pairs."""
-    index = 0
-    while index < len(data):
-        size = 2 if data[index] == c.ESC and index + 1 < len(data) else 1
-        yield data[index : index + size]
-        index += size
+    return tuple(_SYMBOL.findall(data))
