@@ -80,11 +80,12 @@ class AvrSim(AvrCore):
 
     # -- time ---------------------------------------------------------------------------------
 
-    def run_until_output(self, limit_cycles: int) -> bool:
+    def run_until_output(self, limit_cycles: int, *, wakeable: bool = False) -> bool:
         """Run until the host has a byte that was not read yet, or the limit has passed.
 
         Args:
             limit_cycles: run at most so long.
+            wakeable: as for run().
 
         Returns:
             Whether uart_read() has something.
@@ -94,7 +95,8 @@ class AvrSim(AvrCore):
         """
         with self._lock:
             if not self.readable:
-                self._run(limit_cycles, _build.STOP_OUTPUT)
+                wake = _build.STOP_WAKE if wakeable else 0
+                self._run(limit_cycles, _build.STOP_OUTPUT | wake)
             return self.readable > 0
 
     def run_while_output(self, gap_cycles: int, most: int) -> None:
@@ -110,11 +112,12 @@ class AvrSim(AvrCore):
         with self._lock:
             self._check_state(self._lib.sim_run_output(self._handle, gap_cycles, most))
 
-    def run_until_usb(self, limit_cycles: int) -> bool:
+    def run_until_usb(self, limit_cycles: int, *, wakeable: bool = False) -> bool:
         """Run until a transfer of `usb` has completed that was not taken yet, or the limit is over.
 
         Args:
             limit_cycles: run at most so long.
+            wakeable: as for run().
 
         Returns:
             Whether usb.completed() has something; if so, this is the very cycle of its completion.
@@ -126,7 +129,7 @@ class AvrSim(AvrCore):
         with self._lock:
             usb = self.usb
             if not usb.readable:
-                self._run(limit_cycles, _build.STOP_USB)
+                self._run(limit_cycles, _build.STOP_USB | (_build.STOP_WAKE if wakeable else 0))
             return usb.readable > 0
 
     def run_until_span(self, limit_cycles: int) -> bool:

@@ -44,7 +44,7 @@ USB_COUNTERS = (
     "wrong_toggles",
     "fifo_errors",
 )
-STOP_OUTPUT, STOP_SPAN, STOP_USB = 1, 2, 4
+STOP_OUTPUT, STOP_SPAN, STOP_USB, STOP_WAKE = 1, 2, 4, 8
 STATES = ("limbo", "stopped", "running", "sleeping", "step", "step", "done", "crashed")
 
 _CHIP = Path(__file__).parent / "chip"

@@ -6,6 +6,7 @@ Rules: simulated time passes only in the run methods; a lock keeps calls from se
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import re
 import threading
@@ -81,6 +82,7 @@ class AvrCore:
         # Read in place: links look at both many times for each millisecond that passes.
         self._cycle = ctypes.c_uint64.from_address(self._lib.sim_cycle_place(self._sim))
         self._out_count = ctypes.c_uint32.from_address(self._lib.sim_out_count_place(self._sim))
+        self._woken = ctypes.c_uint32.from_address(self._lib.sim_woken_place(self._sim))
         flash_size = int(self._lib.sim_flash_size(self._sim))
         if not self.program.suits(max(flash_size, _LARGER.get(mcu, 0))):
             self.close()
@@ -94,7 +96,7 @@ class AvrCore:
         with self._lock:
             if self._sim:
                 # What is read in place must not be read from memory that is free.
-                del self._cycle, self._out_count
+                del self._cycle, self._out_count, self._woken
                 self._lib.sim_free(self._sim)
             self._sim = None
 
@@ -133,11 +135,12 @@ class AvrCore:
         """Seconds of simulated time as whole cycles (rounded up)."""
         return -int(-seconds * self.frequency_hz // 1)
 
-    def run(self, cycles: int) -> int:
+    def run(self, cycles: int, *, wakeable: bool = False) -> int:
         """Run for a number of cycles.
 
         Args:
             cycles: how many; the last instruction may go up to 4 cycles beyond.
+            wakeable: end before that where `wake` is called, or was since `heed`.
 
         Returns:
             The cycles that passed.
@@ -147,7 +150,7 @@ class AvrCore:
         """
         with self._lock:
             before = self.cycle
-            self._run(cycles, 0)
+            self._run(cycles, _build.STOP_WAKE if wakeable else 0)
             return self.cycle - before
 
     def run_until(
@@ -173,6 +176,16 @@ class AvrCore:
                 return False
             self.run(min(step_cycles, left))
         return True
+
+    def wake(self) -> None:
+        """End what runs wakeable within a millisecond of simulated time; from any thread."""
+        with contextlib.suppress(AttributeError):  # it is closed, so nothing runs
+            self._woken.value = 1
+
+    def heed(self) -> None:
+        """Let the next run go on: what `wake` was called for until now is known."""
+        with contextlib.suppress(AttributeError):
+            self._woken.value = 0
 
     def reset(self) -> None:
         """Pull the reset line: registers, UART and RAM start anew, the cycle count goes on."""

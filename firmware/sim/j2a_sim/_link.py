@@ -59,10 +59,10 @@ class SimLink(TimedLink):
         return self.sim.readable > 0
 
     def _run_until_readable(self, cycles: int) -> None:
-        self.sim.run_until_output(cycles)
+        self.sim.run_until_output(cycles, wakeable=True)
 
     def _run(self, cycles: int) -> None:
-        self.sim.run(cycles)
+        self.sim.run(cycles, wakeable=True)
 
     def _collect(self) -> bytes:
         data = self.sim.uart_read()

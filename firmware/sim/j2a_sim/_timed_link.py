@@ -22,6 +22,9 @@ from j2a_sim._errors import SimError
 from j2a_sim._pace import Pacer
 
 SLICE_S: Final = 0.001
+# At once where nothing is paced and so nothing is to be done meanwhile: a write or close wakes it.
+# Not longer, for Ctrl-C waits until it is over.
+LONG_SLICE_S: Final = 0.05
 # A host cannot look at its wire more often; without it a loop of read(0) would stop time.
 LOOK_S: Final = 0.00001
 PATIENCE_S: Final = 10.0
@@ -106,6 +109,7 @@ class TimedLink(Transport):
         """See `Transport.close`; the simulator stays, to be looked at."""
         with self._changed:
             self._closed = True
+            self.sim.wake()
             self._changed.notify_all()
 
     def clock(self) -> float:
@@ -118,6 +122,7 @@ class TimedLink(Transport):
             self._check_open()
             self._check_running()
             self._pending.append(bytes(data))
+            self.sim.wake()
             self._changed.notify_all()
 
     def read(self, timeout_s: float | None) -> bytes:
@@ -162,11 +167,13 @@ class TimedLink(Transport):
 
     def _pass(self, run: Callable[[int], None], cycles: float) -> None:
         """Put what was written on the wire and let a slice of time pass, at most `cycles`."""
+        self.sim.heed()  # before one looks: what comes behind that wakes it again
+        slice_s = SLICE_S if self._is_paced else LONG_SLICE_S
         try:
             while self._pending:
                 self._send(self._pending.popleft())
                 self._active_s = self.sim.time_s
-            run(int(min(cycles, self.sim.cycles(SLICE_S))))
+            run(int(min(cycles, self.sim.cycles(slice_s))))
         except SimError as error:
             self._stopped = error
 

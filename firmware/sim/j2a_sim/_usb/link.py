@@ -129,7 +129,7 @@ class UsbLink(TimedLink):
         return bool(self._came)
 
     def _run_until_readable(self, cycles: int) -> None:
-        self.sim.run_until_usb(cycles)
+        self.sim.run_until_usb(cycles, wakeable=True)
         self._sort()
 
     def _run(self, cycles: int) -> None:

@@ -27,7 +27,7 @@
 #include "twi.h"
 #include "usart.h"
 
-enum { STOP_OUTPUT = 1, STOP_SPAN = 2, STOP_USB = 4 };       /* what sim_run may stop for */
+enum { STOP_OUTPUT = 1, STOP_SPAN = 2, STOP_USB = 4, STOP_WAKE = 8 }; /* what sim_run may stop for */
 enum { LOG_SIZE = 8192, GPIOR0 = 0x3e, PAINT = 0xc5 };
 
 typedef struct { uint64_t cycle; uint8_t byte, framing_error; } out_t;
@@ -45,6 +45,7 @@ struct sim {
     usb_device_t *usb; /* NULL: the chip has none */
     usb_host_t host;
     int stop_mask, stopped;
+    _Atomic uint32_t woken;
     out_t *out;
     uint32_t out_count, out_size;
     span_t *spans;
@@ -245,7 +246,7 @@ sim_t *sim_new(const char *mcu, uint32_t frequency_hz, char uart, double host_bi
     avr->log = LOG_WARNING;
     avr->frequency = frequency_hz;
     avr->run = run_burst;
-    avr->run_cycle_limit = frequency_hz / 100;
+    avr->run_cycle_limit = frequency_hz / 1000; /* how soon a run sees that it was woken */
     avr_loadcode(avr, (uint8_t *)flash, flash_size, 0);
     memory_mirror(avr);
     avr->codeend = flash_size;
@@ -301,7 +302,7 @@ int sim_run(sim_t *s, uint64_t cycles, int stop_mask)
     s->stopped = 0;
     /* Without this timer a sleeping core would skip to its next event, however late. */
     avr_cycle_timer_register(avr, cycles, end_of_run, s);
-    while (!s->stopped && avr->cycle < end) {
+    while (!s->stopped && avr->cycle < end && !(stop_mask & STOP_WAKE && s->woken)) {
         state = avr_run(avr);
         if (state == cpu_Done || state == cpu_Crashed)
             break;
@@ -354,6 +355,7 @@ void sim_counters(const sim_t *s, uint64_t *to)
 
 uint32_t sim_out_count(const sim_t *s) { return s->out_count; }
 uint32_t *sim_out_count_place(sim_t *s) { return &s->out_count; }
+uint32_t *sim_woken_place(sim_t *s) { return (uint32_t *)&s->woken; }
 uint32_t sim_span_count(const sim_t *s) { return s->span_count; }
 
 void sim_take_out(sim_t *s, uint32_t n, uint8_t *bytes, uint64_t *cycles)

@@ -44,6 +44,7 @@ void sim_counters(const sim_t *, uint64_t *to);
 
 uint32_t sim_out_count(const sim_t *);
 uint32_t *sim_out_count_place(sim_t *);
+uint32_t *sim_woken_place(sim_t *);       /* not 0, from any thread, ends a run with STOP_WAKE within 1 ms */
 uint32_t sim_span_count(const sim_t *);
 /* Takes the first `n` received bytes away; `cycles` may be NULL. */
 void sim_take_out(sim_t *, uint32_t n, uint8_t *bytes, uint64_t *cycles);
