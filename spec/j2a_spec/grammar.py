@@ -22,8 +22,8 @@ def checksum(seq: int, opcode: int, payload: bytes) -> int:
         opcode: opcode, return value or error code, 0..255.
         payload: 0 to 255 bytes, before stuffing.
     """
-    fields = (seq, opcode + c.CHK_OPCODE, len(payload) + c.CHK_LENGTH)
-    return reduce(xor, payload, reduce(xor, fields)) & 0xFF
+    header = seq ^ (opcode + c.CHK_OPCODE) ^ (len(payload) + c.CHK_LENGTH)
+    return reduce(xor, payload, header) & 0xFF
 
 
 def _fields(context: Any) -> tuple[int, int, bytes]:
