@@ -100,7 +100,7 @@ class AvrSim(AvrCore):
             return self.readable > 0
 
     def run_while_output(self, gap_cycles: int, most: int) -> None:
-        """Run until uart_read() has `most` bytes, or none has come for a while.
+        """Run until uart_read() has `most` bytes, none has come for a while, or it is woken.
 
         Args:
             gap_cycles: how long.

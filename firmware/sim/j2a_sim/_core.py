@@ -182,6 +182,11 @@ class AvrCore:
         with contextlib.suppress(AttributeError):  # it is closed, so nothing runs
             self._woken.value = 1
 
+    @property
+    def is_woken(self) -> bool:
+        """Whether `wake` was called since `heed`."""
+        return bool(self._woken.value)
+
     def heed(self) -> None:
         """Let the next run go on: what `wake` was called for until now is known."""
         with contextlib.suppress(AttributeError):

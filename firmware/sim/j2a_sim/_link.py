@@ -67,14 +67,15 @@ class SimLink(TimedLink):
     def _collect(self) -> bytes:
         data = self.sim.uart_read()
         gap = int(GAP_CHARS * self.sim.char_cycles)
-        # As many bytes at once as come within a slice however slowly, for each call of C costs.
-        at_once = max(1, self.sim.cycles(SLICE_S) // gap)
+        # As many bytes at once as may be, for each call of C costs; where time is paced, only what
+        # comes within a slice however slowly.
+        at_once = max(1, self.sim.cycles(SLICE_S) // gap) if self._is_paced else MOST_BYTES
         is_quiet = False
         while not is_quiet and (room := MOST_BYTES - len(data)) > 0:
             most = min(room, at_once)
             self._pass(partial(self.sim.run_while_output, most=most), gap)
             more = self.sim.uart_read()
-            is_quiet = len(more) < most
+            is_quiet = len(more) < most and not self.sim.is_woken
             data += more
         return data
 

@@ -317,7 +317,7 @@ int sim_run_output(sim_t *s, uint64_t gap, uint32_t most)
     int state;
     do {
         before = s->out_count;
-        state = sim_run(s, gap, STOP_OUTPUT);
+        state = sim_run(s, gap, STOP_OUTPUT | STOP_WAKE);
     } while (before < s->out_count && s->out_count < most);
     return state;
 }

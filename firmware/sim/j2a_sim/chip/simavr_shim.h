@@ -17,7 +17,7 @@ void sim_free(sim_t *);
 void sim_reset(sim_t *);
 /* Runs `cycles` cycles, or less if one of the `stop_mask` events comes; returns simavr's state. */
 int sim_run(sim_t *, uint64_t cycles, int stop_mask);
-/* Runs until `most` received bytes wait, or none has come for `gap` cycles; returns simavr's state. */
+/* Runs until `most` received bytes wait, none has come for `gap` cycles, or it is woken; returns simavr's state. */
 int sim_run_output(sim_t *, uint64_t gap, uint32_t most);
 
 uint64_t sim_cycle(const sim_t *);
