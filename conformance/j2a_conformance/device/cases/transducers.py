@@ -32,6 +32,7 @@ from .sif import frames, show
 STIMULUS: Final = "stimulus"
 _US: Final = struct.Struct("<Q")
 _QUIET_S: Final = 0.03
+_LOOK_S: Final = 0.001  # a hundred looks at what changes in 0.12 s
 _MOST_SIFS: Final = 10_000
 _PERIODS_S: Final = (0.12, 0.06)
 _LONG_PERIODS: Final = (1 << 24, 1 << 31, (1 << 32) - 1)  # also for who takes fewer bits
@@ -1466,6 +1467,7 @@ class Set(_TransducerCase):
                     board.exchange(bytes((one.id, item)) + bytes(33), c.TRANSD_BAD_LENGTH)
             board.exchange(bytes((one.id, c.TRANSD_SET)), c.TRANSD_NO_ITEM)
             for _ in board.until(due_us):
+                board.peer.link.pause(_LOOK_S)
                 sample = board.read(one, c.TRANSD_SAMPLE)
                 if sample == before:
                     continue
@@ -1718,6 +1720,7 @@ class Trigger(_TransducerCase):
             due_us = board.time_us() + later_us
             board.write(one, c.TRANSD_TRIGGER, _US.pack(due_us))
             for _ in board.until(due_us + _SLACK_US):
+                board.peer.link.pause(_LOOK_S)
                 sample = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
                 if (time_us := max(time_us for time_us, _ in sample)) >= due_us:
                     break
