@@ -112,13 +112,15 @@ def _once(boards: Sequence[j2a.Client], args: argparse.Namespace) -> int:
 def _watch(
     boards: Sequence[j2a.Client], keepers: Sequence[ClockKeeper], args: argparse.Namespace
 ) -> int:
-    """Print until the end; returns the exit code."""
+    """Print until the end, by the time of the links; returns the exit code."""
     table = _Table(as_json=args.json)
-    begun = time.monotonic()
+    passed_s = 0.0
     last: dict[str, tuple[str, int]] = {}
     gone: set[str] = set()
     failed: set[str] = set()
     while True:
+        leader = next((board for board in boards if board.is_open), boards[0])
+        begun_s = leader.now()
         for board, keeper in zip(boards, keepers, strict=True):
             if keeper.error is not None and not keeper.rounds and board.url not in failed:
                 failed.add(board.url)  # once, whatever it answers each time
@@ -136,11 +138,12 @@ def _watch(
             return LINK
         left_s = args.period
         if args.seconds is not None:
-            left_s = min(left_s, begun + args.seconds - time.monotonic())
+            left_s = min(left_s, args.seconds - passed_s - (leader.now() - begun_s))
         if left_s <= 0:
             never = [one.error for one in keepers if one.error is not None and not one.rounds]
             return LINK if gone else (exit_code(never[0]) or OK) if never else OK
-        time.sleep(left_s)
+        leader.clock._pause(left_s)
+        passed_s += leader.now() - begun_s
 
 
 class _Table:

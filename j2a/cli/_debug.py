@@ -7,7 +7,6 @@ text was lost.
 from __future__ import annotations
 
 import argparse
-import time
 
 from j2a.cli._exit import OK
 from j2a.cli._link import add_link_arguments, connect, finite_seconds
@@ -38,4 +37,4 @@ def run(args: argparse.Namespace) -> int:
             show_text(text.removesuffix(held).replace("\r\n", "\n"))
             if not args.follow:
                 return OK
-            time.sleep(args.every)
+            client.clock._pause(args.every)
