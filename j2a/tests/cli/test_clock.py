@@ -1,5 +1,6 @@
 """`j2a clock`, and the clock in `j2a info`, as a user runs them."""
 
+import argparse
 import json
 import signal
 import subprocess
@@ -9,9 +10,11 @@ import pytest
 from j2a_spec import constants as c
 
 import j2a
+from j2a.cli import _clock
 from j2a.cli._clock import offset_text, time_text
 from j2a.cli._serve import virtual_board
 from j2a.tests.library.clocked import ClockedDevice
+from j2a.tests.library.test_clock import SimulatedLink
 
 from .conftest import WAIT_S, served
 
@@ -150,3 +153,17 @@ def test_offsets_are_read_at_a_glance(us, text):
 
 def test_times_have_a_unit():
     assert (time_text(3.14), time_text(15_000)) == ("3.1 us", "15.0 ms")
+
+
+def test_seconds_and_periods_are_those_of_a_simulation(capsys):
+    """This computer would let ten times as many pass."""
+    now = [0.0]
+    with ClockedDevice(now_s=lambda: now[0]) as device:
+        link = SimulatedLink(device)
+        device._now_s = link.clock
+        with j2a.Client(link, timeout=10.0) as board, board.clock.follow(5.0) as keeper:
+            args = argparse.Namespace(watch=True, seconds=20.0, period=5.0, json=True)
+            begun_s = link.clock()
+            assert _clock._watch([board], [keeper], args) == 0
+            assert 19.9 < link.clock() - begun_s < 150
+    assert 1 <= len(capsys.readouterr().out.splitlines()) <= 5
