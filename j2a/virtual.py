@@ -94,7 +94,7 @@ def wave(sensor: Transducer, phase: float) -> Any:
 
     Args:
         sensor: of which it is.
-        phase: 0 is the begin of the wave, 1 its end; then it begins anew.
+        phase: 0 is the start of the wave, 1 its end; then it begins anew.
     """
     part = (1 - math.cos(math.tau * phase)) / 2
     value = _value(sensor.type, sensor.range, part)

@@ -23,11 +23,11 @@ _FOOTER, _CHANNEL, _MESSAGE, _CHUNK, _METADATA = 0x02, 0x04, 0x05, 0x06, 0x0C
 _DATA_END: Final = 0x0F
 _HEAD: Final = struct.Struct("<BQ")
 END: Final = _HEAD.pack(_DATA_END, 4) + bytes(4) + _HEAD.pack(_FOOTER, 20) + bytes(20) + _MAGIC
-"""Of a file without an index, which readers then read from its begin."""
+"""Of a file without an index, which readers then read from its start."""
 _MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 _CHUNK_HEAD: Final = struct.Struct("<QQQI")
 _TIMES: Final = struct.Struct("<QQ")
-"""The begin of that: when the first and the last message of the chunk were logged."""
+"""The start of that: when the first and the last message of the chunk were logged."""
 _PIECE_BYTES: Final = 1 << 16
 _MOST: Final = {_FOOTER: 1 << 10, _DATA_END: 1 << 10, _CHANNEL: 1 << 20, _METADATA: 1 << 20}
 _MOST_BYTES: Final = 1 << 26

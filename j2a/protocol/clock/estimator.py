@@ -56,7 +56,7 @@ class Exchange:
         bytes_out: length of the request on the wire; for links of a known speed.
         bytes_in: that of the reply.
         frame: number of the USB frame in which the request arrived; None where it is not known.
-        age_us: from the begin of this frame until the request had arrived.
+        age_us: from the start of this frame until the request had arrived.
     """
 
     sent_us: float

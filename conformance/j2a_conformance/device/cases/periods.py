@@ -70,7 +70,7 @@ class _Due(_TransducerCase):
 
     @staticmethod
     def _refer(board: Board, one: oracle.Transducer) -> tuple[int, int]:
-        """Have a sample SIF sent at once; return times around its begin, the next reference."""
+        """Have a sample SIF sent at once; return times around its start, the next reference."""
         board.write(one, c.TRANSD_PERIOD, bytes(4))
         low_us = board.time_us()
         _Due._send(board, one, 0)
@@ -86,7 +86,7 @@ class _Due(_TransducerCase):
 
     @staticmethod
     def _send(board: Board, one: oracle.Transducer, channel: int) -> int:
-        """Give a value; return a time behind the begin of its sample SIF."""
+        """Give a value; return a time after the start of its sample SIF."""
         since = board.seen
         _Due._give(board, one, channel)
         board.sif(one, since)

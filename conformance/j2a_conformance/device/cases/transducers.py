@@ -1678,7 +1678,7 @@ class Trigger(_TransducerCase):
     def _replaced(self, board: Board, one: oracle.Transducer, later_us: int | None) -> None:
         """Trigger for times far ahead, for a near one, and unless it is None for another one.
 
-        That is so long behind the begin; a negative one stands for the time 0.
+        That is so long after the start; a negative one stands for the time 0.
         """
         since, now_us = board.seen, board.time_us()
         for far_us in (*_FAR_US, *(now_us + (1 << bit) for bit in _FAR_BITS)):
