@@ -108,7 +108,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="kill.py", description="Judges every mutant by the suite."
     )
-    parser.add_argument("--only", nargs="+", metavar="ID", help="only these mutants")
+    parser.add_argument(
+        "--only", nargs="+", metavar="MUTANT", help="only these mutants, by their ids"
+    )
     parser.add_argument("--target", nargs="+", choices=TARGETS, help="only mutants of these")
     parser.add_argument(
         "--all-cases", action="store_true", help="every case, not only those that kill"

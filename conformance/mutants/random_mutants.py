@@ -360,7 +360,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--target", choices=tuple(_BUILDS), required=True)
     parser.add_argument("--count", type=int, default=300, help="mutants that make a difference")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="+", metavar="ID", help="only these mutants")
+    parser.add_argument(
+        "--only", nargs="+", metavar="MUTANT", help="only these mutants, by their ids"
+    )
     parser.add_argument("--show", action="store_true", help="show them as diffs, judge none")
     parser.add_argument("-j", "--jobs", type=int, default=_JOBS, metavar="N")
     parser.add_argument("-v", "--verbose", action="store_true", help="show each as it ends")

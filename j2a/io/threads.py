@@ -2,7 +2,7 @@
 
 What flows in: bytes to send, bytes from the transport, questions whether a reply has arrived. What
 flows out: received bytes in small pieces, and the reason for which the link has ended.
-Rules: one thread reads, one writes what the link does not take at once; they know no packet. Pieces
+Rules: one thread reads, one writes what the link does not take at once; they know no frame. Pieces
 are handed over one after the other and nothing is read meanwhile, so a flood waits in the
 transport. A time limit is judged only after a look: what had arrived by then was taken.
 

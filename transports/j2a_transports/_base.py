@@ -1,7 +1,7 @@
 """The interface and the errors of a transport.
 
 In: nothing.  Out: the abstract classes `Transport` and `Listener`, and the errors of every driver.
-Rules: a transport is a pair of byte streams and knows no packet; every wait can be ended by
+Rules: a transport is a pair of byte streams and knows no frame; every wait can be ended by
 `close()` from another thread; for a fault of the link a driver raises a `TransportError`, nothing
 else.
 """
