@@ -56,8 +56,8 @@ class Fleet(FleetBase[Client, "_Member"]):
         timeout: the time limit of a call, in seconds; see `j2a.connect`.
         boot_time: for how long a board may take to answer when it is opened, in seconds.
         retry: seconds between two tries to open a board.
-        heartbeat: seconds without any frame after which a board is asked for an echo; one that
-            answers to none of two is taken for gone. None asks nothing.
+        heartbeat: seconds without any frame after which a board is asked for an echo; if it
+            answers neither of two, it is taken for gone. None asks nothing.
         on_handler_error: called with an exception that a handler raised, and the sample or change;
             without it the exception is logged.
 

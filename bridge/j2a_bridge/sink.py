@@ -251,7 +251,7 @@ class Option:
         """Return a value that was given as text or in TOML.
 
         Raises:
-            LocalError: it is none.
+            LocalError: the value is not valid.
         """
         if self.kind is bool and isinstance(value, str):
             words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}

@@ -66,7 +66,7 @@ def check_node(name: str) -> None:
     """Refuse what ROS 2 does not take as the name of a node.
 
     Raises:
-        LocalError: it is none.
+        LocalError: the name is not valid.
     """
     if not _NODE_NAME.fullmatch(name):
         raise LocalError(f"the name of a node is letters, digits and _, not {name!r:.60}")

@@ -387,7 +387,7 @@ class _Page:
                 raise LocalError("an order is an object of JSON")
             work = _ORDERS.get(str(about.get("op")))
             if work is None:
-                raise LocalError("there is no such order")
+                raise LocalError(f"unknown op {str(about.get('op'))!r:.60}")
             self._answer(key, result=await work(self._sink, about))
         except (j2a.J2AError, UsageError) as error:
             self._answer(key, str(error) or type(error).__name__)

@@ -134,7 +134,7 @@ def _run_command(name: str, command: _commands.Command, summary: str, argv: list
 def _help() -> str:
     summaries = _commands.summaries()
     width = max(map(len, summaries))
-    commands = "\n".join(f"  {name:<{width}} {what}" for name, what in summaries.items())
+    commands = "\n".join(f"  {name:<{width}}  {what}" for name, what in summaries.items())
     return (
         "usage: j2a COMMAND ...      (j2a COMMAND --help says more; j2a --version)\n\n"
         "Calls functions of microcontrollers, over any byte stream.\n\n"

@@ -26,26 +26,26 @@ __all__ = ["BUILT_IN", "ENTRY_POINT_GROUP", "Command", "load", "names", "summari
 ENTRY_POINT_GROUP: Final = "j2a.commands"
 BUILT_IN: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "list": "USB boards and serial ports of this computer",
+        "list": "list the USB boards and serial ports of this computer",
         "setup": "prepare this computer for USB boards: a rule for udev, and syncd",
-        "info": "what a device is and can do",
+        "info": "show what a device is and can do",
         "call": "call a function",
         "read": "read from a function that transfers data of any size (a2jMany)",
         "write": "write to a function that transfers data of any size (a2jMany)",
-        "props": "the properties of a device, or one of them",
+        "props": "show the properties of a device, or one of them",
         "echo": "test a link: send bytes there and back, verify and time them",
         "watch": "print the frames that a device sends unasked (SIFs)",
-        "clock": "the clocks of boards beside that of this computer; keep them right",
+        "clock": "compare the clocks of boards with that of this computer, or keep them right",
         "record": "write what the sensors of boards measure into a file",
-        "replay": "be the board of a recording",
+        "replay": "serve the board of a recording",
         "export": "write the samples of a recording as tables",
         "debug": "print the debug text of a device",
-        "transds": "the sensors and actuators of a board, or of a transds.def",
+        "transds": "show the sensors and actuators of a board, or of a transds.def",
         "stub": "write a typed Python module for the functions of a board",
         "syncd": "give the boards of this computer one time, as a daemon",
-        "sync": "what the daemon syncd does, plots of it, and a check of two clocks",
-        "completion": "a script that lets bash, zsh or fish complete j2a",
-        "serve": "be a device: the demo, one written in Python, or virtual sensors",
+        "sync": "show the state of syncd, plot it, or verify two clocks",
+        "completion": "print a script that lets bash, zsh or fish complete j2a",
+        "serve": "act as a device: the demo, one written in Python, or virtual sensors",
     }
 )
 

@@ -52,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
     """Write the tables; returns the exit code."""
     recording = Recording(args.file)
     if args.folder.exists() and not args.folder.is_dir():
-        raise UsageError(f"{args.folder} is a file: name a folder, which is made if there is none")
+        raise UsageError(
+            f"{args.folder} is a file: give a folder; it is created if it does not exist"
+        )
     try:
         overview = Recording(args.file)
         overview.read_boards()
@@ -90,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
             raise CommandFailed(f"{problems[0]}; the rest is written", FAILED)
         raise problems[0]
     if not recording.is_whole:
-        note(f"j2a: {args.file} ends early; what it has is written")
+        note(f"j2a: {args.file} is incomplete; the samples in it were exported")
     return OK
 
 

@@ -39,7 +39,7 @@ class Pulse:
         """Ask for an echo where nothing came for 3 s; call it each second or so.
 
         Raises:
-            J2AError: the board hangs, as it answered to none of two, or the link is lost.
+            J2AError: the board hangs: it answered neither of two echoes; or the link is lost.
         """
         client = self._client
         if not client.is_open:

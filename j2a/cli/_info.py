@@ -1,4 +1,4 @@
-"""`j2a info`: what a device is and can do.
+"""`j2a info`: shows what a device is and can do.
 
 In: a link. Out: name, version, functions with opcodes and signatures, SIFs, transducers, types,
 properties and the health of the link; without the properties when they cannot be read.

@@ -121,7 +121,7 @@ def add_condition_arguments(parser: argparse.ArgumentParser, file: str) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="this name stands for nothing there",
+        help="treat NAME as undefined",
     )
 
 
@@ -250,7 +250,7 @@ def seconds(text: str) -> float:
     """Read a time above 0, or inf."""
     value = _read(float, text, "a number of seconds")
     if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+        raise argparse.ArgumentTypeError(f"must be greater than 0, not {text}")
     return value
 
 
@@ -274,7 +274,7 @@ def positive_number(text: str) -> float:
     """Read a number above 0."""
     value = _read(float, text, "a number")
     if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+        raise argparse.ArgumentTypeError(f"must be greater than 0, not {text}")
     return value
 
 

@@ -47,7 +47,9 @@ def run(args: argparse.Namespace) -> int:
     """Read, write to the file; returns the exit code."""
     target = None if args.output == "-" else Path(args.output)
     if target is not None and (target.is_dir() or not target.absolute().parent.is_dir()):
-        raise UsageError(f"cannot write to {args.output!r}: it is a folder, or is in none")
+        raise UsageError(
+            f"cannot write to {args.output!r}: it is a folder, or its folder does not exist"
+        )
     function = function_of(args.function)
     with connect(args) as client:
         start = time.monotonic()

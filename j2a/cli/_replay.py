@@ -1,4 +1,4 @@
-"""`j2a replay`: be the board of a recording.
+"""`j2a replay`: serves the board of a recording.
 
 In: a file that `j2a record` wrote, and where hosts arrive. Out: a device with the transducers of
 the board, whose samples come again; it ends with the recording.
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             count += _play(board, args)
         time.sleep(_DELIVER_S)  # what was sent last is still on its way
         if not board.is_whole:
-            note(f"j2a: {args.file} ends early; whoever wrote it did not end it")
+            note(f"j2a: {args.file} is incomplete: its writer did not close it")
         tell(f"replayed {count} samples")
     if board.problem:
         raise CommandFailed(board.problem, FAILED)

@@ -1,4 +1,4 @@
-"""`j2a serve`: be a device: the demo, one written in Python, or a board with virtual sensors.
+"""`j2a serve`: acts as a device: the demo, one written in Python, or a board with virtual sensors.
 
 In: where hosts arrive. Out: `listening on URL`, and a device there until Ctrl-C.
 """

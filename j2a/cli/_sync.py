@@ -1,4 +1,4 @@
-"""`j2a sync`: what the daemon syncd does, plots of it, and whether clocks are as good as they say.
+"""`j2a sync`: shows the state of syncd, plots it, and checks whether clocks keep their bounds.
 
 In: `status`, `plot` or `verify`. Out: a table or JSON; an SVG file.
 Rules: asks the daemon of this user first, then that of the system; `verify` needs no daemon and is
@@ -136,7 +136,7 @@ def _history() -> dict[str, list[Round]]:
             for board in _list(_ask({"command": "history"})["boards"])
         }
     except (KeyError, ValueError) as error:
-        raise CommandFailed(f"the daemon told no history: {error}", LINK) from None
+        raise CommandFailed(f"the daemon sent no history: {error}", LINK) from None
 
 
 def _list(value: object) -> list[object]:

@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     if not SHORTEST_S <= args.interval <= CLOCK_HOLDOVER_S:
         raise UsageError(
             f"--interval is at least {SHORTEST_S:g} seconds, and {CLOCK_HOLDOVER_S} at most: a "
-            "board that hears nothing for longer takes itself for alone"
+            "board that hears nothing for longer goes into holdover"
         )
     if args.device is not None and args.busnum is None:
         raise UsageError("--device needs --busnum: addresses are those of a bus")

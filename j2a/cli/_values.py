@@ -67,7 +67,7 @@ def _bytes_of(word: str) -> bytes:
     if kind in NUMBER_CODES:
         return b"".join(_number(kind, text, word) for text in value.split(","))
     known = ", ".join([*NUMBER_CODES, "str", "hex"])
-    raise UsageError(f"{word!r}: unknown type {typed[1]!r}; known are: {known}")
+    raise UsageError(f"{word!r}: unknown type {typed[1]!r}; known types: {known}")
 
 
 def file_content(name: str) -> bytes:
@@ -133,7 +133,7 @@ class Decoder:
         for kind in self._kinds:
             if kind not in _DECODED:
                 known = ", ".join([*NUMBER_CODES, "str", "hex"])
-                raise UsageError(f"--as {spec}: unknown type {kind!r}; known are: {known}")
+                raise UsageError(f"--as {spec}: unknown type {kind!r}; known types: {known}")
         for kind in self._kinds[:-1]:
             if kind not in NUMBER_CODES:
                 raise UsageError(f"--as {spec}: nothing can follow {kind}, which takes the rest")

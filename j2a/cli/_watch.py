@@ -77,8 +77,8 @@ each second, and its clock is not set. Where it does not tell, it says "rel. del
 the quickest sample among them. There is no delay where the clock of the board runs in another way
 than that of this computer, as with j2a replay --speed 4.
 
-A board from which nothing came for 3 s is asked for an echo; one that answers to none of two ends
-the watching."""
+A board from which nothing came for 3 s is asked for an echo; if it answers neither of two, the
+command ends."""
 _LOOK_S = 0.2
 _RATES_S = 1.0
 _TRIES = 5

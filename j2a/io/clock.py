@@ -25,7 +25,7 @@ __all__ = ["ROUNDS", "Clock", "ClockKeeper", "check_period", "check_rounds"]
 ROUNDS: Final = 16
 """So many exchanges are made unless the user says otherwise."""
 MAX_PERIOD_S: Final = 5.0
-"""A board that is not adjusted for 10 s takes itself for alone."""
+"""A board that is not adjusted for 10 s goes into holdover."""
 _logger = logging.getLogger("j2a")
 _Result = TypeVar("_Result")
 
@@ -172,8 +172,8 @@ class Clock(ClockBase):
         busy, end = self._busy, self._now() + limit_s
         if busy._is_owned():  # type: ignore[attr-defined]
             raise LocalError(
-                f"the clock of {self._url} was not asked: a signal handler has interrupted one who "
-                "does; set a flag there"
+                "this signal handler interrupted another request to the clock of "
+                f"{self._url}; set a flag in the handler instead"
             )
         try:  # what a signal handler raises behind `acquire` comes in here, too
             while not busy.acquire(timeout=slice_of(self._is_simulated)):
@@ -298,7 +298,7 @@ def check_period(period_s: float) -> float:
     """Return seconds between two rounds.
 
     Raises:
-        LocalError: it is no time above 0, or so long that the board takes itself for alone.
+        LocalError: it is no time above 0, or so long that the board goes into holdover.
     """
     is_number = isinstance(period_s, int | float) and not isinstance(period_s, bool)
     if not is_number or not 0 < period_s <= MAX_PERIOD_S:

@@ -218,4 +218,4 @@ def _driver(scheme: str, url: str) -> Any:
         except Exception as error:  # of another package: the other schemes work without it
             raise OpenFailed(f"{url}: the driver {point.value} does not load: {error}") from error
     known = ", ".join(schemes())
-    raise BadUrl(f"{url}: unknown scheme {scheme!r}; known are: {known}")
+    raise BadUrl(f"{url}: unknown scheme {scheme!r}; known schemes: {known}")

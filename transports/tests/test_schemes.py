@@ -63,7 +63,7 @@ def test_what_cannot_listen_or_be_opened_lists_what_can() -> None:
 
 
 def test_there_is_no_description_of_an_unknown_scheme() -> None:
-    with pytest.raises(BadUrl, match="unknown scheme 'telnet'; known are: serial, usb, "):
+    with pytest.raises(BadUrl, match="unknown scheme 'telnet'; known schemes: serial, usb, "):
         j2a_transports.describe("telnet")
 
 

@@ -88,7 +88,7 @@ def test_a_board_that_is_gone_or_takes_nothing(port):
         with pytest.raises(kind, match="gone"):
             one.send(1, 1)
     _, one = port(b"", errno.ETIMEDOUT)
-    with pytest.raises(WriteTimeout, match="takes no packet"):
+    with pytest.raises(WriteTimeout, match="does not accept packets"):
         one.send(1, 1)
 
 

@@ -97,7 +97,7 @@ def load(path: Path) -> dict[str, Stream]:
                 if all({"raw", "pause_ms", "expect"} & set(step) for step in test["steps"])
             }
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise HarnessError(f"{path} is no file of vectors: {error}") from error
+        raise HarnessError(f"{path} is not a vector file: {error}") from error
     if not streams:
         raise HarnessError(f"{path} holds no stream of bytes that could be played")
     return streams

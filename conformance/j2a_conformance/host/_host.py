@@ -199,7 +199,7 @@ class Host:
                 seen.append(request)
                 self.reply(request, *self.device.answer(request.opcode, request.payload))
             if len(seen) > _MOST:
-                fail(f"{_MOST} requests came, and there is no end")
+                fail(f"the host sent {_MOST} requests and does not stop")
         return seen
 
     def _reported(self, accepted: tuple[str, ...], due: bytes = b"") -> Outcome:
@@ -213,7 +213,7 @@ class Host:
             self.link.record("expected", text=" or ".join(accepted))
             where = explain(outcome.text.rpartition(" ")[2], due) if due else ""
             fail(
-                f"the host reports `{text}`; due is {' or '.join(f'`{a}`' for a in accepted)}"
+                f"the host reports `{text}`; expected {' or '.join(f'`{a}`' for a in accepted)}"
                 + (f"; {where}" if where else "")
             )
         return outcome
@@ -349,7 +349,8 @@ class Host:
         self._told += 1
         if self._told > _MOST_TOLD:
             fail(
-                f"{_MOST_TOLD} requests about the device came, and there is no end (J2A-LIMIT-008)"
+                f"the host sent {_MOST_TOLD} requests about the device and does not stop "
+                "(J2A-LIMIT-008)"
             )
         is_many = c.MANY in self.device.names and request.opcode == self.device.opcode(c.MANY)
         if is_many and request.payload[1:2] not in (b"\x00", bytes((c.FLAG_LAST,))):

@@ -40,7 +40,7 @@ class Seqs:
             due = (due + 1) % _SEQS
         if seq != due:
             return f"the request has seq 0x{seq:02X}, 0x{due:02X} is due (J2A-SEQ-003)"
-        return f"the reply to seq 0x{seq:02X} is still owed (J2A-SEQ-003)" if is_open else ""
+        return f"the reply to seq 0x{seq:02X} is still outstanding (J2A-SEQ-003)" if is_open else ""
 
     def barrier(self, seq: int) -> None:
         """Note a barrier, which came while no seq was free."""

@@ -112,7 +112,7 @@ def test_it_is_opened_and_listens(found):
 
 def test_it_is_in_the_list_of_schemes_and_in_the_errors(found):
     assert "lamp" in found["schemes"]
-    known = found["unknown"].partition("known are: ")[2].split(", ")
+    known = found["unknown"].partition("known schemes: ")[2].split(", ")
     assert "lamp" in known
     can = found["cannot"].partition("these can: ")[2].split(", ")
     assert "lamp" in can

@@ -51,7 +51,7 @@ def test_words_become_bytes(words, payload):
         ("u8:", "whole number"),
         ("f32:x", "a number"),
         ("f32:1e99", "does not fit f32"),
-        ("u128:1", "known are: u8, i8"),
+        ("u128:1", "known types: u8, i8"),
         ("@/no/such/file", "No such file"),
         ("@", "cannot read"),
         ("@\0", "cannot read"),

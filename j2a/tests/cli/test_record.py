@@ -429,10 +429,10 @@ def on_terminal(words):
         (("record", "DEMO", "DEMO", "-o", "a.mcap"), "stands there twice"),
         (("record", "DEMO", "-o", "a.mcap"), "has no sensors: the device describes no transducers"),
         (("record", "URL"), "-o"),
-        (("record", "URL", "-o", "a.mcap", "--seconds", "0"), "not above 0"),
+        (("record", "URL", "-o", "a.mcap", "--seconds", "0"), "must be greater than 0, not 0"),
         (("replay", "gone.mcap"), "cannot read"),
         (("replay", "there.mcap"), "is no MCAP file"),
-        (("replay", "there.mcap", "--speed", "0"), "not above 0"),
+        (("replay", "there.mcap", "--speed", "0"), "must be greater than 0, not 0"),
     ],
 )
 def test_mistakes(run, board, demo, tmp_path, monkeypatch, words, why):

@@ -281,7 +281,7 @@ def test_a_sensor_that_was_off_is_off_again(run, wire, referee, urls):
         (["--actuator", "arm"], "has no actuator 'arm'; it has: lamp"),
         (["--sensor", "eye"], "has no sensor 'eye'; it has: edge"),
         (["--count", "0"], "not from 1 up"),
-        (["--bound", "0"], "not above 0"),
+        (["--bound", "0"], "must be greater than 0, not 0"),
         (["--delay", "nan"], "is not finite"),
         (["-o", "x.svg"], "only plot does"),
     ],

@@ -141,7 +141,7 @@ class SyncPort:
             self._device.write(self._out, _PACKET.pack(time_us, frame), _TIMEOUT_MS)
         except OSError as error:
             if error.errno == errno.ETIMEDOUT:
-                raise WriteTimeout(f"SyncUSB of {self.name} takes no packet") from error
+                raise WriteTimeout(f"SyncUSB of {self.name} does not accept packets") from error
             raise LinkLost(f"SyncUSB of {self.name}: the board is gone") from error
 
     def close(self) -> None:

@@ -385,7 +385,7 @@ class Turnaround(ClockCase):
             if second.received <= first.received:
                 fail(f"received at {first.received} us, and the next at {second.received} us")
             if second.received < first.received + first.turnaround:
-                fail(f"received at {second.received} us, before the reply before it was made")
+                fail(f"received at {second.received} us, before the previous reply was made")
 
 
 class Values(ClockCase):

@@ -60,7 +60,7 @@ def _restarted(outcome: Outcome, was_sent: bool = True) -> None:
     due = "maybe-executed" if was_sent else "not-sent"
     if outcome.fate not in ("", due):
         fail(f"the host says `{outcome.fate}` of a request that was {'' if was_sent else 'not '}"
-             f"sent before the restart; due is `{due}`")  # fmt: skip
+             f"sent before the restart; expected `{due}`")  # fmt: skip
 
 
 def _end_a_call(host: Host, device: Device | None = None) -> Request:
@@ -244,7 +244,7 @@ class Count(_BootCase):
         if data != spell(due):
             fail(f"the handler got {data}, not {spell(due)}")
         if gap is not None and missing != str(gap):
-            fail(f"the host reports {missing} missing SIFs; behind the boot SIF {gap} are")
+            fail(f"the host reports {missing} missed SIFs; after the boot SIF {gap} are missing")
 
 
 class Room(_BootCase):

@@ -122,7 +122,7 @@ class _Scripted:
             if request is None:
                 return
             self.answer(request)
-        fail(f"{_MOST} requests came, and there is no end")
+        fail(f"the host sent {_MOST} requests and does not stop")
 
     def answer(self, request: Request) -> None:
         """Answer a request to a2jClock."""

@@ -227,7 +227,7 @@ class Queued(_Ends):
         for n, part in enumerate(map(Outcome.parse, outcome)):
             due = f"reply 1 0{n}" if n in _LONG else "timeout"
             if part.text != due:
-                fail(f"the call {n} ended as `{part.whole}`, due is `{due}`", suspect=late)
+                fail(f"the call {n} ended as `{part.whole}`, expected `{due}`", suspect=late)
 
 
 class QueuedThenSilent(_Ends):
