@@ -27,8 +27,6 @@ SETTINGS = {"COLUMNS": "88", "NO_COLOR": "1"}
 LINE = re.compile(r"( *)(\S.*?)(?:( {2,})(\S.*))?")
 CONTINUED = 6
 """Blanks at its start by which a line goes on with what the one before it says."""
-SHORT = 6
-"""Characters of a term beside which its meaning has room on any screen."""
 
 
 def help_text(program: str, *arguments: str) -> str:
@@ -68,8 +66,8 @@ def marked_up(text: str) -> str:
 
 
 def _meaning(term: str, said: str) -> str:
-    is_beside = len(term) <= SHORT or term.startswith("usage:")
-    return said if is_beside or not said else f'<span class="meaning">{said}</span>'
+    is_beside = not said or term.startswith("usage:")
+    return said if is_beside else f'<span class="meaning">{said}</span>'
 
 
 def _gap(blanks: str) -> str:

@@ -24,3 +24,8 @@ def test_a_meaning_is_marked_with_the_lines_that_go_on():
     gaps = '<span class="gap">   </span>{}<span class="gap">\n              </span>{}</span>'
     assert '--count N<span class="meaning">' + gaps.format("end after", "that many") in marked
     assert marked.count('<span class="line">') == 2
+
+
+def test_the_meaning_of_a_short_term_is_marked_too():
+    marked = program_help.marked_up("commands:\n  call  call a function")
+    assert 'call<span class="meaning"><span class="gap">  </span>call a function</span>' in marked
