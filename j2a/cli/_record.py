@@ -34,8 +34,8 @@ examples:
   j2a record tcp://127.0.0.1:5000 tcp://127.0.0.1:5001 -o two.mcap --seconds 60
 
 Topics are those of the sensors; with several boards the name of the board stands before. Values are
-raw. A board from which nothing came for 3 s is asked for an echo. One that answers to none of two
-is taken for lost, as one whose link ended, and taken in again when it answers. It needs the package
+raw. A board from which nothing came for 3 s is asked for an echo; if it answers neither of two, it
+is taken for lost, as one whose link ended, and taken in again when it answers. This needs the package
 mcap: pip install "j2a[record]"."""
 _EACH_S: Final = 1.0
 _WAIT_S: Final = 10.0
