@@ -35,8 +35,8 @@ examples:
 
 Topics are those of the sensors; with several boards the name of the board stands before. Values are
 raw. A board from which nothing came for 3 s is asked for an echo; if it answers neither of two, it
-is taken for lost, as one whose link ended, and taken in again when it answers. This needs the package
-mcap: pip install "j2a[record]"."""
+is taken for lost, as one whose link ended, and taken in again when it answers. It needs the
+package mcap: pip install "j2a[record]"."""
 _EACH_S: Final = 1.0
 _WAIT_S: Final = 10.0
 _MIB: Final = 1 << 20
