@@ -185,7 +185,10 @@ class AvrCore:
     @property
     def is_woken(self) -> bool:
         """Whether `wake` was called since `heed`."""
-        return bool(self._woken.value)
+        try:
+            return bool(self._woken.value)
+        except AttributeError:
+            raise SimError("the simulator is closed") from None
 
     def heed(self) -> None:
         """Let the next run go on: what `wake` was called for until now is known."""

@@ -143,3 +143,7 @@ def test_a_closed_simulator_says_so(simulate):
     sim.close()
     with pytest.raises(SimError, match="closed"):
         sim.run(1)
+    for name in ("cycle", "readable", "is_woken"):  # places in memory that is free now
+        with pytest.raises(SimError, match="closed"):
+            getattr(sim, name)
+    sim.wake()
