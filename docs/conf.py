@@ -51,7 +51,7 @@ myst_heading_anchors = 3
 highlight_language = "text"
 nitpicky = True
 # The documentation is built without a network, so there are no links to Python's own.
-_ELSEWHERE = "asyncio|collections|concurrent|construct|enum|pathlib|threading|types|typing"
+_ELSEWHERE = "argparse|asyncio|collections|concurrent|construct|enum|pathlib|threading|types|typing"
 nitpick_ignore_regex = [
     (r"c:identifier", r"u?int\d+_t|bool"),
     (r"py:.*", rf"({_ELSEWHERE})\..*"),

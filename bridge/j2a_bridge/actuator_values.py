@@ -11,7 +11,7 @@ import threading
 from typing import Any, Final
 
 import j2a
-from j2a.cli._typed import json_of
+from j2a.cli.plugin import json_of
 from j2a.types.model import Enumeration
 from j2a.types.transducers import Transducer
 from j2a_bridge.topics import Topic

@@ -18,10 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from j2a import LocalError
-from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError
-from j2a.cli._link import seconds
-from j2a.cli._output import note, show
-from j2a.cli._urls import open_help
+from j2a.cli.plugin import FAILED, OK, CommandFailed, UsageError, note, open_help, seconds, show
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
 from j2a_bridge.log_limit import LogLimit
 from j2a_bridge.sink_request import SinkRequest, sink_classes

@@ -13,9 +13,16 @@ import time
 from collections.abc import Iterator
 from typing import Any, Final
 
-from j2a.cli._exit import LINK, OK, CommandFailed
-from j2a.cli._link import add_json_argument, finite_seconds
-from j2a.cli._output import note, show, show_json
+from j2a.cli.plugin import (
+    LINK,
+    OK,
+    CommandFailed,
+    add_json_argument,
+    finite_seconds,
+    note,
+    show,
+    show_json,
+)
 from j2a_bridge.sink import SinkError
 
 SUMMARY: Final = "computers, boards, rates and losses of all bridges that are reached over Zenoh"

@@ -11,10 +11,16 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from j2a.cli._exit import OK, CommandFailed, UsageError
-from j2a.cli._link import add_condition_arguments, add_link_arguments
-from j2a.cli._output import show
-from j2a.cli._transds import read_source, write_files
+from j2a.cli.plugin import (
+    OK,
+    CommandFailed,
+    UsageError,
+    add_condition_arguments,
+    add_link_arguments,
+    read_source,
+    show,
+    write_files,
+)
 from j2a.types.ros import PACKAGE, ros1_package, ros2_package
 
 SUMMARY: Final = "packages of ROS for the messages of boards"

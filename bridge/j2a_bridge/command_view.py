@@ -14,10 +14,16 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from j2a.cli._exit import FAILED, CommandFailed, UsageError
-from j2a.cli._link import seconds, whole_number
-from j2a.cli._output import note, show
-from j2a.cli._urls import open_help
+from j2a.cli.plugin import (
+    FAILED,
+    CommandFailed,
+    UsageError,
+    note,
+    open_help,
+    seconds,
+    show,
+    whole_number,
+)
 from j2a_bridge.command import log_to_stderr, run_bridge
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config
 from j2a_bridge.reports import read_reports

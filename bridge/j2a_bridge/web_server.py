@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import j2a
 from j2a import LocalError
-from j2a.cli._exit import UsageError
-from j2a.cli._typed import json_of, values_of
+from j2a.cli.plugin import UsageError, json_of, values_of
 from j2a.io.transducers import SETTINGS
 from j2a.types.model import Enumeration, Field, Structure
 from j2a_bridge.actuator_values import ActuatorValues

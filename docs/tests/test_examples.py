@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 
 import j2a_transports
 import pytest
@@ -19,6 +20,7 @@ from j2a_spec.oracle import Frame, decode
 
 import j2a
 from docs.tests.repeat import EXAMPLES, LIMIT_S, ROOT, SHOWN_URL, shown
+from j2a.cli.plugin import LINK, USAGE
 from j2a.demo import DemoDevice
 from transports.tests.fake_gadget import Host, installed  # noqa: TID251 - not installed
 
@@ -157,6 +159,47 @@ def test_thermometer():
                 assert board.read_many("history") == struct.pack("<200f", *range(200))
         finally:
             process.terminate()
+
+
+def test_a_command_of_another_package(tmp_path):
+    """The lines of the page make it a command."""
+    page = (ROOT / "docs/cli.md").read_text("utf-8")
+    (lines,) = re.findall(r"```toml\n(\[project\.entry-points\..*?)```", page, re.DOTALL)
+    (group, points) = next(iter(tomllib.loads(lines)["project"]["entry-points"].items()))
+    folder = tmp_path / "temperature-1.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: temperature\nVersion: 1\n")
+    (folder / "entry_points.txt").write_text(
+        f"[{group}]\n" + "".join(f"{name} = {module}\n" for name, module in points.items())
+    )
+    path = os.pathsep.join([str(tmp_path), str(EXAMPLES)])
+
+    def j2a_temperature(url):
+        return subprocess.run(
+            [sys.executable, "-m", "j2a", "temperature", url],
+            env=os.environ | {"PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
+
+    device = j2a.Device()
+
+    @device.function
+    def temperature() -> j2a.f32:
+        return 21.5
+
+    with served(device) as url:
+        done = j2a_temperature(url)
+        assert (done.returncode, done.stdout, done.stderr) == (0, "21.5 °C\n", "")
+    with served(DemoDevice()) as url:
+        done = j2a_temperature(url)
+        assert (done.returncode, done.stdout) == (USAGE, "")
+        assert "temperature" in done.stderr
+        assert "Traceback" not in done.stderr
+    done = j2a_temperature("tcp://127.0.0.1:1")
+    assert (done.returncode, done.stdout) == (LINK, "")
 
 
 @pytest.mark.parametrize("name", ["thermometer", "typed_device"])

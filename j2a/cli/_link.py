@@ -34,7 +34,13 @@ def add_link_arguments(
     metavar: str = "URL",
     about: str = "the device, such as tcp://127.0.0.1:5000",
 ) -> None:
-    """Add the URL, or what a command takes in its place, and the options of a link."""
+    """Add the URL, or what a command takes in its place, and the options of a link.
+
+    Args:
+        parser: of the command.
+        metavar: what stands for the URL in the help; it is `args.url` all the same.
+        about: what the help says of it.
+    """
     parser.add_argument("url", metavar=metavar, help=about)
     add_link_options(parser)
 

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from j2a import LocalError
-from j2a.cli._descriptors import transducer_facts
-from j2a.cli._typed import json_of
+from j2a.cli.plugin import json_of, transducer_facts
 from j2a_bridge.json_values import finite
 from j2a_bridge.sink import Control, Option, Sink, SinkError, Status, Update
 from j2a_bridge.topics import Topic, plain_name

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from j2a import LocalError
-from j2a.cli._typed import plain
+from j2a.cli.plugin import plain
 from j2a.types.model import Structure, Type
 from j2a_bridge.actuator_values import ActuatorValues
 from j2a_bridge.json_values import finite

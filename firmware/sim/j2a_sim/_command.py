@@ -1,6 +1,6 @@
 """The command line of the simulator: `j2a sim avr`, `usb` and `clocks`.
 
-In: arguments. Out: the exit code, of the table in `j2a.cli._exit`.
+In: arguments. Out: the exit code, of the table that `j2a --help` prints.
 """
 
 from __future__ import annotations
@@ -12,9 +12,16 @@ from typing import Any, Final
 
 from j2a_transports import BadUrl, TransportError
 
-from j2a.cli._exit import INTERRUPTED, LINK, OK, USAGE, UsageError
-from j2a.cli._link import add_listen_argument, check_listen_url
-from j2a.cli._output import note
+from j2a.cli.plugin import (
+    INTERRUPTED,
+    LINK,
+    OK,
+    USAGE,
+    UsageError,
+    add_listen_argument,
+    check_listen_url,
+    note,
+)
 from j2a_sim._clocks.command import add_clocks, run_clocks
 from j2a_sim._errors import FirmwareStopped, SimError
 from j2a_sim._options import frequency, rate, speed

@@ -9,9 +9,7 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
-from j2a.cli._exit import UsageError
-from j2a.cli._output import note, show, show_json
-from j2a.cli._progress import Progress
+from j2a.cli.plugin import Progress, UsageError, note, show, show_json
 from j2a_sim._clocks.settings import ENGINES, LEAST_S, LINKS, LOADS, Settings
 
 __all__ = ["add_clocks", "run_clocks"]
