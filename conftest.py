@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
@@ -135,6 +136,62 @@ def pytest_collection_finish() -> None:
     """
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture
+def signal_at() -> Callable[..., contextlib.AbstractContextManager[Callable[[], bool]]]:
+    """A context manager that has a signal handler called at a line, counted from 0, of its block.
+
+    It counts the lines of what the block calls. Where there are not as many, because one of them
+    waits, the handler is called amid that wait. What waits for ever after that fails. It yields
+    what tells whether the handler was called.
+    """
+    return _signal_at
+
+
+@contextlib.contextmanager
+def _signal_at(line: int, handler: Callable[[], object]) -> Iterator[Callable[[], bool]]:
+    left, was_called = line, False
+
+    def handle(*_: object) -> None:
+        nonlocal was_called
+        if not was_called:
+            was_called = True
+            handler()
+
+    def trace(_frame: object, event: str, _argument: object) -> object:
+        nonlocal left
+        if event == "line":
+            left -= 1
+            if left == -1:
+                signal.raise_signal(signal.SIGUSR1)
+        return trace
+
+    def fail(*_: object) -> NoReturn:
+        raise AssertionError("it waits for ever")
+
+    befores = {
+        signal.SIGUSR1: signal.signal(signal.SIGUSR1, handle),
+        signal.SIGUSR2: signal.signal(signal.SIGUSR2, fail),
+    }
+    thread = threading.get_ident()
+    timers = [
+        threading.Timer(after_s, signal.pthread_kill, (thread, number))
+        for after_s, number in ((0.05, signal.SIGUSR1), (60, signal.SIGUSR2))
+    ]
+    for timer in timers:
+        timer.start()
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        yield lambda: was_called
+    finally:
+        sys.settrace(before)
+        for timer in timers:
+            timer.cancel()
+            timer.join()
+        for number, former in befores.items():
+            signal.signal(number, former)
 
 
 def _missing(what: str) -> NoReturn:

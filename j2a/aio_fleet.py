@@ -222,7 +222,6 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
             handlers,
             None,
             self._loop.time,
-            came=asyncio.Event(),
             max_waiting=max_waiting,
             dispatcher=None,
             slice_s=slice_of(is_simulated=False),

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 __all__ = ["Device"]
 
 _logger = logging.getLogger("j2a")
-_Member = TypeVar("_Member")
+_Member = TypeVar("_Member", Connection, "Listener")
 _Moved = TypeVar("_Moved", bound=Callable[[int, Any], object])
 _Started = TypeVar("_Started", bound=Callable[[], object])
 _RXBUF: Final = 4096
@@ -168,7 +168,8 @@ class Device(FunctionRegistry):
             )
         if clock is not None:
             self._table.add_call(CLOCK, self._ask_clock)
-        self._lock = threading.Lock()
+        # Re-entrant, so that a signal handler may stop what its own thread serves.
+        self._lock = threading.RLock()
         self._debug_lock = threading.Lock()
         # In the order in which they came.
         self._connections: dict[Connection, None] = {}
@@ -370,7 +371,12 @@ class Device(FunctionRegistry):
         Raises:
             LocalError: the device was stopped.
         """
-        self._run(self._connection(transport))
+        try:
+            connection = self._connection(transport)
+        except LocalError:
+            transport.close()
+            raise
+        self._run(connection)
 
     def serve_forever(
         self, listener: "Listener", *, max_hosts: int | None = None, idle_s: float = IDLE_S
@@ -393,8 +399,8 @@ class Device(FunctionRegistry):
             raise LocalError(f"max_hosts is a number of hosts from 1 on, not {max_hosts!r}")
         if not isinstance(idle_s, int | float) or not idle_s >= 0:
             raise LocalError(f"idle_s is a number of seconds from 0 on, not {idle_s!r}")
-        self._enter(self._listeners, listener)
         try:
+            self._enter(self._listeners, listener)
             while True:
                 transport = listener.accept(WAIT_S)
                 if transport is not None:
@@ -409,7 +415,7 @@ class Device(FunctionRegistry):
             listener.close()
 
     def stop(self) -> None:
-        """End all `serve` and `serve_forever`, from any thread and from inside functions."""
+        """End all `serve` and `serve_forever`; from any thread, function or signal handler."""
         if self._runner is not None:
             self._runner.stop()
         with self._lock:
@@ -478,6 +484,8 @@ class Device(FunctionRegistry):
             if self._stopped:
                 raise LocalError("this device was stopped; make a new one")
             group[member] = None
+            if self._stopped:  # by a signal handler since the last look
+                member.close()
         if self._runner is not None:
             self._runner.start()
 

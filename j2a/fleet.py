@@ -228,7 +228,6 @@ class Fleet(FleetBase[Client, "_Member"]):
             handlers,
             None,
             monotonic,
-            came=threading.Event(),
             max_waiting=max_waiting,
             dispatcher=None,
             slice_s=slice_of(is_simulated=False),

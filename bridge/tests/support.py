@@ -61,7 +61,12 @@ def children_of(pid: int) -> list[int]:
 def served(device: j2a.Device, port: int = 0) -> Iterator[str]:
     """Serve a board over TCP; yields its URL."""
     with j2a_transports.listen(f"tcp://127.0.0.1:{port}") as listener:
-        thread = threading.Thread(target=device.serve_forever, args=(listener,))
+
+        def serve() -> None:
+            with contextlib.suppress(j2a.LocalError):  # stopped before this thread began
+                device.serve_forever(listener)
+
+        thread = threading.Thread(target=serve)
         thread.start()
         try:
             yield listener.url

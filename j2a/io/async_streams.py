@@ -2,18 +2,29 @@
 
 import asyncio
 import contextlib
-from typing import Self
+from collections.abc import Callable
+from typing import Any, Self
 
 from j2a.errors import LinkClosed, LocalError
 from j2a.events import Sif
+from j2a.io.handlers import Handlers, Wanted
 from j2a.io.streams import SifStreamBase
 from j2a.protocol.arguments import check_timeout
 
 __all__ = ["AsyncSifStream"]
 
 
-class AsyncSifStream(SifStreamBase[asyncio.Event]):
+class AsyncSifStream(SifStreamBase):
     """SIFs of an asyncio client; see `AsyncClient.sifs`."""
+
+    def __init__(
+        self, handlers: Handlers[Any], wanted: Wanted, now: Callable[[], float], **options: Any
+    ) -> None:
+        self._came = asyncio.Event()
+        super().__init__(handlers, wanted, now, **options)
+
+    def _tell(self) -> None:
+        self._came.set()
 
     def __aiter__(self) -> Self:
         return self

@@ -392,7 +392,6 @@ class Engine:
             handlers,
             wanted,
             self._clock,
-            came=threading.Event(),
             max_waiting=max_waiting,
             drops_newest=drops_newest,
             dispatcher=self._dispatcher,

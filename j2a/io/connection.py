@@ -55,7 +55,7 @@ class Connection:
         # Taken in this order. Bytes are fetched and written under the first, so they keep their
         # order; a write that waits for the host holds up nothing but other writes to it.
         self._writing = threading.Lock()
-        self._state = threading.Lock()
+        self._state = threading.RLock()  # a signal handler may close amid all of this
         self._unwritten = b""
         self._last_sif = -math.inf
         self._sif_writer: threading.Thread | None = None

@@ -8,7 +8,6 @@ cancelling are safe from any thread and from inside handlers.
 
 import logging
 import re
-import threading
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import replace
@@ -134,10 +133,10 @@ class Handlers(Generic[_Handler]):
     """The handlers of one link."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        # Replaced, never changed, so a running iteration keeps its own copy.
-        self._subscriptions: tuple[Subscription[_Handler], ...] = ()
-        self._streams: tuple[Callable[[J2AError], None], ...] = ()
+        # No lock, which a signal handler amid one of these methods would wait for for ever: each
+        # change of a dictionary is one step. Who goes through one goes through a copy.
+        self._subscriptions: dict[Subscription[_Handler], None] = {}
+        self._at_end: dict[object, Callable[[J2AError], None]] = {}
         self._end: J2AError | None = None
 
     def add(self, opcodes: Wanted, handler: _Handler) -> Subscription[_Handler]:
@@ -158,8 +157,7 @@ class Handlers(Generic[_Handler]):
         else:
             wanted = frozenset({check_opcode(opcodes)})
         subscription = Subscription(handler, wanted, self._remove)
-        with self._lock:
-            self._subscriptions = (*self._subscriptions, subscription)
+        self._subscriptions[subscription] = None
         return subscription
 
     def register(self, opcodes: Wanted, handler: _Handler | None) -> object:
@@ -177,7 +175,7 @@ class Handlers(Generic[_Handler]):
 
     def matching(self, opcode: int = 0) -> Iterator[Callable[[Any], Any]]:
         """Yield the handlers of an opcode, but none that was cancelled meanwhile."""
-        for subscription in self._subscriptions:
+        for subscription in tuple(self._subscriptions):
             is_wanted = subscription.opcodes is None or opcode in subscription.opcodes
             if is_wanted and subscription in self._subscriptions:
                 yield subscription.deliver
@@ -187,28 +185,28 @@ class Handlers(Generic[_Handler]):
 
         Returns: a function that takes this back.
         """
-        with self._lock:
-            self._streams = (*self._streams, callback)
+        key = object()
+        self._at_end[key] = callback
         if self._end is not None:
-            callback(self._end)
-        return lambda: self._forget(callback)
+            self._call_at_end(self._end)
+        return lambda: self._forget(key)
 
     def finish(self, reason: J2AError) -> None:
         """Tell that no handler will be called any more; may be called twice."""
-        with self._lock:
-            if self._end is not None:
-                return
-            self._end = reason
-        for callback in self._streams:
-            callback(reason)
+        self._end = self._end or reason
+        self._call_at_end(self._end)
 
-    def _forget(self, callback: Callable[[J2AError], None]) -> None:
-        with self._lock:
-            self._streams = tuple(one for one in self._streams if one is not callback)
+    def _call_at_end(self, reason: J2AError) -> None:
+        """Call each callback once, whoever else does the same at this moment."""
+        for key in tuple(self._at_end):
+            if (callback := self._at_end.pop(key, None)) is not None:
+                callback(reason)
+
+    def _forget(self, key: object) -> None:
+        self._at_end.pop(key, None)
 
     def _remove(self, gone: Subscription[_Handler]) -> None:
-        with self._lock:
-            self._subscriptions = tuple(s for s in self._subscriptions if s is not gone)
+        self._subscriptions.pop(gone, None)
 
 
 class Reporter:

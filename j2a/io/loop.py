@@ -350,7 +350,6 @@ class AsyncEngine:
             handlers,
             wanted,
             self.now,
-            came=asyncio.Event(),
             max_waiting=max_waiting,
             drops_newest=drops_newest,
             dispatcher=self.dispatcher,

@@ -8,12 +8,14 @@ end.
 
 import threading
 import weakref
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, Generic, Protocol, Self, TypeVar
+from typing import Any, Final, Self
 
 from j2a.errors import CallTimeout, J2AError, LinkClosed, LocalError, Outcome
 from j2a.events import Sif
+from j2a.io.bell import Bell
 from j2a.io.handlers import Handlers, Wanted
 from j2a.io.opening import WAIT_S
 from j2a.io.threads import process
@@ -28,20 +30,12 @@ _SLICE_S: Final = 0.01
 """Where time is simulated, a wait looks at it so often, in seconds of real time."""
 
 
-class _Event(Protocol):
-    def set(self) -> None: ...
-
-
-_EventT = TypeVar("_EventT", bound=_Event)
-
-
-class SifStreamBase(Generic[_EventT]):
+class SifStreamBase(ABC):
     """What both kinds have in common: the SIFs that wait, and the subscription.
 
     Args:
         handlers, wanted: which SIFs.
         now: the time of the link, in seconds.
-        came: is set when a SIF has come, or none will come any more.
         max_waiting: so many SIFs wait at most.
         dispatcher: the thread or task of the SIF handlers.
         slice_s: a wait looks at the time so often, in seconds.
@@ -57,7 +51,6 @@ class SifStreamBase(Generic[_EventT]):
         wanted: Wanted,
         now: Callable[[], float],
         *,
-        came: _EventT,
         max_waiting: int,
         dispatcher: object,
         slice_s: float,
@@ -67,7 +60,6 @@ class SifStreamBase(Generic[_EventT]):
             raise LocalError(f"max_waiting is a number of SIFs from 1 on, not {max_waiting!r}")
         self.lost = 0
         self._pid = process.pid
-        self._came = came
         self._dispatcher = dispatcher
         self._slice_s = slice_s
         self._now = now
@@ -85,6 +77,10 @@ class SifStreamBase(Generic[_EventT]):
         self._release()
         self._end(LinkClosed("the stream was closed"))
 
+    @abstractmethod
+    def _tell(self) -> None:
+        """Wake who waits: a SIF has come, or none will come any more."""
+
     def _put(self, sif: Sif) -> None:
         if len(self._sifs) >= self._max_waiting:
             self.lost += 1
@@ -92,11 +88,11 @@ class SifStreamBase(Generic[_EventT]):
                 return
             self._sifs.popleft()
         self._sifs.append(sif)
-        self._came.set()
+        self._tell()
 
     def _end(self, reason: J2AError) -> None:
         self._reason = self._reason or reason
-        self._came.set()
+        self._tell()
 
     def _take(self) -> Sif | None:
         """Return the next SIF, or None if none has come.
@@ -123,12 +119,12 @@ class SifStreamBase(Generic[_EventT]):
         return left_s
 
 
-def _put(stream: weakref.ref[SifStreamBase[Any]], sif: Sif) -> None:
+def _put(stream: weakref.ref[SifStreamBase], sif: Sif) -> None:
     if (one := stream()) is not None:
         one._put(sif)
 
 
-def _end(stream: weakref.ref[SifStreamBase[Any]], reason: J2AError) -> None:
+def _end(stream: weakref.ref[SifStreamBase], reason: J2AError) -> None:
     if (one := stream()) is not None:
         one._end(reason)
 
@@ -138,8 +134,17 @@ def _release(*releases: Callable[[], None]) -> None:
         release()
 
 
-class SifStream(SifStreamBase[threading.Event]):
+class SifStream(SifStreamBase):
     """SIFs of a blocking client; see `Client.sifs`."""
+
+    def __init__(
+        self, handlers: Handlers[Any], wanted: Wanted, now: Callable[[], float], **options: Any
+    ) -> None:
+        self._bell = Bell()
+        super().__init__(handlers, wanted, now, **options)
+
+    def _tell(self) -> None:
+        self._bell.ring()
 
     def __iter__(self) -> Self:
         return self
@@ -168,11 +173,13 @@ class SifStream(SifStreamBase[threading.Event]):
         if threading.current_thread() is self._dispatcher:
             raise LocalError("a SIF handler cannot wait for a SIF, which comes when it has ended")
         deadline = self._now() + check_timeout(timeout)
-        while True:
-            self._came.clear()
-            if (sif := self._take()) is not None:
-                return sif
-            self._came.wait(min(self._check_time(timeout, deadline), self._slice_s))
+        try:
+            while (sif := self._take()) is None:
+                self._bell.wait(min(self._check_time(timeout, deadline), self._slice_s))
+            return sif
+        finally:
+            if self._sifs or self._reason is not None:
+                self._bell.ring()  # another thread may wait for the next one, or for the end
 
     def __enter__(self) -> Self:
         return self

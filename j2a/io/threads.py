@@ -24,6 +24,7 @@ from typing import Final, NoReturn
 from j2a_transports import Transport, TransportError
 
 from j2a.errors import LinkClosed, LinkError, LocalError, OpenFailed
+from j2a.io.bell import Bell
 from j2a.io.opening import link_error
 
 __all__ = [
@@ -181,10 +182,8 @@ class LinkThreads:
         # Held by the thread that reads; only an RLock can tell which.
         self._reading = threading.RLock()
         self._led_at = -math.inf
-        # A bell for the reading thread: free when it was rung. Cheaper than an Event, and it is
-        # waited for every few milliseconds while callers read.
-        self._bell = threading.Lock()
-        self._bell.acquire()
+        self._bell = Bell()  # of the reading thread
+        self._ring = self._bell.ring
         self._unread = b""
         self._process = process.pid
         self.threads: list[threading.Thread] = []
@@ -325,19 +324,14 @@ class LinkThreads:
 
     def _take_over(self) -> bool:
         """Become the one who reads as soon as callers do not do it themselves; False at the end."""
-        is_due = self._bell.acquire(blocking=False)
+        is_due = self._bell.wait(0)
         # A signal handler that closes the link leads until it has returned.
         while not self._is_stopped:
             left_s = self._led_at + _LINGER_S - time.monotonic()
             if (is_due or left_s <= 0) and self._reading.acquire(blocking=False):
                 return True
-            is_due = self._bell.acquire(timeout=max(left_s, _LINGER_S))
+            is_due = self._bell.wait(max(left_s, _LINGER_S))
         return False
-
-    def _ring(self) -> None:
-        """Have the reading thread take over; safe anywhere."""
-        with contextlib.suppress(RuntimeError):  # it was rung
-            self._bell.release()
 
     def _answer(self, asked: int, now: float) -> None:
         self._looked(now)

@@ -19,6 +19,7 @@ from typing import Any, Final, Protocol
 import j2a_transports
 
 import j2a
+from j2a.io.bell import Bell
 from j2a.io.host_time import HostTime, host_time
 from j2a.io.threads import JOIN_S, join_threads, start_thread
 from j2a.syncd.history import History
@@ -73,7 +74,7 @@ class Daemon:
         self._buses: dict[str, Bus] = {}
         self._host = host_time() if host is None else host
         self._lock = threading.Lock()
-        self._wake = threading.Event()
+        self._wake = Bell()
         self._is_stopped = False
         self._began_s = time.monotonic()
         self._problem: str | None = None
@@ -83,7 +84,6 @@ class Daemon:
         """Look for boards until `stop` is called; then give all of them back."""
         try:
             while not self._is_stopped:
-                self._wake.clear()
                 self.observe()
                 problems = [self._problem_of(look) for look in (self._look, self._links.look)]
                 problem = "; ".join(filter(None, problems)) or None
@@ -120,7 +120,7 @@ class Daemon:
     def stop(self) -> None:
         """End `run`; may be called from a signal handler."""
         self._is_stopped = True
-        self._wake.set()
+        self._wake.ring()
 
     def answer(self, request: dict[str, Any], is_trusted: bool) -> dict[str, Any]:
         """Return the reply to a request; see `singleton.Server`."""
@@ -133,7 +133,7 @@ class Daemon:
                 return {"boards": self._history.boards}
             return {"rounds": self._history.facts(str(board))}
         if command == "look":
-            self._wake.set()
+            self._wake.ring()
             return self._add(request.get("urls", []), request.get("only"), is_trusted)
         return {"error": f"there is no command {command!r:.40}"}
 
@@ -160,7 +160,7 @@ class Daemon:
             if len(numbers) != 2 or not all(type(one) in {int, NoneType} for one in numbers):
                 return {"error": "only is a list of bus and address"}
             self._only.add((numbers[0], numbers[1]))
-            self._wake.set()
+            self._wake.ring()
         try:
             for url in urls:
                 self._links.add(url)

@@ -8,7 +8,9 @@ on a real link; what was written before `close()` is still delivered.
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any, Final
 
 from ._base import (
@@ -25,12 +27,30 @@ from ._scheme import Scheme, Usage
 from ._url import Url
 
 LIMIT: Final = 65536
+_LOOK_S: Final = 0.1
+"""So often a wait looks at its condition without being told, in seconds."""
 
 _OPEN: Final = Usage(
     "loopback:NAME", "the listener of that name in this process", ("loopback:board",)
 )
 _LISTEN: Final = Usage("loopback:NAME", "a name in this process", ("loopback:board",))
 SCHEME: Final = Scheme(name="loopback", open=_OPEN, listen=_LISTEN)
+
+
+def _wait_for(
+    changed: threading.Condition, holds: Callable[[], bool], timeout_s: float | None
+) -> None:
+    """Wait until a condition holds or the time is over; the lock is held.
+
+    It is looked at again and again, because a signal handler that changes something amid the first
+    steps of a wait of its own thread tells nobody.
+    """
+    end = None if timeout_s is None else time.monotonic() + timeout_s
+    while not holds():
+        left_s = _LOOK_S if end is None else min(_LOOK_S, end - time.monotonic())
+        if left_s <= 0:
+            return
+        changed.wait(left_s)
 
 
 class Channel:
@@ -66,8 +86,9 @@ class Channel:
     def get(self, timeout_s: float | None) -> bytes:
         """Take all bytes, waiting for the first; b"" at the timeout, the end, or when woken."""
         with self._changed:
-            self._changed.wait_for(
-                lambda: (
+            _wait_for(
+                self._changed,
+                lambda: bool(
                     self._data or self.writer_closed or self.reader_closed or self._reader_woken
                 ),
                 timeout_s,
@@ -82,7 +103,8 @@ class Channel:
     def put(self, data: memoryview, timeout_s: float | None) -> int:
         """Add as many bytes as fit, waiting for room for the first; 0 at the timeout or a close."""
         with self._changed:
-            self._changed.wait_for(
+            _wait_for(
+                self._changed,
                 lambda: len(self._data) < self._limit or self.writer_closed or self.reader_closed,
                 timeout_s,
             )
@@ -208,7 +230,7 @@ class LoopbackListener(Listener):
     def accept(self, timeout_s: float | None) -> Transport | None:
         """See `Listener.accept`."""
         with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._closed, timeout_s)
+            _wait_for(self._changed, lambda: bool(self._waiting) or self._closed, timeout_s)
             if self._closed:
                 raise LinkClosed(f"{self.url} is closed")
             return self._waiting.popleft() if self._waiting else None

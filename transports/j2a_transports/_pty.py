@@ -134,7 +134,7 @@ class PtyListener(Listener):
         self._readable = Readiness(master, self._waker, write=False)
         self._accepting = threading.RLock()
         self._current: PtyTransport | None = None
-        self._closed = threading.Event()
+        self._closed = False
         self._released = False
 
     def accept(self, timeout_s: float | None) -> Transport | None:
@@ -142,13 +142,13 @@ class PtyListener(Listener):
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._accepting:
             while True:
-                if self._closed.is_set():
+                if self._closed:
                     raise LinkClosed(f"{self.url} is closed")
                 if (self._current is None or self._current.finished) and self._occupied():
                     fd = os.dup(self._master)
                     self._current = PtyTransport(self.url, fd, self._device, self._write_timeout_s)
                     return self._current
-                if not wait_to_look(self._closed, deadline):
+                if not wait_to_look(deadline):
                     return None
 
     def _occupied(self) -> bool:
@@ -158,7 +158,7 @@ class PtyListener(Listener):
 
     def close(self) -> None:
         """See `Listener.close`."""
-        self._closed.set()
+        self._closed = True
         with self._accepting:
             if self._released:
                 return

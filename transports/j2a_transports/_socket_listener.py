@@ -48,7 +48,6 @@ class SocketListener(Listener):
         self._readable = Readiness(sock.fileno(), self._waker, write=False)
         self._accepting = threading.RLock()
         self._spare = _spare_file()
-        self._ended = threading.Event()
         self._closed = False
         self._released = False
 
@@ -69,7 +68,7 @@ class SocketListener(Listener):
                 except OSError as error:
                     if error.errno in _SCARCE:
                         self._turn_away()
-                        self._ended.wait(BACK_OFF_S)
+                        time.sleep(BACK_OFF_S)
                     elif not isinstance(error, BlockingIOError) and error.errno not in _GONE:
                         raise TransportError(
                             f"{self.url}: cannot accept: {error.strerror or error}"
@@ -93,7 +92,6 @@ class SocketListener(Listener):
     def close(self) -> None:
         """See `Listener.close`."""
         self._closed = True
-        self._ended.set()
         self._waker.wake()
         with self._accepting:
             if not self._released:

@@ -17,11 +17,10 @@ from ._base import LinkClosed, Listener, Transport
 LOOK_S: Final = 0.02
 
 
-def wait_to_look(closed: threading.Event, deadline: float | None) -> bool:
+def wait_to_look(deadline: float | None) -> bool:
     """Wait a moment for what has to be looked at again and again.
 
     Args:
-        closed: ends the wait.
         deadline: on the monotonic clock, None for none.
 
     Returns:
@@ -29,7 +28,7 @@ def wait_to_look(closed: threading.Event, deadline: float | None) -> bool:
     """
     wait_s = LOOK_S if deadline is None else min(LOOK_S, deadline - time.monotonic())
     if wait_s > 0:
-        closed.wait(wait_s)
+        time.sleep(wait_s)  # an Event would hold a lock, amid which a signal handler may close
     return wait_s > 0
 
 
@@ -46,8 +45,8 @@ class SoloListener(Listener):
         super().__init__(url)
         self._opener = opener
         self._again = again
-        self._closed = threading.Event()
-        self._lock = threading.Lock()
+        self._closed = False
+        self._lock = threading.RLock()
         self._ready: Transport | None = opener()
         self._current = self._ready
 
@@ -56,7 +55,7 @@ class SoloListener(Listener):
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             with self._lock:
-                if self._closed.is_set():
+                if self._closed:
                     raise LinkClosed(f"{self.url} is closed")
                 if self._current is None or self._current.closed:
                     if not self._again:
@@ -65,12 +64,12 @@ class SoloListener(Listener):
                 if self._ready is not None:
                     transport, self._ready = self._ready, None
                     return transport
-            if not wait_to_look(self._closed, deadline):
+            if not wait_to_look(deadline):
                 return None
 
     def close(self) -> None:
         """See `Listener.close`; a transport that was not accepted is closed."""
-        self._closed.set()
+        self._closed = True
         with self._lock:
             if self._ready is not None:
                 self._ready.close()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,6 +23,9 @@ from ._url import Url
 from .options import integer, number
 
 __all__ = ["FaultCounters", "FaultInjector", "FaultyListener", "FaultyTransport", "Rates", "wrap"]
+
+_LOOK_S: Final = 0.02
+"""So often a delay looks whether the link was closed, in seconds."""
 
 
 class FaultyTransport(Transport):
@@ -55,7 +59,7 @@ class FaultyTransport(Transport):
         self._arrived: deque[Piece] = deque()
         self._due_at = 0.0
         self._writing = threading.RLock()
-        self._closed = threading.Event()
+        self._is_closed = False
 
     def read(self, timeout_s: float | None) -> bytes:
         """See `Transport.read`."""
@@ -106,7 +110,11 @@ class FaultyTransport(Transport):
         if self.is_simulated:
             if seconds > 0:
                 self.sleep(seconds)
-        elif self._closed.wait(max(0.0, seconds)):
+            return
+        end = time.monotonic() + seconds
+        while not self._is_closed and (left_s := end - time.monotonic()) > 0:
+            time.sleep(min(left_s, _LOOK_S))
+        if self._is_closed:
             raise LinkClosed(f"{self.url} is closed")
 
     def _check(self) -> None:
@@ -116,11 +124,11 @@ class FaultyTransport(Transport):
     @property
     def closed(self) -> bool:
         """See `Transport.closed`."""
-        return self._closed.is_set()
+        return self._is_closed
 
     def close(self) -> None:
         """See `Transport.close`."""
-        self._closed.set()
+        self._is_closed = True
         self.inner.close()
 
 

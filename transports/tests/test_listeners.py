@@ -9,9 +9,10 @@ import stat
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import j2a_transports
 import pytest
@@ -60,6 +61,15 @@ class TestEveryListener:
         listener.close()
         with pytest.raises(LinkClosed):
             listener.accept(0)
+
+    def test_a_signal_handler_may_close_it_at_any_line(
+        self, url: str, signal_at: Callable[..., Any]
+    ) -> None:
+        for line in range(60):
+            listener = j2a_transports.listen(url)
+            with signal_at(line, listener.close) as was_called, pytest.raises(LinkClosed):
+                listener.accept(None)
+            assert was_called()
 
     def test_accepted_transports_outlive_it(self, url: str) -> None:
         listener = j2a_transports.listen(url)

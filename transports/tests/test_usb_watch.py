@@ -7,7 +7,7 @@ import gc
 import os
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import j2a_transports
@@ -187,3 +187,16 @@ def test_a_system_that_gives_no_messages_is_polled(
         watch.next(0)
         bus.devices[0].unplug()
         assert isinstance(watch.next(PATIENCE_S), UsbLeft)
+
+
+def test_a_signal_handler_may_close_it_at_any_line(
+    bus: FakeBackend, signal_at: Callable[..., Any]
+) -> None:
+    for line in range(0, 400, 7):
+        watch = UsbWatch(PATIENCE_S * 10, bus)
+        with signal_at(line, watch.close) as was_called:
+            for _ in watch:
+                pass
+        assert was_called()
+        assert watch._wake_read == watch._wake_write == -1
+        watch.close()

@@ -232,7 +232,8 @@ def stopped_by_signals(stop: threading.Event) -> Iterator[list[int]]:
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
         received.append(number)
-        stop.set()
+        if len(received) == 1:  # another one amid `set` would wait for ever for its lock
+            stop.set()
 
     before = {
         number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)

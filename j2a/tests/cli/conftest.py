@@ -16,6 +16,7 @@ from j2a_spec.oracle import Frame, decode, encode
 
 from j2a.cli import main
 from j2a.demo import DemoDevice
+from j2a.tests.library import support
 
 WAIT_S = 300  # of a hang: beside other programs some steps took nearly 60 s
 
@@ -122,12 +123,8 @@ def small() -> Iterator[str]:
 
 def served(device: DemoDevice) -> Iterator[str]:
     """Serve a device, and yield its URL."""
-    listener = j2a_transports.listen("tcp://127.0.0.1:0")
-    thread = threading.Thread(target=device.serve_forever, args=(listener,))
-    thread.start()
-    yield listener.url
-    device.stop()
-    thread.join(WAIT_S)
+    with support.served(device, "tcp://127.0.0.1:0") as url:
+        yield url
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-import j2a_transports
 import pytest
 from j2a_spec.constants import BOOT
 from mcap import reader as mcap_reader
@@ -23,6 +22,7 @@ import j2a
 from j2a.cli._record import _Session
 from j2a.recording import Recorder, Recording
 from j2a.replay import ReplayBoard
+from j2a.tests.library import support
 from j2a.tests.library.support import linked
 from j2a.types.transds_file import read_transds
 from j2a.virtual import VirtualBoard
@@ -135,20 +135,7 @@ def at(url, properties):
     """Serve a board that measures; yields its URL."""
     device = VirtualBoard(board_file(), properties)
     device.measure()
-    return listening(device, url)
-
-
-@contextlib.contextmanager
-def listening(device, url):
-    """Serve a device at a URL, which it yields."""
-    with j2a_transports.listen(url) as listener:
-        thread = threading.Thread(target=device.serve_forever, args=(listener,))
-        thread.start()
-        try:
-            yield listener.url
-        finally:
-            device.stop()
-            thread.join(60)
+    return support.served(device, url)
 
 
 def test_a_board_that_comes_back_is_taken_in_again(tmp_path):
@@ -254,7 +241,7 @@ def test_sensors_that_come_and_go_are_told(tmp_path, is_lost):
         if is_lost:
             next(serving, None)
             device = j2a.Device({"serial": "A3"}, transducers=read_transds(FILE_OTHER), boot=True)
-            stack.enter_context(listening(device, url))
+            stack.enter_context(support.served(device, url))
             assert "lost" in process.stderr.readline()
             assert "is here again" in process.stderr.readline()
         else:
@@ -283,7 +270,7 @@ def test_a_board_that_comes_back_is_taken_in_when_it_tells_its_sensors(tmp_path)
         server = device._runner._server
         server.content, content = b"", server.content
         device.measure()
-        with listening(device, url):
+        with support.served(device, url):
             assert f"{url} has no sensors now: " in process.stderr.readline()
             server.content = content
             assert "is here again" in process.stderr.readline()

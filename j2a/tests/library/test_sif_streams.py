@@ -156,15 +156,15 @@ class TestBlocking:
 
     def test_one_that_is_dropped_or_closed_costs_nothing(self, board):
         handlers = board._handlers
-        before = handlers._subscriptions  # that of the samples
+        before = dict(handlers._subscriptions)  # that of the samples
         with board.sifs("counter") as stream:
             assert len(handlers._subscriptions) == len(before) + 1
-            assert len(handlers._streams) == 1
-        assert handlers._subscriptions == before and not handlers._streams
+            assert len(handlers._at_end) == 1
+        assert handlers._subscriptions == before and not handlers._at_end
         stream.close()
         board.sifs("counter")
         gc.collect()
-        assert handlers._subscriptions == before and not handlers._streams
+        assert handlers._subscriptions == before and not handlers._at_end
         assert list(stream) == []
 
     def test_waiting_for_one(self, board):

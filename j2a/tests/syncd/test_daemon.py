@@ -1,5 +1,6 @@
 """The daemon with boards of the tests: all get the same times, and none disturbs another."""
 
+import contextlib
 import importlib.util
 import pathlib
 import socket
@@ -20,6 +21,7 @@ from j2a.syncd import usb_bus as bus_module
 from j2a.syncd.daemon import Daemon
 from j2a.syncd.history import History
 from j2a.syncd.usb_bus import Bus
+from j2a.tests.library.support import served
 
 _spec = importlib.util.spec_from_file_location(
     "fake_port", pathlib.Path(__file__).with_name("fake_port.py")
@@ -409,19 +411,8 @@ def test_requests(running):
 @pytest.fixture
 def serve():
     """A function that serves a device, and returns its URL."""
-    begun = []
-
-    def run(device):
-        listener = j2a_transports.listen("tcp://127.0.0.1:0")
-        thread = threading.Thread(target=device.serve_forever, args=(listener,))
-        thread.start()
-        begun.append((device, thread))
-        return listener.url
-
-    yield run
-    for device, thread in begun:
-        device.stop()
-        thread.join(60)
+    with contextlib.ExitStack() as stack:
+        yield lambda device: stack.enter_context(served(device, "tcp://127.0.0.1:0"))
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ import j2a
 from j2a.cli import main
 from j2a.demo import DemoDevice
 from j2a.errors import SignatureError
+from j2a.tests.library.support import served
 from j2a.types.definition_file import interface_text, read_definition_file
 from j2a.types.header import c_header
 from j2a.types.model import Interface
@@ -38,17 +39,8 @@ def load(path):
 
 @pytest.fixture
 def demo():
-    import threading  # noqa: PLC0415 - for this fixture alone
-
-    import j2a_transports  # noqa: PLC0415
-
-    listener = j2a_transports.listen("tcp://127.0.0.1:0")
-    device = DemoDevice()
-    thread = threading.Thread(target=device.serve_forever, args=(listener,))
-    thread.start()
-    yield listener.url
-    device.stop()
-    thread.join()
+    with served(DemoDevice(), "tcp://127.0.0.1:0") as url:
+        yield url
 
 
 @pytest.fixture

@@ -29,6 +29,8 @@ POLL_S: Final = 1.0
 # How long a board that is not ready is held back, and how often it is looked at.
 SETTLE_S: Final = 2.0
 SETTLING_S: Final = 0.1
+# How often a wait looks whether the watch was closed, where nothing can wake it.
+_LOOK_S: Final = 0.05
 # The kernel's messages, and those of udev after its rules.
 _UEVENTS: Final = 15
 _GROUPS: Final = 1 | 2
@@ -77,12 +79,13 @@ class UsbWatch:
         self._held_since: dict[_Key, float] = {}
         self._events: deque[UsbArrived | UsbLeft] = deque()
         self._closed = False
-        self._lock = threading.Lock()
-        self._closing = threading.Lock()
+        # Re-entrant: a signal handler may close what its own thread waits for.
+        self._lock = threading.RLock()
+        self._closing = threading.RLock()
+        self._is_waiting = self._is_left = False
         self._first = True
         # One byte in the pipe ends the wait.
         self._wake_read, self._wake_write = os.pipe() if os.name == "posix" else (-1, -1)
-        self._wake = threading.Event()
         self._uevents = _uevent_socket()
         try:
             self._look()
@@ -104,19 +107,28 @@ class UsbWatch:
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         with self._lock:
-            while True:
-                if self._closed:
-                    raise LinkClosed("the watch of the USB is closed")
-                if not self._events:
-                    self._look()
-                if self._events:
-                    return self._events.popleft()
-                wait_s = SETTLING_S if self._held_since else self._interval_s
-                if deadline is not None:
-                    wait_s = min(wait_s, deadline - time.monotonic())
-                    if wait_s <= 0:
-                        return None
-                self._wait(wait_s)
+            self._is_waiting = True
+            try:
+                return self._next(deadline)
+            finally:
+                self._is_waiting = False
+                if self._is_left:
+                    self._release()
+
+    def _next(self, deadline: float | None) -> UsbArrived | UsbLeft | None:
+        while True:
+            if self._closed:
+                raise LinkClosed("the watch of the USB is closed")
+            if not self._events:
+                self._look()
+            if self._events:
+                return self._events.popleft()
+            wait_s = SETTLING_S if self._held_since else self._interval_s
+            if deadline is not None:
+                wait_s = min(wait_s, deadline - time.monotonic())
+                if wait_s <= 0:
+                    return None
+            self._wait(wait_s)
 
     def __iter__(self) -> Iterator[UsbArrived | UsbLeft]:
         with contextlib.suppress(LinkClosed):
@@ -130,20 +142,29 @@ class UsbWatch:
         self.close()
 
     def close(self) -> None:
-        """End the watch; idempotent, from any thread, and wakes a blocked `next`."""
+        """End the watch, and wake a blocked `next`.
+
+        May be called twice, by any thread and by a signal handler.
+        """
         with self._closing:
-            if self._closed:
-                return
             self._closed = True
-            self._wake.set()
             if self._wake_write >= 0:
                 os.write(self._wake_write, b"!")
             with self._lock:
-                for fd in (self._wake_read, self._wake_write):
-                    if fd >= 0:
-                        os.close(fd)
-                if self._uevents is not None:
-                    self._uevents.close()
+                # A signal handler of the thread that waits leaves it the descriptors.
+                self._is_left = self._is_waiting
+                if not self._is_left:
+                    self._release()
+
+    def _release(self) -> None:
+        """Free the descriptors; once is enough."""
+        ends = self._wake_read, self._wake_write
+        self._wake_read = self._wake_write = -1
+        for fd in ends:
+            if fd >= 0:
+                os.close(fd)
+        if self._uevents is not None:
+            self._uevents.close()
 
     def _look(self) -> None:
         """Compare what is there with what was there."""
@@ -178,8 +199,10 @@ class UsbWatch:
         self._first = False
 
     def _wait(self, wait_s: float) -> None:
-        if self._wake_read < 0:
-            self._wake.wait(wait_s)
+        if self._wake_read < 0:  # select takes no pipes there
+            end = time.monotonic() + wait_s
+            while not self._closed and (left_s := end - time.monotonic()) > 0:
+                time.sleep(min(left_s, _LOOK_S))
             return
         with selectors.DefaultSelector() as selector:
             selector.register(self._wake_read, selectors.EVENT_READ)
