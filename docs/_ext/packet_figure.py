@@ -91,9 +91,10 @@ def _field(named: Any, inner: Any) -> Field:
 
 def _width(inner: Any, size: int | None) -> str:
     if size is not None:
-        little = isinstance(inner, cs.FormatField) and inner.fmtstr.startswith("<") and size > 1
-        order = ", least significant first" if little else ""
-        return f"{size} byte{'s' * (size != 1)}{order}"
+        kind = inner.fmtstr if isinstance(inner, cs.FormatField) else ""
+        sign = ", two's complement" if kind[1:].islower() else ""
+        order = ", least significant first" if kind.startswith("<") and size > 1 else ""
+        return f"{size} byte{'s' * (size != 1)}{sign}{order}"
     if isinstance(inner, cs.StringEncoded):
         return "text and NUL"
     if isinstance(inner, cs.Bytes):
@@ -126,12 +127,16 @@ def figure(name: str, *, start: bool) -> list[nodes.Node]:
     return [packet_figure(name=name, fields=boxes), _table(boxes)]
 
 
+def rows(boxes: tuple[Field, ...]) -> list[tuple[str, str, str]]:
+    """Return the head and the rows of the table that says in words what the boxes show."""
+    told = [(box.name, box.width, box.meaning + "; repeated" * box.repeated) for box in boxes]
+    return [("field", "width", "meaning"), *told]
+
+
 def _table(boxes: tuple[Field, ...]) -> nodes.table:
-    rows = [("field", "width", "meaning")]
-    rows += [(f.name, f.width, f.meaning + "; repeated" * f.repeated) for f in boxes]
     group = nodes.tgroup("", *(nodes.colspec(colwidth=w) for w in (15, 25, 60)), cols=3)
     head, body = nodes.thead(), nodes.tbody()
-    for index, row in enumerate(rows):
+    for index, row in enumerate(rows(boxes)):
         entries = [nodes.entry("", nodes.paragraph("", text)) for text in row]
         (body if index else head).append(nodes.row("", *entries))
     group += [head, body]

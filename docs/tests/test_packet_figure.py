@@ -1,5 +1,6 @@
 """The figures agree with the grammars that they are drawn from, and reach every output format."""
 
+import re
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,7 +12,8 @@ from j2a_spec.grammar import ERROR_PAYLOAD, GRAMMARS, MANY_REPLY, MANY_REQUEST, 
 from sphinx.application import Sphinx
 from sphinx.util.docutils import docutils_namespace, patch_docutils
 
-EXTENSIONS = str(Path(__file__).parents[1] / "_ext")
+ROOT = Path(__file__).parents[2]
+EXTENSIONS = str(ROOT / "docs" / "_ext")
 sys.path.insert(0, EXTENSIONS)
 
 import packet_figure as pf  # noqa: E402  found through the line above
@@ -91,6 +93,21 @@ def test_repeated_texts_are_marked():
 @pytest.mark.parametrize("name", GRAMMARS)
 def test_every_field_has_a_meaning(name):
     assert all(box.meaning for box in pf.fields(GRAMMARS[name]))
+
+
+def test_a_number_with_a_sign_is_told():
+    [rate] = [box for box in pf.fields(GRAMMARS["clock-status"]) if box.name == "rate"]
+    assert rate.width == "4 bytes, two's complement, least significant first"
+
+
+def test_the_specification_has_each_figure_as_a_table_for_readers_of_its_source():
+    text = (ROOT / "spec" / "SPEC.md").read_text("utf-8")
+    shown = dict(re.findall(r"<!-- figure: (\S+) -->\n\n((?:\|.*\n)*)", text))
+    assert set(shown) == set(GRAMMARS)
+    del shown["packet"]  # Drawn as a picture there, too.
+    for name, table in shown.items():
+        head, *told = [f"| {' | '.join(row)} |\n" for row in pf.rows(pf.fields(GRAMMARS[name]))]
+        assert table == "".join([head, "|---|---|---|\n", *told])
 
 
 def test_a_declaration_without_fields_is_refused():
