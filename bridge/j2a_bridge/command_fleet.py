@@ -25,7 +25,7 @@ from j2a.cli.plugin import (
 )
 from j2a_bridge.sink import SinkError
 
-SUMMARY: Final = "computers, boards, rates and losses of all bridges that are reached over Zenoh"
+SUMMARY: Final = "show the computers, boards and rates of all bridges over Zenoh"
 NOTES: Final = """\
 examples:
   j2a fleet
