@@ -23,6 +23,9 @@ _SIZES = tuple(
     )
 )
 _FAILED = ("failed", "refused", "error")
+_NOT_LAST = b"\x00"
+_FLAGS = (bytes((c.FLAG_LAST,)), _NOT_LAST)
+_SOME = (b"data", b"")  # on top of a reply to a read, and to a write
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +240,9 @@ class WriteReplies(HostCase):
 
 
 class _Broken(HostCase):
-    """A transfer that a reply spoils, at its first or at its second chunk."""
+    """A transfer that a reply spoils, at its first or at its second chunk, with isLast and without:
+    a host may look only at what ends a transfer, or only at what does not.
+    """
 
     EXPECTATION = "The host reports that the transfer failed, and sends no further chunk."
     REQUIREMENTS: tuple[str, ...] = ("J2A-MANY-012",)
@@ -249,7 +254,7 @@ class _Broken(HostCase):
         """Answer the chunk number `position` with this code and payload.
 
         The payload may leave out the offset that is right: `OFFSET` stands for it, and `WRONG` for
-        one that is wrong in the bits of `error`.
+        one that is wrong in the bits of `error`. In place of the flags stands `FLAGS`, see `both`.
         """
         data = "" if verb == "read" else f" {spelt(700)}"
         name = FETCH if verb == "read" else STORE
@@ -266,15 +271,24 @@ class _Broken(HostCase):
         host.outcome(*_FAILED)
 
     def both(self, host: Host, code: int, payload: bytes, data: bytes = b"") -> None:
-        """Spoil reads and writes; `data` is what a reply to a read holds on top."""
-        for position in (0, 1, 6):
-            self.spoil(host, "read", position, code, payload + data)
-        for position in (0, 1, 2):  # the last one is the last chunk of the write
-            self.spoil(host, "write", position, code, payload)
+        """Spoil reads and writes, with each of `_FLAGS` in place of `FLAGS`.
+
+        Args:
+            host: the host.
+            code: of the reply.
+            payload: as of `spoil`.
+            data: what a reply to a read holds on top.
+        """
+        for whole in dict.fromkeys(payload.replace(b"FLAGS", flags) for flags in _FLAGS):
+            for position in (0, 1, 6):
+                self.spoil(host, "read", position, code, whole + data)
+            for position in (0, 1, 2):  # the last one is the last chunk of the write
+                self.spoil(host, "write", position, code, whole)
 
     def one(self, host: Host, number: int, code: int, payload: bytes) -> None:
-        """Spoil a read or a write, which and where depends on `number`."""
-        self.spoil(host, ("read", "write")[number % 2], number // 2 % 3, code, payload)
+        """Spoil a read or a write: which, where, and with which flags depends on `number`."""
+        whole = payload.replace(b"FLAGS", _FLAGS[number // 2 % len(_FLAGS)])
+        self.spoil(host, ("read", "write")[number % 2], number // 2 % 3, code, whole)
 
 
 class OuterCode(_Broken):
@@ -284,9 +298,9 @@ class OuterCode(_Broken):
 
     def _run(self, host: Host) -> None:
         for code in (0x01, c.RET_FAILED):
-            self.both(host, code, b"\x00\x01OFFSET", b"data")
+            self.both(host, code, b"\x00FLAGSOFFSET", b"data")
         for number, code in enumerate((*range(2, 0xF0, 9), c.ECHO_MANY, c.RET_MAX)):
-            self.one(host, number, code, b"\x00\x01OFFSET")
+            self.one(host, number, code, b"\x00FLAGSOFFSET" + _SOME[number % 2])
         self.both(host, c.RET_FAILED, b"")
 
 
@@ -308,7 +322,8 @@ class ShortReply(_Broken):
 
     def _run(self, host: Host) -> None:
         for size in range(6):
-            self.both(host, c.RET_OK, b"\x00\x01\x00\x00\x00"[:size])
+            for short in dict.fromkeys((b"\x00" + flags + bytes(3))[:size] for flags in _FLAGS):
+                self.both(host, c.RET_OK, short)
 
 
 class WrongOffset(_Broken):
@@ -320,7 +335,9 @@ class WrongOffset(_Broken):
         for bit in range(32):
             self.error = 1 << bit
             for verb in ("read", "write"):
-                self.spoil(host, verb, bit % 3, c.RET_OK, b"\x00\x01WRONG")
+                for flags in _FLAGS:
+                    data = b"data" if verb == "read" and flags == _NOT_LAST else b""
+                    self.spoil(host, verb, bit % 3, c.RET_OK, b"\x00" + flags + b"WRONG" + data)
 
 
 class InnerCode(_Broken):
@@ -330,10 +347,10 @@ class InnerCode(_Broken):
 
     def _run(self, host: Host) -> None:
         for code in (0xF0, 0xFF):
-            self.both(host, c.RET_OK, bytes((code, c.FLAG_LAST)) + b"OFFSET", b"data")
+            self.both(host, c.RET_OK, bytes((code,)) + b"FLAGSOFFSET", b"data")
         for number in range(2 * (0xFF - 0xF1)):
             code = 0xF1 + number // 2
-            self.one(host, number, c.RET_OK, bytes((code, c.FLAG_LAST)) + b"OFFSET")
+            self.one(host, number, c.RET_OK, bytes((code,)) + b"FLAGSOFFSET" + _SOME[number % 2])
 
 
 class EmptyChunk(_Broken):
