@@ -350,12 +350,14 @@ class TestHonestOldDevices:
     def test_a_probe_is_made_once_for_each_function(self):
         device = self.Honest()
         device._content += content(600)
+        device.many("other")(lambda request: j2a.read_chunk(bytes(600), request))
         peer = know(device)
         drive(device._execute, peer.read("store", DEFAULT_MAX_BYTES, None))
         requests = []
         drive(device._execute, peer.read("store", DEFAULT_MAX_BYTES, None), requests)
         assert len(requests) == 3
-        device.many("other")(lambda request: j2a.read_chunk(bytes(600), request))
+        with pytest.raises(j2a.LegacyLimit):
+            drive(device._execute, peer.read("other", DEFAULT_MAX_BYTES, None))
         peer.take_map(Reply(*device._execute(0, b"")))
         with pytest.raises(j2a.LegacyLimit):
             drive(device._execute, peer.read("other", DEFAULT_MAX_BYTES, None))

@@ -115,6 +115,24 @@ class Honest(HostCase):
             fail("an offset above 255 was used before a read at 256 showed that it counts")
 
 
+class OneOfTwo(HostCase):
+    """Has the host read a function of such a device, which honours all of the offset there, and
+    then write 700 bytes to another function, which cannot be read.
+    """
+
+    ID = "host.offsets.one-of-two"
+    EXPECTATION = "The host refuses the write each time: the read shows nothing of this function."
+    REQUIREMENTS = ("J2A-MANY-014",)
+    LEVEL = "many"
+    DEVICE = replace(OLD, content=pattern(_SIZE), offset_mask=0xFFFFFFFF)
+
+    def _run(self, host: Host) -> None:
+        host.do(f"read {FETCH} {host.limit_ms}", "data", *_REFUSED)
+        for name in (STORE, f"@{host.device.opcode(STORE)}"):
+            _, requests = host.do(f"write {name} {spelt(_SIZE)} {host.limit_ms}", *_REFUSED)
+            judge_offsets(requests)
+
+
 class Small(HostCase):
     """Has the host read 498 bytes of a device of version 1.0 and write 498 bytes to it."""
 
