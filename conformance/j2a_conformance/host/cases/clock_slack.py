@@ -5,12 +5,11 @@ from typing import Final
 
 from j2a_spec import constants as c
 
-from j2a_conformance._judge import fail
 from j2a_conformance.host._device import DEMO
 from j2a_conformance.host._host import Host
 from j2a_conformance.host._outcomes import Request
 
-from .clock import _S, BOARD, _ClockCase, _Scripted
+from .clock import BOARD, _ClockCase, _Scripted
 
 _SLOW_S: Final = (0.01, 0.04)
 
@@ -40,18 +39,11 @@ class Lopsided(_ClockCase):
     """
 
     ID = "host.clock.lopsided"
-    EXPECTATION = "An uncertainty of at least half of the slack of each."
+    EXPECTATION = "An uncertainty of at least half of the slack of each, as for slow ones."
     REQUIREMENTS = ("J2A-CLOCK-025",)
 
     def _run(self, host: Host) -> None:
         for slow_s in _SLOW_S:
             host.become(DEMO)
             host.become(BOARD)
-            device = _Lopsided(host, slow_s=slow_s)
-            self._sync(device, "clock")
-            least = int(slow_s * _S / 2)
-            if not device.adjusts:
-                fail("no ADJUST came, though the host was told to set the clock")
-            for adjust in device.adjusts:
-                if adjust.uncertainty < least:
-                    fail(f"ADJUST tells {adjust.uncertainty} us, half of the slack is {least} us")
+            self._uncertain(_Lopsided(host, slow_s=slow_s), slow_s)
