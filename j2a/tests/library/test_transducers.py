@@ -748,8 +748,9 @@ class TestEnumerations:
         assert {one.name for one in got} == {"back", "idle"}
         for wrong in ("ahead", 300, 1, "no", 0.5):
             for is_raw in (False, True):
-                with pytest.raises(j2a.WrongArgument, match="gear"):
-                    gear.set(wrong, raw=is_raw)
+                for at_us in (0, 1, 2**64 - 1):  # at once, and as an order
+                    with pytest.raises(j2a.WrongArgument, match="gear"):
+                        gear.set(wrong, raw=is_raw, at_us=at_us)
 
     def test_a_safe_value_needs_no_name(self, device, board):
         gear, moved = board.transducers["gear"], threading.Event()

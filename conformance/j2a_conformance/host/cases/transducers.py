@@ -519,21 +519,26 @@ class Restart(_TransducerCase):
 
 class RestartClock(_TransducerCase):
     """Restarts with the same transducers, and sends samples with times before and behind those of
-    before the restart, of each channel.
+    before the restart, of each channel, and with other numbers of lost values.
     """
 
     ID = "host.transducers.restart-clock"
-    EXPECTATION = "A reset of the clock where the time of a channel is before its last one."
-    REQUIREMENTS = ("J2A-TRANS-027",)
+    EXPECTATION = (
+        "A reset of the clock where the time of a channel is before its last one; nothing is lost "
+        "with the first sample, and with the next one as many as the number has grown."
+    )
+    REQUIREMENTS = ("J2A-TRANS-027", "J2A-TRANS-026")
     DEVICE = _booting("\nsensor trio 7 3 i16\nsensor many 9 3 u8\n queue 4\n")
 
     def _run(self, host: Host) -> None:
         self._watch(host, "trio", "many")
         last = [1000, 1000, 1000]
         self._trio(host, last, 0)
-        self._many(host, [(channel, 1000) for channel in range(3)], 0)
+        self._many(host, [(channel, 1000) for channel in range(3)], 0, told=100)
+        told = iter((101, 0, 65535, 3, 3, 2, 700, 255, 256))  # above that before, the same, below
         for change in (1, 0, -1):  # each channel goes on, stays and goes back, others stay
             for channel in range(3):
+                first = next(told)
                 restart(host, self.DEVICE, [])
                 host.do("transducers", "transducers trio,many")
                 for name in ("trio", "many"):
@@ -542,8 +547,8 @@ class RestartClock(_TransducerCase):
                 last[channel] += change
                 self._trio(host, last, int(change < 0))
                 self._trio(host, last, 0)
-                self._many(host, [(channel, last[channel])], int(change < 0))
-                self._many(host, [(channel, last[channel])], 0)
+                self._many(host, [(channel, last[channel])], int(change < 0), told=first)
+                self._many(host, [(channel, last[channel])], 0, told=first + 5, lost=5)
         host.become(BOOTING)
 
     @staticmethod
@@ -553,12 +558,16 @@ class RestartClock(_TransducerCase):
         taken(host, "trio", [(7, payload)], readings, resets=resets)
 
     @staticmethod
-    def _many(host: Host, entries: Sequence[tuple[int, int]], resets: int) -> None:
-        payload = bytes(2) + b"".join(struct.pack("<BQB", *entry, 6) for entry in entries)
+    def _many(
+        host: Host, entries: Sequence[tuple[int, int]], resets: int, *, told: int, lost: int = 0
+    ) -> None:
+        number = struct.pack("<H", told % 65536)
+        payload = number + b"".join(struct.pack("<BQB", *entry, 6) for entry in entries)
         readings = [(channel, time_us, 6) for channel, time_us in entries]
-        taken(host, "many", [(9, payload)], readings, resets=resets)
+        taken(host, "many", [(9, payload)], readings, resets=resets, lost=lost)
 
 
+_LATER_US: Final = (1, 2**40, 2**64 - 1)  # an order waits for its time
 # Of no more than 32 characters, and of 33 bytes and more.
 _LONG_TOPICS: Final = (
     "\u00e4" * 17, "\u00e4" * 32, "x" * 31 + "\u00e4", "\u20ac" * 11, "\U0001f916" * 9,
@@ -617,7 +626,8 @@ class Refused(_TransducerCase):
             ("motor", 1, 0, [0]), ("lamp", 0, 0, [2]),
         ):  # fmt: skip
             spelt = json.dumps(values, separators=(",", ":"))
-            self._refused(host, f"actuate {name} {channel} {time_us} {spelt}")
+            for at_us in (time_us, *_LATER_US) if time_us == 0 else (time_us,):
+                self._refused(host, f"actuate {name} {channel} {at_us} {spelt}")
         for name, channel, time_us, sent in (
             ("servo", 0, 0, [100, -100, 7]), ("servo", 2, 2**64 - 1, [-1]), ("servo", 1, 5, [0]),
             ("motor", 0, 2**32, [1.5]), ("motor", 0, 1, [-1.5]), ("lamp", 0, 0, [True, False]),
