@@ -581,7 +581,13 @@ _WRONG_TOPICS: Final = (
     *(text + b"\x80\x80" for text in (b"\xf0\x80", b"\xf0\x8f", b"\xf4\x90", b"\xf5\x80")),
     b"\xff\x80\x80\x80",
     "\u00e4".encode() + b"\x84",
-    b"\xe2\x28\xa1",
+    *(  # each byte of a character but the first one: a wrong one in its place, and the end
+        text
+        for char in ("\u00e4", "\u20ac", "\U0001f916")
+        for at in range(1, len(char.encode()))
+        for head, rest in ((char.encode()[:at], char.encode()[at + 1 :]),)
+        for text in (head, *(head + bytes((byte,)) + rest + b"b" for byte in b" a~\xc2\xf0"))
+    ),
     *(b"a" * (length - 1) + b"\xff" for length in range(2, 33)),
     *(
         before + wrong + behind
