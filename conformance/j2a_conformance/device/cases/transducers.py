@@ -1559,7 +1559,7 @@ class Set(_TransducerCase):
 
 
 class Watchdog(_TransducerCase):
-    """Is silent for shorter and longer than the watchdog of an actuator."""
+    """Is silent for shorter and longer than the watchdog of an actuator, and for longer again."""
 
     ID = "transducers.watchdog"
     EXPECTATION = "Behind a longer silence each channel is safe, once, and what waited is dropped."
@@ -1583,7 +1583,7 @@ class Watchdog(_TransducerCase):
             return
         fit = min(one.channels, (board.peer.longest - 11) // board.size(one))
         self._long(board, one, value)
-        self._others_untouched(board, one, value)
+        self._each_silence(board, one, value)
         board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
         board.write(one, c.TRANSD_SET, bytes(9) + value * fit)
         board.write(one, c.TRANSD_WATCHDOG, bytes(2))
@@ -1613,18 +1613,22 @@ class Watchdog(_TransducerCase):
         if slots(board, one, board.read(one, c.TRANSD_SAMPLE)) != found:
             fail(f"{one.name} has changed after it was made safe", suspect=True)
 
-    def _others_untouched(self, board: Board, one: oracle.Transducer, value: bytes) -> None:
-        """Set the last channel only: the others must be safe, too, also if none was ever set."""
-        board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
-        board.write(one, c.TRANSD_SET, bytes((one.channels - 1,)) + bytes(8) + value)
-        begin_us = board.time_us()
-        self._silence(board, self.LIMIT_MS * 2)
+    def _each_silence(self, board: Board, one: oracle.Transducer, value: bytes) -> None:
+        """Set the last channel only, and be silent; all must be safe, also if none was ever set.
+
+        The same again, without a write of WATCHDOG in between.
+        """
         safe_value = safe(board, one)
-        for channel, (time_us, raw) in enumerate(
-            slots(board, one, board.read(one, c.TRANSD_SAMPLE))
-        ):
-            if raw != safe_value or time_us < begin_us:
-                fail(f"channel {channel} of {one.name} was not made safe, but {raw.hex()}")
+        board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
+        for which in ("first", "second"):
+            board.write(one, c.TRANSD_SET, bytes((one.channels - 1,)) + bytes(8) + value)
+            begin_us = board.time_us()
+            self._silence(board, self.LIMIT_MS * 2)
+            found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+            for channel, (time_us, raw) in enumerate(found):
+                if raw != safe_value or time_us < begin_us:
+                    what = f"channel {channel} of {one.name} was not made safe, but {raw.hex()}"
+                    fail(f"{what}, in the {which} silence")
 
     def _long(self, board: Board, one: oracle.Transducer, value: bytes) -> None:
         """Be silent for far less than long watchdogs, whose limits do not fit into fewer bits."""
