@@ -21,7 +21,7 @@ from j2a import LocalError
 from j2a.cli.plugin import FAILED, OK, CommandFailed, UsageError, note, open_help, seconds, show
 from j2a_bridge.config import CLOCKS, NAMES, BoardConfig, Config, load_config
 from j2a_bridge.log_limit import LogLimit
-from j2a_bridge.sink_request import SinkRequest, sink_classes
+from j2a_bridge.sink_request import SinkRequest, load_sink, sink_classes
 
 if TYPE_CHECKING:
     from j2a_bridge.bridge import Bridge
@@ -34,9 +34,9 @@ def notes() -> str:
     lines = ["sinks:"]
     for name, point in sorted(sink_classes().items()):
         try:
-            kind = point.load()
-        except (ImportError, LocalError) as error:
-            lines.append(f"  {name:<10} (does not load: {error})")
+            kind = load_sink(point)
+        except LocalError as error:
+            lines.append(f"  {name:<10} ({error})")
             continue
         head = f"{name}:{kind.ARGUMENT}" if kind.ARGUMENT else name
         head = head.replace(":[", "[:")

@@ -8,14 +8,14 @@ entry-point group `j2a.sinks` (name = what stands behind `--sink`, object = a cl
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final
 
 from j2a import LocalError
 from j2a_bridge.sink import PROCESS, Control, Sink
 from j2a_bridge.sink_process import SinkProcess
 
-__all__ = ["SinkRequest", "make_sink", "sink_classes"]
+__all__ = ["SinkRequest", "load_sink", "make_sink", "sink_classes"]
 
 ENTRY_POINT_GROUP: Final = "j2a.sinks"
 
@@ -66,9 +66,27 @@ def _option(text: str) -> tuple[str, str] | None:
     return (key, value) if equals and key.isidentifier() else None
 
 
-def sink_classes() -> dict[str, Any]:
-    """Return the entry points of all sinks, by name; `load()` gives the class."""
+def sink_classes() -> dict[str, EntryPoint]:
+    """Return the entry points of all sinks, by name; `load_sink` gives the class."""
     return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+
+
+def load_sink(point: EntryPoint) -> type[Sink]:
+    """Return the class of a sink, which may be of another distribution.
+
+    Raises:
+        LocalError: it does not load, or is no whole sink; the text is what to say of it.
+    """
+    try:
+        kind = point.load()
+    except (ImportError, AttributeError, LocalError) as error:
+        raise LocalError(f"does not load: {error}") from None
+    if not (isinstance(kind, type) and issubclass(kind, Sink)):
+        raise LocalError(f"is {kind!r:.80}, which is no subclass of Sink")
+    missing = {name for name in ("SUMMARY",) if not hasattr(kind, name)} | kind.__abstractmethods__
+    if missing:
+        raise LocalError(f"lacks what each sink has: {', '.join(sorted(missing))}")
+    return kind
 
 
 def make_sink(request: SinkRequest, control: Control) -> Sink:
@@ -88,9 +106,9 @@ def _make_sink(request: SinkRequest, control: Control) -> Sink:
     if request.name not in known:
         raise LocalError(f"there is no sink {request.name!r:.40}; there are: {', '.join(known)}")
     try:
-        kind: type[Sink] = known[request.name].load()
-    except ImportError as error:
-        raise LocalError(f"the sink {request.name} does not load: {error}") from None
+        kind = load_sink(known[request.name])
+    except LocalError as error:
+        raise LocalError(f"the sink {request.name} {error}") from None
     if request.argument and not kind.ARGUMENT:
         raise LocalError(f"the sink {request.name} takes nothing behind a colon")
     if kind.ARGUMENT and kind.ARGUMENT[0] != "[" and not request.argument:

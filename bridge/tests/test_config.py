@@ -2,9 +2,12 @@
 
 import pytest
 from j2a_bridge.config import MESSAGES, BoardConfig, Config, SensorConfig, load_config
+from j2a_bridge.sink import Sink
 from j2a_bridge.sink_request import SinkRequest, make_sink
 
 from j2a import LocalError
+
+from .support import Point
 
 FILE = """
 names = "board"
@@ -168,6 +171,27 @@ def test_sinks_of_the_command_line(text, request_):
 def test_sinks_that_cannot_be_are_told(text, told):
     with pytest.raises(LocalError, match=told):
         make_sink(SinkRequest.parse(text), None)
+
+
+class Half(Sink):
+    """Has one of the methods that each has to have."""
+
+    def open(self):
+        """Open nothing."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        (Half, "the sink half lacks what each sink has: SUMMARY, announce, close, publish, retract"),
+        (print, "which is no subclass of Sink"),
+    ],
+)
+def test_sinks_of_others_that_are_none_are_told(kind, told, monkeypatch):
+    known = {"half": Point(kind)}
+    monkeypatch.setattr("j2a_bridge.sink_request.sink_classes", lambda: known)
+    with pytest.raises(LocalError, match=told):
+        make_sink(SinkRequest("half", "", {}), None)
 
 
 @pytest.mark.parametrize(
