@@ -4,7 +4,8 @@ What flows in: values of drivers, requests of a2jTransd, and the time of the dev
 flows out: replies, sample SIFs, and calls of the functions that move an actuator or start a
 measurement (SPEC.md, section 22).
 Rules: no clock of its own, and no waiting: `turn` does what is due and says when to come again. No
-request raises. The functions are called after the state has changed, in the order of their times.
+request raises. The functions are called after the state has changed, those of one actuator in the
+order of their times.
 """
 
 import math
@@ -267,8 +268,8 @@ class TransducerServer:
     def _move(self, actuator: "_Actuator", now_us: int, actions: list[Action]) -> float:
         """Set the channels whose time has come; return the time of the next one."""
         next_us = _NEVER
-        for channel, due_us, data in sorted(
-            (channel, due_us, data) for channel, (due_us, data) in actuator.waiting.items()
+        for due_us, channel, data in sorted(
+            (due_us, channel, data) for channel, (due_us, data) in actuator.waiting.items()
         ):
             if due_us > now_us:
                 next_us = min(next_us, due_us)
