@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 __all__ = ["Converter", "boolean", "choice", "integer", "number", "text", "timeout"]
 
 Converter = Callable[[str], Any]
+_LONGEST_S: Final = 2e6
+"""So many seconds and more are for ever: systems count milliseconds in 31 bits."""
 
 
 def number(low: float, high: float = math.inf) -> Converter:
@@ -67,4 +69,4 @@ def timeout(value: str) -> float | None:
     seconds = float(value)
     if not seconds > 0:
         raise ValueError
-    return seconds
+    return seconds if seconds < _LONGEST_S else None

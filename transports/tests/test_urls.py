@@ -184,6 +184,14 @@ def test_every_driver_has_the_write_timeout() -> None:
             assert near.write_timeout_s == 0.5
 
 
+@pytest.mark.parametrize("limit", ["none", "inf", "1e308", "1e10", "2147484"])
+def test_a_limit_longer_than_systems_can_wait_is_none(limit: str) -> None:
+    with j2a_transports.listen("tcp://127.0.0.1:0") as listener:
+        url = f"{listener.url}?connect_timeout={limit}&write_timeout={limit}"
+        with j2a_transports.open(url) as near:
+            assert near.write_timeout_s is None
+
+
 def test_importing_the_package_loads_no_driver() -> None:
     code = (
         "import sys, j2a_transports; j2a_transports.schemes(); "
