@@ -21,8 +21,10 @@ from j2a.protocol.transducers import TransducerServer
 from j2a.recording import Recorded, RecordedBoard, Recording
 from j2a.types.transducers import Descriptors
 
-__all__ = ["ReplayBoard"]
+__all__ = ["ReplayBoard", "check_speed"]
 
+MAX_SPEED: Final = 1e6
+"""The time of a board has 64 bits; at this speed they last for seven months."""
 _LONGEST_WAIT_S: Final = 3600.0
 _BEGIN_S: Final = 0.5
 _OWN: Final = "j2a."
@@ -104,8 +106,10 @@ class ReplayBoard(Device):
                 time, whether hosts know them already or not.
 
         Raises:
+            LocalError: the speed is out of range.
             OSError: it cannot be read.
         """
+        check_speed(speed)
         boards = {one._board.name: one for one in (self, *others)}
         self._described.wait()
         self._ended.wait(_BEGIN_S)  # until the host knows them
@@ -162,6 +166,16 @@ class ReplayBoard(Device):
             yield from recording
         except LocalError as error:
             self.problem = str(error)
+
+
+def check_speed(speed: float) -> None:
+    """Refuse a speed that no recording can be played at.
+
+    Raises:
+        LocalError: it is not above 0, or too high.
+    """
+    if not 0 < speed <= MAX_SPEED:
+        raise LocalError(f"a speed is a number above 0 and at most {MAX_SPEED:g}, not {speed:g}")
 
 
 def _is_kept(key: str, value: str) -> bool:

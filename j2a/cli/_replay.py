@@ -18,7 +18,7 @@ from j2a.cli._exit import FAILED, OK, CommandFailed, UsageError, end_on_signals
 from j2a.cli._link import add_listen_argument, check_listen_url, positive_number, takes_stdio
 from j2a.cli._output import note, show
 from j2a.cli._progress import Progress
-from j2a.replay import ReplayBoard
+from j2a.replay import ReplayBoard, check_speed
 
 NOTES: Final = """\
 examples:
@@ -48,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Play the recording; returns the exit code."""
     check_listen_url(args.listen)
+    check_speed(args.speed)
     try:
         board = ReplayBoard(args.file, args.board)
     except OSError as error:

@@ -420,6 +420,7 @@ def on_terminal(words):
         (("replay", "gone.mcap"), "cannot read"),
         (("replay", "there.mcap"), "is no MCAP file"),
         (("replay", "there.mcap", "--speed", "0"), "must be greater than 0, not 0"),
+        (("replay", "there.mcap", "--speed", "1e308"), "above 0 and at most 1e+06, not 1e+308"),
     ],
 )
 def test_mistakes(run, board, demo, tmp_path, monkeypatch, words, why):

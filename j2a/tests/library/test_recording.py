@@ -652,6 +652,12 @@ class TestReplay:
         player.join(PATIENCE_S)
         assert counts[0] < 1000
 
+    @pytest.mark.parametrize("speed", [0, -1, math.nan, math.inf, 1.1e6])
+    def test_a_speed_leaves_times_in_64_bits(self, hour, speed):
+        path, _ = hour
+        with ReplayBoard(path) as device, pytest.raises(j2a.LocalError, match="above 0 and at"):
+            device.play(speed)
+
     def test_which_board(self, path):
         with Recorder(path) as recorder:
             for name in ("left", "right"):
