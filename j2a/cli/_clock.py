@@ -129,7 +129,7 @@ def _watch(
                 gone.add(board.url)
                 note(f"j2a: lost {board.url}")
             with contextlib.suppress(j2a.J2AError):  # nothing is known, or no more
-                reading = board.clock.read()
+                reading = _read(board, failed)
                 state = reading.state, reading.epoch
                 if board.url not in gone and (args.watch or last.get(board.url) != state):
                     table.show(board.url, reading)
@@ -144,6 +144,17 @@ def _watch(
             return LINK if gone else (exit_code(never[0]) or OK) if never else OK
         leader.clock._pause(left_s)
         passed_s += leader.now() - begun_s
+
+
+def _read(board: j2a.Client, told: set[str]) -> ClockReading:
+    """Read the clock of a board; tell once that it is no clock, or the table just ends."""
+    try:
+        return board.clock.read()
+    except j2a.NoClock as error:
+        if board.url not in told:
+            told.add(board.url)
+            note(f"j2a: {error}")
+        raise
 
 
 class _Table:

@@ -51,7 +51,7 @@ class Clock(ClockBase):
     def read(self) -> ClockReading:
         """Return all that is known, of one instant.
 
-        Raises: as `measure`, where nobody has asked the board before.
+        Raises: as `measure`: it asks the board where nothing is known of it.
         """
         self._ask_once()
         return self._reading()
@@ -100,7 +100,8 @@ class Clock(ClockBase):
             rounds: so many exchanges, 50 ms apart.
             timeout: the time limit of each in seconds; None takes the client's.
 
-        Raises: as `Client.call`; NoClock where the board tells no time.
+        Raises: as `Client.call`; NoClock where the board tells no time, or
+            times that do not fit together.
         """
         for number in range(check_rounds(rounds)):
             if number:

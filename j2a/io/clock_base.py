@@ -33,6 +33,7 @@ from j2a.protocol.clock import (
     unpack_status,
 )
 from j2a.protocol.clock.discipline import BURST
+from j2a.protocol.clock.estimator import MAX_RATE
 from j2a.protocol.clock.reference import STEP_US
 from j2a.protocol.codec import stuff
 from j2a.protocol.transfer import CallRequest, Transfer
@@ -119,6 +120,12 @@ class ClockBase:
         """
         estimate = self._known_estimate()
         if estimate is None:
+            if self.known_bound_us == math.inf:
+                raise NoClock(
+                    f"the times of {self._url} do not fit together: its clock stands still, jumps, "
+                    f"or runs more than {MAX_RATE:.0%} faster or slower than that of this "
+                    "computer, as that of a recording at another speed does"
+                )
             raise LocalError(
                 f"nothing is known of the clock of {self._url} yet, or no more since the board "
                 "has restarted: use clock.measure() or clock.follow() first"

@@ -91,3 +91,10 @@ def test_a_clock_of_this_computer_that_is_fast_makes_the_board_slow(made, ppm, m
     # A second of this computer has so much less of the counter, and so of the board.
     rate = 1 / (1 + estimate.rate) - ppm * 1e-6 - 1
     assert both.clock._reading().rate_ppb == pytest.approx(rate * 1e9, abs=50_000)
+
+
+def test_a_clock_that_stands_still_is_none(made):
+    both = made(ClockedDevice(now_s=lambda: 5.0))
+    with pytest.raises(j2a.NoClock, match="do not fit together: its clock stands still"):
+        both.do(both.clock.measure, 3)
+    assert both.clock.known_bound_us == float("inf")
