@@ -15,6 +15,7 @@ from j2a.errors import CallTimeout, LinkError
 from j2a.events import Reading, Sample
 from j2a.io.streams import MAX_SIFS
 from j2a.io.transducers import SAVE, SAVE_POLL_S, SAVE_S, SETTINGS, RemoteTransducer
+from j2a.protocol.arguments import check_timeout
 from j2a.types.arrays import Batch
 from j2a.types.samples import pack_time
 
@@ -71,7 +72,7 @@ class _Blocking(RemoteTransducer):
         Raises: as `Client.call`; FunctionFailed when the device keeps none, or is still busy.
         """
         client = self._client
-        end = client.now() + timeout
+        end = client.now() + check_timeout(timeout)
         value: bytes | None = SAVE
         while value is not None:
             reply = client._call_transducer(partial(self._request, c.TRANSD_SAVE, value))

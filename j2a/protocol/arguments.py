@@ -1,10 +1,15 @@
 """Checks of what a user passes in; all raise `LocalError` at once, saying what is allowed."""
 
+import math
+from typing import Final
+
 from j2a_spec.constants import MAX_PAYLOAD
 
 from j2a.errors import LocalError, PayloadTooLong
 
 __all__ = ["check_bytes", "check_opcode", "check_payload", "check_timeout"]
+
+_FOREVER_S: Final = 1e18
 
 
 def check_opcode(opcode: object) -> int:
@@ -39,4 +44,5 @@ def check_timeout(timeout: object) -> float:
         raise LocalError(
             f"a timeout is a number of seconds above 0 (math.inf waits for ever), not {timeout!r}"
         )
-    return float(timeout)
+    # No float is as long as some integers are.
+    return float(timeout) if timeout < _FOREVER_S else math.inf

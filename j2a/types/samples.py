@@ -253,7 +253,7 @@ class SampleCodec:
             if self._is_float:
                 raw = nearest(str(self.transducer.type.element), raw)
             is_inside = low <= raw <= high
-        except (ValueError, OverflowError):
+        except (ValueError, ArithmeticError):
             is_inside = False
         except (TypeError, struct.error):
             is_inside = True  # the type refuses it

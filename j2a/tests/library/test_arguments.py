@@ -222,6 +222,9 @@ class TestLimits:
         limit_s = 2.0 if timeout is None else timeout
         self.check(connected(timeout=2.0), name, limit_s, limit_s, timeout=timeout)
 
+    def test_that_no_float_holds_is_for_ever(self, connected):
+        self.check(connected(timeout=2.0), "echo", math.inf, math.inf, timeout=10**400)
+
     @pytest.mark.parametrize("total", [None, 0.125, 0.75, 1.125, 8.0, math.inf])
     @pytest.mark.parametrize("timeout", [None, 0.5, 3.0, math.inf])
     @pytest.mark.parametrize("name", [name for name in TIMED if name.endswith("_many")])

@@ -12,6 +12,7 @@ import random
 import struct
 import tempfile
 import threading
+from decimal import Decimal
 from pathlib import Path
 from time import sleep
 
@@ -853,6 +854,16 @@ class TestSettings:
             board.transducers["quad"].save()
         assert caught.value.code == c.TRANSD_NO_ITEM
 
+    @pytest.mark.parametrize("limit", [math.nan, 0, -1, "1", None])
+    def test_a_device_that_is_busy_for_ever_is_not_asked_without_a_limit(self, board, limit):
+        with pytest.raises(j2a.LocalError, match="a timeout is a number of seconds above 0"):
+            board.transducers["quad"].save(limit)
+
+    def test_no_number_is_in_a_range(self, board):
+        for none in (math.nan, Decimal("nan"), Decimal("snan")):
+            with pytest.raises(j2a.WrongArgument, match="servo"):
+                board.transducers["servo"].set(none)
+
     def test_a_device_that_answers_nonsense(self):
         text = str(read_transds(FILE)).encode()
         with talking(text) as device, linked(device) as board:
@@ -1351,6 +1362,8 @@ class TestAsyncio:
                     await servo.set(101)
                 with pytest.raises(j2a.FunctionFailed):
                     await quad.save()
+                with pytest.raises(j2a.LocalError, match="a timeout is"):
+                    await quad.save(math.nan)
                 device.on_trigger("imu")(
                     lambda: device.sense("imu", 0, [(1, 1, 1), True], raw=True)
                 )
