@@ -333,6 +333,7 @@ class _Member(Member[AsyncClient]):
 
 async def _is_set(event: asyncio.Event, limit_s: float) -> bool:
     """Wait for an event; return whether it came in time."""
-    with suppress(TimeoutError):
-        return await asyncio.wait_for(event.wait(), limit_s)
+    with suppress(TimeoutError):  # as in j2a.io.async_streams
+        async with asyncio.timeout(limit_s):
+            return await event.wait()
     return False

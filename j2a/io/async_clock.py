@@ -1,7 +1,6 @@
 """The clock of a board for asyncio; see `j2a.io.clock`."""
 
 import asyncio
-import contextlib
 import logging
 from collections.abc import Callable, Generator
 from typing import Any, Self, TypeVar
@@ -165,8 +164,7 @@ class AsyncClockKeeper:
         self._forget()
         if self._task is not None:
             self._task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await asyncio.wait([self._task])
+            await asyncio.wait([self._task])
 
     async def __aenter__(self) -> Self:
         return await self

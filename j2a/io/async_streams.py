@@ -47,7 +47,9 @@ class AsyncSifStream(SifStreamBase):
                 return sif
             left_s = min(self._check_time(timeout, deadline), self._slice_s)
             with contextlib.suppress(TimeoutError):  # the loop looks at the time
-                await asyncio.wait_for(self._came.wait(), left_s)
+                # Python 3.11's wait_for() forgets that it was cancelled where a SIF comes, too.
+                async with asyncio.timeout(left_s):
+                    await self._came.wait()
 
     async def __aenter__(self) -> Self:
         return self

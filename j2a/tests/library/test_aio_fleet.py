@@ -11,6 +11,7 @@ import j2a_transports
 import pytest
 
 import j2a
+from j2a.aio_fleet import _is_set
 from j2a.fleet import by_url
 
 from .support import PATIENCE_S, served
@@ -430,3 +431,18 @@ class TestUsb:
         monkeypatch.setattr(j2a_transports, "watch_usb", missing)
         with pytest.raises(j2a.OpenFailed, match="pyusb"):
             j2a.AsyncFleet(usb=True)
+
+
+@pytest.mark.parametrize("turns", range(8))
+@in_event_loop
+async def test_a_task_that_is_cancelled_when_its_link_ends_is_cancelled(turns):
+    ended = asyncio.Event()
+    waits = asyncio.create_task(_is_set(ended, PATIENCE_S))
+    for _ in range(4):
+        await asyncio.sleep(0)
+    ended.set()
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    is_cancelled = waits.cancel()
+    await asyncio.wait([waits])
+    assert waits.cancelled() == is_cancelled

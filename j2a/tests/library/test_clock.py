@@ -520,6 +520,18 @@ async def test_the_asyncio_client_disciplines_a_clock():
 
 
 @in_event_loop
+async def test_a_task_that_is_cancelled_while_it_stops_a_keeper_is_cancelled():
+    with ClockedDevice() as device, served(device) as url:
+        async with await j2a.aconnect(url, timeout=PATIENCE_S) as board:
+            keeper = await board.clock.follow(0.02)
+            stops = asyncio.create_task(keeper.stop())
+            await asyncio.sleep(0)
+            assert stops.cancel()
+            await asyncio.wait([stops])
+            assert stops.cancelled()
+
+
+@in_event_loop
 async def test_the_asyncio_client_says_that_a_board_tells_no_time():
     with j2a.Device() as device, served(device) as url:
         async with await j2a.aconnect(url, timeout=PATIENCE_S) as board:

@@ -5,11 +5,14 @@ import gc
 import math
 import struct
 import threading
+import time
 
 import pytest
 
 import j2a
 from j2a.demo import DemoDevice
+from j2a.io.async_streams import AsyncSifStream
+from j2a.io.handlers import Handlers
 
 from .support import PATIENCE_S, linked, served
 from .test_aio import in_event_loop
@@ -250,6 +253,29 @@ class TestAsyncio:
 
                 await board.functions.end()
                 assert "a SIF handler cannot wait" in await ended
+
+    @pytest.mark.parametrize("turns", range(8))
+    @in_event_loop
+    async def test_a_cancelled_wait_ends_and_loses_nothing_whenever_a_sif_comes(self, turns):
+        stream = AsyncSifStream(
+            Handlers(),
+            None,
+            time.monotonic,
+            came=asyncio.Event(),
+            max_waiting=4,
+            dispatcher=None,
+            slice_s=PATIENCE_S,
+        )
+        waits = asyncio.create_task(stream.wait(math.inf))
+        for _ in range(4):
+            await asyncio.sleep(0)
+        stream._put(sif := j2a.Sif(7, b"", 0, 0))
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        is_cancelled = waits.cancel()
+        await asyncio.wait([waits])
+        assert waits.cancelled() == is_cancelled
+        assert (stream._take() if is_cancelled else waits.result()) is sif
 
 
 def test_bytes_of_the_demo():
