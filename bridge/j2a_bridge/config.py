@@ -33,6 +33,7 @@ __all__ = [
 _LEAST_HZ: Final = 1e-6
 _MOST_HZ: Final = 1e6
 """Times have microseconds."""
+_MOST_CHARACTERS: Final = 1 << 20
 CLOCKS: Final = ("discipline", "follow", "off")
 NAMES: Final = ("short", "board")
 MESSAGES: Final = (
@@ -148,7 +149,10 @@ def load_config(path: Path) -> Config:
     """
     text = ""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(_MOST_CHARACTERS + 1)
+        if len(text) > _MOST_CHARACTERS:
+            raise LocalError(f"it has more than {_MOST_CHARACTERS} characters")
         config = _config(tomllib.loads(text))
     except RecursionError:
         raise LocalError(f"{path}: tables and lists are nested too deep") from None

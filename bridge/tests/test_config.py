@@ -281,3 +281,10 @@ def test_a_rate_is_one_that_times_can_show(tmp_path, rate, is_one):
     else:
         with pytest.raises(LocalError, match="rate"):
             load_config(path)
+
+
+def test_a_file_without_an_end(tmp_path):
+    path = tmp_path / "long.toml"
+    path.write_text("#" * ((1 << 20) + 1))
+    with pytest.raises(LocalError, match=r"long\.toml: it has more than 1048576 characters"):
+        load_config(path)
