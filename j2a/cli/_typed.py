@@ -80,8 +80,8 @@ def _value(field: Field, word: str) -> object:
         return [
             _scalar(one.type.element, part) for one, part in zip(element.fields, parts, strict=True)
         ]
-    except ValueError as error:
-        raise UsageError(f"{word!r} is no value of {field}: {error}") from None
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{word!r:.200} is no value of {field}: {error}") from None
 
 
 def _scalar(element: Element, word: str) -> object:

@@ -291,7 +291,7 @@ def ask(folder: Path, request: dict[str, Any]) -> dict[str, Any]:
             _connect(connection, os.fspath(path))
             connection.sendall(json.dumps(request).encode() + b"\n")
             reply = json.loads(_line(connection, MAX_REPLY, LIMIT_S))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise NotRunning(f"no daemon answers at {path}: {why}; start one: j2a syncd") from None
     if not isinstance(reply, dict):

@@ -58,6 +58,7 @@ def test_words_become_values(signature, words, values):
         ("(a point)", ["1"]),
         ("(a point)", ["{"]),
         ("(a point[1])", ["1,slow"]),
+        pytest.param("(a u8[])", ["[" * 100_000], id="nested"),
         ("(a bytes)", ["xyz"]),
         ("(a u8)", []),
     ],

@@ -281,7 +281,10 @@ def test_a_request_may_be_as_long_as_is_allowed(folder, server, over):
         assert "error" not in reply
 
 
-def test_a_reply_that_is_none_is_told(folder):
+@pytest.mark.parametrize(
+    ("reply", "told"), [(b"42", "is no j2a syncd"), (b"[" * 60_000, "no daemon answers.*recursion")]
+)
+def test_a_reply_that_is_none_is_told(folder, reply, told):
     folder.mkdir()
     with socket.socket(socket.AF_UNIX) as other:
         other.bind(os.fspath(folder / "syncd.sock"))
@@ -291,11 +294,11 @@ def test_a_reply_that_is_none_is_told(folder):
             connection, _ = other.accept()
             with connection:
                 connection.recv(100)
-                connection.sendall(b"42\n")
+                connection.sendall(reply + b"\n")
 
         thread = threading.Thread(target=serve)
         thread.start()
-        with pytest.raises(NotRunning, match="is no j2a syncd"):
+        with pytest.raises(NotRunning, match=told):
             ask(folder, {})
         thread.join(60)
 
