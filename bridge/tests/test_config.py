@@ -183,7 +183,10 @@ class Half(Sink):
 @pytest.mark.parametrize(
     ("kind", "told"),
     [
-        (Half, "the sink half lacks what each sink has: SUMMARY, announce, close, publish, retract"),
+        (
+            Half,
+            "the sink half lacks what each sink has: SUMMARY, announce, close, publish, retract",
+        ),
         (print, "which is no subclass of Sink"),
     ],
 )
