@@ -12,7 +12,7 @@ import struct
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from j2a.cli._exit import UsageError
 from j2a.types.coding import NUMBER_CODES
@@ -29,6 +29,9 @@ payload words, put one after the other:
 
 _DECODED: Final = frozenset([*NUMBER_CODES, *(f"{kind}*" for kind in NUMBER_CODES), "str", "hex"])
 _TYPED: Final = re.compile(r"([A-Za-z][A-Za-z0-9]*):(.*)", re.DOTALL)
+_MOST: Final = 2**32
+"""Bytes of a file; an offset of a2jMany has 32 bits."""
+_PIECE: Final = 2**20
 _HEX_SEPARATORS: Final = re.compile(r"[\s,:_]+|0[xX]")
 _SHOWN_AS: Final = {0x5C: "\\\\", 0x0A: "\\n", 0x0D: "\\r", 0x09: "\\t", 0x00: "\\0"}
 
@@ -53,7 +56,7 @@ def _bytes_of(word: str) -> bytes:
     if word == "-":
         if sys.stdin is None:
             raise UsageError("-: standard input is closed")
-        return sys.stdin.buffer.read()
+        return _content(sys.stdin.buffer, "standard input")
     if word.startswith("@"):
         return file_content(word[1:])
     typed = _TYPED.fullmatch(word)
@@ -77,10 +80,23 @@ def file_content(name: str) -> bytes:
         UsageError: it cannot be read.
     """
     try:
-        return Path(name).read_bytes()
+        with Path(name).open("rb") as file:
+            return _content(file, repr(name))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise UsageError(f"cannot read {name!r}: {reason}") from None
+
+
+def _content(file: BinaryIO, name: str) -> bytes:
+    data = bytearray()
+    try:
+        while piece := file.read(_PIECE):
+            data += piece
+            if len(data) > _MOST:
+                raise UsageError(f"{name} has more than 4 GiB, which nothing here carries")
+        return bytes(data)
+    except MemoryError:
+        raise UsageError(f"{name} has more than fits into memory") from None
 
 
 def _hex(digits: str, word: str) -> bytes:

@@ -19,8 +19,9 @@ class Bell:
 
     def ring(self) -> None:
         """Wake who waits; safe anywhere."""
-        with contextlib.suppress(RuntimeError):  # it was rung
-            self._silence.release()
+        if self._silence.locked():
+            with contextlib.suppress(RuntimeError):  # another one has just rung it
+                self._silence.release()
 
     def wait(self, timeout: float) -> bool:
         """Wait until it is rung; return whether it was.

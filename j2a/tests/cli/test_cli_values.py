@@ -2,6 +2,7 @@
 
 import io
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -133,3 +134,19 @@ def test_dump_and_short_hex():
     assert dump(b"") == []
     assert short_hex(b"\x12\xed") == "12 ed"
     assert short_hex(bytes(17)) == " ".join(["00"] * 16) + " ... (17 bytes)"
+
+
+def test_what_never_ends_is_refused_before_it_fills_the_memory(monkeypatch):
+    monkeypatch.setattr("j2a.cli._values._MOST", 2**21)
+    with pytest.raises(UsageError, match="'/dev/zero' has more than"):
+        payload_of(["@/dev/zero"])
+
+
+def test_what_does_not_fit_into_memory_is_refused(monkeypatch):
+    class Endless:
+        def read(self, size):
+            raise MemoryError
+
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=Endless()))
+    with pytest.raises(UsageError, match="standard input has more than fits"):
+        payload_of(["-"])

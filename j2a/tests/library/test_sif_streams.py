@@ -261,7 +261,6 @@ class TestAsyncio:
             Handlers(),
             None,
             time.monotonic,
-            came=asyncio.Event(),
             max_waiting=4,
             dispatcher=None,
             slice_s=PATIENCE_S,
