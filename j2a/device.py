@@ -484,8 +484,8 @@ class Device(FunctionRegistry):
             if self._stopped:
                 raise LocalError("this device was stopped; make a new one")
             group[member] = None
-            if self._stopped:  # by a signal handler since the last look
-                member.close()
+        if self._stopped:  # since the last look, perhaps by a signal handler
+            member.close()
         if self._runner is not None:
             self._runner.start()
 

@@ -124,7 +124,7 @@ class UnknownBoard(LocalError, KeyError):
 
 
 class NoClock(LocalError):
-    """The device tells no time, or has no clock that a host can set (J2A-CLOCK-001)."""
+    """The device tells no time, or none that fits, or has no clock to be set (J2A-CLOCK-001)."""
 
 
 class PayloadTooLong(LocalError):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 from j2a.client import Client, connect
 from j2a.errors import J2AError, LocalError, OpenFailed, Outcome
 from j2a.events import Sample
+from j2a.io.bell import Bell
 from j2a.io.blocking_transducers import Actuator, Sensor
 from j2a.io.fleet_base import FleetBase, by_url
 from j2a.io.handlers import ErrorHook, Handlers, Subscription
@@ -260,7 +261,7 @@ class _Member(Member[Client]):
     def __init__(self, fleet: Fleet, url: str) -> None:
         super().__init__(url)
         self._fleet = fleet
-        self._wake = threading.Event()  # the link has ended, or the member shall
+        self._wake = Bell()  # the link has ended, or the member shall
         self.is_open = False
         self.thread = threading.current_thread()
 
@@ -269,7 +270,7 @@ class _Member(Member[Client]):
 
     def ask_to_stop(self) -> None:
         self.is_stopped = True
-        self._wake.set()
+        self._wake.ring()
 
     def _run(self) -> None:
         fleet = self._fleet
@@ -289,13 +290,13 @@ class _Member(Member[Client]):
                 reason = LocalError(f"identify failed: {type(error).__name__}: {error}")
             self.is_open = False
             fleet._tell(fleet._go(self, board, reason))
-            self._wake.clear()  # the end of that client has set it
+            self._wake.wait(0)  # the end of that client has rung it
             if not self.is_stopped:
                 self._wake.wait(min(fleet._retry_s, threading.TIMEOUT_MAX))
 
     def _connect(self) -> Client:
         client = connect(self.url, timeout=self._fleet._timeout, boot_time=self._fleet._boot_time)
-        client._handlers.at_end(lambda reason: self._wake.set())
+        client._handlers.at_end(lambda reason: self._wake.ring())
         return client
 
     def _watch(self, client: Client) -> J2AError:
@@ -304,8 +305,6 @@ class _Member(Member[Client]):
         while not self.is_stopped and client.is_open:
             heartbeat.begin(client.counters.frames_received)
             if self._wake.wait(min(self._fleet._heartbeat_s, threading.TIMEOUT_MAX)):
-                if not self.is_stopped and client.is_open:
-                    self._wake.clear()
                 continue
             if not heartbeat.is_silent(client.counters.frames_received):
                 continue

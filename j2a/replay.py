@@ -5,7 +5,6 @@ a board, whose sample SIFs are those of the recording, bit for bit, until a host
 Its clock goes on as that of the recorded board.
 """
 
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -14,6 +13,7 @@ from typing import Final
 
 from j2a.device import Device
 from j2a.errors import LocalError, RegistrationError
+from j2a.io.bell import Flag
 from j2a.io.functions import pack_properties
 from j2a.protocol.replayed import ReplayServer
 from j2a.protocol.trace import Trace
@@ -59,8 +59,8 @@ class ReplayBoard(Device):
         self._pace = time.monotonic_ns(), 0, 1.0
         self._shift_us = 0
         self._newest_us: dict[str, int] = {}
-        self._described = threading.Event()
-        self._ended = threading.Event()
+        self._described = Flag()
+        self._ended = Flag()
         self.is_whole = False
         self.problem = ""
         kept = {k: v for k, v in self._board.properties.items() if _is_kept(k, v)}

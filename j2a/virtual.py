@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from j2a.device import Device
+from j2a.io.bell import Flag
 from j2a.io.transds_file import load_transds
 from j2a.protocol.trace import Trace
 from j2a.types.model import Enumeration, Structure, Type, integer_range
@@ -52,7 +53,7 @@ class VirtualBoard(Device):
         given = {"name": "J2A virtual board", **(properties or {})}
         super().__init__(given, transducers=known, clock=clock, trace=trace)
         self._sensors = [one for one in known.transducers if one.is_sensor]
-        self._ended = threading.Event()
+        self._ended = Flag()
         self._thread: threading.Thread | None = None
         for one in self._sensors:
             if one.has("trigger"):

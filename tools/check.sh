@@ -14,7 +14,7 @@ tests=
 begin_tests() {
     set -m
     # The benchmarks only prove that they run. conftest.py says which files come first.
-    timed pytest python -m pytest -n 3 --dist loadfile --no-loadscope-reorder --benchmark-disable \
+    timed pytest python -m pytest -n 4 --dist loadfile --no-loadscope-reorder --benchmark-disable \
         -m 'not exhaustive' --durations=40 --durations-min=10 </dev/null >build/steps/pytest.log 2>&1 &
     tests=$!
     set +m

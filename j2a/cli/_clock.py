@@ -118,6 +118,7 @@ def _watch(
     last: dict[str, tuple[str, int]] = {}
     gone: set[str] = set()
     failed: set[str] = set()
+    doubted: set[str] = set()
     while True:
         leader = next((board for board in boards if board.is_open), boards[0])
         begun_s = leader.now()
@@ -129,7 +130,7 @@ def _watch(
                 gone.add(board.url)
                 note(f"j2a: lost {board.url}")
             with contextlib.suppress(j2a.J2AError):  # nothing is known, or no more
-                reading = _read(board, failed)
+                reading = _read(board, doubted)
                 state = reading.state, reading.epoch
                 if board.url not in gone and (args.watch or last.get(board.url) != state):
                     table.show(board.url, reading)
@@ -147,7 +148,7 @@ def _watch(
 
 
 def _read(board: j2a.Client, told: set[str]) -> ClockReading:
-    """Read the clock of a board; tell once that it is no clock, or the table just ends."""
+    """Read the clock of a board; tell once that it is no clock, as the table would just end."""
     try:
         return board.clock.read()
     except j2a.NoClock as error:

@@ -90,13 +90,15 @@ def file_content(name: str) -> bytes:
 def _content(file: BinaryIO, name: str) -> bytes:
     data = bytearray()
     try:
-        while piece := file.read(_PIECE):
+        while True:
+            piece = file.read(_PIECE)
             data += piece
             if len(data) > _MOST:
-                raise UsageError(f"{name} has more than 4 GiB, which nothing here carries")
-        return bytes(data)
+                raise UsageError(f"{name} has more than 4 GiB, more than a transfer can carry")
+            if len(piece) < _PIECE:  # the end, which a terminal would have to say again
+                return bytes(data)
     except MemoryError:
-        raise UsageError(f"{name} has more than fits into memory") from None
+        raise UsageError(f"{name} does not fit into memory") from None
 
 
 def _hex(digits: str, word: str) -> bytes:

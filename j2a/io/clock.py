@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final, Self, TypeVar
 
 from j2a.errors import CallTimeout, J2AError, LinkError, LocalError, Outcome
+from j2a.io.bell import Flag
 from j2a.io.clock_base import ClockBase, ClockReading
 from j2a.io.streams import slice_of
 from j2a.io.threads import JOIN_S, join_threads, start_thread
@@ -189,9 +190,9 @@ class Clock(ClockBase):
             if busy._is_owned():  # type: ignore[attr-defined]
                 busy.release()
 
-    def _pause(self, seconds: float, ended: threading.Event | None = None) -> None:
+    def _pause(self, seconds: float, ended: Flag | None = None) -> None:
         """Let time of the link pass, until `ended` is set or the link has ended."""
-        event = threading.Event() if ended is None else ended
+        event = Flag() if ended is None else ended
         now, slice_s = self._now, slice_of(self._is_simulated)
         end = now() + seconds
         # The time of a simulation stands still when that is over.
@@ -218,7 +219,7 @@ class ClockKeeper:
         self._clock = clock
         self._period_s = period_s
         self._is_setting = is_setting
-        self._ended = ended = threading.Event()
+        self._ended = ended = Flag()
         self._forget = clock._client._handlers.at_end(lambda _reason: ended.set())
         self._thread = start_thread(self._work, f"j2a clock {clock._url}")
 

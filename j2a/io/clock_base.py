@@ -116,15 +116,17 @@ class ClockBase:
         """Return what is known of the board's counter.
 
         Raises:
-            LocalError: nothing is.
+            LocalError: nothing is; NoClock where its last times do not fit those before.
         """
         estimate = self._known_estimate()
         if estimate is None:
-            if self.known_bound_us == math.inf:
+            client = self._client_ref()
+            has_restarted = client is not None and client._session.restarts != self._restarts
+            if self.known_bound_us == math.inf and not has_restarted:
                 raise NoClock(
-                    f"the times of {self._url} do not fit together: its clock stands still, jumps, "
-                    f"or runs more than {MAX_RATE:.0%} faster or slower than that of this "
-                    "computer, as that of a recording at another speed does"
+                    f"the last times of {self._url} do not fit those before: its clock stands "
+                    f"still, jumps, or runs more than {MAX_RATE:.0%} faster or slower than that "
+                    "of this computer, as that of a recording at another speed does"
                 )
             raise LocalError(
                 f"nothing is known of the clock of {self._url} yet, or no more since the board "

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from j2a.errors import LinkClosed, LinkError
+from j2a.io.bell import Bell
 from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
 from j2a.io.threads import clock_of, start_thread
 from j2a.protocol.server import Request, Server
@@ -59,7 +60,7 @@ class Connection:
         self._unwritten = b""
         self._last_sif = -math.inf
         self._sif_writer: threading.Thread | None = None
-        self._sif_waits = threading.Event()
+        self._sif_waits = Bell()
         self._ended = False
 
     def run(self, execute: Callable[[int, bytes], tuple[int, bytes]]) -> None:
@@ -79,7 +80,7 @@ class Connection:
             _log_end(error)
         finally:
             self._ended = True
-            self._sif_waits.set()
+            self._sif_waits.ring()
 
     def send_sif(self, opcode: int, payload: bytes) -> bool:
         """Send a SIF, without waiting; False when the link has ended or the host is too slow."""
@@ -132,13 +133,12 @@ class Connection:
                     self._sif_writer = start_thread(
                         self._write_sifs, f"j2a SIFs {self.transport.url}"
                     )
-        self._sif_waits.set()
+        self._sif_waits.ring()
 
     def _write_sifs(self) -> None:
         try:
             while True:
-                self._sif_waits.wait()
-                self._sif_waits.clear()
+                self._sif_waits.wait(threading.TIMEOUT_MAX)
                 if self._ended:
                     return
                 self._flush()

@@ -175,7 +175,7 @@ class Handlers(Generic[_Handler]):
 
     def matching(self, opcode: int = 0) -> Iterator[Callable[[Any], Any]]:
         """Yield the handlers of an opcode, but none that was cancelled meanwhile."""
-        for subscription in tuple(self._subscriptions):
+        for subscription in self._subscriptions.copy():
             is_wanted = subscription.opcodes is None or opcode in subscription.opcodes
             if is_wanted and subscription in self._subscriptions:
                 yield subscription.deliver
@@ -198,7 +198,7 @@ class Handlers(Generic[_Handler]):
 
     def _call_at_end(self, reason: J2AError) -> None:
         """Call each callback once, whoever else does the same at this moment."""
-        for key in tuple(self._at_end):
+        for key in self._at_end.copy():
             if (callback := self._at_end.pop(key, None)) is not None:
                 callback(reason)
 

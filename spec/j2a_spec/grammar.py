@@ -137,7 +137,9 @@ SAMPLE = cs.Struct(
 """One channel of a sample (J2A-TRANS-005)."""
 
 QUEUED = cs.Struct(
-    "lost" / cs.Int16ul * "number of values lost because the queue was full, modulo 65536",
+    "lost"
+    / cs.Int16ul
+    * "number of values lost, as the queue was full or the sensor disabled, modulo 65536",
     "channel" / cs.Byte * "channel of the first value",
     "time" / cs.Int64ul * "when it was measured, in microseconds",
     "value" / cs.GreedyBytes * "the value; then follow the others, each with channel and time",
@@ -167,7 +169,7 @@ CLOCK_EXCHANGED = cs.Struct(
 
 CLOCK_SEEN_FRAME = cs.Struct(
     "frame" / cs.Int16ul * "number of the last USB frame, 0 to 2047; 0xFFFF: none was seen",
-    "age" / cs.Int16ul * "from its begin to the received time, in us; 65535 is more",
+    "age" / cs.Int16ul * "from its start to the received time, in us; 65535 is more",
 )
 """What a device with frames appends to the reply to EXCHANGE (J2A-CLOCK-006)."""
 

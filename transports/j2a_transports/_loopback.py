@@ -202,7 +202,7 @@ def pair(
 
 
 _listeners: dict[str, LoopbackListener] = {}
-_listeners_lock = threading.Lock()
+_listeners_lock = threading.RLock()  # a signal handler may close a listener amid all of this
 
 
 class LoopbackListener(Listener):

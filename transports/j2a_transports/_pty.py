@@ -12,12 +12,12 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any, Final
 
 from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport
+from ._in_use import InUse
 from ._poll import BROKEN, CHUNK, READY, PolledTransport, Readiness, Waker
 from ._process import CWD, Child, ProcessTransport, parse_command, uninterrupted
 from ._scheme import Scheme, Usage
@@ -132,24 +132,25 @@ class PtyListener(Listener):
         self._write_timeout_s = write_timeout_s
         self._waker = Waker()
         self._readable = Readiness(master, self._waker, write=False)
-        self._accepting = threading.RLock()
+        self._in_use = InUse(self._release)
         self._current: PtyTransport | None = None
         self._closed = False
-        self._released = False
 
     def accept(self, timeout_s: float | None) -> Transport | None:
         """See `Listener.accept`; waits while the transport accepted before is not closed."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        with self._accepting:
-            while True:
-                if self._closed:
-                    raise LinkClosed(f"{self.url} is closed")
-                if (self._current is None or self._current.finished) and self._occupied():
-                    fd = os.dup(self._master)
-                    self._current = PtyTransport(self.url, fd, self._device, self._write_timeout_s)
-                    return self._current
-                if not wait_to_look(deadline):
-                    return None
+        return self._in_use.run(lambda: self._accept(deadline))
+
+    def _accept(self, deadline: float | None) -> Transport | None:
+        while True:
+            if self._closed:
+                raise LinkClosed(f"{self.url} is closed")
+            if (self._current is None or self._current.finished) and self._occupied():
+                fd = os.dup(self._master)
+                self._current = PtyTransport(self.url, fd, self._device, self._write_timeout_s)
+                return self._current
+            if not wait_to_look(deadline):
+                return None
 
     def _occupied(self) -> bool:
         """Whether somebody has the terminal open, or has left bytes in it."""
@@ -159,14 +160,13 @@ class PtyListener(Listener):
     def close(self) -> None:
         """See `Listener.close`."""
         self._closed = True
-        with self._accepting:
-            if self._released:
-                return
-            self._released = True
-            os.close(self._master)
-            self._waker.close()
-            if self._link is not None:
-                self._link.unlink(missing_ok=True)
+        self._in_use.end()
+
+    def _release(self) -> None:
+        os.close(self._master)
+        self._waker.close()
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
 
 
 def listen_url(url: Url) -> Listener:

@@ -12,12 +12,12 @@ import contextlib
 import errno
 import os
 import socket
-import threading
 import time
 from abc import abstractmethod
 from typing import Final
 
 from ._base import LinkClosed, Listener, Transport, TransportError
+from ._in_use import InUse
 from ._poll import Readiness, Waker
 
 # What accept, or an option of the socket that it gave, says of one connection and not of the
@@ -46,36 +46,37 @@ class SocketListener(Listener):
         self._sock = sock
         self._waker = Waker()
         self._readable = Readiness(sock.fileno(), self._waker, write=False)
-        self._accepting = threading.RLock()
+        self._in_use = InUse(self._free)
         self._spare = _spare_file()
         self._closed = False
-        self._released = False
 
     def accept(self, timeout_s: float | None) -> Transport | None:
         """See `Listener.accept`."""
+        return self._in_use.run(lambda: self._accept(timeout_s))
+
+    def _accept(self, timeout_s: float | None) -> Transport | None:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        with self._accepting:
-            while True:
-                if self._closed:
-                    raise LinkClosed(f"{self.url} is closed")
-                state = self._readable.wait(timeout_s)
-                if self._closed:
-                    raise LinkClosed(f"{self.url} was closed during accept")
-                if not state:
-                    return None
-                try:
-                    return self._take()
-                except OSError as error:
-                    if error.errno in _SCARCE:
-                        self._turn_away()
-                        time.sleep(BACK_OFF_S)
-                    elif not isinstance(error, BlockingIOError) and error.errno not in _GONE:
-                        raise TransportError(
-                            f"{self.url}: cannot accept: {error.strerror or error}"
-                        ) from error
-                # The client gave up between its arrival and our call.
-                if deadline is not None:
-                    timeout_s = max(0.0, deadline - time.monotonic())
+        while True:
+            if self._closed:
+                raise LinkClosed(f"{self.url} is closed")
+            state = self._readable.wait(timeout_s)
+            if self._closed:
+                raise LinkClosed(f"{self.url} was closed during accept")
+            if not state:
+                return None
+            try:
+                return self._take()
+            except OSError as error:
+                if error.errno in _SCARCE:
+                    self._turn_away()
+                    time.sleep(BACK_OFF_S)
+                elif not isinstance(error, BlockingIOError) and error.errno not in _GONE:
+                    raise TransportError(
+                        f"{self.url}: cannot accept: {error.strerror or error}"
+                    ) from error
+            # The client gave up between its arrival and our call.
+            if deadline is not None:
+                timeout_s = max(0.0, deadline - time.monotonic())
 
     @abstractmethod
     def _take(self) -> Transport:
@@ -93,13 +94,13 @@ class SocketListener(Listener):
         """See `Listener.close`."""
         self._closed = True
         self._waker.wake()
-        with self._accepting:
-            if not self._released:
-                self._released = True
-                self._release()
-                if self._spare is not None:
-                    os.close(self._spare)
-                self._waker.close()
+        self._in_use.end()
+
+    def _free(self) -> None:
+        self._release()
+        if self._spare is not None:
+            os.close(self._spare)
+        self._waker.close()
 
     def _release(self) -> None:
         """Free the socket; called once, when it is no longer in use."""

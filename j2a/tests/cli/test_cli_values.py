@@ -148,5 +148,5 @@ def test_what_does_not_fit_into_memory_is_refused(monkeypatch):
             raise MemoryError
 
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=Endless()))
-    with pytest.raises(UsageError, match="standard input has more than fits"):
+    with pytest.raises(UsageError, match="standard input does not fit"):
         payload_of(["-"])

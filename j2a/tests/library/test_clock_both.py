@@ -95,6 +95,6 @@ def test_a_clock_of_this_computer_that_is_fast_makes_the_board_slow(made, ppm, m
 
 def test_a_clock_that_stands_still_is_none(made):
     both = made(ClockedDevice(now_s=lambda: 5.0))
-    with pytest.raises(j2a.NoClock, match="do not fit together: its clock stands still"):
+    with pytest.raises(j2a.NoClock, match="do not fit those before: its clock stands still"):
         both.do(both.clock.measure, 3)
     assert both.clock.known_bound_us == float("inf")

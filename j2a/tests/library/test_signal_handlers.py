@@ -1,6 +1,7 @@
 """A signal handler may close what its own thread waits for, at whatever line that is."""
 
 import contextlib
+import gc
 import threading
 from functools import partial
 
@@ -10,11 +11,14 @@ from j2a_spec.constants import SOF
 from j2a_spec.oracle import Frame, encode
 
 import j2a
-from j2a.io.bell import Bell
+from j2a.io.bell import Bell, Flag
 from j2a.io.handlers import Handlers
 from j2a.io.streams import SifStream
+from j2a.recording import Recorder
+from j2a.replay import ReplayBoard
 from j2a.syncd import daemon as daemon_module
 from j2a.syncd.daemon import Daemon
+from j2a.types.transds_file import read_transds
 
 SIF = j2a.Sif(1, b"", 0, 0)
 
@@ -144,3 +148,51 @@ def test_a_bell():
     bell.ring()
     assert bell.wait(0)
     assert not bell.wait(0)
+
+
+def test_a_flag_is_set_for_all():
+    flag = Flag()
+    assert not flag.wait(0)
+    assert not flag.is_set()
+    ended = threading.Barrier(4)
+
+    def wait():
+        assert flag.wait()
+        ended.wait(60)
+
+    for _ in range(3):
+        threading.Thread(target=wait, daemon=True).start()
+    flag.set()
+    flag.set()
+    ended.wait(60)
+    assert flag.wait(0)
+    assert flag.is_set()
+
+
+def test_a_recording_that_is_played_is_stopped(signal_at, tmp_path):
+    path = tmp_path / "a.mcap"
+    known = read_transds("SENSOR(quad, 0, quad, X, 1, i16, none)\n")
+    with Recorder(path) as recorder:
+        recorder.add_board("cart", known)
+        recorder.write("cart", j2a.Sample("x:", "quad", 0, (), 0.0, payload=bytes(10)), 1)
+    for line in range(40):
+        replayed = ReplayBoard(path)
+        with signal_at(line, replayed.stop) as was_called:
+            replayed.play()
+        assert was_called()
+
+
+def test_streams_that_are_dropped_amid_the_delivery_do_no_harm():
+    handlers = Handlers()
+    for _ in range(50):
+        one = SifStream(handlers, None, lambda: 0.0, max_waiting=9, dispatcher=None, slice_s=1.0)
+        one.itself = one  # for the garbage collector
+    before = gc.get_threshold()
+    gc.set_threshold(1)
+    try:
+        while handlers._subscriptions:
+            deliver(handlers)
+            one = None
+        handlers.finish(j2a.LinkClosed("x"))
+    finally:
+        gc.set_threshold(*before)

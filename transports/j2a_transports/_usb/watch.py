@@ -9,11 +9,9 @@ held back for a moment, in which udev gives the permission and the kernel its st
 from __future__ import annotations
 
 import contextlib
-import os
 import selectors
 import socket
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -21,6 +19,8 @@ from dataclasses import dataclass
 from typing import Any, Final, Self
 
 from j2a_transports._base import LinkClosed, OpenFailed
+from j2a_transports._in_use import InUse
+from j2a_transports._poll import Waker
 
 from .board import UsbBoard
 from .find import libusb, scan
@@ -29,8 +29,6 @@ POLL_S: Final = 1.0
 # How long a board that is not ready is held back, and how often it is looked at.
 SETTLE_S: Final = 2.0
 SETTLING_S: Final = 0.1
-# How often a wait looks whether the watch was closed, where nothing can wake it.
-_LOOK_S: Final = 0.05
 # The kernel's messages, and those of udev after its rules.
 _UEVENTS: Final = 15
 _GROUPS: Final = 1 | 2
@@ -79,13 +77,9 @@ class UsbWatch:
         self._held_since: dict[_Key, float] = {}
         self._events: deque[UsbArrived | UsbLeft] = deque()
         self._closed = False
-        # Re-entrant: a signal handler may close what its own thread waits for.
-        self._lock = threading.RLock()
-        self._closing = threading.RLock()
-        self._is_waiting = self._is_left = False
+        self._in_use = InUse(self._release)
         self._first = True
-        # One byte in the pipe ends the wait.
-        self._wake_read, self._wake_write = os.pipe() if os.name == "posix" else (-1, -1)
+        self._waker = Waker()
         self._uevents = _uevent_socket()
         try:
             self._look()
@@ -106,14 +100,7 @@ class UsbWatch:
             LinkClosed: the watch is closed, also when that happens during the wait.
         """
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        with self._lock:
-            self._is_waiting = True
-            try:
-                return self._next(deadline)
-            finally:
-                self._is_waiting = False
-                if self._is_left:
-                    self._release()
+        return self._in_use.run(lambda: self._next(deadline))
 
     def _next(self, deadline: float | None) -> UsbArrived | UsbLeft | None:
         while True:
@@ -146,23 +133,12 @@ class UsbWatch:
 
         May be called twice, by any thread and by a signal handler.
         """
-        with self._closing:
-            self._closed = True
-            if self._wake_write >= 0:
-                os.write(self._wake_write, b"!")
-            with self._lock:
-                # A signal handler of the thread that waits leaves it the descriptors.
-                self._is_left = self._is_waiting
-                if not self._is_left:
-                    self._release()
+        self._closed = True
+        self._waker.wake()
+        self._in_use.end()
 
     def _release(self) -> None:
-        """Free the descriptors; once is enough."""
-        ends = self._wake_read, self._wake_write
-        self._wake_read = self._wake_write = -1
-        for fd in ends:
-            if fd >= 0:
-                os.close(fd)
+        self._waker.close()
         if self._uevents is not None:
             self._uevents.close()
 
@@ -199,13 +175,8 @@ class UsbWatch:
         self._first = False
 
     def _wait(self, wait_s: float) -> None:
-        if self._wake_read < 0:  # select takes no pipes there
-            end = time.monotonic() + wait_s
-            while not self._closed and (left_s := end - time.monotonic()) > 0:
-                time.sleep(min(left_s, _LOOK_S))
-            return
         with selectors.DefaultSelector() as selector:
-            selector.register(self._wake_read, selectors.EVENT_READ)
+            selector.register(self._waker, selectors.EVENT_READ)
             if self._uevents is not None:
                 selector.register(self._uevents, selectors.EVENT_READ)
             selector.select(wait_s)
