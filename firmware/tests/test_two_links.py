@@ -3,12 +3,14 @@
 Each host is answered as if it were alone, but for the time that functions of the other one take.
 """
 
+import contextlib
 import re
 import shutil
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import accumulate, cycle
 from pathlib import Path
 
@@ -115,9 +117,9 @@ class Link:
         return self.frames(1, QUIET_S) == []
 
 
-@pytest.fixture
-def hosts(elf):
-    """The two ends; the device is new for each test."""
+@contextlib.contextmanager
+def started(elf):
+    """Start a device; yields the two ends."""
     listeners = [j2a_transports.listen("tcp://127.0.0.1:0") for _ in range(2)]
     words = ["qemu-system-arm", "-M", "mps2-an385", "-display", "none", "-monitor", "none"]
     for listener in listeners:
@@ -133,6 +135,13 @@ def hosts(elf):
                 end.close()
             qemu.stdin.close()
             qemu.wait(PATIENCE_S)
+
+
+@pytest.fixture
+def hosts(elf):
+    """The two ends; the device is new for each test."""
+    with started(elf) as links:
+        yield links
 
 
 def echo(seq, payload=b""):
@@ -249,7 +258,7 @@ def test_overruns_are_those_of_the_link(hosts, error):
         *(pytest.param(part, marks=pytest.mark.exhaustive) for part in ("time", "frames")),
     ],
 )
-def test_conformance_of_both_at_once(hosts, part):
+def test_conformance_of_both_at_once(elf, part):
     """Without debug text, of which there is one for the device: who asks first gets it.
 
     Those cases that measure time have a round of their own: a function that waits for one host
@@ -267,13 +276,13 @@ def test_conformance_of_both_at_once(hosts, part):
         if case.LEVEL != "debug" and case.ID not in SLOW and part_of(case) == part
     ]
 
-    def judge(number, chosen):
-        transport = hosts[number].transport
+    def judge(chosen, host):
+        transport = host.transport
         return run(lambda: transport, chosen, url=transport.url, fresh=part != "time")
 
     def judge_both(chosen):
-        with ThreadPoolExecutor(max_workers=2) as pool:
-            return list(pool.map(judge, range(2), [chosen, chosen]))
+        with started(elf) as hosts, ThreadPoolExecutor(max_workers=2) as pool:
+            return list(pool.map(partial(judge, chosen), hosts))
 
     found = judge_both(cases)
     failed = {r.case for each in found for r in each.with_verdict(Verdict.FAILED)}
