@@ -83,7 +83,9 @@ def load_sink(point: EntryPoint) -> type[Sink]:
         raise LocalError(f"does not load: {error}") from None
     if not (isinstance(kind, type) and issubclass(kind, Sink)):
         raise LocalError(f"is {kind!r:.80}, which is no subclass of Sink")
-    missing = {name for name in ("SUMMARY",) if not hasattr(kind, name)} | kind.__abstractmethods__
+    missing = set(kind.__abstractmethods__)
+    if not hasattr(kind, "SUMMARY"):
+        missing.add("SUMMARY")
     if missing:
         raise LocalError(f"lacks what each sink has: {', '.join(sorted(missing))}")
     return kind
