@@ -17,7 +17,7 @@ from j2a.aio import AsyncClient, aconnect
 from j2a.errors import J2AError, LocalError, OpenFailed, Outcome
 from j2a.events import Sample
 from j2a.io.async_calls import AsyncCalls
-from j2a.io.async_streams import AsyncSifStream
+from j2a.io.async_streams import AsyncSifStream, is_set_within
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.fleet_base import FleetBase, by_url
 from j2a.io.handlers import ErrorHook, Handlers, Subscription
@@ -129,7 +129,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
             left_s = end - self._loop.time()
             if left_s <= 0:
                 raise self._roster.late(missing, timeout)
-            await _is_set(self._changed, left_s)
+            await is_set_within(self._changed, left_s)
 
     def on_change(
         self, handler: Callable[[BoardChange], object]
@@ -318,7 +318,7 @@ class _Member(Member[AsyncClient]):
         heartbeat = Heartbeat()
         while client.is_open:
             heartbeat.begin(client.counters.frames_received)
-            if await _is_set(ended, self._fleet._heartbeat_s):
+            if await is_set_within(ended, self._fleet._heartbeat_s):
                 break
             if not heartbeat.is_silent(client.counters.frames_received):
                 continue
@@ -329,11 +329,3 @@ class _Member(Member[AsyncClient]):
                 if heartbeat.failed(error, is_open=client.is_open):
                     return error
         return client._session.end_reason or OpenFailed("taken out", outcome=Outcome.NOT_SENT)
-
-
-async def _is_set(event: asyncio.Event, limit_s: float) -> bool:
-    """Wait for an event; return whether it came in time."""
-    with suppress(TimeoutError):  # as in j2a.io.async_streams
-        async with asyncio.timeout(limit_s):
-            return await event.wait()
-    return False

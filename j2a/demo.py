@@ -16,6 +16,7 @@ from j2a_spec.constants import MAX_PAYLOAD, RET_FAILED
 
 from j2a.device import Device
 from j2a.errors import Fail
+from j2a.io.bell import Flag
 from j2a.io.functions import ManyReply, ManyRequest, Result, read_chunk
 from j2a.protocol.trace import Trace
 from j2a.types.annotations import Length, f32, i8, i16, i32, i64, u8, u16, u32, u64
@@ -218,21 +219,22 @@ class _Ticker:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._stop = threading.Event()
-        # Held while a SIF is handed over, so that none follows the reply to what stopped them.
-        self._sending = threading.Lock()
+        self._stop = Flag()
+        # Held while a SIF is handed over, so that none follows the reply to what stopped them. A
+        # signal handler may stop the device while its own thread holds it.
+        self._sending = threading.RLock()
 
     def start(self, period_s: float) -> None:
         """Begin anew with this period; 0 only stops."""
         self._stop.set()
         with self._sending:
-            self._stop = threading.Event()
+            self._stop = Flag()
         if period_s > 0:
             threading.Thread(
                 target=self._run, args=(period_s, self._stop), name="j2a demo SIFs", daemon=True
             ).start()
 
-    def _run(self, period_s: float, stop: threading.Event) -> None:
+    def _run(self, period_s: float, stop: Flag) -> None:
         counter = 0
         due = time.monotonic() + period_s
         while not stop.wait(max(0.0, due - time.monotonic())):

@@ -109,7 +109,7 @@ typedef struct {
     int32_t correction; /* more of it, up to J2A_SEGMENT_US behind `at` */
 } j2a_line;
 
-/* Moves the begin of a line without a correction by less than 2^31 us. */
+/* Moves the start of a line without a correction by less than 2^31 us. */
 void j2a_line_move(j2a_line *line, int32_t by_us);
 
 #if J2A_PORT_FRAMES

@@ -340,7 +340,7 @@ def test_a_sample_waits_for_a_request_that_is_being_received(build):
 
 
 def test_a_request_that_is_cut_anywhere_stays_whole(build):
-    """Behind an ESC, too: at the begin, in the middle and at the end of the payload."""
+    """Behind an ESC, too: at the start, in the middle and at the end of the payload."""
     elf = build("listing", "avr-usb", MCU="atmega32u2")
     payload = bytes((0x7D, 1, 2, 0x7E, 0x7D, 3, 4, 0x7F, 5, 0x7E))
     wire = encode(Frame(c.SOF, 0x7D, ECHO, payload))

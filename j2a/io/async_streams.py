@@ -11,7 +11,7 @@ from j2a.io.handlers import Handlers, Wanted
 from j2a.io.streams import SifStreamBase
 from j2a.protocol.arguments import check_timeout
 
-__all__ = ["AsyncSifStream"]
+__all__ = ["AsyncSifStream", "is_set_within"]
 
 
 class AsyncSifStream(SifStreamBase):
@@ -46,13 +46,19 @@ class AsyncSifStream(SifStreamBase):
             if (sif := self._take()) is not None:
                 return sif
             left_s = min(self._check_time(timeout, deadline), self._slice_s)
-            with contextlib.suppress(TimeoutError):  # the loop looks at the time
-                # Python 3.11's wait_for() forgets that it was cancelled where a SIF comes, too.
-                async with asyncio.timeout(left_s):
-                    await self._came.wait()
+            await is_set_within(self._came, left_s)  # the loop looks at the time
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *exc_info: object) -> None:
         self.close()
+
+
+async def is_set_within(event: asyncio.Event, limit_s: float) -> bool:
+    """Wait for an event for so many seconds; return whether it came."""
+    # Python 3.11's wait_for() forgets that it was cancelled where the event comes, too.
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(limit_s):
+            return await event.wait()
+    return False

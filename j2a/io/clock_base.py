@@ -120,9 +120,7 @@ class ClockBase:
         """
         estimate = self._known_estimate()
         if estimate is None:
-            client = self._client_ref()
-            has_restarted = client is not None and client._session.restarts != self._restarts
-            if self.known_bound_us == math.inf and not has_restarted:
+            if self.known_bound_us == math.inf and not self._has_restarted:
                 raise NoClock(
                     f"the last times of {self._url} do not fit those before: its clock stands "
                     f"still, jumps, or runs more than {MAX_RATE:.0%} faster or slower than that "
@@ -144,10 +142,16 @@ class ClockBase:
         client = self._client_ref()
         return client is not None and c.CLOCK in (client._device.functions or {})
 
+    @property
+    def _has_restarted(self) -> bool:
+        """The board has, since what is known of its clock was learnt."""
+        client = self._client_ref()
+        return client is not None and client._session.restarts != self._restarts
+
     def _known_estimate(self) -> Estimate | None:
-        known, client = self._discipline, self._client_ref()
-        if client is not None and client._session.restarts != self._restarts:
+        if self._has_restarted:
             return None  # what is known is of before
+        known = self._discipline
         if known.status is None and self._can_be_set:
             return None
         return known.estimator.estimate

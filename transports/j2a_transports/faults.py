@@ -19,13 +19,11 @@ from typing import Final, Literal
 from ._base import BadUrl, LinkClosed, LinkLost, Listener, Transport
 from ._damage import DEFAULT_DELAY_MS, KINDS, FaultCounters, FaultInjector, Piece, Rates
 from ._scheme import Option, Scheme, Usage
+from ._solo import wait_to_look
 from ._url import Url
 from .options import integer, number
 
 __all__ = ["FaultCounters", "FaultInjector", "FaultyListener", "FaultyTransport", "Rates", "wrap"]
-
-_LOOK_S: Final = 0.02
-"""So often a delay looks whether the link was closed, in seconds."""
 
 
 class FaultyTransport(Transport):
@@ -112,8 +110,8 @@ class FaultyTransport(Transport):
                 self.sleep(seconds)
             return
         end = time.monotonic() + seconds
-        while not self._is_closed and (left_s := end - time.monotonic()) > 0:
-            time.sleep(min(left_s, _LOOK_S))
+        while not self._is_closed and wait_to_look(end):
+            pass
         if self._is_closed:
             raise LinkClosed(f"{self.url} is closed")
 

@@ -11,8 +11,8 @@ import j2a_transports
 import pytest
 
 import j2a
-from j2a.aio_fleet import _is_set
 from j2a.fleet import by_url
+from j2a.io.async_streams import is_set_within
 
 from .support import PATIENCE_S, served
 from .test_aio import in_event_loop
@@ -437,7 +437,7 @@ class TestUsb:
 @in_event_loop
 async def test_a_task_that_is_cancelled_when_its_link_ends_is_cancelled(turns):
     ended = asyncio.Event()
-    waits = asyncio.create_task(_is_set(ended, PATIENCE_S))
+    waits = asyncio.create_task(is_set_within(ended, PATIENCE_S))
     for _ in range(4):
         await asyncio.sleep(0)
     ended.set()

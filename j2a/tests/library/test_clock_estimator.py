@@ -27,7 +27,7 @@ LINKS = [
 def readings(
     board: Board, estimator: Estimator, seconds: float, period_s: float = 1.0
 ) -> list[tuple[float, float, float]]:
-    """Return time since the begin, error and uncertainty, at five times between two exchanges."""
+    """Return time since the start, error and uncertainty, at five times between two exchanges."""
     begin, found = board.host_us, []
     for exchange, pause in sim.exchanges(board, seconds, period_s):
         estimator.add(exchange)

@@ -74,6 +74,7 @@ class _Scripted:
         nonces: of the exchanges that came.
         adjusts: the adjustments that came.
         others: items that came and are none of these.
+        replied_s: when the host must have had the first reply to EXCHANGE; 0.0 before.
     """
 
     host: Host
@@ -88,6 +89,7 @@ class _Scripted:
     nonces: list[int] = field(default_factory=list)
     adjusts: list[cs.Container] = field(default_factory=list)
     others: list[int] = field(default_factory=list)
+    replied_s: float = 0.0
 
     def __post_init__(self) -> None:
         self._began_s = self.host.link.now_s()
@@ -119,6 +121,8 @@ class _Scripted:
         self.host.job(job)
         for _ in range(_MOST):
             request = self.host.request_or_end()
+            if self.nonces and not self.replied_s:
+                self.replied_s = self.host.link.now_s()
             if request is None:
                 return
             self.answer(request)

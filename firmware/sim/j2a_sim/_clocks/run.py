@@ -70,7 +70,7 @@ def oscillators(settings: Settings, rng: Generator) -> list[Oscillator]:
 
 
 def drift_us(settings: Settings, clock: HostClock, crystals: list[Oscillator]) -> float:
-    """How far a clock that runs on at the rate of the begin of holdover is off at its end."""
+    """How far a clock that runs on at the rate of the start of holdover is off at its end."""
     if settings.holdover_at is None:
         return 0.0
     # The rate that a host knows is that of the exchanges which it keeps.
