@@ -7,7 +7,19 @@ adds another way out.
 from typing import TYPE_CHECKING
 
 from j2a_bridge.config import Config, load_config
-from j2a_bridge.sink import Control, NotTaken, Option, Sink, SinkError, Status, Update
+from j2a_bridge.sink import (
+    PROCESS,
+    BoardStatus,
+    Control,
+    NotTaken,
+    Option,
+    Sink,
+    SinkError,
+    SinkStatus,
+    Status,
+    TopicStatus,
+    Update,
+)
 from j2a_bridge.sink_request import SinkRequest
 from j2a_bridge.topics import Topic
 
@@ -15,6 +27,8 @@ if TYPE_CHECKING:
     from j2a_bridge.bridge import Bridge
 
 __all__ = [
+    "PROCESS",
+    "BoardStatus",
     "Bridge",
     "Config",
     "Control",
@@ -23,8 +37,10 @@ __all__ = [
     "Sink",
     "SinkError",
     "SinkRequest",
+    "SinkStatus",
     "Status",
     "Topic",
+    "TopicStatus",
     "Update",
     "load_config",
 ]

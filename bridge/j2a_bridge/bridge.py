@@ -127,7 +127,7 @@ class Bridge:
         options: of `j2a.AsyncFleet`, such as `timeout`.
 
     Raises:
-        BadUrl: a URL can never be opened.
+        j2a.BadUrl: a URL can never be opened.
         LocalError: a sink, its argument or an option is wrong.
     """
 

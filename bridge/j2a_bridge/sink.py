@@ -147,7 +147,8 @@ class BoardStatus:
         is_here: it can be used.
         problem: why it is not, or what is wrong with it, or "".
         clock: state of its clock, "" where it is not known.
-        offset_us, uncertainty_us: of its clock; None where they are not known.
+        offset_us: of its clock, in microseconds; None where it is not known.
+        uncertainty_us: of its clock, likewise.
         topics: of its sensors.
     """
 
@@ -170,7 +171,8 @@ class SinkStatus:
         name: as it was asked for, such as "mcap:drive.mcap".
         is_open: it takes samples.
         problem: why it does not, or "".
-        published, dropped: samples it took, and samples it lost because it was slow or not open.
+        published: samples it took.
+        dropped: samples it lost because it was slow or not open.
     """
 
     name: str

@@ -1,6 +1,7 @@
 """The programs that the documentation shows do what it says."""
 
 import contextlib
+import csv
 import functools
 import os
 import re
@@ -22,6 +23,7 @@ import j2a
 from docs.tests.repeat import EXAMPLES, LIMIT_S, ROOT, SHOWN_URL, shown
 from j2a.cli.plugin import LINK, USAGE
 from j2a.demo import DemoDevice
+from j2a.virtual import VirtualBoard
 from transports.tests.fake_gadget import Host, installed  # noqa: TID251 - not installed
 
 
@@ -161,23 +163,33 @@ def test_thermometer():
             process.terminate()
 
 
-def test_a_command_of_another_package(tmp_path):
+@pytest.fixture
+def installed_by_the_page(tmp_path):
+    """Install what a page says of entry points, and give the environment of such programs."""
+
+    def install(page):
+        text = (ROOT / page).read_text("utf-8")
+        (lines,) = re.findall(r"```toml\n(\[project\.entry-points\..*?)```", text, re.DOTALL)
+        (group, points) = next(iter(tomllib.loads(lines)["project"]["entry-points"].items()))
+        folder = tmp_path / "example-1.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: example\nVersion: 1\n")
+        (folder / "entry_points.txt").write_text(
+            f"[{group}]\n" + "".join(f"{name} = {module}\n" for name, module in points.items())
+        )
+        return os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(EXAMPLES)])}
+
+    return install
+
+
+def test_a_command_of_another_package(installed_by_the_page):
     """The lines of the page make it a command."""
-    page = (ROOT / "docs/cli.md").read_text("utf-8")
-    (lines,) = re.findall(r"```toml\n(\[project\.entry-points\..*?)```", page, re.DOTALL)
-    (group, points) = next(iter(tomllib.loads(lines)["project"]["entry-points"].items()))
-    folder = tmp_path / "temperature-1.dist-info"
-    folder.mkdir()
-    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: temperature\nVersion: 1\n")
-    (folder / "entry_points.txt").write_text(
-        f"[{group}]\n" + "".join(f"{name} = {module}\n" for name, module in points.items())
-    )
-    path = os.pathsep.join([str(tmp_path), str(EXAMPLES)])
+    environment = installed_by_the_page("docs/cli.md")
 
     def j2a_temperature(url):
         return subprocess.run(
             [sys.executable, "-m", "j2a", "temperature", url],
-            env=os.environ | {"PYTHONPATH": path},
+            env=environment,
             capture_output=True,
             text=True,
             timeout=LIMIT_S,
@@ -200,6 +212,30 @@ def test_a_command_of_another_package(tmp_path):
         assert "Traceback" not in done.stderr
     done = j2a_temperature("tcp://127.0.0.1:1")
     assert (done.returncode, done.stdout) == (LINK, "")
+
+
+def test_a_sink_of_another_package(installed_by_the_page, tmp_path):
+    """The lines of the page make it a sink, which writes what a board measures."""
+    environment = installed_by_the_page("docs/bridge.md")
+    file = tmp_path / "drive.csv"
+    board = VirtualBoard(EXAMPLES / "sensors/transds.def")
+    board.measure()
+    words = [sys.executable, "-m", "j2a", "bridge", "--sink", f"csv:{file}"]
+    with served(board) as url, subprocess.Popen([*words, url], env=environment) as bridge:
+        try:
+            deadline = time.monotonic() + LIMIT_S
+            while not (file.exists() and file.read_text("utf-8").count("\n") > 3):
+                assert bridge.poll() is None
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+        finally:
+            bridge.terminate()
+    lines = list(csv.reader(file.read_text("utf-8").splitlines()))
+    assert {(name, channel) for name, _, channel, _ in lines} >= {("quad", "0"), ("quad", "1")}
+    now_ns = time.time_ns()
+    for _, stamp_ns, _, value in lines[-3:]:
+        assert now_ns - LIMIT_S * 1e9 < int(stamp_ns) < now_ns
+        assert -1e6 < float(value) < 1e6
 
 
 @pytest.mark.parametrize("name", ["thermometer", "typed_device"])
