@@ -296,6 +296,7 @@ class Sink(ABC):
     ARGUMENT: ClassVar[str] = ""
     """What stands behind the name, such as "FILE.mcap"; "" for nothing, in brackets if optional."""
     OPTIONS: ClassVar[Mapping[str, Option]] = {}
+    """What may stand behind a comma, by its name."""
     RETRY_S: float | None = 2.0
     """After so long it is opened again when it has failed; None for never."""
     WAITING: int = 4096
