@@ -8,6 +8,7 @@ import contextlib
 import gc
 import hashlib
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -36,6 +37,15 @@ if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to
     # For another interpreter, after ours has tried all of them.
     settings.register_profile("few", settings.get_profile("j2a"), max_examples=10)
     settings.load_profile("j2a")
+
+# What programs print is buffered, as at a user's.
+os.environ.pop("PYTHONUNBUFFERED", None)
+
+# Some tests hold a thousand connections, and many a shell allows 1024 files.
+_FILES = 4096
+_soft, _hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+if 0 <= _soft < _FILES:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(_FILES, _hard) if _hard > 0 else _FILES, _hard))
 
 # A shell without job control starts its background with Ctrl-C ignored, and programs inherit that.
 if (

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections import Counter
+from pathlib import Path
 
 import pytest
 from j2a_conformance import HarnessError, Verdict
@@ -10,6 +11,7 @@ from j2a_conformance.cli import main
 from j2a_conformance.cli._exit import status
 from j2a_conformance.cli._repeat import repeat
 
+FULL = Path("/dev/full")
 KNOWN = """
 [[deviation]]
 case = "mapping.names"
@@ -172,3 +174,13 @@ def test_a_failure_counts_more_than_the_end_of_the_series(reference, judged, cap
 
     assert repeat(3, once)[1] == 1
     assert "Ended after 0 of 3 runs" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("words", ["nope", "run", "run tcp://127.0.0.1:1"])
+def test_the_code_is_kept_where_standard_error_is_full(words):
+    """Python would try to write again at its end, and end with 120."""
+    with FULL.open("w") as full:
+        command = [sys.executable, "-m", "j2a_conformance", *words.split()]
+        done = subprocess.run(command, stderr=full, timeout=120, check=False)
+    assert done.returncode == 3

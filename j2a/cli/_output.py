@@ -88,17 +88,26 @@ def finish_output(code: int) -> int:
         sys.stdout.flush()
     except BrokenPipeError:
         drop_output()
-        return OUTPUT_CLOSED if code == OK else code
+        code = OUTPUT_CLOSED if code == OK else code
     except OSError as error:
         drop_output()
         note(f"j2a: cannot write the output: {error.strerror}")
-        return USAGE if code == OK else code
+        code = USAGE if code == OK else code
+    try:
+        sys.stderr.flush()
+    except OSError:
+        _drop(sys.stderr)
     return code
 
 
 def drop_output() -> None:
-    """Forget output that cannot be written: Python would try again at exit, and complain."""
+    """Forget output that cannot be written."""
+    _drop(sys.stdout)
+
+
+def _drop(stream: TextIO) -> None:
+    # Python would try again at exit, and end with a code of its own.
     with contextlib.suppress(OSError, ValueError):  # ValueError: it has no descriptor
         null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, sys.stdout.fileno())
+        os.dup2(null, stream.fileno())
         os.close(null)

@@ -17,7 +17,7 @@ from typing import Final, NoReturn
 from j2a_conformance._model import HarnessError
 
 from ._exit import HARNESS, INTERRUPTED, UsageError
-from ._output import drop_output, note, prepare_output
+from ._output import drop_output, finish_notes, note, prepare_output
 
 __all__ = ["main"]
 
@@ -109,4 +109,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         hint = ", -v shows more" if verbose is False else ""
         what = f"{type(error).__name__}: {error}"
         note(f"j2a-conform: a fault of the suite{hint}: {what}")
+    finally:
+        finish_notes()
     return HARNESS

@@ -8,10 +8,11 @@ note that cannot be written changes no judgement.
 import contextlib
 import os
 import sys
+from typing import TextIO
 
 from j2a_spec.printable import printable
 
-__all__ = ["drop_output", "note", "prepare_output", "show"]
+__all__ = ["drop_output", "finish_notes", "note", "prepare_output", "show"]
 
 
 def show(text: object = "", *, flush: bool = False) -> None:
@@ -36,9 +37,22 @@ def prepare_output() -> None:
         sys.stderr = os.fdopen(os.open(os.devnull, os.O_WRONLY), "w")
 
 
+def finish_notes() -> None:
+    """Write what is still buffered of standard error, or forget it."""
+    try:
+        sys.stderr.flush()
+    except OSError:
+        _drop(sys.stderr)
+
+
 def drop_output() -> None:
-    """Forget output that cannot be written: Python would try again at exit, and complain."""
+    """Forget output that cannot be written."""
+    _drop(sys.stdout)
+
+
+def _drop(stream: TextIO) -> None:
+    # Python would try again at exit, and end with a code of its own.
     with contextlib.suppress(OSError, ValueError):  # ValueError: it has no descriptor
         null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, sys.stdout.fileno())
+        os.dup2(null, stream.fileno())
         os.close(null)

@@ -87,7 +87,7 @@ def test_a_program_that_ends_after_each_failure_is_started_anew(host_reference, 
             raise RuntimeError("no SIFs, please")
 
     cases = ["host.sif.any-time", "host.sif.burst", "host.many.write"]
-    run = host_judged(Fragile, cases, timeout_scale=0.2)
+    run = host_judged(Fragile, cases)
     assert [result.verdict.value for result in run.results] == ["ok", "ok", "failed", "failed"]
     assert "no SIFs, please" in run.results[-1].reason
 
@@ -97,7 +97,7 @@ def test_a_program_that_lacks_a_kind_of_job_is_no_failure(host_reference, host_j
         def job(self, text):
             return super().job(text) if text.startswith(("call", "bye")) else "unsupported"
 
-    run = host_judged(Simple, timeout_scale=0.2)
+    run = host_judged(Simple)
     verdicts = {result.case: result.verdict.value for result in run.results}
     assert set(verdicts.values()) == {"ok", "unimplemented"}
     assert verdicts["host.sif.burst"] == verdicts["host.many.write"] == "unimplemented"

@@ -75,7 +75,7 @@ def test_a_device_that_is_not_there_offers_nothing(run, monkeypatch):
 
 
 @pytest.mark.parametrize("shell", ASK)
-def test_the_shell_takes_the_script(shell, demo, need):
+def test_the_shell_takes_the_script(shell, demo, need, tmp_path):
     need(shell)
 
     asked = {
@@ -94,7 +94,7 @@ def test_the_shell_takes_the_script(shell, demo, need):
         capture_output=True,
         text=True,
         check=True,
-        env={**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "HOME": "/nonexistent"},
+        env={**os.environ, "PATH": f"{BIN}:{os.environ['PATH']}", "HOME": str(tmp_path)},
     )
     assert done.stderr == ""
     *offers, rest = (set(words.split()) for words in re.split(r"(?m)^\.\n", done.stdout))
