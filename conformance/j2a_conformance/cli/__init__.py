@@ -39,8 +39,8 @@ class _Parser(argparse.ArgumentParser):
     """Bad arguments say nothing about a device: exit code 3, not argparse's 2."""
 
     def error(self, message: str) -> NoReturn:
-        self.print_usage(sys.stderr)
-        self.exit(HARNESS, f"{self.prog}: {message}\n")
+        note(f"{self.format_usage()}{self.prog}: {message}")
+        sys.exit(HARNESS)
 
 
 def _module(name: str) -> ModuleType:
