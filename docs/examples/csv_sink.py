@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+from typing import TextIO
 
 from j2a_bridge import Sink, Topic, Update
 
@@ -11,6 +12,7 @@ class CsvSink(Sink):
 
     SUMMARY = "readings as lines of a CSV file"
     ARGUMENT = "FILE.csv"
+    _file: TextIO | None = None
 
     def open(self) -> None:
         """Begin the file, or go on with it after a failure."""
@@ -30,8 +32,10 @@ class CsvSink(Sink):
 
     def flush(self) -> None:
         """Let others read what was written, as no further sample waits."""
-        self._file.flush()
+        if self._file is not None:
+            self._file.flush()
 
     def close(self) -> None:
-        """End the file."""
-        self._file.close()
+        """End the file, if there is one."""
+        if self._file is not None:
+            self._file.close()

@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import functools
+import importlib
 import os
 import re
 import shlex
@@ -236,6 +237,16 @@ def test_a_sink_of_another_package(installed_by_the_page, tmp_path):
     for _, stamp_ns, _, value in lines[-3:]:
         assert now_ns - LIMIT_S * 1e9 < int(stamp_ns) < now_ns
         assert -1e6 < float(value) < 1e6
+
+
+def test_the_sink_ends_also_where_it_could_not_open(tmp_path, monkeypatch):
+    """As `Sink.close` asks: after a failure, and twice."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    sink = importlib.import_module("csv_sink").CsvSink(str(tmp_path / "none/x.csv"), {}, None)
+    with pytest.raises(FileNotFoundError):
+        sink.open()
+    sink.close()
+    sink.close()
 
 
 @pytest.mark.parametrize("name", ["thermometer", "typed_device"])
