@@ -91,6 +91,34 @@ def test_a_stall_is_tried_again(reference, judged):
     assert (layout.case, layout.verdict, layout.attempts) == ("frame.layout", Verdict.OK, 2)
 
 
+@pytest.mark.parametrize(
+    ("case", "is_meant"),
+    [
+        ("frame.layout", lambda payload: len(payload) == 255),
+        ("smoke.echo", lambda payload: len(payload) == 6 and payload.isdigit()),  # a barrier
+    ],
+)
+@pytest.mark.parametrize("emulated", [True, False])
+def test_what_an_emulator_gave_up_without_a_word_is_tried_again(
+    emulated, case, is_meant, reference, judged
+):
+    """A stall behind the start byte makes it give up a frame that it cannot answer."""
+
+    class StallsOnce(reference):
+        stalled = False
+
+        def request(self, seq, opcode, payload):
+            if is_meant(payload) and not StallsOnce.stalled:
+                StallsOnce.stalled = True
+            else:
+                super().request(seq, opcode, payload)
+
+    found = judged(StallsOnce, [case], emulated=emulated, timeout_scale=0.2)
+    assert StallsOnce.stalled
+    assert [r.case for r in found.results if r.attempts == 2] == [case] * emulated
+    assert [r.case for r in found.results if r.verdict is Verdict.FAILED] == [case] * (not emulated)
+
+
 @pytest.mark.parametrize("nth", [3, 8, 21, 60, 100, 200])
 @pytest.mark.parametrize("case", ["debug.text", "debug.boundaries", "debug.more-and-lost"])
 def test_a_stall_among_calls_about_debug_text_is_tried_again(case, nth, reference, judged):

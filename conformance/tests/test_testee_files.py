@@ -59,6 +59,7 @@ def script(key, code):
         (f"title = 'x'\n{URL}\nneeds = [1]", "`needs` is a list of words"),
         ("title = 'x'\nserve = []", "`serve` is a list of words"),
         (f"title = 'x'\n{URL}\nfresh = 1", "`fresh` is true or false"),
+        (f"title = 'x'\n{URL}\nemulated = 'no'", "`emulated` is true or false"),
         (f"title = 'x'\n{URL}\nlevels = 'core'", "`levels` is a list of levels, which are frame"),
         (f"title = 'x'\n{URL}\nlevels = ['cores']", "`levels` is a list of levels"),
         (f"title = 'x'\n{URL}\nroot = '/'", "no key `root`"),

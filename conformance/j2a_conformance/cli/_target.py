@@ -34,6 +34,7 @@ class Target:
     Attributes:
         url: where, as reports name it: `{root}` stands for the root of a testee's repository.
         fresh: opening the link resets it.
+        emulated: its time goes on while its processor waits for one of this machine.
         title: what it is, or "".
         known: the deviations that it is known to have.
         claims: the levels that it is said to reach.
@@ -43,6 +44,7 @@ class Target:
 
     url: str
     fresh: bool
+    emulated: bool
     title: str
     known: tuple[Deviation, ...]
     claims: tuple[Level, ...]
@@ -116,7 +118,13 @@ def reach(where: str, baud: int = 0) -> Iterator[Target]:
     testee = load_testee(Path(where))
     with testee.started() as url:
         target = _target(url, baud, testee.fresh, testee.title, testee.deviations)
-        yield replace(target, url=testee.url or url, claims=testee.claims, levels=testee.levels)
+        yield replace(
+            target,
+            url=testee.url or url,
+            emulated=testee.emulated,
+            claims=testee.claims,
+            levels=testee.levels,
+        )
 
 
 def _target(
@@ -127,7 +135,9 @@ def _target(
     known: tuple[Deviation, ...] = (),
 ) -> Target:
     keywords: dict[str, int] = {}
-    target = Target(url, fresh, title, known, (), (), lambda: j2a_transports.open(url, **keywords))
+    target = Target(
+        url, fresh, False, title, known, (), (), lambda: j2a_transports.open(url, **keywords)
+    )
     inner, scheme = target.link
     if baud and _has_rate(scheme):
         own = _BAUD.search(inner)

@@ -163,6 +163,7 @@ def _judge(
         baud=args.baud or 0,
         lossy=args.lossy or 0,
         fresh=target.fresh or args.fresh,
+        emulated=target.emulated,
         builtins_only=args.builtins_only,
         claimed={*target.claims, *args.claims},
         stop_on_failure=args.stop_on_failure,

@@ -55,15 +55,18 @@ class Peer(Requests):
     Args:
         link: the open link.
         claims: what discovery found out.
+        emulated: a stall of this machine may make the device miss a request: one that comes after
+            the start byte makes it give up the frame without a word.
 
     Attributes:
         strict: bytes outside frames are a failure (J2A-FRAME-010); set when the device is known to
             have received requests, because what it prints while it boots is its own affair.
     """
 
-    def __init__(self, link: Link, claims: Claims) -> None:
+    def __init__(self, link: Link, claims: Claims, emulated: bool = False) -> None:
         super().__init__(link, claims)
         self.strict = False
+        self._emulated = emulated
         self._barriers = 0
         lossy = link.lossy
         self._exchanges = Retry(lossy or _ATTEMPTS, every=bool(lossy))
@@ -178,7 +181,8 @@ class Peer(Requests):
                 if tail
                 else ""
             )
-            fail(f"no answer within {timeout_s:.1f} s{rest}")
+            suspect = self._emulated and not tail
+            fail(f"no answer within {timeout_s:.1f} s{rest}", suspect=suspect)
         event = arrival.event
         if not isinstance(event, Frame) or not due.matches(event):
             self._show(due, arrival)
@@ -240,7 +244,7 @@ class Peer(Requests):
         suffered = bool(self.link.lossy) and _damaged(request, arrival)
         if arrival is None:
             self.link.record("expected", request.expected.wire, str(request.expected))
-            fail("a good request was not answered", suspect=suffered)
+            fail("a good request was not answered", suspect=suffered or self._emulated)
         event = arrival.event
         if not isinstance(event, Frame) or not request.expected.matches(event):
             culprit = self._culprit(arrival)

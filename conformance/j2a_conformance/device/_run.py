@@ -41,6 +41,7 @@ def run(
     baud: int = 0,
     lossy: int = 0,
     fresh: bool = False,
+    emulated: bool = False,
     builtins_only: bool = False,
     claimed: Collection[Level] = (),
     stop_on_failure: bool = False,
@@ -60,6 +61,8 @@ def run(
         lossy: the link loses or damages bytes, so an exchange fails only when it does so in this
             many attempts, and a case in 10; 0: the link is good.
         fresh: opening the link resets the device, so its first SIF has the seq 0.
+        emulated: a request without an answer is tried again, as the device may have given it up:
+            its time went on while its processor waited for one of this machine.
         builtins_only: do not use functions of the application, whatever their names.
         claimed: the levels that the device is said to reach. A function that one of their cases
             needs and the device lacks is a failure then, and not unimplemented.
@@ -85,6 +88,7 @@ def run(
             title=title,
             rules=rules,
             fresh=fresh,
+            emulated=emulated,
             builtins_only=builtins_only,
             claimed=claimed,
         )
@@ -112,6 +116,7 @@ class _Device(Testee[Case]):
         title: str,
         rules: Rules,
         fresh: bool,
+        emulated: bool,
         builtins_only: bool,
         claimed: Collection[Level],
     ) -> None:
@@ -122,7 +127,7 @@ class _Device(Testee[Case]):
         self._opener = opener
         self._title = title
         self._rules = rules
-        self._peer = Peer(link, Claims(mapped=False, functions=(), fresh=fresh))
+        self._peer = Peer(link, Claims(mapped=False, functions=(), fresh=fresh), emulated)
         self._builtins_only = builtins_only
         self._claimed = claimed
         self._known = False

@@ -1,7 +1,7 @@
 """Testees: TOML files that say how to build and start a device, and where it answers.
 
 What flows in: a file with `title`, and `url` or `serve`, and perhaps `build`, `needs`, `fresh`,
-`claims`, `levels` and `[[deviation]]` tables.
+`emulated`, `claims`, `levels` and `[[deviation]]` tables.
 What flows out: a URL to judge, for as long as the testee runs. Rules: commands run in the root of
 the repository, which is two folders above the file and the value of `{root}`; nothing waits without
 an end; what was started is ended, with all that it started itself.
@@ -34,6 +34,7 @@ __all__ = ["TesteeFile", "load_testee"]
 
 _COMMANDS: Final = ("build", "serve", "needs")
 _LEVELS: Final = ("claims", "levels")
+_FLAGS: Final = ("fresh", "emulated")
 _ROOT: Final = "{root}"
 _BUILD_S = 600.0
 _START_S = 60.0
@@ -51,6 +52,7 @@ class TesteeFile:
         serve: command that serves it and prints its URL in a line of its own, or ().
         needs: programs without which it cannot be built or started; looked for before that.
         fresh: it starts anew with each link, so that the first SIF has the seq 0.
+        emulated: its time goes on while its processor waits for one of this machine.
         root: where the commands run.
         claims: the levels of conformance that it is said to reach.
         levels: those of which it is judged where nobody asks for others, or () for all.
@@ -63,6 +65,7 @@ class TesteeFile:
     serve: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     fresh: bool = False
+    emulated: bool = False
     root: Path = Path()
     claims: tuple[Level, ...] = ()
     levels: tuple[Level, ...] = ()
@@ -164,14 +167,16 @@ def load_testee(path: Path) -> TesteeFile:
 
 def _mistake(entry: dict[str, object]) -> str:
     """Return what is wrong with a testee file, or ""; its deviations are another matter."""
-    if unknown := entry.keys() - {"title", "url", "fresh", "deviation", *_LEVELS, *_COMMANDS}:
+    known = {"title", "url", "deviation", *_FLAGS, *_LEVELS, *_COMMANDS}
+    if unknown := entry.keys() - known:
         return f"there is no key `{min(unknown)}`"
     if not _is_text(entry.get("title")):
         return "it needs a `title`, a text"
     if not _is_text(entry.get("url", "-")):
         return "`url` is a text"
-    if not isinstance(entry.get("fresh", False), bool):
-        return "`fresh` is true or false"
+    for key in _FLAGS:
+        if not isinstance(entry.get(key, False), bool):
+            return f"`{key}` is true or false"
     for key in _LEVELS:
         levels = entry.get(key, [])
         if not isinstance(levels, list) or not set(levels) <= set(LEVELS):
