@@ -4,18 +4,21 @@ import os
 import shutil
 import subprocess
 
+import pytest
 from j2a_conformance.cli import main
 
 SANITIZE = "-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all"
-FRAMES = 200_000
+FRAMES = 30_000
 
 
-def test_damaged_frames_without_end(build_firmware, capsys):
+@pytest.mark.parametrize("frames", [FRAMES, pytest.param(200_000, marks=pytest.mark.exhaustive)])
+def test_damaged_frames_without_end(build_firmware, capsys, frames):
     program = build_firmware("builtins", CC="gcc", CFLAGS=SANITIZE)
-    assert main(["faults", f"exec:{program}", "--soak", str(FRAMES), "--seed", "7"]) == 0
+    assert main(["faults", f"exec:{program}", "--soak", str(frames), "--seed", "7"]) == 0
     told = capsys.readouterr().out
-    assert int(told.split()[0]) >= FRAMES
-    for kind in ("burst", "drop", "dup", "flip", "reset", "stall", "swap", "truncate"):
+    assert int(told.split()[0]) >= frames
+    kinds = ["burst", "drop", "dup", "flip", "stall", "swap", "truncate"]
+    for kind in (*kinds, "reset") if frames > FRAMES else kinds:  # a reset is seldom
         assert f" {kind}" in told
 
 

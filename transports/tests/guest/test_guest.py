@@ -47,6 +47,7 @@ sys.exit(7)
 """
 
 
+@pytest.mark.exhaustive
 def test_a_command_has_all_modules_and_sees_the_host_and_its_code_comes_back(guest):
     """All in one boot, which takes as long as all the rest of this file."""
     with socket.create_server(("127.0.0.1", 0)) as server:

@@ -10,7 +10,7 @@ from firmware.sim.tests.conftest import Build, firmware
 
 __all__ = ["firmware"]  # a fixture
 
-pytestmark = [pytest.mark.guest, pytest.mark.avr]
+pytestmark = [pytest.mark.guest, pytest.mark.avr, pytest.mark.exhaustive]
 
 
 def test_the_kernel_and_the_chip(guest, firmware: Build):
