@@ -45,7 +45,11 @@ class _Due(_TransducerCase):
         for number, one in enumerate(sensors):
             with board.tuned(one):
                 for period_us in (_SHORT_US, _LONG_US) if one in firsts else (_SHORT_US,):
-                    board.peer.attempts(partial(self._sensor, board, one, period_us, number % 2))
+                    board.peer.attempts(partial(self._attempt, board, one, period_us, number % 2))
+
+    def _attempt(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
+        board.write(one, c.TRANSD_ENABLED, b"\1")  # the attempt before may have ended at 0
+        self._sensor(board, one, period_us, odd)
 
     def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
         raise NotImplementedError

@@ -162,6 +162,7 @@ class KeptPeriod(_Taken):
         board: Board, one: oracle.Transducer, writes: tuple[tuple[int, bytes], ...]
     ) -> None:
         link, channel = board.peer.link, one.channels - 1
+        board.write(one, c.TRANSD_ENABLED, b"\1")  # the attempt before may have ended at 0
         board.write(one, c.TRANSD_PERIOD, bytes(4))  # so that the first SIF is not late
         since = board.seen
         board.stimulate(one, (channel, board.value(one)))
