@@ -39,6 +39,7 @@ from j2a.io.connection import Connection
 from j2a.io.functions import DebugText
 from j2a.io.opening import TRANSPORT_ERRORS, WAIT_S, link_error
 from j2a.io.registration import FunctionRegistry
+from j2a.io.threads import process
 from j2a.io.transds_file import load_transds
 from j2a.io.transducer_runner import TransducerRunner
 from j2a.protocol.arguments import check_opcode, check_payload
@@ -156,6 +157,7 @@ class Device(FunctionRegistry):
         self.trace = trace
         self._calling = threading.Lock()
         self._clock = DeviceClock()
+        self._process = process.pid
         self._start_ns = time.monotonic_ns()
         self._us_per_ns = (1 + (clock or 0) / 1e6) / 1000
         self._received_us = 0
@@ -415,7 +417,13 @@ class Device(FunctionRegistry):
             listener.close()
 
     def stop(self) -> None:
-        """End all `serve` and `serve_forever`; from any thread, function or signal handler."""
+        """End all `serve` and `serve_forever`; from any thread, function or signal handler.
+
+        In a forked process it ends nothing that its parent serves.
+        """
+        if process.pid != self._process:
+            self._stopped = True
+            return
         if self._runner is not None:
             self._runner.stop()
         with self._lock:
@@ -484,6 +492,7 @@ class Device(FunctionRegistry):
             if self._stopped:
                 raise LocalError("this device was stopped; make a new one")
             group[member] = None
+            self._process = process.pid
         if self._stopped:  # since the last look, perhaps by a signal handler
             member.close()
         if self._runner is not None:

@@ -1,11 +1,13 @@
 """Descriptors that are freed once nobody uses them.
 
 Rules: whoever ends the use from another thread waits for the one that goes on; a signal handler
-that does so amid the use of its own thread leaves it to that, as waiting would never end.
+that does so amid the use of its own thread leaves it to that, as waiting would never end. A forked
+process frees nothing: its parent uses it, and the thread that does so is not there to wait for.
 """
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
 from typing import TypeVar
@@ -22,6 +24,7 @@ class InUse:
 
     def __init__(self, release: Callable[[], object]) -> None:
         self._release = release
+        self._process = os.getpid()
         self._lock = threading.RLock()
         self._users = 0  # more than one are a thread and its signal handlers
         self._is_ending = False
@@ -39,6 +42,8 @@ class InUse:
 
     def end(self) -> None:
         """Free it when it is in use no more; may be called twice."""
+        if os.getpid() != self._process:
+            return
         with self._lock:
             self._is_ending = True
             self._end()

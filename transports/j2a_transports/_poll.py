@@ -30,6 +30,7 @@ class Waker:
     """A switch that ends all present and future waits."""
 
     def __init__(self) -> None:
+        self._process = os.getpid()
         self._receiver, self._sender = socket.socketpair()
         self._receiver.setblocking(False)
         self._sender.setblocking(False)
@@ -39,7 +40,9 @@ class Waker:
         return self._receiver.fileno()
 
     def wake(self) -> None:
-        """End the waits."""
+        """End the waits; in a forked process, which has none but shares the switch, nothing."""
+        if os.getpid() != self._process:
+            return
         try:
             self._sender.send(b"\0")
         except OSError:
@@ -182,17 +185,19 @@ class PolledTransport(Transport):
                     if timeout_s == 0:
                         return b""
                     # Ready and yet nothing there: wait for what is left of the time.
-                    if deadline is not None:
-                        timeout_s = max(0.0, deadline - time.monotonic())
+                    timeout_s = _left(deadline, timeout_s)
                     continue
                 except OSError as error:
+                    if not self._knows_end(_left(deadline, timeout_s)):
+                        return b""
                     lost = self._lost(error)
                     self._end = str(lost)
                     raise lost from error
-                if not data:
-                    self._end = str(self._lost(None))
-                    continue
-                return data
+                if data:
+                    return data
+                if not self._knows_end(_left(deadline, timeout_s)):
+                    return b""
+                self._end = str(self._lost(None))
 
     def fileno(self) -> int:
         """See `Transport.fileno`."""
@@ -309,6 +314,10 @@ class PolledTransport(Transport):
         """Return how many bytes were taken; BlockingIOError when none can be."""
         return os.write(self._write_fd, data)
 
+    def _knows_end(self, limit_s: float | None) -> bool:
+        """Whether it is known how the link has ended; waits for that, but no longer than this."""
+        return True
+
     def _lost(self, error: OSError | None) -> LinkLost:
         """Say how the link was lost; `error` is None at the end of the stream."""
         reason = "the peer closed it" if error is None else error.strerror or str(error)
@@ -318,3 +327,8 @@ class PolledTransport(Transport):
         """Free the descriptors; called once, when they are no longer in use."""
         for fd in {self._read_fd, self._write_fd}:
             os.close(fd)
+
+
+def _left(deadline: float | None, timeout_s: float | None) -> float | None:
+    """Return what is left of a time limit, which is 0 or None where there is no deadline."""
+    return timeout_s if deadline is None else max(0.0, deadline - time.monotonic())

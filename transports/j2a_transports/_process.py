@@ -11,13 +11,15 @@ takes its children along.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import shlex
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from ._base import BadUrl, LinkLost, OpenFailed, Transport
@@ -90,10 +92,15 @@ class Child:
         self._name = command[0]
         self._stopping = threading.Lock()
 
-    def state(self) -> str:
-        """Say how the child ended, or that it has not."""
+    def has_ended(self, limit_s: float) -> bool:
+        """Wait for its end, but no longer than this; return whether it has ended."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(EXIT_CODE_WAIT_S)
+            self.process.wait(limit_s)
+        return self.process.returncode is not None
+
+    def state(self, limit_s: float | None = None) -> str:
+        """Say how the child ended, or that it has not within this time; by default a moment."""
+        self.has_ended(EXIT_CODE_WAIT_S if limit_s is None else limit_s)
         code = self.process.returncode
         if code is None:
             return f"{self._name} has closed its side but still runs"
@@ -146,12 +153,21 @@ class ProcessTransport(PolledTransport):
         self, url: str, child: Child, read_fd: int, write_fd: int, write_timeout_s: float | None
     ) -> None:
         self.child = child
+        self._last_output = math.inf  # when its end was seen
         for fd in (read_fd, write_fd):
             os.set_blocking(fd, False)
         super().__init__(url, read_fd, write_fd, write_timeout_s)
 
+    def _knows_end(self, limit_s: float | None) -> bool:
+        now = time.monotonic()
+        self._last_output = min(self._last_output, now)
+        left_s = max(0.0, self._last_output + EXIT_CODE_WAIT_S - now)
+        wait_s = left_s if limit_s is None else min(left_s, limit_s)
+        return self.child.has_ended(wait_s) or wait_s == left_s
+
     def _lost(self, error: OSError | None) -> LinkLost:
-        return LinkLost(f"{self.url} is lost: {self.child.state()}")
+        limit_s = None if self._last_output == math.inf else 0
+        return LinkLost(f"{self.url} is lost: {self.child.state(limit_s)}")
 
     def _release(self) -> None:
         super()._release()
@@ -176,11 +192,34 @@ def _start(url: Url) -> Transport:
     assert stdout is not None
     if os.name != "posix":
         return threaded(url.text, child, options["write_timeout"])
-    # The descriptors change hands: from now on the transport closes them.
-    read_fd, write_fd = os.dup(stdout.fileno()), os.dup(stdin.fileno())
+    with undone_on_error(url, child.stop, stdin.close, stdout.close) as undo:
+        # The descriptors change hands: from now on the transport closes them.
+        read_fd = os.dup(stdout.fileno())
+        undo.callback(os.close, read_fd)
+        write_fd = os.dup(stdin.fileno())
+        undo.callback(os.close, write_fd)
+        write_timeout_s = options["write_timeout"]
+        transport = ProcessTransport(url.text, child, read_fd, write_fd, write_timeout_s)
     stdin.close()
     stdout.close()
-    return ProcessTransport(url.text, child, read_fd, write_fd, options["write_timeout"])
+    return transport
+
+
+@contextlib.contextmanager
+def undone_on_error(url: Url, *undo: Callable[[], object]) -> Iterator[contextlib.ExitStack]:
+    """Undo what was done, the last first, where the system has no file for what comes then.
+
+    Raises:
+        OpenFailed: it has none.
+    """
+    with contextlib.ExitStack() as done:
+        for step in undo:
+            done.callback(step)
+        try:
+            yield done
+        except OSError as error:
+            raise OpenFailed(f"{url.text}: {error.strerror or error}") from error
+        done.pop_all()
 
 
 def uninterrupted(start: Callable[[], Transport]) -> Transport:
@@ -202,7 +241,10 @@ def uninterrupted(start: Callable[[], Transport]) -> Transport:
             ended.set()
 
     try:
-        threading.Thread(target=work, name="j2a start", daemon=True).start()
+        try:
+            threading.Thread(target=work, name="j2a start", daemon=True).start()
+        except RuntimeError as refused:  # the system has no thread to give
+            raise OpenFailed(str(refused)) from refused
         ended.wait()
     except BaseException:
         given_up.set()

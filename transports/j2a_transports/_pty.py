@@ -13,13 +13,14 @@ import contextlib
 import os
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport
+from ._base import LinkClosed, LinkLost, Listener, OpenFailed, Transport, TransportError
 from ._in_use import InUse
 from ._poll import BROKEN, CHUNK, READY, PolledTransport, Readiness, Waker
-from ._process import CWD, Child, ProcessTransport, parse_command, uninterrupted
+from ._process import CWD, Child, ProcessTransport, parse_command, undone_on_error, uninterrupted
 from ._scheme import Scheme, Usage
 from ._solo import wait_to_look
 from ._url import Url
@@ -70,7 +71,8 @@ def _start(url: Url) -> Transport:
         raise
     finally:
         os.close(slave)
-    return ProcessTransport(url.text, child, master, master, options["write_timeout"])
+    with undone_on_error(url, child.stop, partial(os.close, master)):
+        return ProcessTransport(url.text, child, master, master, options["write_timeout"])
 
 
 class PtyTransport(PolledTransport):
@@ -146,11 +148,21 @@ class PtyListener(Listener):
             if self._closed:
                 raise LinkClosed(f"{self.url} is closed")
             if (self._current is None or self._current.finished) and self._occupied():
-                fd = os.dup(self._master)
-                self._current = PtyTransport(self.url, fd, self._device, self._write_timeout_s)
+                self._current = self._opened()
                 return self._current
             if not wait_to_look(deadline):
                 return None
+
+    def _opened(self) -> PtyTransport:
+        with contextlib.ExitStack() as undo:
+            try:
+                fd = os.dup(self._master)
+                undo.callback(os.close, fd)
+                opened = PtyTransport(self.url, fd, self._device, self._write_timeout_s)
+            except OSError as error:
+                raise TransportError(f"{self.url}: cannot accept: {error.strerror}") from error
+            undo.pop_all()
+        return opened
 
     def _occupied(self) -> bool:
         """Whether somebody has the terminal open, or has left bytes in it."""
@@ -160,7 +172,7 @@ class PtyListener(Listener):
     def close(self) -> None:
         """See `Listener.close`."""
         self._closed = True
-        self._in_use.end()
+        self._in_use.end()  # nothing in a forked process, and the link stays
 
     def _release(self) -> None:
         os.close(self._master)
@@ -177,13 +189,18 @@ def listen_url(url: Url) -> Listener:
     # Closed, so that the master notices whether somebody else has it open; raw mode stays.
     os.close(slave)
     link = Path(url.rest).absolute() if url.rest else None
-    if link is not None:
-        try:
-            if link.is_symlink() and not link.exists():
-                # Left over from a program that was killed: the device it names is gone.
-                link.unlink()
-            link.symlink_to(device)
-        except OSError as error:
-            os.close(master)
-            raise OpenFailed(f"{url.text}: cannot make the link: {error.strerror}") from error
-    return PtyListener(master, device, link, options["write_timeout"])
+    with undone_on_error(url, partial(os.close, master)) as undo:
+        if link is not None:
+            _make_link(url, link, device)
+            undo.callback(link.unlink)
+        return PtyListener(master, device, link, options["write_timeout"])
+
+
+def _make_link(url: Url, link: Path, device: str) -> None:
+    try:
+        if link.is_symlink() and not link.exists():
+            # Left over from a program that was killed: the device it names is gone.
+            link.unlink()
+        link.symlink_to(device)
+    except OSError as error:
+        raise OpenFailed(f"{url.text}: cannot make the link: {error.strerror}") from error

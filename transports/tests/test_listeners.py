@@ -6,6 +6,7 @@ import errno
 import os
 import socket
 import stat
+import subprocess
 import sys
 import threading
 import time
@@ -107,6 +108,38 @@ def free_descriptors(count: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a program of POSIX")
+@pytest.mark.parametrize(
+    ("offer", "url"),
+    [
+        (j2a_transports.open, "exec:sleep 1000"),
+        (j2a_transports.open, "pty:sleep 1000"),
+        (j2a_transports.listen, "pty:{folder}/link"),
+    ],
+)
+def test_nothing_is_left_where_the_system_has_no_file(
+    offer: Callable[[str], Transport | Listener], url: str, tmp_path: Path
+) -> None:
+    def left() -> tuple[int, list[str], list[Path]]:
+        command = ["pgrep", "-P", str(os.getpid()), "-f", "sleep 1000"]
+        children = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+        files = sum(1 for _ in Path("/dev/fd").iterdir())
+        return files, children.split(), [*tmp_path.iterdir()]
+
+    before = left()
+    for count in range(20):
+        try:
+            with free_descriptors(count):
+                offered = offer(url.format(folder=tmp_path))
+        except OpenFailed:
+            assert left() == before, count
+        else:
+            offered.close()
+            break
+    assert count > 1
+    assert left() == before
 
 
 class TestTcp:

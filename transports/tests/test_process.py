@@ -82,6 +82,30 @@ def test_a_child_that_only_closes_its_output(monkeypatch: pytest.MonkeyPatch) ->
     assert child_of(child).returncode == 0
 
 
+@pytest.mark.parametrize("limit_s", [0, 0.01])
+def test_a_read_waits_for_no_exit_code_beyond_its_time(
+    limit_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("j2a_transports._process.EOF_GRACE_S", PATIENCE_S)
+    # Where it waited for the code, it would not end before the test is ended.
+    monkeypatch.setattr("j2a_transports._process.EXIT_CODE_WAIT_S", 100 * PATIENCE_S)
+    with j2a_transports.open("exec:sh -c 'exec >&-; read line; exit 3'") as child:
+        assert child.wait(PATIENCE_S)
+        assert child.read(limit_s) == b""
+        child.write(b"\n")
+        with pytest.raises(LinkLost, match="sh ended with exit code 3"):
+            child.read(PATIENCE_S)
+
+
+def test_without_a_thread_nothing_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("threading.Thread.start", refuse)
+    with pytest.raises(OpenFailed, match="can't start new thread"):
+        j2a_transports.open("exec:cat")
+
+
 @both
 def test_a_program_that_is_not_there(scheme: str) -> None:
     with pytest.raises(OpenFailed, match=r"no program '\./no-such-fw': build it first"):

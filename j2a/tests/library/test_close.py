@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import gc
 import os
+import signal
 import threading
 import time
 import weakref
@@ -343,6 +344,44 @@ class TestFork:
 
             assert self.child(works) == "Outcome.NOT_SENT"
             assert client.echo(b"still there") == b"still there"
+
+    @pytest.mark.parametrize("url", ["tcp://127.0.0.1:0", "pty:{folder}/board"])
+    def test_a_device_that_a_child_stops_goes_on_in_the_parent(self, url, tmp_path):
+        device = DemoDevice()
+        with served(device, url.format(folder=tmp_path)) as url, j2a.connect(url) as client:
+            client.echo(b"x")
+            [listener] = device._listeners
+
+            def works():
+                signal.setitimer(
+                    signal.ITIMER_REAL, PATIENCE_S
+                )  # ends a child that waits for threads of its parent
+                device.stop()
+                listener.close()
+                with pytest.raises(j2a.LocalError, match="was stopped"):
+                    device.serve(j2a_transports.pair()[0])
+                return "stopped"
+
+            assert self.child(works) == "stopped"
+            with pytest.raises(BlockingIOError):  # the threads of the parent were not woken
+                listener._waker._receiver.recv(1)
+            assert client.echo(b"still there") == b"still there"
+
+    def test_a_child_serves_and_stops_a_device_of_before(self):
+        device = DemoDevice()
+
+        def works():
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+            near, far = j2a_transports.pair()
+            thread = threading.Thread(target=device.serve, args=(near,))
+            thread.start()
+            with j2a.Client(far) as client:
+                told = client.echo(b"by the child").decode()
+                device.stop()
+                thread.join()
+            return told
+
+        assert self.child(works) == "by the child"
 
     def test_what_is_iterated_says_so_too(self):
         with (
