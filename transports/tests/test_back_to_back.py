@@ -69,6 +69,8 @@ class TestTcpBySelect(TestTcp):
 
 
 class TestExec(BackToBack):
+    has_exit_code = True
+
     def connect(self):
         return through_relay(lambda command: j2a_transports.open(f"exec:{' '.join(command)}"))
 
@@ -86,6 +88,7 @@ class TestExecByThreads(BackToBack):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminals")
 class TestPtyChild(BackToBack):
+    has_exit_code = True
     # The kernel empties a terminal whose master is closed.
     discards = frozenset({"near"})
 
