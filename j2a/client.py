@@ -263,7 +263,7 @@ class Client(ClientBase):
         `board.functions.add(40, 2)` is 42, and `help(board.functions.add)` says what it does.
         `connect` fetches the map; reading it asks nothing of the device then.
 
-        Raises: as `call`, when the map is still to be fetched.
+        Raises: as `call`, when the map or the interface is still to be read.
         """
         self._load()
         names = self._device.functions
@@ -283,7 +283,7 @@ class Client(ClientBase):
 
         Raises: as `call`, when the descriptors are still to be read.
         """
-        self._load()
+        self._load(needs_transducers=True)
         learnt = self._device.descriptors
         if self._transducers is None or self._transducers[0] is not learnt:
             self._transducers = learnt, self._make_transducers(Sensor, Actuator)
@@ -473,10 +473,13 @@ class Client(ClientBase):
 
     # ------------------------------------------------------------------ machinery
 
-    def _load(self) -> None:
-        """Fetch the function map and the interface, unless they were."""
+    def _load(self, *, needs_transducers: bool = False) -> None:
+        """Fetch the function map, the interface and the descriptors, unless they were."""
         device = self._device
+        is_known = device.asked_for_transducers if needs_transducers else True
         if device.functions is None or not device.asked_for_interface or self._is_stale:
+            is_known = False
+        if not is_known:
             self._drive(self._load_functions(), self._device_limits(self.now()))
 
     def _restarted(self, restart: Restart) -> tuple[Restart, Handlers[RestartHandler]]:

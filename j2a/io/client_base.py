@@ -36,6 +36,7 @@ from j2a.errors import (
     J2AError,
     LocalError,
     OpcodeRefused,
+    Outcome,
     ProtocolError,
     RemoteError,
     remote_error,
@@ -77,6 +78,8 @@ _logger = logging.getLogger("j2a")
 _FunctionT = TypeVar("_FunctionT", bound=RemoteFunction)
 _TransducerT = TypeVar("_TransducerT", bound=RemoteTransducer)
 _MAP_ASKS: Final = 4
+_ASKS: Final = 4
+"""What a device says of itself is asked for so often, where no answer comes and time is left."""
 _FIRST_LIMIT_S: Final = 0.25
 _STALE_BYTES: Final = 2**18
 
@@ -96,6 +99,8 @@ class ClientBase:
         self._device = DeviceInfo()
         # The epoch of the session in which it was learnt what the device has.
         self._learnt = 0
+        # The epoch in which the function map was fetched, -1 before.
+        self._mapped = -1
         self._generation = 0
         # The epoch whose samples the descriptors are of, -1 while they are being learnt.
         self._described = -1
@@ -358,9 +363,13 @@ class ClientBase:
     # ------------------------------------------------------------------ several calls
 
     def _connect(self, boot_time: float, bit_rate: int) -> Transfer[None]:
-        """Learn what the device has; `bit_rate` is that of the link, 0 where it has none."""
+        """Learn what the device has; `bit_rate` is that of the link, 0 where it has none.
+
+        A device that answers, but does not come to an end of its descriptions, is connected: they
+        are asked for again by what needs them.
+        """
         try:
-            yield from self._refresh(boot_time)
+            yield from self._refresh(boot_time, needs_all=False)
         except CallTimeout:
             if self._device.functions is not None:
                 raise
@@ -386,13 +395,26 @@ class ClientBase:
             "same at both ends"
         )
 
-    def _refresh(self, boot_time: float | None) -> Transfer[None]:
+    def _refresh(
+        self, boot_time: float | None, *, needs_map: bool = True, needs_all: bool = True
+    ) -> Transfer[None]:
+        """Learn anew what the device has.
+
+        Args:
+            boot_time: see `Client.refresh`.
+            needs_map: the function map is fetched, too.
+            needs_all: it is an error where the device does not answer what it has beside the map.
+        """
         session, device = self._session, self._device
         epoch, generation = session.epoch, session.generation
         is_doubted = self._is_stale and generation == self._generation
         before = self._identity
-        yield from self._fetch_map(boot_time)
-        yield from self._learn_interface(epoch)
+        if needs_map:
+            yield from self._fetch_map(boot_time)
+            self._mapped = epoch
+        unanswered = yield from self._learn_rest(epoch)
+        if unanswered is not None and needs_all:
+            raise unanswered
         self._learnt, self._generation = epoch, generation
         self._identity = device.identity
         if self._pinned is not None:
@@ -406,15 +428,31 @@ class ClientBase:
             self._generation += 1
             self._tell_restart(Restart(interface_hash=device.interface_hash))
 
-    def _learn_interface(self, epoch: int | None = None) -> Transfer[None]:
-        """Learn all beside the map, in the epoch of the map where none is given."""
-        if not self._device.asked_for_transducers:
+    def _learn_interface(self) -> Transfer[None]:
+        """Learn all beside the map, where that was not done.
+
+        Raises: where the device does not answer, which is no word of it.
+        """
+        unanswered = yield from self._learn_rest(self._learnt)
+        if unanswered is not None:
+            raise unanswered
+        if not self._device.differs_from(self._identity):  # else the next refresh tells of it
+            self._identity = self._device.identity
+
+    def _learn_rest(self, epoch: int) -> Transfer[J2AError | None]:
+        """Learn all beside the map; return why there was no answer, else None."""
+        device, session = self._device, self._session
+        if not device.asked_for_transducers:
             self._described = -1  # what came before a restart is not read by what is learnt now
-        yield from self._device.learn_interface()
-        yield from self._device.learn_transducers()
-        self._session.has_boot = CAP_BOOT in self._device.announced.capabilities
-        self._session.has_samples = self._device.descriptors is not None
-        self._described = self._learnt if epoch is None else epoch
+        unanswered = (yield from _insist(device.learn_interface)) or (
+            yield from _insist(device.learn_transducers)
+        )
+        if device.properties is not None or unanswered is None:
+            session.has_boot = CAP_BOOT in device.announced.capabilities
+        session.has_samples = device.descriptors is not None
+        if unanswered is None:
+            self._described = epoch
+        return unanswered
 
     def _fetch_map(self, boot_time: float | None) -> Transfer[None]:
         limits = [self._timeout]
@@ -454,7 +492,8 @@ class ClientBase:
 
     def _load_map(self) -> Transfer[None]:
         if self._is_stale:
-            yield from self._refresh(None)
+            # Where only the rest has not come in time, who asks next goes on with that.
+            yield from self._refresh(None, needs_map=self._mapped != self._session.epoch)
         elif self._device.functions is None:
             yield from self._fetch_map(None)
 
@@ -584,6 +623,19 @@ def _name(function: str | int) -> str:
 
 def _counted(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
+
+
+def _insist(learn: Callable[[], Transfer[J2AError | None]]) -> Transfer[J2AError | None]:
+    """Learn something, again while no answer comes and time is left; return why none came."""
+    unanswered: J2AError | None = None
+    for _ in range(_ASKS):
+        error = yield from learn()
+        if error is None:
+            return None
+        unanswered = unanswered or error
+        if error.outcome is Outcome.NOT_SENT:  # no time is left, or no seq
+            break
+    return unanswered
 
 
 def _ask_map(limit_s: float) -> Transfer[Reply | None]:

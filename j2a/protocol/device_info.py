@@ -4,8 +4,9 @@ What flows in: replies to a2jGetMapping and a2jMany. What flows out: opcodes for
 transfers as generators (see `j2a.protocol.transfer`).
 Rules: no input and no output of its own; both clients drive the same object. What was learnt is
 kept until the next map. Where another thread or task takes one while something is learnt, that is
-learnt again: it may be what another device said. Old devices are recognised by what they lack
-(J2A-PROP-005).
+learnt again: it may be what another device said. Only the word of the device is kept, also that it
+has none of something; where no answer came, that is asked for again. Old devices are recognised by
+what they lack (J2A-PROP-005).
 """
 
 from collections.abc import Callable, Sequence
@@ -31,12 +32,15 @@ from j2a_spec.constants import (
 from j2a_spec.nearest import nearest_or_all
 
 from j2a.errors import (
+    CallTimeout,
+    DamageReported,
     DeviceRestarted,
     FunctionFailed,
     J2AError,
     LegacyLimit,
     LinkClosed,
     LinkLost,
+    LinkStalled,
     LocalError,
     OpcodeRefused,
     Outcome,
@@ -79,6 +83,8 @@ MANY_OPCODE: Final = 1
 
 
 _FoundT = TypeVar("_FoundT")
+_NO_ANSWER: Final = CallTimeout, LinkStalled, DamageReported
+"""These are no word of the device about itself: the next time it may have one."""
 
 
 class DeviceInfo:
@@ -95,12 +101,12 @@ class DeviceInfo:
             them, or not so that it can be used.
         sifs: the SIFs that the device describes, by name.
         interface_problem: why it is not used although the device has it, or "".
-        asked_for_interface: `learn_interface` was run.
+        asked_for_interface: `learn_interface` was run, and answered.
         types: the classes of the values that the interface describes.
         descriptors: the device's transducers; None where it has none, or not so that they can be
             used, or they were not read yet.
         transducers_problem: why they are not used although the device has them, or "".
-        asked_for_transducers: `learn_transducers` was run.
+        asked_for_transducers: `learn_transducers` was run, and answered.
     """
 
     def __init__(self) -> None:
@@ -211,37 +217,43 @@ class DeviceInfo:
         self._mapped = ()
         self._map = object()
 
-    def learn_interface(self) -> Transfer[None]:
+    def learn_interface(self) -> Transfer[J2AError | None]:
         """Learn what the functions take and return, where the device tells it.
 
         Nothing that the device says is an error: without a description its functions stay callable
         by name and opcode (J2A-IFACE-009).
+
+        Returns: why there was no answer, so that it is asked for again the next time; else None.
         """
         while not self.asked_for_interface:
             map_then = self._map
             interface, problem = yield from self._described(GET_INTERFACE, self._read_interface)
-            if self._map is not map_then:
-                continue
+            if self._map is not map_then or self.asked_for_interface:
+                continue  # what another thread has found meanwhile stays
+            if isinstance(problem, _NO_ANSWER):
+                self.interface_problem = str(problem)
+                return problem
             if interface is not None:
                 names = [function.name for function in interface.functions]
                 self.functions = {name: opcode for opcode, name in enumerate(names)}
                 self.sifs = {sif.name: sif for sif in interface.sifs}
-            self.interface, self.interface_problem = interface, problem
+            self.interface, self.interface_problem = interface, str(problem or "")
             self.asked_for_interface = True
+        return None
 
     def _described(
         self, function: str, read: Callable[[int], Transfer[_FoundT]]
-    ) -> Transfer[tuple[_FoundT | None, str]]:
+    ) -> Transfer[tuple[_FoundT | None, J2AError | None]]:
         """Return what the device describes by a function, or None; and why it cannot be used."""
         opcode = (self.functions or {}).get(function)
         if opcode is None:
-            return None, ""
+            return None, None
         try:
-            return (yield from read(opcode)), ""
+            return (yield from read(opcode)), None
         except (DeviceRestarted, LinkClosed, LinkLost):
             raise
         except J2AError as error:
-            return None, str(error)
+            return None, error
 
     def _read_interface(self, opcode: int) -> Transfer[Interface]:
         properties = yield from self.read_properties()
@@ -262,17 +274,24 @@ class DeviceInfo:
 
     # ------------------------------------------------------------------ transducers
 
-    def learn_transducers(self) -> Transfer[None]:
+    def learn_transducers(self) -> Transfer[J2AError | None]:
         """Learn what sensors and actuators the device has, where it tells it.
 
         Nothing that the device says is an error: its functions stay callable (J2A-TRANS-021).
+
+        Returns: as `learn_interface`.
         """
         while not self.asked_for_transducers:
             map_then = self._map
-            found = yield from self._described(GET_TRANSDS, self._read_transducers)
-            if self._map is map_then:
-                self.descriptors, self.transducers_problem = found
-                self.asked_for_transducers = True
+            descriptors, problem = yield from self._described(GET_TRANSDS, self._read_transducers)
+            if self._map is not map_then or self.asked_for_transducers:
+                continue  # what another thread has found meanwhile stays
+            self.transducers_problem = str(problem or "")
+            if isinstance(problem, _NO_ANSWER):
+                return problem
+            self.descriptors = descriptors
+            self.asked_for_transducers = True
+        return None
 
     def _read_transducers(self, opcode: int) -> Transfer[Descriptors]:
         yield from self.read_properties()
@@ -345,7 +364,8 @@ class DeviceInfo:
         try:
             yield from self.read_properties()
         except (OpcodeRefused, FunctionFailed, ProtocolError, LegacyLimit):
-            self.announced = Announced({})
+            if self.properties is None:  # another thread may have read them meanwhile
+                self.announced = Announced({})
         self.room = self.announced.room
 
     def check_room(self, what: str, payload: bytes) -> Transfer[None]:

@@ -143,6 +143,7 @@ def test_silence_costs_the_interface_and_not_the_link():
     with pytest.raises(StopIteration):
         steps.throw(j2a.CallTimeout("no reply"))
     assert peer.interface_problem == "no reply"
+    assert not peer.asked_for_interface
     assert peer.functions == device.functions
     for error in (j2a.LinkLost, j2a.LinkClosed):
         peer = know(device)
