@@ -266,7 +266,8 @@ class Client(ClientBase):
         Raises: as `call`, when the map or the interface is still to be read.
         """
         self._load()
-        names = self._device.functions
+        while not (names := self._device.names).is_whole:
+            self._load()  # another thread has just taken a new map
         if self._functions is None or self._functions[0] is not names:
             made = RemoteFunctions(self._make_functions(Function), self._device.missing)
             self._functions = names, made

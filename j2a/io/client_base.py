@@ -47,7 +47,7 @@ from j2a.io.remote import Origin, RemoteFunction
 from j2a.io.samples import SampleSource
 from j2a.io.transducers import RemoteTransducer, Transducers
 from j2a.protocol.arguments import check_timeout
-from j2a.protocol.device_info import DeviceInfo, is_map
+from j2a.protocol.device_info import DeviceInfo, Names, is_map
 from j2a.protocol.limits import DEVICE_LIMITS, Limits
 from j2a.protocol.session import MAX_WINDOW, NONCE_BYTES, Session
 from j2a.protocol.trace import Trace
@@ -255,7 +255,7 @@ class ClientBase:
         epoch = self._learnt if is_right else -1
         return {
             name: kind(opcode, lines.get(name) or Described(name), device.types, client, epoch)
-            for name, opcode in (device.functions or {}).items()
+            for name, opcode in device.names.items()
         }
 
     def _make_function(
@@ -294,7 +294,7 @@ class ClientBase:
         device, name = self._device, function.name
         opcode: int | None = function.opcode
         if function.origin is not Origin.OPCODE:
-            opcode = (device.functions or {}).get(name)
+            opcode = device.names.get(name)
             if opcode is None:
                 raise InterfaceChanged(
                     f"{name} was not sent: the device has restarted and has no function of that "
@@ -466,7 +466,7 @@ class ClientBase:
                     raise
                 continue
             break
-        self._session.echo_opcode = (self._device.functions or {}).get(GET_ECHO)
+        self._session.echo_opcode = self._device.names.get(GET_ECHO)
         if self._window > 1:
             yield from self._device.read_properties()
             self._session.rxbuf = self._device.rxbuf
@@ -501,10 +501,14 @@ class ClientBase:
         yield from self._load_map()
         yield from self._learn_interface()
 
-    def _find(self, function: str | int) -> Transfer[None]:
-        """Load what is needed to know the opcode of a function."""
-        yield from self._load_map()
-        if isinstance(function, str) and function not in (self._device.functions or {}):
+    def _find(self, function: str | int) -> Transfer[Names | None]:
+        """Load what is needed to know the opcode of a function; return where that is found."""
+        while True:
+            yield from self._load_map()
+            names = self._device.functions
+            is_found = not isinstance(function, str) or names is None or function in names
+            if is_found or names is None or names.is_whole:
+                return names
             yield from self._learn_interface()
 
     def _read_debug(self) -> Transfer[str]:
@@ -543,17 +547,20 @@ class ClientBase:
             return None
         if isinstance(function, RemoteFunction) and function.epoch != self._learnt:
             return None
-        is_known = not isinstance(function, str) or function in (device.functions or {})
-        if not is_known and not device.asked_for_interface:
+        names = device.functions
+        if isinstance(function, str) and (
+            names is None or (function not in names and not names.is_whole)
+        ):
             return None
-        return device.resolve(function)
+        return device.resolve(function, names)
 
     def _call(self, function: str | int, payload: bytes) -> Transfer[Reply]:
         """Find out the opcode and the room for the payload, then make the call."""
         is_named = isinstance(function, str | RemoteFunction)
+        names: Names | None = None
         if is_named or self._is_stale or len(payload) > self._device.room:
-            yield from preparing(_name(function), self._find(function))
-        what, opcode = self._device.resolve(self._current(function))
+            names = yield from preparing(_name(function), self._find(function))
+        what, opcode = self._device.resolve(self._current(function), names)
         if len(payload) > self._device.room:
             yield from preparing(what, self._device.check_room(what, payload))
         [reply] = yield (CallRequest(what, payload, opcode),)
@@ -570,14 +577,14 @@ class ClientBase:
     def _read_many(
         self, function: str | int, max_bytes: int, progress: Progress | None
     ) -> Transfer[bytes]:
-        yield from preparing(_name(function), self._find(function))
-        return (yield from self._device.read(self._current(function), max_bytes, progress))
+        names = yield from preparing(_name(function), self._find(function))
+        return (yield from self._device.read(self._current(function), max_bytes, progress, names))
 
     def _write_many(
         self, function: str | int, data: bytes, progress: Progress | None
     ) -> Transfer[int]:
-        yield from preparing(_name(function), self._find(function))
-        return (yield from self._device.write(self._current(function), data, progress))
+        names = yield from preparing(_name(function), self._find(function))
+        return (yield from self._device.write(self._current(function), data, progress, names))
 
     def _echo_many(self, data: bytes, progress: Progress | None) -> Transfer[bytes]:
         yield from preparing(GET_ECHO_MANY, self._load_map())

@@ -140,7 +140,7 @@ class ClockBase:
     @property
     def _can_be_set(self) -> bool:
         client = self._client_ref()
-        return client is not None and c.CLOCK in (client._device.functions or {})
+        return client is not None and c.CLOCK in client._device.names
 
     @property
     def _has_restarted(self) -> bool:
@@ -314,14 +314,14 @@ class ClockBase:
         device = client._device
         # A board with the capability clock needs no transducers, which a slow link may not bring
         # within the limit of an exchange.
-        is_known = c.CLOCK in (device.functions or {}) or device.asked_for_transducers
+        is_known = c.CLOCK in device.names or device.asked_for_transducers
         if client._is_stale or not is_known:
             yield from client._load_functions()
         restarts = client._session.restarts
         if restarts != self._restarts:
             self._restarts = restarts
             self._discipline.reset()
-        functions = device.functions or {}
+        functions = device.names
         if c.CLOCK in functions:
             return
         if to_set:

@@ -9,7 +9,7 @@ has none of something; where no answer came, that is asked for again. Old device
 what they lack (J2A-PROP-005).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final, TypeVar
 
@@ -72,7 +72,7 @@ from j2a.types.coding import PythonTypes
 from j2a.types.model import Interface, SifShape
 from j2a.types.transducers import Descriptors
 
-__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "DeviceInfo", "is_map"]
+__all__ = ["DEFAULT_MAX_BYTES", "MANY_OPCODE", "DeviceInfo", "Names", "is_map"]
 
 DEFAULT_MAX_BYTES: Final = 64 * 2**20
 MAX_PROPERTIES: Final = 16 * 1024
@@ -85,6 +85,31 @@ MANY_OPCODE: Final = 1
 _FoundT = TypeVar("_FoundT")
 _NO_ANSWER: Final = CallTimeout, LinkStalled, DamageReported
 """These are no word of the device about itself: the next time it may have one."""
+
+
+class Names(dict[str, int]):
+    """Functions and their opcodes, with what else of them has to be of the same moment.
+
+    Threads call functions while another one learns them anew, so who looks up a name takes one of
+    these, and it is put in the place of the one before when it is ready.
+
+    Attributes:
+        no_map: why there are none, or "".
+        is_whole: those of the interface are among them, unless the device has none.
+    """
+
+    __slots__ = ("is_whole", "no_map")
+
+    def __init__(
+        self,
+        opcodes: Mapping[str, int],
+        no_map: str = "its function map was not fetched",
+        *,
+        is_whole: bool = False,
+    ) -> None:
+        super().__init__(opcodes)
+        self.no_map = no_map
+        self.is_whole = is_whole
 
 
 class DeviceInfo:
@@ -101,7 +126,6 @@ class DeviceInfo:
             them, or not so that it can be used.
         sifs: the SIFs that the device describes, by name.
         interface_problem: why it is not used although the device has it, or "".
-        asked_for_interface: `learn_interface` was run, and answered.
         types: the classes of the values that the interface describes.
         descriptors: the device's transducers; None where it has none, or not so that they can be
             used, or they were not read yet.
@@ -110,13 +134,12 @@ class DeviceInfo:
     """
 
     def __init__(self) -> None:
-        self.functions: dict[str, int] | None = None
+        self.functions: Names | None = None
         self.properties: dict[str, str] | None = None
         self.announced = Announced({})
         self.room = MIN_ROOM
         self._mapped: Sequence[str] = ()
         self._forget_interface()
-        self._no_map = "its function map was not fetched"
         # Opcodes of the functions for which a probe has shown that all of the offset counts.
         self._probed: set[int] = set()
 
@@ -130,33 +153,53 @@ class DeviceInfo:
         Raises:
             ProtocolError: it is not a function map, so the peer is not a device.
         """
-        self.functions = self.properties = None
-        self.announced = Announced({})
-        self.room = MIN_ROOM
-        self._forget_interface()
-        self._probed = set()
-        functions: dict[str, int] = {}
+        mapped: Sequence[str] = ()
+        no_map = ""
         if reply is None:
-            self._no_map = "it has no function map"
+            no_map = "it has no function map"
         elif reply.code != RET_OK:
-            self._no_map = f"its function map came with code 0x{reply.code:02X}, so it is damaged"
+            no_map = f"its function map came with code 0x{reply.code:02X}, so it is damaged"
         elif not is_map(reply):
+            self._put(None, ())
             raise ProtocolError(
                 f"the function map does not begin with {GET_MAPPING}; "
                 "does the link echo what is sent?"
             )
         elif not reply.payload.endswith(b"\0"):
-            self._no_map = "its function map is cut off"
+            no_map = "its function map is cut off"
         else:
-            self._no_map = ""
-            self._mapped = reply.payload.decode("utf-8", "replace").split("\0")[:-1]
-            for opcode, name in enumerate(self._mapped):
-                if name:
-                    functions.setdefault(name, opcode)
-        self.functions = functions
+            mapped = reply.payload.decode("utf-8", "replace").split("\0")[:-1]
+        functions: dict[str, int] = {}
+        for opcode, name in enumerate(mapped):
+            if name:
+                functions.setdefault(name, opcode)
+        self._put(Names(functions, no_map), mapped)
 
-    def resolve(self, function: object) -> tuple[str, int]:
+    def _put(self, functions: Names | None, mapped: Sequence[str]) -> None:
+        """Put functions in the place of those of before, and forget the rest.
+
+        What another thread reads by those of before is dropped: behind them the map is another one.
+        """
+        self.functions = functions
+        self.properties = None
+        self.announced = Announced({})
+        self.room = MIN_ROOM
+        self._probed = set()
+        self._forget_interface()
+        self._mapped = mapped
+
+    @property
+    def names(self) -> Names:
+        """The functions of now; none where the map was not fetched."""
+        functions = self.functions
+        return Names({}) if functions is None else functions
+
+    def resolve(self, function: object, names: Names | None = None) -> tuple[str, int]:
         """Return how messages name a function, and its opcode.
+
+        Args:
+            function: a name, an opcode, or an object with both.
+            names: where names are looked up; None for those of now.
 
         Raises:
             UnknownFunction: there is no function of that name.
@@ -165,13 +208,13 @@ class DeviceInfo:
         if not isinstance(function, str):
             opcode = check_opcode(getattr(function, "opcode", function))
             return getattr(function, "name", f"opcode {opcode}"), opcode
-        known = self.functions or {}
+        known = self.names if names is None else names
         opcode = known.get(function, -1)
         if opcode >= 0:
             return function, opcode
-        if self._no_map:
+        if known.no_map:
             raise UnknownFunction(
-                f"the device cannot be asked for {function!r}: {self._no_map}; call it by opcode"
+                f"the device cannot be asked for {function!r}: {known.no_map}; call it by opcode"
             )
         hint = nearest_or_all(function, known, most=3, cutoff=0.5)
         raise UnknownFunction(f"the device has no function {function!r}; {hint}")
@@ -205,11 +248,15 @@ class DeviceInfo:
             return False
         return before[0] != now[0] or (None not in (before[1], now[1]) and before[1] != now[1])
 
+    @property
+    def asked_for_interface(self) -> bool:
+        """`learn_interface` was run since the map was taken, and answered."""
+        return self.names.is_whole
+
     def _forget_interface(self) -> None:
         self.interface: Interface | None = None
         self.sifs: dict[str, SifShape] = {}
         self.interface_problem = ""
-        self.asked_for_interface = False
         self.types = PythonTypes()
         self.descriptors: Descriptors | None = None
         self.transducers_problem = ""
@@ -233,19 +280,21 @@ class DeviceInfo:
             if isinstance(problem, _NO_ANSWER):
                 self.interface_problem = str(problem)
                 return problem
+            functions = self.names
+            opcodes: Mapping[str, int] = functions
             if interface is not None:
-                names = [function.name for function in interface.functions]
-                self.functions = {name: opcode for opcode, name in enumerate(names)}
+                opcodes = {one.name: opcode for opcode, one in enumerate(interface.functions)}
                 self.sifs = {sif.name: sif for sif in interface.sifs}
             self.interface, self.interface_problem = interface, str(problem or "")
-            self.asked_for_interface = True
+            # Behind all that is found by it.
+            self.functions = Names(opcodes, functions.no_map, is_whole=True)
         return None
 
     def _described(
         self, function: str, read: Callable[[int], Transfer[_FoundT]]
     ) -> Transfer[tuple[_FoundT | None, J2AError | None]]:
         """Return what the device describes by a function, or None; and why it cannot be used."""
-        opcode = (self.functions or {}).get(function)
+        opcode = self.names.get(function)
         if opcode is None:
             return None, None
         try:
@@ -328,7 +377,7 @@ class DeviceInfo:
     @property
     def _properties_opcode(self) -> int | None:
         """The opcode of a2jGetProperties, None for a device whose properties cannot be read."""
-        known = self.functions or {}
+        known = self.names
         return known.get(GET_PROPERTIES) if MANY in known else None
 
     @property
@@ -386,10 +435,14 @@ class DeviceInfo:
     # ------------------------------------------------------------------ transfers
 
     def read(
-        self, function: object, max_bytes: object, progress: Progress | None
+        self,
+        function: object,
+        max_bytes: object,
+        progress: Progress | None,
+        names: Names | None = None,
     ) -> Transfer[bytes]:
-        """Read all that a function has; see `read_chunks`."""
-        what, opcode = self.resolve(function)
+        """Read all that a function has; see `read_chunks`, and `resolve` for `names`."""
+        what, opcode = self.resolve(function, names)
         offset_check: OffsetCheck
         if opcode == self._properties_opcode:  # of a device of any version (J2A-VER-003)
             offset_check = partial(self._guard_properties, opcode)
@@ -406,10 +459,16 @@ class DeviceInfo:
             progress=progress,
         )
 
-    def write(self, function: object, data: object, progress: Progress | None) -> Transfer[int]:
-        """Write data to a function; see `write_chunks`."""
+    def write(
+        self,
+        function: object,
+        data: object,
+        progress: Progress | None,
+        names: Names | None = None,
+    ) -> Transfer[int]:
+        """Write data to a function; see `write_chunks`, and `resolve` for `names`."""
         self.check_version()
-        what, opcode = self.resolve(function)
+        what, opcode = self.resolve(function, names)
         return self._write(what, opcode, _check_transfer(data), progress)
 
     def echo(self, data: object, progress: Progress | None, window: int = 1) -> Transfer[bytes]:
@@ -435,7 +494,8 @@ class DeviceInfo:
         Raises:
             UnknownFunction: the device has a function map without it (J2A-DISP-008).
         """
-        opcode = self.functions.get(MANY) if self.functions else MANY_OPCODE
+        names = self.names
+        opcode = names.get(MANY) if names else MANY_OPCODE
         if opcode is None:
             raise UnknownFunction(
                 f"the device was built without {MANY}, so nothing can be read or written in "

@@ -17,7 +17,7 @@ from j2a.protocol.device_info import DeviceInfo
 from j2a.types.transds_file import read_transds
 
 from .rebooting import boot_payload
-from .support import PATIENCE_S
+from .support import PATIENCE_S, linked
 from .test_simulated_time import SlowDevice
 
 TRANSDS = "SENSOR(fast, 0, fast, X, 1, int16_t, none)\n"
@@ -268,3 +268,80 @@ def test_no_answer_is_told_and_not_kept(what, error):
     assert told(device, learn()) is None
     assert getattr(peer, f"{what}_problem") == ""
     assert (peer.interface if what == "interface" else peer.descriptors) is not None
+
+
+# ---------------------------------------------------------------------- while it is learnt anew
+
+LATE = "a_function_with_a_long_name_150"  # which the map has no room for
+
+
+class Watched(DeviceInfo):
+    """Lets another thread look at each moment at which something of it has changed."""
+
+    look = staticmethod(lambda: None)
+
+    def __setattr__(self, name, value):
+        super().__setattr__(name, value)
+        self.look()
+
+
+def long_named():
+    device = j2a.Device()
+    for number in range(200):
+        device.function(f"a_function_with_a_long_name_{number}", signature="()")(lambda: None)
+    return device
+
+
+@pytest.mark.parametrize("name", ["a2jEcho", LATE])
+def test_a_function_is_known_at_each_moment_while_another_thread_learns_anew(name):
+    device = long_named()
+    with linked(device) as board:
+        board._device = peer = Watched()
+        peer.take_map(j2a.Reply(*device._execute(0, b"")))
+        assert told(device, peer.learn_interface()) is None
+        right, looks = (name, device.functions[name]), []
+
+        def look():
+            # None: it is asked for what it has, and then called.
+            assert board._known(name, b"") in ((right, None) if name == LATE else (right,))
+            looks.append(peer.asked_for_interface)
+
+        peer.look = look
+        looks.clear()
+        for _ in range(2):
+            peer.take_map(j2a.Reply(*device._execute(0, b"")))
+            assert told(device, peer.learn_interface()) is None
+        assert {True, False} == set(looks)
+
+
+@pytest.mark.parametrize("call", ["_call", "_read_many", "_write_many"])
+def test_a_function_that_was_found_is_called_whatever_another_thread_takes(call, monkeypatch):
+    device = long_named()
+    with linked(device) as board:
+
+        def take_map(function):
+            board._device.take_map(j2a.Reply(*device._execute(0, b"")))
+            return function
+
+        monkeypatch.setattr(board, "_current", take_map)
+        arguments = {"_call": (b"",), "_read_many": (9, None), "_write_many": (b"", None)}
+        asking = getattr(board, call)(LATE, *arguments[call])
+        [request] = next(asking)
+        opcode = device.functions[LATE]
+        assert opcode == (request.opcode or request.payload[0])
+        asking.close()
+
+
+def test_functions_are_looked_up_in_all_that_there_are(monkeypatch):
+    device = long_named()
+    with linked(device) as board:
+        load, loads = board._load, []
+
+        def load_and_be_overtaken():
+            load()
+            if not loads:
+                board._device.take_map(j2a.Reply(*device._execute(0, b"")))
+            loads.append(0)
+
+        monkeypatch.setattr(board, "_load", load_and_be_overtaken)
+        assert board.functions[LATE].signature is not None
