@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable, Generator
 from typing import Any, Self, TypeVar
 
@@ -104,9 +105,28 @@ class AsyncClock(ClockBase):
         client = self._client
         client._engine.check_process()
         limits = client._call_limits(timeout, client.now())
-        async with self._busy:  # each holder has a time limit
+        await self._take_turn(client._limit_s(timeout))
+        try:
             result: _Result = await client._drive(transfer(), limits)
             return result
+        finally:
+            self._busy.release()
+
+    async def _take_turn(self, limit_s: float) -> None:
+        """Wait until nobody else asks the clock."""
+        now = self._now
+        end = now() + limit_s
+        while True:
+            wait_s = max(0.0, end - now())
+            if self._is_simulated:  # that time is not the one of the event loop
+                wait_s = min(wait_s, slice_of(True))
+            try:
+                async with asyncio.timeout(wait_s if wait_s < math.inf else None):
+                    await self._busy.acquire()
+                    return
+            except TimeoutError:
+                if now() >= end:
+                    raise self._still_busy("task", limit_s) from None
 
     async def _pause(self, seconds: float) -> None:
         """Let time of the link pass, until the link has ended."""

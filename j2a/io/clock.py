@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any, Final, Self, TypeVar
 
-from j2a.errors import CallTimeout, J2AError, LinkError, LocalError, Outcome
+from j2a.errors import J2AError, LinkError, LocalError
 from j2a.io.bell import Flag
 from j2a.io.clock_base import ClockBase, ClockReading
 from j2a.io.streams import slice_of
@@ -148,7 +148,7 @@ class Clock(ClockBase):
 
     def _keep(self, period_s: float, is_setting: bool) -> "ClockKeeper":
         self._run(lambda: self._prepare(to_set=is_setting), None)
-        with self._busy:
+        with self._turn(self._client._limit_s(None)):
             if self._keeper is not None and self._keeper.is_running:
                 raise LocalError(f"the clock of {self._url} is disciplined or followed already")
             self._keeper = ClockKeeper(self, period_s, is_setting)
@@ -171,20 +171,17 @@ class Clock(ClockBase):
 
     @contextlib.contextmanager
     def _turn(self, limit_s: float) -> Iterator[None]:
-        busy, end = self._busy, self._now() + limit_s
+        busy, now, slice_s = self._busy, self._now, slice_of(self._is_simulated)
+        end = now() + limit_s
         if busy._is_owned():  # type: ignore[attr-defined]
             raise LocalError(
                 "this signal handler interrupted another request to the clock of "
                 f"{self._url}; set a flag in the handler instead"
             )
         try:  # what a signal handler raises behind `acquire` comes in here, too
-            while not busy.acquire(timeout=slice_of(self._is_simulated)):
-                if self._now() >= end:
-                    raise CallTimeout(
-                        f"the clock of {self._url} was not asked: another thread asks it for "
-                        f"longer than {limit_s:g} s",
-                        outcome=Outcome.NOT_SENT,
-                    )
+            while not busy.acquire(timeout=max(0.0, min(slice_s, end - now()))):
+                if now() >= end:
+                    raise self._still_busy("thread", limit_s)
             yield
         finally:
             if busy._is_owned():  # type: ignore[attr-defined]

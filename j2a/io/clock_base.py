@@ -17,7 +17,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from j2a_spec import constants as c
 
-from j2a.errors import DeviceRestarted, LinkClosed, LocalError, NoClock, ProtocolError, remote_error
+from j2a.errors import (
+    CallTimeout,
+    DeviceRestarted,
+    LinkClosed,
+    LocalError,
+    NoClock,
+    Outcome,
+    ProtocolError,
+    remote_error,
+)
 from j2a.events import immutable
 from j2a.io.host_time import host_time_of
 from j2a.protocol.clock import (
@@ -336,6 +345,14 @@ class ClockBase:
                 "transducers; build its firmware with J2A_WITH_SYNC=1"
             )
         self._timer = known.transducers[0].id
+
+    def _still_busy(self, who: str, limit_s: float) -> CallTimeout:
+        """Return the error of who has waited for its turn until its limit (J2A-CLOCK-029)."""
+        return CallTimeout(
+            f"the clock of {self._url} was not asked: another {who} asks it for longer than "
+            f"{limit_s:g} s",
+            outcome=Outcome.NOT_SENT,
+        )
 
     def _exchange(self) -> Transfer[Exchange]:
         """Make one exchange."""

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import inspect
 import itertools
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -98,3 +99,82 @@ def test_a_clock_that_stands_still_is_none(made):
     with pytest.raises(j2a.NoClock, match="do not fit those before: its clock stands still"):
         both.do(both.clock.measure, 3)
     assert both.clock.known_bound_us == float("inf")
+
+
+class Held:
+    """A device whose clock does not answer until it is let go."""
+
+    def __init__(self):
+        self.device = ClockedDevice()
+        self.came, self.go_on = threading.Event(), threading.Event()
+
+    def hold(self):
+        def spoil(_payload):
+            self.came.set()
+            assert self.go_on.wait(PATIENCE_S)
+
+        self.device.spoil = spoil
+
+
+class Noted:
+    """A lock that notes for how long it is waited for."""
+
+    def __init__(self, lock):
+        self.lock, self.waits_s = lock, []
+
+    def acquire(self, timeout):
+        self.waits_s.append(timeout)
+        return self.lock.acquire(timeout=timeout)
+
+    def __getattr__(self, name):
+        return getattr(self.lock, name)
+
+
+@pytest.mark.requirement("J2A-CLOCK-029", "J2A-TIME-008")
+def test_a_limit_covers_the_wait_for_another_thread():
+    held = Held()
+    with served(held.device) as url, j2a.connect(url, timeout=PATIENCE_S) as board:
+        board.clock.measure(1)
+        held.hold()
+        first = threading.Thread(target=board.clock.exchange)
+        first.start()
+        assert held.came.wait(PATIENCE_S)
+        board.clock._busy = noted = Noted(board.clock._busy)
+        try:
+            for call in (board.clock.exchange, board.clock.status):
+                with pytest.raises(j2a.CallTimeout, match="another thread asks it") as caught:
+                    call(timeout=0.05)
+                assert caught.value.outcome is j2a.errors.Outcome.NOT_SENT
+        finally:
+            held.go_on.set()
+        first.join(PATIENCE_S)
+        assert max(noted.waits_s) <= 0.05
+        board.clock.exchange()
+
+
+@pytest.mark.requirement("J2A-CLOCK-029", "J2A-TIME-008")
+def test_a_limit_covers_the_wait_for_another_task():
+    async def main(url, held):
+        async with await j2a.aconnect(url, timeout=PATIENCE_S) as board:
+            await board.clock.measure(1)
+            held.hold()
+            first = asyncio.create_task(board.clock.exchange())
+            await asyncio.to_thread(held.came.wait, PATIENCE_S)
+            cancelled = asyncio.create_task(board.clock.exchange())
+            behind = asyncio.create_task(board.clock.exchange())
+            try:
+                for call in (board.clock.exchange, board.clock.status):
+                    with pytest.raises(j2a.CallTimeout, match="another task asks it") as caught:
+                        await call(timeout=0.05)
+                    assert caught.value.outcome is j2a.errors.Outcome.NOT_SENT
+                    cancelled.cancel()
+                assert not first.done()
+            finally:
+                held.go_on.set()
+            await first
+            await behind
+            assert cancelled.cancelled()
+
+    held = Held()
+    with served(held.device) as url:
+        asyncio.run(main(url, held))
