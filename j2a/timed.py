@@ -74,6 +74,9 @@ class _At:
     def _chosen(self, name: str, boards: Iterable[str] | None) -> dict[str, Any]:
         """Return the clients of the boards that have a transducer, or of those that are named.
 
+        A board of which it is not known, because it has just gone or does not answer, stops the
+        others only where it is named.
+
         Raises:
             UnknownTransducer: there is none.
             WrongArgument: `boards` is one text, whose letters are no boards, or no list.
@@ -83,12 +86,23 @@ class _At:
                 f"boards is a list of identities, such as ['left', 'right'], not {boards!r:.40}"
             )
         if boards is not None:
-            chosen = {board: self._boards[board] for board in boards}
+            chosen, unknown = {board: self._boards[board] for board in boards}, ""
         else:
-            chosen = {key: one for key, one in self._boards.items() if name in one.transducers}
+            chosen, unknown = self._having(name)
         if not chosen:
-            raise UnknownTransducer(f"no board of the fleet has a transducer {name!r:.40}")
+            raise UnknownTransducer(f"no board of the fleet has a transducer {name!r:.40}{unknown}")
         return chosen
+
+    def _having(self, name: str) -> tuple[dict[str, Any], str]:
+        """Return the clients of the boards that have a transducer, and of which that is unknown."""
+        chosen, unknown = {}, ""
+        for board, client in self._boards.items():
+            try:
+                if name in client.transducers:
+                    chosen[board] = client
+            except J2AError as error:
+                unknown += f"; what {board} has is not known: {error}"
+        return chosen, unknown
 
     def _plan(self, chosen: dict[str, Any], name: str, item: int, pack: _Pack) -> list[_Order]:
         """Return the orders to boards.
@@ -159,7 +173,8 @@ class FleetAt(_At):
         Args:
             name: of the actuator.
             values, channel, raw: as of `Actuator.set`.
-            boards: identities; all boards that have the actuator if not given.
+            boards: identities; all boards that have the actuator if not given, without one that
+                has just gone or does not tell what it has.
 
         Returns: when each board acts, in microseconds on its own clock.
 

@@ -18,7 +18,7 @@ import j2a_transports
 from j2a_spec.nearest import did_you_mean
 from j2a_spec.printable import printable
 
-from j2a.errors import J2AError, LinkClosed, LinkError, LocalError, Outcome, UnknownTransducer
+from j2a.errors import J2AError, LinkClosed, LocalError, Outcome, UnknownTransducer
 from j2a.events import Sample
 from j2a.io.client_base import ClientBase
 from j2a.io.handlers import ErrorHook, Handlers, Reporter
@@ -41,7 +41,15 @@ def by_url(client: ClientBase) -> str:
 
 
 class FleetTransducers(dict[tuple[str, str], Any]):
-    """The transducers of a fleet by the identity of the board and their name."""
+    """The transducers of a fleet by the identity of the board and their name.
+
+    Attributes:
+        unknown: why boards are missing that are here: they did not tell what they have.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.unknown: dict[str, J2AError] = {}
 
     def __missing__(self, key: object) -> Any:
         """Say what is near a key that is not there.
@@ -52,6 +60,9 @@ class FleetTransducers(dict[tuple[str, str], Any]):
         known = [f'["{board}", "{name}"]' for board, name in self]
         asked = ", ".join(f'"{part}"' for part in key) if isinstance(key, tuple) else repr(key)
         hint = did_you_mean(f"[{asked}]", known, most=3, cutoff=0.0) or "no board is here"
+        board: Any = key[0] if isinstance(key, tuple) and key else None
+        if (error := self.unknown.get(board)) is not None:
+            hint = f"what {board} has is not known: {error}"
         raise UnknownTransducer(
             f"no board has the transducer {asked}, which is named by board and name; {hint}"
         )
@@ -109,8 +120,11 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
             here = {board: one.client for board, one in self._roster.here.items() if one.client}
         found = FleetTransducers()
         for board, client in here.items():
-            with contextlib.suppress(LinkError):  # has just gone
+            try:
                 found.update({(board, name): one for name, one in client.transducers.items()})
+            except J2AError as error:  # has just gone or restarted, or does not answer
+                # Without the traceback, whose frames keep the client alive.
+                found.unknown[board] = error.copy(str(error), error.outcome)
         return found
 
     def remove(self, board: str) -> None:

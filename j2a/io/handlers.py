@@ -56,10 +56,14 @@ class NamedSif:
     """
 
     def __init__(self, device: DeviceInfo, name: str) -> None:
-        if name not in device.sifs:
-            hint = nearest_or_all(name, device.sifs, advice="; take one by its opcode, 0..255")
+        known = device.sifs
+        if name not in known:
+            hint = nearest_or_all(name, known, advice="; take one by its opcode, 0..255")
             raise LocalError(f"the device describes no SIF {name!r}; {hint}")
         self._name = name
+        # By which a SIF was found to be one of these: it is decoded by the same, although another
+        # thread may have begun to learn the interface anew.
+        self._shape = known[name]
         self._device = device
         self._prepared: tuple[SifShape | None, Codec, type[Any]] | None = None
 
@@ -68,7 +72,10 @@ class NamedSif:
 
     def __contains__(self, opcode: object) -> bool:
         shape = self._device.sifs.get(self._name)
-        return shape is not None and shape.opcode == opcode
+        if shape is None or shape.opcode != opcode:
+            return False
+        self._shape = shape
+        return True
 
     def decode(self, sif: Sif) -> Sif:
         """Return the SIF with its values.
@@ -76,7 +83,7 @@ class NamedSif:
         Raises:
             ProtocolError: the payload is not what the device says.
         """
-        shape = self._device.sifs[self._name]
+        shape = self._shape
         if self._prepared is None or self._prepared[0] is not shape:
             codec = Codec(shape.fields, self._device.types)
             self._prepared = shape, codec, tuple_class("Values", shape.fields)

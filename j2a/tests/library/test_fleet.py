@@ -106,6 +106,37 @@ class TestBoards:
             assert fleet["left"].transducers["quad"].period == 0.5
             assert fleet["right"].transducers["quad"].period == 0.0
 
+    @pytest.mark.parametrize(
+        "error",
+        [
+            j2a.CallTimeout("no reply"),
+            j2a.DeviceRestarted("no reply"),
+            j2a.LinkLost("no reply"),
+            j2a.ProtocolError("no reply"),
+            j2a.errors.ChecksumRefused("no reply", 0xF3, b""),
+        ],
+        ids=lambda error: type(error).__name__,
+    )
+    def test_transducers_of_the_others_where_one_does_not_tell(self, error, monkeypatch):
+        with (
+            served(make_device("left")) as left,
+            served(make_device("right")) as right,
+            fleet_of(left, right) as fleet,
+        ):
+            fleet.wait("left", "right", timeout=PATIENCE_S)
+
+            def load(client, **_options):
+                if client.url == right:
+                    raise error
+
+            monkeypatch.setattr(j2a.Client, "_load", load)
+            found = fleet.transducers
+            assert {board for board, _ in found} == {"left"}
+            with pytest.raises(j2a.UnknownTransducer, match="what right has is not known: no rep"):
+                found["right", "quad"]
+            with pytest.raises(j2a.UnknownTransducer, match=r"did you mean \["):
+                found["left", "qaud"]
+
     def test_one_that_comes_later_and_goes_and_comes_again(self):
         url = make_url()
         with fleet_of() as fleet:

@@ -18,6 +18,7 @@ from j2a_spec.constants import BOOT, GET_MAPPING, SOF, SOS
 import j2a
 from j2a.errors import Outcome
 from j2a.events import ResetCause, Restart
+from j2a.io.handlers import NamedSif
 from j2a.protocol.boot import pack_boot, unpack_boot
 from j2a.protocol.device_info import DeviceInfo
 from j2a.protocol.session import Session
@@ -573,6 +574,21 @@ class TestHandlers:
             board.sif(7, b"\x08")
         assert [tuple(one) for one in values] == [(5,), (1, 6)]
         assert [sif.opcode for sif in raw] == [7, BOOT, 7]
+
+    @pytest.mark.parametrize("came_before", range(2))
+    def test_a_sif_is_decoded_by_what_it_was_found_by(self, came_before):
+        """Another thread may take a new map in between."""
+        firmware = old_firmware()
+        sif = j2a.Sif(7, b"\x05", 0, 0)
+        with linked(firmware) as client:
+            beats = NamedSif(client._device, "beat")
+            for _ in range(came_before):
+                assert sif.opcode in beats
+                beats.decode(sif)
+            assert sif.opcode in beats
+            client._device.take_map(j2a.Reply(*firmware._execute(0, b"")))
+            assert tuple(beats.decode(sif).values) == (5,)
+            assert sif.opcode not in beats
 
     def test_one_that_raises_is_counted_and_told(self):
         errors = []

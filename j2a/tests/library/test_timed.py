@@ -103,6 +103,25 @@ def test_one_name_is_no_list_of_boards(boards, fleet, wrong):
             order("lamp", boards=wrong)
 
 
+@pytest.mark.parametrize("error", [j2a.CallTimeout, j2a.DeviceRestarted, j2a.LinkLost])
+def test_a_board_that_does_not_tell_what_it_has_is_left_out(boards, fleet, error, monkeypatch):
+    made, urls = boards
+
+    def load(client, **_options):
+        if client.url == urls[1]:
+            raise error("no reply")
+
+    monkeypatch.setattr(j2a.Client, "_load", load)
+    told, _ = in_time(fleet, lambda at: at.set("lamp", 7))
+    assert set(told) == {"left"}
+    assert made[0].has_acted.wait(PATIENCE_S)
+    with pytest.raises(error):
+        fleet.at(soon_us(5)).set("lamp", 7, boards=["left", "right"])
+    with pytest.raises(j2a.UnknownTransducer, match="'none'; what right has is not known: no"):
+        fleet.at(soon_us(5)).set("none", 7)
+    assert not made[1].acted
+
+
 def check(boards, told, fleet, time_us):
     """The two boards acted when they were to, on their clocks."""
     assert set(told) == {"left", "right"}
