@@ -469,6 +469,37 @@ class TestSamples:
         assert len(late.value.batch.counts) == 1
         sender.join()
 
+    @pytest.mark.parametrize("came", [1, 3])
+    def test_a_batch_whose_time_ends_between_two_waits_hands_over_what_came(
+        self, device, board, monkeypatch, came
+    ):
+        pytest.importorskip("numpy")
+        quad, seen, times = board.transducers["quad"], threading.Semaphore(0), iter([0.0, 0.0])
+        all_came, waiting = threading.Event(), threading.current_thread()
+
+        def now():
+            # The thread of the handlers asks, too, when each sample came.
+            time = next(times, None) if threading.current_thread() is waiting else 0.0
+            if time is None:  # over at once behind the first wait, when all have come
+                assert all_came.wait(PATIENCE_S)
+                return 10 * PATIENCE_S
+            return time
+
+        def measure():
+            quad.on_sample(lambda _: seen.release())  # behind the stream of the batch
+            for number in range(came):
+                device.sense("quad", 0, number, number, raw=True)
+                assert seen.acquire(timeout=PATIENCE_S)
+            all_came.set()
+
+        sender = threading.Timer(0.05, measure)
+        monkeypatch.setattr(board, "now", now)
+        sender.start()
+        with pytest.raises(j2a.BatchTimeout, match=f"{came} of 9 samples of quad") as late:
+            quad.read_batch(9, timeout=PATIENCE_S)
+        sender.join()
+        assert late.value.batch.raw[:, 0].tolist() == list(range(came))
+
     def test_a_late_batch_may_have_no_samples(self, board):
         pytest.importorskip("numpy")
         with pytest.raises(j2a.BatchTimeout) as late:
@@ -1377,6 +1408,27 @@ class TestAsyncio:
                 await imu.trigger()
                 await asyncio.wait_for(seen.wait(), PATIENCE_S)
                 assert list(await board.transducers()) == list(board.transducers)
+
+    @in_event_loop
+    async def test_a_batch_whose_time_ends_between_two_waits_hands_over_what_came(
+        self, monkeypatch
+    ):
+        pytest.importorskip("numpy")
+        device, times = make_device(), iter([0.0, 0.0])
+        with served(device) as url:
+            async with await j2a.aconnect(url) as board:
+                quad = board.transducers["quad"]
+                batch = asyncio.create_task(quad.read_batch(9, timeout=PATIENCE_S))
+
+                def now():  # over at once behind the first wait of the batch
+                    return next(times, 10 * PATIENCE_S) if asyncio.current_task() is batch else 0.0
+
+                monkeypatch.setattr(board, "now", now)
+                await asyncio.sleep(0)
+                device.sense("quad", 1, 12)
+                with pytest.raises(j2a.BatchTimeout, match="1 of 9 samples of quad") as late:
+                    await batch
+                assert late.value.batch.values[0, 1] == 12.0
 
     @in_event_loop
     async def test_a_batch(self):
