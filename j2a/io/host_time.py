@@ -60,13 +60,18 @@ class HostTime:
 
     def renew_lock(self) -> None:
         """Make a lock that nobody holds; in a child process its holder does not exist."""
-        self._lock = threading.Lock()
+        # Only an RLock can tell a signal handler that its own thread holds it.
+        self._lock = threading.RLock()
 
     def observe(self) -> float:
         """Let the reference know the time of now; return it on the counter, in microseconds.
 
-        A reading that was interrupted again and again is left out, unless it is the first one.
+        A reading that was interrupted again and again is left out, unless it is the first one. So
+        is that of a signal handler amid another of its own thread, which is as new.
         """
+        is_amid: bool = self._lock._is_owned()  # type: ignore[attr-defined]
+        if is_amid and self._known_at_us > -math.inf:
+            return self.counter_us()
         with self._lock:
             best = self._reading()
             for _ in range(_TRIES - 1):

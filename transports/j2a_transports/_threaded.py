@@ -59,7 +59,8 @@ class ThreadedTransport(LoopbackTransport):
         self._release = release
         self._reason = reason
         self._failure: Exception = EOFError()
-        self._ending = threading.Lock()
+        # Re-entrant, so that a signal handler may close what its own thread is closing.
+        self._ending = threading.RLock()
         self._ended = False
         self._threads = [
             threading.Thread(target=target, name=f"{url} {name}", daemon=True)
@@ -95,11 +96,11 @@ class ThreadedTransport(LoopbackTransport):
 
     def close(self) -> None:
         """See `Transport.close`."""
-        super().close()
         with self._ending:
-            if self._ended:
+            if self._ended:  # or it is being closed, and this is a signal handler amid that
                 return
             self._ended = True
+            super().close()
             writer, reader = self._threads
             writer.join(self.write_timeout_s)
             with contextlib.suppress(Exception):

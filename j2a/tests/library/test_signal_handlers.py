@@ -13,6 +13,7 @@ from j2a_spec.oracle import Frame, encode
 import j2a
 from j2a.io.bell import Bell, Flag
 from j2a.io.handlers import Handlers
+from j2a.io.host_time import HostTime
 from j2a.io.streams import SifStream
 from j2a.recording import Recorder
 from j2a.replay import ReplayBoard
@@ -196,3 +197,34 @@ def test_streams_that_are_dropped_amid_the_delivery_do_no_harm():
         handlers.finish(j2a.LinkClosed("x"))
     finally:
         gc.set_threshold(*before)
+
+
+class _Host:
+    """The clocks of a computer, on which each reading takes half a microsecond."""
+
+    def __init__(self):
+        self.now_us = 1_000_000.0
+        self.shift_us = 10**15
+        self.time = HostTime(self.counter_us, lambda: self.shift_us + int(self.counter_us()))
+
+    def counter_us(self):
+        self.now_us += 0.5
+        return self.now_us
+
+    def unix_us(self):
+        return self.time.reference.to_unix(self.time.observe())
+
+
+@pytest.mark.parametrize("is_first", [False, True])
+def test_the_time_of_this_computer_is_asked_amid_itself(signal_at, is_first):
+    for line in range(40 if is_first else 48):
+        host, told = _Host(), []
+        if not is_first:
+            host.time.observe()
+            host.shift_us += 3_600_000_000  # somebody sets the clock
+        with signal_at(line, lambda host=host, told=told: told.append(host.unix_us())) as called:
+            host.time.observe()
+        assert called()
+        assert abs(host.unix_us() - host.shift_us - host.now_us) <= 20
+        assert abs(told[0] - host.unix_us()) <= 20 + 3_600_000_000 * (not is_first)
+        assert host.time.reference.steps == (not is_first)

@@ -63,7 +63,8 @@ class GadgetTransport(Transport):
         self._sent = threading.Event()
         self._only_empty_packet = False
         self._writing = threading.Lock()
-        self._ending = threading.Lock()
+        # Re-entrant, so that a signal handler may close what its own thread is closing.
+        self._ending = threading.RLock()
         self._process = os.getpid()
         self._ended = False
 
@@ -104,12 +105,12 @@ class GadgetTransport(Transport):
         self._closed = True
         if os.getpid() != self._process:
             return
-        self._outgoing.close_writer()
-        self._incoming.close_reader()
         with self._ending:
-            if self._ended:
+            if self._ended:  # or it is being closed, and this is a signal handler amid that
                 return
             self._ended = True
+            self._outgoing.close_writer()
+            self._incoming.close_reader()
             limit_s = self.write_timeout_s
             deadline = None if limit_s is None else time.monotonic() + limit_s
             while not self._sent.wait(EMPTY_PACKET_END_S):

@@ -106,7 +106,8 @@ class UsbTransport(Transport):
         # Gives the interface back; filled by who has claimed it.
         self.undo = contextlib.ExitStack()
         self._writing = threading.Lock()
-        self._ending = threading.Lock()
+        # Re-entrant, so that a signal handler may close what its own thread is closing.
+        self._ending = threading.RLock()
         self._ended = False
         self._pipes: Pipes
         api = asynchronous(device) if transfers > 1 else None
@@ -181,21 +182,28 @@ class UsbTransport(Transport):
 
     def close(self) -> None:
         """See `Transport.close`."""
-        self._incoming.close_reader()
         with self._ending:
-            if self._ended:
+            if self._ended:  # or it is being closed, and this is a signal handler amid that
                 return
-            self._pipes.cancel()
-            # A blocked write has ended before its transfers are freed.
-            with self._writing:
-                back = self._pipes.close()
-            if back:
-                self.undo.close()
-            else:
-                # Closing the handle under transfers that still run would crash.
-                _stranded.append(self.undo.pop_all())
             self._ended = True
+            try:
+                self._incoming.close_reader()
+                self._end()
+            except BaseException:  # of a signal handler: the next call goes on
+                self._ended = False
+                raise
             _open.discard(self)
+
+    def _end(self) -> None:
+        self._pipes.cancel()
+        # A blocked write has ended before its transfers are freed.
+        with self._writing:
+            back = self._pipes.close()
+        if back:
+            self.undo.close()
+        else:
+            # Closing the handle under transfers that still run would crash.
+            _stranded.append(self.undo.pop_all())
 
     def _lost(self) -> LinkLost:
         return LinkLost(f"{self.url} is lost: {_reason(self._pipes.failure)}")
