@@ -33,7 +33,7 @@ from j2a_spec.constants import (
     TRANSD,
 )
 
-from j2a.errors import LinkClosed, LocalError, RegistrationError
+from j2a.errors import LinkClosed, LocalError, OpenFailed, RegistrationError
 from j2a.events import ResetCause
 from j2a.io.connection import Connection
 from j2a.io.functions import DebugText
@@ -372,6 +372,7 @@ class Device(FunctionRegistry):
 
         Raises:
             LocalError: the device was stopped.
+            OpenFailed: the system has no thread to give for the transducers.
         """
         try:
             connection = self._connection(transport)
@@ -460,6 +461,9 @@ class Device(FunctionRegistry):
         except LocalError:  # stopped meanwhile
             transport.close()
             return
+        except OpenFailed as error:  # the system has no thread for the transducers
+            _logger.warning("refused %s: %s", transport.url, error)
+            return
         name = f"j2a device {transport.url}"
         thread = threading.Thread(target=self._run, args=(connection,), name=name, daemon=True)
         try:
@@ -496,7 +500,12 @@ class Device(FunctionRegistry):
         if self._stopped:  # since the last look, perhaps by a signal handler
             member.close()
         if self._runner is not None:
-            self._runner.start()
+            try:
+                self._runner.start()
+            except OpenFailed:
+                if isinstance(member, Connection):  # else each host of the listener tries it again
+                    self._leave(member)
+                    raise
 
     def _execute(self, opcode: int, payload: bytes) -> tuple[int, bytes]:
         received_us = self._local_us()

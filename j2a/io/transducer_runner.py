@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from j2a.errors import LocalError
+from j2a.io.threads import start_thread
 from j2a.protocol.transducers import Action, TransducerServer
 
 __all__ = ["TransducerRunner"]
@@ -171,13 +172,14 @@ class TransducerRunner:
     # ------------------------------------------------------------------ the thread
 
     def start(self) -> None:
-        """Begin to send and to move; may be called twice."""
+        """Begin to send and to move; may be called twice, and again where it failed.
+
+        Raises:
+            OpenFailed: the system has no thread to give.
+        """
         with self._changed:
             if self._thread is None and not self._is_stopped:
-                self._thread = threading.Thread(
-                    target=self._work, name="j2a transducers", daemon=True
-                )
-                self._thread.start()
+                self._thread = start_thread(self._work, "j2a transducers")
 
     def stop(self) -> None:
         """End the thread; may be called twice."""

@@ -8,6 +8,7 @@ import pytest
 
 import j2a
 from j2a.io.threads import LinkThreads
+from j2a.types.transds_file import read_transds
 
 from .support import PATIENCE_S, linked, served
 from .wire import Background, Watched
@@ -77,6 +78,48 @@ def test_without_a_thread_for_it_a_sif_comes_with_the_next_reply(scarce):
         client.echo()
         client.close()
         assert seen == [7]
+
+
+class TestWithoutAThreadForTransducers:
+    @pytest.fixture
+    def refuses(self, monkeypatch):
+        """The system has no such thread to give as long as this event is set."""
+        start, scarce = threading.Thread.start, threading.Event()
+
+        def refuse(thread):
+            if thread.name == "j2a transducers" and scarce.is_set():
+                raise RuntimeError("can't start new thread")
+            start(thread)
+
+        scarce.set()
+        monkeypatch.setattr(threading.Thread, "start", refuse)
+        return scarce
+
+    @pytest.fixture
+    def device(self):
+        with j2a.Device(
+            transducers=read_transds("SENSOR(level, 0, level, X, 2, u8, none)")
+        ) as made:
+            yield made
+
+    def test_a_host_is_refused_and_the_next_one_served(self, refuses, device, caplog):
+        with served(device) as url:
+            with j2a_transports.open(url) as transport, pytest.raises(j2a_transports.LinkLost):
+                transport.read(PATIENCE_S)
+            assert not device._connections
+            refuses.clear()
+            with j2a.connect(url, timeout=PATIENCE_S, boot_time=PATIENCE_S) as board:
+                samples = board.transducers["level"].samples()
+                device.sense("level", 0, 7)  # one channel of two, which that thread sends
+                assert samples.wait(PATIENCE_S).values[0] == 7
+        assert "can't start new thread" in caplog.text
+
+    def test_a_single_host_is_given_back(self, refuses, device):
+        near, far = j2a_transports.pair()
+        with near, pytest.raises(j2a.OpenFailed, match="can't start new thread"):
+            device.serve(far)
+        assert far.closed
+        assert not device._connections
 
 
 def test_who_waits_for_the_reading_thread_goes_on_when_it_ends(monkeypatch):
