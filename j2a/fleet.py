@@ -193,7 +193,7 @@ class Fleet(FleetBase[Client, "_Member"]):
     # ------------------------------------------------------------------ end
 
     def close(self) -> None:
-        """Close all boards. May be called twice.
+        """Close all boards. May be called twice, and by handlers.
 
         A board that is just being opened is given up in its own thread, at the latest after
         `boot_time`.
@@ -207,7 +207,10 @@ class Fleet(FleetBase[Client, "_Member"]):
             self._usb.close()
         for member in members:
             self._stop(member)
-        join_threads([*self._threads, *(one.thread for one in members if one.is_open)], JOIN_S)
+        # A thread that waits for this one cannot end before.
+        current = threading.current_thread()
+        boards = [one.thread for one in members if one.is_open and one.dispatcher is not current]
+        join_threads([*self._threads, *boards], JOIN_S)
         self._finish()
 
     def __enter__(self) -> Self:
@@ -256,6 +259,7 @@ class _Member(Member[Client]):
     Attributes:
         is_open: it is not just being opened.
         thread: does all this.
+        dispatcher: the thread of the SIF handlers of its client.
     """
 
     def __init__(self, fleet: Fleet, url: str) -> None:
@@ -264,6 +268,7 @@ class _Member(Member[Client]):
         self._wake = Bell()  # the link has ended, or the member shall
         self.is_open = False
         self.thread = threading.current_thread()
+        self.dispatcher: object = None
 
     def start(self) -> None:
         self.thread = start_thread(self._run, f"j2a fleet {self.url}")
@@ -279,6 +284,7 @@ class _Member(Member[Client]):
             reason: J2AError | None = None
             try:
                 with self._connect() as client:
+                    self.dispatcher = client._engine._dispatcher
                     self.is_open = True
                     change = fleet._come(self, client, str(fleet._identify(client)))
                     board = change.board

@@ -362,6 +362,26 @@ class TestBoards:
             fleet.add(first)
             assert done.wait(PATIENCE_S)
 
+    def test_a_handler_of_samples_closes_the_fleet(self, caplog):
+        device, ended = make_device("A3"), threading.Event()
+        with served(device) as url, fleet_of(url) as fleet:
+            fleet.wait("A3", timeout=PATIENCE_S)
+            (member,) = fleet._roster.members.values()
+            was_alive = []
+
+            def close(_sample):
+                fleet.close()
+                was_alive.append(member.thread.is_alive())  # it waits for the end of this handler
+                ended.set()
+
+            fleet.on_sample(close)
+            device.sense("level", 0, 7)
+            assert ended.wait(PATIENCE_S)
+            member.thread.join(PATIENCE_S)
+            assert not member.thread.is_alive()
+        assert was_alive == [True]
+        assert caplog.records == []
+
 
 class TestRoster:
     def test_why_a_board_is_not_here_is_told_once_and_anew_with_another_reason(self):
