@@ -21,6 +21,7 @@ from j2a.io.async_streams import AsyncSifStream, is_set_within
 from j2a.io.async_transducers import AsyncActuator, AsyncSensor
 from j2a.io.fleet_base import FleetBase, by_url
 from j2a.io.handlers import ErrorHook, Handlers, Subscription
+from j2a.io.loop import AsyncEngine
 from j2a.io.streams import MAX_SIFS, slice_of
 from j2a.io.threads import JOIN_S
 from j2a.protocol.arguments import check_timeout
@@ -187,7 +188,11 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
             self._stop(member)
         # A task that waits for this cannot end before.
         current = asyncio.current_task()
-        busy = [task for task, one in self._tasks.items() if current not in (task, one.dispatcher)]
+        busy = [
+            task
+            for task, one in self._tasks.items()
+            if task is not current and (one.engine is None or not one.engine.is_in_handler)
+        ]
         try:
             if self._usb is not None:
                 await asyncio.to_thread(self._usb.close)
@@ -240,14 +245,14 @@ class _Member(Member[AsyncClient]):
 
     Attributes:
         task: does all this.
-        dispatcher: the task of the SIF handlers of its client.
+        engine: that of its client.
     """
 
     def __init__(self, fleet: AsyncFleet, url: str) -> None:
         super().__init__(url)
         self._fleet = fleet
         self._can_stop = False
-        self.dispatcher: object = None
+        self.engine: AsyncEngine | None = None
         self.task = asyncio.create_task(self._run(), name=f"j2a fleet {url}")
 
     def ask_to_stop(self) -> None:
@@ -288,7 +293,7 @@ class _Member(Member[AsyncClient]):
             if client is None:
                 return None, None
             async with client:
-                self.dispatcher = client._engine.dispatcher
+                self.engine = client._engine
                 name = await self._until_stopped(self._identify(client))
                 if name is None:
                     return None, None
@@ -301,7 +306,7 @@ class _Member(Member[AsyncClient]):
         except Exception as error:  # of `identify`, which is the user's
             return board, LocalError(f"identify failed: {type(error).__name__}: {error}")
         finally:
-            self.dispatcher = None
+            self.engine = None
 
     async def _connect(self) -> AsyncClient:
         fleet = self._fleet

@@ -13,6 +13,7 @@ import math
 import weakref
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Sequence
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from j2a.errors import J2AError, LinkClosed, LinkError, LocalError
@@ -42,6 +43,9 @@ _TURN_S: Final = 0.005
 """For so long SIF handlers that never wait may keep the event loop for themselves."""
 
 _logger = logging.getLogger("j2a")
+
+_handled: Final[ContextVar[Sif | Restart | None]] = ContextVar("j2a_handled", default=None)
+"""What the handler got that has begun the task, as `asyncio.wait_for` of Python 3.11 does."""
 
 
 class AsyncEngine:
@@ -76,6 +80,7 @@ class AsyncEngine:
         self._sifs: deque[Sif | Restart | None] = deque()  # None is the end
         self._came = asyncio.Event()
         self._takes_sifs = True
+        self._delivered: Sif | Restart | None = None  # what the dispatcher calls handlers with
         self._calls = AsyncCalls(self._handler_failed, (asyncio.CancelledError,))
         # The next time at which time limits are judged; nothing may be late then.
         self._timer: asyncio.TimerHandle | None = None
@@ -177,7 +182,7 @@ class AsyncEngine:
             return
         if asyncio.get_running_loop() is not self._loop:
             self._refuse_loop()
-        is_handler = asyncio.current_task() is self.dispatcher
+        is_handler = self.is_in_handler
         try:
             if not is_handler:
                 await self._deliver_what_came()
@@ -189,6 +194,11 @@ class AsyncEngine:
                 "a SIF handler of %s is cancelled: it waits after close", self._transport.url
             )
             self.dispatcher.cancel()
+
+    @property
+    def is_in_handler(self) -> bool:
+        """Whether the handler that runs may wait for this task: it is the one, or has begun it."""
+        return self._delivered is not None and _handled.get() is self._delivered
 
     def abandon(self) -> bool:
         """End the link without waiting, in a destructor; tell whether it was still there."""
@@ -294,10 +304,13 @@ class AsyncEngine:
             event = self._sifs.popleft()
             if event is None:
                 break
+            self._delivered = event
+            _handled.set(event)
             if isinstance(event, Restart):
                 await self._deliver_restart(event)
             elif (rest := self._deliver(event)) is not None:
                 await rest
+            self._delivered = None
             if self._loop.time() >= turn_ends:
                 await asyncio.sleep(0)
                 turn_ends = self._loop.time() + _TURN_S

@@ -290,16 +290,18 @@ class TestSifs:
             async with linked() as client:
                 started = asyncio.Event()
 
+                async def close():
+                    await started.wait()
+                    await client.close()
+
+                # No task of the handler's: that waits for the close, which waits for it.
+                waits = asyncio.create_task(close() if closes else asyncio.Event().wait())
+
                 @client.on_sif()
                 async def handler(sif):
                     started.set()
                     try:
-                        # A task of its own: the handler waits for the close that waits for it.
-                        await (
-                            asyncio.create_task(client.close())
-                            if closes
-                            else asyncio.Event().wait()
-                        )
+                        await waits
                     except asyncio.CancelledError:
                         ends.append("cancelled")
                         raise

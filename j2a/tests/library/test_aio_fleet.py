@@ -238,15 +238,16 @@ class TestBoards:
                 fleet.add(first)
                 await asyncio.wait_for(done.wait(), PATIENCE_S)
 
+    @pytest.mark.parametrize("way", [asyncio.wait_for, lambda close, _limit_s: close])
     @in_event_loop
-    async def test_a_handler_of_samples_closes_the_fleet(self):
+    async def test_a_handler_of_samples_closes_the_fleet(self, way, caplog):
         device = make_device("A3")
         closed = asyncio.Event()
         with served(device) as url:
             async with fleet_of(url) as fleet:
 
                 async def end(_sample):
-                    await fleet.close()
+                    await way(fleet.close(), PATIENCE_S)
                     closed.set()
 
                 fleet.on_sample(end)
@@ -256,6 +257,7 @@ class TestBoards:
                 await asyncio.wait_for(closed.wait(), PATIENCE_S)
             while client.is_open:
                 await asyncio.sleep(SOON_S)
+        assert caplog.records == []
 
 
 class TestArguments:

@@ -200,6 +200,62 @@ class TestSifsAtClose:
         asyncio.run(main())
         assert "before 39 SIFs reached" in caplog.text
 
+    @pytest.mark.parametrize(
+        "way",
+        [lambda close: asyncio.wait_for(close, PATIENCE_S), asyncio.create_task],
+        ids=["wait_for", "task"],
+    )
+    @pytest.mark.parametrize("is_coroutine", [False, True])
+    def test_with_asyncio_a_handler_closes_in_another_task(self, caplog, way, is_coroutine):
+        async def main():
+            near, far = j2a_transports.pair()
+            with far:
+                client, seen = j2a.AsyncClient(near), []
+
+                def close(sif):
+                    seen.append(sif.opcode)
+                    return way(client.close())
+
+                async def close_and_go_on(sif):
+                    await close(sif)
+                    seen.append("went on")
+
+                client.on_sif(None, close_and_go_on if is_coroutine else close)
+                far.write(wire_bytes(sifs([3])))
+                await asyncio.wait_for(client._engine.dispatcher, PATIENCE_S)
+                assert seen == [3, "went on"][: 1 + is_coroutine]
+
+        asyncio.run(main())
+        assert caplog.records == []
+
+    def test_with_asyncio_a_task_of_a_handler_that_has_ended_delivers_what_came(self, caplog):
+        async def main():
+            near, far = j2a_transports.pair()
+            with far:
+                client, seen, tasks = j2a.AsyncClient(near), [], []
+                all_came = asyncio.Event()
+
+                async def close():
+                    await all_came.wait()
+                    await client.close()
+
+                async def handler(sif):
+                    if not seen:
+                        tasks.append(asyncio.create_task(close()))
+                    seen.append(sif.opcode)
+                    if len(seen) == 2:
+                        all_came.set()
+                    await asyncio.sleep(0.001)
+
+                client.on_sif(None, handler)
+                far.write(wire_bytes(sifs(range(40))))
+                await asyncio.wait_for(all_came.wait(), PATIENCE_S)
+                await asyncio.wait_for(tasks[0], PATIENCE_S)
+                assert seen == list(range(40))
+
+        asyncio.run(main())
+        assert caplog.records == []
+
 
 class TestDropped:
     def register(self, client):
