@@ -46,6 +46,7 @@ class NativeClock:
         self._local = ctypes.c_uint64.in_dll(self._c, "fake_local_us")
         self._step = ctypes.c_uint32.in_dll(self._c, "fake_step_us")
         self._c.j2a_clock_us.restype = ctypes.c_uint64
+        self._c.j2a_clock_is_due.restype = ctypes.c_bool
         self._c.j2a_clock_uncertainty_us.restype = ctypes.c_uint32
         self._hook: ctypes._FuncPointer | None = None
 
@@ -72,6 +73,10 @@ class NativeClock:
     def turn(self) -> None:
         """Do what the main loop does."""
         self._c.j2a_clock_turn()
+
+    def is_due(self, due_us: int) -> bool:
+        """Whether a time has come; the local time moves on to it where it is a little ahead."""
+        return bool(self._c.j2a_clock_is_due(ctypes.c_uint64(due_us)))
 
     def run(self, until: int, every: int = _TURN_US) -> None:
         """Let the local time pass up to `until`, with a turn of the main loop each `every` us."""

@@ -169,6 +169,37 @@ def test_an_interrupt_at_any_point_reads_a_time_that_never_goes_back(
     assert readings == sorted(readings)
 
 
+@pytest.mark.requirement("J2A-TRANS-016", "J2A-TRANS-018")
+@settings(deadline=None, max_examples=40)
+@given(
+    st.lists(st.tuples(st.integers(1, 4000), st.integers(1, 990)), min_size=20, max_size=60),
+    st.sampled_from((0, 100_000, 5_000_000, 10_000_000, -100_000, -10_000_000)),
+    st.sampled_from((0, 10_000_000, -10_000_000)),
+)
+def test_nothing_is_due_before_its_time_or_more_than_a_microsecond_later(
+    library: Path, waits: list[tuple[int, int]], rate: int, before: int
+) -> None:
+    clock = NativeClock(library)
+    clock.local = S
+    clock.call(adjust(S, UNIX, rate=before))
+    clock.run(2 * S)
+    clock.call(adjust(clock.local, clock.time, rate=rate))
+    for pause_us, ahead_us in waits:
+        due_us = clock.time + ahead_us
+        assert clock.is_due(due_us)
+        assert due_us <= clock.time <= due_us + 1
+        clock.run(clock.local + pause_us)
+
+
+def test_a_free_clock_is_due_at_its_time(library: Path) -> None:
+    clock = NativeClock(library)
+    for local, due_us in itertools.product((S, 2**32 - 500, 2**40), (0, 1, 999, 1000)):
+        clock.local = local
+        assert clock.is_due(local + due_us)
+        assert clock.local == local + due_us
+    assert not clock.is_due(clock.local + 1001)
+
+
 def test_a_main_loop_that_stands_still_does_not_overshoot(library: Path) -> None:
     clock = NativeClock(library)
     clock.local = S

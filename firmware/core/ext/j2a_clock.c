@@ -95,25 +95,29 @@ static void j2a_port_wait(uint32_t local_us) {
 }
 #endif
 
+/* The lower 32 bits, enough for what is less than a millisecond ahead. */
+static J2A_NOINLINE uint32_t low_time_at(uint32_t now) {
+    return epoch == 0 ? now : (uint32_t)time_at(now);
+}
+
+/* Looks for the local time at which it is due before the wait, because a look behind it would take its time on each board.
+ * The time may run faster than the local time, so a step is a little short, and another line may begin meanwhile. */
 bool j2a_clock_is_due(uint64_t due_us) {
     const uint64_t local_us = j2a_port_time_us();
-    const uint32_t now = (uint32_t)local_us;
-    uint64_t time_us = local_us;
-    int32_t rate = 0;
-    uint32_t part;
-    uint32_t left_us;
+    uint32_t then = (uint32_t)local_us;
+    const uint64_t time_us = epoch == 0 ? local_us : time_at(then);
+    int32_t left_us;
 
-    if (epoch != 0) {
-        const volatile j2a_line *const line = line_at(now);
-        time_us = time_on(line, now, &part);
-        rate = line->rate + line->correction;
-    }
     if (due_us <= time_us)
         return true;
     if (due_us - time_us > WAIT_US)
         return false;
-    left_us = (uint32_t)(due_us - time_us);
-    j2a_port_wait(now + left_us - (uint32_t)j2a_product(rate, (int32_t)left_us, &part));
+    left_us = (int32_t)(due_us - time_us);
+    do {
+        then += (uint32_t)(left_us - left_us / 64);
+        left_us = (int32_t)((uint32_t)due_us - low_time_at(then));
+    } while (left_us > 0);
+    j2a_port_wait(then);
     return true;
 }
 
