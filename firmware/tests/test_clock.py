@@ -200,6 +200,22 @@ def test_a_free_clock_is_due_at_its_time(library: Path) -> None:
     assert not clock.is_due(clock.local + 1001)
 
 
+@pytest.mark.requirement("J2A-CLOCK-017")
+@pytest.mark.parametrize("halves", [1, 3, 40])
+@pytest.mark.parametrize("wander", [1, 12_345, 3_333_333, c.CLOCK_MAX_RATE])
+def test_an_uncertainty_is_rounded_up_also_after_hours(
+    library: Path, halves: int, wander: int
+) -> None:
+    clock = NativeClock(library)
+    for more in range(0, 2**32, 2**32 // 97):
+        clock.call(adjust(clock.local, UNIX, mode=c.CLOCK_STEP, uncertainty=0, wander=wander))
+        passed = (halves << 32) + more
+        clock.run(clock.local + passed, 20 * 60 * S)
+        wandered = -(-passed * wander // 10**9)
+        # The wander is in 2^-38, and rounded up, too.
+        assert wandered <= clock.uncertainty <= wandered + 2 + passed * (1 + wander // S) // 2**38
+
+
 def test_a_main_loop_that_stands_still_does_not_overshoot(library: Path) -> None:
     clock = NativeClock(library)
     clock.local = S

@@ -208,9 +208,11 @@ static J2A_NOINLINE uint8_t state_at(uint64_t now_us) {
     return J2A_CLOCK_LOCKED;
 }
 
-/* Returns by how much the time may have wandered, in microseconds. */
+/* Returns by how much the time may have wandered, rounded up to microseconds: passed_us * wander / 2^38, in two halves. */
 static J2A_NOINLINE uint64_t wandered_us(uint64_t passed_us) {
-    return ((passed_us >> 32) * wander >> 6) + ((uint64_t)(uint32_t)passed_us * wander >> 38) + (wander != 0);
+    const uint64_t high = (passed_us >> 32) * wander;
+    const uint64_t low = (uint64_t)(uint32_t)passed_us * wander + ((high & 63) << 32);
+    return (high >> 6) + (low >> 38) + (wander != 0);
 }
 
 static J2A_NOINLINE uint32_t uncertainty_at(uint64_t now_us) {
