@@ -1,6 +1,7 @@
 """The disciplined clock of the core, natively: vectors, and any sequence of adjustments."""
 
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,28 @@ def test_a_reply_tells_the_rate_that_follows_from_an_adjustment(
     clock.run(clock.local + 5000)
     assert CLOCK_STATUS.parse(clock.call(STATUS)[1]).rate == told.rate
     assert abs(told.rate - rate - min(max(off_us / 1.048576 * 1000, -S), S)) <= 12_000
+
+
+@pytest.mark.requirement("J2A-CLOCK-018")
+@pytest.mark.parametrize("late_us", [513, 600, 1100, 5000])
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_a_reply_tells_the_new_rate_also_after_a_pause_in_the_adjustment(
+    library: Path, late_us: int, count: int
+) -> None:
+    for first in range(8):
+        clock = NativeClock(library)
+        clock.local = S
+        clock.call(adjust(S, UNIX))
+        clock.run(2 * S)
+        looks = itertools.count()
+
+        def pause(clock: NativeClock = clock, looks: Iterator[int] = looks, at: int = first) -> None:
+            clock.local += late_us * (at <= next(looks) < at + count)
+
+        clock.interrupt(pause)
+        payload = clock.call(adjust(clock.local, clock.time, rate=5_000_000))[1]
+        clock.interrupt(None)
+        assert abs(CLOCK_STATUS.parse(payload).rate - 5_000_000) <= S  # and a correction
 
 
 @st.composite

@@ -14,6 +14,7 @@
 enum {
     LEAD_US = 1024,       /* from the plan of a line to its begin */
     MARGIN_US = 512,      /* so much earlier it holds; interrupts are shorter */
+    PLANS = 8,            /* of one adjustment, if each is too late: only an operating system stops a program so long */
     WAIT_US = 1000,       /* a turn of the main loop is shorter */
     DISTANCE_BITS = 12,   /* a correction of n / 2^32 over a segment removes n / 2^12 us */
     STATUS_BYTES = 26
@@ -150,7 +151,7 @@ static J2A_NOINLINE void plan(uint32_t now) {
     line.correction = (int32_t)(off > MAX_CORRECTION ? MAX_CORRECTION : off < -MAX_CORRECTION ? -MAX_CORRECTION : off);
     lines[next] = line;
     if ((int32_t)(begin - MARGIN_US - (uint32_t)j2a_port_time_us()) < 0)
-        return; /* too late, something took long: the next turn plans anew */
+        return; /* too late, something took long: whoever turns plans anew */
     current = next;
     is_told = false;
 }
@@ -269,19 +270,21 @@ static J2A_NOINLINE void note(uint64_t now_us, uint32_t uncertainty_us, uint32_t
     wander = (uint32_t)(((uint64_t)wander_ppb * 288230377 + 0xFFFFF) >> 20);
 }
 
-/* The target has been set, at adjusted_us. */
+/* The target has been set, at adjusted_us. The next line is planned at once, because the reply tells its rate. */
 static J2A_NOINLINE void adjust(bool is_step) {
     was_step = is_step || epoch == 0;
     if (was_step) {
         step(adjusted_us);
     } else {
         const uint32_t begin = lines[current].at;
+        uint8_t tries;
         if (begin - (uint32_t)adjusted_us <= LEAD_US) { /* ahead: it passes first, so that the next line is planned at once */
             j2a_port_wait(begin);
             adjusted_us = j2a_port_time_us();
         }
         is_told = true;
-        j2a_clock_turn();
+        for (tries = PLANS; is_told && tries != 0; tries--)
+            j2a_clock_turn();
     }
 }
 
