@@ -19,15 +19,15 @@ extern "C" {
 #endif
 
 /* Of each element: j2a_c_NAME, its type in C; j2a_arg_NAME, that of a parameter, by which a structure is a
- * pointer; j2a_size_NAME, its bytes in a payload; j2a_take_NAME(pointer to a value, bytes) and
+ * pointer; j2a_size_NAME, its bytes in a payload, and j2a_bools_NAME, those of a bool; j2a_take_NAME(pointer to a value, bytes) and
  * j2a_put_NAME(bytes, argument); and j2a_as_NAME(pointer to a value), the argument. No function returns a structure:
  * SDCC cannot. */
-#define J2A_ELEMENT_OF_C(element, type, size) \
+#define J2A_ELEMENT_OF_C(element, type, size, bools) \
     typedef type j2a_c_##element; \
     typedef type j2a_arg_##element; \
-    enum { j2a_size_##element = size };
-#define J2A_SCALAR(element, type, size) \
-    J2A_ELEMENT_OF_C(element, type, size) \
+    enum { j2a_size_##element = size, j2a_bools_##element = bools };
+#define J2A_SCALAR(element, type, size, bools) \
+    J2A_ELEMENT_OF_C(element, type, size, bools) \
     J2A_INLINE void j2a_take_##element(type *value, const uint8_t *bytes) { \
         *value = j2a_get_##element(bytes); \
     } \
@@ -37,28 +37,29 @@ extern "C" {
 #ifdef bool /* in C99 a macro, which is replaced before its name is used */
 #define j2a_get__Bool j2a_get_bool
 #define j2a_put__Bool j2a_put_bool
-J2A_SCALAR(_Bool, _Bool, 1)
+J2A_SCALAR(_Bool, _Bool, 1, 1)
 #else
-J2A_SCALAR(bool, bool, 1)
+J2A_SCALAR(bool, bool, 1, 1)
 #endif
-J2A_SCALAR(u8, uint8_t, 1)
-J2A_SCALAR(u16, uint16_t, 2)
-J2A_SCALAR(u32, uint32_t, 4)
-J2A_SCALAR(u64, uint64_t, 8)
-J2A_SCALAR(i8, int8_t, 1)
-J2A_SCALAR(i16, int16_t, 2)
-J2A_SCALAR(i32, int32_t, 4)
-J2A_SCALAR(i64, int64_t, 8)
-J2A_SCALAR(f32, float, 4)
+J2A_SCALAR(u8, uint8_t, 1, 0)
+J2A_SCALAR(u16, uint16_t, 2, 0)
+J2A_SCALAR(u32, uint32_t, 4, 0)
+J2A_SCALAR(u64, uint64_t, 8, 0)
+J2A_SCALAR(i8, int8_t, 1, 0)
+J2A_SCALAR(i16, int16_t, 2, 0)
+J2A_SCALAR(i32, int32_t, 4, 0)
+J2A_SCALAR(i64, int64_t, 8, 0)
+J2A_SCALAR(f32, float, 4, 0)
 #if DBL_MANT_DIG == 53
-J2A_SCALAR(f64, double, 8)
+J2A_SCALAR(f64, double, 8, 0)
 #else /* no such name: it is what the compiler says of an f64 */
 #define j2a_c_f64 j2a_f64_needs_a_double_of_8_bytes
 #define j2a_arg_f64 j2a_f64_needs_a_double_of_8_bytes
 #define j2a_size_f64 j2a_f64_needs_a_double_of_8_bytes
+#define j2a_bools_f64 0
 #endif
-J2A_ELEMENT_OF_C(text, char, 1)
-J2A_ELEMENT_OF_C(bytes, uint8_t, 1)
+J2A_ELEMENT_OF_C(text, char, 1, 0)
+J2A_ELEMENT_OF_C(bytes, uint8_t, 1, 0)
 
 /* Bytes of the fields in a payload; what is open counts as none. */
 #define J2A_BYTES(none, item) J2A_IF_FIELD(J2A_BYTES_OF, item)
@@ -67,6 +68,10 @@ J2A_ELEMENT_OF_C(bytes, uint8_t, 1)
 #define J2A_BYTES_FIXED(element, name, n) + (n) * (int)j2a_size_##element
 #define J2A_BYTES_OPEN(element, name, n)
 #define J2A_BYTES_LIST(element, name, n)
+#define J2A_BOOLS(none, item) J2A_IF_FIELD(J2A_BOOLS_OF, item)
+#define J2A_BOOLS_OF(type, ...) J2A_BY_FORM(J2A_BOOLS_, type, __VA_ARGS__)
+#define J2A_BOOLS_ONE(element, name, n) + (int)j2a_bools_##element
+#define J2A_BOOLS_FIXED(element, name, n) + (n) * (int)j2a_bools_##element
 
 /* Parameters: of functions and SIFs, and those by which functions leave results. */
 #define J2A_IN(none, item) J2A_IF_FIELD(J2A_IN_OF, item)
@@ -120,7 +125,7 @@ J2A_ELEMENT_OF_C(bytes, uint8_t, 1)
 #define J2A_DEFINE_ENUM(name, integer, ...) \
     typedef j2a_c_##integer name; \
     enum { J2A_EACH(J2A_ENUMERATOR, J2A_ENUMERATOR, J2A_NOTHING, name, __VA_ARGS__, "") }; \
-    J2A_ELEMENT_OF_C(name, j2a_c_##integer, j2a_size_##integer) \
+    J2A_ELEMENT_OF_C(name, j2a_c_##integer, j2a_size_##integer, 0) \
     J2A_INLINE void j2a_take_##name(name *value, const uint8_t *bytes) { \
         *value = j2a_get_##integer(bytes); \
     } \
@@ -136,7 +141,10 @@ J2A_ELEMENT_OF_C(bytes, uint8_t, 1)
     } name; \
     typedef name j2a_c_##name; \
     typedef const name *j2a_arg_##name; \
-    enum { j2a_size_##name = 0 J2A_EACH(J2A_BYTES, J2A_BYTES, J2A_NOTHING, ~, __VA_ARGS__, "") }; \
+    enum { \
+        j2a_size_##name = 0 J2A_EACH(J2A_BYTES, J2A_BYTES, J2A_NOTHING, ~, __VA_ARGS__, ""), \
+        j2a_bools_##name = 0 J2A_EACH(J2A_BOOLS, J2A_BOOLS, J2A_NOTHING, ~, __VA_ARGS__, "") \
+    }; \
     J2A_INLINE void j2a_take_##name(name *value, const uint8_t *bytes) { \
         uint8_t i = 0; \
         J2A_EACH(J2A_TAKE_MEMBER, J2A_TAKE_MEMBER, J2A_NOTHING, ~, __VA_ARGS__, "") \

@@ -73,6 +73,7 @@ typedef struct {
     bool (*raw)(uint8_t which, uint8_t *value);
     int8_t (*compare)(const uint8_t *a, const uint8_t *b, uint8_t size);
     bool (*is_near)(const uint8_t *a, const uint8_t *b, const uint8_t *limit, uint8_t size);
+    void (*tidy)(uint8_t *value); /* makes each bool of a value from the host 0 or 1; null without a bool */
 } j2a_transducer;
 
 extern const j2a_transducer j2a_transducers[];

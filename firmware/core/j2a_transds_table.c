@@ -138,6 +138,18 @@
 #define J2A_PASS_VALUE_ONE(element, name, n) , j2a_as_##element(&in_##name)
 #define J2A_PASS_VALUE_FIXED(element, name, n) , in_##name
 
+/* The bools of a value become 0 or 1. */
+#define J2A_TIDY_VALUE(none, item) J2A_IF_FIELD(J2A_TIDY_VALUE_OF, item)
+#define J2A_TIDY_VALUE_OF(type, ...) J2A_BY_FORM(J2A_TIDY_VALUE_, type, __VA_ARGS__)
+#define J2A_TIDY_VALUE_ONE(element, name, n) J2A_TIDY_VALUE_FIXED(element, name, 1)
+#define J2A_TIDY_VALUE_FIXED(element, name, n) \
+    j2a_c_##element name; \
+    uint8_t i; \
+    for (i = 0; i < (n); i++, bytes += j2a_size_##element) { \
+        j2a_take_##element(&name, bytes); \
+        j2a_put_##element(bytes, j2a_as_##element(&name)); \
+    }
+
 /* ------------------------------------------------------------------------- what is kept ------ */
 
 #define J2A_ENUM(name, integer, ...)
@@ -157,6 +169,7 @@ enum {
 #define J2A_KEPT(name, id, channels, type, na, ...) \
     enum { \
         j2a_bytes_of_##name = 0 J2A_BYTES(~, (type, value)), \
+        j2a_bools_of_##name = 0 J2A_BOOLS(~, (type, value)), \
         j2a_depth_of_##name = 0 J2A_SAY(queue, __VA_ARGS__), \
         j2a_entry_of_##name = (j2a_depth_of_##name != 0) + J2A_TIME_BYTES + j2a_bytes_of_##name, \
         j2a_entries_of_##name = j2a_depth_of_##name != 0 ? j2a_depth_of_##name : (channels), \
@@ -177,6 +190,9 @@ enum {
     }; \
     static volatile uint8_t j2a_slots_of_##name[j2a_entries_of_##name * j2a_entry_of_##name]; \
     static char j2a_topic_of_##name[J2A_TRANSD_MAX_TOPIC + 1] = "" J2A_SAY(topictext, __VA_ARGS__); \
+    static void j2a_tidy_of_##name(uint8_t *bytes) { \
+        J2A_TIDY_VALUE(~, (type, value)) \
+    } \
     J2A_RAW(name, type, na, __VA_ARGS__)
 #undef J2A_TRIGGER_DRIVER
 #define J2A_TRIGGER_DRIVER(prefix) prefix##_trigger();
@@ -231,12 +247,13 @@ enum {
      J2A_IF_KEY(topic, j2a_topic_of_##name, __VA_ARGS__), \
      J2A_IF_KEY(trigger, &j2a_trigger_of_##name, __VA_ARGS__), 0, 0, 0, \
      J2A_IF_KEY(trigger, j2a_start_of_##name, __VA_ARGS__), 0, J2A_RAW_OR_NOT(order, name), \
-     J2A_COMPARE(order), J2A_NEAR(order)},
+     J2A_COMPARE(order), J2A_NEAR(order), \
+     (0 J2A_SAY(threshold, __VA_ARGS__)) != 0 && j2a_bools_of_##name != 0 ? j2a_tidy_of_##name : 0},
 #define J2A_ROW_ACTUATOR(name, id, prefix, channels, order, ...) \
     {id, channels, j2a_bytes_of_##name, 0, 0, 0, j2a_slots_of_##name, 0, 0, 0, \
      J2A_IF_KEY(topic, j2a_topic_of_##name, __VA_ARGS__), 0, j2a_waiting_of_##name, j2a_values_of_##name, \
      J2A_IF_KEY(guarded, &j2a_watchdog_of_##name, __VA_ARGS__), 0, j2a_set_of_##name, J2A_RAW_OR_NOT(order, name), \
-     J2A_COMPARE(order), 0},
+     J2A_COMPARE(order), 0, j2a_bools_of_##name != 0 ? j2a_tidy_of_##name : 0},
 const j2a_transducer J2A_FLASH j2a_transducers[] = {
 #include "j2a_transds_list.h"
 };

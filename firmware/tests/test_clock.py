@@ -94,7 +94,9 @@ def test_a_reply_tells_the_new_rate_also_after_a_pause_in_the_adjustment(
         clock.run(2 * S)
         looks = itertools.count()
 
-        def pause(clock: NativeClock = clock, looks: Iterator[int] = looks, at: int = first) -> None:
+        def pause(
+            clock: NativeClock = clock, looks: Iterator[int] = looks, at: int = first
+        ) -> None:
             clock.local += late_us * (at <= next(looks) < at + count)
 
         clock.interrupt(pause)

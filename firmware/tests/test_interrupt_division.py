@@ -21,7 +21,7 @@ LINE = re.compile(r"^\s*([0-9a-f]+):\t(?:[0-9a-f]{2} )+\s*\t(\S+)")
 TARGET = re.compile(r"; 0x([0-9a-f]+)")
 GOES_AWAY = {"ret", "reti", "rjmp", "jmp", "ijmp", "eijmp"}
 DIVIDES = re.compile(r"__u?(div|mod)di3|__u?div\w*64|__u?div\w*di3\w*")
-ROW, FUNCTIONS = 36, 10
+ROW, FUNCTIONS = 38, 12
 """Bytes of a j2a_transducer, and of the functions at its end."""
 CLOCK = "-DJ2A_WITH_SYNC=1"
 BUILDS = {

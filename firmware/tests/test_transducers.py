@@ -1,9 +1,12 @@
 """Transducers in firmware: the listings of the thesis, a sensor that is swapped, wrong lists."""
 
+import struct
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
+from j2a_spec import constants as c
 from j2a_spec import transducers as oracle
 
 import j2a
@@ -175,6 +178,56 @@ def test_a_board_says_what_its_file_says(build_firmware, tmp_path):
     assert content.decode() == str(of_file)
     assert len(oracle.parse(content).transducers) == len(of_file.transducers) == 33
     assert read_transds(transds_text(of_file, "x")) == of_file
+
+
+BOOLS = """\
+J2A_STRUCT(mode, (bool, on), (u8, level), (array(bool, 2), ways))
+J2A_STRUCT(pair, (u8, first), (mode, second))
+ACTUATOR(gate, 0, gate, X, 2, bool, none, (range, 0, 1))
+ACTUATOR(ways, 1, ways, X, 1, array(bool, 3), none)
+ACTUATOR(both, 2, both, X, 1, pair, none)
+SENSOR(flag, 3, flag, X, 1, bool, none, (threshold, 1))
+"""
+SET_BOOLS = """
+#include "transds.h"
+void gate_set(uint8_t channel, bool value) { (void)channel; (void)value; }
+void ways_set(uint8_t channel, const bool value[3]) { (void)channel; (void)value; }
+void both_set(uint8_t channel, const pair *value) { (void)channel; (void)value; }
+void flag_set_cb(void (*callback)(uint8_t channel, bool value)) { (void)callback; }
+void j2a_app_task(void) {
+    static bool begun;
+    if (!begun)
+        transds_init();
+    begun = true;
+    transds_process();
+}
+"""
+
+
+@pytest.mark.requirement("J2A-TYPE-001", "J2A-TYPE-002", "J2A-TRANS-015")
+@pytest.mark.parametrize("wait_us", [0, 20_000])
+def test_a_bool_that_a_host_sends_as_another_number_is_kept_as_1(built, wait_us):
+    """A host may send any byte for true; a device sends 1."""
+    with j2a.connect(built(BOOLS, code=SET_BOOLS, functions="")) as board:
+
+        def call(transducer, item, value=b""):
+            reply = board.call(c.TRANSD, bytes((transducer, item)) + value)
+            assert reply.code == 0
+            return reply.payload
+
+        def set_to(transducer, value):
+            now_us = int.from_bytes(call(transducer, c.TRANSD_TIME), "little")
+            due_us = now_us + wait_us if wait_us else 0
+            assert call(transducer, c.TRANSD_SET, struct.pack("<BQ", 0, due_us) + value) == b""
+            time.sleep(3 * wait_us / 1e6)
+            return call(transducer, c.TRANSD_SAMPLE)
+
+        gate = set_to(0, b"\2\xff")
+        assert (gate[8:9], gate[17:18]) == (b"\1", b"\1")
+        assert set_to(0, b"\0")[8:9] == b"\0"
+        assert set_to(1, b"\0\x80\1")[8:] == b"\0\1\1"
+        assert set_to(2, b"\3\2\7\0\x10")[8:] == b"\3\1\7\0\1"
+        assert call(3, c.TRANSD_THRESHOLD, b"\2") == call(3, c.TRANSD_THRESHOLD) == b"\1"
 
 
 ONE = "SENSOR(a, 1, a, X, 1, u8, none{more})\n"

@@ -11,7 +11,7 @@ order of their times.
 import math
 import struct
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from j2a_spec import constants as c
@@ -19,6 +19,7 @@ from j2a_spec import constants as c
 from j2a.errors import LocalError
 from j2a.protocol import saved_settings
 from j2a.types.coding import PythonTypes
+from j2a.types.model import Structure, Type
 from j2a.types.samples import SampleCodec
 from j2a.types.transducers import LOST_BYTES, TIME_BYTES, Descriptors, Transducer
 
@@ -482,6 +483,7 @@ class _Actuator(_Transducer):
         self.is_safe = False
         self.waiting: dict[int, tuple[int, bytes]] = {}
         safe = transducer.safe
+        self._bools = tuple(_bools(transducer.type))
         self.safe = bytes(transducer.type.size) if safe is None else codec.pack_raw(safe)
 
     def schedule(self, value: bytes) -> bool:
@@ -497,8 +499,28 @@ class _Actuator(_Transducer):
             if not all(low <= self.codec.unpack_raw(one) <= high for one in values):
                 return False
         for channel, one in enumerate(values, first):
-            self.waiting[channel] = due_us, one
+            self.waiting[channel] = due_us, self._tidy(one)
         return True
+
+    def _tidy(self, data: bytes) -> bytes:
+        """Return a value whose bools are 0 or 1; hosts may send any byte (J2A-TYPE-002)."""
+        tidy = bytearray(data)
+        for at in self._bools:
+            tidy[at] = bool(tidy[at])
+        return bytes(tidy)
+
+
+def _bools(type_: Type, at: int = 0) -> Iterator[int]:
+    """Yield where the bools of a value are."""
+    for _ in range(type_.count or 1):
+        if isinstance(type_.element, Structure):
+            for field in type_.element.fields:
+                yield from _bools(field.type, at)
+                at += field.type.size
+        else:
+            if type_.element == "bool":
+                yield at
+            at += Type(type_.element).size
 
 
 def _has_item(one: Transducer, item: int, is_write: bool) -> bool:

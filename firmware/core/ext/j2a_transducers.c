@@ -718,6 +718,15 @@ uint8_t j2a_write_item(const j2a_transducer *t, uint8_t item, const uint8_t *val
 }
 #endif
 
+/* A bool from the host may be any byte (J2A-TYPE-002); what is compared, kept and sent is 0 or 1. */
+static void tidy(const j2a_transducer *t, uint8_t item, uint8_t *value, uint8_t length) {
+    uint8_t at = item == J2A_TRANSD_SET ? 1 + J2A_TIME_BYTES : 0;
+    if (!t->tidy || (item != J2A_TRANSD_SET && item != J2A_TRANSD_THRESHOLD))
+        return;
+    for (; at + t->size <= length; at = (uint8_t)(at + t->size))
+        t->tidy(value + at);
+}
+
 uint8_t j2a_transd(uint8_t *const length, uint8_t **const payload) {
     uint8_t *const bytes = *payload;
     const uint8_t count = *length;
@@ -736,6 +745,7 @@ uint8_t j2a_transd(uint8_t *const length, uint8_t **const payload) {
     load(&t, index);
     if (!has_item(&t, item, count > 2))
         return J2A_TRANSD_NO_ITEM;
+    tidy(&t, item, bytes + 2, (uint8_t)(count - 2));
     code = count > 2 ? write_item(&t, item, bytes + 2, (uint8_t)(count - 2)) : 0;
     if (code == 0)
         *length = read_item(&t, item, bytes);

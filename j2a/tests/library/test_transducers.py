@@ -943,6 +943,38 @@ class TestSettings:
                 imu.trigger(time)
 
 
+BOOLS = """\
+J2A_STRUCT(mode, (bool, on), (u8, level), (array(bool, 2), ways))
+J2A_STRUCT(pair, (u8, first), (mode, second))
+ACTUATOR(gate, 0, gate, X, 2, bool, none, (range, 0, 1))
+ACTUATOR(ways, 1, ways, X, 1, array(bool, 3), none)
+ACTUATOR(both, 2, both, X, 1, pair, none)
+SENSOR(flag, 3, flag, X, 1, bool, none, (threshold, 1))
+"""
+
+
+@pytest.mark.requirement("J2A-TYPE-001", "J2A-TYPE-002", "J2A-TRANS-015")
+def test_a_bool_that_a_host_sends_as_another_number_is_kept_as_1():
+    """A host may send any byte for true; a device sends 1."""
+    with make_device(BOOLS) as device, linked(device) as board:
+
+        def call(transducer, item, value=b""):
+            reply = board.call(c.TRANSD, bytes((transducer, item)) + value)
+            assert reply.code == 0
+            return reply.payload
+
+        def set_to(transducer, value):
+            assert call(transducer, c.TRANSD_SET, bytes(9) + value) == b""
+            return call(transducer, c.TRANSD_SAMPLE)
+
+        gate = set_to(0, b"\2\xff")
+        assert (gate[8:9], gate[17:18]) == (b"\1", b"\1")
+        assert set_to(0, b"\0")[8:9] == b"\0"
+        assert set_to(1, b"\0\x80\1")[8:] == b"\0\1\1"
+        assert set_to(2, b"\3\2\7\0\x10")[8:] == b"\3\1\7\0\1"
+        assert call(3, c.TRANSD_THRESHOLD, b"\2") == call(3, c.TRANSD_THRESHOLD) == b"\1"
+
+
 class TestActuators:
     def test_values_are_set_in_the_unit(self, device, board):
         moved = []
