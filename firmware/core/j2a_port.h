@@ -2,7 +2,8 @@
  * Bytes of the link flow in through j2a_port_rx() (or are pushed with j2a_rx_byte()) and flow out
  * through j2a_port_tx(). Rules: the core calls these only from j2a_poll(), j2a_process() and
  * j2a_send_sif(), so from the one context in which the application calls those, which also calls the rest of
- * them; and j2a_port_ticks() from j2a_rx_byte(). */
+ * them; j2a_port_ticks() from j2a_rx_byte(), too; and j2a_port_time_us() also where a driver gives a value, which may be an
+ * interrupt. */
 #ifndef J2A_PORT_H
 #define J2A_PORT_H
 
@@ -69,7 +70,8 @@ void j2a_port_tx(uint8_t byte);
 /* Time in ticks, free-running, wrapping at 65536. */
 uint16_t j2a_port_ticks(void);
 
-/* Time since the start in microseconds, monotonic, without steps. */
+/* Time since the start in microseconds, monotonic, without steps. Legal in interrupts, at any point of the main context, which
+ * may be in this function itself. */
 #if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void);
 #endif

@@ -5,11 +5,13 @@ call of board_idle().
 """
 
 import subprocess
+from pathlib import Path
 
 import pytest
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 
+FIRMWARE = Path(__file__).parents[1]
 BOARD = """
 #include <stdio.h>
 #include <stdlib.h>
@@ -123,3 +125,98 @@ def test_posix_has_a_transmit_buffer_by_itself(need, make, tmp_path):
         )
     assert (result.returncode, result.stderr) == (0, b"")
     assert decode(result.stdout) == [Frame(c.SOF, r.seq, c.ECHO, r.payload) for r in requests]
+
+
+CLOCK = """
+#include <stdio.h>
+#include "board.h"
+
+static uint64_t now_ms;
+static uint32_t moves_ms; /* by which time passes behind a look, and then an interrupt looks, too */
+static uint64_t seen_us;
+static bool is_inside;
+static unsigned polls;
+
+void board_init(void) {
+}
+bool board_has_byte(void) {
+    static bool is_polled;
+    if (is_polled) {
+        polls++;
+        return false;
+    }
+    if (is_inside)
+        return false;
+    is_polled = is_inside = true;
+    (void)j2a_port_time_us(); /* an interrupt, while the main loop looks for a byte */
+    is_polled = is_inside = false;
+    return false;
+}
+bool board_lost(void) {
+    return false;
+}
+uint8_t board_read(void) {
+    return 0;
+}
+bool board_can_write(void) {
+    return true;
+}
+void board_write(uint8_t byte) {
+    (void)byte;
+}
+void board_idle(void) {
+}
+void j2a_rx_lost(void) {
+}
+
+uint32_t board_ms(void) {
+    const uint32_t before_ms = (uint32_t)now_ms;
+    if (moves_ms != 0 && !is_inside) {
+        is_inside = true;
+        now_ms += moves_ms;
+        seen_us = j2a_port_time_us();
+        is_inside = false;
+    }
+    return before_ms;
+}
+
+static void look(uint64_t at_ms, uint32_t then_ms) {
+    uint64_t first_us;
+    now_ms = at_ms;
+    moves_ms = then_ms;
+    first_us = j2a_port_time_us();
+    if (first_us != at_ms * 1000)
+        printf("%llu ms: %llu us\\n", (unsigned long long)at_ms, (unsigned long long)first_us);
+    if (then_ms != 0 && seen_us != now_ms * 1000)
+        printf("interrupt at %llu ms: %llu us\\n", (unsigned long long)now_ms, (unsigned long long)seen_us);
+}
+
+int main(void) {
+    uint64_t at_ms;
+    for (at_ms = 0; at_ms < 1200ull << 32; at_ms += 1ull << 30) {
+        if (at_ms != 0)
+            look(at_ms - 1, 1);
+        look(at_ms, 0);
+        look(at_ms, 1000);
+        look(at_ms + 1000, 0);
+    }
+    printf("%u polls in a poll\\n", polls);
+    return 0;
+}
+"""
+
+
+def test_its_time_may_be_asked_for_in_an_interrupt(need, tmp_path):
+    """The core says so to drivers, whose interrupts give values (j2a_port.h)."""
+    need("cc")
+    (tmp_path / "clock.c").write_text(CLOCK)
+    (tmp_path / "j2a_port_config.h").write_text(CONFIG)
+    common = FIRMWARE / "ports/common"
+    subprocess.run(
+        ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsanitize=undefined",
+         f"-I{tmp_path}", f"-I{common}", f"-I{FIRMWARE / 'core'}", tmp_path / "clock.c",
+         common / "board_port.c", "-o", tmp_path / "clock"],
+        check=True,
+    )  # fmt: skip
+    done = subprocess.run([tmp_path / "clock"], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "0 polls in a poll\n", "")

@@ -1,7 +1,9 @@
 /* What the port in board_port.c asks of a board; the board.c of a port answers. Bytes of a UART, or of
  * anything else that keeps bytes in order, and a counter of milliseconds: no more is needed.
  * Rule: all of it is called from the main loop, but where BOARD_INTERRUPTS is 1 board_lost() and
- * board_read() are called by port_receive(), so from the receive interrupt. */
+ * board_read() are called by port_receive(), so from the receive interrupt. Where an interrupt of a driver gives values, it looks
+ * at the clock: then board_ms() or board_us() is called from it, too, at any point of the main loop, and where BOARD_INTERRUPTS
+ * is 0 so are board_has_byte(), board_lost() and board_read(), but not while the main loop is in one of these three. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -32,13 +34,13 @@ bool board_can_write(void);
 void board_write(uint8_t byte);
 
 /* Milliseconds since the start, wrapping at 2^32 (not before: extend a counter of 16 bits), so each 49.7 days;
- * j2a_port_time_us() goes on counting if it is asked at least that often. Called in
+ * j2a_port_time_us() goes on counting if it is asked at least twice as often. Called in
  * each turn of the main loop, so a counter may be extended here if it wraps later than any function of
- * the application takes. One that an interrupt counts is read with interrupts off where the chip has
+ * the application takes; with interrupts off, where one of a driver looks at the clock. One that an interrupt counts is read with interrupts off where the chip has
  * less than 32 bits. Not called, and need not be there, where BOARD_MICROSECONDS is 1. */
 uint32_t board_ms(void);
 
-/* Microseconds since the start, monotonic, without steps. Asked for where j2a_port_config.h defines
+/* Microseconds since the start, monotonic, without steps; legal in interrupts. Asked for where j2a_port_config.h defines
  * BOARD_MICROSECONDS as 1, in each turn of the main loop; elsewhere applications measure time by board_ms(). */
 #ifndef BOARD_MICROSECONDS
 #define BOARD_MICROSECONDS 0

@@ -68,12 +68,21 @@ void port_receive_from(uint8_t link) {
 #endif
 
 /* While the ring is full bytes stay where they are: a pipe makes the host wait, a UART loses them and
- * says so. */
+ * says so. A driver's interrupt that looks at the clock comes here, too: not while the main loop is here. */
 static void poll_receiver(void) {
 #if !BOARD_INTERRUPTS
     uint8_t i;
+#if J2A_WITH_CLOCK
+    static volatile bool is_inside;
+    if (is_inside)
+        return;
+    is_inside = true;
+#endif
     for (i = 0; i < MAX_BYTES_PER_POLL && after(ring.head) != ring.tail && board_has_byte(); i++)
         port_receive();
+#if J2A_WITH_CLOCK
+    is_inside = false;
+#endif
 #endif
 }
 
@@ -126,19 +135,39 @@ uint16_t j2a_port_ticks(void) {
 #endif
 
 #if J2A_WITH_CLOCK
-uint64_t j2a_port_time_us(void) {
 #if BOARD_MICROSECONDS
-    poll_receiver(); /* a function that waits looks at the clock */
-    return board_us();
+#define time_us board_us
 #else
-    static uint32_t last_ms, wraps;
-    const uint32_t now_ms = board_ms();
-    if (now_ms < last_ms)
-        wraps++;
-    last_ms = now_ms;
-    poll_receiver(); /* a function that waits looks at the clock */
-    return ((uint64_t)wraps << 32 | now_ms) * 1000;
+/* What stands above the 32 bits of board_ms(). The lowest bit of each byte repeats the highest one below, of the byte
+ * before or of board_ms(); where it does not, that one has wrapped, and the byte is one behind. So whoever looks, in an
+ * interrupt or interrupted, writes the same bytes. Read from the top, so that none is newer than what is below it. */
+enum { ABOVE = 3 };
+static volatile uint8_t above[ABOVE];
+
+static uint64_t time_us(void) {
+    uint8_t bytes[ABOVE];
+    uint32_t high = 0;
+    uint32_t now_ms;
+    uint8_t half;
+    uint8_t i;
+
+    for (i = ABOVE; i-- != 0;)
+        bytes[i] = above[i];
+    now_ms = board_ms();
+    half = (uint8_t)(now_ms >> 31);
+    for (i = 0; i < ABOVE; i++) {
+        if ((bytes[i] & 1) != half)
+            above[i] = ++bytes[i];
+        high |= (uint32_t)(bytes[i] >> 1) << 7 * i;
+        half = bytes[i] >> 7;
+    }
+    return ((uint64_t)high << 32 | now_ms) * 1000;
+}
 #endif
+
+uint64_t j2a_port_time_us(void) {
+    poll_receiver(); /* a function that waits looks at the clock */
+    return time_us();
 }
 #endif
 

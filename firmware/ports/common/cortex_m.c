@@ -1,6 +1,7 @@
 /* Start-up and clock of a Cortex-M, see cortex_m.h.
  * Rule of the clock: an interrupt is taken once for each period of SysTick, and the period is as long as its
- * 24 bits allow. So nothing is lost when interrupts are off for a while, which a tick of 1 ms would not survive. */
+ * 24 bits allow. So nothing is lost when interrupts are off for a while, which a tick of 1 ms would not survive. SysTick keeps the
+ * priority it has after a reset, 0: then no interrupt that asks for the time comes between its begin and its sum. */
 #include "cortex_m.h"
 
 #define SYST_CSR CORTEX_M_REG(0xE000E010)

@@ -17,8 +17,7 @@
 
 static bool overrun;
 static volatile bool received; /* since the last board_idle() */
-static uint64_t us;
-static uint32_t counted; /* of mtime, in us */
+static uint64_t start; /* of mtime */
 
 static void interrupts_off(void) {
     __asm__ volatile("csrc mstatus, %0" : : "i"(MSTATUS_MIE) : "memory");
@@ -35,6 +34,17 @@ static uint8_t status(void) {
     return flags;
 }
 
+/* Both halves, read again when the lower one has wrapped in between. */
+static uint64_t mtime(void) {
+    uint32_t high;
+    uint32_t low;
+    do {
+        high = MTIME_HIGH;
+        low = MTIME;
+    } while (high != MTIME_HIGH);
+    return (uint64_t)high << 32 | low;
+}
+
 void board_init(void) {
     UART_LINE = LINE_DIVIDER;
     UART_DIVIDER_LOW = (uint8_t)DIVIDER;
@@ -44,7 +54,7 @@ void board_init(void) {
     UART_INTERRUPTS = INTERRUPT_RECEIVED;
     PLIC_PRIORITY_UART = 1;
     PLIC_ENABLE = 1u << UART_IRQ;
-    counted = MTIME;
+    start = mtime();
     __asm__ volatile("csrw mie, %0" : : "r"(MIE_EXTERNAL));
     interrupts_on();
 }
@@ -86,22 +96,13 @@ void board_write(uint8_t byte) {
     UART_DATA = byte;
 }
 
-/* The lower half of mtime, which is used here, wraps after 7 minutes; the main loop turns more often. */
+/* Keeps nothing, because an interrupt may ask, too. Divides digit by digit of 16 bits: a division of 64 needs a library. */
 uint64_t board_us(void) {
-    const uint32_t more_us = (MTIME - counted) / MTIME_PER_US;
-    counted += more_us * MTIME_PER_US;
-    return us += more_us;
-}
-
-/* Both halves, read again when the lower one has wrapped in between. */
-static uint64_t mtime(void) {
-    uint32_t high;
-    uint32_t low;
-    do {
-        high = MTIME_HIGH;
-        low = MTIME;
-    } while (high != MTIME_HIGH);
-    return (uint64_t)high << 32 | low;
+    const uint64_t passed = mtime() - start;
+    const uint32_t high = (uint32_t)(passed >> 32);
+    const uint32_t middle = high % MTIME_PER_US << 16 | ((uint32_t)passed >> 16);
+    const uint32_t low = middle % MTIME_PER_US << 16 | ((uint32_t)passed & 0xFFFF);
+    return (uint64_t)(high / MTIME_PER_US) << 32 | (uint64_t)(middle / MTIME_PER_US) << 16 | low / MTIME_PER_US;
 }
 
 /* Sleeps until a byte comes, or a millisecond, unless one has come since the last call. With interrupts off

@@ -89,9 +89,16 @@ void board_write(uint8_t byte) {
     REGISTER(UART_DATA) = byte;
 }
 
+/* Both halves, read again when the lower one has wrapped in between. The registers that keep the upper half meanwhile keep
+ * it for one reader only, and an interrupt may be another. */
 uint64_t board_us(void) {
-    const uint32_t low = REGISTER(TIMER_LOW); /* keeps the other half as it is now */
-    return (uint64_t)REGISTER(TIMER_HIGH) << 32 | low;
+    uint32_t high;
+    uint32_t low;
+    do {
+        high = REGISTER(TIMER_RAW_HIGH);
+        low = REGISTER(TIMER_RAW_LOW);
+    } while (high != REGISTER(TIMER_RAW_HIGH));
+    return (uint64_t)high << 32 | low;
 }
 
 /* Sleeps until an interrupt, or a millisecond. One since the last sleep has left its mark in the processor,

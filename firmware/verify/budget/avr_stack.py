@@ -39,9 +39,9 @@ _SENSE = "j2a_sense"
 _ENGINE = {"j2a_transd", "transds_process", "j2a_turn", "set"}
 _TABLE_JUMP = "__tablejump2__"
 # Where the pointers of an entry of j2a_transducers are, as core/j2a_transds.h has them.
-_TRANSDUCER_BYTES = 36
+_TRANSDUCER_BYTES = 38
 _DRIVERS = (26, 28)  # start, set
-_VALUES = (30, 32, 34)  # raw, compare, is_near
+_VALUES = (30, 32, 34, 36)  # raw, compare, is_near, tidy
 
 
 @dataclass(frozen=True, slots=True)
