@@ -64,7 +64,7 @@ void j2a_port_init(int argc, char **argv);
  * it first returns a byte that arrived after a loss, it calls j2a_rx_lost(). */
 int16_t j2a_port_rx(void);
 
-/* Sends one byte; waits while the transmit buffer is full, even with interrupts off. */
+/* Sends one byte; waits while the transmit buffer is full, even with interrupts off. See j2a_waiting(). */
 void j2a_port_tx(uint8_t byte);
 
 /* Time in ticks, free-running, wrapping at 65536. */
@@ -110,6 +110,15 @@ void j2a_port_idle(void);
  * interrupt off. Returns false, and takes no byte, while a frame or an error waits for j2a_process(): let
  * j2a_port_rx() return that byte later, or call j2a_rx_lost(). */
 bool j2a_rx_byte(uint8_t byte);
+
+/* Sets actuators to safe whose watchdog has run out, and does what SET and TRIGGER have asked for by now: a port calls it
+ * again and again while it waits to send for longer than a character takes, as where a host does not read. Sends nothing,
+ * but calls the functions of drivers. From the main context. */
+#if J2A_WITH_TRANSDUCERS
+void j2a_waiting(void);
+#else
+#define j2a_waiting() ((void)0)
+#endif
 
 /* Says that bytes were lost between the last byte pushed and the next one. */
 void j2a_rx_lost(void);

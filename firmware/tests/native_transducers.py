@@ -76,6 +76,14 @@ class NativeTransducers:
         for name, spent_us in (("fake_read_us", read_us), ("fake_byte_us", byte_us)):
             ctypes.c_uint32.in_dll(self._c, name).value = spent_us
 
+    def block(self, ms: int) -> None:
+        """Let the port wait so long to send the next byte, because nobody reads."""
+        ctypes.c_uint32.in_dll(self._c, "fake_block_ms").value = ms
+
+    def wait_in_drivers(self, ms: int) -> None:
+        """Let drivers wait so long within what they are told, as if the port waited there."""
+        ctypes.c_uint32.in_dll(self._c, "fake_driver_ms").value = ms
+
     def turn(self, at_us: int | None = None) -> list[tuple[int, bytes]]:
         """Have a turn of the main loop, at this time; returns the SIFs since the last one.
 

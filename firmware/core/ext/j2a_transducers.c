@@ -17,6 +17,11 @@ static uint32_t heard_ms;
 static uint8_t next; /* the transducer whose turn it is to be sent */
 static bool has_orders; /* SET or TRIGGER may wait for its time */
 
+/* While transducers are served or changed a port that waits keeps away from them; where it did not, watchdogs have looked at
+ * a later time than the turn began at. */
+enum { FREE, BUSY, LOOKED };
+static uint8_t service;
+
 static void load(j2a_transducer *to, uint8_t index) {
     j2a_flash_load(to, &j2a_transducers[index], sizeof *to);
 }
@@ -318,6 +323,7 @@ static bool report(const j2a_transducer *t, uint8_t *payload) {
     if (length == 0)
         return false;
     move_reference(sensor, late_us);
+    service = FREE;
     j2a_send_sif(t->id, length, payload);
     return true;
 }
@@ -438,8 +444,53 @@ static uint8_t set_channels(const j2a_transducer *t, const uint8_t *bytes, uint8
 
 /* ------------------------------------------------------------------------- the main loop ------ */
 
-void j2a_turn(uint8_t *payload) {
+/* Notices that the host was heard; returns the time by which watchdogs watch. */
+static uint32_t look(void) {
     const uint32_t now_ms = (uint32_t)(j2a_port_time_us() / 1000);
+    if (j2a_is_heard) {
+        j2a_is_heard = false;
+        heard_ms = now_ms;
+    }
+    return now_ms;
+}
+
+/* Does what is due of a transducer, but sends nothing. Returns whether an order was. Inline, because turns are frequent, and
+ * few ports wait. */
+J2A_ALWAYS_INLINE bool act(const j2a_transducer *t, uint32_t now_ms) {
+    bool has_acted = false;
+    if (t->trigger && t->trigger->waits) {
+        if (is_due(t->trigger->due_us)) {
+            t->trigger->waits = false;
+            t->start();
+            has_acted = true;
+        } else {
+            has_orders = true;
+        }
+    }
+    if (t->watchdog)
+        watch(t, now_ms);
+    if (t->waiting && set_due(t))
+        has_acted = true;
+    return has_acted;
+}
+
+void j2a_waiting(void) {
+    j2a_transducer t;
+    uint32_t now_ms;
+    uint8_t index;
+    if (service == BUSY)
+        return;
+    service = BUSY;
+    now_ms = look();
+    for (index = 0; index < j2a_transducer_count; index++) {
+        load(&t, index);
+        (void)act(&t, now_ms);
+    }
+    service = LOOKED;
+}
+
+void j2a_turn(uint8_t *payload) {
+    uint32_t now_ms;
     bool has_sent = !payload;
     /* Orders go before a sample SIF, which takes the link its time: so many more transducers are looked at for them. Each
      * one that is due begins another round, because others of the same time were perhaps not due yet. */
@@ -448,11 +499,9 @@ void j2a_turn(uint8_t *payload) {
     uint8_t index;
     uint8_t left;
 
+    service = BUSY;
     has_orders = false;
-    if (j2a_is_heard) {
-        j2a_is_heard = false;
-        heard_ms = now_ms;
-    }
+    now_ms = look();
 #if J2A_WITH_SAVE
     j2a_save_turn();
 #endif
@@ -463,18 +512,7 @@ void j2a_turn(uint8_t *payload) {
         if (index >= j2a_transducer_count)
             index = 0;
         load(&t, index++);
-        if (t.trigger && t.trigger->waits) {
-            if (is_due(t.trigger->due_us)) {
-                t.trigger->waits = false;
-                t.start();
-                ordering = j2a_transducer_count;
-            } else {
-                has_orders = true;
-            }
-        }
-        if (t.watchdog)
-            watch(&t, now_ms);
-        if (t.waiting && set_due(&t))
+        if (act(&t, now_ms))
             ordering = j2a_transducer_count;
         if (ordering != 0) {
             ordering--;
@@ -484,8 +522,12 @@ void j2a_turn(uint8_t *payload) {
         if (!has_sent && t.sensor && report(&t, payload)) {
             has_sent = true;
             next = index;
+            if (service == LOOKED)
+                now_ms = look();
+            service = BUSY;
         }
     }
+    service = FREE;
 }
 
 /* ------------------------------------------------------------------------- functions of the host ------ */
@@ -746,9 +788,11 @@ uint8_t j2a_transd(uint8_t *const length, uint8_t **const payload) {
     if (!has_item(&t, item, count > 2))
         return J2A_TRANSD_NO_ITEM;
     tidy(&t, item, bytes + 2, (uint8_t)(count - 2));
+    service = BUSY; /* a driver may take its time, and what it calls may send */
     code = count > 2 ? write_item(&t, item, bytes + 2, (uint8_t)(count - 2)) : 0;
     if (code == 0)
         *length = read_item(&t, item, bytes);
+    service = FREE;
     return code;
 }
 

@@ -27,7 +27,8 @@ bool board_lost(void);
 /* Takes the received byte; called only when there is one. */
 uint8_t board_read(void);
 
-/* Does the UART take a byte now? The port polls it, and goes on receiving meanwhile. */
+/* Does the UART take a byte now? The port polls it, and goes on receiving meanwhile. Where it may say no for longer than a
+ * character takes, as where the host must read first, it calls j2a_waiting(). */
 bool board_can_write(void);
 
 /* Sends a byte; called only after board_can_write() said yes. */

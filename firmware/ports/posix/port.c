@@ -4,6 +4,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <poll.h>
 #include <signal.h>
 #include <stdio.h>
@@ -18,6 +19,13 @@
 
 /* Many bytes at once are far cheaper than one by one, so where J2A_TXBUF is left at 0 they are collected, too. */
 enum { TX_BYTES = J2A_TXBUF ? J2A_TXBUF : 4096 };
+
+/* So many a pipe takes at once when it takes any. */
+#ifdef PIPE_BUF
+enum { MOST_BYTES = PIPE_BUF };
+#else
+enum { MOST_BYTES = 512 };
+#endif
 
 static int in_fd = STDIN_FILENO;
 static int out_fd = STDOUT_FILENO;
@@ -51,6 +59,8 @@ static void open_pty(void) {
     raw.c_lflag &= ~(tcflag_t)(ECHO | ECHONL | ICANON | IEXTEN | ISIG);
     if (tcsetattr(device, TCSANOW, &raw) != 0)
         fail("setting the pseudo-terminal to raw");
+    if (fcntl(out_fd, F_SETFL, O_NONBLOCK) != 0) /* else it waits for room for all of what is written */
+        fail("setting the pseudo-terminal to write what it can");
     printf("%s\n", ptsname(in_fd));
     fflush(stdout);
 }
@@ -77,14 +87,22 @@ static bool again(void) {
     return errno == EAGAIN || errno == EINTR;
 }
 
+/* Writes only what there is room for, so that a host that does not read stops nothing but this. */
 static void flush(void) {
     size_t done = 0;
     while (done < tx_used) {
         struct pollfd output = {out_fd, POLLOUT, 0};
-        const ssize_t n = write(out_fd, tx + done, tx_used - done);
+        const int ready = poll(&output, 1, 1);
+        ssize_t n = 0;
+        if (ready == 0) {
+            j2a_waiting();
+            continue;
+        }
+        if (ready > 0)
+            n = write(out_fd, tx + done, tx_used - done < MOST_BYTES ? tx_used - done : MOST_BYTES);
         if (n > 0)
             done += (size_t)n;
-        else if (!again() || (poll(&output, 1, -1) < 0 && !again()))
+        else if (!again())
             exit(EXIT_SUCCESS); /* nobody reads any more */
     }
     tx_used = 0;

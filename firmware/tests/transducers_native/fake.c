@@ -1,5 +1,5 @@
 /* A port without hardware for transducers: whoever loads it sets the time, gives requests and takes what was sent.
- * A read of the clock and a byte on the link may take their time. Rule: fake_log holds what drivers of actuators and triggers were told, and when by fake_us, in order. */
+ * A read of the clock and a byte on the link may take their time, and a link that nobody reads lets the port wait. Rule: fake_log holds what drivers of actuators and triggers were told, and when by fake_us, in order. */
 #include "j2a_clock.h"
 #include "j2a_port.h"
 #include "transds.h"
@@ -8,6 +8,8 @@ enum { LINK_BYTES = 1024, ENTRIES = 64 };
 
 uint64_t fake_us;
 uint32_t fake_read_us, fake_byte_us;
+uint32_t fake_block_ms;  /* for so long the next byte is not taken */
+uint32_t fake_driver_ms; /* for so long a driver waits within each function */
 uint8_t fake_input[LINK_BYTES], fake_sent[LINK_BYTES];
 uint32_t fake_input_length, fake_sent_length;
 struct {
@@ -26,7 +28,17 @@ int16_t j2a_port_rx(void) {
     return input_next == fake_input_length ? -1 : (int16_t)fake_input[input_next++];
 }
 
+static void wait_ms(uint32_t ms) {
+    for (; ms != 0; ms--) {
+        fake_us += 1000;
+        j2a_waiting();
+    }
+}
+
 void j2a_port_tx(uint8_t byte) {
+    const uint32_t block_ms = fake_block_ms;
+    fake_block_ms = 0;
+    wait_ms(block_ms);
     fake_us += fake_byte_us;
     if (fake_sent_length < LINK_BYTES)
         fake_sent[fake_sent_length++] = byte;
@@ -54,6 +66,7 @@ static void note(int32_t value) {
         fake_log[fake_log_length].at_us = fake_us;
         fake_log[fake_log_length++].value = value;
     }
+    wait_ms(fake_driver_ms);
 }
 
 enum { NEWEST, QUEUED, SECOND = 3, SENSORS };
