@@ -188,7 +188,8 @@ static void look(uint64_t at_ms, uint32_t then_ms) {
     if (first_us != at_ms * 1000)
         printf("%llu ms: %llu us\\n", (unsigned long long)at_ms, (unsigned long long)first_us);
     if (then_ms != 0 && seen_us != now_ms * 1000)
-        printf("interrupt at %llu ms: %llu us\\n", (unsigned long long)now_ms, (unsigned long long)seen_us);
+        printf("interrupt at %llu ms: %llu us\\n", (unsigned long long)now_ms,
+               (unsigned long long)seen_us);
 }
 
 int main(void) {
@@ -218,5 +219,7 @@ def test_its_time_may_be_asked_for_in_an_interrupt(need, tmp_path):
          common / "board_port.c", "-o", tmp_path / "clock"],
         check=True,
     )  # fmt: skip
-    done = subprocess.run([tmp_path / "clock"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [tmp_path / "clock"], capture_output=True, text=True, check=False, timeout=60
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, "0 polls in a poll\n", "")
