@@ -27,11 +27,12 @@ class _Entry(ctypes.Structure):
     _fields_ = (("at_us", ctypes.c_uint64), ("value", ctypes.c_int32))
 
 
-def build(folder: Path, sync: bool) -> Path:
+def build(folder: Path, sync: bool, boot: bool = False) -> Path:
     """Build the library with checks for undefined behaviour; returns its path.
 
     Args:
         sync: with the clock of section 23.
+        boot: with the boot SIF.
     """
     library = folder / f"transducers-{int(sync)}.so"
     core = FIRMWARE / "core"
@@ -39,6 +40,7 @@ def build(folder: Path, sync: bool) -> Path:
         ["gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wno-overlength-strings",
          "-Werror", "-fsanitize=undefined", "-fno-sanitize-recover", "-shared", "-fPIC",
          f"-I{core}", f"-I{OWN}", "-DJ2A_WITH_TRANSDUCERS=1", f"-DJ2A_WITH_SYNC={int(sync)}",
+         f"-DJ2A_WITH_BOOT={int(boot)}", f"-DJ2A_WITH_INTERFACE={int(boot)}",
          *sorted(core.rglob("*.c")), OWN / "fake.c", "-o", library],
         check=True,
     )  # fmt: skip
@@ -48,7 +50,7 @@ def build(folder: Path, sync: bool) -> Path:
 class NativeTransducers:
     """One device, which starts at a time of its counter and then has a turn at each time given."""
 
-    def __init__(self, library: Path, start_us: int) -> None:
+    def __init__(self, library: Path, start_us: int, is_up: bool = True) -> None:
         copy = library.with_name(f"{library.stem}-{next(_number)}.so")
         shutil.copy(library, copy)
         self._c = ctypes.CDLL(str(copy))
@@ -60,6 +62,7 @@ class NativeTransducers:
         self._sent_length = ctypes.c_uint32.in_dll(self._c, "fake_sent_length")
         self._log = (_Entry * 64).in_dll(self._c, "fake_log")
         self._log_length = ctypes.c_uint32.in_dll(self._c, "fake_log_length")
+        self.be_up(is_up)
         self._seq = 0
         self._sifs: list[Frame] = []
         self._now.value = start_us
@@ -75,6 +78,10 @@ class NativeTransducers:
         """Let each read of the clock, and each byte on the link, take so many microseconds."""
         for name, spent_us in (("fake_read_us", read_us), ("fake_byte_us", byte_us)):
             ctypes.c_uint32.in_dll(self._c, name).value = spent_us
+
+    def be_up(self, is_up: bool) -> None:
+        """Let the port say whether somebody may be there to receive the boot SIF."""
+        ctypes.c_bool.in_dll(self._c, "fake_is_up").value = is_up
 
     def block(self, ms: int) -> None:
         """Let the port wait so long to send the next byte, because nobody reads."""

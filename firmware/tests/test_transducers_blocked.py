@@ -15,6 +15,7 @@ from j2a_spec.oracle import Frame, decode, encode
 from firmware.tests.native_transducers import (
     NEWEST,
     PAIR,
+    QUEUED,
     SAFE,
     SERVO,
     TRIGGERED,
@@ -93,6 +94,21 @@ def test_a_driver_that_is_called_is_not_called_again_from_within(device):
     device.block(BLOCKED_MS)
     device.turn()
     assert [value for _, value in device.told()] == [1, 2, SAFE]
+
+
+@pytest.mark.requirement("J2A-TRANS-006", "J2A-BOOT-001")
+def test_values_wait_until_the_link_is_up(need, tmp_path):
+    """They are not taken out of the queue for a SIF that is not sent."""
+    need("gcc")
+    device = NativeTransducers(build(tmp_path, False, boot=True), 1_000_000, is_up=False)
+    for value in (1, 2):
+        device.sense(QUEUED, value)
+        assert device.turn(device.now + MS) == []
+    device.be_up(True)
+    (boot, _), (sensor, payload) = device.turn() + device.turn()
+    assert (boot, sensor) == (c.BOOT, QUEUED)
+    assert payload[:2] == b"\0\0"  # none is lost
+    assert [payload[at + 9 : at + 11] for at in (2, 13)] == [b"\1\0", b"\2\0"]
 
 
 TRANSDS = """\

@@ -499,6 +499,10 @@ void j2a_turn(uint8_t *payload) {
     uint8_t index;
     uint8_t left;
 
+#if J2A_WITH_BOOT
+    if (!j2a_greet())
+        has_sent = true; /* nothing is taken out of a queue before the link is up */
+#endif
     service = BUSY;
     has_orders = false;
     now_ms = look();
@@ -622,10 +626,11 @@ static void enable(const j2a_transducer *t, bool is_enabled) {
 }
 
 static void write_decimation(const j2a_transducer *t, uint8_t every) {
+    volatile uint8_t *const setting = t->decimation;
     uint8_t i;
-    t->decimation[0] = every;
-    for (i = 0; i < t->channels; i++)
-        t->decimation[1 + i] = 0;
+    for (i = 0; i < t->channels; i++) /* first, else a driver would compare what was counted for the old setting */
+        setting[1 + i] = 0;
+    setting[0] = every;
 }
 
 /* Drivers may compare meanwhile, so the new limit becomes the one that is not in use. */

@@ -7,6 +7,7 @@
 enum { LINK_BYTES = 1024, ENTRIES = 64 };
 
 uint64_t fake_us;
+bool fake_is_up = true;
 uint32_t fake_read_us, fake_byte_us;
 uint32_t fake_block_ms;  /* for so long the next byte is not taken */
 uint32_t fake_driver_ms; /* for so long a driver waits within each function */
