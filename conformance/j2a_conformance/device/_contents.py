@@ -4,11 +4,12 @@ What flows in: the name of the function, and offsets. What flows out: nothing, o
 properties and the interface are such contents.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from j2a_spec import constants as c
 
 from j2a_conformance._judge import fail
+from j2a_conformance.wire._dimensions import payload_of
 
 from ._peer import Peer
 
@@ -23,10 +24,12 @@ def check_all_or_none(has: Mapping[str, bool]) -> None:
         fail(f"there is {' and '.join(there)}, but not {' and '.join(missing)}")
 
 
-def check_offsets(peer: Peer, name: str, whole: bytes, offsets: Iterable[int]) -> None:
-    """Read from each offset; what comes must be that part of `whole`, the first read."""
-    for offset in offsets:
-        reply = peer.ask_many(peer.many(name, offset % 2, offset))
+def check_offsets(peer: Peer, name: str, whole: bytes, offsets: Sequence[int]) -> None:
+    """Read from each offset, some with data, which mean nothing (J2A-MANY-010); what comes must be
+    that part of `whole`, the first read.
+    """
+    for flags, offset, data in _reads(peer, offsets):
+        reply = peer.ask_many(peer.many(name, flags, offset, data))
         if not reply.data or whole[offset : offset + len(reply.data)] != reply.data:
             fail(f"a read at offset {offset} returns other bytes than the first read")
         if (reply.code, reply.offset) != (c.RET_OK, offset):
@@ -34,6 +37,20 @@ def check_offsets(peer: Peer, name: str, whole: bytes, offsets: Iterable[int]) -
         if (offset + len(reply.data) == len(whole)) != bool(reply.flags & c.FLAG_LAST):
             not_ = "" if reply.flags & c.FLAG_LAST else "not "
             fail(f"isLast is {not_}set in the chunk at {offset}, the end is {len(whole)}")
+
+
+def _reads(peer: Peer, offsets: Sequence[int]) -> Iterator[tuple[int, int, bytes]]:
+    """Yield flags, offset and data: at the ends and in the middle each flag with no data, one byte
+    and most, and at each offset data of another length, every fourth time of many bytes.
+    """
+    most = peer.longest_chunk
+    for offset in sorted({offsets[0], offsets[len(offsets) // 2], offsets[-1]}):
+        for number, length in enumerate((0, 1, most)):
+            for flags in (0, c.FLAG_LAST):
+                yield flags, offset, payload_of(length, number)
+    for number, offset in enumerate(offsets):
+        many = number // 4 * 77 % (most + 1)  # in the end each length
+        yield offset % 2, offset, payload_of((0, 1, 0, many)[number % 4], number)
 
 
 def check_writes(peer: Peer, name: str, what: str, content: bytes) -> None:
@@ -50,14 +67,16 @@ def check_writes(peer: Peer, name: str, what: str, content: bytes) -> None:
 
 
 def check_end(peer: Peer, name: str) -> None:
-    """Read at the end and at many offsets behind it; an empty last chunk must come."""
+    """Read at the end and at many offsets behind it, with and without data; an empty last chunk
+    must come.
+    """
     size = len(peer.read_all(name))
     ends = [size + (1 << shift) for shift in range(31)]
     # Where offsets of fewer bits would be in the contents.
     cut = [(1 << shift) + at for shift in range(8, 32) for at in (0, size // 2, size - 1)]
     behind = (*ends, *cut, 0xFFFFFFFF - 255, 0xFFFFFFFE, 0xFFFFFFFF)
-    for offset in (size, *(offset for offset in behind if offset > size)):
-        reply = peer.ask_many(peer.many(name, offset=offset))
+    for flags, offset, data in _reads(peer, (size, *(each for each in behind if each > size))):
+        reply = peer.ask_many(peer.many(name, flags, offset, data))
         if reply.data or not reply.flags & c.FLAG_LAST or reply.offset != offset:
             fail(f"{reply} in a read at offset {offset}, the end is {size}")
         if reply.code > c.RET_MAX:

@@ -95,11 +95,11 @@ class Names(Case):
 
 
 class Chunks(Case):
-    """Reads the interface again from many offsets."""
+    """Reads the interface again from many offsets, with and without data in the request."""
 
     ID = "interface.chunks"
     EXPECTATION = "The bytes of the first read from there on, with isLast in the last chunk only."
-    REQUIREMENTS = ("J2A-IFACE-001", "J2A-MANY-008")
+    REQUIREMENTS = ("J2A-IFACE-001", "J2A-MANY-008", "J2A-MANY-010")
     LEVEL = "interface"
     NEEDS = (c.GET_INTERFACE,)
 
@@ -126,11 +126,11 @@ class Written(Case):
 
 
 class BehindEnd(Case):
-    """Reads the interface at its end and at many offsets behind it."""
+    """Reads the interface at its end and at many offsets behind it, also with data."""
 
     ID = "interface.behind-end"
     EXPECTATION = "An empty chunk with isLast, at the offset that was asked for."
-    REQUIREMENTS = ("J2A-IFACE-003",)
+    REQUIREMENTS = ("J2A-IFACE-003", "J2A-MANY-010")
     LEVEL = "interface"
     NEEDS = (c.GET_INTERFACE,)
 

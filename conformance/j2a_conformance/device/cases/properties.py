@@ -12,14 +12,14 @@ from j2a_conformance.device._selftest import read
 
 
 class Content(Case):
-    """Reads all properties, then again from every offset."""
+    """Reads all properties, then again from every offset, with and without data in the request."""
 
     ID = "properties.content"
     EXPECTATION = (
         "Key, NUL, value, NUL for each; every read from an offset returns the same bytes from "
         "there on, with isLast in the last chunk."
     )
-    REQUIREMENTS = ("J2A-PROP-001", "J2A-MANY-002", "J2A-MANY-008")
+    REQUIREMENTS = ("J2A-PROP-001", "J2A-MANY-002", "J2A-MANY-008", "J2A-MANY-010")
     LEVEL = "properties"
     NEEDS = (c.GET_PROPERTIES,)
 
@@ -78,11 +78,17 @@ class Version(Case):
 
 
 class BehindEnd(Case):
-    """Reads the properties at their end and at many offsets behind it."""
+    """Reads the properties at their end and at many offsets behind it, also with data."""
 
     ID = "properties.behind-end"
     EXPECTATION = "An empty chunk with isLast, at the offset that was asked for."
-    REQUIREMENTS = ("J2A-PROP-006", "J2A-MANY-007", "J2A-MANY-008", "J2A-MANY-019")
+    REQUIREMENTS = (
+        "J2A-PROP-006",
+        "J2A-MANY-007",
+        "J2A-MANY-008",
+        "J2A-MANY-010",
+        "J2A-MANY-019",
+    )
     LEVEL = "properties"
     NEEDS = (c.GET_PROPERTIES,)
 

@@ -425,11 +425,11 @@ class Language(_TransducerCase):
 
 
 class Chunks(_TransducerCase):
-    """Reads the descriptors again from many offsets."""
+    """Reads the descriptors again from many offsets, with and without data in the request."""
 
     ID = "transducers.chunks"
     EXPECTATION = "The bytes of the first read from there on, with isLast in the last chunk only."
-    REQUIREMENTS = ("J2A-TRANS-001", "J2A-MANY-008")
+    REQUIREMENTS = ("J2A-TRANS-001", "J2A-MANY-008", "J2A-MANY-010")
 
     def _judge(self, board: Board) -> None:
         whole = board.peer.read_all(c.GET_TRANSDS)
@@ -453,11 +453,11 @@ class Written(_TransducerCase):
 
 
 class BehindEnd(_TransducerCase):
-    """Reads the descriptors at their end and at many offsets behind it."""
+    """Reads the descriptors at their end and at many offsets behind it, also with data."""
 
     ID = "transducers.behind-end"
     EXPECTATION = "An empty chunk with isLast, at the offset that was asked for."
-    REQUIREMENTS = ("J2A-TRANS-003",)
+    REQUIREMENTS = ("J2A-TRANS-003", "J2A-MANY-010")
 
     def _judge(self, board: Board) -> None:
         check_end(board.peer, c.GET_TRANSDS)
