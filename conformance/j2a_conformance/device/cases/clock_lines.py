@@ -235,6 +235,10 @@ class States(ClockCase):
             for off in (4, -4, 200, -200, 3000, -3000):
                 board.adjust(off, uncertainty=given)
                 board.adjust(0, uncertainty=given)
+        # By an uncertainty of each size, and one whose lower bits are small.
+        for number, given in enumerate((*(1 << bit for bit in range(4, 32)), 70_000, 2**32 - 2)):
+            board.adjust((200, -3000, -200, 3000)[number % 4], uncertainty=given)
+            board.adjust(0, uncertainty=given)
 
 
 class Uncertainties(ClockCase):

@@ -1,5 +1,7 @@
 """Settings of transducers that stay without power: SAVE and its states (J2A-TRANS-028)."""
 
+from collections.abc import Iterator
+from itertools import cycle
 from typing import Final
 
 from j2a_spec import constants as c
@@ -12,17 +14,20 @@ from .transducers import Board, _TransducerCase
 
 _STATES: Final = (c.TRANSD_NOT_SAVED, c.TRANSD_SAVED, c.TRANSD_SAVING)
 _LONGEST_US: Final = 10_000_000
+_WRONG: Final = (0, 2, 3, 0x81, 0xFF)
+_LENGTHS: Final = range(2, 13)
+_AGAIN: Final = 3
 _SETTINGS: Final = range(c.TRANSD_ENABLED, c.TRANSD_WATCHDOG + 1)
 
 
 class Saving(_TransducerCase):
-    """Saves the settings of each transducer, with right values and wrong ones, and asks for SAVE
-    until it is SAVED.
+    """Saves the settings of each transducer, with right values and wrong ones, asks for SAVE until
+    it is SAVED, and meanwhile saves it and others.
     """
 
     ID = "transducers.saving"
     EXPECTATION = "SAVING, BUSY for a write meanwhile, and SAVED; the settings stay as they are."
-    REQUIREMENTS = ("J2A-TRANS-028", "J2A-TRANS-009")
+    REQUIREMENTS = ("J2A-TRANS-008", "J2A-TRANS-009", "J2A-TRANS-028")
 
     def _judge(self, board: Board) -> None:
         having = [one for one in board.all if self._has(board, one)]
@@ -56,30 +61,64 @@ class Saving(_TransducerCase):
 
     def _refused(self, board: Board, one: oracle.Transducer) -> None:
         before = self._state(self._ask(board, one), one, c.TRANSD_NOT_SAVED, c.TRANSD_SAVED)
-        item = bytes((one.id, c.TRANSD_SAVE))
-        for value in (0, 2, 3, 0x81, 0xFF):
-            board.exchange(item + bytes((value,)), c.TRANSD_BAD_VALUE)
-        for length in (2, 3, 4, 8, 30):
-            board.exchange(item + bytes((1,)) * length, c.TRANSD_BAD_LENGTH)
+        board.refuse_all(self._wrong(board, one))
         if self._state(self._ask(board, one), one, *_STATES) != before:
             fail(f"SAVE of {one.name} has changed by what was refused")
+
+    @staticmethod
+    def _wrong(board: Board, one: oracle.Transducer) -> Iterator[tuple[bytes, int]]:
+        """Yield what SAVE cannot be; most values and long ones go to the transducers in turn."""
+        item, longest = bytes((one.id, c.TRANSD_SAVE)), board.peer.longest - 2
+        for value in (0, *range(2, 256)):
+            if value in _WRONG or board.all[value % len(board.all)] is one:
+                yield item + bytes((value,)), c.TRANSD_BAD_VALUE
+        for length in range(2, longest + 1):
+            if length in (*_LENGTHS, longest) or board.all[length % len(board.all)] is one:
+                yield item + bytes((1,)) * length, c.TRANSD_BAD_LENGTH
 
     def _saved(self, board: Board, one: oracle.Transducer) -> None:
         begin_us = board.time_us()
         states = (c.TRANSD_SAVING, c.TRANSD_SAVED)
         state = self._state(self._ask(board, one, b"\1"), one, *states)
-        others = [other for other in board.all if other.id != one.id] or [one]
+        if state == c.TRANSD_SAVING:
+            state = self._itself(board, one)
+        others = cycle([other for other in reversed(board.all) if other.id != one.id] or [one])
         while state == c.TRANSD_SAVING:
-            again = self._ask(board, others[-1], b"\1")
+            other = next(others)
+            again = self._ask(board, other, b"\1")
             state = self._state(self._ask(board, one), one, *states)
             is_busy = (again.opcode, again.payload) == (c.TRANSD_BUSY, b"")
             if state == c.TRANSD_SAVING and not is_busy:
-                fail(f"{others[-1].name} is saved with the code {again.opcode}, not BUSY")
+                fail(f"{other.name} is saved with the code {again.opcode}, not BUSY")
             if not is_busy:  # the first one was ready by then
-                self._wait(board, others[-1], board.time_us())
+                self._wait(board, other, board.time_us())
             if board.time_us() - begin_us > _LONGEST_US:
                 fail(f"SAVE of {one.name} is SAVING for more than 10 s", suspect=True)
         self._state(self._ask(board, one), one, c.TRANSD_SAVED)
+
+    def _itself(self, board: Board, one: oracle.Transducer) -> int:
+        """Save a transducer that is being saved, and with what is wrong; return its state then.
+
+        It may be ready before any of these requests, and a device that then saves anew is SAVING
+        again; but if a request finds it so, not each of those before came just when it was ready.
+        """
+        peer, item = board.peer, bytes((one.id, c.TRANSD_SAVE))
+        states = (c.TRANSD_SAVING, c.TRANSD_SAVED)
+        payloads = (item, *[item + b"\1"] * _AGAIN, item)
+        wrong = ((item + b"\0", c.TRANSD_BAD_VALUE), (item + b"\1\1", c.TRANSD_BAD_LENGTH))
+        opcode = peer.opcode(c.TRANSD)
+        first, *again, last = peer.ask_all(peer.request(opcode, payload) for payload in payloads)
+        board.refuse_all(wrong)
+        busy = [reply for reply in again if reply.opcode == c.TRANSD_BUSY]
+        for reply in again:
+            if reply not in busy:
+                self._state(reply, one, *states)
+            elif reply.payload:
+                fail(f"BUSY has the payload {reply.payload.hex()}")
+        found = [self._state(reply, one, *states) for reply in (first, last)]
+        if found == [c.TRANSD_SAVING] * 2 and not busy:
+            fail(f"{one.name} is saved while it is SAVING, and is not BUSY")
+        return found[-1]
 
     def _wait(self, board: Board, one: oracle.Transducer, begin_us: int) -> None:
         while self._state(self._ask(board, one), one, *_STATES) == c.TRANSD_SAVING:

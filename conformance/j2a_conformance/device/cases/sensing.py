@@ -61,6 +61,44 @@ class Counted(_Taken):
             self._give(board, one, channel, board.value(one), number % every == 0)
 
 
+class EachChannel(_Taken):
+    """Gives values to each channel of sensors with decimation, in each place in the count, and of
+    those with threshold, near to and far from another last value.
+    """
+
+    ID = "transducers.each-channel"
+    EXPECTATION = "Each channel counts and compares its own values, as the settings say."
+    REQUIREMENTS = ("J2A-TRANS-012", "J2A-TRANS-013")
+
+    def _judge(self, board: Board) -> None:
+        for one in board.all:
+            if one.kind == "sensor" and board.has(one, c.TRANSD_DECIMATION):
+                with board.tuned(one):
+                    self._count(board, one)
+            if one.kind == "sensor" and board.has(one, c.TRANSD_THRESHOLD):
+                with board.tuned(one):
+                    self._compare(board, one)
+
+    def _count(self, board: Board, one: oracle.Transducer) -> None:
+        """Begin the count of each channel elsewhere."""
+        board.write(one, c.TRANSD_DECIMATION, bytes((_EVERY,)))
+        for number in range(1, 2 * _EVERY):
+            for channel in range(one.channels):
+                count = number - channel % _EVERY
+                if 0 < count <= _EVERY:
+                    self._give(board, one, channel, board.value(one), count == _EVERY)
+
+    def _compare(self, board: Board, one: oracle.Transducer) -> None:
+        """Have another last value on each channel."""
+        last = [20 + channel * 2 * _LIMIT % 60 for channel in range(one.channels)]
+        for limit, steps in ((0, (0,)), (_LIMIT, (_LIMIT - 1, 1 - _LIMIT, _LIMIT))):
+            board.write(one, c.TRANSD_THRESHOLD, board.packed(one, limit))
+            for step in steps:
+                for channel, number in enumerate(last):
+                    value = board.packed(one, number + step)
+                    self._give(board, one, channel, value, due=step in (0, _LIMIT))
+
+
 class FullThreshold(_Taken):
     """Gives sensors with queue and threshold one value more than fits, and then values that differ
     from that one, or from the last one in the queue, by less.

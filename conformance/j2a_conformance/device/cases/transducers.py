@@ -51,6 +51,7 @@ _ITEMS: Final = 12  # above the numbers of all items, and of some that there are
 _SHORT: Final = 40  # longer than a topic, and than a value of any type
 _TURNS: Final = 90  # of three values: more than counters of one byte hold
 _STEP: Final = 7
+_CHANNELS: Final = 16  # of which each range is set
 _FORMATS: Final = {"f32": "<f", "f64": "<d"}
 _DIGITS: Final = {"f32": (24, 128), "f64": (53, 1024)}
 """Binary digits with the hidden one, and the power of two below which the numbers are."""
@@ -506,8 +507,15 @@ class Refused(_TransducerCase):
             if item in _WRITE_ONLY or not board.has(one, item):
                 yield bytes((one.id, item))
             if item in _READ_ONLY or not board.has(one, item):
-                for length in (1, 2, 4, 8, 9, board.peer.longest - 2) if item < 12 else (1,):
+                lengths = (*range(1, _ITEMS + 1), board.peer.longest - 2) if item < _ITEMS else (1,)
+                for length in lengths:
                     yield bytes((one.id, item)) + bytes(length)
+        # Longer ones to the transducers in turn, and of each to one item.
+        lacking = [item for item in range(_ITEMS) if item != c.TRANSD_SAVE]
+        lacking = [item for item in lacking if item in _READ_ONLY or not board.has(one, item)]
+        for length in range(_ITEMS + 1, board.peer.longest - 2):
+            if board.all[length % len(board.all)] is one:
+                yield bytes((one.id, lacking[length % len(lacking)])) + bytes(length)
 
     def _values(self, board: Board, one: oracle.Transducer) -> None:
         readable = [item for item in range(11) if item not in (*_WRITE_ONLY, c.TRANSD_TIME)]
@@ -572,6 +580,28 @@ class Refused(_TransducerCase):
             yield from _wrong_sets(board, one)
 
 
+def _characters() -> Iterator[str]:
+    """Yield the first and the last character for each first byte of UTF-8 above 0x7F."""
+    for first in range(0xC2, 0xE0):
+        yield from (chr((first & 0x1F) << 6 | rest) for rest in (0, 0x3F))
+    for first in range(0xE0, 0xF0):
+        low, high = ((first & 0xF) << 12 | rest for rest in (0, 0xFFF))
+        yield from (chr(max(low, 0x800)), chr(0xD7FF if first == 0xED else high))
+    for first in range(0xF0, 0xF5):
+        low, high = ((first & 7) << 18 | rest for rest in (0, 0x3FFFF))
+        yield from (chr(max(low, 0x10000)), chr(min(high, 0x10FFFF)))
+
+
+def _joined(characters: Iterable[str]) -> list[bytes]:
+    """Return topics that consist of these characters."""
+    topics = [b""]
+    for character in characters:
+        if len(topics[-1]) + len(character.encode()) > c.TRANSD_MAX_TOPIC:
+            topics.append(b"")
+        topics[-1] += character.encode()
+    return topics
+
+
 _WRONG_TOPICS: Final = (
     *(bytes((byte,)) for byte in (*range(0x20), *range(0x7F, 0x100))),
     *(b"a" + bytes((byte,)) + b"b" for byte in (0, 9, 10, 31, 127, 128, 0xBF, 0xC0, 0xFE, 0xFF)),
@@ -588,6 +618,7 @@ _WRONG_TOPICS: Final = (
         for head, rest in ((char.encode()[:at], char.encode()[at + 1 :]),)
         for text in (head, *(head + bytes((byte,)) + rest + b"b" for byte in b" a~\xc2\xf0"))
     ),
+    *(char.encode()[:-1] + b"\x7f" for char in _characters()),
     *(b"a" * (length - 1) + b"\xff" for length in range(2, 33)),
     *(
         before + wrong + behind
@@ -604,7 +635,7 @@ _RIGHT_TOPICS: Final = (
     b"a", b"left/wheel", bytes(range(0x20, 0x40)), bytes(range(0x5F, 0x7F)), b"~" * 32,
     "\u00e4".encode(), "\u07ff".encode(), "\u0800".encode(), "\ud7ff\ue000".encode(),
     "\uffff".encode(), "\U00010000\U0010ffff".encode(), ("\u00e4" * 16).encode(),
-    ("\U0001f916" * 8).encode(), b" a", b"a ", b" ", b" " * 32, b"x",
+    ("\U0001f916" * 8).encode(), b" a", b"a ", b" ", b" " * 32, b"x", *_joined(_characters()),
     *(b"t" * length for length in range(32, 0, -1)),  # each one behind a longer one
 )  # fmt: skip
 
@@ -1425,12 +1456,18 @@ class Set(_TransducerCase):
             if guarded:
                 board.write(one, c.TRANSD_WATCHDOG, before)
 
+    @staticmethod
+    def _counts(most: int, at_us: int | None) -> list[int]:
+        """Return how many channels to set together: each number once where they are not many."""
+        every = range(1, most + 1) if at_us == 0 and most <= _CHANNELS else ()
+        return sorted({*every, 1, (most + 1) // 2, most} if at_us == 0 else {1, most})
+
     def _at_once(self, board: Board, one: oracle.Transducer) -> None:
         room = (board.peer.longest - 11) // board.size(one)
         now = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
         for at_us in (0, 1, None):
             for first in range(one.channels):
-                for count in sorted({1, min(room, one.channels - first)}):
+                for count in self._counts(min(room, one.channels - first), at_us):
                     values = [settable(board, one) for _ in range(count)]
                     begin_us = board.time_us()
                     at = _US.pack(begin_us if at_us is None else at_us)
