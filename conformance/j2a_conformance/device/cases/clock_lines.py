@@ -1,7 +1,6 @@
 """How the clock of a device follows its targets (J2A-CLOCK-011 to 020); see `clock`."""
 
 import struct
-from contextlib import ExitStack
 from itertools import pairwise
 from typing import Any, Final
 
@@ -9,9 +8,11 @@ from j2a_spec import constants as c
 from j2a_spec import transducers as types
 
 from j2a_conformance._judge import fail
+from j2a_conformance.device._clock import UNIX, Board, ClockCase, S, frame_request
 
 from . import transducers
-from .clock import UNIX, Board, ClockCase, S, Values, frame_request
+from .clock import Values
+from .clock_waits import transducers_of
 from .sif import frames
 
 _HOUR: Final = 3600 * S
@@ -336,14 +337,6 @@ class Holdover(ClockCase):
         board.status()
 
 
-def _transducers(board: Board) -> transducers.Board | None:
-    """Return the transducers of the device, if it has any."""
-    if board.peer.announces(c.CAP_TRANSDUCERS) and board.peer.has(c.TRANSD):
-        return transducers.Board(board.peer)
-    board.peer.link.note("the device has no transducers")
-    return None
-
-
 class TransducerTime(ClockCase):
     """Reads the time of transducers, and lets a sensor and an actuator tell theirs."""
 
@@ -352,7 +345,7 @@ class TransducerTime(ClockCase):
     REQUIREMENTS = ("J2A-CLOCK-019", "J2A-TRANS-007")
 
     def _judge(self, board: Board) -> None:
-        devices = _transducers(board)
+        devices = transducers_of(board)
         if devices is None:
             return
         for base in (UNIX, UNIX - _HOUR, UNIX + 5 * _HOUR):
@@ -382,24 +375,31 @@ class TransducerTime(ClockCase):
 
 
 class Intervals(ClockCase):
-    """Steps the clock within the period of each sensor, and within the watchdogs of actuators."""
+    """Steps the clock within the period of each sensor, also to the largest rates, with a longer
+    period for a sensor of each kind, and within the watchdogs of actuators.
+    """
 
     ID = "clock.intervals"
     EXPECTATION = "The sample SIF comes when the period is over, and what is safe is so in time."
     REQUIREMENTS = ("J2A-CLOCK-019",)
     _PERIOD_US: Final = 200_000
     _LIMIT_MS: Final = 200
+    _PAUSE_S: Final = 0.02
+    _LONGER_US: Final = S  # at the largest rate it would be over 10 ms early
 
     def _judge(self, board: Board) -> None:
-        devices = _transducers(board)
+        devices = transducers_of(board)
         if devices is None:
             return
-        for by in (_HOUR, -_HOUR):
+        firsts = [one for queue in (False, True) for one in devices.sensors(queue=queue)[:1]]
+        for by, rate in ((_HOUR, 0), (-_HOUR, -c.CLOCK_MAX_RATE)):
             board.step()
             if board.peer.has(transducers.STIMULUS):
                 for one in devices.sensors():
                     with devices.tuned(one):
-                        self._period(board, devices, one, by)
+                        self._period(board, devices, one, by, rate)
+                        if one in firsts and by > 0:
+                            self._period(board, devices, one, by, c.CLOCK_MAX_RATE)
             for one in devices.actuators("watchdog"):
                 before = devices.read(one, c.TRANSD_WATCHDOG)
                 devices.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self._LIMIT_MS))
@@ -407,22 +407,32 @@ class Intervals(ClockCase):
                 devices.write(one, c.TRANSD_WATCHDOG, before)
 
     def _period(
-        self, board: Board, devices: transducers.Board, one: types.Transducer, by: int
+        self,
+        board: Board,
+        devices: transducers.Board,
+        one: types.Transducer,
+        by: int,
+        rate: int,
     ) -> None:
+        is_longer = rate > 0
+        period_us = self._LONGER_US if is_longer else self._PERIOD_US
+        devices.write(one, c.TRANSD_PERIOD, bytes(4))
         since, begin = devices.seen, board.status().local
         devices.stimulate(one, (0, devices.value(one)))
         first, _ = devices.sif(one, since)  # at once, and not late
-        devices.write(one, c.TRANSD_PERIOD, struct.pack("<I", self._PERIOD_US))
+        devices.write(one, c.TRANSD_PERIOD, struct.pack("<I", period_us))
         devices.stimulate(one, (0, devices.value(one)))
-        board.step(board.status().time + by)
-        for _ in board.watch(self._PERIOD_US + 5 * S):
+        status = board.step(board.status().time + by, rate=rate)
+        if is_longer:  # then it is asked without pauses, so that little is early enough to be seen
+            board.wait(begin + period_us * 9 // 10 - status.local)
+        for _ in board.watch(period_us + 5 * S, 0.0 if is_longer else self._PAUSE_S):
             if one.id in [frame.opcode for frame in frames(board.peer.link.sifs[first + 1 :])]:
                 break
         else:
             fail(f"no sample SIF of {one.name} came behind a step by {by} us")
         passed = board.status().local - begin
-        if passed < self._PERIOD_US:
-            fail(f"two SIFs of {one.name} came in {passed} us, its period is {self._PERIOD_US} us")
+        if passed < period_us:
+            fail(f"two SIFs of {one.name} came in {passed} us, its period is {period_us} us")
 
     def _watchdog(
         self, board: Board, devices: transducers.Board, one: types.Transducer, by: int
@@ -444,95 +454,3 @@ class Intervals(ClockCase):
     @staticmethod
     def _newest(devices: transducers.Board, one: types.Transducer) -> bytes:
         return transducers.slots(devices, one, devices.read(one, c.TRANSD_SAMPLE))[0][1]
-
-
-class Waiting(ClockCase):
-    """Steps the clock while SET of each channel and TRIGGER wait for their time."""
-
-    ID = "clock.waiting"
-    EXPECTATION = "They happen at the same instant as without the step, and the last time never."
-    REQUIREMENTS = ("J2A-CLOCK-019", "J2A-CLOCK-020")
-    _AHEAD_US: Final = 300_000
-    _LATE_US: Final = 5 * S  # a busy device
-    _NEVER: Final = 2**64 - 1
-
-    def _judge(self, board: Board) -> None:
-        devices = _transducers(board)
-        if devices is None:
-            return
-        with ExitStack() as stack:
-            for one in devices.sensors("trigger"):
-                stack.enter_context(devices.tuned(one))
-            for by in (_HOUR, -_HOUR, 100_000, -100_000):
-                board.step(UNIX)
-                self._wait(board, devices, by)
-            board.step(UNIX)
-            self._never(board, devices)
-
-    @staticmethod
-    def _set(devices: transducers.Board, due: int) -> list[tuple[types.Transducer, int, bytes]]:
-        """Set all channels that fit into a request, of each actuator.
-
-        Returns: the actuator, how many channels these are, and its sample before.
-        """
-        before = []
-        for one in devices.actuators():
-            count = min(one.channels, (devices.peer.longest - 11) // devices.size(one))
-            values = b"".join(transducers.settable(devices, one) for _ in range(count))
-            before.append((one, count, devices.read(one, c.TRANSD_SAMPLE)))
-            devices.write(one, c.TRANSD_SET, struct.pack("<BQ", 0, due) + values)
-        return before
-
-    def _wait(self, board: Board, devices: transducers.Board, by: int) -> None:
-        first, since = board.status(), devices.seen
-        due = first.time + self._AHEAD_US
-        left = self._set(devices, due)
-        triggered = devices.sensors("trigger")
-        for sensor in triggered:
-            devices.write(sensor, c.TRANSD_TRIGGER, struct.pack("<Q", due))
-        before = board.status()
-        after = board.step(before.time + by)
-        if after.local - first.local >= self._AHEAD_US:
-            fail("the time came before the step", suspect=True)
-        moved = after.time - before.time - (after.local - before.local)
-        found: list[tuple[str, int]] = []
-        for _ in board.watch(self._AHEAD_US + self._LATE_US):
-            for one, count, unset in [*left]:
-                if (sample := devices.read(one, c.TRANSD_SAMPLE)) != unset:
-                    newest = transducers.slots(devices, one, sample)[:count]
-                    found += ((f"SET of {one.name}", time) for time, _ in newest)
-                    left.remove((one, count, unset))
-            if not left:
-                break
-        for one, _, _ in left:
-            fail(f"SET of {one.name} for {due + moved} us did not happen")
-        for sensor in triggered:
-            _, payload = devices.sif(sensor, since)
-            times = _times(devices, sensor, payload)
-            found += ((f"TRIGGER of {sensor.name}", time) for time in times)
-        for name, time in found:
-            if not due + moved - 2 <= time <= due + moved + self._LATE_US:
-                fail(f"{name} for {due + moved} us happened at {time} us")
-
-    def _never(self, board: Board, devices: transducers.Board) -> None:
-        """Step the clock while what waits is so far ahead that its time cannot be moved."""
-        waiting = self._set(devices, self._NEVER)
-        since = devices.seen
-        for sensor in devices.sensors("trigger"):
-            devices.write(sensor, c.TRANSD_TRIGGER, struct.pack("<Q", self._NEVER))
-        board.step(UNIX + _HOUR)
-        board.wait(50_000)
-        for one, _, sample in waiting:
-            if devices.read(one, c.TRANSD_SAMPLE) != sample:
-                fail(f"SET of {one.name} for {self._NEVER} us happened behind a step")
-        for sensor in devices.sensors("trigger"):
-            devices.no_sif(sensor, since, "though its trigger was far ahead")
-            devices.write(sensor, c.TRANSD_TRIGGER, bytes(8))
-        self._set(devices, 0)
-
-
-def _times(devices: transducers.Board, one: types.Transducer, payload: bytes) -> list[int]:
-    """Return the times of a sample SIF."""
-    if "queue" in one.attributes:
-        return [time for _, time, _ in transducers.queued(devices, one, payload)]
-    return [time for time, _ in transducers.slots(devices, one, payload)]

@@ -5,7 +5,7 @@ from typing import Final
 from j2a_spec import constants as c
 from j2a_spec.grammar import CLOCK_ADJUST
 
-from .clock import Board, ClockCase
+from j2a_conformance.device._clock import Board, ClockCase
 
 _RATE: Final = 9_000_000
 _TAKEN_UP_US: Final = 20_000

@@ -19,10 +19,12 @@ from j2a_conformance._judge import fail
 
 from .transducers import STIMULUS, Board, _TransducerCase, queued, spread
 
+_SHORTEST_US: Final = 5000
 _SHORT_US: Final = 25_000
 _LONG_US: Final = 70_000  # more than 16 bits
 _LONGEST_SHORT_US: Final = 65_000  # 16 bits
 _LONGEST_US: Final = 400_000
+_LONG_LATE: Final = (600_000, 5)  # beyond the others, and late by tenths of it
 _TRIES: Final = 6
 _SLOW: Final = 12
 """A link is, where giving a value takes more than one part of so many of a period: a value that is
