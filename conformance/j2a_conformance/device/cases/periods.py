@@ -19,12 +19,12 @@ from j2a_conformance._judge import fail
 
 from .transducers import STIMULUS, Board, _TransducerCase, queued, spread
 
-_SHORTEST_US: Final = 5000
 _SHORT_US: Final = 25_000
+_SHORTER_US: Final = (1000, 2000, 5000, 10_000, 16_000, 20_000)
 _LONG_US: Final = 70_000  # more than 16 bits
 _LONGEST_SHORT_US: Final = 65_000  # 16 bits
 _LONGEST_US: Final = 400_000
-_LONG_LATE: Final = (600_000, 5)  # beyond the others, and late by tenths of it
+_LATER_US: Final = 600_000
 _TRIES: Final = 6
 _SLOW: Final = 12
 """A link is, where giving a value takes more than one part of so many of a period: a value that is
@@ -32,6 +32,7 @@ late by 0.8 of one needs that time twice before the next one.
 """
 _NEVER_US: Final = 0xFFFFFFFF
 _LATE: Final = ((2, 4), (6, 2), (8, 1))  # tenths of a period, and how many SIFs in a row
+_LATE_ONCE: Final = (5, 1)
 _RATE: Final = 0.95  # the clock may run slower than the local time
 _IN_TIME: Final = 0.94
 
@@ -69,10 +70,10 @@ class _Due(_TransducerCase):
         fail(f"a sample SIF of {one.name} comes long after it was due", suspect=True)
 
     @staticmethod
-    def _is_slow(board: Board, one: oracle.Transducer) -> bool:
+    def _is_slow(board: Board, one: oracle.Transducer, period_us: int = _LONGEST_SHORT_US) -> bool:
         """Whether no time is told soon enough for short periods; a stall spoils only some."""
         spans_us = (high - low for low, high in (_Due._refer(board, one) for _ in range(_TRIES)))
-        return all(span_us > _LONGEST_SHORT_US // _SLOW for span_us in spans_us)
+        return all(span_us > period_us // _SLOW for span_us in spans_us)
 
     @staticmethod
     def _refer(board: Board, one: oracle.Transducer) -> tuple[int, int]:
@@ -107,6 +108,23 @@ class _Due(_TransducerCase):
             )
 
 
+class ShortPeriod(_Due):
+    """Gives sensors two values after one, with periods that only quick links can tell from none."""
+
+    ID = "transducers.period-short"
+    EXPECTATION = "Each sample SIF comes a period behind the one before, or later."
+    REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
+        if period_us != _SHORT_US:
+            return
+        for us in _SHORTER_US:
+            low_us, _ = self._refer(board, one)
+            self._period(board, one, us)
+            for number in (1, 2):
+                self._not_before(one, self._send(board, one, -(number % 2)), low_us, number * us)
+
+
 class LatePeriod(_Due):
     """Gives sensors values late by some of a period, one and several in a row, and others behind
     them, also where the sensor was disabled meanwhile or several values wait.
@@ -115,6 +133,20 @@ class LatePeriod(_Due):
     ID = "transducers.period-late"
     EXPECTATION = "Those behind it come when they are due, as if it had not been late."
     REQUIREMENTS = ("J2A-TRANS-011",)
+
+    def _judge(self, board: Board) -> None:
+        super()._judge(board)
+        for one in board.sensors()[:1]:
+            with board.tuned(one):
+                board.peer.attempts(partial(self._longer, board, one))
+
+    def _longer(self, board: Board, one: oracle.Transducer) -> None:
+        """Be late once by some of a period that is longer than the others."""
+        board.write(one, c.TRANSD_ENABLED, b"\1")
+        if self._is_slow(board, one, _LATER_US):
+            board.peer.link.note(f"the link is too slow for periods of {_LATER_US} us")
+        elif not self._late(board, one, _LATE_ONCE, False, _LATER_US):
+            fail(f"a sample SIF of {one.name} comes long after it was due", suspect=True)
 
     def _sensor(self, board: Board, one: oracle.Transducer, period_us: int, odd: int) -> None:
         for number, late in enumerate(_LATE):

@@ -1596,12 +1596,17 @@ class Set(_TransducerCase):
 
 
 class Watchdog(_TransducerCase):
-    """Is silent for shorter and longer than the watchdog of an actuator, and for longer again."""
+    """Is silent for shorter and longer than the watchdog of an actuator, and for longer again; lets
+    watchdogs of 1 ms to more than a second expire.
+    """
 
     ID = "transducers.watchdog"
     EXPECTATION = "Behind a longer silence each channel is safe, once, and what waited is dropped."
     REQUIREMENTS = ("J2A-TRANS-017",)
     LIMIT_MS: Final = 150
+    _EXPIRE_MS: Final = (1, 20, 50, 300)
+    _LONGEST_MS: Final = 1100  # of one actuator
+    _LATE_MS: Final = 40
 
     def _judge(self, board: Board) -> None:
         for one in board.actuators("watchdog"):
@@ -1621,6 +1626,9 @@ class Watchdog(_TransducerCase):
         fit = min(one.channels, (board.peer.longest - 11) // board.size(one))
         self._long(board, one, value)
         self._each_silence(board, one, value)
+        is_first = one == board.actuators("watchdog")[0]
+        for limit_ms in (*self._EXPIRE_MS, *[self._LONGEST_MS] * is_first):
+            self._expire(board, one, value, limit_ms)
         board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", self.LIMIT_MS))
         board.write(one, c.TRANSD_SET, bytes(9) + value * fit)
         board.write(one, c.TRANSD_WATCHDOG, bytes(2))
@@ -1649,6 +1657,31 @@ class Watchdog(_TransducerCase):
             self._silence(board, self.LIMIT_MS * 0.2)
         if slots(board, one, board.read(one, c.TRANSD_SAMPLE)) != found:
             fail(f"{one.name} has changed after it was made safe", suspect=True)
+
+    def _expire(self, board: Board, one: oracle.Transducer, value: bytes, limit_ms: int) -> None:
+        """Be silent for a little longer than the watchdog; SAMPLE tells when it has expired.
+
+        The silence is that behind TIME: a short one may have been over before, and all is set to
+        safe once more then.
+        """
+        safe_value = safe(board, one)
+        board.write(one, c.TRANSD_WATCHDOG, struct.pack("<H", limit_ms))
+        begin_us = board.time_us()
+        board.write(one, c.TRANSD_SET, bytes((one.channels - 1,)) + bytes(8) + value)
+        silent_us = board.time_us()
+        self._silence(board, limit_ms + self._LATE_MS + 10)
+        found = slots(board, one, board.read(one, c.TRANSD_SAMPLE))
+        board.write(one, c.TRANSD_WATCHDOG, bytes(2))
+        for channel, (time_us, raw) in enumerate(found):
+            what = f"channel {channel} of {one.name}, with a watchdog of {limit_ms} ms,"
+            if raw != safe_value or time_us < begin_us:
+                text = f"is {raw.hex()} since {time_us} us, after a silence from {silent_us} us on"
+                fail(f"{what} {text}", suspect=True)
+            if time_us < begin_us + limit_ms * 900 - 1000:
+                fail(f"{what} was made safe at {time_us} us, and set after {begin_us} us")
+            if time_us > silent_us + (limit_ms + self._LATE_MS) * 1000:
+                text = f"was made safe at {time_us} us, silent since {silent_us} us"
+                fail(f"{what} {text}", suspect=True)
 
     def _each_silence(self, board: Board, one: oracle.Transducer, value: bytes) -> None:
         """Set the last channel only, and be silent; all must be safe, also if none was ever set.
