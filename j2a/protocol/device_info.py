@@ -283,7 +283,8 @@ class DeviceInfo:
             functions = self.names
             opcodes: Mapping[str, int] = functions
             if interface is not None:
-                opcodes = {one.name: opcode for opcode, one in enumerate(interface.functions)}
+                names = [function.name for function in interface.functions]
+                opcodes = {name: opcode for opcode, name in enumerate(names)}
                 self.sifs = {sif.name: sif for sif in interface.sifs}
             self.interface, self.interface_problem = interface, str(problem or "")
             # Behind all that is found by it.
@@ -494,8 +495,7 @@ class DeviceInfo:
         Raises:
             UnknownFunction: the device has a function map without it (J2A-DISP-008).
         """
-        names = self.names
-        opcode = names.get(MANY) if names else MANY_OPCODE
+        opcode = self.functions.get(MANY) if self.functions else MANY_OPCODE
         if opcode is None:
             raise UnknownFunction(
                 f"the device was built without {MANY}, so nothing can be read or written in "
