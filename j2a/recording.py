@@ -10,8 +10,9 @@ between is left out. Needs the package mcap (`pip install "j2a[record]"`).
 import json
 import re
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -88,7 +89,8 @@ def topic_of(board: str, topic: str) -> str:
 class Recorder:
     """Writes samples into a file; a context manager that ends the file.
 
-    Any thread may call it.
+    Any thread may call it, and so may a signal handler: what that asks for amid a call of its own
+    thread is done at the end of that call, which raises what may be wrong with it.
 
     Args:
         path: of the file, which must not be there.
@@ -106,7 +108,10 @@ class Recorder:
     def __init__(self, path: str | Path, *, segment_bytes: int | None = None) -> None:
         self._first = Path(path)
         self._segment_bytes = segment_bytes
-        self._lock = threading.Lock()
+        # Re-entrant, so that a signal handler does not wait for its own thread.
+        self._lock = threading.RLock()
+        self._is_busy = False
+        self._later: list[Callable[[], None]] = []  # what signal handlers asked for meanwhile
         self._boards: dict[str, tuple[RecordedBoard, Mapping[str, str]]] = {}
         self._announced: set[str] = set()  # boards in the file that is being written
         self._number = 0
@@ -123,7 +128,8 @@ class Recorder:
     def size(self) -> int:
         """Bytes of the file that is being written."""
         with self._lock:
-            return 0 if self._file is None else self._file.tell()
+            file = self._file  # which a signal handler may end
+            return 0 if file is None else file.tell()
 
     def add_board(
         self,
@@ -157,18 +163,21 @@ class Recorder:
             if TRANSD_TOPIC in items
         }
         kept = dump(settings, str(descriptors).encode()).decode() if settings else ""
-        with self._lock:
+
+        def add() -> None:
             names: dict[str, str] = {}
             for sensor, topic in named.items():
                 taken = {*names.values(), *self._topics}
                 names[sensor] = free_name(topic_of(prefix, topic), taken)
-            names |= {sensor: topic_of("", topic) for sensor, topic in (topics or {}).items()}
+            names.update({sensor: topic_of("", topic) for sensor, topic in (topics or {}).items()})
             if name in self._boards:
                 raise LocalError(f"the recording has a board {name!r} already")
             board = RecordedBoard(name, url, descriptors, properties or {}, kept)
             self._boards[name] = board, names
             self._topics |= set(names.values())
             self._announce(board, names)
+
+        self._do(add)
 
     def write(self, board: str, sample: Sample, time_ns: int) -> None:
         """Write a sample.
@@ -183,17 +192,7 @@ class Recorder:
             ValueError: the sample cannot be a message.
             OSError: it cannot be written, such as on a full disk.
         """
-        with self._lock:
-            file = self._check_open()
-            self._flush_chunk(file)  # one for which there was no room
-            channel, message = self._channel(board, sample.name)
-            data = message.pack(sample.payload)
-            self._writer.add_message(channel, time_ns, data, time_ns, sample.sequence & 0xFFFFFFFF)
-            self._flush_chunk(file)
-            self.samples += 1
-            if self._segment_bytes and self._size >= self._segment_bytes:
-                self._end()
-                self._begin()
+        self._do(partial(self._write, board, sample, time_ns))
 
     def flush(self) -> None:
         """Write all samples into the file, so that they stay even if this program is killed.
@@ -201,9 +200,7 @@ class Recorder:
         Raises:
             OSError: they cannot be written.
         """
-        with self._lock:
-            self._check_open()
-            self._writer.flush()
+        self._do(self._flush)
 
     def close(self) -> None:
         """End the file; may be called twice.
@@ -212,9 +209,7 @@ class Recorder:
             OSError: not all can be written; the file then ends behind the last chunk that was, and
                 has no index.
         """
-        with self._lock:
-            if self._file is not None:
-                self._end()
+        self._do(self._end)
 
     def __enter__(self) -> Self:
         return self
@@ -226,6 +221,44 @@ class Recorder:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _do(self, action: Callable[[], None]) -> None:
+        """Do something alone: the package mcap does no second thing amid a first one."""
+        with self._lock:
+            if self._is_busy:  # this is a signal handler amid that
+                self._later.append(action)
+                return
+            self._is_busy = True
+            try:
+                action()
+            finally:
+                self._do_later()
+
+    def _do_later(self) -> None:
+        try:
+            while self._later:
+                self._later.pop(0)()
+        finally:
+            self._is_busy = False
+            if self._later:  # behind an error, or since the last look
+                self._is_busy = True
+                self._do_later()
+
+    def _write(self, board: str, sample: Sample, time_ns: int) -> None:
+        file = self._check_open()
+        self._flush_chunk(file)  # one for which there was no room
+        channel, message = self._channel(board, sample.name)
+        data = message.pack(sample.payload)
+        self._writer.add_message(channel, time_ns, data, time_ns, sample.sequence & 0xFFFFFFFF)
+        self._flush_chunk(file)
+        self.samples += 1
+        if self._segment_bytes and self._size >= self._segment_bytes:
+            self._end()
+            self._begin()
+
+    def _flush(self) -> None:
+        self._check_open()
+        self._writer.flush()
 
     def _check_open(self) -> WholeFile:
         if self._file is None:
@@ -293,8 +326,9 @@ class Recorder:
             self._channels[board.name, one.name] = channel, SampleMessage(one)
 
     def _end(self) -> None:
-        assert self._file is not None
         file, self._file = self._file, None
+        if file is None:
+            return
         try:
             self._writer.finish()
             file.flush()
