@@ -6,6 +6,7 @@ import functools
 import math
 import struct
 import threading
+import time
 
 import j2a_transports
 import pytest
@@ -362,10 +363,15 @@ class TestTheEnd:
         for _ in range(3):
             async with linked() as client:
                 await client.echo(b"x")
-        names = [thread.name for thread in set(threading.enumerate()) - before]
-        # asyncio keeps the threads of its executor; the client's own are gone. Those that serve the
-        # device end when they see that.
-        own = [n for n in names if n.startswith("j2a ") and not n.startswith("j2a device ")]
+        end = time.monotonic() + PATIENCE_S
+        while True:
+            names = [thread.name for thread in set(threading.enumerate()) - before]
+            # asyncio keeps the threads of its executor; the client's own end. Those that serve the
+            # device end when they see that.
+            own = [n for n in names if n.startswith("j2a ") and not n.startswith("j2a device ")]
+            if not own or time.monotonic() > end:
+                break
+            await asyncio.sleep(0.01)
         assert not own
 
 
