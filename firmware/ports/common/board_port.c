@@ -141,7 +141,7 @@ uint16_t j2a_port_ticks(void) {
 /* What stands above the 32 bits of board_ms(). The lowest bit of each byte repeats the highest one below, of the byte
  * before or of board_ms(); where it does not, that one has wrapped, and the byte is one behind. So whoever looks, in an
  * interrupt or interrupted, writes the same bytes. Read from the top, so that none is newer than what is below it. */
-enum { ABOVE = 3 };
+#define ABOVE 3
 static volatile uint8_t above[ABOVE];
 
 static uint64_t time_us(void) {
