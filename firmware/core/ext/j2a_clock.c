@@ -14,7 +14,6 @@
 enum {
     LEAD_US = 1024,       /* from the plan of a line to its begin */
     MARGIN_US = 512,      /* so much earlier it holds; interrupts are shorter */
-    PLANS = 8,            /* of one adjustment, if each is too late: only an operating system stops a program so long */
     WAIT_US = 1000,       /* a turn of the main loop is shorter */
     DISTANCE_BITS = 12,   /* a correction of n / 2^32 over a segment removes n / 2^12 us */
     STATUS_BYTES = 26
@@ -209,11 +208,10 @@ static J2A_NOINLINE uint8_t state_at(uint64_t now_us) {
     return J2A_CLOCK_LOCKED;
 }
 
-/* Returns by how much the time may have wandered, rounded up to microseconds: passed_us * wander / 2^38, in two halves. */
+/* Returns by how much the time may have wandered, rounded up to microseconds: passed_us * wander / 2^38, first by 2^32. */
 static J2A_NOINLINE uint64_t wandered_us(uint64_t passed_us) {
-    const uint64_t high = (passed_us >> 32) * wander;
-    const uint64_t low = (uint64_t)(uint32_t)passed_us * wander + ((high & 63) << 32);
-    return (high >> 6) + (low >> 38) + (wander != 0);
+    const uint64_t low = (uint64_t)(uint32_t)passed_us * wander >> 32;
+    return (((passed_us >> 32) * wander + low) >> 6) + (wander != 0);
 }
 
 static J2A_NOINLINE uint32_t uncertainty_at(uint64_t now_us) {
@@ -270,21 +268,28 @@ static J2A_NOINLINE void note(uint64_t now_us, uint32_t uncertainty_us, uint32_t
     wander = (uint32_t)(((uint64_t)wander_ppb * 288230377 + 0xFFFFF) >> 20);
 }
 
-/* The target has been set, at adjusted_us. The next line is planned at once, because the reply tells its rate. */
+/* Because the reply tells the rate of the next line. Apart and without a loop, as the stack of an AVR is deepest here. */
+static J2A_NOINLINE void plan_at_once(void) {
+    is_told = true;
+    j2a_clock_turn();
+    if (is_told) /* it was too late */
+        j2a_clock_turn();
+    if (is_told)
+        j2a_clock_turn();
+}
+
+/* The target has been set, at adjusted_us. */
 static J2A_NOINLINE void adjust(bool is_step) {
     was_step = is_step || epoch == 0;
     if (was_step) {
         step(adjusted_us);
     } else {
         const uint32_t begin = lines[current].at;
-        uint8_t tries;
         if (begin - (uint32_t)adjusted_us <= LEAD_US) { /* ahead: it passes first, so that the next line is planned at once */
             j2a_port_wait(begin);
             adjusted_us = j2a_port_time_us();
         }
-        is_told = true;
-        for (tries = PLANS; is_told && tries != 0; tries--)
-            j2a_clock_turn();
+        plan_at_once();
     }
 }
 
