@@ -106,13 +106,15 @@ bool j2a_clock_is_due(uint64_t due_us) {
     const uint64_t local_us = j2a_port_time_us();
     uint32_t then = (uint32_t)local_us;
     const uint64_t time_us = epoch == 0 ? local_us : time_at(then);
+    uint64_t ahead_us;
     int32_t left_us;
 
     if (due_us <= time_us)
         return true;
-    if (due_us - time_us > WAIT_US)
+    ahead_us = due_us - time_us;
+    if (ahead_us > WAIT_US)
         return false;
-    left_us = (int32_t)(due_us - time_us);
+    left_us = (int32_t)ahead_us;
     do {
         then += (uint32_t)(left_us - left_us / 64);
         left_us = (int32_t)((uint32_t)due_us - low_time_at(then));

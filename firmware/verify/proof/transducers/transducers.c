@@ -56,12 +56,16 @@ uint8_t *j2a_rx_room(void) {
 }
 #endif
 
+static void wait_for_host(void);
+
 void j2a_send_sif(uint8_t opcode, uint8_t length, const uint8_t *payload) {
     //@ check opcode <= J2A_TRANSD_MAX_ID;
     //@ check length == 0 || \initialized(payload + (0 .. length - 1));
     (void)opcode;
     (void)length;
     (void)payload;
+    if (any_bool)
+        wait_for_host();
 }
 
 /* ------------------------------------------------------------------------- drivers ------ */
@@ -131,9 +135,38 @@ static uint8_t below(uint8_t end) {
     return number < end ? number : 0;
 }
 
+/* What changes where orders are due and watchdogs run out. */
+static void forget_orders(const j2a_transducer *t) {
+    uint8_t i;
+    if (t->trigger) {
+        t->trigger->due_us = j2a_port_time_us();
+        t->trigger->waits = any_bool;
+    }
+    for (i = 0; t->waiting && i < t->channels; i++) {
+        t->waiting[i].due_us = j2a_port_time_us();
+        t->waiting[i].waits = any_bool;
+    }
+    if (t->waiting)
+        forget_bytes(t->slots, (uint16_t)(t->channels * (8 + t->size)));
+    if (t->watchdog) {
+        t->watchdog->limit_ms = any_u16;
+        t->watchdog->is_safe = any_bool;
+    }
+}
+
+/* What j2a_waiting(), which is a call of its own below, leaves behind. */
+static void wait_for_host(void) {
+    uint8_t i;
+    for (i = 0; i < ALL; i++)
+        forget_orders(&j2a_transducers[i]);
+    j2a_is_heard = any_bool;
+    heard_ms = any_u32;
+    has_orders = any_bool;
+    service = LOOKED;
+}
+
 /* Any state that is sound: an index of a queue is inside it, a topic ends, a choice is 0 or 1. */
 static void forget(const j2a_transducer *t) {
-    uint8_t i;
     if (t->sensor) {
         t->sensor->reference_us = j2a_port_time_us();
         t->sensor->period_us = any_u32;
@@ -159,20 +192,9 @@ static void forget(const j2a_transducer *t) {
         forget_bytes(t->last, (uint16_t)(t->channels * (1 + t->size)));
     if (t->topic)
         forget_bytes((uint8_t *)t->topic, J2A_TRANSD_MAX_TOPIC);
-    if (t->trigger) {
-        t->trigger->due_us = j2a_port_time_us();
-        t->trigger->waits = any_bool;
-    }
-    for (i = 0; t->waiting && i < t->channels; i++) {
-        t->waiting[i].due_us = j2a_port_time_us();
-        t->waiting[i].waits = any_bool;
-    }
     if (t->values)
         forget_bytes(t->values, (uint16_t)(t->channels * t->size));
-    if (t->watchdog) {
-        t->watchdog->limit_ms = any_u16;
-        t->watchdog->is_safe = any_bool;
-    }
+    forget_orders(t);
 }
 
 static void check_sound(const j2a_transducer *t) {
@@ -313,6 +335,7 @@ static void forget_all(void) {
     heard_ms = any_u32;
     next = any_u8 % (ALL + 1);
     has_orders = any_bool;
+    service = below(LOOKED + 1);
 }
 
 static void check_all(void) {
@@ -363,6 +386,9 @@ int main(void) {
         gather();
         break;
 #endif
+    case 6:
+        j2a_waiting();
+        break;
     default:
         turn();
     }
