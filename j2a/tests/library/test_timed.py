@@ -116,9 +116,9 @@ def test_a_board_that_does_not_tell_what_it_has_is_left_out(boards, fleet, error
     assert set(told) == {"left"}
     assert made[0].has_acted.wait(PATIENCE_S)
     with pytest.raises(error):
-        fleet.at(soon_us(5)).set("lamp", 7, boards=["left", "right"])
+        fleet.at(soon_us(5), within_us=math.inf).set("lamp", 7, boards=["left", "right"])
     with pytest.raises(j2a.UnknownTransducer, match="'none'; what right has is not known: no"):
-        fleet.at(soon_us(5)).set("none", 7)
+        fleet.at(soon_us(5), within_us=math.inf).set("none", 7)
     assert not made[1].acted
 
 
