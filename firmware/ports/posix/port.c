@@ -20,15 +20,7 @@
 /* Many bytes at once are far cheaper than one by one, so where J2A_TXBUF is left at 0 they are collected, too. */
 enum { TX_BYTES = J2A_TXBUF ? J2A_TXBUF : 4096 };
 
-/* So many a pipe takes at once when it takes any. */
-#ifdef PIPE_BUF
-enum { MOST_BYTES = PIPE_BUF };
-#else
-enum { MOST_BYTES = 512 };
-#endif
-
-static int in_fd = STDIN_FILENO;
-static int out_fd = STDOUT_FILENO;
+static int in_fd = STDIN_FILENO, out_fd = STDOUT_FILENO;
 static uint8_t rx[J2A_RXBUF], tx[TX_BYTES];
 static size_t rx_next, rx_used, tx_used;
 static bool at_end;
@@ -46,21 +38,19 @@ static void fail(const char *what) {
 
 static void open_pty(void) {
     struct termios raw;
-    int device;
     in_fd = out_fd = posix_openpt(O_RDWR | O_NOCTTY);
     if (in_fd < 0 || grantpt(in_fd) != 0 || unlockpt(in_fd) != 0)
         fail("opening a pseudo-terminal");
     /* Stays open here, so that hosts can come and go without an end of input. */
-    device = open(ptsname(in_fd), O_RDWR | O_NOCTTY);
+    const int device = open(ptsname(in_fd), O_RDWR | O_NOCTTY);
     if (device < 0 || tcgetattr(device, &raw) != 0)
         fail("opening the device side of the pseudo-terminal");
     raw.c_iflag &= ~(tcflag_t)(BRKINT | ICRNL | IGNCR | INLCR | INPCK | ISTRIP | IXON | IXOFF);
     raw.c_oflag &= ~(tcflag_t)OPOST;
     raw.c_lflag &= ~(tcflag_t)(ECHO | ECHONL | ICANON | IEXTEN | ISIG);
-    if (tcsetattr(device, TCSANOW, &raw) != 0)
+    /* Else it would wait for room for all of what is written. */
+    if (tcsetattr(device, TCSANOW, &raw) != 0 || fcntl(out_fd, F_SETFL, O_NONBLOCK) != 0)
         fail("setting the pseudo-terminal to raw");
-    if (fcntl(out_fd, F_SETFL, O_NONBLOCK) != 0) /* else it waits for room for all of what is written */
-        fail("setting the pseudo-terminal to write what it can");
     printf("%s\n", ptsname(in_fd));
     fflush(stdout);
 }
@@ -87,21 +77,18 @@ static bool again(void) {
     return errno == EAGAIN || errno == EINTR;
 }
 
-/* Writes only what there is room for, so that a host that does not read stops nothing but this. */
+/* Writes what there is room for, of a pipe PIPE_BUF or none, so that a host that does not read stops nothing else. */
 static void flush(void) {
     size_t done = 0;
     while (done < tx_used) {
         struct pollfd output = {out_fd, POLLOUT, 0};
+        const size_t most = tx_used - done < PIPE_BUF ? tx_used - done : PIPE_BUF;
         const int ready = poll(&output, 1, 1);
-        ssize_t n = 0;
-        if (ready == 0) {
-            j2a_waiting();
-            continue;
-        }
-        if (ready > 0)
-            n = write(out_fd, tx + done, tx_used - done < MOST_BYTES ? tx_used - done : MOST_BYTES);
+        const ssize_t n = ready > 0 ? write(out_fd, tx + done, most) : ready;
         if (n > 0)
             done += (size_t)n;
+        else if (ready == 0)
+            j2a_waiting();
         else if (!again())
             exit(EXIT_SUCCESS); /* nobody reads any more */
     }
@@ -144,17 +131,12 @@ void j2a_port_idle(void) {
 static uint64_t elapsed_us(void) {
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
-    return (uint64_t)((int64_t)(now.tv_sec - start.tv_sec) * 1000000
-                      + (now.tv_nsec - start.tv_nsec) / 1000);
+    return (uint64_t)((int64_t)(now.tv_sec - start.tv_sec) * 1000000 + (now.tv_nsec - start.tv_nsec) / 1000);
 }
 
 #if J2A_WITH_CLOCK
 uint64_t j2a_port_time_us(void) {
-#if J2A_WITH_SYNC
-    return crystal_us(elapsed_us());
-#else
-    return elapsed_us();
-#endif
+    return J2A_WITH_SYNC ? crystal_us(elapsed_us()) : elapsed_us();
 }
 #endif
 

@@ -84,7 +84,7 @@ static motion any_motion(void) {
     motion value = {{0}, 0};
     value.rate[0] = (int16_t)any_u16;
     value.rate[1] = (int16_t)any_u16;
-    value.flag = any_u8;
+    value.flag = any_bool;
     return value;
 }
 
@@ -316,6 +316,20 @@ static void ask(void) {
     (void)code;
 }
 
+/* Also those that no transducer of transds.def needs, because its type has no bool. */
+#define TIDY(name) j2a_tidy_of_##name(value + sizeof value - j2a_bytes_of_##name);
+static void tidy_any(void) {
+    uint8_t value[j2a_bytes_of_imu];
+    forget_bytes(value, sizeof value);
+    TIDY(plain)
+    TIDY(queued)
+    TIDY(level)
+    TIDY(imu)
+    TIDY(servo)
+    TIDY(pose)
+    TIDY(valve)
+}
+
 static void describe(void) {
     uint8_t room[J2A_ROOM_MANY];
     uint8_t *data = room;
@@ -388,6 +402,9 @@ int main(void) {
 #endif
     case 6:
         j2a_waiting();
+        break;
+    case 7:
+        tidy_any();
         break;
     default:
         turn();
