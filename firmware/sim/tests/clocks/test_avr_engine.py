@@ -88,14 +88,17 @@ def test_the_clock_is_read_as_the_firmware_says_it(need):
 
 
 def test_a_board_on_a_usb_tells_in_which_frame_a_request_came(need):
-    board = Called(need, "usb")
+    board, late_us = Called(need, "usb"), []
     for _ in range(20):
         exchange = unpack_exchange(board.call(pack_exchange(5)), 5, 0.0, 1e6)
         came_s = board.board.true_s(board.board.memory.cycle(exchange.received_us))
         at = int(np.searchsorted(board.frames.starts_s, came_s - 5e-6)) - 1
         assert exchange.frame == board.frames.numbers[at]
         age_us = 1e6 * (came_s - board.frames.starts_s[at])
-        assert -9 < exchange.age_us - age_us < 1, "but for how late its interrupt is"
+        late_us.append(age_us - exchange.age_us)
+    # Its interrupt is late, and seldom waits for another one, or for the look at an endpoint.
+    assert min(late_us) > -1 and max(late_us) < 20
+    assert sum(late < 9 for late in late_us) >= 18
 
 
 def test_frames_set_the_clock_of_the_real_firmware(need):
