@@ -237,14 +237,20 @@ def told(device, learning):
         return end.value
 
 
-@pytest.mark.parametrize("error", NO_ANSWER, ids=lambda error: type(error).__name__)
-@pytest.mark.parametrize("what", ["interface", "transducers"])
-def test_what_another_thread_has_found_stays(what, error):
+def begun(what):
+    """Begin to learn something; return the device, its description, what learns, and that begun."""
     device, peer = described(), DeviceInfo()
     peer.take_map(j2a.Reply(*device._execute(0, b"")))
     learn = getattr(peer, f"learn_{what}")
     learning = learn()
     next(learning)
+    return device, peer, learn, learning
+
+
+@pytest.mark.parametrize("error", NO_ANSWER, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("what", ["interface", "transducers"])
+def test_what_another_thread_has_found_stays(what, error):
+    device, peer, learn, learning = begun(what)
     assert told(device, learn()) is None
     with pytest.raises(StopIteration) as end:
         learning.throw(error.copy(str(error), error.outcome))
@@ -256,11 +262,7 @@ def test_what_another_thread_has_found_stays(what, error):
 @pytest.mark.parametrize("error", NO_ANSWER, ids=lambda error: type(error).__name__)
 @pytest.mark.parametrize("what", ["interface", "transducers"])
 def test_no_answer_is_told_and_not_kept(what, error):
-    device, peer = described(), DeviceInfo()
-    peer.take_map(j2a.Reply(*device._execute(0, b"")))
-    learn = getattr(peer, f"learn_{what}")
-    learning = learn()
-    next(learning)
+    device, peer, learn, learning = begun(what)
     with pytest.raises(StopIteration) as end:
         learning.throw(error.copy(str(error), error.outcome))
     assert str(end.value.value) == "no reply" == getattr(peer, f"{what}_problem")
