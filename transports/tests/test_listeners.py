@@ -125,7 +125,9 @@ def test_nothing_is_left_where_the_system_has_no_file(
     def left() -> tuple[int, list[str], list[Path]]:
         command = ["pgrep", "-P", str(os.getpid()), "-f", "sleep 1000"]
         children = subprocess.run(command, capture_output=True, text=True, check=False).stdout
-        files = sum(1 for _ in Path("/dev/fd").iterdir())
+        # Before Python 3.11.4 Popen itself leaves pipes open where it fails (gh-87474).
+        leaks = url.startswith("exec:") and sys.version_info < (3, 11, 4)
+        files = 0 if leaks else sum(1 for _ in Path("/dev/fd").iterdir())
         return files, children.split(), [*tmp_path.iterdir()]
 
     before = left()
