@@ -130,6 +130,7 @@ def test_nothing_is_left_where_the_system_has_no_file(
         files = 0 if leaks else sum(1 for _ in Path("/dev/fd").iterdir())
         return files, children.split(), [*tmp_path.iterdir()]
 
+    offer(url.format(folder=tmp_path)).close()  # the module of the scheme is loaded now
     before = left()
     for count in range(20):
         try:
