@@ -27,15 +27,17 @@ if os.environ.get("J2A_GUEST") != "1":  # an emulated processor takes seconds to
     from hypothesis import HealthCheck, settings
 
     # Every run tries the same. Wall time on a busy machine says nothing about the code. A fixture
-    # that the examples of one test share is one that they may share.
+    # that the examples of one test share is one that they may share. `make exhaustive` tries more.
     settings.register_profile(
         "j2a",
+        max_examples=50,
         derandomize=True,
         deadline=None,
         suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
     )
     # For another interpreter, after ours has tried all of them.
     settings.register_profile("few", settings.get_profile("j2a"), max_examples=10)
+    settings.register_profile("many", settings.get_profile("j2a"), max_examples=400)
     settings.load_profile("j2a")
 
 # What programs print is buffered, as at a user's.

@@ -23,6 +23,8 @@ step trace "each requirement, from clause to last result of every testee, as the
     python -m tools.trace --check
 step pytest "tests on more links, seeds and defects, and every job in a guest" \
     python -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'exhaustive or guest'
+step hypothesis "the tests that make up their examples, with eight times as many" \
+    python -m pytest -n 3 --hypothesis-profile=many -m 'hypothesis and not exhaustive'
 step interpreters "the tests of the library and of the transports on every Python of this machine" \
     python tools/interpreters.py --all
 step soak "calls over links that stall, lose and damage bytes: no wrong answer" \

@@ -122,13 +122,21 @@ def _hashes_behind(module: str) -> tuple[str, ...]:
     found: dict[Path, str] = {}
     waiting = [path, path.parent / "__init__.py"]
     while waiting:
-        if (path := waiting.pop()) in found:
-            continue
-        text = path.read_text("utf-8")
-        found[path] = hashlib.sha256(text.encode()).hexdigest()
-        names = {name for node in ast.walk(ast.parse(text)) for name in _imported(node, package)}
-        waiting += [file for name in names if (file := path.parent / f"{name}.py").is_file()]
+        if (path := waiting.pop()) not in found:
+            found[path], beside = _read(path, package)
+            waiting += beside
     return tuple(sorted(found.values()))
+
+
+@cache
+def _read(path: Path, package: str) -> tuple[str, tuple[Path, ...]]:
+    """Return the hash of a module, and those beside it that it imports."""
+    text = path.read_text("utf-8")
+    names = {name for node in ast.walk(ast.parse(text)) for name in _imported(node, package)}
+    beside = (path.parent / f"{name}.py" for name in names)
+    return hashlib.sha256(text.encode()).hexdigest(), tuple(
+        file for file in beside if file.is_file()
+    )
 
 
 def _imported(node: ast.AST, package: str) -> set[str]:
