@@ -85,7 +85,7 @@ class NamedSif:
         """
         shape = self._shape
         if self._prepared is None or self._prepared[0] is not shape:
-            codec = Codec(shape.fields, self._device.types)
+            codec = Codec(shape.fields, self._device.sif_types)
             self._prepared = shape, codec, tuple_class("Values", shape.fields)
         _, codec, values = self._prepared
         try:

@@ -124,7 +124,9 @@ class DeviceInfo:
             every device does, until `learn_room` was run.
         interface: what the functions take and return; None where the device does not describe
             them, or not so that it can be used.
-        sifs: the SIFs that the device describes, by name.
+        sifs: the SIFs that the device describes, by name. Those of before stay until the interface
+            is learnt anew, unless the map shows another device: SIFs come meanwhile, too.
+        sif_types: the classes of their values.
         interface_problem: why it is not used although the device has it, or "".
         types: the classes of the values that the interface describes.
         descriptors: the device's transducers; None where it has none, or not so that they can be
@@ -140,6 +142,7 @@ class DeviceInfo:
         self.room = MIN_ROOM
         self._mapped: Sequence[str] = ()
         self._forget_interface()
+        self._take_sifs(())
         # Opcodes of the functions for which a probe has shown that all of the offset counts.
         self._probed: set[int] = set()
 
@@ -180,12 +183,15 @@ class DeviceInfo:
 
         What another thread reads by those of before is dropped: behind them the map is another one.
         """
+        is_another = mapped != self._mapped
         self.functions = functions
         self.properties = None
         self.announced = Announced({})
         self.room = MIN_ROOM
         self._probed = set()
         self._forget_interface()
+        if is_another:
+            self._take_sifs(())
         self._mapped = mapped
 
     @property
@@ -255,7 +261,6 @@ class DeviceInfo:
 
     def _forget_interface(self) -> None:
         self.interface: Interface | None = None
-        self.sifs: dict[str, SifShape] = {}
         self.interface_problem = ""
         self.types = PythonTypes()
         self.descriptors: Descriptors | None = None
@@ -263,6 +268,10 @@ class DeviceInfo:
         self.asked_for_transducers = False
         self._mapped = ()
         self._map = object()
+
+    def _take_sifs(self, sifs: Sequence[SifShape]) -> None:
+        self.sif_types = self.types
+        self.sifs = {sif.name: sif for sif in sifs}
 
     def learn_interface(self) -> Transfer[J2AError | None]:
         """Learn what the functions take and return, where the device tells it.
@@ -285,7 +294,7 @@ class DeviceInfo:
             if interface is not None:
                 names = [function.name for function in interface.functions]
                 opcodes = {name: opcode for opcode, name in enumerate(names)}
-                self.sifs = {sif.name: sif for sif in interface.sifs}
+            self._take_sifs(() if interface is None else interface.sifs)
             self.interface, self.interface_problem = interface, str(problem or "")
             # Behind all that is found by it.
             self.functions = Names(opcodes, functions.no_map, is_whole=True)
