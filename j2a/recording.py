@@ -8,6 +8,7 @@ between is left out. Needs the package mcap (`pip install "j2a[record]"`).
 """
 
 import json
+import math
 import re
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 from j2a_spec.constants import TRANSD_TOPIC
 
@@ -86,6 +87,16 @@ def topic_of(board: str, topic: str) -> str:
     return "".join(f"/_{name}" if name[0].isdigit() else f"/{name}" for name in names) or "/_"
 
 
+class _Message(NamedTuple):
+    """A sample as the package mcap takes it."""
+
+    board: str
+    sensor: str
+    time_ns: int
+    data: bytes
+    sequence: int
+
+
 class Recorder:
     """Writes samples into a file; a context manager that ends the file.
 
@@ -98,7 +109,6 @@ class Recorder:
 
     Attributes:
         paths: of the files.
-        samples: how many were written.
 
     Raises:
         LocalError: the package mcap is missing.
@@ -110,26 +120,34 @@ class Recorder:
         self._segment_bytes = segment_bytes
         # Re-entrant, so that a signal handler does not wait for its own thread.
         self._lock = threading.RLock()
-        self._is_busy = False
         self._later: list[Callable[[], None]] = []  # what signal handlers asked for meanwhile
         self._boards: dict[str, tuple[RecordedBoard, Mapping[str, str]]] = {}
-        self._announced: set[str] = set()  # boards in the file that is being written
+        self._announced: dict[str, None] = {}  # boards in the file that is being written
+        self._open_chunk: list[_Message] = []  # what `_mend` writes again
+        self._chunk_end = 0  # of the last whole chunk, which is perhaps not in the file yet
+        self._is_torn = False  # a signal handler has raised amid the package mcap
+        self._has_index = True
+        self._end_at = math.inf
         self._number = 0
         self._topics: set[str] = set()
         self._channels: dict[tuple[str, str], tuple[int, SampleMessage]] = {}
         self.paths: list[Path] = []
-        self.samples = 0
+        self._samples = 0  # of the chunks in the files
         self._file: WholeFile | None = None
         self._size = 0  # of the file, when it was flushed last
         self._writer: Any = None
         self._begin()
 
     @property
+    def samples(self) -> int:
+        """How many samples were written."""
+        return self._samples + len(self._open_chunk)
+
+    @property
     def size(self) -> int:
         """Bytes of the file that is being written."""
-        with self._lock:
-            file = self._file  # which a signal handler may end
-            return 0 if file is None else file.tell()
+        file = self._file  # which another thread or a signal handler may end
+        return 0 if file is None else file.tell()
 
     def add_board(
         self,
@@ -154,7 +172,7 @@ class Recorder:
                 names the topic.
 
         Raises:
-            LocalError: there is a board of that name.
+            LocalError: there is a board of that name, or the recorder is closed.
         """
         named = {one.name: one.topic for one in descriptors.transducers if one.is_sensor}
         named |= {
@@ -173,9 +191,12 @@ class Recorder:
             if name in self._boards:
                 raise LocalError(f"the recording has a board {name!r} already")
             board = RecordedBoard(name, url, descriptors, properties or {}, kept)
+            self._check_open()
             self._boards[name] = board, names
             self._topics |= set(names.values())
+            self._is_torn = True
             self._announce(board, names)
+            self._is_torn = False
 
         self._do(add)
 
@@ -224,85 +245,147 @@ class Recorder:
 
     def _do(self, action: Callable[[], None]) -> None:
         """Do something alone: the package mcap does no second thing amid a first one."""
-        with self._lock:
-            if self._is_busy:  # this is a signal handler amid that
-                self._later.append(action)
-                return
-            self._is_busy = True
-            try:
-                action()
-            finally:
-                self._do_later()
+        if self._lock._is_owned():  # type: ignore[attr-defined]
+            self._later.append(action)  # this is a signal handler amid that
+            return
+        try:
+            with self._lock:
+                self._do_all(action)
+        finally:
+            if self._later:  # since the last look
+                self._do(self._do_later)
+
+    def _do_all(self, action: Callable[[], None]) -> None:
+        try:
+            action()
+        finally:
+            self._do_later()
 
     def _do_later(self) -> None:
         try:
             while self._later:
                 self._later.pop(0)()
         finally:
-            self._is_busy = False
-            if self._later:  # behind an error, or since the last look
-                self._is_busy = True
+            if self._later:  # behind an error
                 self._do_later()
 
     def _write(self, board: str, sample: Sample, time_ns: int) -> None:
         file = self._check_open()
         self._flush_chunk(file)  # one for which there was no room
-        channel, message = self._channel(board, sample.name)
+        _, message = self._channel(board, sample.name)
         data = message.pack(sample.payload)
-        self._writer.add_message(channel, time_ns, data, time_ns, sample.sequence & 0xFFFFFFFF)
+        one = _Message(board, sample.name, time_ns, data, sample.sequence & 0xFFFFFFFF)
+        self._is_torn = True
+        before = file.tell()
+        self._add(one)
+        self._open_chunk.append(one)
+        if file.tell() != before:
+            self._chunk_end = file.tell()
+        self._is_torn = False
         self._flush_chunk(file)
-        self.samples += 1
         if self._segment_bytes and self._size >= self._segment_bytes:
             self._end()
             self._begin()
 
+    def _add(self, one: "_Message") -> None:
+        channel, _ = self._channels[one.board, one.sensor]
+        self._writer.add_message(channel, one.time_ns, one.data, one.time_ns, one.sequence)
+
     def _flush(self) -> None:
-        self._check_open()
+        file = self._check_open()
+        self._is_torn = True
         self._writer.flush()
+        self._chunk_end = file.tell()
+        self._is_torn = False
+        self._flush_chunk(file)
 
     def _check_open(self) -> WholeFile:
-        if self._file is None:
+        """Return the file, all of which is whole.
+
+        Raises:
+            LocalError: the recorder is closed.
+        """
+        if self._file is None or self._file.whole >= self._end_at:
             raise LocalError("the recorder is closed")
+        if self._is_torn:
+            self._mend(self._file)
         return self._file
 
     def _flush_chunk(self, file: WholeFile) -> None:
         if file.tell() != self._size:  # a chunk is complete
-            file.flush()
+            file.end_piece()
             self._size = file.tell()
+        self._forget_chunk(file)
+
+    def _forget_chunk(self, file: WholeFile) -> None:
+        if self._chunk_end and file.whole >= self._chunk_end:
+            # One step, in which no signal handler can raise behind the property.
+            self._samples, self._open_chunk, self._chunk_end = self.samples, [], 0
+
+    def _mend(self, file: WholeFile) -> None:
+        """Write anew what is not in the file, as half of a record may be among it.
+
+        The package knows nothing of what its writer of before has written, so that the file gets
+        no index. Where this is interrupted as well, it is done again.
+        """
+        file.forget()
+        self._forget_chunk(file)
+        self._chunk_end = 0
+        self._size = file.tell()
+        self._start(file)
+        self._channels.clear()
+        for board in self._announced:
+            self._announce(*self._boards[board])
+        for one in self._open_chunk:
+            self._add(one)
+        self._is_torn = False
 
     def _channel(self, board: str, sensor: str) -> tuple[int, SampleMessage]:
         if board in self._boards and board not in self._announced:
+            self._is_torn = True
             self._announce(*self._boards[board])
+            self._is_torn = False
         found = self._channels.get((board, sensor))
         if found is None:
             raise LocalError(f"the recording has no sensor {sensor!r} of a board {board!r}")
         return found
 
     def _begin(self) -> None:
-        writer = _mcap("writer")
-        path = self._open()
-        self.paths.append(path)
-        self._size = 0
-        self._writer = writer.Writer(self._file, chunk_size=_CHUNK_BYTES)
-        self._writer.start(profile="ros2", library="j2a")
+        check_package()
         self._announced.clear()  # a segment has the boards of its own samples
         self._channels.clear()
+        self._samples, self._open_chunk = self.samples, []
+        self._size = self._chunk_end = 0
+        self._end_at = math.inf
+        self._is_torn = True
+        path, file = self._open()
+        self.paths.append(path)
+        self._file = file
+        self._start(file)
+        self._is_torn = False
 
-    def _open(self) -> Path:
+    def _start(self, file: WholeFile) -> None:
+        """Have the package write, from the end of the file on."""
+        self._writer = _mcap("writer").Writer(file, chunk_size=_CHUNK_BYTES)
+        self._has_index = not file.tell()
+        if self._has_index:
+            self._writer.start(profile="ros2", library="j2a")
+
+    def _open(self) -> tuple[Path, WholeFile]:
         """Make the next file; a recording that runs passes over names that are there already."""
         number = self._number
         while True:
             name = f"{self._first.stem}-{number}" if number else self._first.stem
             path = self._first.with_stem(name)
             try:
-                self._file = WholeFile(path)
+                file = WholeFile(path)
             except FileExistsError:
                 if not number:
                     raise
                 number += 1
                 continue
             self._number = number + 1
-            return path
+            return path, file
 
     def _announce(self, board: RecordedBoard, topics: Mapping[str, str]) -> None:
         about = {
@@ -314,7 +397,7 @@ class Recorder:
         if board.settings:
             about["settings"] = board.settings
         self._writer.add_metadata(_BOARD, about)
-        self._announced.add(board.name)
+        self._announced[board.name] = None
         for one in board.descriptors.transducers:
             if not one.is_sensor:
                 continue
@@ -326,17 +409,40 @@ class Recorder:
             self._channels[board.name, one.name] = channel, SampleMessage(one)
 
     def _end(self) -> None:
-        file, self._file = self._file, None
+        file = self._file
         if file is None:
             return
         try:
-            self._writer.finish()
-            file.flush()
+            try:
+                self._finish(file)
+            except BaseException as error:
+                if isinstance(error, OSError) and not self._is_torn:
+                    raise
+                self._is_torn = True  # of a signal handler
+                self._finish(file)
+                raise
         except OSError:
-            file.end_early(END)
+            if file.whole < self._end_at:
+                file.end_early(END)
             raise
         finally:
             file.close()
+            self._file = None
+
+    def _finish(self, file: WholeFile) -> None:
+        if file.whole >= self._end_at:  # and a signal handler has raised behind that
+            return
+        if self._is_torn:
+            self._mend(file)
+        self._is_torn = True
+        if self._has_index:
+            self._writer.finish()
+        else:
+            self._writer.flush()
+            file.write(END)
+        self._end_at = file.tell()
+        self._is_torn = False
+        file.end_piece()
 
 
 class Recording:

@@ -25,9 +25,10 @@ class WholeFile:
         self._waiting: list[bytes] = []
         self._size = 0
         self._before = self._whole = 0  # ends of the last two pieces in the file
+        self._is_amid = False  # a piece was begun, and a signal handler may have raised
 
     def write(self, data: bytes) -> int:
-        """Take bytes, which `flush` writes."""
+        """Take bytes, which `end_piece` writes."""
         self._waiting.append(data)
         self._size += len(data)
         return len(data)
@@ -36,7 +37,25 @@ class WholeFile:
         """Return the size of the file with what waits."""
         return self._size
 
+    @property
+    def whole(self) -> int:
+        """The size of the whole pieces in the file."""
+        return self._whole
+
+    def forget(self) -> None:
+        """Leave out what waits, and what a write that broke off has left of it.
+
+        Raises:
+            OSError: the file cannot be cut.
+        """
+        self._waiting.clear()
+        self._size = self._whole
+        self._cut(self._whole)
+
     def flush(self) -> None:
+        """Write nothing: who writes through another writer says itself where a piece ends."""
+
+    def end_piece(self) -> None:
         """Write what waits, which is one piece.
 
         Raises:
@@ -44,9 +63,13 @@ class WholeFile:
         """
         if not self._waiting:
             return
+        if self._is_amid:
+            self._cut(self._whole)
+        self._is_amid = True
         self._write(b"".join(self._waiting), self._whole)
-        self._waiting.clear()
-        self._before, self._whole = self._whole, self._size
+        # One step, in which no signal handler can raise.
+        self._before, self._whole, self._waiting = self._whole, self._size, []
+        self._is_amid = False
 
     def end_early(self, end: bytes) -> None:
         """Leave out what waits; write other bytes behind what is whole, if there is room."""
@@ -70,6 +93,7 @@ class WholeFile:
         except OSError:
             with contextlib.suppress(OSError):
                 self._cut(begin)
+            self._is_amid = False
             raise
 
     def _cut(self, size: int) -> None:
