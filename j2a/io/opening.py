@@ -18,7 +18,7 @@ not end it, so Ctrl-C would go unseen for as long as the wait lasts."""
 TRANSPORT_ERRORS: Final = (j2a_transports.TransportError, OSError)
 
 
-def link_error(error: Exception) -> LinkError | LocalError:
+def link_error(error: BaseException) -> LinkError | LocalError:
     """Return our error for one that a transport raised."""
     match error:
         case j2a_transports.BadUrl():

@@ -92,7 +92,7 @@ class Writer:
         failed: called by the thread when writing has failed, or with what `abandon` was given.
     """
 
-    def __init__(self, transport: Transport, failed: Callable[[Exception], None]) -> None:
+    def __init__(self, transport: Transport, failed: Callable[[BaseException], None]) -> None:
         self._transport = transport
         self._failed = failed
         self._outgoing: queue.SimpleQueue[bytes | LinkClosed | None] = queue.SimpleQueue()
@@ -139,7 +139,7 @@ class Writer:
                     return
                 self._transport.write(data)
                 self._written += 1
-        except Exception as error:
+        except BaseException as error:  # also sys.exit(): nobody else writes
             self._failed(error)
 
 
@@ -315,7 +315,7 @@ class LinkThreads:
                     self.step(limit_s)
                 finally:
                     self._reading.release()
-        except Exception as error:
+        except BaseException as error:  # also sys.exit(), which would end this thread only
             self._end(link_error(error))
         finally:
             with self._changed:
@@ -340,7 +340,7 @@ class LinkThreads:
             self._asked_at = math.inf if asked == self._asked else now
             self._changed.notify_all()
 
-    def _write_failed(self, error: Exception) -> None:
+    def _write_failed(self, error: BaseException) -> None:
         if isinstance(error, LinkClosed):
             self._end(error)
             return
