@@ -11,6 +11,7 @@ import inspect
 import logging
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from j2a.aio import AsyncClient, aconnect
@@ -34,6 +35,8 @@ __all__ = ["AsyncFleet", "by_serial", "by_url"]
 
 _CLOSE_S = 2 * JOIN_S + 1.0
 """A client that is closed waits for its handlers, and then for its threads."""
+_told: ContextVar[object] = ContextVar("j2a_told", default=None)
+"""What is being told by the task that runs, or by the one that has begun it."""
 _logger = logging.getLogger("j2a")
 _ResultT = TypeVar("_ResultT")
 
@@ -191,7 +194,7 @@ class AsyncFleet(FleetBase[AsyncClient, "_Member"]):
         busy = [
             task
             for task, one in self._tasks.items()
-            if task is not current and (one.engine is None or not one.engine.is_in_handler)
+            if task is not current and not one.is_in_handler
         ]
         try:
             if self._usb is not None:
@@ -253,6 +256,7 @@ class _Member(Member[AsyncClient]):
         self._fleet = fleet
         self._can_stop = False
         self.engine: AsyncEngine | None = None
+        self._telling: object = None
         self.task = asyncio.create_task(self._run(), name=f"j2a fleet {url}")
 
     def ask_to_stop(self) -> None:
@@ -261,6 +265,22 @@ class _Member(Member[AsyncClient]):
         if self._can_stop:
             self._can_stop = False
             self.task.cancel()
+
+    @property
+    def is_in_handler(self) -> bool:
+        """Whether a handler of the board may wait for this task, as in `AsyncEngine`."""
+        if self._telling is not None and _told.get() is self._telling:
+            return True
+        return self.engine is not None and self.engine.is_in_handler
+
+    async def _tell(self, change: BoardChange | None) -> None:
+        telling = self._telling = object()
+        before = _told.set(telling)
+        try:
+            await self._fleet._tell(change)
+        finally:
+            _told.reset(before)
+            self._telling = None
 
     async def _until_stopped(self, work: Coroutine[Any, Any, _ResultT]) -> _ResultT | None:
         """Return the result of a coroutine; None when the member is to end."""
@@ -282,7 +302,7 @@ class _Member(Member[AsyncClient]):
         fleet = self._fleet
         while not self.is_stopped:
             board, reason = await self._keep()
-            await fleet._tell(fleet._go(self, board, reason))
+            await self._tell(fleet._go(self, board, reason))
             await self._until_stopped(asyncio.sleep(fleet._retry_s))
 
     async def _keep(self) -> tuple[str | None, J2AError | None]:
@@ -299,7 +319,7 @@ class _Member(Member[AsyncClient]):
                     return None, None
                 change = self._fleet._come(self, client, name)
                 board = change.board
-                await self._fleet._tell(change)
+                await self._tell(change)
                 return board, await self._until_stopped(self._watch(client))
         except J2AError as error:
             return board, error

@@ -18,7 +18,14 @@ import j2a_transports
 from j2a_spec.nearest import did_you_mean
 from j2a_spec.printable import printable
 
-from j2a.errors import J2AError, LinkClosed, LocalError, Outcome, UnknownTransducer
+from j2a.errors import (
+    J2AError,
+    LinkClosed,
+    LocalError,
+    OpenFailed,
+    Outcome,
+    UnknownTransducer,
+)
 from j2a.events import Sample
 from j2a.io.client_base import ClientBase
 from j2a.io.handlers import ErrorHook, Handlers, Reporter
@@ -241,7 +248,11 @@ class FleetBase(Mapping[str, _ClientT], Generic[_ClientT, _MemberT]):
                 if not self._roster.is_closed:
                     _logger.exception("the boards on the USB are watched no more")
 
-        return start_thread(follow, "j2a fleet usb")
+        try:
+            return start_thread(follow, "j2a fleet usb")
+        except OpenFailed:
+            watch.close()
+            raise
 
     @abstractmethod
     def add(self, url: str) -> None:
