@@ -154,11 +154,11 @@ class WatchedLink(AsyncLink):
             self._is_asked = False
             self._looked(now)
 
-    def _write_failed(self, error: Exception) -> None:
+    def _write_failed(self, error: BaseException) -> None:
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._end_after_reading, error)
 
-    def _end_after_reading(self, error: Exception) -> None:
+    def _end_after_reading(self, error: BaseException) -> None:
         """End the link; the other side may have answered before it went away."""
         if self._has_stopped:
             return
