@@ -5,7 +5,6 @@ Rule: `j2a.io.transducers` checks and packs; this waits.
 """
 
 import asyncio
-import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -110,9 +109,7 @@ class AsyncSensor(_Async):
             found: list[Sample] = []
             try:
                 while len(found) < count:
-                    # Once the time is over, what has come is still taken; a limit of 0 is none.
-                    left_s = max(math.ulp(0.0), end - client.now())
-                    found.append(await stream.wait(left_s))
+                    found.append(await stream.wait(self._left_of_batch(end)))
             except (CallTimeout, LinkError) as error:
                 raise self._batch_error(before, found, count, error) from None
         return self._batch(before, found)

@@ -4,7 +4,6 @@ What flows in: values and settings of the user. What flows out: calls of a2jTran
 Rule: `j2a.io.transducers` checks and packs; this waits.
 """
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -162,9 +161,7 @@ class Sensor(_Blocking):
             found: list[Sample] = []
             try:
                 while len(found) < count:
-                    # Once the time is over, what has come is still taken; a limit of 0 is none.
-                    left_s = max(math.ulp(0.0), end - client.now())
-                    found.append(stream.wait(left_s))
+                    found.append(stream.wait(self._left_of_batch(end)))
             except (CallTimeout, LinkError) as error:
                 raise self._batch_error(before, found, count, error) from None
         return self._batch(before, found)

@@ -5,6 +5,7 @@ Rules: values and settings are checked before anything is sent (J2A-TRANS-025); 
 found by its name, so that it stays the same when the device restarts.
 """
 
+import math
 import struct
 import weakref
 from collections.abc import Callable, Iterator, Mapping
@@ -322,6 +323,15 @@ class RemoteTransducer:
         engine = self._client._engine
         # With room for all of them, what is dropped comes after the last one of the batch.
         return self.descriptor, engine.stream(self._wanted(), int(count), drops_newest=True)
+
+    def _left_of_batch(self, end: float) -> float:
+        """Return for how long to wait for the next sample of a batch, in seconds.
+
+        Once the time is over, what has come is still taken; a limit of 0 is none, so it is the
+        least one that there is.
+        """
+        left_s: float = end - self._client.now()
+        return max(math.ulp(0.0), left_s)
 
     def _late(self, timeout: float, error: CallTimeout) -> CallTimeout:
         """Return the error of a sample that did not come, which names what may be the cause."""
