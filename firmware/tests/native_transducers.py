@@ -9,7 +9,9 @@ import ctypes
 import itertools
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
@@ -21,18 +23,21 @@ NEWEST, QUEUED, SERVO, SECOND, PAIR = range(5)
 SAFE = 7
 TRIGGERED = -1
 _number = itertools.count()
+_Variable = TypeVar("_Variable", ctypes.c_bool, ctypes.c_uint16, ctypes.c_uint32)
 
 
 class _Entry(ctypes.Structure):
     _fields_ = (("at_us", ctypes.c_uint64), ("value", ctypes.c_int32))
 
 
-def build(folder: Path, sync: bool, boot: bool = False) -> Path:
+def build(folder: Path, sync: bool, boot: bool = False, more: Sequence[str | Path] = ()) -> Path:
     """Build the library with checks for undefined behaviour; returns its path.
 
     Args:
+        folder: for the library.
         sync: with the clock of section 23.
         boot: with the boot SIF.
+        more: options, and sources of C.
     """
     library = folder / f"transducers-{int(sync)}.so"
     core = FIRMWARE / "core"
@@ -41,7 +46,7 @@ def build(folder: Path, sync: bool, boot: bool = False) -> Path:
          "-Werror", "-fsanitize=undefined", "-fno-sanitize-recover", "-shared", "-fPIC",
          f"-I{core}", f"-I{OWN}", "-DJ2A_WITH_TRANSDUCERS=1", f"-DJ2A_WITH_SYNC={int(sync)}",
          f"-DJ2A_WITH_BOOT={int(boot)}", f"-DJ2A_WITH_INTERFACE={int(boot)}",
-         *sorted(core.rglob("*.c")), OWN / "fake.c", "-o", library],
+         *sorted(core.rglob("*.c")), OWN / "fake.c", *more, "-o", library],
         check=True,
     )  # fmt: skip
     return library
@@ -73,6 +78,10 @@ class NativeTransducers:
     @property
     def now(self) -> int:
         return self._now.value
+
+    def variable(self, name: str, kind: type[_Variable]) -> _Variable:
+        """Return a variable of the library, by its name in C."""
+        return kind.in_dll(self._c, name)
 
     def take(self, read_us: int, byte_us: int) -> None:
         """Let each read of the clock, and each byte on the link, take so many microseconds."""

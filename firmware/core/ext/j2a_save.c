@@ -4,10 +4,13 @@
  * so that one of them is whole at any time. The mark counts 1, 2, 3, 1 ..., so that of two the newer one is known; it is
  * made invalid before anything else of its record is written, and valid last.
  * Rules: the CRC covers the descriptors too, so settings of another firmware are never used. j2a_save_turn() begins to
- * write one byte at most, and a byte that is right already is not written. */
+ * write one byte at most, and a byte that is right already is not written. A memory that does not take a byte in time has
+ * lost the record that is being written, and never the other one. */
 #include "j2a_transds.h"
 
 #if J2A_WITH_SAVE
+
+#define LONGEST_US 9000000UL /* of a save: 10 s, less what a turn of the main loop takes */
 
 #ifndef J2A_PORT_KEPT_BYTES
 #error "J2A_WITH_SAVE=1 needs a port that keeps bytes without power: j2a_port_kept() in core/j2a_port.h"
@@ -23,7 +26,8 @@ static uint32_t descriptors_crc;
 static uint16_t saving_at;  /* where it begins */
 static uint8_t saving_id;
 static uint8_t saving_next; /* byte to be written next; 0: the mark, invalid; behind the last one: the mark, valid */
-static uint8_t saving_left; /* 0: nothing is being written */
+static uint8_t saving_left; /* 0: nothing is being written; then saving_next is NONE if the last save failed */
+static uint32_t saving_since_us;
 static uint8_t record[LONGEST];
 
 /* Bit by bit: a table would be longer than the rest of this file. */
@@ -133,6 +137,10 @@ static bool gather(const j2a_transducer *t, uint16_t at) {
     return differs;
 }
 
+static uint32_t now_us(void) {
+    return (uint32_t)j2a_port_time_us();
+}
+
 uint8_t j2a_save(const j2a_transducer *t, const uint8_t *value, uint8_t length) {
     const uint8_t bytes = record_bytes(t);
     const uint16_t at = records_of(t->id);
@@ -146,6 +154,7 @@ uint8_t j2a_save(const j2a_transducer *t, const uint8_t *value, uint8_t length) 
         return J2A_TRANSD_BAD_VALUE;
     if (saving_left != 0)
         return J2A_TRANSD_BUSY;
+    saving_next = 0;
     kept = newer(at, bytes, &mark);
     if (!gather(t, (uint16_t)(at + (kept == 1 ? bytes : 0))) && kept != NONE)
         return 0;
@@ -155,15 +164,19 @@ uint8_t j2a_save(const j2a_transducer *t, const uint8_t *value, uint8_t length) 
         record[i] = (uint8_t)crc;
     saving_at = (uint16_t)(at + (kept == 0 ? bytes : 0));
     saving_id = t->id;
-    saving_next = 0;
+    saving_since_us = now_us();
     saving_left = (uint8_t)(bytes + 1);
     return 0;
 }
 
 uint8_t j2a_save_state(const j2a_transducer *t) {
     uint8_t mark;
-    if (saving_left != 0 && saving_id == t->id)
-        return J2A_TRANSD_SAVING;
+    if (saving_id == t->id) {
+        if (saving_left != 0)
+            return J2A_TRANSD_SAVING;
+        if (saving_next == NONE)
+            return J2A_TRANSD_NOT_SAVED; /* what there is is not of the last write */
+    }
     return newer(records_of(t->id), record_bytes(t), &mark) != NONE ? J2A_TRANSD_SAVED : J2A_TRANSD_NOT_SAVED;
 }
 
@@ -171,8 +184,13 @@ void j2a_save_turn(void) {
     while (saving_left != 0) {
         const bool is_last = saving_left == 1;
         const uint8_t byte = saving_next == 0 ? NO_MARK : record[is_last ? MARK : saving_next];
-        if (!j2a_port_keep((uint16_t)(saving_at + (is_last ? MARK : saving_next)), byte))
+        if (!j2a_port_keep((uint16_t)(saving_at + (is_last ? MARK : saving_next)), byte)) {
+            if (now_us() - saving_since_us >= LONGEST_US) {
+                saving_left = 0;
+                saving_next = NONE;
+            }
             break;
+        }
         saving_next++;
         saving_left--;
     }

@@ -38,6 +38,10 @@ void j2a_stamp(uint8_t *slot) {
     (void)slot;
 }
 
+uint64_t j2a_port_time_us(void) {
+    return (uint64_t)any_u32 << 32 | any_u32;
+}
+
 uint8_t j2a_port_kept(uint16_t at) {
     //@ check at < J2A_PORT_KEPT_BYTES;
     (void)at;
@@ -87,8 +91,11 @@ static void forget_all(const j2a_transducer *t) {
         done = bytes;
     saving_next = done;
     saving_left = (uint8_t)(bytes + 1 - done);
-    if (any_bool)
+    saving_since_us = any_u32;
+    if (any_bool) {
         saving_left = 0;
+        saving_next = any_u8;
+    }
 }
 
 static void check_all(void) {
