@@ -17,15 +17,19 @@ volatile uint32_t any_u32;
 j2a_rx_t j2a_rx_of[J2A_LINKS];
 #define j2a_rx (j2a_rx_of[0])
 
-bool j2a_rx_byte(uint8_t byte) {
+void j2a_rx_parse(uint8_t byte) {
     (void)byte;
-    if (any_bool)
-        return false;
     j2a_rx.event = any_u8;
     j2a_rx.seq = any_u8;
     j2a_rx.opcode = any_u8;
     j2a_rx.length = any_u8;
     j2a_rx.payload[any_u8 % J2A_ROOM] = any_u8;
+}
+
+bool j2a_rx_byte(uint8_t byte) {
+    if (any_bool)
+        return false;
+    j2a_rx_parse(byte);
     return true;
 }
 
