@@ -138,7 +138,8 @@ static J2A_NOINLINE void lead(int32_t error, uint32_t frames) {
 
     for (; times != MEMORY - 2 && left >= frames; times++)
         left -= frames;
-    told_span = told_span + frames < MEMORY * frames ? told_span + frames : MEMORY * frames;
+    /* Not the lesser of both: the product overflows where nothing was told for 6 days. */
+    told_span = left < frames ? told_span + frames : MEMORY * frames;
     part = (int64_t)error * ((int32_t)j2a_flash_u8(&phase_gain[times]) << 22) + host.part;
     rate = ((int64_t)error * (int32_t)(274877907UL / frames) * j2a_flash_u8(&rate_gain[times]) >> 16) + host.rate;
     host.rate = (int32_t)(rate > MAX_RATE ? MAX_RATE : rate < -MAX_RATE ? -MAX_RATE : rate);
