@@ -9,6 +9,7 @@ from j2a_spec import constants as c
 from j2a_spec.oracle import Frame, decode, encode
 
 import j2a
+from firmware.tests.transds_app import app_task
 from j2a.errors import FunctionFailed
 
 pytestmark = pytest.mark.requirement("J2A-TRANS-019")
@@ -24,14 +25,7 @@ CODE = """\
 #include "transds.h"
 void plain_set_cb(void (*callback)(uint8_t channel, int16_t value)) { (void)callback; }
 void motor_set(uint8_t channel, uint8_t value) { (void)channel; (void)value; }
-void j2a_app_task(void) {
-    static bool begun;
-    if (!begun)
-        transds_init();
-    begun = true;
-    transds_process();
-}
-"""
+""" + app_task()
 # Of the transducer 1: what the descriptors say, and two sets of others.
 ITEMS = (c.TRANSD_ENABLED, c.TRANSD_PERIOD, c.TRANSD_DECIMATION, c.TRANSD_THRESHOLD, c.TRANSD_TOPIC)
 FIRST = (b"\0", (5000).to_bytes(4, "little"), b"\1", b"\3\0", b"first")

@@ -10,6 +10,7 @@ from j2a_spec import constants as c
 from j2a_spec import transducers as oracle
 
 import j2a
+from firmware.tests.transds_app import app_task
 from j2a.types.transds_file import read_transds, transds_text
 
 ROOT = Path(__file__).parents[2]
@@ -47,14 +48,7 @@ uint8_t measure(uint8_t *const length, uint8_t **const payload) {
     srf02_cb(11, 0x00FFFFFF);
     return 0;
 }
-void j2a_app_task(void) {
-    static bool begun;
-    if (!begun)
-        transds_init();
-    begun = true;
-    transds_process();
-}
-"""
+""" + app_task()
 PROPERTIES = 'J2A_PROPERTY("name", "thesis")\n'
 
 
@@ -148,16 +142,7 @@ def test_a_sensor_is_swapped_by_one_line(built):
 #include "transds.h"
 static void (*cb)(uint8_t channel, TYPE value);
 void dist_set_cb(void (*callback)(uint8_t channel, TYPE value)) { cb = callback; }
-void j2a_app_task(void) {
-    static bool begun;
-    if (!begun) {
-        transds_init();
-        begun = true;
-    }
-    cb(0, 400);
-    transds_process();
-}
-"""
+""" + app_task("cb(0, 400);")
 
     def host(url):
         with j2a.connect(url) as board:
@@ -194,14 +179,7 @@ void gate_set(uint8_t channel, bool value) { (void)channel; (void)value; }
 void ways_set(uint8_t channel, const bool value[3]) { (void)channel; (void)value; }
 void both_set(uint8_t channel, const pair *value) { (void)channel; (void)value; }
 void flag_set_cb(void (*callback)(uint8_t channel, bool value)) { (void)callback; }
-void j2a_app_task(void) {
-    static bool begun;
-    if (!begun)
-        transds_init();
-    begun = true;
-    transds_process();
-}
-"""
+""" + app_task()
 
 
 @pytest.mark.requirement("J2A-TYPE-001", "J2A-TYPE-002", "J2A-TRANS-015")

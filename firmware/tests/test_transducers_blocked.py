@@ -22,6 +22,7 @@ from firmware.tests.native_transducers import (
     NativeTransducers,
     build,
 )
+from firmware.tests.transds_app import app_task
 
 LIMIT_MS = 500
 BLOCKED_MS = 3000
@@ -120,15 +121,7 @@ CODE = """
 static void (*quick)(uint8_t channel, uint16_t value);
 void quick_set_cb(void (*callback)(uint8_t channel, uint16_t value)) { quick = callback; }
 void servo_set(uint8_t channel, uint16_t value) { (void)channel; (void)value; }
-void j2a_app_task(void) {
-    static bool begun;
-    if (!begun)
-        transds_init();
-    begun = true;
-    quick(0, 1);
-    transds_process();
-}
-"""
+""" + app_task("quick(0, 1);")
 
 
 def replies_in(data: bytes) -> list[Frame]:

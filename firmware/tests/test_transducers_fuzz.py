@@ -11,6 +11,7 @@ import pytest
 from j2a_spec import constants as c
 
 import j2a
+from firmware.tests.transds_app import app_task
 from j2a.protocol.transducers import TransducerServer
 from j2a.types.transds_file import read_transds
 
@@ -30,14 +31,7 @@ FAR_US = 1 << 62
 CODE = """
 #include "transds.h"
 uint8_t report(uint8_t *const length, uint8_t **const payload);
-void j2a_app_task(void) {
-    static bool begun;
-    if (!begun)
-        transds_init();
-    begun = true;
-    transds_process();
-}
-"""
+""" + app_task()
 
 
 def board_of(kinds):
