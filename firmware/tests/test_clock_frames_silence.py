@@ -16,8 +16,10 @@ CODE = r"""
 #include "ext/j2a_clock_frames.c"
 
 int main(void) {
-    static const uint32_t gaps[] = {1, 10, 1000, 8000, 1UL << 20, (1UL << 29) - 1, 1UL << 29, (1UL << 29) + 1,
-                                    (1UL << 29) + 125, 3UL << 28, 1UL << 30};
+    static const uint32_t gaps[] = {
+        1, 10, 1000, 8000, 1UL << 20, (1UL << 29) - 1, 1UL << 29, (1UL << 29) + 1,
+        (1UL << 29) + 125, 3UL << 28, 1UL << 30
+    };
     enum { GAPS = sizeof gaps / sizeof gaps[0] };
     unsigned first, second, third;
     for (first = 0; first < GAPS; first++)
@@ -32,8 +34,8 @@ int main(void) {
                     span = span + row[i] < most ? span + row[i] : most;
                     lead(0, row[i]);
                     if (told_span != span) {
-                        printf("%lu %lu %lu: %lu, not %llu\n", (unsigned long)row[0], (unsigned long)row[1],
-                               (unsigned long)row[2], (unsigned long)told_span, (unsigned long long)span);
+                        printf("%u %u %u: %u, not %llu\n", row[0], row[1], row[2], told_span,
+                               (unsigned long long)span);
                         return 1;
                     }
                 }
