@@ -57,6 +57,11 @@ if (
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).parent
+# The sources of the Makefile, those of the core but the tables replaced by one file.
+WITH_ONE_CORE = (
+    "{} $(TABLES) $(wildcard $(PORT_DIR)/*.[cS]) $(PORT_SOURCES) $(if $(OWN_MAIN),,apps/main.c)"
+    " $(wildcard $(APP_DIR)/*.c)"
+)
 COMPILERS = {
     "avr-serial": "avr-gcc",
     "avr-usb": "avr-gcc",
@@ -248,6 +253,19 @@ def make(need: Callable[[str], None]) -> Make:
     return run
 
 
+def _core_as_one(folder: Path) -> dict[str, str]:
+    """Write one file that includes the core; return the variables of make that compile it.
+
+    To start a compiler for each of its files takes as long as all else of a build.
+    """
+    core = ROOT / "firmware/core"
+    sources = {*core.glob("*.c"), *core.glob("ext/*.c")} - {*core.glob("*_table.c")}
+    one = folder / "j2a_core.c"
+    if not one.exists():  # make goes by its time
+        one.write_text("".join(f'#include "{path}"\n' for path in sorted(sources)), "utf-8")
+    return {"SOURCES": WITH_ONE_CORE.format(one), "VPATH": str(folder)}
+
+
 @pytest.fixture(scope="session")
 def build_firmware(
     make: Make, need: Callable[[str], None], tmp_path_factory: pytest.TempPathFactory
@@ -255,24 +273,35 @@ def build_firmware(
     """Build an app, each set of variables once and in a folder of its own; returns the program.
 
     The workers of pytest-xdist share the folders: what one has built, make only looks at again.
+    With `core_as_one` the core is compiled as one file, as that of the amalgamation: for tests of
+    what a device does. By itself it is for this machine, where no compiler is named. File by file
+    it is compiled for the suite, and where warnings, sizes or cycles are looked at.
     """
     base = tmp_path_factory.getbasetemp()
     shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "firmware"
     done: dict[tuple[object, ...], Path] = {}
 
-    def run(app: str = "demo", port: str = "posix", **variables: object) -> Path:
+    def run(
+        app: str = "demo",
+        port: str = "posix",
+        core_as_one: bool | None = None,
+        **variables: object,
+    ) -> Path:
         need(str(variables.get("CC", COMPILERS.get(port, "cc"))))
         # What it does is asked; test_compilers.py has each level. For each Zig makes a C library.
-        if port == "posix" and "CC" not in variables:
+        is_ours = port == "posix" and "CC" not in variables
+        if is_ours:
             variables = {"CFLAGS": "-O0", **variables}
-        key = (app, port, *sorted((name, str(value)) for name, value in variables.items()))
+        is_one = is_ours if core_as_one is None else core_as_one
+        key = (app, port, is_one, *sorted((name, str(value)) for name, value in variables.items()))
         if key not in done:
             out = shared / f"{port}-{app}-{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}"
             out.mkdir(parents=True, exist_ok=True)
             lock = out.with_suffix(".lock")
             lock.touch()
             with alone_with(lock):
-                result = make(APP=app, PORT=port, OUT=out, **variables)
+                core = _core_as_one(out) if is_one else {}
+                result = make(APP=app, PORT=port, OUT=out, **core, **variables)
             assert result.returncode == 0, result.stderr
             done[key] = out / (f"{app}.elf" if port in COMPILERS else app)
         return done[key]

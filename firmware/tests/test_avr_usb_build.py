@@ -97,7 +97,7 @@ def test_options_answer(build, mcu, settings):
 
     What differs between the chips is what makes the clock of USB; most tests below are for both.
     """
-    elf = build("builtins", "avr-usb", MCU=mcu, **settings)
+    elf = build("builtins", "avr-usb", core_as_one=True, MCU=mcu, **settings)
     options = settings.get("OPTIONS", "")
     opcode = ECHO - 2 if "MANY=0" in options else ECHO
     with AvrSim(elf, mcu, int(settings.get("FREQ", 16_000_000))) as sim:
@@ -122,7 +122,7 @@ def test_what_the_board_says_of_itself(build):
         "USB_NAME": "My board-2",
         "SERIAL": "PB1",
     }
-    elf = build("builtins", "avr-usb", **names)
+    elf = build("builtins", "avr-usb", core_as_one=True, **names)
     with AvrSim(elf, "atmega32u4") as sim:
         found = sim.usb.enumerate()
         device = usb.device.parse(found.device)
@@ -147,7 +147,7 @@ def test_without_them_it_is_the_chip(build, mcu):
 
 def test_the_longest_strings(build):
     longest = "x" * 126
-    elf = build("builtins", "avr-usb", USB_NAME=longest, SERIAL=longest)
+    elf = build("builtins", "avr-usb", core_as_one=True, USB_NAME=longest, SERIAL=longest)
     with AvrSim(elf, "atmega32u4") as sim:
         assert list(sim.usb.enumerate().strings.values()).count(longest) == 2
 
@@ -155,7 +155,7 @@ def test_the_longest_strings(build):
 @pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
 def test_sleeps_while_suspended(build, mcu):
     """With J2A_USB_SLEEP the chip is in power-down, the interrupt of its timer off."""
-    elf = build("builtins", "avr-usb", MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
+    elf = build("builtins", "avr-usb", core_as_one=True, MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
 
     def asleep():
         return bool(sim.read_memory(SMCR, 1)[0] & SLEEP_ENABLED)
@@ -183,7 +183,7 @@ def test_sleeps_while_suspended(build, mcu):
 @pytest.mark.parametrize("mcu", ["atmega32u4", "atmega32u2"])
 def test_sleeps_while_it_waits(build, mcu):
     """It also sleeps where it has something to send, and sends all of it when the bus is back."""
-    elf = build("builtins", "avr-usb", MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
+    elf = build("builtins", "avr-usb", core_as_one=True, MCU=mcu, OPTIONS="-DJ2A_USB_SLEEP=1")
     payload = bytes(range(255))
     with AvrSim(elf, mcu) as sim:
         sim.usb.enumerate()
@@ -196,7 +196,7 @@ def test_sleeps_while_it_waits(build, mcu):
 
 
 def test_goes_on_while_suspended(build):
-    elf = build("builtins", "avr-usb")
+    elf = build("builtins", "avr-usb", MCU="atmega32u4")
     with AvrSim(elf, "atmega32u4") as sim:
         sim.usb.enumerate()
         sim.usb.suspend()

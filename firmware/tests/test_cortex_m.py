@@ -14,6 +14,7 @@ import struct
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import j2a_transports
@@ -44,16 +45,10 @@ def tools(need):
 
 
 @pytest.fixture(scope="module")
-def image(tools, make, tmp_path_factory):
+def image(tools, build_firmware):
     """Build an app for the port; returns the ELF file."""
 
-    def build(app, **variables):
-        out = tmp_path_factory.mktemp(app)
-        result = make(PORT="cortex-m", APP=app, OUT=out, **variables)
-        assert result.returncode == 0, result.stderr
-        return out / f"{app}.elf"
-
-    return build
+    return partial(build_firmware, port="cortex-m", core_as_one=True)
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +195,7 @@ def test_self_test(image, tmp_path):
 
 def test_stack(image, tmp_path):
     """The worst of a run is far less than what the linker script keeps free, and RAM is left."""
-    elf = image("demo")
+    elf = image("demo", core_as_one=False)
     listing = subprocess.run(
         ["arm-none-eabi-nm", elf], capture_output=True, text=True, check=True
     ).stdout

@@ -17,7 +17,14 @@ pytestmark = pytest.mark.avr
 
 @pytest.mark.parametrize("mcu", ["atmega32u2", "atmega328p"])
 def test_no_bit_is_lost(build, mcu):
-    elf = build("product", "avr-serial", APP_DIR=str(APP), MCU=mcu, OPTIONS="-DJ2A_WITH_SYNC=1")
+    elf = build(
+        "product",
+        "avr-serial",
+        core_as_one=True,
+        APP_DIR=str(APP),
+        MCU=mcu,
+        OPTIONS="-DJ2A_WITH_SYNC=1",
+    )
     chance = random.Random(5)
     pairs = [(a, b) for a in ENDS for b in (*ENDS, 2**31 - 1, -(2**31))]
     for _ in range(CALLS):

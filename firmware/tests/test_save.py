@@ -1,6 +1,7 @@
 """Settings that stay without power: over resets, other firmware, damage, a reset at any byte."""
 
 import itertools
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -35,15 +36,18 @@ THIRD = (b"\0", (1).to_bytes(4, "little"), b"\xff", b"\0\0", b"3")
 
 @pytest.fixture(scope="module")
 def image(build_firmware, tmp_path_factory):
-    """Build the app above; the text replaces part of its transds.def."""
+    """Build the app above, each once; the text replaces part of its transds.def."""
 
+    @cache
     def build(port="avr-serial", find="", replace="", options=SAVE, **variables):
         folder = tmp_path_factory.mktemp("app")
         (folder / "transds.def").write_text(TRANSDS.replace(find, replace))
         (folder / "functions.def").write_text("")
         (folder / "properties.def").write_text('J2A_PROPERTY("name", "save")\n')
         (folder / "app.c").write_text(CODE)
-        return build_firmware("app", port, APP_DIR=folder, OPTIONS=options, **variables)
+        return build_firmware(
+            "app", port, core_as_one=True, APP_DIR=folder, OPTIONS=options, **variables
+        )
 
     return build
 
@@ -293,7 +297,8 @@ class TestPosix:
 
 def test_a_port_without_memory_says_so(image, make, need, tmp_path):
     need("riscv64-unknown-elf-gcc")
-    done = make(PORT="riscv", APP="transducers", OUT=tmp_path, OPTIONS=SAVE)
+    goal = tmp_path / "transducers.obj/j2a_save.o"  # no more of it is compiled than shows the error
+    done = make(goal, PORT="riscv", APP="transducers", OUT=tmp_path, OPTIONS=SAVE)
     assert done.returncode != 0
     assert "needs a port that keeps bytes without power" in done.stderr
 
@@ -301,6 +306,7 @@ def test_a_port_without_memory_says_so(image, make, need, tmp_path):
 def test_settings_that_do_not_fit_do_not_compile(make, need, tmp_path):
     need("avr-gcc")
     options = f"{SAVE} -DJ2A_EEPROM_AT=800"
-    result = make(PORT="avr-serial", APP="transducers", OUT=tmp_path, OPTIONS=options)
+    goal = tmp_path / "transducers.obj/j2a_transds_table.o"  # which shows it
+    result = make(goal, PORT="avr-serial", APP="transducers", OUT=tmp_path, OPTIONS=options)
     assert result.returncode != 0
     assert "the_settings_fit_into_what_the_port_keeps" in result.stderr

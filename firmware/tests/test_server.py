@@ -85,7 +85,7 @@ def test_properties_cannot_be_written(call):
 @pytest.mark.parametrize(
     ("length", "offsets"), [(600, (0, 249, 498)), (70000, (65400, 65649, 69900))]
 )
-def test_long_properties(make, ask, tmp_path, length, offsets):
+def test_long_properties(build, ask, tmp_path, length, offsets):
     """More than two chunks, and more than 16 bits count."""
     folder = tmp_path / "long.app"
     folder.mkdir()
@@ -96,19 +96,18 @@ def test_long_properties(make, ask, tmp_path, length, offsets):
     values = [("k" * 99, "v" * 99), ("K" * 149, "V" * 149), ("l" * 40, rest)]
     lines = [f'J2A_PROPERTY("{key}", "{value}")\n' for key, value in values]
     (folder / "properties.def").write_text("".join(lines))
-    result = make(APP="long", APP_DIR=str(folder), OUT=str(tmp_path))
-    assert result.returncode == 0, result.stderr
+    program = build("long", APP_DIR=str(folder))
     text = first + b"".join(f"{key}\0{value}\0".encode() for key, value in values)
     assert len(text) == length
     requests = [many(c.GET_PROPERTIES, 0, offset)[1] for offset in offsets]
     data = b"".join(encode(Frame(c.SOF, seq, 1, part)) for seq, part in enumerate(requests))
-    assert ask(tmp_path / "long", data) == [
+    assert ask(program, data) == [
         many_reply(seq, 0, offset + 249 >= length, offset, text[offset : offset + 249])
         for seq, offset in enumerate(offsets)
     ]
 
 
-def test_many_returns_what_functions_may(make, ask, tmp_path):
+def test_many_returns_what_functions_may(build, ask, tmp_path):
     """As calls do: 0x00 to 0xEF, and 0xFF for all others (J2A-DISP-004)."""
     folder = tmp_path / "codes.app"
     folder.mkdir()
@@ -119,12 +118,11 @@ def test_many_returns_what_functions_may(make, ask, tmp_path):
     )
     (folder / "functions.def").write_text("J2A_MANY(code, code)\n")
     (folder / "properties.def").write_text("")
-    result = make(APP="codes", APP_DIR=str(folder), OUT=str(tmp_path))
-    assert result.returncode == 0, result.stderr
+    program = build("codes", APP_DIR=str(folder))
     opcode = len(c.BUILTINS)
     request = bytes((opcode, c.FLAG_WRITE, 0, 0, 0, 0))
     data = [encode(Frame(c.SOF, code, 1, request + bytes((code,)))) for code in range(256)]
-    assert ask(tmp_path / "codes", b"".join(data)) == [
+    assert ask(program, b"".join(data)) == [
         many_reply(code, code if code <= c.RET_MAX else c.RET_FAILED, 0, 0) for code in range(256)
     ]
 

@@ -3,6 +3,7 @@
 import struct
 import subprocess
 import time
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -81,14 +82,12 @@ def make(folder, out, *targets, **variables):
     )
 
 
-@pytest.fixture
-def built(need, tmp_path):
-    need("cc")
-
+@pytest.fixture(scope="module")
+def built(build_firmware, tmp_path_factory):
+    @cache
     def build(transds, **more):
-        done = make(write_app(tmp_path / "app", transds, **more), tmp_path / "out")
-        assert done.returncode == 0, done.stderr
-        return f"exec:{tmp_path}/out/app"
+        folder = write_app(tmp_path_factory.mktemp("app"), transds, **more)
+        return f"exec:{build_firmware('app', APP_DIR=folder)}"
 
     return build
 

@@ -128,9 +128,8 @@ def replies_in(data: bytes) -> list[Frame]:
     return [one for one in decode(data) if isinstance(one, Frame) and one.start == c.SOF]
 
 
-def test_a_process_whose_output_nobody_reads(need, make, tmp_path):
+def test_a_process_whose_output_nobody_reads(build_firmware, tmp_path):
     """Its pipe is full soon, and stays so for 2 s."""
-    need("cc")
     folder = tmp_path / "app"
     folder.mkdir()
     for name, text in (
@@ -140,10 +139,9 @@ def test_a_process_whose_output_nobody_reads(need, make, tmp_path):
         ("properties.def", 'J2A_PROPERTY("name", "blocked")\n'),
     ):
         (folder / name).write_text(text)
-    done = make(APP="app", APP_DIR=folder, OUT=tmp_path / "out")
-    assert done.returncode == 0, done.stderr
+    program = build_firmware("app", APP_DIR=folder)
     with subprocess.Popen(
-        [tmp_path / "out/app"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+        [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
     ) as process:
         assert process.stdin
         assert process.stdout

@@ -15,7 +15,7 @@ from firmware.tests.transds_app import app_task
 from j2a.protocol.transducers import TransducerServer
 from j2a.types.transds_file import read_transds
 
-from .test_transducers import make, write_app
+from .test_transducers import write_app
 
 SCALARS = ("bool", "u8", "u16", "u32", "u64", "i8", "i16", "i32", "i64", "f32", "f64")
 ENUMS = {"color": "u8", "phase": "i16", "code": "u32", "place": "i64"}
@@ -158,16 +158,13 @@ class Both:
 
 
 @pytest.fixture(scope="module")
-def built(need, tmp_path_factory):
+def built(build_firmware, tmp_path_factory):
     """A device with transducers of many types, sanitized; returns it and its transds.def."""
-    need("cc")
     out = tmp_path_factory.mktemp("many")
     transds, code = board_of((*SCALARS, *ENUMS, *NO_RAW))
     folder = write_app(out / "app", transds, code, "J2A_CALL(report, report)\n")
     sanitizers = "-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all"
-    done = make(folder, out / "out", PORT="posix", CFLAGS=sanitizers)
-    assert done.returncode == 0, done.stderr
-    return out / "out/app", transds
+    return build_firmware("app", APP_DIR=folder, CFLAGS=sanitizers), transds
 
 
 @pytest.mark.parametrize("seed", range(2))
