@@ -48,6 +48,35 @@ LONG = {
 }
 
 
+@pytest.fixture(scope="module")
+def parsers_own_fields():
+    """`frame_condition`, which compiles the whole core, once for what the sources are."""
+    known = {}
+    found = module.frame_condition
+
+    def look(core):
+        sources = tuple((path.name, path.read_bytes()) for path in sorted(core.rglob("*.[ch]")))
+        if sources not in known:
+            known[sources] = found(core)
+        return known[sources]
+
+    return look
+
+
+@pytest.fixture
+def prove_here(need, monkeypatch, capsys, parsers_own_fields):
+    """The program within this process: what it prints, and its exit status."""
+    need("frama-c")
+    monkeypatch.setattr(module, "frame_condition", parsers_own_fields)
+
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["prove", *map(str, arguments)])
+        status = module.main()
+        return capsys.readouterr().out, status
+
+    return run
+
+
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
     ("only", "options"),
@@ -56,12 +85,12 @@ LONG = {
         *(pytest.param(name, (), marks=pytest.mark.exhaustive) for name in (*SHORT, *sorted(LONG))),
     ],
 )
-def test_core_is_proved(need, only, options):
-    result = prove(need, "--only", only, *options)
-    assert result.returncode == 0, result.stdout + result.stderr
+def test_core_is_proved(prove_here, only, options):
+    printed, status = prove_here("--only", only, *options)
+    assert status == 0, printed
     analyses = [analysis for analysis in ANALYSES if analysis.name.startswith(only)]
     # Two more are about the sources.
-    assert result.stdout.count("proven  ") == len(analyses) + 2 > 2
+    assert printed.count("proven  ") == len(analyses) + 2 > 2
 
 
 def test_all_of_it_is_proved():
@@ -74,11 +103,8 @@ def core(tmp_path):
     return shutil.copytree(FIRMWARE / "core", tmp_path / "core")
 
 
-def test_what_was_proved_is_proved_again_where_it_changed(
-    need, core, tmp_path, monkeypatch, capsys
-):
+def test_what_was_proved_is_proved_again_where_it_changed(prove_here, core, tmp_path, monkeypatch):
     """Nothing is remembered of a proof that failed, and nothing of other analyses is forgotten."""
-    need("frama-c")
     monkeypatch.setattr(module, "PROVEN", tmp_path / "proven.json")
     monkeypatch.setattr(module, "prove", lambda analysis, core: (failures, "done"))
     module.PROVEN.write_text("{}")
@@ -86,10 +112,8 @@ def test_what_was_proved_is_proved_again_where_it_changed(
 
     def proved(only, *options):
         """The analyses that ran, and how that ended."""
-        words = ["prove", "--core", str(core), "--only", only, "--changed", *options]
-        monkeypatch.setattr("sys.argv", words)
-        status = module.main()
-        return capsys.readouterr().out.count(": done"), status
+        printed, status = prove_here("--core", core, "--only", only, "--changed", *options)
+        return printed.count(": done"), status
 
     failures = ["an alarm"]
     assert proved("sender", "--record") == (2, 1)
