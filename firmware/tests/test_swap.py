@@ -152,7 +152,7 @@ def test_ultrasonic_by_analog_inputs_in_the_listing(swap):
 
 
 @pytest.mark.avr
-def test_infrared_behind_the_analog_inputs(make, tmp_path):
+def test_infrared_behind_the_analog_inputs(build, tmp_path):
     """The order of the lines is free: where turns of the main loop are so long that each of them
     begins a scan for the analog inputs, both sensors go on."""
     app = tmp_path / "sensors"
@@ -162,10 +162,8 @@ def test_infrared_behind_the_analog_inputs(make, tmp_path):
     lines.remove(infrared)
     lines.insert(lines.index("#endif\n"), infrared)
     (app / "transds.def").write_text("".join(lines), "utf-8")
-    out = tmp_path / "out"
-    done = make(PORT="avr-serial", APP="sensors", APP_DIR=app, OUT=out, BAUD="9600")
-    assert done.returncode == 0, done.stderr
-    with AvrSim(out / "sensors.elf") as sim, j2a.Client(SimLink(sim), timeout=5.0) as board:
+    elf = build("sensors", "avr-serial", core_as_one=True, APP_DIR=app, BAUD="9600")
+    with AvrSim(elf) as sim, j2a.Client(SimLink(sim), timeout=5.0) as board:
         inputs, infrared = board.transducers["adc"], board.transducers["dist_ir"]
         inputs.period = 0
         with inputs.samples() as samples:
